@@ -26,12 +26,12 @@ from residuum.diagnosis.diagnosers import DIAGNOSERS
 from residuum.diagnosis.diagnosers.base import Diagnoser
 from residuum.identification.record import Record
 from residuum.service.fieldbus import SOURCES
-from residuum.service.fieldbus.block import Block
 from residuum.service.fieldbus.can.can_bus import open_bus
 from residuum.service.fieldbus.can.frame_layout import read_dbc
 from residuum.service.fieldbus.sequence import BREAK
 from residuum.service.fieldbus.settings import MAPS, SourceSettings, WindowSettings
-from residuum.service.machines.windows.cut_windows import make_cutter
+from residuum.service.fieldbus.source import Block
+from residuum.service.machines.windows import make_cutter
 
 Numbers = npt.NDArray[np.int64]
 

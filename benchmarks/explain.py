@@ -19,8 +19,8 @@ def once(name: str) -> None:
     from residuum.identification.discrepancy.explain import explain
     from residuum.identification.physics import load_model
     from residuum.identification.record import Record
-    from residuum.service.work.large_arrays import keep_large_arrays
     from residuum.service.work.loaded_modules import leave_loaded_modules
+    from residuum.service.work.worker_pool import keep_large_arrays
     from residuum.simulation import MACHINES
 
     machine = MACHINES["gate-drive"](seed=1, effects=dict(CASES[name]), profile="rich", rate=RATE)

@@ -26,8 +26,7 @@ import orjson
 
 from residuum.identification.record import Record
 from residuum.identification.record_formats import write_record
-from residuum.service.work.fleet import run_fleet
-from residuum.service.work.fleet_work import Rescore
+from residuum.service.work.fleet import Rescore, run_fleet
 from residuum.service.work.worker_pool import WorkerPool
 
 WORK = Rescore("bearing", None)

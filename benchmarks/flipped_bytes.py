@@ -33,7 +33,7 @@ from residuum.service.storage import DiskStore, outbox
 from residuum.service.storage.blocks import Blocks, BrokenBlock
 from residuum.service.storage.database import Database
 from residuum.service.storage.retention import Retention
-from residuum.service.storage.rows import row_checksums
+from residuum.service.storage.rows import row_checks
 from residuum.service.store import StorageUnavailable
 
 TELLS = "differs from its checksum"
@@ -165,7 +165,7 @@ def answer(question: Question) -> str:
     """The answer's text, in which 22 and 22.0 are alike as to every reader of JSON, or how it is refused."""
     try:
         said = orjson.loads(orjson.dumps(question(), default=str, option=orjson.OPT_NON_STR_KEYS))
-        return orjson.dumps(row_checksums.plain(said)).decode()
+        return orjson.dumps(row_checks.plain(said)).decode()
     except (StorageUnavailable, BrokenBlock) as error:
         return f"{TELLS}: {error}"
     except Exception as error:  # an internal error is an answer too, and no other value

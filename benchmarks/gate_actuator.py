@@ -18,8 +18,7 @@ from residuum.diagnosis.diagnosers.gate_actuator import GateActuator as Diagnose
 from residuum.diagnosis.gate.actuator_model import ActuatorConstants
 from residuum.diagnosis.gate.gate_baseline import GateBaseline, TrainingMovement
 from residuum.diagnosis.gate.movement_features import MovementFeatures, movement_features
-from residuum.diagnosis.gate.movements import cut_movements
-from residuum.diagnosis.gate.position_domain import average_profile
+from residuum.diagnosis.gate.movements import average_profile, cut_movements
 from residuum.diagnosis.learning.diagnoser_validation import (
     Validation,
     balanced_accuracy,

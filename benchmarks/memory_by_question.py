@@ -30,7 +30,7 @@ from residuum.diagnosis.finding import Finding
 from residuum.identification.record import Record
 from residuum.service.settled_memory import settle_memory
 from residuum.service.storage import DiskStore
-from residuum.service.work.large_arrays import give_back_large_arrays
+from residuum.service.work.worker_pool import give_back_large_arrays
 
 ONE, HUNDRED = 64, 256
 """MiB that one question may add, and a hundred at once."""

@@ -23,11 +23,11 @@ from typing import Any
 
 import numpy as np
 
-from residuum.service.fieldbus.block import Block
 from residuum.service.fieldbus.modbus.modbus_source import ModbusSource
 from residuum.service.fieldbus.modbus.register_map import read_register_map
 from residuum.service.fieldbus.sequence import BREAK
 from residuum.service.fieldbus.settings import MAPS
+from residuum.service.fieldbus.source import Block
 
 _SERVER = Path(__file__).parents[1] / "tests" / "service" / "fieldbus" / "faulty_modbus.py"
 SHARE = 1 / 6

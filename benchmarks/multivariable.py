@@ -21,8 +21,8 @@ from residuum.identification.kernel_based.multivariable import MultivariableMode
 from residuum.identification.record import Record
 from residuum.robust_control.control_problem import Wishes
 from residuum.robust_control.multivariable_control import MultivariableProblem, closed_loop_steps
-from residuum.robust_control.synthesis.controller_structure import PIDN
-from residuum.robust_control.weights.nominal_performance import Infeasible
+from residuum.robust_control.synthesis.constrained_structure import PIDN
+from residuum.robust_control.weights.performance_weight import Infeasible
 
 SAMPLES, LAGS, HEALTHY = 2000, 80, 5
 INPUTS, OUTPUTS = ("u0", "u1"), ("y0", "y1")

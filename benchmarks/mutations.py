@@ -166,14 +166,14 @@ MUTATIONS = (
     ),
     Mutation(
         "a DBC file's factor is ignored",
-        "residuum/service/fieldbus/can/signal_bits.py",
+        "residuum/service/fieldbus/can/frame_layout.py",
         "raw.astype(float)) * self._scale + self._offset",
         "raw.astype(float)) + self._offset",
         "tests/service/fieldbus/test_frame_layout.py",
     ),
     Mutation(
         "a controller needs no certificate",
-        "residuum/robust_control/weights/nominal_performance.py",
+        "residuum/robust_control/weights/performance_weight.py",
         "return found if found.certified < limit and found.stable else None",
         "return found",
         "tests/robust_control/synthesis/test_structured_synthesis.py",

@@ -31,7 +31,7 @@ from benchmarks.http_cases import _wait
 from benchmarks.silent_proxy import SilentProxy
 from residuum.identification.record import Record
 from residuum.service.fieldbus.settings import MachineSettings, SourceSettings, WindowSettings
-from residuum.service.machines.judging.judge_and_store import JudgeAndStore
+from residuum.service.machines.pipeline import JudgeAndStore
 from residuum.service.storage import DiskStore
 
 RECOVERED_WITHIN = 10.0

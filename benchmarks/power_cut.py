@@ -26,19 +26,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from residuum.service.storage.backup.restore import restore_backup
 
 from benchmarks.forgetful_disk import ForgetfulDisk, recorded
 from residuum.diagnosis.finding import Finding
 from residuum.identification.record import Record
 from residuum.service.alarms.alarm_states import AlarmEvent
 from residuum.service.storage import DiskStore
-from residuum.service.storage.backup.backup_contents import BackupReader, BadBackup
-from residuum.service.storage.backup.backup_file import write_backup
-from residuum.service.storage.backup.restore import restore_backup
+from residuum.service.storage.backup import BackupReader, BadBackup, write_backup
 from residuum.service.storage.blocks import Blocks
 from residuum.service.storage.database import Database, known_revisions, newest_revision
 from residuum.service.storage.rows.block_rows import references
-from residuum.service.window_queue.spool import Spool
+from residuum.service.window_queue.gateway import Spool
 
 WAYS = ((0.0, 0.0), (1.0, 1.0), (1.0, 0.0), (0.0, 1.0), (0.5, 0.5), (1.0, 0.5))
 """Parts of names and sectors, not yet synced, that a cut leaves."""

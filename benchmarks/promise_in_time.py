@@ -25,7 +25,7 @@ from residuum.identification.linear_models.transfer_function import TransferFunc
 from residuum.identification.record import Record
 from residuum.library.answers.control_promise import promise_and_measurement
 from residuum.robust_control.control_problem import ControlProblem, Wishes
-from residuum.robust_control.synthesis.controller_structure import PIDN
+from residuum.robust_control.synthesis.constrained_structure import PIDN
 
 SAMPLES, RATIO, LAGS, FRESH = 2000, 10.0, 80, 40_000
 NEAR = 0.1

@@ -16,8 +16,7 @@ from benchmarks.peers import FOLDER, run_peer
 from benchmarks.peers.full_order import full_order_design
 from residuum.identification.errors import BadInput
 from residuum.identification.kernel_based.impulse_response import identify_impulse_response
-from residuum.identification.linear_models.identified_model import IdentifiedModel
-from residuum.identification.linear_models.identified_model_file import save_identified
+from residuum.identification.linear_models.identified_model import IdentifiedModel, save_identified
 from residuum.identification.linear_models.schur import is_schur
 from residuum.identification.linear_models.state_space import StateSpace
 from residuum.identification.linear_models.transfer_function import TransferFunction
@@ -26,10 +25,9 @@ from residuum.identification.record import Record
 from residuum.library.questions.control_design import DesignController
 from residuum.robust_control.certificates import RobustAim, design_for_robust_performance, h_infinity_norm
 from residuum.robust_control.loop import Loop, Weights, characteristic, frequency_grid, weighted_loop
-from residuum.robust_control.synthesis.controller_structure import PI, PIDN, Rational
+from residuum.robust_control.synthesis.constrained_structure import PI, PIDN, Rational
 from residuum.robust_control.synthesis.structured_synthesis import default_starts, synthesise
-from residuum.robust_control.weights.nominal_performance import NominalAim, design_for_nominal_performance
-from residuum.robust_control.weights.reference_model import ReferenceModel
+from residuum.robust_control.weights.performance_weight import NominalAim, ReferenceModel, design_for_nominal_performance
 from residuum.service.views.control_view import view_control_design
 
 TS = 0.01

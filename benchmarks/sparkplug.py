@@ -18,7 +18,7 @@ import paho.mqtt.client as mqtt
 from paho.mqtt.enums import CallbackAPIVersion
 
 from benchmarks.opcua import Judge
-from residuum.service.broker_address import broker_address
+from residuum.service.broker import broker_address
 from residuum.service.fieldbus.sparkplug.metric_map import MetricMap
 from residuum.service.fieldbus.sparkplug.sparkplug_payload import BOOLEAN, DOUBLE, INT64, Metric, Payload, pack, unpack
 from residuum.service.fieldbus.sparkplug.sparkplug_source import REBIRTH, SparkplugSource

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from residuum.identification.kernel_based.impulse_response import identify_impulse_response
-from residuum.identification.linear_models.error_bounds.drawn_errors import magnitude
+from residuum.identification.linear_models.error_bounds.error_models import magnitude
 from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.identification.linear_models.uncertainty import design_uncertainty_weight, drawn_errors
 from residuum.identification.record import Record

@@ -34,13 +34,12 @@ from benchmarks.free_port import free_port
 from benchmarks.http_cases import _wait
 from benchmarks.programs import find_program
 from residuum.identification.units import read_registry
-from residuum.service.broker_address import broker_address
+from residuum.service.broker import broker_address
 from residuum.service.machines.judging.scoring import PlainRecord
 from residuum.service.storage import DiskStore
 from residuum.service.window_queue.scorer import Scorer
 from residuum.service.window_queue.set_aside import SetAside
-from residuum.service.window_queue.topics import window_topic
-from residuum.service.window_queue.window_message import WindowMessage
+from residuum.service.window_queue.window_message import WindowMessage, window_topic
 from residuum.service.work.worker_pool import WorkerPool
 
 WITHIN = 1.0

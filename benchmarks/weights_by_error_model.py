@@ -28,7 +28,7 @@ from residuum.identification.linear_models.identified_model import IdentifiedMod
 from residuum.identification.linear_models.prediction_error import STRUCTURES, identify
 from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.identification.linear_models.uncertainty import Rule, design_uncertainty_weight
-from residuum.identification.linear_models.validation.model_error import model_error_model
+from residuum.identification.linear_models.validation import model_error_model
 from residuum.identification.record import Record
 from residuum.robust_control.control_problem import WeightChoice
 from residuum.robust_control.multivariable_control import MultivariableProblem

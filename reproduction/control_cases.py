@@ -13,10 +13,14 @@ from reproduction.benchmark import FULL, KERNEL, LOW, OMEGA, SEED, TS, identifie
 from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.robust_control.certificates import RobustAim, RobustDesign, design_for_robust_performance
 from residuum.robust_control.loop import Loop, Weights, frequency_grid
-from residuum.robust_control.synthesis.controller_structure import PIDN
+from residuum.robust_control.synthesis.constrained_structure import PIDN
 from residuum.robust_control.synthesis.structured_synthesis import Synthesis, synthesise
-from residuum.robust_control.weights.nominal_performance import NominalAim, NominalDesign, design_for_nominal_performance
-from residuum.robust_control.weights.reference_model import ReferenceModel
+from residuum.robust_control.weights.performance_weight import (
+    NominalAim,
+    NominalDesign,
+    ReferenceModel,
+    design_for_nominal_performance,
+)
 
 AIM, DURATION, PLANTS = NominalAim(smallest_overshoot=0.01, longest_settling_time=5.0, slack=0.1), 4.0, 200
 LIMIT = 1.0 + AIM.slack

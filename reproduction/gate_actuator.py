@@ -12,6 +12,7 @@ from reproduction.gate_movements import CLASSES, CONDITIONS, CONSTANTS, GRADE_9,
 from reproduction.gate_validation import cross_validation, object_wise_validation
 from reproduction.item import Item
 from residuum.diagnosis.gate.actuator_model import adapt
+from residuum.diagnosis.gate.classifier_plane import decision_regions
 from residuum.diagnosis.gate.movement_features import (
     RATE,
     MovementFeatures,
@@ -20,7 +21,6 @@ from residuum.diagnosis.gate.movement_features import (
     residual_envelope,
 )
 from residuum.diagnosis.gate.movements import Direction
-from residuum.diagnosis.learning.decision_regions import decision_regions
 from residuum.diagnosis.learning.diagnoser_validation import Validation
 from residuum.diagnosis.residuals.fault_isolation import HEALTHY, PINION_OR_GEAR, RACK, source_classifier
 

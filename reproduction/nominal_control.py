@@ -16,10 +16,9 @@ from residuum.identification.linear_models.transfer_function import TransferFunc
 from residuum.identification.linear_models.uncertainty import design_uncertainty_weight
 from residuum.robust_control.certificates import StepResponse, assess, over_plants, step_response
 from residuum.robust_control.loop import Loop, Weights, frequency_grid
-from residuum.robust_control.synthesis.controller_structure import PIDN
+from residuum.robust_control.synthesis.constrained_structure import PIDN
 from residuum.robust_control.synthesis.structured_synthesis import Synthesis, synthesise
-from residuum.robust_control.weights.nominal_performance import design_for_nominal_performance
-from residuum.robust_control.weights.reference_model import ReferenceModel
+from residuum.robust_control.weights.performance_weight import ReferenceModel, design_for_nominal_performance
 
 _MEASURES = {"integral_absolute_error": "IAE", "settling_time": "settling time", "overshoot": "overshoot"}
 _DS1, _DS1_READ = "DS1", "DS1 at −10 dB"

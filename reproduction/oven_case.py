@@ -11,9 +11,9 @@ from residuum.identification.linear_models.transfer_function import TransferFunc
 from residuum.identification.record import Record
 from residuum.robust_control.control_problem import average_plant, overall_uncertainty
 from residuum.robust_control.loop import Loop, Weights, frequency_grid
-from residuum.robust_control.synthesis.controller_structure import PIDN
+from residuum.robust_control.synthesis.constrained_structure import PIDN
 from residuum.robust_control.synthesis.structured_synthesis import Synthesis, synthesise
-from residuum.robust_control.weights.nominal_performance import NominalAim, NominalDesign, design_for_nominal_performance
+from residuum.robust_control.weights.performance_weight import NominalAim, NominalDesign, design_for_nominal_performance
 from residuum.simulation.oven import OvenMachine
 
 TS, N, DROPPED, SEED, PLANTS = 60.0, 4800, 1000, 1, 200

@@ -12,7 +12,7 @@ from reproduction.item import Item
 from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.robust_control.certificates import RobustAim, StepResponse, assess, over_plants, step_response
 from residuum.robust_control.loop import Weights
-from residuum.robust_control.synthesis.controller_structure import PIDN
+from residuum.robust_control.synthesis.constrained_structure import PIDN
 from residuum.robust_control.synthesis.structured_synthesis import synthesise
 from residuum.robust_control.weights.performance_weight import MonotoneWeight
 

@@ -23,7 +23,7 @@ from reproduction.item import Item
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.linear_models.prediction_error import STRUCTURES, identify
 from residuum.identification.linear_models.uncertainty import design_uncertainty_weight
-from residuum.identification.linear_models.validation.model_error import model_error_model
+from residuum.identification.linear_models.validation import model_error_model
 
 _LOG = {"xaxis_title": "ω [rad/s]", "yaxis_title": "magnitude", "xaxis_type": "log", "yaxis_type": "log"}
 SHOWN = 50

@@ -25,9 +25,8 @@ from residuum.library.whole_file import write_whole
 from residuum.robust_control.certificates import Measured, StepResponse, step_response
 from residuum.robust_control.control_problem import STRUCTURES, ControlProblem, Solution, WeightChoice, Wishes
 from residuum.robust_control.controller_export import LANGUAGES, DifferenceEquation
-from residuum.robust_control.synthesis.constrained_structure import Constrained
-from residuum.robust_control.synthesis.controller_structure import ControllerStructure
-from residuum.robust_control.weights.nominal_performance import Infeasible
+from residuum.robust_control.synthesis.constrained_structure import Constrained, ControllerStructure
+from residuum.robust_control.weights.performance_weight import Infeasible
 
 __all__ = ["Controller", "Infeasible", "design"]
 

@@ -20,7 +20,7 @@ from residuum.identification.physics import (
 )
 from residuum.identification.physics.estimation.unsettled import unsettled
 from residuum.identification.record import Record
-from residuum.identification.residual_analysis.input_timing import at_likelier_timing
+from residuum.identification.residual_analysis.feedback import at_likelier_timing
 from residuum.nearest_names import known_names
 
 Method = Callable[[PhysicalModel, Sequence[Experiment]], Estimate]

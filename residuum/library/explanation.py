@@ -11,7 +11,7 @@ import numpy as np
 from residuum.identification.discrepancy.explanation import Explanation as Explained
 from residuum.identification.residual_analysis.places.locate import Axis
 from residuum.identification.residual_analysis.places.term_curves import binned, effect_curves, joined, telling
-from residuum.identification.unseen_blocks.candidate import Candidate
+from residuum.identification.unseen_blocks.verdict import Candidate
 from residuum.library.answers.explanation import explanation_json, explanation_text
 from residuum.library.answers.quantities import sizes_text
 from residuum.library.comparison import Comparison

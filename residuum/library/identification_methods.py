@@ -13,13 +13,11 @@ from residuum.identification.kernel_based.impulse_response import identify_impul
 from residuum.identification.linear_models.error_bounds.error_models import ERROR_MODELS, likeliest_embedding
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.linear_models.integrating import integrated, summed_input
-from residuum.identification.linear_models.plant_tests.dead_time import dead_time
-from residuum.identification.linear_models.plant_tests.feedback import feedback_test
-from residuum.identification.linear_models.plant_tests.long_autoregression import long_autoregression
+from residuum.identification.linear_models.plant_tests import dead_time, feedback_test, long_autoregression
 from residuum.identification.linear_models.prediction_error import STRUCTURES, Orders
 from residuum.identification.linear_models.prediction_error import identify as identify_prediction_error
 from residuum.identification.linear_models.prediction_error.regularised_regression import PENALTIES, identify_regularised
-from residuum.identification.linear_models.set_membership_response import identify_set_membership
+from residuum.identification.linear_models.set_membership import identify_set_membership
 from residuum.identification.record import Record
 from residuum.library.questions.identify import LAGS, Identify
 

@@ -11,13 +11,22 @@ import numpy as np
 
 from residuum.identification.errors import BadInput, NotIdentifiable
 from residuum.identification.linear_models.identified_model import IdentifiedModel
-from residuum.identification.linear_models.plant_tests.dead_time import dead_time
-from residuum.identification.linear_models.plant_tests.excitation import ExcitationTest, excitation_test
-from residuum.identification.linear_models.plant_tests.feedback import FeedbackTest, feedback_test
-from residuum.identification.linear_models.plant_tests.integrator import IntegratorTest, integrator_test
-from residuum.identification.linear_models.plant_tests.kept_aside import KEPT_ASIDE, KeptAside, kept_aside
-from residuum.identification.linear_models.plant_tests.long_autoregression import LONG_REACH, long_autoregression
-from residuum.identification.linear_models.plant_tests.unstable import UnstableTest, unstable_test
+from residuum.identification.linear_models.plant_tests import (
+    KEPT_ASIDE,
+    LONG_REACH,
+    ExcitationTest,
+    FeedbackTest,
+    IntegratorTest,
+    KeptAside,
+    UnstableTest,
+    dead_time,
+    excitation_test,
+    feedback_test,
+    integrator_test,
+    kept_aside,
+    long_autoregression,
+    unstable_test,
+)
 from residuum.identification.linear_models.prediction_error import STRUCTURES
 from residuum.identification.linear_models.prediction_error.regularised_regression import PENALTIES
 from residuum.identification.record import Record

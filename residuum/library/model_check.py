@@ -9,10 +9,15 @@ from typing import Any
 
 from residuum.identification.errors import BadInput
 from residuum.identification.linear_models.identified_model import IdentifiedModel
-from residuum.identification.linear_models.validation.bootstrap import BlockBootstrap, block_bootstrap
-from residuum.identification.linear_models.validation.model_error import ModelErrorModel
-from residuum.identification.linear_models.validation.residual_check import LEVEL, ResidualCheck, residual_check
-from residuum.identification.linear_models.validation.residual_tests import ResidualTest
+from residuum.identification.linear_models.validation import (
+    LEVEL,
+    BlockBootstrap,
+    ModelErrorModel,
+    ResidualCheck,
+    ResidualTest,
+    block_bootstrap,
+    residual_check,
+)
 from residuum.identification.record import Record
 from residuum.library.model_assumptions import Part, identified_again
 from residuum.library.questions.identify import Identify

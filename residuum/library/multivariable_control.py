@@ -6,7 +6,7 @@ from os import PathLike
 from typing import Any
 
 from residuum.identification.errors import BadInput
-from residuum.identification.kernel_based.multivariable_file import load_multivariable
+from residuum.identification.kernel_based.multivariable import load_multivariable
 from residuum.library.answers.multivariable_control import design_json
 from residuum.library.answers.plain import to_plain
 from residuum.library.questions.control_design import DesignController

@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from residuum.identification.kernel_based.multivariable import MultivariableModel, identify_multivariable
-from residuum.identification.kernel_based.multivariable_file import multivariable_text
+from residuum.identification.kernel_based.multivariable import MultivariableModel, identify_multivariable, multivariable_text
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.record import Record
 from residuum.library.picture import Curve, Panel, Picture, axis

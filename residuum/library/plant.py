@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from residuum.identification.linear_models.identified_model import IdentifiedModel
-from residuum.identification.linear_models.identified_model_file import identified_text, load_identified
+from residuum.identification.linear_models.identified_model import IdentifiedModel, identified_text, load_identified
 from residuum.identification.record import Record as MeasuredRecord
 from residuum.library.answers.identification import identification_json, identification_text, static_gain
 from residuum.library.identification_methods import identified_by, with_uncertainty

@@ -18,11 +18,9 @@ from residuum.identification.linear_models.state_space import StateSpace
 from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.nearest_names import known_names
 from residuum.robust_control.loop import Loop, Weights, characteristic, frequency_grid
-from residuum.robust_control.synthesis.controller_structure import ControllerStructure
-from residuum.robust_control.synthesis.pareto import Point, bisected_front, preferred
+from residuum.robust_control.synthesis.constrained_structure import ControllerStructure, Point, bisected_front, preferred
 from residuum.robust_control.synthesis.structured_synthesis import Synthesis, synthesise
-from residuum.robust_control.weights.nominal_performance import Infeasible, refined
-from residuum.robust_control.weights.performance_weight import MonotoneWeight
+from residuum.robust_control.weights.performance_weight import Infeasible, MonotoneWeight, refined
 
 # Disk margins: gain and phase that may vary together before the loop becomes unstable.
 

@@ -12,20 +12,21 @@ import numpy as np
 from residuum.array_types import FloatArray
 from residuum.identification.blas_threads import LARGEST_FOR_ONE_THREAD, one_thread_if_small
 from residuum.identification.errors import BadInput
-from residuum.identification.linear_models.error_bounds.drawn_errors import DrawnErrors
-from residuum.identification.linear_models.error_bounds.error_grid import refined_grid
+from residuum.identification.linear_models.error_bounds.error_models import DrawnErrors, refined_grid
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.identification.linear_models.uncertainty import SAMPLE_SIZE_RULES, chernoff_samples, weight_above
 from residuum.robust_control.certificates import Measured, RobustAim, design_for_robust_performance, measured
 from residuum.robust_control.loop import Loop, Weights, frequency_grid
-from residuum.robust_control.synthesis.controller_structure import PI, PID, PIDN, ControllerStructure, LeadLag, Rational
-from residuum.robust_control.synthesis.pareto import Point
+from residuum.robust_control.synthesis.constrained_structure import PI, PID, PIDN, ControllerStructure, LeadLag, Point, Rational
 from residuum.robust_control.synthesis.structured_synthesis import Synthesis
 from residuum.robust_control.synthesis.time_domain_design import TimeAim, design_in_time
-from residuum.robust_control.weights.nominal_performance import NominalAim, design_for_nominal_performance
-from residuum.robust_control.weights.performance_weight import MonotoneWeight
-from residuum.robust_control.weights.reference_model import ReferenceModel
+from residuum.robust_control.weights.performance_weight import (
+    MonotoneWeight,
+    NominalAim,
+    ReferenceModel,
+    design_for_nominal_performance,
+)
 
 # Several operating points as one uncertain system: average model and overall weight (Algorithm
 # 4).

@@ -25,17 +25,15 @@ from residuum.array_types import FloatArray
 from residuum.identification.blas_threads import LARGEST_FOR_ONE_THREAD, one_thread_if_small
 from residuum.identification.errors import BadInput
 from residuum.identification.kernel_based.multivariable import MultivariableModel
-from residuum.identification.linear_models.error_bounds.drawn_errors import DrawnErrors
-from residuum.identification.linear_models.error_bounds.error_grid import refined_grid
+from residuum.identification.linear_models.error_bounds.error_models import DrawnErrors, refined_grid
 from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.identification.linear_models.uncertainty import weight_above
 from residuum.robust_control.certificates import Measured, assess
 from residuum.robust_control.control_problem import WeightChoice, Wishes, critical_frequency
 from residuum.robust_control.loop import Loop, frequency_grid
-from residuum.robust_control.synthesis.controller_structure import ControllerStructure
-from residuum.robust_control.synthesis.pareto import Point
+from residuum.robust_control.synthesis.constrained_structure import ControllerStructure, Point
 from residuum.robust_control.synthesis.structured_synthesis import Synthesis
-from residuum.robust_control.weights.nominal_performance import Infeasible, NominalAim, design_for_nominal_performance
+from residuum.robust_control.weights.performance_weight import Infeasible, NominalAim, design_for_nominal_performance
 
 # Step responses of a decoupled multivariable loop, of the nominal plant and of drawn ones, by
 # difference equations.

@@ -19,7 +19,7 @@ from sqlalchemy.engine import make_url
 
 from residuum.identification.units import read_registry
 from residuum.service import problems
-from residuum.service.alarms.alarm_rules import AlarmRule
+from residuum.service.alarms.alarm_states import AlarmRule
 from residuum.service.alarms.events import Events
 from residuum.service.alarms.notifications import Notifications
 from residuum.service.api import ROUTERS, health
@@ -31,8 +31,7 @@ from residuum.service.machines.pipeline import Pipeline
 from residuum.service.metrics import Metrics
 from residuum.service.security.access import ApiKeys
 from residuum.service.security.bearer_tokens import BearerTokens
-from residuum.service.security.gate import Gate
-from residuum.service.security.refusals import Refusals
+from residuum.service.security.gate import Gate, Refusals
 from residuum.service.services import LivePipeline, Services
 from residuum.service.settings import BadSettings, Settings
 from residuum.service.storage import DiskStore

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from datetime import datetime
 from typing import Any
 
-from residuum.service.broker_address import BrokerAddress
+from residuum.service.broker import BrokerAddress
 from residuum.service.fieldbus.sparkplug.edge_node import EdgeNode
 
 

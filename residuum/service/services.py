@@ -12,7 +12,7 @@ from anyio.to_thread import run_sync
 from fastapi import Depends, Request
 
 from residuum.identification.errors import BadInput
-from residuum.service.alarms.alarm_rules import AlarmRule
+from residuum.service.alarms.alarm_states import AlarmRule
 from residuum.service.alarms.events import Events
 from residuum.service.fieldbus.settings import MachineSettings
 from residuum.service.machines.judging.judges import Judges

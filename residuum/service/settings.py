@@ -15,8 +15,8 @@ from pydantic_settings import BaseSettings, InitSettingsSource, PydanticBaseSett
 from residuum.identification.errors import BadInput
 from residuum.identification.yaml_text import read_yaml
 from residuum.nearest_names import did_you_mean
-from residuum.service.alarms.alarm_rules import AlarmRule
-from residuum.service.broker_address import BrokerAddress, BrokerTls, broker_address
+from residuum.service.alarms.alarm_states import AlarmRule
+from residuum.service.broker import BrokerAddress, BrokerTls, broker_address
 from residuum.service.fieldbus.settings import MachineSettings
 
 SETTINGS_FILE = "RESIDUUM_SETTINGS"

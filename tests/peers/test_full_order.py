@@ -14,7 +14,7 @@ from residuum.identification.errors import BadInput
 from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.robust_control.certificates import h_infinity_norm
 from residuum.robust_control.loop import Loop, Weights, frequency_grid
-from residuum.robust_control.synthesis.controller_structure import PIDN
+from residuum.robust_control.synthesis.constrained_structure import PIDN
 from residuum.robust_control.synthesis.structured_synthesis import synthesise
 
 TS = 0.05

@@ -6,8 +6,8 @@ from pathlib import Path
 import can
 import numpy as np
 
+from residuum.service.fieldbus.can.can_bus import FrameSender
 from residuum.service.fieldbus.can.frame_layout import read_dbc
-from residuum.service.fieldbus.can.frame_sender import FrameSender
 from residuum.service.fieldbus.modbus.register_map import read_register_map
 from residuum.service.fieldbus.modbus.register_trace import TracedPage, write_trace
 from residuum.service.fieldbus.settings import MAPS

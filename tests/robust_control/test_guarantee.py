@@ -11,9 +11,9 @@ from residuum.identification.linear_models.uncertainty import design_uncertainty
 from residuum.identification.record import Record
 from residuum.robust_control.certificates import h_infinity_norm
 from residuum.robust_control.loop import Loop, Weights, characteristic, frequency_grid, weighted_loop
-from residuum.robust_control.synthesis.controller_structure import PI
+from residuum.robust_control.synthesis.constrained_structure import PI
 from residuum.robust_control.synthesis.structured_synthesis import synthesise
-from residuum.robust_control.weights.reference_model import ReferenceModel
+from residuum.robust_control.weights.performance_weight import ReferenceModel
 
 SYSTEMS = {
     "resonant": TransferFunction([0.4, 0.3], [1.0, -1.2, 0.8], 1.0),

@@ -6,9 +6,9 @@ import pytest
 from residuum.identification.errors import BadInput
 from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.robust_control.loop import Loop, MeasuredPlant, Weights, closed_loop_unstable_poles, frequency_grid
-from residuum.robust_control.synthesis.controller_structure import PIDN
+from residuum.robust_control.synthesis.constrained_structure import PIDN
 from residuum.robust_control.synthesis.structured_synthesis import synthesise
-from residuum.robust_control.weights.reference_model import ReferenceModel
+from residuum.robust_control.weights.performance_weight import ReferenceModel
 
 TS = 0.05
 OMEGA = np.geomspace(1e-3, np.pi / TS, 900)

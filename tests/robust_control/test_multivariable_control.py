@@ -7,14 +7,13 @@ import pytest
 from scipy import signal
 
 from residuum.identification.errors import BadInput
-from residuum.identification.kernel_based.multivariable import identify_multivariable
-from residuum.identification.kernel_based.multivariable_file import multivariable_text
+from residuum.identification.kernel_based.multivariable import identify_multivariable, multivariable_text
 from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.identification.record import Record
 from residuum.robust_control.control_problem import WeightChoice, Wishes
 from residuum.robust_control.multivariable_control import MultivariableProblem, closed_loop_steps
-from residuum.robust_control.synthesis.controller_structure import PI
-from residuum.robust_control.weights.nominal_performance import Infeasible
+from residuum.robust_control.synthesis.constrained_structure import PI
+from residuum.robust_control.weights.performance_weight import Infeasible
 from residuum.service.cli import run
 
 TS, LAGS = 0.5, 40

@@ -16,7 +16,7 @@ import pytest
 import yaml
 
 from residuum.service.alarms.notifications import Broker
-from residuum.service.broker_address import broker_address
+from residuum.service.broker import broker_address
 from residuum.service.commands import COMMANDS
 from residuum.service.fieldbus.can.frame_layout import read_dbc
 from residuum.service.fieldbus.modbus.register_map import read_register_map

@@ -15,11 +15,8 @@ from residuum.diagnosis.diagnosers.base import Channel, Diagnoser, Example, NotT
 from residuum.diagnosis.finding import Finding, Verdict
 from residuum.diagnosis.learning.stored import load_stored, save_stored
 from residuum.diagnosis.thresholds.tails import HealthyBand
-from residuum.diagnosis.vibration.bearings.bearing_frequencies import CLASS_OF, BearingFrequencies
-from residuum.diagnosis.vibration.bearings.bearing_model import faulty_bearing
-from residuum.diagnosis.vibration.bearings.fault_lines import LineEvidence, line_evidence
-from residuum.diagnosis.vibration.bearings.knocks import without_knocks
-from residuum.diagnosis.vibration.bearings.moving_lines import moving_line
+from residuum.diagnosis.vibration.bearing_lines import CLASS_OF, BearingFrequencies, LineEvidence, line_evidence
+from residuum.diagnosis.vibration.bearings.moving_lines import faulty_bearing, moving_line, without_knocks
 from residuum.diagnosis.vibration.rotation import at_steady_speed, only_speed_channel, speed_channel, unusable_speeds, usual_speed
 from residuum.diagnosis.vibration.sensor_health import hears_otherwise, remarks, suspect, unusable, without_spikes
 from residuum.diagnosis.vibration.spectra import octave_edges, octave_rms

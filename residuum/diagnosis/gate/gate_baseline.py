@@ -13,9 +13,8 @@ from sklearn.model_selection import StratifiedGroupKFold
 from sklearn.pipeline import Pipeline
 
 from residuum.array_types import ComplexArray
-from residuum.diagnosis.gate.actuator_model import ActuatorConstants
+from residuum.diagnosis.gate.actuator_model import ActuatorConstants, NotchMatch, Signal
 from residuum.diagnosis.gate.movement_features import FEATURES, MovementFeatures
-from residuum.diagnosis.gate.notch_match import NotchMatch, Signal
 from residuum.diagnosis.gate.operating_events import Happened, manual_push
 from residuum.diagnosis.learning.stored import load_stored, save_stored
 from residuum.diagnosis.residuals.fault_isolation import (

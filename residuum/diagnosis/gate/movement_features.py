@@ -10,9 +10,8 @@ from scipy.fft import next_fast_len
 from scipy.signal import butter, hilbert, sosfiltfilt
 
 from residuum.diagnosis.gate.actuator_model import ActuatorConstants, AdaptedModel, adapt
-from residuum.diagnosis.gate.movements import Direction, Movement, flat_part
+from residuum.diagnosis.gate.movements import Direction, Movement, PositionProfile, flat_part, position_profile
 from residuum.diagnosis.gate.operating_events import slow_residual
-from residuum.diagnosis.gate.position_domain import PositionProfile, position_profile
 from residuum.diagnosis.vibration.rotation import POINTS_OF_A_TURN, ShaftPattern, shaft_pattern
 from residuum.diagnosis.vibration.vibration_indicators import autoregressive_whitener, matched_filter, pulse_templates
 

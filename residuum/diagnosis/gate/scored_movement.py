@@ -14,9 +14,8 @@ from residuum.diagnosis.finding import Finding
 from residuum.diagnosis.gate.actuator_model import ActuatorConstants
 from residuum.diagnosis.gate.gate_baseline import GateBaseline, Judgement, SourceJudgement
 from residuum.diagnosis.gate.movement_features import FEWEST_TURNS, MovementFeatures, whole_turns
-from residuum.diagnosis.gate.movements import Movement, flat_part
+from residuum.diagnosis.gate.movements import Movement, average_profile, flat_part
 from residuum.diagnosis.gate.operating_events import Happened
-from residuum.diagnosis.gate.position_domain import average_profile
 from residuum.diagnosis.residuals.fault_isolation import HEALTHY, PINION_OR_GEAR, RACK, UNKNOWN
 from residuum.identification.record import Record
 

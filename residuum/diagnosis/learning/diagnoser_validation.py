@@ -14,7 +14,7 @@ from sklearn.model_selection import LeaveOneGroupOut, StratifiedKFold, cross_val
 
 from residuum.diagnosis.diagnosers.base import Diagnoser
 from residuum.identification.errors import BadInput
-from residuum.identification.linear_models.validation.bootstrap import weighed
+from residuum.identification.linear_models.validation import weighed
 from residuum.identification.record import Record
 
 # How well a classifier does on an object it has never seen: object-wise cross-validation beside the usual folds.

@@ -22,7 +22,7 @@ from residuum.identification.blas_threads import one_thread
 from residuum.identification.errors import BadRecord
 from residuum.identification.physics import Experiment, match
 from residuum.identification.record import Record
-from residuum.identification.residual_analysis.noise.coloured_noise import stretches
+from residuum.identification.residual_analysis.noise import stretches
 
 # Whether a window is healthy, at one rate of false alarms: its values by Hotelling's T² and each by itself, its error power, and
 # offsets of its readings.

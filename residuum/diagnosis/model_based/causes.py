@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from residuum.array_types import FloatArray
 from residuum.diagnosis.model_based.baseline import Baseline
-from residuum.diagnosis.model_based.hypotheses import Hypothesis
+from residuum.diagnosis.model_based.hypotheses import Hypothesis, Tried, tried
 from residuum.diagnosis.model_based.policy import (
     BEGINNINGS_FOLLOWED,
     FIT_STEPS,
@@ -25,7 +25,6 @@ from residuum.diagnosis.model_based.policy import (
     UNEXPLAINED,
     WINDOW_PARTS,
 )
-from residuum.diagnosis.model_based.trying import Tried, tried
 from residuum.diagnosis.model_based.variant import Edit, Variant
 from residuum.diagnosis.model_based.window_fit import Fit, WindowFitter, information
 from residuum.identification.physics import Experiment, PhysicalModel

@@ -15,7 +15,7 @@ from scipy import stats
 from residuum.array_types import FloatArray
 from residuum.diagnosis.model_based.assessment import NotAssessable, seen_window
 from residuum.diagnosis.model_based.baseline import Baseline, Usual, alone
-from residuum.diagnosis.model_based.hypotheses import UNKNOWN_LOAD
+from residuum.diagnosis.model_based.hypotheses import UNKNOWN_LOAD, tried
 from residuum.diagnosis.model_based.kind_of_run import KindOfRun
 from residuum.diagnosis.model_based.policy import (
     ALWAYS,
@@ -30,7 +30,6 @@ from residuum.diagnosis.model_based.policy import (
     SEARCH,
     SEARCHED,
 )
-from residuum.diagnosis.model_based.trying import tried
 from residuum.diagnosis.model_based.variant import Variant
 from residuum.diagnosis.model_based.window_fit import Fit, Scatter, Whitening, information, log_power
 from residuum.identification.blas_threads import one_thread
@@ -39,7 +38,7 @@ from residuum.identification.physics import EffectUse, Experiment, Key, Physical
 from residuum.identification.physics.effects.base import Parameter
 from residuum.identification.physics.estimation import gauss_newton
 from residuum.identification.record import Record
-from residuum.identification.residual_analysis.input_timing import turned_timing
+from residuum.identification.residual_analysis.feedback import turned_timing
 from residuum.identification.unseen_blocks.data import Data, data_of
 from residuum.identification.unseen_blocks.ladder import climb, climb_at_likelier_timing
 from residuum.identification.unseen_blocks.policy import TIE

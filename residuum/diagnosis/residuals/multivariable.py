@@ -21,8 +21,7 @@ from residuum.diagnosis.residuals.residual_design import ROBUST, refuse_other_ra
 from residuum.diagnosis.systems import balanced_truncation, h_infinity_norm, settled_length
 from residuum.diagnosis.thresholds.false_alarm_rate import alarms_per_sample, scan_rate
 from residuum.identification.errors import BadInput, BadModel, BadRecord
-from residuum.identification.kernel_based.multivariable import MultivariableModel
-from residuum.identification.kernel_based.multivariable_file import multivariable_from, multivariable_text
+from residuum.identification.kernel_based.multivariable import MultivariableModel, multivariable_from, multivariable_text
 from residuum.identification.linear_models.state_space import StateSpace
 from residuum.identification.record import Record
 from residuum.nearest_names import known_names

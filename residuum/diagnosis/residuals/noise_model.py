@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
+from functools import cached_property, reduce
+from operator import add
 from typing import Any
 
 import numpy as np
@@ -12,8 +13,10 @@ import numpy.typing as npt
 from scipy import linalg, optimize, signal, special, stats
 
 from residuum.array_types import FloatArray
-from residuum.diagnosis.thresholds.tails import HazardTail
-from residuum.identification.errors import BadInput
+from residuum.diagnosis.thresholds.tails import HazardTail, differing_tail
+from residuum.identification.errors import BadInput, NotIdentifiable
+from residuum.identification.kernel_based.gram import RegressionSums, regression_sums
+from residuum.identification.linear_models.identified_model import IdentifiedModel
 
 _HIGHEST_ORDER = 20
 _FEWEST = 50
@@ -330,3 +333,152 @@ def _heavy_tails(innovations: FloatArray) -> tuple[float, float]:
     if dof > _LIGHTEST_TAILS or weight * (gaussian - fitted.fun) < 0.5 * np.log(weight * len(x)):
         return sigma, float("inf")
     return sigma * float(scale), float(dof)
+
+
+# Size of the innovations of a healthy residual, freed of what the identified model took from, or
+# added to, these samples.
+
+_NEGLIGIBLE = 1e-10  # of the largest eigenvalue: directions that the input does not excite
+_BINS, _NODES_OF_SHAPES = 300, 60  # of the residual's histogram, and of the Gauss–Hermite rule
+_MOST = 4  # samples at least for each direction that is fitted
+
+
+def with_unbiased_size(
+    noise: NoiseModel, inputs: Sequence[FloatArray], residuals: Sequence[FloatArray], model: IdentifiedModel
+) -> NoiseModel:
+    """The noise model with σ corrected for the model's error on these records, and with the degrees of freedom it rests on.
+
+    On the records a model was identified from its residual is too small by the k directions it was fitted in, on others
+    too large by its error: e = v − Φ δ with v correlated with δ, or not. What the best impulse response leaves over does
+    not depend on δ, so
+
+        σ̂² = min_δ ‖A (e − Φ δ)‖² / (n − k − p − 1)
+
+    is unbiased for both, k being the directions of Φ that the input excites (the model's most uncertain ones, where there
+    are more than n/4), p the order of A and 1 for the operating point. Heavier tails than Gaussian keep their shape; of lighter
+    ones the shape is found anew without the model's error, which rounds off the bounds. The scale is corrected in the same
+    proportion, and its degrees of freedom count by the Fisher information of a scale.
+
+    Parameters
+    ----------
+    inputs, residuals : sequences of arrays, shape (n,)
+        u less its mean and the primary residual of each record; NaN = missing or not valid.
+
+    Without a stretch longer than the model's memory nothing is corrected.
+    """
+    try:
+        sums = _sums(noise, inputs, residuals, model)
+    except NotIdentifiable:
+        return replace(noise, freedom=_scale_freedom(noise, float(noise.n)))
+    centred = sums.centred()
+    explained, k = _explained(centred, model, sums.rows // _MOST)
+    left = centred.degrees_of_freedom - k - (len(noise.ar) - 1)
+    power = (centred.energy - explained) / left
+    size = float(np.sqrt(power / (sums.energy / sums.rows)))
+    error = float(np.sqrt(np.sum(centred.gram * model.covariance) / sums.rows / power))
+    sharp = replace(noise, shape=shape_without(error, noise, residuals)) if noise.shape > GAUSSIAN_SHAPE else noise
+    unit = sharp.innovation_std / sharp.sigma
+    sigma = size * noise.innovation_std / unit
+    return replace(sharp, sigma=sigma, freedom=_scale_freedom(sharp, float(left)), blur=error * unit)
+
+
+def shape_without(error: float, noise: NoiseModel, residuals: Sequence[FloatArray]) -> float:
+    """β of the noise alone, by maximum likelihood, where the residual also carries a Gaussian model error `error` σ large."""
+    white = np.concatenate([np.convolve(e, noise.ar)[: len(e)] for e in residuals])
+    white = np.abs(white[np.isfinite(white)])
+    counts, edges = np.histogram(white / np.sqrt(np.mean(white**2)), bins=_BINS)
+    nodes, weights = np.polynomial.hermite_e.hermegauss(_NODES_OF_SHAPES)
+    at = 0.5 * (edges[1:] + edges[:-1])[:, None] - error * nodes
+
+    def cost(shape: float) -> float:
+        law = stats.gennorm(shape)
+        scale = float(np.sqrt(max(1.0 - error**2, _NEGLIGIBLE))) / float(law.std())
+        density = law.pdf(at / scale) @ weights / scale
+        return -float(counts @ np.log(np.maximum(density, np.finfo(float).tiny)))
+
+    return float(optimize.minimize_scalar(cost, bounds=(GAUSSIAN_SHAPE, STEEPEST), method="bounded").x)
+
+
+def _sums(
+    noise: NoiseModel, inputs: Sequence[FloatArray], residuals: Sequence[FloatArray], model: IdentifiedModel
+) -> RegressionSums:
+    """Sums of the regression of the whitened residual on the whitened input's lags, over all records."""
+    whitened = [(np.convolve(u, noise.ar)[: len(u)], np.convolve(e, noise.ar)[: len(e)])
+                for u, e in zip(inputs, residuals, strict=True)]  # fmt: skip
+    parts = []
+    for u, e in whitened:
+        try:
+            parts.append(regression_sums([u], e, model.order, model.delay))
+        except NotIdentifiable:
+            continue
+    if not parts:
+        raise NotIdentifiable("no record is longer than the model's memory")
+    return reduce(add, parts)
+
+
+def _explained(sums: RegressionSums, model: IdentifiedModel, most: int) -> tuple[float, int]:
+    """Energy that an error of the impulse response in its `most` most uncertain directions explains; how many are excited."""
+    _, vectors = np.linalg.eigh(model.covariance)
+    basis = vectors[:, ::-1][:, : max(most, 1)]
+    eigenvalues, directions = np.linalg.eigh(basis.T @ sums.gram @ basis)
+    excited = eigenvalues > _NEGLIGIBLE * eigenvalues[-1]
+    along = directions[:, excited].T @ (basis.T @ sums.cross)
+    return float(np.sum(along**2 / eigenvalues[excited])), int(excited.sum())
+
+
+def _scale_freedom(noise: NoiseModel, samples: float) -> float:
+    """Gaussian samples that would tell σ as well: the Fisher information of ln σ is 2 for those, 2 ν/(ν + 3) and β for ours."""
+    return samples * (noise.dof / (noise.dof + 3.0) if np.isfinite(noise.dof) else noise.shape / 2.0)
+
+
+# What healthy samples say of the tails: of the whitened innovations, and of the robust residual a
+# single sample is judged by.
+
+
+def with_healthy_tail(noise: NoiseModel, residuals: Sequence[FloatArray]) -> NoiseModel:
+    """The noise model with a tail of its own where healthy samples contradict the form of its law.
+
+    A model's error on its own records shrinks the innovations, on others it widens them: for lighter tails than exponential they
+    are scaled to the power that new ones have, σ² and the model's error. To the samples of a linear fit this does what leaving
+    each out of it does: its residual over 1 − h, h its leverage, here the mean one.
+
+    Parameters
+    ----------
+    noise : NoiseModel
+        With its size freed of the fit and its `blur`.
+    residuals : sequence of arrays, shape (n,)
+        Primary residual of each healthy record; NaN = missing or not valid.
+    """
+    bare = replace(noise, tail=None)
+    white = np.concatenate([bare.whiten(e) for e in residuals])
+    sizes = np.abs(white[np.isfinite(white)])
+    if np.isinf(noise.dof):
+        sizes *= float(np.hypot(noise.innovation_std / noise.sigma, noise.blur) / np.sqrt(np.mean(sizes**2)))
+    return replace(noise, tail=differing_tail(sizes, lambda x: np.log(2.0) + bare.log_tail(x)))
+
+
+def single_sample_law(residuals: Sequence[FloatArray], spread: float, errors: FloatArray) -> NoiseModel:
+    """The law of the noise in one sample of a filtered residual, found on the residual itself; its `ar` is 1.
+
+    A filter mixes many innovations into one sample, so that noise with bounds, or with heavy tails, comes out nearer to Gaussian.
+
+    Parameters
+    ----------
+    residuals : sequence of arrays, shape (n,)
+        Filtered residual of each healthy record; NaN = missing or not valid.
+    spread : float
+        Standard deviation of its noise, in its unit.
+    errors : array, shape (samples,)
+        Standard deviation of the model error in each of its samples, in its unit.
+
+    Raises
+    ------
+    BadInput
+        Fewer than 50 samples in a row, or residuals that do not vary.
+    """
+    law, error = fit_noise_model(residuals, highest_order=0), float(np.sqrt(np.mean(errors**2)))
+    if np.isinf(law.dof):
+        shape = shape_without(error / spread, law, residuals) if law.shape > GAUSSIAN_SHAPE else law.shape
+        law = replace(law, shape=shape)
+        law = replace(law, sigma=law.sigma * spread / law.innovation_std)
+    return with_healthy_tail(replace(law, blur=error / law.sigma), residuals)

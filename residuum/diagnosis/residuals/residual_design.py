@@ -21,13 +21,17 @@ from residuum.diagnosis.residuals.generators.approximate_fault_detection import 
 )
 from residuum.diagnosis.residuals.generators.classical_filters import Given, classical_filter
 from residuum.diagnosis.residuals.generators.residual_generator import ResidualGenerator, ResidualSignals, generator_of
-from residuum.diagnosis.residuals.innovation_size import with_unbiased_size
 from residuum.diagnosis.residuals.likelihood_ratio import LikelihoodRatioBank, bank_threshold
-from residuum.diagnosis.residuals.noise_model import NoiseModel, fit_noise_model
+from residuum.diagnosis.residuals.noise_model import (
+    NoiseModel,
+    fit_noise_model,
+    single_sample_law,
+    with_healthy_tail,
+    with_unbiased_size,
+)
 from residuum.diagnosis.residuals.residual_evaluation import EVALUATIONS, evaluate
 from residuum.diagnosis.systems import left_coprime, peak_gain
 from residuum.diagnosis.thresholds.false_alarm_rate import block_peaks
-from residuum.diagnosis.thresholds.healthy_tails import single_sample_law, with_healthy_tail
 from residuum.diagnosis.thresholds.tails import HazardTail
 from residuum.identification.blas_threads import LARGEST_FOR_ONE_THREAD, one_thread_if_small
 from residuum.identification.errors import BadInput, BadRecord, NotIdentifiable

@@ -11,7 +11,7 @@ from scipy.interpolate import CubicSpline
 
 from residuum.array_types import AnyArray, FloatArray
 from residuum.diagnosis.thresholds.tails import HealthyBand
-from residuum.diagnosis.vibration.bearings.fault_lines import SLIP
+from residuum.diagnosis.vibration.bearing_lines import SLIP
 from residuum.identification.errors import BadInput, BadRecord
 from residuum.identification.record import Record
 from residuum.identification.units import convert, parse_unit, say_unit

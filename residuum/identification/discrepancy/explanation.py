@@ -8,13 +8,10 @@ from dataclasses import dataclass
 from residuum.identification.discrepancy.estimated_values import EstimatedValue
 from residuum.identification.physics import Key
 from residuum.identification.unseen_blocks.advice import Undetectable
-from residuum.identification.unseen_blocks.block_errors import BlockErrors
-from residuum.identification.unseen_blocks.candidate import Candidate
 from residuum.identification.unseen_blocks.free_term import BlockTerm
-from residuum.identification.unseen_blocks.held_value import HeldValue
-from residuum.identification.unseen_blocks.next_experiment import NextExperiment
-from residuum.identification.unseen_blocks.remaining import Remaining
+from residuum.identification.unseen_blocks.next_experiment import HeldValue, NextExperiment
 from residuum.identification.unseen_blocks.tried import Search
+from residuum.identification.unseen_blocks.verdict import BlockErrors, Candidate, Remaining
 from residuum.identification.work import Work
 
 

@@ -6,26 +6,233 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
+import numpy as np
+
 from residuum.identification.blas_threads import one_thread
 from residuum.identification.discrepancy.explain import check_length, explained
 from residuum.identification.discrepancy.explanation import Explanation
-from residuum.identification.discrepancy.improvement import Improvement, with_provenance
-from residuum.identification.discrepancy.joined import Joined, joined_of
-from residuum.identification.discrepancy.kept_aside import is_noted, split
-from residuum.identification.discrepancy.policy import EXPLAINING_TIME
-from residuum.identification.errors import BadModel
-from residuum.identification.physics import Key, PhysicalModel
+from residuum.identification.discrepancy.improvement import Improvement, Step, with_provenance
+from residuum.identification.discrepancy.kept_aside import Split, is_noted, matched_at, rmse_aside, split, testing_of
+from residuum.identification.discrepancy.on_blocks import doubts_of
+from residuum.identification.discrepancy.policy import EXPLAINING_TIME, KEPT_RISE
+from residuum.identification.errors import BadModel, NotIdentifiable
+from residuum.identification.physics import Estimate, Key, PhysicalModel, estimate, with_coloured_noise
 from residuum.identification.physics.model import find_effect, fitting, tied_to
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.compare import compare
 from residuum.identification.unseen_blocks.asked import with_asked
 from residuum.identification.unseen_blocks.at_its_rate import at_its_rate, searched
-from residuum.identification.unseen_blocks.data import matched
-from residuum.identification.unseen_blocks.held_value import HELD, freed
+from residuum.identification.unseen_blocks.data import Data, data_of, long_enough, matched
+from residuum.identification.unseen_blocks.judged import Judged
+from residuum.identification.unseen_blocks.next_experiment import HELD, freed
 from residuum.identification.unseen_blocks.proposals import without_idle
-from residuum.identification.unseen_blocks.tried import Wanted
+from residuum.identification.unseen_blocks.structure import Structure, fitted
+from residuum.identification.unseen_blocks.tried import Search, Wanted, chain, with_only
+from residuum.identification.unseen_blocks.verdict import remaining
 from residuum.identification.work import Tell, at_most, part_of, untold
 from residuum.nearest_names import known_names
+
+# What joins a model: the effects that were found, as far as they hold on data kept aside, or all
+# that a user asks for.
+# All records are cut into blocks; every block is judged by a model that was estimated without it,
+# so nothing has to be set aside for good. Where a user notes which part of a record is for
+# training, the rest of it judges.
+
+ASIDE = "every block in turn"
+"""What is kept aside, in words, where no user says which part."""
+
+_Step = tuple[Key, Judged, Judged]
+
+
+@dataclass(frozen=True, eq=False)
+class Joined:
+    """The model on everything, and how its error on data kept `aside` fell by `history`, the first that of the model as it was.
+
+    `refused` are effects that are real on the blocks, and simulate the end of the records worse. `std` are the standard
+    deviations of its parameters by full name, `output` the one whose errors are told.
+    """
+
+    model: PhysicalModel
+    history: list[Step]
+    refused: list[str]
+    std: Mapping[str, float]
+    output: str
+    aside: str
+
+
+def joined_of(
+    found: Search,
+    records: Sequence[Record],
+    mapping: Mapping[str, str] | None,
+    *,
+    asked: Sequence[Key] | None = None,
+    was: PhysicalModel | None = None,
+) -> Joined:
+    """What a search found, step by step, as far as it holds at the end of the records; or all that was `asked`, in its order.
+
+    `was` is the model before values of it were set free.
+    """
+    every = chain(found, [key for key in found.best.keys if key.effect != HELD]) if asked is None else _in_order(found, asked)
+    steps = every if asked is not None else _that_hold(every, found, records, mapping)
+    told = [(None, found.base), *((key.effect, after) for key, _, after in steps)]
+    final = steps[-1][2] if steps else found.base
+    if was is not None:
+        told = [*_before(found, was), *told[1:]]
+    noted, o = is_noted(records), _told(found)
+    errors = _on_the_rest([one for _, one in told], o, found, records, mapping) if noted else [one.rms[o] for _, one in told]
+    history = [
+        Step(name, float(error), remaining(told[0][1], one, found.court)) for (name, one), error in zip(told, errors, strict=True)
+    ]
+    data = _every_sample(found, records, mapping) if noted else found.court.data.finer or found.court.data
+    model, std = _final(found, final, data, noted=noted)
+    refused = [key.effect for key, _, _ in every if key not in {kept for kept, _, _ in steps}]
+    aside = split(records).aside if noted else ASIDE
+    return Joined(model, history, refused, std, list(found.best.model.outputs)[o], aside)
+
+
+def _that_hold(
+    steps: Sequence[_Step], found: Search, records: Sequence[Record], mapping: Mapping[str, str] | None
+) -> Sequence[_Step]:
+    """All steps where they hold at the ends kept aside; else all but one effect, or the first of them."""
+    keys = [key for key, _, _ in steps]
+    tried = [keys, *([k for k in keys if k != out] for out in reversed(keys)), *(keys[:n] for n in range(len(keys) - 2, 0, -1))]
+    tried = [some for number, some in enumerate(tried) if some and some not in tried[:number]]
+    models = [(some, one.model) for some in tried if (one := with_only(found, some)) is not None]
+    kept = first_that_holds(found.base.model, [model for _, model in models], found, records, mapping)
+    return [] if kept is None else chain(found, models[kept][0])
+
+
+def _in_order(found: Search, keys: Sequence[Key]) -> list[_Step]:
+    """Each effect with the structures before and after it."""
+    steps, before = [], found.base
+    for key in keys:
+        after = with_only(found, (*before.keys, key))
+        if after is None:
+            raise NotIdentifiable(f"effect {key.effect!r} at {key.target!r}: the model diverges with it alone")
+        steps.append((key, before, after))
+        before = after
+    return steps
+
+
+def _before(found: Search, was: PhysicalModel) -> list[tuple[str | None, Judged]]:
+    """The model with values held that the base has free, judged like that, and the base once a value."""
+    names = [name for name, p in was.parameters.items() if p.fixed and not found.base.model.parameters[name].fixed]
+    held = {**found.base.model.parameters, **{name: was.parameters[name] for name in names}}
+    base = found.base.structure
+    before = found.court.judge(
+        Structure((), replace(base.model, parameters=held), base.states, base.steps), steps=15, tolerance=1e-5
+    )
+    return [(None, before or found.base), *((f"{name} freed", found.base) for name in names)]
+
+
+def _on_the_rest(
+    each: Sequence[Judged], o: int, found: Search, records: Sequence[Record], mapping: Mapping[str, str] | None
+) -> list[float]:
+    """Errors of an output on the part that a user keeps aside."""
+    testing = testing_of(found.base.model, split(records), mapping, found.court.data.experiments[0].hold)
+    return [float(rmse_aside(one.model, testing)[o]) for one in each]
+
+
+def _every_sample(found: Search, records: Sequence[Record], mapping: Mapping[str, str] | None) -> Data:
+    """All records at the input timing of the search."""
+    return data_of(*matched_at(found.court.data.model, records, mapping, found.court.data.experiments[0].hold))
+
+
+def _final(found: Search, one: Judged, data: Data, *, noted: bool) -> tuple[PhysicalModel, Mapping[str, float]]:
+    """The model on all the data, and its standard deviations. One that nothing joins is estimated at its least simulation error
+    over whole records, which a search in windows does not seek.
+    """
+    if not one.keys and (alone := _estimated(one.model, data)) is not None:
+        return alone.model, dict(zip(alone.parameters, alone.std.tolist(), strict=True))
+    if noted and (whole := _on_everything(found, one, data)) is not None:
+        return whole.best.model, doubts_of(whole)
+    return one.model, doubts_of(replace(found, best=one))
+
+
+def _on_everything(found: Search, one: Judged, data: Data) -> Search | None:
+    """The structure judged on all the data; None where it diverges there."""
+    court = replace(found.court, data=data, last=data.rung(found.court.last.windows))
+    best = court.judge(Structure(one.keys, one.model, {}, {}), steps=20, tolerance=1e-5)
+    return None if best is None else replace(found, court=court, best=best)
+
+
+def _estimated(model: PhysicalModel, data: Data) -> Estimate | None:
+    try:
+        return with_coloured_noise(estimate(model, data.experiments), data.experiments)
+    except NotIdentifiable:
+        return None
+
+
+def _told(found: Search) -> int:
+    """The output whose error falls most."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratio = found.best.rms / found.base.rms
+    return int(np.nanargmin(np.where(np.isfinite(ratio), ratio, np.inf)))
+
+
+# The last question to an improvement: does it simulate better what none of it was estimated on, the end of a record, or of
+# several the most different one?
+#
+# Blocks between others are interpolated. Values that go astray outside of what was seen show at the end of a record, or on
+# another one, so the model is estimated without it once more, with the effects and without them.
+
+
+def first_that_holds(
+    base: PhysicalModel,
+    models: Sequence[PhysicalModel],
+    found: Search,
+    records: Sequence[Record],
+    mapping: Mapping[str, str] | None,
+) -> int | None:
+    """The first of the `models` that leaves no more error than `base` where data are kept aside: at the end, and on the most
+    different record; nor over whole records, where they were judged in windows. None where none does; the first of all where the
+    records are too short to ask.
+    """
+    asked = _kept_aside(records)
+    if found.court.last.windows > 1:  # whose first states hide where a model goes in the long run
+        asked.append(Split(list(records), [(record, 0) for record in records]))
+    asked = [parts for parts in asked if parts.testing and long_enough([r.n for r in parts.training])]
+    most = [KEPT_RISE * _error(base, found, parts, mapping) for parts in asked]
+    for number, model in enumerate(models):
+        if all(_error(model, found, parts, mapping) <= limit for parts, limit in zip(asked, most, strict=True)):
+            return number
+    return None
+
+
+def _kept_aside(records: Sequence[Record]) -> list[Split]:
+    """The usual part, and of several records the one that goes furthest beyond the others, where the usual part is not that."""
+    usual = split(records)
+    if len(records) < 2:
+        return [usual]
+    most = max(records, key=lambda record: _beyond(record, [other for other in records if other is not record]))
+    if [record for record, _ in usual.testing] == [most]:
+        return [usual]
+    return [usual, Split([record for record in records if record is not most], [(most, 0)])]
+
+
+def _beyond(record: Record, others: Sequence[Record]) -> float:
+    """By how much a record's signals leave the range of the same signals of the others, in units of that range, at most."""
+    far = 0.0
+    for name, values in record.channels.items():
+        known = [other.channels[name] for other in others if name in other.channels]
+        there = np.concatenate(known) if known else np.empty(0)
+        if np.isfinite(values).any() and np.isfinite(there).any():
+            low, high = float(np.nanmin(there)), float(np.nanmax(there))
+            out = max(low - float(np.nanmin(values)), float(np.nanmax(values)) - high)
+            far = max(far, out / max(high - low, 1e-300))
+    return far
+
+
+def _error(model: PhysicalModel, found: Search, parts: Split, mapping: Mapping[str, str] | None) -> float:
+    """Simulation error over what is kept aside, estimated on the rest, the outputs in units of the first model's errors; infinite
+    where it diverges.
+    """
+    hold, scale = found.court.data.experiments[0].hold, found.court.scale
+    data = data_of(*matched_at(model, parts.training, mapping, hold))
+    estimated = fitted(data.model, data.rung(found.court.last.windows), None, scale, steps=20, tolerance=1e-5)
+    if estimated is None:
+        return np.inf
+    return scale.error(rmse_aside(estimated.model, testing_of(estimated.model, parts, mapping, hold)))
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,7 @@ import numpy as np
 from residuum.identification.discrepancy.explanation import Explanation
 from residuum.identification.physics import EffectUse, PhysicalModel
 from residuum.identification.record import Record
-from residuum.identification.unseen_blocks.candidate import Candidate, Quantity
-from residuum.identification.unseen_blocks.remaining import Remaining
+from residuum.identification.unseen_blocks.verdict import Candidate, Quantity, Remaining
 from residuum.identification.work import Work
 
 _ERROR_AFTER, _STD = "error_after", "std_"

@@ -13,7 +13,7 @@ from residuum.identification.discrepancy.policy import STATES_ALONE
 from residuum.identification.errors import NotIdentifiable
 from residuum.identification.physics import Experiment, PhysicalModel, Simulator, estimate, match
 from residuum.identification.record import Record
-from residuum.identification.residual_analysis.policy.records import STANDS_STILL, TRAINING_SHARE
+from residuum.identification.residual_analysis.policy import STANDS_STILL, TRAINING_SHARE
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,17 +13,23 @@ from residuum.identification.discrepancy.explanation import Explanation
 from residuum.identification.physics.simulate.coloured_covariance import coloured_covariance
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.compare import compare
-from residuum.identification.residual_analysis.input_timing import innovation_variance
-from residuum.identification.residual_analysis.policy.noise import SLOW
+from residuum.identification.residual_analysis.feedback import innovation_variance
+from residuum.identification.residual_analysis.policy import SLOW
 from residuum.identification.unseen_blocks.advice import next_experiments, undetectable
-from residuum.identification.unseen_blocks.block_errors import BlockErrors, block_errors
-from residuum.identification.unseen_blocks.candidate import Candidate
 from residuum.identification.unseen_blocks.free_term import BlockTerm, free_terms
-from residuum.identification.unseen_blocks.held_value import HELD, HeldValue
+from residuum.identification.unseen_blocks.next_experiment import HELD, HeldValue
 from residuum.identification.unseen_blocks.policy import UNKNOWN_LEADS
-from residuum.identification.unseen_blocks.remaining import remaining
 from residuum.identification.unseen_blocks.tried import Search, Wanted
-from residuum.identification.unseen_blocks.verdict import Step, is_timing, steps_of, verdict_on
+from residuum.identification.unseen_blocks.verdict import (
+    BlockErrors,
+    Candidate,
+    Step,
+    block_errors,
+    is_timing,
+    remaining,
+    steps_of,
+    verdict_on,
+)
 from residuum.identification.work import begun
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from residuum.array_types import FloatArray
 from residuum.identification.errors import BadInput
 from residuum.identification.physics import Experiment, PhysicalModel, Simulator
-from residuum.identification.residual_analysis.policy.records import ENOUGH_SAMPLES, FEWEST_AT_A_RATE, LOST
+from residuum.identification.residual_analysis.policy import ENOUGH_SAMPLES, FEWEST_AT_A_RATE, LOST
 
 
 def at_lower_rate(

@@ -10,27 +10,103 @@ import numpy as np
 
 from residuum.array_types import FloatArray
 from residuum.identification.errors import BadInput, NotIdentifiable
-from residuum.identification.physics import Estimate, Experiment, PhysicalModel, Simulator, block_means, estimate
-from residuum.identification.residual_analysis.coarse_reading import reading_variances
+from residuum.identification.physics import Estimate, Experiment, PhysicalModel, Simulator, block_means, estimate, windows
+from residuum.identification.physics.simulate.kalman import Filter, first_noise
 from residuum.identification.residual_analysis.feedback import feeds_back
 from residuum.identification.residual_analysis.lower_rate import at_lower_rate
-from residuum.identification.residual_analysis.noise.coloured_noise import forgetting, longest_memory
-from residuum.identification.residual_analysis.noise.noise_floor import fast_floor, times_the_noise
-from residuum.identification.residual_analysis.places.axes import signal_axes
-from residuum.identification.residual_analysis.places.features import features
-from residuum.identification.residual_analysis.places.local_structure import local_structure
-from residuum.identification.residual_analysis.places.locate import Axis
-from residuum.identification.residual_analysis.policy.noise import (
+from residuum.identification.residual_analysis.noise import fast_floor, forgetting, longest_memory, times_the_noise
+from residuum.identification.residual_analysis.places.local_structure import features, local_structure
+from residuum.identification.residual_analysis.places.locate import Axis, signal_axes
+from residuum.identification.residual_analysis.policy import (
     BEYOND_NOISE,
     BEYOND_NOISE_CHANCE,
+    COARSE_EVENNESS,
+    COARSE_REPEATS,
+    LASTING,
+    LONGEST_PREDICTED,
     REVALUED,
+    SHORTEST_PREDICTED,
     STRUCTURE_LEVEL,
     TEST_SAMPLES,
     VALUES_ERR,
+    WINDOWS,
 )
-from residuum.identification.residual_analysis.prediction_windows import in_windows
 from residuum.identification.residual_analysis.structured_error import StructuredError, test_structured_error
 from residuum.identification.residual_analysis.value_doubt import at_likeliest_values
+
+# Outputs that are read in steps so coarse that most samples repeat the one before.
+
+
+def reading_variances(experiments: Sequence[Experiment]) -> FloatArray:
+    """q²/12 of each output that lies on stairs of step q and mostly repeats itself, 0 of the others, shape (outputs,).
+
+    Between two steps such an output says nothing new. Its error would pass for noise that is nearly integrated, which no slow
+    error of a model can be told from.
+    """
+    changes = np.concatenate([np.diff(e.Y, axis=0) for e in experiments])
+    return np.array([_step(each) ** 2 / 12.0 for each in changes.T])
+
+
+def _step(changes: FloatArray) -> float:
+    """The smallest change, if most samples do not change and the others by whole numbers of it; else 0."""
+    known = np.abs(changes[np.isfinite(changes)])
+    moving = known[known > 0.0]
+    if not moving.size or moving.size > (1.0 - COARSE_REPEATS) * known.size:
+        return 0.0
+    steps = moving / np.min(moving)
+    return float(np.min(moving)) if np.max(np.abs(steps - np.round(steps))) < COARSE_EVENNESS else 0.0
+
+
+# Plants that integrate are judged by prediction over windows, each with its own initial states.
+
+
+def in_windows(model: PhysicalModel, experiments: Sequence[Experiment], finer: int = 1) -> list[Experiment]:
+    """The experiments, cut into windows where the outputs never forget an initial state, so many times `finer` than usual.
+
+    Over a whole record the simulation of such a plant drifts with every small error of its input (and in closed loop with
+    the controller's answer to the noise); over a window with states of its own it does not.
+
+    States that no output feels (a position where only speed is measured) go on from window to window as the measurements
+    track them: free in every window, they would let whatever depends on them differ from one to the next.
+    """
+    found: list[Experiment] = []
+    for e in experiments:
+        samples = int(np.clip(e.n // WINDOWS, SHORTEST_PREDICTED, LONGEST_PREDICTED)) // finer
+        felt = _lasting(model, e) if e.n > 2 * samples else None
+        if felt is None or not any(share > LASTING for share in felt.values()):
+            found.append(e)
+            continue
+        unfelt = [name for name, share in felt.items() if share == 0.0]
+        found += _anchored(model, e, windows(e, samples), unfelt) if unfelt else windows(e, samples)
+    return found
+
+
+def _anchored(model: PhysicalModel, experiment: Experiment, parts: list[Experiment], states: list[str]) -> list[Experiment]:
+    """The windows with these states known from the Kalman filter over the whole experiment."""
+    simulator = Simulator(model)
+    X = Filter(model, first_noise(model, [experiment])).run(experiment, simulator.x0(experiment.known)).X
+    if not np.all(np.isfinite(X)):
+        return parts
+    rows = [round((part.t0 - experiment.t0) / experiment.sample_time) for part in parts]
+    columns = {name: simulator.states.index(name) for name in states}
+    return [
+        replace(part, known={name: float(X[row, k]) for name, k in columns.items()})
+        for part, row in zip(parts, rows, strict=True)
+    ]
+
+
+def _lasting(model: PhysicalModel, experiment: Experiment) -> dict[str, float] | None:
+    """For each free initial state how much of its peak effect on a measured output is there at the end; None if it diverges."""
+    states = [name for name in model.states if name not in model.initial and name not in experiment.known]
+    simulator = Simulator(model)
+    slopes = [f"initial:{name}" for name in states]
+    run = simulator.run_vectors(experiment, simulator.x0(), simulator.p(), slopes=slopes)
+    if not states or run.dY is None or not np.all(np.isfinite(run.dY)):
+        return None
+    size = np.abs(run.dY[:, experiment.measured])
+    late, peak = size[-max(1, experiment.n // 10) :].mean(axis=0), size.max(axis=0)
+    shares = np.divide(late, peak, out=np.zeros_like(late), where=peak > 0).max(axis=0)
+    return dict(zip(states, shares.tolist(), strict=True))
 
 
 def refitted_difference(model: PhysicalModel, experiments: list[Experiment], simulation: Estimate) -> list[FloatArray]:

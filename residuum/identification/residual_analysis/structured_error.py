@@ -16,14 +16,14 @@ from scipy.special import gammaincc
 
 from residuum.array_types import FloatArray
 from residuum.identification.errors import BadInput
-from residuum.identification.residual_analysis.noise.coloured_noise import (
+from residuum.identification.residual_analysis.noise import (
     ColouredNoise,
     fit_coloured_noise,
     forgetting,
     longest_memory,
     stretches,
 )
-from residuum.identification.residual_analysis.policy.noise import (
+from residuum.identification.residual_analysis.policy import (
     MOST_STRUCTURE_DRAWS,
     NOISE_ORDER,
     NOISE_PASSES,

@@ -21,8 +21,8 @@ from residuum.array_types import FloatArray
 from residuum.identification.errors import BadInput
 from residuum.identification.linear_models.recursive_filter import all_pole
 from residuum.identification.physics import Estimate, Experiment, PhysicalModel, Simulator
-from residuum.identification.residual_analysis.noise.coloured_noise import ColouredNoise
-from residuum.identification.residual_analysis.policy.noise import NOISE_ORDER, STRUCTURE_LEVEL
+from residuum.identification.residual_analysis.noise import ColouredNoise
+from residuum.identification.residual_analysis.policy import NOISE_ORDER, STRUCTURE_LEVEL
 from residuum.identification.residual_analysis.structured_error import lasting_noise
 
 

@@ -11,15 +11,14 @@ from residuum.identification.errors import BadInput
 from residuum.identification.physics import Experiment, Key, PhysicalModel, Simulator
 from residuum.identification.physics.model import find_effect
 from residuum.identification.side_by_side import side_by_side
-from residuum.identification.unseen_blocks.candidate import Candidate
 from residuum.identification.unseen_blocks.following import Track
-from residuum.identification.unseen_blocks.held_value import HELD
 from residuum.identification.unseen_blocks.judged import Judged
-from residuum.identification.unseen_blocks.next_experiment import NextExperiment, distinguishing, power_of_test
+from residuum.identification.unseen_blocks.next_experiment import HELD, NextExperiment, distinguishing, power_of_test
 from residuum.identification.unseen_blocks.policy import SENSOR_NOISE, TIE, WORTH_SEPARATING
 from residuum.identification.unseen_blocks.proposals import proposed, starts
 from residuum.identification.unseen_blocks.scale import Scale, of_noise
 from residuum.identification.unseen_blocks.tried import Search, Wanted
+from residuum.identification.unseen_blocks.verdict import Candidate
 
 
 @dataclass(frozen=True)

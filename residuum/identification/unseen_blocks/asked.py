@@ -6,15 +6,14 @@ from collections.abc import Sequence
 
 from residuum.identification.errors import NotIdentifiable
 from residuum.identification.physics import Key
-from residuum.identification.unseen_blocks.beginning import begun
 from residuum.identification.unseen_blocks.data import Data
 from residuum.identification.unseen_blocks.following import followed
 from residuum.identification.unseen_blocks.judged import Judged
 from residuum.identification.unseen_blocks.ladder import climb, climb_at_likelier_timing
 from residuum.identification.unseen_blocks.looks import followed_on, glance, look
 from residuum.identification.unseen_blocks.search import settled
+from residuum.identification.unseen_blocks.settling import at_the_timing_it_suits, begun
 from residuum.identification.unseen_blocks.structure import Structure
-from residuum.identification.unseen_blocks.suited_timing import at_the_timing_it_suits
 from residuum.identification.unseen_blocks.tried import Search
 from residuum.identification.work import Tell, untold
 

@@ -7,12 +7,11 @@ from functools import partial
 
 from residuum.identification.physics import PhysicalModel
 from residuum.identification.record import Record
-from residuum.identification.unseen_blocks.beginning import begun
-from residuum.identification.unseen_blocks.coarser import coarser
-from residuum.identification.unseen_blocks.data import Data, matched
+from residuum.identification.unseen_blocks.data import Data, coarser, matched
 from residuum.identification.unseen_blocks.ladder import climb
 from residuum.identification.unseen_blocks.policy import MOST_EFFORT
 from residuum.identification.unseen_blocks.search import search
+from residuum.identification.unseen_blocks.settling import begun
 from residuum.identification.unseen_blocks.tried import Search, Wanted
 from residuum.identification.work import OutOfWork, Tell, at_most, left_out, rising, untold
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from residuum.array_types import FloatArray
 from residuum.identification.physics.model import find_effect
-from residuum.identification.unseen_blocks.held_value import HELD
 from residuum.identification.unseen_blocks.judged import Judged
+from residuum.identification.unseen_blocks.next_experiment import HELD
 from residuum.identification.unseen_blocks.policy import (
     BEAM,
     DRAWS,

@@ -14,7 +14,9 @@ from residuum.identification.errors import BadRecord
 from residuum.identification.physics import Experiment, PhysicalModel, match, windows
 from residuum.identification.physics.estimation.gauss_newton import Cells
 from residuum.identification.record import Record
+from residuum.identification.residual_analysis.feedback import each_turned, turned_timing
 from residuum.identification.residual_analysis.followed import check_followed
+from residuum.identification.residual_analysis.lower_rate import at_lower_rate
 from residuum.identification.unseen_blocks.policy import (
     BLIND,
     BLOCK_SAMPLES,
@@ -183,3 +185,27 @@ def _changes(experiment: Experiment) -> bool:
     """Whether any signal of it does."""
     signals = [*experiment.U.T, *experiment.Y[:, experiment.measured].T]
     return any(np.nanmax(signal) > np.nanmin(signal) for signal in signals)
+
+
+# Data at a lower rate that loses nothing.
+
+
+def coarser(data: Data) -> Data:
+    """The data at the lowest rate 1/2, 1/4, … of theirs that loses nothing and leaves enough samples, else themselves."""
+    experiments, step = at_lower_rate(data.model, data.experiments)
+    return data if step == 1 else replace(data_of(data.model, experiments), finer=data)
+
+
+def turned(data: Data) -> Data:
+    """The data at the other input timing: inputs that were held move evenly, and those that moved are held."""
+    return _timed(data, turned_timing((data.finer or data).experiments))
+
+
+def one_turned(data: Data) -> list[Data]:
+    """The data with one of several inputs turned, each once."""
+    return [_timed(data, experiments) for experiments in each_turned((data.finer or data).experiments)]
+
+
+def _timed(data: Data, experiments: list[Experiment]) -> Data:
+    records = data_of(data.model, experiments)
+    return coarser(records) if data.finer else records

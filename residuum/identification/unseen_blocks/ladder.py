@@ -15,11 +15,9 @@ from residuum.array_types import FloatArray
 from residuum.identification.errors import MAY_DIVERGE, NotIdentifiable
 from residuum.identification.physics import PhysicalModel
 from residuum.identification.physics.estimation.gauss_newton import Fit
-from residuum.identification.residual_analysis.feedback import feeds_back
-from residuum.identification.residual_analysis.input_timing import innovations_of
+from residuum.identification.residual_analysis.feedback import feeds_back, innovations_of
 from residuum.identification.side_by_side import side_by_side
-from residuum.identification.unseen_blocks.coarser import one_turned, turned
-from residuum.identification.unseen_blocks.data import Data, Rung
+from residuum.identification.unseen_blocks.data import Data, Rung, one_turned, turned
 from residuum.identification.unseen_blocks.policy import FORGETS, RUNG_ERROR
 from residuum.identification.unseen_blocks.scale import Scale, clipped, plain
 from residuum.identification.unseen_blocks.structure import States, Structure, at_start, fitted

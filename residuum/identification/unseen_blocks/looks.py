@@ -18,8 +18,8 @@ from residuum.identification.physics.effects.base import Effect
 from residuum.identification.physics.estimation.gauss_newton import Fit
 from residuum.identification.unseen_blocks.data import Data, Rung
 from residuum.identification.unseen_blocks.following import Track
-from residuum.identification.unseen_blocks.held_value import HELD
 from residuum.identification.unseen_blocks.judged import Judged, judged
+from residuum.identification.unseen_blocks.next_experiment import HELD
 from residuum.identification.unseen_blocks.policy import ABSURD, FOLLOWED_STARTS, GLANCED, LONG_LOOK, PROMISING, RAN_OFF
 from residuum.identification.unseen_blocks.proposals import beginnings, conditions_along, starts
 from residuum.identification.unseen_blocks.scale import Scale

@@ -26,9 +26,9 @@ from residuum.identification.physics.estimation.least_squares import solve_scale
 from residuum.identification.physics.model import find_effect
 from residuum.identification.side_by_side import each_beside
 from residuum.identification.unseen_blocks.following import Track
-from residuum.identification.unseen_blocks.held_value import HELD
 from residuum.identification.unseen_blocks.judged import Judged, equations, normal_equations, steps_without
 from residuum.identification.unseen_blocks.looks import Court
+from residuum.identification.unseen_blocks.next_experiment import HELD
 from residuum.identification.unseen_blocks.policy import EACH_IN_PAIRS, PAIR_DAMPING, PAIRS_FITTED
 from residuum.identification.unseen_blocks.proposals import canonical, starts
 from residuum.identification.unseen_blocks.structure import Structure

@@ -22,7 +22,7 @@ from residuum.identification.physics.effects import STRUCTURAL
 from residuum.identification.physics.effects.base import Conditions, Effect
 from residuum.identification.physics.model import find_effect, idle_inputs, place_of
 from residuum.identification.unseen_blocks.following import Track, beside, own_terms, regressed
-from residuum.identification.unseen_blocks.held_value import HELD, freed
+from residuum.identification.unseen_blocks.next_experiment import HELD, freed
 from residuum.identification.unseen_blocks.policy import (
     COLUMNS_TRIED,
     CURVE_KNOTS,

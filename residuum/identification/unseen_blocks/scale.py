@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from residuum.array_types import FloatArray
 from residuum.identification.physics import noise_floor
-from residuum.identification.residual_analysis.policy.records import NORMAL_MEDIAN
+from residuum.identification.residual_analysis.policy import NORMAL_MEDIAN
 from residuum.identification.unseen_blocks.data import Data, Rung
 from residuum.identification.unseen_blocks.policy import CLIPPED, WEAKEST, WHITENING
 

@@ -8,22 +8,28 @@ error is asked again.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
-from residuum.identification.physics import Key
+from residuum.identification.physics import Key, Simulator
 from residuum.identification.side_by_side import each_beside
-from residuum.identification.unseen_blocks.beginning import begun
-from residuum.identification.unseen_blocks.comparing import going_on, is_alike, is_nothing, simplest
+from residuum.identification.unseen_blocks.comparing import (
+    corrected,
+    going_on,
+    is_alike,
+    is_nothing,
+    is_real,
+    real_ones,
+    simplest,
+)
 from residuum.identification.unseen_blocks.data import Data, Rung
 from residuum.identification.unseen_blocks.following import Track, followed
-from residuum.identification.unseen_blocks.joining import joins, without_needless
 from residuum.identification.unseen_blocks.judged import Judged, judged
 from residuum.identification.unseen_blocks.ladder import climb, climb_at_likelier_timing
-from residuum.identification.unseen_blocks.looks import LONG, SHORT, Court, Glance, followed_on, glance, look, shows
+from residuum.identification.unseen_blocks.looks import LONG, SHORT, Court, Glance, follow, followed_on, glance, look, shows
 from residuum.identification.unseen_blocks.pairs import pairs
 from residuum.identification.unseen_blocks.policy import (
     BEAM,
@@ -35,17 +41,147 @@ from residuum.identification.unseen_blocks.policy import (
     KEPT,
     NEAR_NOISE,
     RUNG_ERROR,
+    TIE,
     TURNS,
+    TWICE,
 )
-from residuum.identification.unseen_blocks.proposals import proposed
-from residuum.identification.unseen_blocks.relatives import related
+from residuum.identification.unseen_blocks.proposals import generalised, grown, proposed, special_of, specialised
 from residuum.identification.unseen_blocks.scale import Scale, clipped, of_power, plain
-from residuum.identification.unseen_blocks.settling import accurate, settle
+from residuum.identification.unseen_blocks.settling import accurate, at_the_timing_it_suits, begun, settle
 from residuum.identification.unseen_blocks.structure import Structure, fitted
-from residuum.identification.unseen_blocks.suited_timing import at_the_timing_it_suits
 from residuum.identification.unseen_blocks.tried import Search, Wanted, with_only
-from residuum.identification.unseen_blocks.unseen_states import with_unseen_states
 from residuum.identification.work import OutOfWork, Tell, go_on, left_out, untold
+
+# Whether an effect joins what was found, and what it makes needless: forward selection, floating
+# back after every step.
+
+
+def joins(found: Search, ranked: Sequence[Judged]) -> bool:
+    """Whether any is real; the simplest of the best that are is the best from now on."""
+    scale, before = found.court.scale, found.best
+    real = real_ones(ranked, before, found.base, scale, found.tried) or _leaving_noise(found, ranked)
+    if not real:
+        return False
+    found.best = chosen = simplest(real, scale)
+    found.group = [one for one in ranked if one is not chosen and is_alike(one, chosen, before, scale)]
+    return True
+
+
+def _leaving_noise(found: Search, ranked: Sequence[Judged]) -> list[Judged]:
+    """The simplest of the best, where it leaves nothing but noise and is real in nats of that: what acts seldom, a limit that is
+    rarely met, is ahead in few blocks alone.
+    """
+    chosen = None if found.court.scale.nats else simplest(ranked, found.court.scale)
+    if chosen is None or chosen.cost >= found.best.cost or (turned := settle(chosen, found.court)) is None:
+        return []
+    court, here = turned
+    before = court.judge(found.best.structure, steps=15, tolerance=1e-6)
+    if before is None or before.cost - here.cost < np.log(max(found.tried, 1)) + TIE or corrected(here, before) < TWICE:
+        return []
+    return [chosen]
+
+
+def without_needless(found: Search) -> None:
+    """Take effects from the best structure that are not real beside the others: what joined first may have stood for what
+    joined after it, and led that astray.
+    """
+    for key in found.best.keys:
+        best = found.best
+        less = _without(found, key) if len(best.keys) > 1 else None
+        if less is not None and not is_real(best, less, found.base, found.court.scale, found.tried):
+            found.best, found.group = less, []
+
+
+def _without(found: Search, key: Key) -> Judged | None:
+    """The best structure without one effect, from its own values on or as it was known, whichever leaves less."""
+    keys = tuple(k for k in found.best.keys if k != key)
+    known = found.every.pop(keys, None)
+    there = [one for one in (known, with_only(found, keys)) if one is not None]
+    if not there:
+        return None
+    found.every[keys] = min(there, key=lambda one: one.cost)
+    return found.every[keys]
+
+
+# Effects of which one is a special case of another: each is tried from where the other one fits.
+
+
+def related(
+    found: Search, here: Mapping[tuple[Key, ...], Judged], glances: Mapping[tuple[Key, ...], Glance]
+) -> dict[tuple[Key, ...], Judged]:
+    """Effects that generalise one of the best, or are it with many minima side by side, followed from where that one fits, and
+    special cases from where the general one does. From nothing they may not be reached, or end on the way; and what joined first
+    as the general case may be a special one beside another.
+    """
+    tasks = []
+    for one in sorted(here.values(), key=lambda one: one.cost)[:BEAM]:
+        general = [seen for seen in glances.values() if _is_for(seen, one, generalised(seen.key))]
+        special = [
+            seen for seen in glances.values() if any(special_of(k) == seen.key and _is_for(seen, one, k) for k in one.keys)
+        ]
+        plain = [k for k in one.keys if special_of(k) in found.proposed.difference(one.keys, (seen.key for seen in special))]
+        if not (general or special or plain):
+            continue
+        along = followed(one.model, found.court.data, one.errors, found.court.last)
+        if along is not None:
+            each = [(seen, grown(seen.key, along)) for seen in general] + [
+                (seen, specialised(seen.key, along)) for seen in special
+            ]
+            tasks += [partial(follow, models, seen, one.structure, found.court) for seen, models in each if models]
+            tasks += [partial(_in_place, one.structure, k, along, found) for k in plain]
+    led = each_beside(lambda task: task(), tasks)
+    better: dict[tuple[Key, ...], Judged] = {}
+    for end in led:
+        known = None if end is None else better.get(end.keys, here.get(end.keys))
+        if end is not None and (known is None or end.seen < known.seen):
+            better[end.keys] = end
+    return better
+
+
+def _in_place(whole: Structure, key: Key, along: Track, found: Search) -> Judged | None:
+    """The structure with the special case in the place of an effect, where it was not tried."""
+    special = special_of(key)
+    if special is None:
+        return None
+    keys, models = tuple(sorted({*whole.keys, special} - {key})), specialised(special, along)
+    if keys in found.every or not models:
+        return None
+    return found.court.judge(replace(whole, keys=keys, model=models[0]), steps=15, tolerance=1e-6)
+
+
+def _is_for(seen: Glance, one: Judged, other: Key | None) -> bool:
+    """Whether a structure holds what was glanced at, but for another effect in the place of the new one."""
+    return other in one.keys and set(one.keys) - {other} == set(seen.keys) - {seen.key}
+
+
+# Where windows begin in the states that no output shows: where the filter went.
+
+
+def with_unseen_states(parent: Structure, along: Track, court: Court) -> Structure:
+    """The structure whose windows of a short look begin where the filter went, in the states that no output shows.
+
+    No fit moves these: the position of an axis of which the speed is measured is 0 at the begin of every window, and no stop is
+    where the axis met it.
+    """
+    rung, names = court.middle, list(Simulator(parent.model).states)
+    unseen = _unseen_states(parent, court.last)
+    if not unseen or rung.windows not in parent.states:
+        return parent
+    rows = along.X[court.data.rows(rung)[rung.starts[:-1]]]
+    there = [{n: float(x[names.index(n)]) for n in unseen} for x in rows]
+    states = [{**known, **more} for known, more in zip(parent.states[rung.windows], there, strict=True)]
+    return replace(parent, states={**parent.states, rung.windows: states})
+
+
+def _unseen_states(parent: Structure, last: Rung) -> list[str]:
+    """States whose first values no measured output feels, on the first window of a rung."""
+    simulator, part = Simulator(parent.model), last.parts[0]
+    names = [f"initial:{name}" for name in simulator.free_states]
+    x0 = simulator.x0({**parent.states[last.windows][0], **part.known})
+    run = simulator.run_vectors(part, x0, simulator.p(), slopes=names, substeps=parent.steps[last.windows][0]) if names else None
+    if run is None or run.dY is None:
+        return []
+    return [n for n, felt in zip(simulator.free_states, np.any(run.dY[:, part.measured], axis=(0, 1)), strict=True) if not felt]
 
 
 def search(data: Data, wanted: Wanted, tell: Tell = untold, *, turns: int = TURNS) -> Search:

@@ -4,17 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from operator import itemgetter
 
 import numpy as np
 
 from residuum.array_types import FloatArray
+from residuum.identification.errors import MAY_DIVERGE, NotIdentifiable
 from residuum.identification.physics import Simulator
-from residuum.identification.residual_analysis.noise.noise_floor import times_the_noise
+from residuum.identification.residual_analysis.noise import times_the_noise
+from residuum.identification.unseen_blocks.data import Data, one_turned, turned
 from residuum.identification.unseen_blocks.judged import Judged, judged
+from residuum.identification.unseen_blocks.ladder import Climbed, innovations_on
 from residuum.identification.unseen_blocks.looks import Court
 from residuum.identification.unseen_blocks.policy import NOISY, UNEVEN
-from residuum.identification.unseen_blocks.scale import Scale, clipped, of_noise
+from residuum.identification.unseen_blocks.scale import Scale, clipped, of_noise, of_power
 from residuum.identification.unseen_blocks.structure import descended
+from residuum.identification.unseen_blocks.tried import Search
 
 
 def settle(best: Judged, court: Court) -> tuple[Court, Judged] | None:
@@ -67,3 +72,43 @@ def _unevenness(residuals: Sequence[FloatArray], scale: Scale, court: Court) -> 
     powers = [np.bincount(block, weights=column**2, minlength=len(n))[n > 0] / n[n > 0] for column in white.T]
     scatter = np.sqrt(2.0 / n[n > 0].mean())
     return max(float(np.std(np.log(np.maximum(p, 1e-300)), ddof=1) / scatter) for p in powers)
+
+
+# Where a search begins: the model as it is, judged.
+
+
+def begun(climbed: Climbed) -> Search:
+    """The model as it is, judged; in nats where all it leaves is noise."""
+    data, last = climbed.data, climbed.last
+    first = judged(climbed.structure, climbed.found, last, data, climbed.scale)
+    if first is None:
+        raise NotIdentifiable(f"model {data.model.name!r}: diverges on the records; {MAY_DIVERGE}")
+    scale = of_power(climbed.scale, data, first.power)
+    first = replace(first, cost=scale.cost(first.power, first.parameters), seen=np.inf)
+    court = Court(data, last, climbed.middle, scale, climbed.there)
+    if (turned := settle(first, court)) is not None:
+        court, first = turned
+    return Search(court, first, first, None, {(): first})
+
+
+# The input timing that suits what was found: the timing of the data was chosen before anything
+# was.
+
+
+def at_the_timing_it_suits(found: Search) -> Data | None:
+    """The data at the other input timing, where the best structure fits better there; None where it does not, or nothing drives
+    the machine.
+    """
+    court = found.court
+    if not found.best.model.inputs:
+        return None
+    here = _innovations(found, court.data)
+    others = [(_innovations(found, data), data) for data in (turned(court.data), *one_turned(court.data))]
+    there, data = min(others, key=itemgetter(0))
+    return data if there < here else None
+
+
+def _innovations(found: Search, data: Data) -> float:
+    court = found.court
+    rung = court.last if data is court.data else data.rung(court.last.windows)
+    return innovations_on(rung, found.best.model, found.best.structure, court.scale)

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 from residuum.identification.physics import Key
+from residuum.identification.unseen_blocks.comparing import is_alike
 from residuum.identification.unseen_blocks.following import Track
 from residuum.identification.unseen_blocks.judged import Judged
 from residuum.identification.unseen_blocks.looks import Court
+from residuum.identification.unseen_blocks.policy import ONE_PHYSICS
+from residuum.identification.unseen_blocks.proposals import special_of
 from residuum.identification.unseen_blocks.structure import Structure
 
 
@@ -53,3 +56,41 @@ def with_only(found: Search, keys: Iterable[Key], whole: Judged | None = None) -
             return None
         found.every[names] = one
     return found.every[names]
+
+
+# The best structure taken apart: in which order its effects take away what, and what does the
+# same in the place of each.
+
+
+def chain(found: Search, keys: Iterable[Key]) -> list[tuple[Key, Judged, Judged]]:
+    """The effects `keys` of the best structure in the order in which each takes away most, with what was before and after it."""
+    rest, before, order = list(keys), found.base, []
+    while rest:
+        each = [(key, with_only(found, (*before.keys, key))) for key in rest]
+        known = [(key, one) for key, one in each if one is not None]
+        if not known:
+            break
+        key, after = min(known, key=lambda one: one[1].cost)
+        order.append((key, before, after))
+        rest.remove(key)
+        before = after
+    return order
+
+
+def in_place_of(found: Search, key: Key, rest: Sequence[Key]) -> list[Judged]:
+    """What does the same in the place of one of the best structure's effects, the others kept; each as it is beside `rest`."""
+    best, kept, scale = found.best, set(found.best.keys) - {key}, found.court.scale
+    without = found.every.get(tuple(sorted(kept)))
+    there = [o for o in found.every.values() if o.keys != best.keys and len(o.keys) == len(best.keys) and set(o.keys) > kept]
+    same = []
+    for one in there:
+        other = next(iter(set(one.keys) - kept))
+        if is_alike(one, best, without, scale) or (not scale.nats and _are_one_physics(one, best, without, (other, key))):
+            same.append(with_only(found, (*rest, other), one))
+    return [one for one in same if one is not None]
+
+
+def _are_one_physics(one: Judged, best: Judged, without: Judged | None, keys: tuple[Key, Key]) -> bool:
+    """Whether of two effects one generalises the other, and the one in the other's place takes away nearly as much."""
+    related = special_of(keys[0]) == keys[1] or special_of(keys[1]) == keys[0]
+    return related and without is not None and without.cost - one.cost > ONE_PHYSICS * (without.cost - best.cost)

@@ -12,13 +12,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from residuum.identification.physics import Key, PhysicalModel
+from residuum.array_types import FloatArray
+from residuum.identification.physics import Key, PhysicalModel, noise_floor
 from residuum.identification.physics.model import find_effect
-from residuum.identification.unseen_blocks.candidate import Candidate, Quantity
 from residuum.identification.unseen_blocks.comparing import evidence, is_alike, share
 from residuum.identification.unseen_blocks.free_term import BlockTerm
-from residuum.identification.unseen_blocks.held_value import HELD
 from residuum.identification.unseen_blocks.judged import Judged
+from residuum.identification.unseen_blocks.looks import Court
+from residuum.identification.unseen_blocks.next_experiment import HELD
 from residuum.identification.unseen_blocks.policy import (
     DOUBTED,
     DRAWS,
@@ -30,8 +31,49 @@ from residuum.identification.unseen_blocks.policy import (
     UNKNOWN_LEADS,
     WORTH,
 )
-from residuum.identification.unseen_blocks.steps import chain, in_place_of
-from residuum.identification.unseen_blocks.tried import Search
+from residuum.identification.unseen_blocks.tried import Search, chain, in_place_of
+
+# One effect that may be missing, and what is said of it.
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A number with its standard deviation and unit."""
+
+    value: float
+    std: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One effect that may be missing, with what speaks for it.
+
+    `step` counts the effects that were accepted before it; `evidence` is its log odds against "nothing more is missing";
+    the errors are RMS simulation errors of `output` before and after it was added, on data that were not used for the
+    estimation where `held_out` says so; `share` is the part of the error's power that it takes away on blocks kept aside.
+    """
+
+    effect: str
+    balance: str
+    probability: float
+    indistinguishable_from: tuple[str, ...]
+    parameters: Mapping[str, Quantity]
+    error_before: float
+    error_after: float
+    error_unit: str
+    output: str
+    within_bounds: bool
+    evidence: float
+    step: int = 0
+    held_out: bool = False
+    share: Quantity | None = None
+
+    @property
+    def key(self) -> Key:
+        """The effect at its place."""
+        return Key(self.effect, self.balance)
+
 
 NONE, UNKNOWN = "none", "unknown"
 
@@ -267,3 +309,86 @@ def _candidate(
 def share_of(before: Judged, after: Judged) -> Quantity:
     """Part of the error's power that is taken away on unseen blocks, the outputs alike, with its scatter over blocks."""
     return Quantity(*share(before.squares, after.squares), "")
+
+
+# What a model leaves on unseen blocks, and when.
+
+
+@dataclass(frozen=True)
+class Remaining:
+    """What a model leaves on unseen blocks. `share` is of the power that the model left as it was, `times_noise` the largest
+    RMS error over its measurement noise. `where` (from, to) [s] is the block of time in which most of it lies.
+    """
+
+    share: float
+    times_noise: float
+    where: tuple[float, float]
+
+
+def remaining(base: Judged, best: Judged, court: Court) -> Remaining:
+    """What `best` leaves of what `base` left."""
+    data = court.data
+    noise = np.nan_to_num(noise_floor(np.concatenate([e.Y for e in data.experiments])))
+    times = best.rms[data.measured] / np.where(noise > 0.0, noise, np.nan)[data.measured]
+    largest = float(np.nanmax(times)) if np.isfinite(times).any() else float("inf")
+    where = int(np.argmax(court.scale.by_block(best.power)))
+    return Remaining(1.0 - share_of(base, best).value, largest, data.times_of(where))
+
+
+# Errors block by block on unseen blocks: when in the record a model fails, and what each
+# candidate would take away there.
+
+
+@dataclass(frozen=True, eq=False)
+class BlockErrors:
+    """RMS errors on blocks that no fit has seen.
+
+    Attributes
+    ----------
+    outputs, units : tuple of str
+        Of the outputs that were measured.
+    records : tuple of int
+        The record of each block, from 0.
+    times : tuple of (float, float)
+        Begin and end of each block [s], in its record's time.
+    before, after : array, shape (blocks, outputs)
+        Of the model as it is, re-estimated, and with every effect that was accepted; NaN where nothing was measured.
+    candidates : mapping of Key to array, shape (blocks, outputs)
+        Of the model with one effect alone.
+    """
+
+    outputs: tuple[str, ...]
+    units: tuple[str, ...]
+    records: tuple[int, ...]
+    times: tuple[tuple[float, float], ...]
+    before: FloatArray
+    after: FloatArray
+    candidates: Mapping[Key, FloatArray]
+
+
+def block_errors(
+    model: PhysicalModel,
+    records: Sequence[int],
+    times: Sequence[tuple[float, float]],
+    count: FloatArray,
+    before: FloatArray,
+    after: FloatArray,
+    candidates: Mapping[Key, FloatArray],
+) -> BlockErrors:
+    """From sums of squares and how many samples they are of, arrays of shape (blocks, outputs); see BlockErrors."""
+    seen = count.sum(axis=0) > 0.0
+    outputs = [output for output, measured in zip(model.outputs.values(), seen, strict=True) if measured]
+
+    def rms(squares: FloatArray) -> FloatArray:
+        n = count[:, seen]
+        return np.sqrt(np.divide(squares[:, seen], n, out=np.full(n.shape, np.nan), where=n > 0.0))
+
+    return BlockErrors(
+        outputs=tuple(output.name for output in outputs),
+        units=tuple(output.unit for output in outputs),
+        records=tuple(records),
+        times=tuple(times),
+        before=rms(before),
+        after=rms(after),
+        candidates={key: rms(squares) for key, squares in candidates.items()},
+    )

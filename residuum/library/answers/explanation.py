@@ -11,12 +11,10 @@ from residuum.array_types import FloatArray
 from residuum.identification.discrepancy.estimated_values import EstimatedValue
 from residuum.identification.discrepancy.explanation import Explanation
 from residuum.identification.discrepancy.suggestion import nearest_formula
-from residuum.identification.residual_analysis.policy.noise import SLOW
-from residuum.identification.unseen_blocks.block_errors import BlockErrors
-from residuum.identification.unseen_blocks.candidate import Candidate
+from residuum.identification.residual_analysis.policy import SLOW
 from residuum.identification.unseen_blocks.free_term import BlockTerm
-from residuum.identification.unseen_blocks.held_value import HeldValue
-from residuum.identification.unseen_blocks.remaining import Remaining
+from residuum.identification.unseen_blocks.next_experiment import HeldValue
+from residuum.identification.unseen_blocks.verdict import BlockErrors, Candidate, Remaining
 from residuum.identification.work import Work
 from residuum.library.answers.quantities import quantities_json, sizes_text, value_text
 from residuum.library.answers.tied_effects import tied_json, tied_text

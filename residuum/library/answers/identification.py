@@ -11,7 +11,7 @@ import numpy as np
 from residuum.identification.errors import BadInput
 from residuum.identification.kernel_based.marginal_bands import band_says
 from residuum.identification.linear_models.identified_model import IdentifiedModel
-from residuum.identification.linear_models.validation.fit import simulation_fit
+from residuum.identification.linear_models.validation import simulation_fit
 from residuum.identification.record import Record
 
 

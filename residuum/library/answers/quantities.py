@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from residuum.identification.unseen_blocks.candidate import Quantity
+from residuum.identification.unseen_blocks.verdict import Quantity
 
 
 def quantities_json(quantities: Mapping[str, Quantity]) -> dict[str, Any]:

@@ -7,7 +7,7 @@ import numpy as np
 
 from residuum.identification.discrepancy.suggestion import nearest_formula
 from residuum.identification.physics.model import place_of, tied_to
-from residuum.identification.unseen_blocks.candidate import Quantity
+from residuum.identification.unseen_blocks.verdict import Quantity
 
 
 def tied_json(effect: str, target: str, parameters: Mapping[str, Quantity]) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from residuum.identification.residual_analysis.policy.noise import STRUCTURE_LEVEL
+from residuum.identification.residual_analysis.policy import STRUCTURE_LEVEL
 from residuum.library.questions import Question, field
 
 

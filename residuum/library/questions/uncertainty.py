@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from residuum.identification.linear_models.error_bounds.drawn_errors import FORMS
-from residuum.identification.linear_models.error_bounds.error_grid import asked_grid
+from residuum.identification.linear_models.error_bounds.error_models import FORMS, asked_grid
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.linear_models.uncertainty import (
     SAMPLE_SIZE_RULES,

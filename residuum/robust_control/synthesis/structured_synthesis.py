@@ -16,7 +16,7 @@ from residuum.identification.errors import BadInput
 from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.kept_loops import njit
 from residuum.robust_control.loop import Loop, Weights, characteristic
-from residuum.robust_control.synthesis.controller_structure import ControllerStructure
+from residuum.robust_control.synthesis.constrained_structure import ControllerStructure
 
 # One step of a minimax problem: the quadratic programme in its epigraph form.
 
@@ -76,7 +76,7 @@ def minimax_step(
 
 
 @njit(error_model="numpy")
-def _lower_factor(H):  # type: ignore[no-untyped-def]  compiled
+def _lower_factor(H):  # type: ignore[no-untyped-def]  # compiled
     """Cholesky's L; a pivot that rounding made vanish is held at 10⁻¹² of its diagonal, so that H may be all but singular."""
     n = len(H)
     L = np.zeros((n, n))
@@ -94,7 +94,7 @@ def _lower_factor(H):  # type: ignore[no-untyped-def]  compiled
 
 
 @njit(error_model="numpy")
-def _inverse_of_lower(L):  # type: ignore[no-untyped-def]  compiled
+def _inverse_of_lower(L):  # type: ignore[no-untyped-def]  # compiled
     n = len(L)
     inverse = np.zeros((n, n))
     for j in range(n):

@@ -22,10 +22,9 @@ from residuum.identification.linear_models.transfer_function import TransferFunc
 from residuum.identification.nelder_mead import nelder_mead
 from residuum.robust_control.certificates import Measured, StepResponse, measured
 from residuum.robust_control.loop import Loop, Weights
-from residuum.robust_control.synthesis.controller_structure import ControllerStructure
+from residuum.robust_control.synthesis.constrained_structure import ControllerStructure
 from residuum.robust_control.synthesis.structured_synthesis import NoStabilisingStart, Synthesis, synthesise
-from residuum.robust_control.weights.nominal_performance import Infeasible
-from residuum.robust_control.weights.reference_model import ReferenceModel, shortest_settling_time
+from residuum.robust_control.weights.performance_weight import Infeasible, ReferenceModel, shortest_settling_time
 
 _SHARE_IN_DESIGN = 0.98
 """Share of the plants in the search that must keep the limits, so that `TimeAim.share` of others do."""

@@ -20,8 +20,8 @@ from urllib.parse import urlsplit
 import orjson
 import structlog
 
-from residuum.service.broker_address import BrokerAddress
-from residuum.service.fieldbus.backoff import Backoff
+from residuum.service.broker import BrokerAddress
+from residuum.service.fieldbus.source import Backoff
 from residuum.service.settings import Settings
 from residuum.service.storage.outbox import Outbox
 from residuum.service.store import StorageUnavailable

@@ -12,7 +12,7 @@ from residuum.service.alarms.alarm_states import AlarmEvent
 from residuum.service.api.answers import PROBLEMS, AlarmAnswer, AlarmOccurrenceAnswer, AlarmRatesAnswer, PageOf
 from residuum.service.api.json_response import Json, StrictRoute, page_answer
 from residuum.service.api.parameters import NAME, TEXT, AlarmId, Begin, Cursor, End, Limit
-from residuum.service.results.time_span import open_span
+from residuum.service.results.parquet_tables import open_span
 from residuum.service.services import Running, Services, caller_of
 from residuum.service.store import Alarm, NotFound
 

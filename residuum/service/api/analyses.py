@@ -30,7 +30,7 @@ from residuum.service.store import Conflict, NotFound
 from residuum.service.views.model_view import model_of
 from residuum.service.work import analyses
 from residuum.service.work.analyses import Asked
-from residuum.service.work.record_parts import RecordParts, parts_of
+from residuum.service.work.worker_pool import RecordParts, parts_of
 
 router = APIRouter(tags=["analyses"], route_class=StrictRoute, responses=PROBLEMS)
 

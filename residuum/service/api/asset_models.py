@@ -14,14 +14,12 @@ from residuum.service.api.answers import PROBLEMS, JobAnswer, ModelVersionAnswer
 from residuum.service.api.jobs import accepted
 from residuum.service.api.json_response import Json, StrictRoute
 from residuum.service.api.parameters import NAME, TEXT, AssetName
-from residuum.service.machines.adding.model_texts import ModelText, stored_model
-from residuum.service.machines.baselines.acceptance import propose
-from residuum.service.machines.baselines.healthy_windows import healthy_windows, parted
-from residuum.service.machines.baselines.stored_baselines import baseline_name, newest_baseline
+from residuum.service.machines.adding import ModelText, stored_model
+from residuum.service.machines.baselines import baseline_name, healthy_windows, newest_baseline, parted, propose
 from residuum.service.services import Running, Services, caller_of
 from residuum.service.store import Conflict, NotFound
 from residuum.service.views.model_view import model_of
-from residuum.service.work.record_parts import parts_of
+from residuum.service.work.worker_pool import parts_of
 
 router = APIRouter(prefix="/assets/{asset}", tags=["assets"], route_class=StrictRoute, responses=PROBLEMS)
 

@@ -11,7 +11,7 @@ from residuum.service.api.answers import PROBLEMS, AssetAnswer, FindingAnswer, P
 from residuum.service.api.json_response import Json, StrictRoute, page_answer
 from residuum.service.api.parameters import TEXT, AssetName, Begin, Cursor, End, Limit
 from residuum.service.machines.judging.judges import diagnoser_class
-from residuum.service.results.time_span import open_span
+from residuum.service.results.parquet_tables import open_span
 from residuum.service.services import Running, caller_of
 
 router = APIRouter(prefix="/assets", tags=["assets"], route_class=StrictRoute, responses=PROBLEMS)

@@ -15,7 +15,7 @@ from residuum.service.api.json_response import Json, StrictRoute
 from residuum.service.api.parameters import ModelName
 from residuum.service.services import Running, Services
 from residuum.service.store import Conflict
-from residuum.service.views.residual_view import read_identified
+from residuum.service.views.signal_view import read_identified
 
 router = APIRouter(prefix="/models", tags=["models"], route_class=StrictRoute, responses=PROBLEMS)
 

@@ -15,29 +15,30 @@ from residuum.service.api.answers import PROBLEMS, JobAnswer
 from residuum.service.api.jobs import accepted
 from residuum.service.api.json_response import Json, StrictRoute
 from residuum.service.api.parameters import NAME
-from residuum.service.hidden_password import with_hidden_password
-from residuum.service.machines.adding.bus_description import bus_description
-from residuum.service.machines.adding.channel_guess import guessed_channels, model_signals
-from residuum.service.machines.adding.channel_names import named
-from residuum.service.machines.adding.kept_machines import (
+from residuum.service.broker import with_hidden_password
+from residuum.service.machines.adding import (
+    ModelText,
+    WatchedMachine,
+    bus_description,
     document_name,
     forget_machine,
+    guessed_channels,
     keep_machine,
     kept_maps,
+    model_of_settings,
+    model_signals,
+    named,
+    stored_model,
+    with_kept_passwords,
     with_map_files,
 )
-from residuum.service.machines.adding.kept_passwords import with_kept_passwords
-from residuum.service.machines.adding.model_texts import ModelText, model_of_settings, stored_model
-from residuum.service.machines.adding.watched_machine import WatchedMachine
-from residuum.service.machines.baselines.baseline_training import train_baseline
-from residuum.service.machines.baselines.stored_baselines import has_baseline
-from residuum.service.machines.baselines.training_windows import MOST, training_windows
+from residuum.service.machines.baselines import MOST, has_baseline, train_baseline, training_windows
 from residuum.service.machines.judging.judges import diagnoser_class
 from residuum.service.machines.judging.second_opinion import what_is_trained
-from residuum.service.machines.windows.complete_windows import complete_windows, used_by
+from residuum.service.machines.windows import complete_windows, used_by
 from residuum.service.services import Running, Services, caller_of
 from residuum.service.views.model_view import model_of
-from residuum.service.work.record_parts import parts_of
+from residuum.service.work.worker_pool import parts_of
 
 router = APIRouter(tags=["machines"], route_class=StrictRoute, responses=PROBLEMS)
 

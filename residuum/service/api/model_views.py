@@ -18,11 +18,8 @@ from residuum.service.api.json_response import Json, StrictRoute
 from residuum.service.api.parameters import ModelName, NewModelName
 from residuum.service.services import Running, Services, caller_of
 from residuum.service.store import Conflict, NotFound
-from residuum.service.views.effect_addition import add_effect
-from residuum.service.views.model_description import describe
-from residuum.service.views.model_view import effect_curves, model_of, view_model
-from residuum.service.views.parameter_changes import with_parameters
-from residuum.service.work.record_parts import RecordParts, parts_of
+from residuum.service.views.model_view import add_effect, describe, effect_curves, model_of, view_model, with_parameters
+from residuum.service.work.worker_pool import RecordParts, parts_of
 
 router = APIRouter(prefix="/models", tags=["models"], route_class=StrictRoute, responses=PROBLEMS)
 

@@ -8,7 +8,7 @@ from fastapi import Path, Query
 from pydantic import AfterValidator, StringConstraints
 from pydantic_core import PydanticCustomError
 
-from residuum.service.machines.adding.kept_machines import ENDINGS
+from residuum.service.machines.adding import ENDINGS
 
 NAME = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
 """Names of assets, models and baselines: they stand in addresses and rows, never in a file's path."""

@@ -13,7 +13,7 @@ from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
 from residuum.identification.record_formats.loggers.logger_time import FORMS
 from residuum.identification.record_formats.remedies import notes_respelt, respelling
-from residuum.service.bad_bodies import BadBody
+from residuum.service.problems import BadBody
 
 _OF_THE_FILE = {
     "unit": "CHANNEL=UNIT, once a channel: the unit of a column that has none.",

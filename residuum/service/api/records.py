@@ -20,8 +20,8 @@ from residuum.service.api.parameters import TEXT, Cursor, Limit, RecordId
 from residuum.service.api.reading_options import READING_OPTIONS, reading, remedies_in_query
 from residuum.service.api.signal_body import body_of
 from residuum.service.api.windows import ChannelNames, Points, signal_view
-from residuum.service.bad_bodies import BadBody, UnsupportedBody
-from residuum.service.machines.adding.known_dbc import known_dbc
+from residuum.service.machines.adding import known_dbc
+from residuum.service.problems import BadBody, UnsupportedBody
 from residuum.service.services import Running, caller_of
 from residuum.service.settings import Settings
 from residuum.service.work.upload_reader import read_upload

@@ -15,9 +15,8 @@ from residuum.service.api.answers import PROBLEMS
 from residuum.service.api.json_response import StrictRoute
 from residuum.service.api.parameters import AssetName
 from residuum.service.results.month_report import month_report
-from residuum.service.results.parquet_tables import MEDIA_TYPE, write_findings, write_windows
+from residuum.service.results.parquet_tables import MEDIA_TYPE, span_of, write_findings, write_windows
 from residuum.service.results.report_page import POLICY, report_page
-from residuum.service.results.time_span import span_of
 from residuum.service.services import Running, Services
 
 router = APIRouter(prefix="/assets/{asset}", tags=["results"], route_class=StrictRoute, responses=PROBLEMS)

@@ -13,7 +13,7 @@ from residuum.service.api.answers import PROBLEMS, JobAnswer
 from residuum.service.api.jobs import accepted
 from residuum.service.api.json_response import StrictRoute
 from residuum.service.services import Running
-from residuum.service.work.simulation import simulate
+from residuum.service.work.analyses import simulate
 
 router = APIRouter(prefix="/records", tags=["records"], route_class=StrictRoute, responses=PROBLEMS)
 

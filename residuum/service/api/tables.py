@@ -17,7 +17,7 @@ from residuum.service.api.parameters import AssetName
 from residuum.service.api.results import Begin, End
 from residuum.service.api.windows import of_one_channel
 from residuum.service.results.month_report import Followed
-from residuum.service.results.time_span import findings_in, span_of
+from residuum.service.results.parquet_tables import findings_in, span_of
 from residuum.service.services import Running, Services
 from residuum.service.store import NotFound, StoredFinding, StoredWindow
 

@@ -11,12 +11,11 @@ from residuum.service.api.answers import PROBLEMS, JobAnswer
 from residuum.service.api.jobs import accepted
 from residuum.service.api.json_response import Json, StrictRoute
 from residuum.service.api.parameters import AssetName
-from residuum.service.machines.adding.model_texts import model_of_settings, stored_model
-from residuum.service.machines.limits import keep_limits, limits_of
-from residuum.service.machines.tracks import follow, missing_terms, told_parameters
+from residuum.service.machines.adding import model_of_settings, stored_model
+from residuum.service.machines.tracks import follow, keep_limits, limits_of, missing_terms, told_parameters
 from residuum.service.services import Running, Services, caller_of
 from residuum.service.store import Conflict, NotFound, SignalLetGo
-from residuum.service.work.record_parts import parts_of
+from residuum.service.work.worker_pool import parts_of
 
 router = APIRouter(prefix="/assets/{asset}", tags=["tracks"], route_class=StrictRoute, responses=PROBLEMS)
 

@@ -19,8 +19,8 @@ from residuum.service.api.json_response import Json, StrictRoute
 from residuum.service.api.parameters import ModelName
 from residuum.service.services import Running, Services
 from residuum.service.store import Conflict
-from residuum.service.views.residual_view import read_identified, view_residual
-from residuum.service.work.record_parts import parts_of
+from residuum.service.views.signal_view import read_identified, view_residual
+from residuum.service.work.worker_pool import parts_of
 
 router = APIRouter(prefix="/models/{model}", tags=["models"], route_class=StrictRoute, responses=PROBLEMS)
 

@@ -23,8 +23,7 @@ from residuum.service.api.parameters import AssetName, Cursor, Limit, WindowId
 from residuum.service.api.reading_options import remedies_in_query
 from residuum.service.api.results import file_answer
 from residuum.service.api.signal_body import READ_ON_THE_LOOP, SIGNAL_BODY, body_of, kind_of, record_of
-from residuum.service.machines.baselines.deciding_method import deciding_method
-from residuum.service.machines.baselines.stored_baselines import newest_baseline
+from residuum.service.machines.baselines import deciding_method, newest_baseline
 from residuum.service.services import Running, Services
 from residuum.service.store import NotFound, ReadInPieces, StoredWindow
 from residuum.service.views.signal_view import extremes, extremes_of_pieces, stretch

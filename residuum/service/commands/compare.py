@@ -10,7 +10,7 @@ from residuum.service.commands.own_catalogue import OwnCatalogue
 from residuum.service.commands.plot_option import Plot, check_plot, drawn
 from residuum.service.commands.records import Reading, RecordFiles, reads
 from residuum.service.commands.report import AsJson, report
-from residuum.service.work.large_arrays import keep_large_arrays
+from residuum.service.work.worker_pool import keep_large_arrays
 
 app = typer.Typer(add_completion=False)
 

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from residuum.identification.errors import BadInput
-from residuum.identification.kernel_based.multivariable_file import is_multivariable
+from residuum.identification.kernel_based.multivariable import is_multivariable
 from residuum.library import control
 from residuum.library.answers.control_design import design_text
 from residuum.library.answers.multivariable_control import design_text as multivariable_text
@@ -16,7 +16,7 @@ from residuum.library.questions.control_design import DesignController
 from residuum.library.whole_file import write_whole
 from residuum.nearest_names import known_names
 from residuum.robust_control.controller_export import LANGUAGES
-from residuum.robust_control.weights.nominal_performance import Infeasible
+from residuum.robust_control.weights.performance_weight import Infeasible
 from residuum.service.cli import ANSWER_IS_NO
 from residuum.service.commands.asked import asks
 from residuum.service.commands.output_file import check_output_file

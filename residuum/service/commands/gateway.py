@@ -13,8 +13,7 @@ from residuum.service.commands.until_interrupted import until_interrupted
 from residuum.service.logs import set_up_logs
 from residuum.service.machines.machine_line import MachineLine
 from residuum.service.settings import load_settings
-from residuum.service.window_queue.gateway import Gateway
-from residuum.service.window_queue.spool import Spool
+from residuum.service.window_queue.gateway import Gateway, Spool
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 

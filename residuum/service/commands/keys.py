@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from residuum.service.commands.report import AsJson, report
-from residuum.service.security.first_keys import (
+from residuum.service.security.access import (
     API_KEYS,
     BROKER_PASSWORD,
     BROKER_USERS,

@@ -11,7 +11,7 @@ from residuum.identification.units import compatible
 from residuum.nearest_names import known_names
 from residuum.service.fieldbus import SOURCES
 from residuum.service.fieldbus.settings import MachineSettings
-from residuum.service.machines.adding.channel_guess import guessed_channels, model_signals
+from residuum.service.machines.adding import guessed_channels, model_signals
 from residuum.service.machines.machine_line import MachineLine
 
 ENOUGH = 20

@@ -7,8 +7,7 @@ from residuum.library.questions.identify import Identify
 from residuum.service.commands.asked import asks
 from residuum.service.commands.fleet_options import Data, Results, Scheduler, Source, Workers, run_over_fleet
 from residuum.service.commands.report import AsJson
-from residuum.service.work.fleet_source import fleet_source
-from residuum.service.work.fleet_work import Reidentify
+from residuum.service.work.fleet import Reidentify, fleet_source
 
 app = typer.Typer(add_completion=False)
 

@@ -14,7 +14,7 @@ from residuum.library.whole_file import write_whole
 from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.records import Reading, reads
 from residuum.service.commands.report import AsJson, report, told
-from residuum.service.results.analysis_page import analysis_page
+from residuum.service.results.report_page import analysis_page
 
 app = typer.Typer(add_completion=False)
 _MODEL_FILES = (".yaml", ".yml")

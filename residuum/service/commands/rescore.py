@@ -9,8 +9,7 @@ from residuum.identification.errors import BadInput
 from residuum.service.commands.diagnoser_options import Baseline
 from residuum.service.commands.fleet_options import Data, Results, Scheduler, Source, Workers, run_over_fleet
 from residuum.service.commands.report import AsJson
-from residuum.service.work.fleet_source import StoredWindows, fleet_source
-from residuum.service.work.fleet_work import Rescore
+from residuum.service.work.fleet import Rescore, StoredWindows, fleet_source
 from residuum.service.work.own_judges import OWN, rescore_own
 
 app = typer.Typer(add_completion=False)

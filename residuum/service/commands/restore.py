@@ -12,7 +12,7 @@ from residuum.service.commands.backup import described, in_words
 from residuum.service.commands.report import AsJson, report
 from residuum.service.commands.settings_file import DatabaseUrl
 from residuum.service.settings import load_settings
-from residuum.service.storage.backup.restore import restore_backup
+from residuum.service.storage.backup import restore_backup
 from residuum.service.storage.database import Database
 from residuum.service.store import StorageUnavailable
 

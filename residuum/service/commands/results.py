@@ -15,9 +15,8 @@ from residuum.service.commands.report import AsJson
 from residuum.service.commands.report import report as tell
 from residuum.service.commands.settings_file import SettingsFile
 from residuum.service.results.month_report import month_report
-from residuum.service.results.parquet_tables import write_findings, write_windows
+from residuum.service.results.parquet_tables import span_of, write_findings, write_windows
 from residuum.service.results.report_page import report_page
-from residuum.service.results.time_span import span_of
 from residuum.service.settings import load_settings
 from residuum.service.storage import DiskStore
 from residuum.service.storage.database import Database, sqlite_file

@@ -27,8 +27,8 @@ from residuum.service.storage.database import Database
 from residuum.service.storage.identity import claim
 from residuum.service.storage.service_lock import database_lock, folder_lock
 from residuum.service.store import StorageUnavailable
-from residuum.service.work.compiling_behind import CompilingBehind
-from residuum.service.work.large_arrays import give_back_large_arrays
+from residuum.service.work.jobs import CompilingBehind
+from residuum.service.work.worker_pool import give_back_large_arrays
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 

@@ -11,8 +11,7 @@ import typer
 from residuum.identification.errors import BadInput
 from residuum.service.commands.report import AsJson, report
 from residuum.service.settings import load_settings
-from residuum.service.window_queue.send_again import send_again
-from residuum.service.window_queue.set_aside import Poisoned, SetAside
+from residuum.service.window_queue.set_aside import Poisoned, SetAside, send_again
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 

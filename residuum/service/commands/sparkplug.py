@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from residuum.identification.errors import BadInput
-from residuum.service.broker_address import broker_address
+from residuum.service.broker import broker_address
 from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.report import AsJson, report
 from residuum.service.fieldbus.sparkplug.metric_map import NAME, metric_map_text, read_metric_map

@@ -6,7 +6,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from residuum.identification.linear_models.identified_model_file import load_identified
+from residuum.identification.linear_models.identified_model import load_identified
 from residuum.identification.linear_models.uncertainty import UncertaintyWeight
 from residuum.library.questions.uncertainty import Uncertainty, weight_for
 from residuum.service.commands.asked import asks

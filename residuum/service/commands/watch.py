@@ -23,10 +23,10 @@ from residuum.service.commands.settings_file import SettingsFile
 from residuum.service.commands.settings_template import settings_template
 from residuum.service.fieldbus import SOURCES
 from residuum.service.fieldbus.modbus.register_map import read_register_map
-from residuum.service.fieldbus.modbus.register_table import register_map_of, register_map_text
+from residuum.service.fieldbus.modbus.register_server import register_map_of, register_map_text
 from residuum.service.fieldbus.settings import MachineSettings, SourceSettings, WindowSettings
-from residuum.service.machines.adding.channel_guess import guessed_channels
-from residuum.service.machines.live_values import LiveValues
+from residuum.service.machines.adding import guessed_channels
+from residuum.service.machines.machine_state import LiveValues
 from residuum.service.settings import load_settings
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)

@@ -16,7 +16,7 @@ from residuum.identification.units import compatible
 from residuum.service.fieldbus.can.can_bus import CanBus
 from residuum.service.fieldbus.can.can_log import TimedFrame
 from residuum.service.fieldbus.can.frame_layout import FrameLayout, read_dbc
-from residuum.service.fieldbus.modbus.device_registers import DeviceRegisters
+from residuum.service.fieldbus.modbus.device_reading import DeviceRegisters
 from residuum.service.fieldbus.modbus.register_map import RegisterMap, StreamRegisters
 from residuum.service.fieldbus.modbus.register_server import RegisterServer
 from residuum.service.fieldbus.modbus.register_trace import TracedPage

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from residuum.service.fieldbus.block import Numbers
+from residuum.service.fieldbus.source import Numbers
 
 BREAK = 1 << 32
 """How far the numbers advance where the distance is unknown; no window reaches across."""

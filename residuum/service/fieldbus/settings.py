@@ -7,8 +7,8 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
-from residuum.service.alarms.alarm_rules import AlarmRule
-from residuum.service.broker_address import broker_address
+from residuum.service.alarms.alarm_states import AlarmRule
+from residuum.service.broker import broker_address
 from residuum.service.fieldbus.strict_model import StrictModel
 
 MAPS = Path(__file__).parent / "maps"

@@ -2,12 +2,95 @@
 
 from __future__ import annotations
 
+import random
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 
-from residuum.service.fieldbus.block import Block, StreamFormat
+import numpy as np
+import numpy.typing as npt
+
 from residuum.service.fieldbus.health import SourceHealth
+
+# Backoff: how long to wait before the next attempt to reach a device that does not answer.
+
+
+class Backoff:
+    """Waits that double from `first` to `longest` seconds, each spread by ±50 % so that many sources do not knock in step.
+
+    Examples
+    --------
+    >>> backoff = Backoff(first=1.0, longest=4.0, seed=0)
+    >>> waits = [backoff.next() for _ in range(4)]
+    >>> all(low / 2 <= wait <= low * 1.5 for wait, low in zip(waits, (1, 2, 4, 4)))
+    True
+    """
+
+    def __init__(self, first: float = 0.1, longest: float = 2.5, seed: int | None = None) -> None:
+        self._first, self._longest = first, longest
+        self._random = random.Random(seed)
+        self._wait = first
+
+    def next(self) -> float:
+        """Seconds to wait now."""
+        wait = self._wait
+        self._wait = min(2 * wait, self._longest)
+        return wait * self._random.uniform(0.5, 1.5)
+
+    def reset(self) -> None:
+        """Begin anew after a success."""
+        self._wait = self._first
+
+
+# Block: samples of one stream, as they left the bus, each with its place on the stream's own
+# clock.
+
+Samples = npt.NDArray[np.float64]
+Numbers = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class StreamFormat:
+    """What a stream carries: evenly sampled channels with units on one clock.
+
+    Parameters
+    ----------
+    name : str
+        Name within its machine.
+    sample_time : float
+        Seconds between samples.
+    units : mapping of channel to unit
+    """
+
+    name: str
+    sample_time: float
+    units: Mapping[str, str]
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """Samples of one stream.
+
+    `number[k]` is the place of sample k on the stream's clock (sample time × number = seconds). Numbers are unique over
+    the life of a source and mostly rise; a hole is a loss, and a late sample fills its hole.
+
+    Parameters
+    ----------
+    stream : str
+    number : int64 array, shape (n,)
+    channels : mapping of name to float array, shape (n,)
+    """
+
+    stream: str
+    number: Numbers
+    channels: Mapping[str, Samples]
+
+    @property
+    def n(self) -> int:
+        """Number of samples."""
+        return len(self.number)
+
 
 Sink = Callable[[Block], bool]
 """Takes a block; False when it has no room and the block is dropped (the source counts it)."""

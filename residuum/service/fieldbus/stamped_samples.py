@@ -15,9 +15,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from residuum.service.fieldbus.block import Block, StreamFormat
 from residuum.service.fieldbus.health import SourceHealth
 from residuum.service.fieldbus.sequence import BREAK
+from residuum.service.fieldbus.source import Block, StreamFormat
 
 _AHEAD = 2.0
 """Seconds by which stamps may run ahead of the time that has passed here: a reader that was late catches up."""

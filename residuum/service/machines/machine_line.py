@@ -18,12 +18,11 @@ from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
 from residuum.nearest_names import known_names
 from residuum.service.fieldbus import SOURCES
-from residuum.service.fieldbus.block import Block
 from residuum.service.fieldbus.settings import MachineSettings
-from residuum.service.machines.adding.channel_names import named
-from residuum.service.machines.live_values import LiveValues
-from residuum.service.machines.machine_state import LATE, SOON, MachineState, state_of_judging
-from residuum.service.machines.windows.cut_windows import make_cutter
+from residuum.service.fieldbus.source import Block
+from residuum.service.machines.adding import named
+from residuum.service.machines.machine_state import LATE, SOON, LiveValues, MachineState, state_of_judging
+from residuum.service.machines.windows import make_cutter
 
 log = structlog.get_logger()
 

@@ -6,17 +6,35 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+import orjson
 
 from residuum.diagnosis.tracks import FEWEST_WINDOWS_OF_A_TRACK, track
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
 from residuum.identification.units import compatible
-from residuum.service.machines.adding.channel_names import named
-from residuum.service.machines.adding.model_texts import ModelText
+from residuum.service.machines.adding import KIND, ModelText, document_name, kept_document, named
 from residuum.service.store import Store
 from residuum.service.views.model_view import view_model
 from residuum.service.work.jobs import Progress
-from residuum.service.work.record_parts import RecordParts, parts_of
+from residuum.service.work.worker_pool import RecordParts, parts_of
+
+# Limits that a user sets on a machine's parameters and effects: what must not be passed.
+
+
+def _name(asset: str) -> str:
+    return f"{asset}.limits"
+
+
+def limits_of(store: Store, asset: str) -> dict[str, float]:
+    """Name of a parameter → its limit, in the parameter's unit; none for a machine whose name is too long for a document."""
+    return {str(name): float(value) for name, value in (kept_document(store, _name(asset)) or {}).items()}
+
+
+def keep_limits(store: Store, asset: str, limits: Mapping[str, float], by: str) -> None:
+    """Keep the limits in the place of those before; Conflict for a machine whose name is too long for a document."""
+    document_name(asset)  # refuses a name that is too long
+    store.add_model_version(_name(asset), KIND, orjson.dumps(dict(limits)), "limits", by)
+
 
 _MOST = 1000
 _PAGE = 500

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from typing import Any
 
-from residuum.service.results.time_span import Span, findings_in, month_of
+from residuum.service.results.parquet_tables import Span, findings_in, month_of
 from residuum.service.store import Alarm, AlarmEntry, Asset, Store, StoredFinding
 
 _HOURS = 24 * 366 * 10

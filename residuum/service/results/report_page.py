@@ -10,7 +10,11 @@ from importlib.resources import files
 
 import numpy as np
 
+from residuum.library.comparison import Comparison
+from residuum.library.explanation import Explanation
 from residuum.library.picture import Curve, Panel, Picture
+from residuum.library.record import Record
+from residuum.library.result import Result
 from residuum.library.svg import svg
 from residuum.service.results.month_report import Followed, MonthReport
 
@@ -136,3 +140,32 @@ def _table(head: Sequence[str], rows: Iterable[Sequence[str]], numbers: Iterable
 
 def _moment(at: datetime) -> str:
     return f"{at.astimezone(UTC):%Y-%m-%d %H:%M:%S}"
+
+
+# Records, and a model held against them, as one HTML page that can be sent: it opens offline and
+# has no scripts.
+
+
+def analysis_page(title: str, records: Sequence[Record], answers: Sequence[Result]) -> str:
+    """The page's text: each answer with its sentences and picture, then each record as it was read."""
+    parts = [f"<h1>{escape(title)}</h1>", *(section(_question(answer), _answer(answer)) for answer in answers)]
+    parts += [section(record.source or "record", _record(record)) for record in records]
+    return whole_page(title, [*parts, written_by()])
+
+
+def _question(answer: Result) -> str:
+    """What an answer answers, as its heading."""
+    if isinstance(answer, Explanation):
+        return "What the model lacks"
+    return "The model beside the records" if isinstance(answer, Comparison) else type(answer).__name__
+
+
+def _answer(answer: Result) -> str:
+    picture = answer.picture()
+    return f"<pre>{escape(str(answer))}</pre>{svg(picture, len(picture.panels))}"
+
+
+def _record(record: Record) -> str:
+    picture = record.picture()
+    notes = "".join(f"<p>{escape(note)}</p>" for note in record.notes)
+    return f"<p>{escape(str(record))}</p>{notes}{svg(picture, len(picture.panels))}"

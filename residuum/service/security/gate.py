@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
 import re
+import threading
 import time
+from collections import Counter, OrderedDict
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
@@ -15,17 +19,123 @@ from starlette.exceptions import HTTPException
 from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from residuum.service.logs import begin_request
 from residuum.service.problems import problem
-from residuum.service.request_ids import begin_request
 from residuum.service.security.access import ANYBODY, ApiKeys, Caller, Role
 from residuum.service.security.bearer_tokens import BearerTokens
 from residuum.service.security.forwarded import TrustedProxies, origin_of
 from residuum.service.security.http_connections import KNOWN
-from residuum.service.security.rate_limit import RateLimit, retry_after
-from residuum.service.security.refusals import Refusals
 from residuum.service.settings import Settings, is_loopback
 
+# Token buckets: how many requests a client may make, in the long run and at once.
+
+_MOST_CLIENTS = 10_000
+"""Buckets kept; beyond, the client that was silent for longest is forgotten, which fills its bucket."""
+
+
+@dataclass
+class _Bucket:
+    tokens: float
+    at: float
+
+
+class RateLimit:
+    """One bucket a client: it holds `burst` tokens, `rate` come in a second, a request takes one.
+
+    Parameters
+    ----------
+    rate : float
+        Requests a second [1/s] in the long run.
+    burst : float
+        Requests at once.
+    clock : callable
+        Seconds, never running backwards.
+
+    Examples
+    --------
+    >>> limit = RateLimit(rate=2.0, burst=1.0, clock=iter([0.0, 0.0, 0.5]).__next__)
+    >>> limit.wait("a"), limit.wait("a"), limit.wait("a")
+    (0.0, 0.5, 0.0)
+    """
+
+    def __init__(self, rate: float, burst: float, clock: Callable[[], float]) -> None:
+        self._rate = rate
+        self._burst = burst
+        self._clock = clock
+        self._buckets: OrderedDict[str, _Bucket] = OrderedDict()
+
+    def wait(self, client: str) -> float:
+        """Seconds until the client's next request would be taken: 0 when this one is, and then it is counted."""
+        now = self._clock()
+        bucket = self._buckets.pop(client, None) or _Bucket(self._burst, now)
+        self._buckets[client] = bucket
+        if len(self._buckets) > _MOST_CLIENTS:
+            self._buckets.popitem(last=False)
+        bucket.tokens = min(self._burst, bucket.tokens + (now - bucket.at) * self._rate)
+        bucket.at = now
+        if bucket.tokens >= 1.0:
+            bucket.tokens -= 1.0
+            return 0.0
+        return (1.0 - bucket.tokens) / self._rate
+
+
+def retry_after(seconds: float) -> dict[str, str]:
+    """The header that says when to come again: whole seconds, rounded up."""
+    return {"Retry-After": str(max(1, math.ceil(seconds)))}
+
+
+# Refusals: who was turned away, from where and what for, in the log at once, and counted together
+# for the audit trail.
+# Whoever can reach the port can be refused a thousand times a second. So the trail gets an entry
+# for all equal refusals of some seconds, and of more different ones than are kept their number
+# alone.
+
 log = structlog.get_logger()
+
+_MOST = 20
+"""Different refusals that are kept until they are taken."""
+_LONGEST = 100
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """One kind of refusal; `by` is the name of the key, None for one that nobody knows."""
+
+    address: str
+    by: str | None
+    method: str
+    path: str
+    status: int
+
+
+OTHERS = Refusal("many", None, "-", "-", 0)
+"""Stands for all refusals that are more than are kept apart."""
+
+
+class Refusals:
+    """Refusals since they were last taken; safe to use from any thread."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._counted: Counter[Refusal] = Counter()
+
+    def note(self, address: str, by: str | None, method: str, path: str, status: int, reason: str) -> None:
+        """Log a refusal, and count it for the trail."""
+        shown = "".join(each if each.isprintable() else "?" for each in path[:_LONGEST])
+        refusal = Refusal(address[:64], by, method[:10], shown, status)
+        log.warning(
+            "refused", address=refusal.address, key=by, method=refusal.method, path=refusal.path, status=status, reason=reason
+        )
+        with self._lock:
+            known = refusal in self._counted or len(self._counted) < _MOST
+            self._counted[refusal if known else OTHERS] += 1
+
+    def take(self) -> list[tuple[Refusal, int]]:
+        """All, with how often each was; from now on it is counted anew."""
+        with self._lock:
+            taken, self._counted = self._counted, Counter()
+        return list(taken.items())
+
 
 Measure = Callable[[str, str, int, float], None]
 """Told of every answer: (method, route, status, seconds)."""

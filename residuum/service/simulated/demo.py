@@ -25,13 +25,12 @@ from residuum.code_digest import code_digest
 from residuum.diagnosis.diagnosers import DIAGNOSERS
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
-from residuum.service.fieldbus.backoff import Backoff
-from residuum.service.fieldbus.block import Block
+from residuum.service.fieldbus.can.can_bus import FrameSender
 from residuum.service.fieldbus.can.frame_layout import read_dbc
-from residuum.service.fieldbus.can.frame_sender import FrameSender
 from residuum.service.fieldbus.modbus.register_map import read_register_map
 from residuum.service.fieldbus.settings import MAPS, MachineSettings, SecondOpinion, SourceSettings, WindowSettings
-from residuum.service.machines.windows.cut_windows import make_cutter
+from residuum.service.fieldbus.source import Backoff, Block
+from residuum.service.machines.windows import make_cutter
 from residuum.service.simulated.wiring import Wiring, wiring_of
 from residuum.service.work.worker_pool import WorkerPool
 from residuum.simulation import MACHINES, Machine

@@ -13,11 +13,10 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.errors import BadInput
-from residuum.service.fieldbus.can.can_bus import CanBus, open_bus
+from residuum.service.fieldbus.can.can_bus import CanBus, FrameSender, open_bus
 from residuum.service.fieldbus.can.can_source import COMMAND, STATE
 from residuum.service.fieldbus.can.frame_layout import FrameLayout, read_dbc
-from residuum.service.fieldbus.can.frame_sender import FrameSender
-from residuum.service.fieldbus.modbus.device_registers import DeviceRegisters
+from residuum.service.fieldbus.modbus.device_reading import DeviceRegisters
 from residuum.service.fieldbus.modbus.register_map import read_register_map
 from residuum.service.fieldbus.modbus.register_server import RegisterServer
 from residuum.service.fieldbus.settings import MAPS

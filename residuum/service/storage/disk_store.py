@@ -17,11 +17,10 @@ from sqlalchemy.exc import IntegrityError
 from residuum.diagnosis.finding import Finding
 from residuum.identification.errors import in_one_line
 from residuum.identification.record import Record
-from residuum.service.alarms.alarm_rules import AlarmRule
-from residuum.service.alarms.alarm_states import AlarmEvent
+from residuum.service.alarms.alarm_states import AlarmEvent, AlarmRule
 from residuum.service.storage import alarm_rates, audit, retention, time_range
 from residuum.service.storage.blocks import BlockReference, Blocks, BrokenBlock
-from residuum.service.storage.database import Busy, Database, OutcomeUnknown, sqlite_file
+from residuum.service.storage.database import Busy, Database, OutcomeUnknown, SamePlace, sqlite_file
 from residuum.service.storage.outbox import Outbox
 from residuum.service.storage.retention import Clock, Retention
 from residuum.service.storage.rows import (
@@ -36,7 +35,6 @@ from residuum.service.storage.rows import (
     windows,
 )
 from residuum.service.storage.rows.row_checks import check_rows
-from residuum.service.storage.same_place import SamePlace
 from residuum.service.store import (
     Alarm,
     AlarmEntry,

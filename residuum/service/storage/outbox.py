@@ -19,7 +19,7 @@ from sqlalchemy import ColumnElement, Connection, delete, func, insert, or_, sel
 from sqlalchemy.exc import IntegrityError
 
 from residuum.service.storage.database import Database
-from residuum.service.storage.rows import finding_notices, row_checksums
+from residuum.service.storage.rows import finding_notices, row_checks
 from residuum.service.storage.tables import alarm_notices, receivers
 from residuum.service.store import Alarm, StoredFinding
 
@@ -52,7 +52,7 @@ def add(connection: Connection, alarm: Alarm) -> None:
     """Write a notice, after the entry of the audit trail in the same transaction."""
     number = (connection.scalar(select(func.max(alarm_notices.c.number))) or 0) + 1
     row = {"number": number, "alarm": orjson.loads(orjson.dumps(alarm.to_json()))}
-    connection.execute(insert(alarm_notices).values(row_checksums.sealed(alarm_notices, row)))
+    connection.execute(insert(alarm_notices).values(row_checks.sealed(alarm_notices, row)))
     connection.execute(delete(alarm_notices).where(alarm_notices.c.number <= number - MOST_NOTICES))
 
 
@@ -62,7 +62,7 @@ def after(connection: Connection, told: int) -> Notice | None:
     row = connection.execute(query).first()
     if row is None:
         return None
-    alarm = None if row_checksums.differs(alarm_notices, row._mapping) else row.alarm
+    alarm = None if row_checks.differs(alarm_notices, row._mapping) else row.alarm
     return Notice(row.number, alarm, row.number - told - 1)
 
 

@@ -23,10 +23,10 @@ from residuum.robust_control.certificates import StepResponse, control_response,
 from residuum.robust_control.control_problem import ControlProblem, Wishes
 from residuum.robust_control.controller_export import LANGUAGES, DifferenceEquation
 from residuum.robust_control.loop import weighted_loop
-from residuum.robust_control.synthesis.pareto import Point
+from residuum.robust_control.synthesis.constrained_structure import Point
 from residuum.robust_control.synthesis.structured_synthesis import Synthesis
-from residuum.robust_control.weights.nominal_performance import Infeasible, refined
-from residuum.service.views.residual_view import read_identified
+from residuum.robust_control.weights.performance_weight import Infeasible, refined
+from residuum.service.views.signal_view import read_identified
 from residuum.service.work.jobs import Progress
 
 _FREQUENCIES, _TIMES, _SHOWN_PLANTS = 200, 200, 40

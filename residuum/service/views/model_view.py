@@ -6,21 +6,40 @@ The signals come back as records of their own, so that a page can zoom into them
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from datetime import UTC, datetime
+from math import inf
 from typing import Any
 
 import numpy as np
 
 from residuum.array_types import FloatArray
 from residuum.diagnosis.residuals.movement_phases import phase_cells
-from residuum.identification.physics import Experiment, Key, PhysicalModel, load_model, match, read_model
+from residuum.identification.errors import BadModel
+from residuum.identification.physics import (
+    Estimate,
+    Experiment,
+    Key,
+    PhysicalModel,
+    estimate,
+    load_model,
+    match,
+    read_model,
+    with_coloured_noise,
+    write_model,
+)
+from residuum.identification.physics.effects.base import Parameter
+from residuum.identification.physics.files.expression import Call, Name, Node, Number
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.compare import Comparison, compare
+from residuum.identification.residual_analysis.feedback import at_likelier_timing
 from residuum.identification.residual_analysis.places import term_curves
 from residuum.identification.residual_analysis.places.locate import Axis
 from residuum.library.answers.comparison import comparison_json
+from residuum.nearest_names import known_names
 from residuum.service.views.signal_view import extremes
 from residuum.service.work.jobs import Progress
-from residuum.service.work.record_parts import RecordParts
+from residuum.service.work.worker_pool import RecordParts
 
 SHOWN_POINTS = 2500
 """Points of a cloud in all."""
@@ -146,3 +165,190 @@ def _spectra(comparison: Comparison) -> Iterator[dict[str, Any]]:
         amplitude = extremes(np.abs(np.fft.rfft(error))[1:] / np.sqrt(experiment.n), _SPECTRUM_LINES)
         step = amplitude.samples / (experiment.n * experiment.sample_time)
         yield {"of": output.name, "unit": output.unit, "step": step, "amplitude": amplitude.maximum}
+
+
+# Add one effect to a model and estimate it again: the work of the job behind "Add".
+
+ESTIMATED_SHARE = 0.7
+"""Part of each record that the parameters are estimated from; errors are told of the rest."""
+_FEWEST_HELD_OUT = 50
+
+
+def add_effect(
+    progress: Progress,
+    name: str,
+    text: bytes | None,
+    records: Sequence[RecordParts],
+    mapping: Mapping[str, str],
+    effect: str,
+    target: str,
+    values: Mapping[str, float],
+) -> Mapping[str, Any]:
+    """The model with one more effect, all free parameters estimated, and how its error fell.
+
+    The parameters come from the first 70 % of each record, at the input timing that leaves the model with the effect the
+    smaller error; their bands know the colour of the noise. `errors` are RMS simulation errors of every output on the rest
+    (on the same data when the rest is too short: `held_out` says which): of the model as given, with its own parameters
+    estimated, and with the effect. `values` are where the effect's parameters start.
+
+    Raises
+    ------
+    BadModel
+        An effect that does not fit there, or a value outside its bounds.
+    BadRecord, BadUnit, NotIdentifiable
+        Records that do not fit the model, or on which it diverges.
+    """
+    loaded = [Record(*parts) for parts in records]
+    given = model_of(name, text)
+    given.with_effect(effect, target, values)  # refused before anything is estimated
+    matched, experiments = match(given, loaded, mapping)
+    training, held_out = _parts(experiments)
+    progress(0.1, "estimating the model as it is")
+    before = estimate(matched, training)
+    progress(0.4, f"estimating with {effect}")
+    larger = before.model.with_effect(effect, target, values)
+    timed, after = at_likelier_timing(training, lambda tried: with_coloured_noise(estimate(larger, tried), tried))
+    if timed[0] is not training[0]:
+        before = estimate(matched, timed)
+    progress(0.8, "simulating what was held out")
+    checked = [replace(e, hold=t.hold) for e, t in zip(held_out or training, timed, strict=True)]
+    errors = {
+        "as_given": _errors(matched, checked),
+        "re_estimated": _errors(before.model, checked),
+        "with_effect": _errors(after.model, checked),
+    }
+    label = after.model.effects[-1].label
+    found = {
+        "effect": effect,
+        "target": target,
+        "errors": errors,
+        "units": {output.name: output.unit for output in matched.outputs.values()},
+        "held_out": held_out is not None,
+        "parameters": _parameters(after),
+        "converged": after.converged,
+    }
+    provenance = {
+        "added": datetime.now(UTC).isoformat(timespec="seconds"),
+        "records": ", ".join(record.source for record in loaded)[:500],
+        "held_out": held_out is not None,
+        **errors,
+    }
+    return {**found, "file": write_model(after.model.with_provenance(label, provenance)).encode()}
+
+
+def _parts(experiments: Sequence[Experiment]) -> tuple[list[Experiment], list[Experiment] | None]:
+    cuts = [round(ESTIMATED_SHARE * e.n) for e in experiments]
+    if any(e.n - cut < _FEWEST_HELD_OUT for e, cut in zip(experiments, cuts, strict=True)):
+        return list(experiments), None
+    pairs = list(zip(experiments, cuts, strict=True))
+    return [e.window(0, cut) for e, cut in pairs], [e.window(cut, e.n) for e, cut in pairs]
+
+
+def _errors(model: PhysicalModel, experiments: list[Experiment]) -> dict[str, float]:
+    rmse = estimate(model, experiments, free=()).rmse
+    return {name: float(rmse[k]) for k, name in enumerate(model.outputs) if np.isfinite(rmse[k])}
+
+
+def _parameters(result: Estimate) -> dict[str, Any]:
+    declared = result.model.all_parameters
+    values = zip(result.parameters, result.theta, result.std, strict=True)
+    return {
+        name: {"value": float(value), "std": float(std), "unit": declared[name].unit, "at_bound": name in result.at_bound}
+        for name, value, std in values
+    }
+
+
+# A physical model as a page shows it: signals, parameters, balances as expression trees, effects
+# with their history.
+
+
+def describe(model: PhysicalModel) -> dict[str, Any]:
+    """The model as plain values; an expression is a tree of `["+", a, b]`, names (text) and numbers."""
+    return {
+        "name": model.name,
+        "inputs": [
+            {"name": signal.name, "unit": signal.unit, "required": signal.default is None} for signal in model.inputs.values()
+        ],
+        "outputs": [
+            {"name": output.name, "unit": output.unit, "value": _tree(output.value.tree)} for output in model.outputs.values()
+        ],
+        "states": [{"name": state.name, "unit": state.unit, "rate": state.rate} for state in model.states.values()],
+        "parameters": [_parameter(name, parameter) for name, parameter in model.all_parameters.items()],
+        "balances": [
+            {
+                "name": balance.name,
+                "kind": balance.kind,
+                "unit": balance.unit,
+                "storage": _tree(balance.storage.tree),
+                "terms": [{"name": name, "value": _tree(term.tree)} for name, term in balance.terms.items()],
+            }
+            for balance in model.balances.values()
+        ],
+        "effects": [
+            {
+                "effect": use.id,
+                "title": use.effect.title,
+                "equation": use.effect.equation,
+                "target": use.target,
+                "label": use.label,
+                "parameters": [_parameter(name, parameter) for name, parameter in use.parameters.items()],
+                "provenance": dict(use.provenance),
+            }
+            for use in model.effects
+        ],
+    }
+
+
+def _parameter(name: str, parameter: Parameter) -> dict[str, Any]:
+    return {
+        "name": name,
+        "value": parameter.value,
+        "unit": parameter.unit,
+        "lower": parameter.lower,
+        "upper": parameter.upper,
+        "fixed": parameter.fixed,
+        "meaning": parameter.meaning,
+    }
+
+
+def _tree(node: Node) -> Any:
+    if isinstance(node, Number):
+        return node.value
+    if isinstance(node, Name):
+        return node.name
+    if isinstance(node, Call) and node.function == "table":
+        first, *knots = map(_tree, node.operands)
+        return ["table", first, ["[]", *knots[: len(knots) // 2]], ["[]", *knots[len(knots) // 2 :]]]
+    return [node.function if isinstance(node, Call) else node.operator, *map(_tree, node.operands)]
+
+
+# Change values, bounds and fixedness of a model's parameters, its structure as it is.
+
+_UNBOUNDED = {"lower": -inf, "upper": inf}
+
+
+def with_parameters(model: PhysicalModel, changes: Mapping[str, Mapping[str, Any]]) -> str:
+    """The text of the model with some parameters changed.
+
+    `changes` maps a parameter's full name (`R`, `coulomb-friction@shaft.tau_c`) to its new `value`, `lower`, `upper` (None: no
+    bound) or `fixed`. BadModel for an unknown name, or for what no model file may hold (a value outside its bounds).
+    """
+    if unknown := [name for name in changes if name not in model.all_parameters]:
+        known = known_names(unknown[0], model.all_parameters, "there are")
+        raise BadModel(f"model {model.name!r}: no parameter {unknown[0][:60]!r}; {known}")
+    changed = {name: _changed(parameter, changes.get(name, {})) for name, parameter in model.all_parameters.items()}
+    for name, parameter in changed.items():
+        if name in changes and not parameter.lower <= parameter.value <= parameter.upper:
+            bounds = f"{parameter.lower:g} … {parameter.upper:g} {parameter.unit}".rstrip()
+            raise BadModel(f"parameter {name!r}: value {parameter.value:g} must be within {bounds}")
+    effects = tuple(
+        replace(use, parameters={name: changed[f"{use.label}.{name}"] for name in use.parameters}) for use in model.effects
+    )
+    text = write_model(replace(model, parameters={name: changed[name] for name in model.parameters}, effects=effects))
+    read_model(text, model.name)
+    return text
+
+
+def _changed(parameter: Parameter, change: Mapping[str, Any]) -> Parameter:
+    fields: dict[str, Any] = {field: _UNBOUNDED.get(field) if value is None else value for field, value in change.items()}
+    return replace(parameter, **fields)

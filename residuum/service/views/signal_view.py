@@ -6,14 +6,23 @@ Every `interval` keeps its extremes, so a peak of one sample survives any reduct
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from residuum.array_types import FloatArray
+from residuum.diagnosis.residuals.residual_design import ResidualDesign
+from residuum.diagnosis.residuals.residual_detection import Detection, detect
+from residuum.identification.linear_models.identified_model import IdentifiedModel, load_identified
+from residuum.identification.record import Record
+from residuum.library.questions.residual import DesignResidual, RunResidual, residual_for
+from residuum.service.work.jobs import Progress
+from residuum.service.work.worker_pool import RecordParts
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,3 +78,97 @@ def stretch(pieces: Iterator[npt.NDArray[Any]], first: int, last: int) -> Iterat
         if len(here := piece[max(0, first - begin) : max(0, last - begin)]):
             yield here
         begin += len(piece)
+
+
+# What a page draws of a residual generator: residual and statistic over time, and what a fault of
+# some size costs or shows.
+# The work of a job.
+
+_POINTS, _LEVELS = 1500, 200
+
+
+def read_identified(content: bytes) -> IdentifiedModel:
+    """The identified model of a stored file."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "model.json"
+        file.write_bytes(content)
+        return load_identified(file)
+
+
+def view_residual(
+    progress: Progress,
+    content: bytes,
+    healthy: Sequence[RecordParts],
+    record: RecordParts,
+    offset: float | None,
+    asked: DesignResidual,
+    judged: RunResidual,
+) -> Mapping[str, Any]:
+    """Design a residual generator, run it on a record, and on its healthy records with and without a sensor offset.
+
+    Parameters
+    ----------
+    content : bytes
+        File of the identified model.
+    offset : float or None
+        Sensor offset of the receiver operating characteristic [output unit]; None: twice the noise's standard deviation.
+    asked : DesignResidual
+    judged : RunResidual
+
+    Returns
+    -------
+    mapping
+        `time`, `residual` (`lowest`, `highest`), `statistic` and `threshold` of the record; `alarm_time`; `roc`: shares of
+        samples above a level, of healthy data (`false_alarms`) and of the same data with the offset (`detections`), by RMS
+        of the residual.
+
+    Raises
+    ------
+    BadInput
+        Records that do not fit the model, or are too short for its memory.
+    """
+    model = read_identified(content)
+    good, looked_at = [Record(*parts) for parts in healthy], Record(*record)
+    progress(0.1, "designing the residual generator")
+    design = residual_for(model, good, asked)
+    progress(0.7, "running it")
+    found = detect(design, looked_at, **judged.model_dump())
+    size = 2 * design.noise.sigma if offset is None else offset
+    return {**_over_time(design, looked_at, found), "roc": {"offset": size, **_characteristic(design, good, size)}}
+
+
+def _over_time(design: ResidualDesign, record: Record, found: Detection) -> dict[str, Any]:
+    residual, statistic = (np.where(found.signals.valid, values, np.nan) for values in (found.signals.robust, found.statistic))
+    reduced = extremes(residual, _POINTS)
+    level = np.broadcast_to(np.asarray(found.threshold.level, dtype=float), (record.n,))
+    first = found.first_alarm
+    return {
+        "unit": design.model.output_unit,
+        "time": (np.arange(len(reduced.minimum)) * reduced.samples * record.sample_time).tolist(),
+        "lowest": reduced.minimum.tolist(),
+        "highest": reduced.maximum.tolist(),
+        "statistic": extremes(statistic, _POINTS).maximum.tolist(),
+        "threshold": extremes(level, _POINTS).minimum.tolist(),
+        "threshold_unit": found.threshold.unit,
+        "guarantee": found.threshold.guarantee,
+        "alarm_time": None if first is None else first * record.sample_time,
+        "false_alarms_per_day": found.threshold.false_alarms_per_day,
+        "decoupling": design.post_filter.decoupling,
+        "filter_order": design.post_filter.Q.order,
+    }
+
+
+def _characteristic(design: ResidualDesign, healthy: Sequence[Record], offset: float) -> dict[str, Any]:
+    """Share of samples whose windowed RMS residual passes a level, without and with a sensor offset."""
+    output = design.model.output_name
+    shifted = [replace(r, channels={**r.channels, output: r[output] + offset}) for r in healthy]
+    without, with_fault = (np.sort(_statistics(design, records)) for records in (healthy, shifted))
+    levels = np.quantile(np.concatenate([without, with_fault]), np.linspace(1, 0, _LEVELS))
+    shares = [1 - np.searchsorted(values, levels, side="left") / len(values) for values in (without, with_fault)]
+    area = float(np.trapezoid(np.append(0.0, shares[1]), np.append(0.0, shares[0])))
+    return {"level": levels.tolist(), "false_alarms": shares[0].tolist(), "detections": shares[1].tolist(), "area": area}
+
+
+def _statistics(design: ResidualDesign, records: Sequence[Record]) -> FloatArray:
+    found = [detect(design, record, threshold="posterior", evaluation="rms") for record in records]
+    return np.concatenate([each.statistic[each.signals.valid] for each in found])

@@ -17,16 +17,20 @@ from residuum.diagnosis.diagnosers import DIAGNOSERS
 from residuum.diagnosis.finding import Finding
 from residuum.identification.errors import BadInput
 from residuum.nearest_names import known_names
-from residuum.service.broker_address import BrokerAddress
-from residuum.service.machines.baselines.baseline_files import baseline_file
-from residuum.service.machines.baselines.deciding_method import deciding_method
+from residuum.service.broker import BrokerAddress
+from residuum.service.machines.baselines import baseline_file, deciding_method
 from residuum.service.machines.judging.scoring import score_window
 from residuum.service.store import NotFound, StorageUnavailable, Store
-from residuum.service.window_queue.broker_client import broker_client
 from residuum.service.window_queue.set_aside import ATTEMPTS, Attempts, SetAside
-from residuum.service.window_queue.stored_news import StoredNews
-from residuum.service.window_queue.topics import PARTITIONS, receipt_topic, stored_topic, windows_of_part
-from residuum.service.window_queue.window_message import WindowMessage
+from residuum.service.window_queue.stored_windows import StoredNews
+from residuum.service.window_queue.window_message import (
+    PARTITIONS,
+    WindowMessage,
+    broker_client,
+    receipt_topic,
+    stored_topic,
+    windows_of_part,
+)
 from residuum.service.work.worker_pool import WorkerPool
 
 log = structlog.get_logger()

@@ -6,7 +6,10 @@ has begun; one that it has begun several times and never finished is set aside b
 
 from __future__ import annotations
 
+import queue
 import re
+import secrets
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -16,7 +19,9 @@ import orjson
 
 from residuum.identification.errors import BadInput
 from residuum.nearest_names import known_names
+from residuum.service.broker import BrokerAddress
 from residuum.service.storage.durable_folder import make_folder
+from residuum.service.window_queue.window_message import broker_client, receipt_topic
 
 FOLDER = "set-aside"
 ATTEMPTS = 5
@@ -143,3 +148,49 @@ class Attempts:
 
     def _write(self) -> None:
         self._file.write_bytes(orjson.dumps(self._begun))
+
+
+# Messages that were set aside, sent to the scorers once more: each stays in the folder until a
+# scorer says what became of it.
+
+_PATIENCE = 60.0
+"""Seconds for which the broker's, and each scorer's, answer is waited for."""
+
+
+def send_again(
+    address: BrokerAddress, aside: SetAside, messages: Sequence[Poisoned], patience: float = _PATIENCE
+) -> Iterator[tuple[Poisoned, str | None]]:
+    """Send them, the oldest first, under their own keys: what is stored already is stored no second time.
+
+    Gives each with why it was refused anew (and set aside anew), None where it is stored now; it has left the folder then.
+    Raises BadInput where the broker or the message's scorer does not answer, or for one of which no topic was noted.
+    """
+    for message in messages:
+        if not message.topic:
+            raise BadInput(f"{message.name}: was set aside by an older version, which did not note for whom; take it out by --to")
+    gateway, ready, receipts = f"again-{secrets.token_hex(8)}", queue.Queue[None](), queue.Queue[Any]()
+
+    def take(client: Any, message: Any) -> None:
+        receipts.put(orjson.loads(message.payload))
+        client.ack(message.mid, message.qos)
+
+    topics = [receipt_topic(address.prefix, gateway)]
+    client = broker_client(address, gateway, topics, take, lambda: None, kept=False, subscribed=lambda: ready.put(None))
+    try:
+        _waited(ready, patience, f"broker {address.host}:{address.port}: does not let us in; nothing was sent")
+        for message in sorted(messages, key=lambda each: each.name):
+            beginning, _, key = message.topic.rsplit("/", 2)
+            client.publish(f"{beginning}/{gateway}/{key}", aside.payload(message.name), qos=1)
+            receipt = _waited(receipts, patience, f"{message.name}: no scorer says that it has it, so it stays; is one running?")
+            aside.let_go(message.name)
+            yield message, receipt["refused"]
+    finally:
+        client.disconnect()
+        client.loop_stop()
+
+
+def _waited(answers: queue.Queue[Any], patience: float, otherwise: str) -> Any:
+    try:
+        return answers.get(timeout=patience)
+    except queue.Empty:
+        raise BadInput(otherwise) from None

@@ -3,15 +3,121 @@
 from __future__ import annotations
 
 import re
+import sys
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
+from zlib import crc32
 
 import msgpack
 import numpy as np
+import structlog
 
 from residuum.identification.errors import BadInput
 from residuum.nearest_names import known_names
+from residuum.service.broker import BrokerAddress
 from residuum.service.machines.judging.scoring import PlainRecord
+
+# Where on the broker windows, receipts and the news of stored windows are.
+
+PARTITIONS = 64
+"""Parts into which the machines are divided; scorers share them, so there can be at most so many."""
+
+
+def partition_of(asset: str) -> int:
+    """The partition of a machine, the same for ever.
+
+    >>> partition_of("press-1") == partition_of("press-1") < PARTITIONS
+    True
+    """
+    return crc32(asset.encode()) % PARTITIONS
+
+
+def window_topic(prefix: str, asset: str, gateway: str, key: str) -> str:
+    """Where a window is published."""
+    return f"{prefix}/windows/{partition_of(asset)}/{gateway}/{key}"
+
+
+def windows_of_part(prefix: str, part: int, parts: int) -> list[str]:
+    """What the scorer `part` (from 1) of so many subscribes to.
+
+    >>> len(windows_of_part("residuum", 1, 2)) + len(windows_of_part("residuum", 2, 2)) == PARTITIONS
+    True
+    """
+    return [f"{prefix}/windows/{number}/+/+" for number in range(part - 1, PARTITIONS, parts)]
+
+
+def receipt_topic(prefix: str, gateway: str) -> str:
+    """Where a gateway is told which of its windows are stored."""
+    return f"{prefix}/receipts/{gateway}"
+
+
+def stored_topic(prefix: str) -> str:
+    """Where services are told which windows scorers have stored."""
+    return f"{prefix}/stored"
+
+
+# A connection to the MQTT broker that comes back by itself.
+
+log = structlog.get_logger()
+
+_LONGEST_PAUSE = 10
+_KEEP_ALIVE = 20
+
+Take = Callable[[Any, Any], None]
+
+
+def _nobody() -> None:
+    """Told of something that nobody waits for."""
+
+
+def broker_client(
+    address: BrokerAddress,
+    client_id: str,
+    topics: Sequence[str],
+    take: Take,
+    connected: Callable[[], None],
+    *,
+    kept: bool,
+    subscribed: Callable[[], None] = _nobody,
+) -> Any:
+    """A paho client whose network thread runs: subscribed (QoS 1) again after each break, messages acknowledged by hand.
+
+    Parameters
+    ----------
+    address : BrokerAddress
+    client_id : str
+        One connection a name: a second one of the same name ends the first.
+    topics : sequence of str
+    take : callable
+        Told of every message as (client, message), in the network thread.
+    connected : callable
+        Told of every new connection, before any message of it.
+    kept : bool
+        Whether the broker keeps messages for this client while it is away.
+    subscribed : callable
+        Told when the broker has taken the subscription of a new connection: what is published from then on comes.
+    """
+    client = address.client(client_id=client_id, clean_session=not kept, manual_ack=True)
+    client.reconnect_delay_set(1, _LONGEST_PAUSE)
+
+    def on_connect(client: Any, _data: Any, _flags: Any, reason: Any, _properties: Any) -> None:
+        if reason.is_failure:
+            log.warning("the broker refuses us", broker=f"{address.host}:{address.port}", reason=str(reason))
+            return
+        connected()
+        client.subscribe([(topic, 1) for topic in topics])
+
+    def on_connect_fail(_client: Any, _data: Any) -> None:
+        log.warning("the broker does not let us in", broker=f"{address.host}:{address.port}", reason=str(sys.exception()))
+
+    client.on_connect, client.on_connect_fail = on_connect, on_connect_fail
+    client.on_subscribe = lambda *_: subscribed()
+    client.on_message = lambda client, _data, message: take(client, message)
+    client.connect_async(address.host, address.port, keepalive=_KEEP_ALIVE)
+    client.loop_start()
+    return client
+
 
 _VERSION = 1
 _TYPES = ("<f4", "<f8")

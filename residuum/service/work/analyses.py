@@ -23,13 +23,25 @@ from residuum.library.questions.estimate import Estimate
 from residuum.library.questions.identify import Identify
 from residuum.library.questions.missing_effect import Explain, Improve
 from residuum.library.questions.residual import DesignResidual, RunResidual, residual_for
+from residuum.library.virtual_machine import simulated
 from residuum.robust_control.controller_export import LANGUAGES
-from residuum.robust_control.weights.nominal_performance import Infeasible
+from residuum.robust_control.weights.performance_weight import Infeasible
 from residuum.service.views.model_view import model_of
-from residuum.service.views.residual_view import read_identified
+from residuum.service.views.signal_view import read_identified
 from residuum.service.work.jobs import Progress
-from residuum.service.work.large_arrays import keep_large_arrays
-from residuum.service.work.record_parts import RecordParts
+from residuum.service.work.worker_pool import RecordParts, keep_large_arrays, parts_of
+
+# Running a virtual machine as the work of a job.
+
+
+def simulate(
+    progress: Progress, machine: str, effects: Mapping[str, Mapping[str, float] | str], duration: float | None, seed: int
+) -> Mapping[str, Any]:
+    """`record`: the parts of the machine's record, without a word of what is hidden in it."""
+    progress(0.0, "running the virtual machine")
+    record, _ = simulated(machine, effects, None, None, duration, seed, 0, False, {})
+    return {"record": parts_of(record)}
+
 
 MODEL_FILE = "model.yaml"
 """What results and messages call a stored model's file."""

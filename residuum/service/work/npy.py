@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.npy_header import LongHeader, NotNpy, NpyHeader, npy_header
-from residuum.service.bad_bodies import BadBody, TooLarge
+from residuum.service.problems import BadBody, TooLarge
 
 
 def read_npy(body: bytes | memoryview, what: str = "body") -> npt.NDArray[Any]:

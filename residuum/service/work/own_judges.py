@@ -12,13 +12,12 @@ from residuum.diagnosis.diagnosers import DIAGNOSERS
 from residuum.diagnosis.diagnosers.base import Diagnoser
 from residuum.identification.errors import BadInput
 from residuum.library.answers.plain import to_plain
-from residuum.service.machines.baselines.deciding_method import deciding_method
-from residuum.service.machines.baselines.stored_baselines import KIND, newest_baseline
+from residuum.service.machines.baselines import BASELINE, deciding_method, newest_baseline
 from residuum.service.machines.judging.kept_diagnosers import IN_THIS_PROCESS, diagnoser_of_content
 from residuum.service.storage import DiskStore
 from residuum.service.storage.rows import models
 from residuum.service.store import ModelVersion, NotFound, Store
-from residuum.service.work.fleet_source import StoredWindows, stored_in
+from residuum.service.work.fleet import StoredWindows, stored_in
 
 OWN = "own"
 """What is said instead of a diagnoser's name."""
@@ -88,7 +87,7 @@ def _baseline(store: Store, asset: str) -> ModelVersion | None:
         newest = newest_baseline(store, asset)
     except NotFound:
         return None
-    return newest if newest.kind == KIND else None
+    return newest if newest.kind == BASELINE else None
 
 
 def _judge(source: StoredWindows, own: OwnJudge) -> Diagnoser:

@@ -21,7 +21,7 @@ from residuum.identification.npy_header import LONGEST_HEADER
 from residuum.identification.record import Record
 from residuum.identification.record_formats import parse_csv, read_record, unit_to_say
 from residuum.identification.record_formats.loggers.no_value import without_overloads
-from residuum.service.bad_bodies import BadBody, TooLarge
+from residuum.service.problems import BadBody, TooLarge
 from residuum.service.work.npy import read_header
 
 MOST_CHANNELS = 256

@@ -11,9 +11,8 @@ from sklearn.metrics import roc_auc_score
 
 from residuum.diagnosis.diagnosers.bearing import Bearing
 from residuum.diagnosis.finding import Verdict
-from residuum.diagnosis.vibration.bearings.bearing_frequencies import BearingFrequencies, orders_from_geometry
-from residuum.diagnosis.vibration.bearings.bearing_model import faulty_bearing
-from residuum.diagnosis.vibration.bearings.fault_lines import _best, line_evidence
+from residuum.diagnosis.vibration.bearing_lines import BearingFrequencies, _best, line_evidence, orders_from_geometry
+from residuum.diagnosis.vibration.bearings.moving_lines import faulty_bearing
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
 

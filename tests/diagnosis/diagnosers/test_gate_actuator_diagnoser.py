@@ -11,8 +11,7 @@ from sklearn.utils.estimator_checks import check_estimator
 from residuum.diagnosis.diagnosers.base import NotTrained
 from residuum.diagnosis.diagnosers.gate_actuator import GateActuator
 from residuum.diagnosis.gate.movement_features import movement_features
-from residuum.diagnosis.gate.movements import cut_movements
-from residuum.diagnosis.gate.position_domain import average_profile
+from residuum.diagnosis.gate.movements import average_profile, cut_movements
 from residuum.diagnosis.residuals.fault_isolation import RayDistances
 from residuum.identification.errors import BadInput, NotIdentifiable
 from residuum.identification.record import Record

@@ -5,11 +5,11 @@ import pytest
 from sklearn.neighbors import KNeighborsClassifier
 
 from residuum.diagnosis.diagnosers import DIAGNOSERS
+from residuum.diagnosis.gate.actuator_model import NotchMatch
+from residuum.diagnosis.gate.classifier_plane import decision_regions
 from residuum.diagnosis.gate.fmeca import Risk, coverage, criticality_matrix, load_fmeca
 from residuum.diagnosis.gate.gate_baseline import LEAST_NOTCH_LIMIT, NEW_NOTCH_LIMIT, KnownGears
 from residuum.diagnosis.gate.movement_features import envelope_spectrum, fault_indicators, residual_envelope
-from residuum.diagnosis.gate.notch_match import NotchMatch
-from residuum.diagnosis.learning.decision_regions import decision_regions
 from residuum.diagnosis.learning.diagnoser_validation import Validation, mixed_folds, object_wise, proportion_interval
 from residuum.diagnosis.residuals.fault_isolation import source_classifier
 from residuum.diagnosis.thresholds.tails import UpperTail

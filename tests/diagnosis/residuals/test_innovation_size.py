@@ -5,9 +5,8 @@ import pytest
 from scipy import signal, stats
 
 from residuum.diagnosis.residuals.generators.residual_generator import ResidualSignals
-from residuum.diagnosis.residuals.innovation_size import with_unbiased_size
 from residuum.diagnosis.residuals.likelihood_ratio import LikelihoodRatioBank
-from residuum.diagnosis.residuals.noise_model import NoiseModel
+from residuum.diagnosis.residuals.noise_model import NoiseModel, with_unbiased_size
 from residuum.diagnosis.residuals.residual_design import design_residual
 from residuum.diagnosis.thresholds.false_alarm_rate import BLOCK, calibrated_threshold
 from residuum.identification.kernel_based.impulse_response import identify_impulse_response

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from scipy import signal, stats
 
-from residuum.diagnosis.residuals.noise_model import NoiseModel, fit_noise_model
+from residuum.diagnosis.residuals.noise_model import NoiseModel, fit_noise_model, single_sample_law, with_healthy_tail
 from residuum.diagnosis.residuals.residual_design import ResidualDesign, design_residual
 from residuum.diagnosis.residuals.residual_detection import detect
-from residuum.diagnosis.thresholds.healthy_tails import single_sample_law, with_healthy_tail
 from residuum.diagnosis.thresholds.tails import HazardTail, differing_tail, fit_hazard_tail
 from residuum.identification.kernel_based.impulse_response import identify_impulse_response
 from residuum.identification.record import Record

@@ -7,8 +7,7 @@ import pytest
 
 from residuum.diagnosis.diagnosers.bearing import Bearing
 from residuum.diagnosis.finding import Verdict
-from residuum.diagnosis.vibration.bearings.bearing_model import faulty_bearing
-from residuum.diagnosis.vibration.bearings.moving_lines import moving_line
+from residuum.diagnosis.vibration.bearings.moving_lines import faulty_bearing, moving_line
 from residuum.diagnosis.vibration.rotation import is_turning, speed_channel, turns_per_minute, usual_speed
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record

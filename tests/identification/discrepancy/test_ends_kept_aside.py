@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from residuum.identification.discrepancy.joined import first_that_holds
+from residuum.identification.discrepancy.improve import first_that_holds
 from residuum.identification.physics import read_model
 from residuum.identification.record import Record
-from residuum.identification.unseen_blocks.beginning import begun
 from residuum.identification.unseen_blocks.data import matched
 from residuum.identification.unseen_blocks.ladder import climb
+from residuum.identification.unseen_blocks.settling import begun
 
 CART = """
 name: cart

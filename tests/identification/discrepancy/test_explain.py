@@ -10,7 +10,7 @@ from residuum.identification.errors import BadModel, BadRecord
 from residuum.identification.physics import Simulator, load_model, match, read_model, write_model
 from residuum.identification.physics.model import missing_name
 from residuum.identification.record import Record
-from residuum.identification.unseen_blocks.linear_response import linear_response
+from residuum.identification.unseen_blocks.free_term import linear_response
 from residuum.simulation import MACHINES
 
 TANK = """

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import residuum as rs
-from residuum.identification.discrepancy.joined import joined_of
+from residuum.identification.discrepancy.improve import joined_of
 from residuum.identification.unseen_blocks.at_its_rate import searched
 from residuum.identification.unseen_blocks.tried import Wanted
 

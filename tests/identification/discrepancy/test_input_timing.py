@@ -7,7 +7,7 @@ from residuum.identification.discrepancy.explain import explain
 from residuum.identification.discrepancy.improve import improve
 from residuum.identification.physics import estimate, match, read_model
 from residuum.identification.record import Record
-from residuum.identification.residual_analysis.input_timing import at_likelier_timing
+from residuum.identification.residual_analysis.feedback import at_likelier_timing
 
 MASS = """name: mass
 inputs: {force: N}

@@ -10,10 +10,10 @@ from residuum.identification.physics import Key, read_model
 from residuum.identification.physics.effects import EFFECTS
 from residuum.identification.physics.effects.base import Conditions
 from residuum.identification.record import Record
-from residuum.identification.unseen_blocks.beginning import begun
 from residuum.identification.unseen_blocks.data import matched
 from residuum.identification.unseen_blocks.ladder import climb_at_likelier_timing
 from residuum.identification.unseen_blocks.scale import plain
+from residuum.identification.unseen_blocks.settling import begun
 from residuum.identification.unseen_blocks.structure import Structure
 
 AXIS = Path(__file__).with_name("axis.yaml").read_text()

@@ -3,8 +3,7 @@ import pytest
 from scipy import signal
 
 from residuum.identification.errors import BadRecord, NotIdentifiable
-from residuum.identification.kernel_based.multivariable import identify_multivariable
-from residuum.identification.kernel_based.multivariable_file import load_multivariable, multivariable_text
+from residuum.identification.kernel_based.multivariable import identify_multivariable, load_multivariable, multivariable_text
 from residuum.identification.record import Record
 
 UNITS = {"valve": "%", "heater": "kW", "level": "m", "temperature": "K"}

@@ -6,8 +6,7 @@ from scipy import signal
 
 from residuum.identification.errors import NotIdentifiable
 from residuum.identification.linear_models.prediction_error import STRUCTURES, Orders, identify
-from residuum.identification.linear_models.validation.bootstrap import block_bootstrap, cut_into_blocks, weighed
-from residuum.identification.linear_models.validation.residual_check import prediction_errors
+from residuum.identification.linear_models.validation import block_bootstrap, cut_into_blocks, prediction_errors, weighed
 from residuum.identification.record import Record
 
 LAGS = 30

@@ -5,9 +5,8 @@ import pytest
 from scipy.signal import lfilter
 
 from residuum.identification.errors import BadInput, NotIdentifiable
-from residuum.identification.linear_models.error_bounds.error_models import ERROR_MODELS, likeliest_embedding
+from residuum.identification.linear_models.error_bounds.error_models import ERROR_MODELS, laguerre_basis, likeliest_embedding
 from residuum.identification.linear_models.prediction_error import STRUCTURES, identify
-from residuum.identification.linear_models.stochastic_embedding import laguerre_basis
 from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.identification.linear_models.uncertainty import design_uncertainty_weight
 from residuum.identification.record import Record

@@ -5,8 +5,7 @@ import pytest
 from scipy import signal
 
 from residuum.identification.errors import BadInput, BadModel
-from residuum.identification.linear_models.identified_model import IdentifiedModel
-from residuum.identification.linear_models.identified_model_file import load_identified, save_identified
+from residuum.identification.linear_models.identified_model import IdentifiedModel, load_identified, save_identified
 
 OMEGA = np.geomspace(0.05, np.pi / 0.5, 30)
 

@@ -3,9 +3,9 @@ import pytest
 from scipy import signal
 
 from residuum.identification.errors import BadInput, NotIdentifiable
+from residuum.identification.linear_models.error_bounds.error_models import laguerre_basis, stochastic_embedding
 from residuum.identification.linear_models.identified_model import IdentifiedModel
-from residuum.identification.linear_models.stochastic_embedding import laguerre_basis, stochastic_embedding
-from residuum.identification.linear_models.validation.model_error import model_error_model
+from residuum.identification.linear_models.validation import model_error_model
 from residuum.identification.record import Record
 
 UNITS = {"u": "V", "y": "mm"}

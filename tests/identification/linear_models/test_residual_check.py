@@ -6,7 +6,7 @@ from scipy import signal
 
 from residuum.identification.errors import BadInput
 from residuum.identification.linear_models.prediction_error import STRUCTURES, Orders, identify
-from residuum.identification.linear_models.validation.residual_check import prediction_errors, residual_check
+from residuum.identification.linear_models.validation import prediction_errors, residual_check
 from residuum.identification.record import Record
 
 

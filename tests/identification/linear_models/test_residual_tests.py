@@ -4,7 +4,7 @@ from scipy import signal
 
 from residuum.identification.errors import BadInput, NotIdentifiable
 from residuum.identification.linear_models.autoregression import fit_autoregression
-from residuum.identification.linear_models.validation.residual_tests import input_correlation_test, whiteness_test
+from residuum.identification.linear_models.validation import input_correlation_test, whiteness_test
 
 
 def coloured_pair(seed, n=800):

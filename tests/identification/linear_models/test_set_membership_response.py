@@ -6,7 +6,7 @@ from scipy.signal import lfilter
 from scipy.spatial import HalfspaceIntersection
 
 from residuum.identification.errors import BadInput, NotIdentifiable
-from residuum.identification.linear_models.set_membership_response import identify_set_membership
+from residuum.identification.linear_models.set_membership import identify_set_membership
 from residuum.identification.record import Record
 
 G = np.array([0.8, -0.3])

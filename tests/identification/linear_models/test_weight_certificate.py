@@ -3,12 +3,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from residuum.identification.linear_models.error_bounds.drawn_errors import DrawnErrors
+from residuum.identification.linear_models.error_bounds.error_models import DrawnErrors
 from residuum.identification.linear_models.error_bounds.magnitude_fit import fit_magnitude
-from residuum.identification.linear_models.error_bounds.weight_certificate import ABOVE_THE_SEEN, largest_excess
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.linear_models.transfer_function import TransferFunction
-from residuum.identification.linear_models.uncertainty import design_uncertainty_weight, drawn_errors
+from residuum.identification.linear_models.uncertainty import (
+    ABOVE_THE_SEEN,
+    design_uncertainty_weight,
+    drawn_errors,
+    largest_excess,
+)
 from residuum.robust_control.control_problem import average_plant, overall_uncertainty
 
 TS = 0.05

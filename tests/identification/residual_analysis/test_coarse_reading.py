@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from residuum.identification.physics import Experiment
-from residuum.identification.residual_analysis.coarse_reading import reading_variances
-from residuum.identification.residual_analysis.noise.innovations import fit_noises
+from residuum.identification.residual_analysis.noise import fit_noises
+from residuum.identification.residual_analysis.structure_tests import reading_variances
 
 RNG = np.random.default_rng(5)
 SLOW = 20.0 * np.sin(np.arange(4000) / 300.0)

@@ -7,7 +7,7 @@ from residuum.identification.errors import BadRecord
 from residuum.identification.physics import load_model, read_model
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.compare import compare
-from residuum.identification.residual_analysis.noise.noise_floor import noise_floor
+from residuum.identification.residual_analysis.noise import noise_floor
 from residuum.library.answers.comparison import comparison_text
 from residuum.simulation.gate_drive import GateDrive
 

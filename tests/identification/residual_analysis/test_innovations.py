@@ -6,10 +6,8 @@ from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 from scipy.stats import t
 
-from residuum.identification.residual_analysis.noise.coloured_noise import ColouredNoise
-from residuum.identification.residual_analysis.noise.innovation_sums import log_density, squared_scale
-from residuum.identification.residual_analysis.noise.innovations import fit_noises
-from residuum.identification.residual_analysis.policy.noise import FREEDOM
+from residuum.identification.residual_analysis.noise import ColouredNoise, fit_noises, log_density, squared_scale
+from residuum.identification.residual_analysis.policy import FREEDOM
 
 
 def coloured(n, rho, seed=0):

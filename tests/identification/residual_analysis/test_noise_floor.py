@@ -4,17 +4,17 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter, welch
 
-from residuum.identification.residual_analysis.noise import noise_floor
-from residuum.identification.residual_analysis.noise.noise_floor import floor_under_drift
-from residuum.identification.residual_analysis.policy.noise import UNDER_STRUCTURE
+from residuum.identification.residual_analysis import noise
+from residuum.identification.residual_analysis.noise import floor_under_drift
+from residuum.identification.residual_analysis.policy import UNDER_STRUCTURE
 
 
 @pytest.mark.parametrize("length", [64, 255, 1024])
 def test_spectrum_is_that_of_scipy(length):
     x = np.cumsum(np.random.default_rng(length).standard_normal(5000))
     frequency, power = welch(x, nperseg=length, detrend="linear")
-    found = noise_floor._spectra(noise_floor._windows(x, length)).mean(axis=0)
-    own, fast = noise_floor._fast_frequencies(length, noise_floor.LOWEST_FREQUENCY)
+    found = noise._spectra(noise._windows(x, length)).mean(axis=0)
+    own, fast = noise._fast_frequencies(length, noise.LOWEST_FREQUENCY)
     assert np.array_equal(own, frequency)
     assert found[fast] == pytest.approx(power[fast], rel=1e-9)
 
@@ -23,8 +23,8 @@ def test_an_error_that_swings_in_the_fast_part_is_no_noise():
     rng = np.random.default_rng(3)
     swings = lfilter([0.1], [1.0, -1.8 * np.cos(2 * np.pi * 0.03), 0.81], lfilter([0.2], [1.0, -0.8], rng.normal(size=20_000)))
     error = [20.0 * swings + rng.normal(size=20_000)]
-    assert noise_floor.noise_floor(error) > 10.0
-    assert noise_floor.noise_floor(error, lowest=UNDER_STRUCTURE) == pytest.approx(1.0, rel=0.3)
+    assert noise.noise_floor(error) > 10.0
+    assert noise.noise_floor(error, lowest=UNDER_STRUCTURE) == pytest.approx(1.0, rel=0.3)
 
 
 def drawn(noise, error, rng):

@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import lfilter
 
 from residuum.identification.errors import BadInput
-from residuum.identification.residual_analysis.noise.coloured_noise import ColouredNoise, fit_coloured_noise
+from residuum.identification.residual_analysis.noise import ColouredNoise, fit_coloured_noise
 from residuum.identification.residual_analysis.structured_error import lasting_noise
 from residuum.identification.residual_analysis.structured_error import test_structured_error as structured_error
 

@@ -6,8 +6,7 @@ import pytest
 from residuum.identification.physics import read_model
 from residuum.identification.record import Record
 from residuum.identification.unseen_blocks.at_its_rate import searched
-from residuum.identification.unseen_blocks.coarser import coarser
-from residuum.identification.unseen_blocks.data import matched
+from residuum.identification.unseen_blocks.data import coarser, matched
 from residuum.identification.unseen_blocks.tried import Wanted
 
 AXIS = """

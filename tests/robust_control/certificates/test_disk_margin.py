@@ -7,7 +7,7 @@ from residuum.identification.errors import BadInput
 from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.robust_control.certificates import disk_margin, loop_responses
 from residuum.robust_control.loop import characteristic
-from residuum.robust_control.synthesis.controller_structure import PIDN
+from residuum.robust_control.synthesis.constrained_structure import PIDN
 
 TS = 0.05
 PLANT = TransferFunction([2.0], [1.0, 0.4, 1.0]).discretise(TS)

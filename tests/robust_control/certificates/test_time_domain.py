@@ -7,7 +7,7 @@ from benchmarks.promise_in_time import cases
 from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.robust_control.certificates import Measured, StepResponse, control_response, step_response
 from residuum.robust_control.control_problem import ControlProblem, Wishes
-from residuum.robust_control.synthesis.controller_structure import PIDN
+from residuum.robust_control.synthesis.constrained_structure import PIDN
 
 TS = 1.0
 

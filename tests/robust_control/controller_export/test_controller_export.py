@@ -11,7 +11,7 @@ from residuum.identification.errors import BadInput
 from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.robust_control.certificates import step_response
 from residuum.robust_control.controller_export import DifferenceEquation, c_source, structured_text
-from residuum.robust_control.synthesis.controller_structure import PIDN
+from residuum.robust_control.synthesis.constrained_structure import PIDN
 
 TS = 0.05
 CONTROLLER = PIDN(TS).transfer_function(np.array([0.4, 0.7, 0.05, 0.2]))

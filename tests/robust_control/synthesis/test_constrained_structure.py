@@ -6,10 +6,9 @@ import pytest
 from residuum.identification.errors import BadInput
 from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.robust_control.loop import Loop, Weights, frequency_grid
-from residuum.robust_control.synthesis.constrained_structure import Constrained
-from residuum.robust_control.synthesis.controller_structure import PI, PID, PIDN, Rational
+from residuum.robust_control.synthesis.constrained_structure import PI, PID, PIDN, Constrained, Rational
 from residuum.robust_control.synthesis.structured_synthesis import synthesise
-from residuum.robust_control.weights.reference_model import ReferenceModel
+from residuum.robust_control.weights.performance_weight import ReferenceModel
 
 TS = 0.05
 PLANT = TransferFunction([2.0], [1.0, 1.2, 1.0]).discretise(TS)

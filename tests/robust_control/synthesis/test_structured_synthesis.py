@@ -8,12 +8,16 @@ from residuum.identification.errors import BadInput
 from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.robust_control.certificates import RobustAim, assess, design_for_robust_performance, step_response
 from residuum.robust_control.loop import Loop, Weights, frequency_grid
-from residuum.robust_control.synthesis.controller_structure import PI, PIDN, LeadLag, Rational
-from residuum.robust_control.synthesis.pareto import Point, bisected_front, preferred
+from residuum.robust_control.synthesis.constrained_structure import PI, PIDN, LeadLag, Point, Rational, bisected_front, preferred
 from residuum.robust_control.synthesis.structured_synthesis import NoStabilisingStart, default_starts, synthesise
-from residuum.robust_control.weights.nominal_performance import Infeasible, NominalAim, design_for_nominal_performance
-from residuum.robust_control.weights.performance_weight import MonotoneWeight
-from residuum.robust_control.weights.reference_model import ReferenceModel, shortest_settling_time
+from residuum.robust_control.weights.performance_weight import (
+    Infeasible,
+    MonotoneWeight,
+    NominalAim,
+    ReferenceModel,
+    design_for_nominal_performance,
+    shortest_settling_time,
+)
 
 TS = 0.05
 PLANT = TransferFunction([2.0], [1.0, 1.2, 1.0]).discretise(TS)

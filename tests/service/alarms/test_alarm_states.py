@@ -6,14 +6,16 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 
-from residuum.service.alarms.alarm_rules import AlarmRule, beyond, in_deadband
 from residuum.service.alarms.alarm_states import (
     ACTIVE,
     AlarmEvent,
+    AlarmRule,
     AlarmState,
     AlarmStatus,
     IllegalTransition,
+    beyond,
     follow,
+    in_deadband,
     operate,
     unjudged,
 )

@@ -8,9 +8,8 @@ from residuum.diagnosis.diagnosers.bearing import Bearing
 from residuum.diagnosis.diagnosers.gate_actuator import GateActuator
 from residuum.diagnosis.diagnosers.robust_residual import RobustResidual
 from residuum.identification.errors import BadInput
-from residuum.service.machines.baselines.baseline_training import train_baseline
-from residuum.service.machines.baselines.deciding_method import choose_method, chosen_method, deciding_method
-from residuum.service.work.record_parts import parts_of
+from residuum.service.machines.baselines import choose_method, chosen_method, deciding_method, train_baseline
+from residuum.service.work.worker_pool import parts_of
 
 ADDRESS = "/api/v1/assets/plant/method"
 

@@ -13,7 +13,7 @@ import pytest
 from residuum.diagnosis.finding import Finding
 from residuum.identification.record import Record
 from residuum.identification.record_formats import read_record
-from residuum.service.machines.adding.bus_description import bus_description
+from residuum.service.machines.adding import bus_description
 from residuum.service.memory_budget import MemoryBudget, TooBusy
 from residuum.service.storage import DiskStore
 from residuum.service.storage.rows.paging import PAGE_BYTES

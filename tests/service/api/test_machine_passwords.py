@@ -5,9 +5,9 @@ import pytest
 
 pytest.importorskip("google.protobuf", reason="the extra 'sparkplug' is not installed: its passwords were not tried")
 
+from residuum.service.broker import with_hidden_password
 from residuum.service.fieldbus import SOURCES
 from residuum.service.fieldbus.settings import SourceSettings
-from residuum.service.hidden_password import with_hidden_password
 
 SECRET = "se:cr@t"
 METRICS = "{node: Plant/Press, streams: {s: {sample_time: 0.1, channels: {acceleration: {metric: a, unit: m/s²}}}}}"

@@ -4,8 +4,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from residuum.identification.unseen_blocks.candidate import Quantity
-from residuum.identification.unseen_blocks.held_value import HeldValue
+from residuum.identification.unseen_blocks.next_experiment import HeldValue
+from residuum.identification.unseen_blocks.verdict import Quantity
 from residuum.identification.work import Work
 from residuum.library.answers.explanation import explanation_text
 from residuum.library.answers.quantities import sizes_text

@@ -5,7 +5,7 @@ import re
 
 import pytest
 
-from residuum.identification.discrepancy import joined
+from residuum.identification.discrepancy import improve
 from residuum.identification.physics import load_model
 from residuum.identification.record import Record
 from residuum.identification.record_formats import write_record
@@ -38,7 +38,7 @@ def test_sizes_are_told_as_they_are_in_the_model_file(record_file, tmp_path, cap
 
 def test_nothing_is_written_where_all_that_is_named_would_make_the_model_worse(record_file, tmp_path, capsys, monkeypatch):
     """The friction of this record is real; here its error on what is kept aside is said to have risen."""
-    monkeypatch.setattr(joined, "first_that_holds", lambda *_: None)
+    monkeypatch.setattr(improve, "first_that_holds", lambda *_: None)
     out = tmp_path / "worse.yaml"
     asked = ["improve", "gate-drive", str(record_file), "--auto", "--effects", "coulomb-friction", "--out", str(out)]
     assert run([*asked, "--json"]) == DONE

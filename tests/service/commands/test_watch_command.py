@@ -9,7 +9,7 @@ import yaml
 from residuum.service.cli import run
 from residuum.service.fieldbus.can.frame_layout import BadBusDescription
 from residuum.service.fieldbus.modbus.register_map import RegisterMap, read_register_map
-from residuum.service.fieldbus.modbus.register_table import register_map_of
+from residuum.service.fieldbus.modbus.register_server import register_map_of
 from residuum.service.settings import SETTINGS_FILE, load_settings
 
 RIG = Path(__file__).parents[3] / "docs" / "tutorials" / "fan_rig"

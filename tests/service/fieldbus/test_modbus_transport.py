@@ -13,8 +13,7 @@ import pytest
 from pymodbus.transport import ModbusProtocol
 
 import residuum.service.fieldbus
-from residuum.service.fieldbus.modbus.device_reading import read_device
-from residuum.service.fieldbus.modbus.device_registers import DeviceRegisters
+from residuum.service.fieldbus.modbus.device_reading import DeviceRegisters, read_device
 from residuum.service.fieldbus.modbus.modbus_source import ModbusSource
 from residuum.service.fieldbus.modbus.register_map import read_register_map
 from residuum.service.fieldbus.modbus.register_server import RegisterServer

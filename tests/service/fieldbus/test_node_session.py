@@ -4,14 +4,14 @@ from itertools import islice
 
 import pytest
 
-from residuum.service.fieldbus.block import StreamFormat
 from residuum.service.fieldbus.health import SourceHealth
+from residuum.service.fieldbus.source import StreamFormat
 from residuum.service.fieldbus.stamped_samples import StampedSamples
 
 pytest.importorskip("google.protobuf", reason="the extra 'sparkplug' is not installed: Sparkplug was not tried")
 from residuum.service.fieldbus.opcua.reported_changes import ReportedChanges
-from residuum.service.fieldbus.sparkplug.node_session import NodeMessage, NodeSession
 from residuum.service.fieldbus.sparkplug.sparkplug_payload import BadPayload, Metric, Payload, number_of, pack, unpack
+from residuum.service.fieldbus.sparkplug.sparkplug_source import NodeMessage, NodeSession
 
 TAHU = bytes.fromhex(
     "08fbd095ffbc3112210a0b4d6f746f722f5370656564100318e4d095ffbc31200a69000000000022974012081004200250ffff03120e0a084d6f746f"

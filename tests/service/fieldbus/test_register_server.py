@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from pymodbus.client import AsyncModbusTcpClient
 
-from residuum.service.fieldbus.modbus.device_registers import DeviceRegisters
+from residuum.service.fieldbus.modbus.device_reading import DeviceRegisters
 from residuum.service.fieldbus.modbus.register_map import float_registers, read_register_map
 from residuum.service.fieldbus.modbus.register_server import RegisterServer
 from residuum.service.fieldbus.settings import MAPS

@@ -17,7 +17,7 @@ from paho.mqtt.enums import CallbackAPIVersion
 from benchmarks import sparkplug as campaign
 from residuum.diagnosis.finding import Finding
 from residuum.identification.record import Record
-from residuum.service.broker_address import broker_address
+from residuum.service.broker import broker_address
 from residuum.service.cli import BAD_INPUT, DONE, run
 from residuum.service.fieldbus import SOURCES
 from residuum.service.fieldbus.can.frame_layout import BadBusDescription
@@ -29,7 +29,7 @@ from residuum.service.fieldbus.sparkplug.sparkplug_source import REBIRTH, Sparkp
 from residuum.service.finding_metrics import FindingMetrics
 from residuum.service.settings import BadSettings, load_settings
 from residuum.service.storage import DiskStore
-from residuum.service.window_queue.stored_news import StoredNews
+from residuum.service.window_queue.stored_windows import StoredNews
 
 STEP = 0.02
 

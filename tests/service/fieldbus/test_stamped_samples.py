@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from residuum.service.fieldbus.block import StreamFormat
 from residuum.service.fieldbus.health import SourceHealth
 from residuum.service.fieldbus.sequence import BREAK
+from residuum.service.fieldbus.source import StreamFormat
 from residuum.service.fieldbus.stamped_samples import StampedSamples
 
 STEP = 0.1

@@ -1,6 +1,6 @@
 """What a table of registers leaves out is said when it is read, not when a model is held against it."""
 
-from residuum.service.machines.adding.bus_description import bus_description
+from residuum.service.machines.adding import bus_description
 
 
 def test_signals_without_a_unit_are_named():

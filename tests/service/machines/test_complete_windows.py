@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from residuum.identification.record import Record
-from residuum.service.machines.baselines.training_windows import training_windows
-from residuum.service.machines.windows.complete_windows import complete_windows, used_by
+from residuum.service.machines.baselines import training_windows
+from residuum.service.machines.windows import complete_windows, used_by
 from residuum.service.store import Conflict
 
 CHANNELS = {"voltage": "U", "speed": "n"}

@@ -3,7 +3,7 @@
 import numpy as np
 
 from residuum.identification.record import Record
-from residuum.service.machines.baselines.healthy_windows import joined, parted
+from residuum.service.machines.baselines import joined, parted
 
 LIFE = Record({"u": np.arange(1000.0), "y": np.sin(np.arange(1000.0))}, {"u": "V", "y": "m"}, 0.1, t0=50.0)
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from residuum.identification.errors import BadInput
-from residuum.service.fieldbus.block import Block, StreamFormat
 from residuum.service.fieldbus.sequence import BREAK
 from residuum.service.fieldbus.settings import WindowSettings
-from residuum.service.machines.windows.cut_windows import make_cutter
+from residuum.service.fieldbus.source import Block, StreamFormat
+from residuum.service.machines.windows import make_cutter
 
 GATE = StreamFormat("drive", 0.001, {"speed": "rad/s", "phase": ""})
 PLANT = StreamFormat("process", 0.1, {"u": "", "y": ""})

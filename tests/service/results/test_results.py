@@ -17,9 +17,8 @@ from residuum.identification.record import Record
 from residuum.service.api import results
 from residuum.service.cli import BAD_INPUT, DONE, run
 from residuum.service.results.month_report import month_report
-from residuum.service.results.parquet_tables import write_windows
+from residuum.service.results.parquet_tables import month_of, span_of, write_windows
 from residuum.service.results.report_page import report_page
-from residuum.service.results.time_span import month_of, span_of
 from residuum.service.storage import DiskStore
 from residuum.service.storage.database import Database, newest_revision
 from residuum.service.storage.retention import Retention

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from residuum.service.security import rate_limit
-from residuum.service.security.rate_limit import RateLimit, retry_after
+from residuum.service.security import gate
+from residuum.service.security.gate import RateLimit, retry_after
 
 
 class Clock:
@@ -41,7 +41,7 @@ def test_who_waits_as_long_as_told_is_taken_and_others_do_not_matter():
 
 
 def test_clients_are_forgotten_oldest_first(monkeypatch):
-    monkeypatch.setattr(rate_limit, "_MOST_CLIENTS", 2)
+    monkeypatch.setattr(gate, "_MOST_CLIENTS", 2)
     limit = RateLimit(rate=1.0, burst=1.0, clock=Clock())
     assert [limit.wait(client) for client in ("a", "b", "a")] == [0.0, 0.0, 1.0]
     assert limit.wait("c") == 0.0  # b goes

@@ -5,10 +5,10 @@ from datetime import UTC, datetime, timedelta
 import pytest
 
 from residuum.diagnosis.finding import Finding
-from residuum.service.alarms.alarm_rules import AlarmRule
+from residuum.service.alarms.alarm_states import AlarmRule
 from residuum.service.storage import alarm_rates
 from residuum.service.storage.database import Database
-from residuum.service.storage.rows import alarms, assets, row_checksums
+from residuum.service.storage.rows import alarms, assets, row_checks
 from residuum.service.storage.tables import alarms as rows
 
 PLAIN = AlarmRule()
@@ -63,7 +63,7 @@ def test_delays_deadband_and_latch_hold_for_stored_alarms(database):
         assert see(connection, "a", "healthy", 985, rule) == []
         (cleared,) = see(connection, "a", "healthy", 955, rule)
         assert (cleared.state, cleared.condition) == ("unacknowledged", False)
-        row_checksums.change(connection, rows, raised.id, lambda _row: {"condition": True})
+        row_checks.change(connection, rows, raised.id, lambda _row: {"condition": True})
         near = Finding("bearing", "healthy", indicators={"rms": 0.95}, thresholds={"rms": 1.0}, reason="-")
         assert alarms.follow(connection, "a", None, near, NOW, AlarmRule(deadband=0.1)) == []
         assert len(alarms.follow(connection, "a", None, near, NOW, AlarmRule())) == 1

@@ -6,7 +6,7 @@ import shutil
 import pytest
 from playwright.sync_api import expect, sync_playwright
 
-from residuum.service.alarms.alarm_rules import AlarmRule
+from residuum.service.alarms.alarm_states import AlarmRule
 
 PATIENCE = 60_000  # milliseconds; two busy cores take long to read the chart library
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")

@@ -13,7 +13,7 @@ from residuum.diagnosis.diagnosers.gate_actuator import GateActuator
 from residuum.diagnosis.diagnosers.robust_residual import RobustResidual
 from residuum.diagnosis.finding import Finding
 from residuum.identification.record import Record
-from residuum.service.alarms.alarm_rules import AlarmRule
+from residuum.service.alarms.alarm_states import AlarmRule
 from residuum.service.security.access import new_key
 from residuum.service.storage.retention import Retention
 from residuum.service.store import NotFound

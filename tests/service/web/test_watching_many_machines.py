@@ -11,11 +11,10 @@ from sqlalchemy import select, update
 
 from residuum.diagnosis.finding import Finding
 from residuum.identification.record import Record
-from residuum.service.alarms.alarm_rules import AlarmRule
-from residuum.service.alarms.alarm_states import AlarmEvent
+from residuum.service.alarms.alarm_states import AlarmEvent, AlarmRule
 from residuum.service.security.access import new_key
 from residuum.service.storage import tables
-from residuum.service.storage.rows import row_checksums
+from residuum.service.storage.rows import row_checks
 
 SIZES = [(1440, 900), (390, 844)]
 RECORD = Record({"y": np.random.default_rng(3).normal(size=200)}, {"y": "m/s²"}, 1e-3)
@@ -144,7 +143,7 @@ def set_back(service, by):
         for table in (tables.findings, tables.alarm_journal):
             for number, at in connection.execute(select(table.c.id, table.c.at)).all():
                 connection.execute(update(table).where(table.c.id == number).values(at=at - by, checksum=None))
-        row_checksums.seal_rows_of_old(connection, "0009")
+        row_checks.seal_rows_of_old(connection, "0009")
 
 
 @pytest.fixture

@@ -15,13 +15,13 @@ from residuum.diagnosis.finding import Finding
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
 from residuum.service.alarms.notifications import Broker
-from residuum.service.broker_address import BrokerTls, broker_address
+from residuum.service.broker import BrokerTls, broker_address
 from residuum.service.cli import DONE, run
 from residuum.service.fieldbus import SOURCES
 from residuum.service.fieldbus.settings import SourceSettings
 from residuum.service.fieldbus.sparkplug.edge_node import EdgeNode
 from residuum.service.settings import BadSettings, load_settings
-from residuum.service.window_queue.broker_client import broker_client
+from residuum.service.window_queue.window_message import broker_client
 
 # paho leaves the connection of a handshake that failed to the collector
 pytestmark = pytest.mark.filterwarnings("ignore:unclosed <ssl.SSLSocket:ResourceWarning")

@@ -12,15 +12,13 @@ import pytest
 from residuum.diagnosis.finding import Finding
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
-from residuum.service.broker_address import broker_address
+from residuum.service.broker import broker_address
 from residuum.service.fieldbus.settings import MachineSettings, SourceSettings, WindowSettings
 from residuum.service.storage import DiskStore
-from residuum.service.window_queue.gateway import Gateway
+from residuum.service.window_queue.gateway import Gateway, Spool
 from residuum.service.window_queue.scorer import Scorer
-from residuum.service.window_queue.spool import Spool
-from residuum.service.window_queue.stored_news import StoredNews
-from residuum.service.window_queue.stored_windows import Told
-from residuum.service.window_queue.topics import stored_topic
+from residuum.service.window_queue.stored_windows import StoredNews, Told
+from residuum.service.window_queue.window_message import stored_topic
 from residuum.service.work.worker_pool import WorkerPool
 
 PATIENCE = 120

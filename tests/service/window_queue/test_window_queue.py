@@ -15,17 +15,22 @@ import pytest
 from residuum.diagnosis.diagnosers.robust_residual import RobustResidual
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
-from residuum.service.broker_address import broker_address
+from residuum.service.broker import broker_address
 from residuum.service.cli import run
 from residuum.service.fieldbus.settings import MachineSettings, SourceSettings, WindowSettings
-from residuum.service.machines.baselines.deciding_method import choose_method
+from residuum.service.machines.baselines import choose_method
 from residuum.service.machines.judging.scoring import PlainRecord
 from residuum.service.storage import DiskStore
-from residuum.service.window_queue.gateway import Gateway
+from residuum.service.window_queue.gateway import Gateway, Spool
 from residuum.service.window_queue.set_aside import SetAside
-from residuum.service.window_queue.spool import Spool
-from residuum.service.window_queue.topics import PARTITIONS, partition_of, receipt_topic, window_topic, windows_of_part
-from residuum.service.window_queue.window_message import WindowMessage
+from residuum.service.window_queue.window_message import (
+    PARTITIONS,
+    WindowMessage,
+    partition_of,
+    receipt_topic,
+    window_topic,
+    windows_of_part,
+)
 
 PATIENCE = 600
 ASSETS = ("press-1", "press-2", "press-3", "press-4")

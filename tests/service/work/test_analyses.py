@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import lfilter
 
 from residuum.identification.errors import BadInput
-from residuum.identification.linear_models.identified_model_file import identified_text
+from residuum.identification.linear_models.identified_model import identified_text
 from residuum.identification.record import Record
 from residuum.library.model import model
 from residuum.library.plant import identified
@@ -16,7 +16,7 @@ from residuum.library.questions.missing_effect import Explain
 from residuum.library.questions.residual import DesignResidual, RunResidual
 from residuum.service.work import analyses
 from residuum.service.work.analyses import Asked
-from residuum.service.work.record_parts import parts_of
+from residuum.service.work.worker_pool import parts_of
 
 ASKED = Identify(input="u", output="y", order=20, delay=1)
 

@@ -22,11 +22,10 @@ from residuum.identification.errors import BadInput
 from residuum.identification.record_formats import read_record
 from residuum.library.questions.identify import Identify
 from residuum.service.cli import run
-from residuum.service.machines.baselines.deciding_method import choose_method
+from residuum.service.machines.baselines import choose_method
 from residuum.service.storage import DiskStore
-from residuum.service.work import fleet_source
-from residuum.service.work.fleet import open_executor, run_fleet
-from residuum.service.work.fleet_work import Reidentify, Rescore
+from residuum.service.work import fleet
+from residuum.service.work.fleet import Reidentify, Rescore, open_executor, run_fleet
 from residuum.service.work.worker_pool import WorkerPool
 
 
@@ -216,14 +215,14 @@ def test_an_s3_bucket_gives_what_the_folder_gives_and_is_gone_on_with(s3, files,
 
 def test_a_bucket_that_goes_away_ends_the_run_and_refuses_no_file(tmp_path):
     fsspec = pytest.importorskip("fsspec", reason="the extra 'fleet' is not installed: no bucket was tried")
-    fleet_source._file_system.cache_clear()
+    fleet._file_system.cache_clear()
 
     class Away(fsspec.AbstractFileSystem):
         def open(self, *_, **__):
             raise KeyError("an error of a library's own")
 
     fsspec.register_implementation("away", Away, clobber=True)
-    work = Rescore("bearing", None, fleet_source.Bucket("away://bucket"))
+    work = Rescore("bearing", None, fleet.Bucket("away://bucket"))
     done = json.dumps({"file": "a.csv", "by": work.mark, "refused": "-"}) + "\n"
     (tmp_path / "r").write_text(done)
     with ThreadPoolExecutor(1) as executor, pytest.raises(BadInput, match=r"b\.csv: cannot be reached: KeyError .* to go on"):
@@ -315,4 +314,4 @@ def test_a_reidentified_model_is_the_identified_one(tmp_path):
 def test_files_of_an_older_format_are_records_of_a_folder(tmp_path):
     for name in ("new.mf4", "OLD.MDF", "notes.md"):
         (tmp_path / name).write_bytes(b"")
-    assert [Path(item).name for item in fleet_source.Folder(str(tmp_path)).items()] == ["OLD.MDF", "new.mf4"]
+    assert [Path(item).name for item in fleet.Folder(str(tmp_path)).items()] == ["OLD.MDF", "new.mf4"]

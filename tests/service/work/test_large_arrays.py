@@ -9,7 +9,7 @@ import pytest
 _MEASURE = """
 import threading, numpy as np
 from pathlib import Path
-from residuum.service.work.large_arrays import give_back_large_arrays
+from residuum.service.work.worker_pool import give_back_large_arrays
 if {given_back}:
     assert give_back_large_arrays()
 
@@ -43,7 +43,7 @@ def test_large_arrays_leave_no_mark():
 _FAULTS = """
 import resource
 import numpy as np
-from residuum.service.work.large_arrays import keep_large_arrays
+from residuum.service.work.worker_pool import keep_large_arrays
 if {kept}:
     assert keep_large_arrays()
 for _ in range(20):

@@ -8,18 +8,356 @@ use it as they use any covariance; section 1.4.3 and Remark 2.9 of the source.
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
+from scipy import linalg, signal
 
-from residuum.array_types import FloatArray
-from residuum.identification.errors import BadInput, NotIdentifiable
+from residuum.array_types import ComplexArray, FloatArray
+from residuum.identification.blas_threads import one_thread_if_small
+from residuum.identification.errors import BadInput, BadModel, NotIdentifiable
+from residuum.identification.kernel_based.gram import RegressionSums
+from residuum.identification.kernel_based.impulse_response import check_settings, maximise, provenance, scaled_sums
+from residuum.identification.kernel_based.kernels import KERNELS
+from residuum.identification.kernel_based.lagged_data import lagged_data
+from residuum.identification.kernel_based.marginal_likelihood import marginal_likelihood
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.linear_models.set_membership import feasible_set
-from residuum.identification.linear_models.stochastic_embedding import laguerre_basis, stochastic_embedding
-from residuum.identification.linear_models.validation.model_error import model_error_model, residual_record
+from residuum.identification.linear_models.validation import model_error_model, residual_record
 from residuum.identification.record import Record
+
+# A frequency grid on which an error envelope hides nothing between its points.
+# On a fixed grid a resonance or a near zero of the nominal response can lie between two points; a
+# bound that was fitted to the points then fails there. The envelope is built from responses that
+# are trigonometric polynomials or ratios of them, so what it does within the angle π/m of the
+# highest lag m is smooth except where the nominal response nearly vanishes. The grid therefore
+# has points enough for the highest lag, the minima of the nominal response, and then halves each
+# interval whose middle lies above the line through its ends.
+
+Envelope = Callable[[FloatArray], FloatArray]
+
+_DECADES, _LOGARITHMIC = 5.5, 600
+_POINTS_A_LAG, _FINE = 4, 30
+"""Points of the linear grid, and of the one on which minima of the nominal response are looked for, a lag."""
+_MINIMA = 60
+OFF_THE_LINE = 0.005
+"""By how much a middle may lie above the line through its neighbours, in parts."""
+_ROUNDS, _MOST = 12, 6000
+_NARROWEST = 1e-6
+"""Interval, in parts of its frequency, that is not halved further."""
+
+
+def refined_grid(
+    envelope: Envelope,
+    nominal: Callable[[FloatArray], ComplexArray],
+    lags: int,
+    sample_time: float,
+    asked: FloatArray | None = None,
+) -> tuple[FloatArray, FloatArray]:
+    """Frequencies [rad/s] and the envelope there: between them it lies below the lines through its points, within `OFF_THE_LINE`.
+
+    Parameters
+    ----------
+    envelope : callable
+        ω, shape (k,) → Ω(ω), shape (k,), always of the same random models.
+    nominal : callable
+        ω → the nominal response.
+    lags : int
+        Highest power of z in the responses.
+    asked : array or None
+        Frequencies [rad/s] that the grid has, none below the first; None: 600 over five and a half decades.
+
+    Notes
+    -----
+    Halving ends after `_ROUNDS` rounds or `_MOST` points; what is left between them is the caller's to check.
+    """
+    nyquist = math.pi / sample_time
+    given = np.geomspace(nyquist / 10**_DECADES, nyquist, _LOGARITHMIC) if asked is None else np.append(asked, nyquist)
+    omega = np.unique(
+        np.concatenate(
+            [
+                given,
+                nyquist * np.arange(1, _POINTS_A_LAG * lags + 1) / (_POINTS_A_LAG * lags),
+                _minima(nominal, lags, nyquist),
+            ]
+        )
+    )
+    omega = omega[(omega >= given[0]) & (omega <= nyquist)]
+    apart = np.append(True, np.diff(omega) > _NARROWEST * omega[1:])
+    omega = omega[apart | np.isin(omega, given)]
+    values = envelope(omega)
+    doubtful = np.append(np.ones(len(omega) - 1, dtype=bool), False)  # by the point that an interval begins at
+    for _ in range(_ROUNDS):
+        left = np.flatnonzero(doubtful)
+        left = left[omega[left + 1] > omega[left] * (1.0 + _NARROWEST)]
+        if not len(left) or len(omega) + len(left) > _MOST:
+            break
+        middle = np.sqrt(np.maximum(omega[left], 0.1 * omega[left + 1]) * omega[left + 1])  # from ω = 0: a tenth
+        seen = envelope(middle)
+        line = np.sqrt(values[left] * values[left + 1])  # the middle of a straight line in (ln ω, ln Ω)
+        doubtful[left] = above = seen > line * (1.0 + OFF_THE_LINE)
+        order = np.argsort(np.concatenate([omega, middle]))
+        omega, values, doubtful = (np.concatenate(pair)[order] for pair in ((omega, middle), (values, seen), (doubtful, above)))
+    return omega, values
+
+
+def _minima(nominal: Callable[[FloatArray], ComplexArray], lags: int, nyquist: float) -> FloatArray:
+    """Where the nominal response is smallest beside its neighbours, found on a fine grid and by parabolas through it."""
+    omega = nyquist * np.arange(1, _FINE * lags + 1) / (_FINE * lags)
+    power = np.abs(nominal(omega)) ** 2
+    inner = np.flatnonzero((power[1:-1] < power[:-2]) & (power[1:-1] <= power[2:])) + 1
+    inner = inner[np.argsort(power[inner])[:_MINIMA]]
+    step = omega[1] - omega[0]
+    bend = power[inner - 1] - 2 * power[inner] + power[inner + 1]
+    shift = 0.5 * np.divide(power[inner - 1] - power[inner + 1], bend, out=np.zeros(len(inner)), where=bend > 0)
+    return np.asarray(omega[inner] + step * np.clip(shift, -0.5, 0.5))
+
+
+def asked_grid(sample_time: float, points: int | None, lowest: float | None) -> FloatArray | None:
+    """The logarithmic grid [rad/s] up to π/Ts of so many points from a lowest frequency on; None: neither was asked for.
+
+    Raises BadInput when the lowest frequency does not lie between 0 and π/Ts.
+    """
+    if points is None and lowest is None:
+        return None
+    nyquist = np.pi / sample_time
+    low = nyquist / 10**_DECADES if lowest is None else lowest
+    if not 0 < low < nyquist:
+        raise BadInput(f"lowest frequency {low:g}: must lie between 0 and the Nyquist frequency, {nyquist:.6g} rad/s")
+    return np.asarray(np.geomspace(low, nyquist, points or _LOGARITHMIC))
+
+
+# Errors of drawn models as ratios of polynomials, so that they can be evaluated, and bounded,
+# between frequencies too.
+
+Polynomials = tuple[FloatArray, FloatArray]
+FORMS = ("multiplicative", "additive", "inverse-multiplicative")
+_VALUES_AT_ONCE = 2_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class DrawnErrors:
+    """|A_i(e^{jωTs})| / |B_i(e^{jωTs})|, the error of each drawn model against a nominal one.
+
+    Parameters
+    ----------
+    numerators : array, shape (n, p)
+        A_i in ascending powers of z⁻¹.
+    denominators : array, shape (n, q) or (1, q)
+        B_i in ascending powers of z⁻¹.
+    sample_time : float
+        Ts [s].
+    form : {"multiplicative", "additive", "inverse-multiplicative"}
+        G_i/G₀ − 1, G_i − G₀, or 1 − G₀/G_i.
+    """
+
+    numerators: FloatArray
+    denominators: FloatArray
+    sample_time: float
+    form: str
+
+    @classmethod
+    def of(cls, drawn: Polynomials, nominal: Polynomials, sample_time: float, form: str) -> DrawnErrors:
+        """Errors of G_i = N_i/D_i against G₀ = N₀/D₀, coefficient rows in ascending powers of z⁻¹."""
+        (N, D), (N0, D0) = drawn, nominal
+        mixed = _times(N, D0)
+        difference = _sum(mixed, -_times(D, N0))
+        below = {"multiplicative": _times(D, N0), "additive": _times(D, D0), "inverse-multiplicative": mixed}[form]
+        return cls(difference, below, sample_time, form)
+
+    @classmethod
+    def joined(cls, parts: Sequence[DrawnErrors]) -> DrawnErrors:
+        """The errors of several sets of models together."""
+        numerators, denominators = ([getattr(part, name) for part in parts] for name in ("numerators", "denominators"))
+        p, q = (max(rows.shape[1] for rows in many) for many in (numerators, denominators))
+        if all(len(rows) == 1 and np.array_equal(_padded(rows, q), _padded(denominators[0], q)) for rows in denominators):
+            below = _padded(denominators[0], q)
+        else:
+            below = np.vstack(
+                [np.broadcast_to(_padded(b, q), (len(a), q)) for a, b in zip(numerators, denominators, strict=True)]
+            )
+        return cls(np.vstack([_padded(rows, p) for rows in numerators]), below, parts[0].sample_time, parts[0].form)
+
+    @property
+    def lags(self) -> int:
+        """Highest lag of the polynomials."""
+        return max(self.numerators.shape[1], self.denominators.shape[1]) - 1
+
+    def envelope(self, omega: npt.ArrayLike) -> FloatArray:
+        """Ω(ω) = max_i |A_i|/|B_i| (2.21), shape of `omega`.
+
+        Raises
+        ------
+        BadModel
+            A denominator is zero at a frequency, where a relative error means nothing.
+        """
+        omega = np.asarray(omega, dtype=float)
+        largest = np.empty(len(omega))
+        step = max(1, _VALUES_AT_ONCE // len(self.numerators))
+        for first in range(0, len(omega), step):
+            part = omega[first : first + step]
+            above, below = (magnitude(rows, part * self.sample_time) for rows in (self.numerators, self.denominators))
+            smallest = 1e-14 * np.abs(self.denominators).sum(axis=1, keepdims=True)
+            if (below <= smallest).any():
+                zero = part[np.argmax((below <= smallest).any(axis=0))]
+                raise BadModel(
+                    f"uncertainty weight: the response is zero at {zero:g} rad/s, where no {self.form} error exists; use additive"
+                )
+            largest[first : first + step] = (above / below).max(axis=0)
+        return np.maximum(largest, np.finfo(float).tiny)
+
+
+def magnitude(rows: FloatArray, angle: FloatArray) -> FloatArray:
+    """|Σ_k a_k e^{−jkθ}| of each row, shape (rows, angles)."""
+    phase = np.multiply.outer(np.arange(rows.shape[1]), angle)
+    return np.asarray(np.hypot(rows @ np.cos(phase), rows @ np.sin(phase)))
+
+
+def _times(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Products of polynomials row by row; a single row goes with every row of the other."""
+    long, short = (a, b) if a.shape[1] >= b.shape[1] else (b, a)
+    product = np.zeros((max(len(a), len(b)), a.shape[1] + b.shape[1] - 1))
+    for k in range(short.shape[1]):
+        product[:, k : k + long.shape[1]] += short[:, k : k + 1] * long
+    return product
+
+
+def _sum(a: FloatArray, b: FloatArray) -> FloatArray:
+    size = max(a.shape[1], b.shape[1])
+    return _padded(a, size) + _padded(b, size)
+
+
+def _padded(rows: FloatArray, size: int) -> FloatArray:
+    return np.pad(rows, ((0, 0), (0, size - rows.shape[1])))
+
+
+# Stochastic embedding: a simple nominal model, and the error of its simplicity as a random
+# impulse response.
+
+
+@dataclass(frozen=True, eq=False)
+class StochasticEmbedding:
+    """The nominal model, whose covariance holds bias and variance, and the two parts of that covariance, shape (m, m)."""
+
+    nominal: IdentifiedModel
+    bias_covariance: FloatArray
+    variance_covariance: FloatArray
+
+
+def laguerre_basis(pole: float, functions: int, order: int) -> FloatArray:
+    """Impulse responses of the first Laguerre functions, orthonormal, shape (order, functions).
+
+    L_k(z) = √(1−p²)/(z−p) · ((1−pz)/(z−p))^{k−1}.
+
+    >>> basis = laguerre_basis(0.5, 3, 200)
+    >>> bool(np.allclose(basis.T @ basis, np.eye(3)))
+    True
+    """
+    if not -1 < pole < 1 or not 1 <= functions <= order:
+        raise BadInput(
+            f"Laguerre basis: pole {pole} must lie inside ±1 and {functions} functions between 1 and the order {order}"
+        )
+    columns = [signal.lfilter([math.sqrt(1 - pole**2)], [1, -pole], np.eye(1, order)[0])]
+    while len(columns) < functions:
+        columns.append(signal.lfilter([-pole, 1], [1, -pole], columns[-1]))
+    return np.stack(columns, axis=1)
+
+
+def stochastic_embedding(
+    records: Record | Sequence[Record],
+    input: str,
+    output: str,
+    *,
+    basis: npt.ArrayLike,
+    kernel: str = "dc",
+    delay: int = 1,
+    offset: bool = True,
+) -> StochasticEmbedding:
+    """Identify g = B θ + δ: a nominal model in the span of a few basis functions, and a random error δ ~ N(0, λ K(α)).
+
+    θ̂ = (BᵀRB)⁻¹BᵀΦᵀy is least squares. λ, α and σ² maximise the likelihood of the data from which θ was eliminated. With Π =
+    B (BᵀRB)⁻¹ BᵀR, the error of the nominal model is
+
+        Cov(Bθ̂ − g) = (Π − I) λK (Π − I)ᵀ + σ² B (BᵀRB)⁻¹ Bᵀ      (bias + variance)
+
+    Goodwin, Gevers, Ninness, IEEE Trans. Automatic Control 37 (1992) 913–928; (1.124) of the source.
+
+    Parameters
+    ----------
+    records, input, output, delay, offset
+        As in `identify_impulse_response`.
+    basis : array, shape (m, p)
+        Impulse responses B of the basis functions, e.g. `laguerre_basis`.
+    kernel : str
+        Prior of δ. What a basis leaves over swings around zero, which `dc` can express; with `di`, the prior of the
+        reference, and `tc` the 95 % ellipses covered the truth at 40–60 % of the frequencies in our tests, with `dc` at 94–95 %.
+
+    Raises
+    ------
+    NotIdentifiable
+        The input does not excite the basis, or there are too few rows.
+    """
+    started = time.perf_counter()
+    B = np.atleast_2d(np.asarray(basis, dtype=float))
+    check_settings(kernel, len(B), delay, "marginal")
+    data = lagged_data(records, [input], output, len(B), delay, offset=offset)
+    R = data.sums.gram
+    with one_thread_if_small(len(R)):
+        inverse = _inverse(B.T @ R @ B, data.sums.rows)
+        theta = inverse @ B.T @ data.sums.cross
+        scaled, input_scale, output_scale = scaled_sums(_without_nominal(data.sums, B, inverse), 1)
+        likelihood = marginal_likelihood(scaled, KERNELS[kernel])
+        x, value = maximise(likelihood)
+        variance = output_scale**2 * likelihood.posterior(x).noise_variance
+    [(eta, kappa)] = likelihood.hyper_parameters(x)
+    scale = kappa * variance / float(input_scale[0]) ** 2
+    left = B @ inverse @ B.T @ R - np.eye(len(B))
+    bias = left @ (scale * KERNELS[kernel].matrix(len(B), eta)) @ left.T
+    spread = variance * B @ inverse @ B.T
+    names = [item.name for item in KERNELS[kernel].parameters]
+    nominal = IdentifiedModel(
+        method=f"stochastic-embedding-{kernel}",
+        sample_time=data.sample_time,
+        impulse_response=B @ theta,
+        covariance=bias + spread,
+        noise_variance=variance,
+        input_name=input,
+        input_unit=data.input_units[0],
+        output_name=output,
+        output_unit=data.output_unit,
+        delay=delay,
+        offset=data.offset(B @ theta),
+        hyper_parameters={**dict(zip(names, map(float, eta), strict=True)), "scale": scale},
+        negative_log_likelihood=value + likelihood.n * math.log(output_scale),
+        provenance=provenance(data, "marginal", started),
+    )
+    return StochasticEmbedding(nominal, bias, spread)
+
+
+def _inverse(normal: FloatArray, rows: int) -> FloatArray:
+    try:
+        return np.asarray(linalg.cho_solve(linalg.cho_factor(normal), np.eye(len(normal))))
+    except linalg.LinAlgError:
+        raise NotIdentifiable(f"stochastic embedding: {rows} rows do not excite the {len(normal)} basis functions") from None
+
+
+def _without_nominal(sums: RegressionSums, B: FloatArray, inverse: FloatArray) -> RegressionSums:
+    """The sums after B θ was eliminated, as a constant level is: each basis function takes one degree of freedom."""
+    RB, b = sums.gram @ B, B.T @ sums.cross
+    return RegressionSums(
+        sums.gram - RB @ inverse @ RB.T,
+        sums.cross - RB @ inverse @ b,
+        sums.energy - float(b @ inverse @ b),
+        sums.rows,
+        sums.regressor_sum,
+        sums.output_sum,
+        sums.fitted_offsets + B.shape[1],
+    )
+
 
 _LAGS, _LEAST_LAGS = 100, 20
 _SET_LAGS, _SET_ROWS = 20, 4000

@@ -12,15 +12,12 @@
 ([0.6], [1.0, 0.4])
 """
 
-from residuum.identification.linear_models.prediction_error.armax import ARMAX
-from residuum.identification.linear_models.prediction_error.arx import AR, ARX, FIR
 from residuum.identification.linear_models.prediction_error.base import Structure
-from residuum.identification.linear_models.prediction_error.box_jenkins import BoxJenkins
-from residuum.identification.linear_models.prediction_error.confidence import in_confidence_ellipsoid
+from residuum.identification.linear_models.prediction_error.criterion import Orders
 from residuum.identification.linear_models.prediction_error.identify import identify
 from residuum.identification.linear_models.prediction_error.order_selection import CRITERIA
-from residuum.identification.linear_models.prediction_error.output_error import OutputError
-from residuum.identification.linear_models.prediction_error.polynomials import Orders
+from residuum.identification.linear_models.prediction_error.result import in_confidence_ellipsoid
+from residuum.identification.linear_models.prediction_error.structures import AR, ARMAX, ARX, FIR, BoxJenkins, OutputError
 
 STRUCTURES: dict[str, Structure] = {
     "ar": AR(),

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from typing import ClassVar
 
 from residuum.array_types import FloatArray
+from residuum.identification.linear_models.prediction_error.criterion import Orders
 from residuum.identification.linear_models.prediction_error.data import Signals
-from residuum.identification.linear_models.prediction_error.polynomials import Orders
 from residuum.identification.linear_models.prediction_error.starts import FirstValues
 
 

@@ -13,7 +13,7 @@ from residuum.identification.blas_threads import one_thread_if_small
 from residuum.identification.errors import BadInput, NotIdentifiable
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.linear_models.prediction_error.base import Structure
-from residuum.identification.linear_models.prediction_error.criterion import Criterion
+from residuum.identification.linear_models.prediction_error.criterion import Criterion, Orders, Polynomials
 from residuum.identification.linear_models.prediction_error.data import Signals, signals
 from residuum.identification.linear_models.prediction_error.multistart import best_fit, rough_fit
 from residuum.identification.linear_models.prediction_error.order_selection import (
@@ -25,7 +25,6 @@ from residuum.identification.linear_models.prediction_error.order_selection impo
     negative_log_likelihood,
     record_folds,
 )
-from residuum.identification.linear_models.prediction_error.polynomials import Orders, Polynomials
 from residuum.identification.linear_models.prediction_error.result import description, identified_model, orders_text
 from residuum.identification.linear_models.prediction_error.search import Minimum
 from residuum.identification.linear_models.prediction_error.starts import FirstValues

@@ -7,9 +7,8 @@ import numpy as np
 from residuum.array_types import FloatArray
 from residuum.identification.errors import NotIdentifiable
 from residuum.identification.linear_models.prediction_error.base import Structure
-from residuum.identification.linear_models.prediction_error.criterion import Criterion
+from residuum.identification.linear_models.prediction_error.criterion import Criterion, Orders
 from residuum.identification.linear_models.prediction_error.data import Signals
-from residuum.identification.linear_models.prediction_error.polynomials import Orders
 from residuum.identification.linear_models.prediction_error.result import orders_text
 from residuum.identification.linear_models.prediction_error.search import Minimum, minimise
 from residuum.identification.linear_models.prediction_error.starts import FirstValues

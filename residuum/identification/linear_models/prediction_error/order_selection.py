@@ -26,10 +26,9 @@ import numpy as np
 from residuum.array_types import FloatArray
 from residuum.identification.errors import NotIdentifiable
 from residuum.identification.linear_models.prediction_error.base import Structure
-from residuum.identification.linear_models.prediction_error.criterion import Criterion
+from residuum.identification.linear_models.prediction_error.criterion import Criterion, Orders
 from residuum.identification.linear_models.prediction_error.data import Signals
 from residuum.identification.linear_models.prediction_error.multistart import rough_fit
-from residuum.identification.linear_models.prediction_error.polynomials import Orders
 from residuum.identification.linear_models.prediction_error.search import Minimum
 from residuum.identification.linear_models.prediction_error.starts import FirstValues
 

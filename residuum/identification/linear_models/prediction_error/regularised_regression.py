@@ -28,12 +28,12 @@ from residuum.array_types import FloatArray
 from residuum.identification.blas_threads import one_thread_if_small
 from residuum.identification.errors import BadInput, NotIdentifiable
 from residuum.identification.linear_models.identified_model import IdentifiedModel
-from residuum.identification.linear_models.prediction_error.arx import ARX, FIR
+from residuum.identification.linear_models.prediction_error.criterion import Orders, Polynomials
 from residuum.identification.linear_models.prediction_error.data import Signals, signals
 from residuum.identification.linear_models.prediction_error.order_selection import block_folds
-from residuum.identification.linear_models.prediction_error.polynomials import Orders, Polynomials
 from residuum.identification.linear_models.prediction_error.result import description, identified_model
 from residuum.identification.linear_models.prediction_error.starts import regression
+from residuum.identification.linear_models.prediction_error.structures import ARX, FIR
 from residuum.identification.record import Record
 from residuum.nearest_names import known_names
 

@@ -8,9 +8,8 @@ import numpy as np
 from scipy.linalg import hankel
 
 from residuum.array_types import FloatArray
+from residuum.identification.linear_models.prediction_error.criterion import Orders, Polynomials, filtered, reflected
 from residuum.identification.linear_models.prediction_error.data import Signals
-from residuum.identification.linear_models.prediction_error.filtering import filtered
-from residuum.identification.linear_models.prediction_error.polynomials import Orders, Polynomials, reflected
 
 _HIGHEST_ARX = 40
 _REFINEMENTS = 6

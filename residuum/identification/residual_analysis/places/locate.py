@@ -3,21 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 
 from residuum.array_types import FloatArray
-from residuum.identification.residual_analysis.policy.answers import (
+from residuum.identification.physics import Experiment, PhysicalModel, Simulator
+from residuum.identification.physics.simulate.kalman import Smoothed
+from residuum.identification.record import Record
+from residuum.identification.residual_analysis.noise import stretches
+from residuum.identification.residual_analysis.policy import (
     FEWEST_IN_A_BIN,
     LOCATION_BINS,
     LOCATION_SCORE,
+    MOST_REGIONS,
     ONE_WAY,
     STANDSTILL_REGION,
+    STANDSTILL_SPEED,
     WIDEST_REGION,
 )
+from residuum.identification.residual_analysis.structured_error import StructuredError
+from residuum.identification.units import compatible
 
 
 @dataclass(frozen=True, eq=False)
@@ -241,3 +249,117 @@ def _words(axis: Axis, interval: _Interval, direction: str | None, times_noise: 
     if not np.isfinite(times_noise):
         return f"the model fails {place}{only}: the error has no noise beside it"
     return f"the model fails {place}{only}: the error is {float(f'{times_noise:.2g}'):g} times the noise"
+
+
+# The signals of a model along which its error is looked at.
+
+
+def signal_axes(model: PhysicalModel, experiment: Experiment, X: FloatArray, record: Record | None = None) -> list[Axis]:
+    """Inputs, states, variables that balances define, recorded temperatures and time, as axes of one record.
+
+    `X` are the states along which to look, shape (n, states), from a simulation or a smoother. A state or variable that
+    is measured carries the name of its output.
+    """
+    roles = _roles(model)
+    shown = {output.value.text.strip(): name for name, output in model.outputs.items()}
+    axes = [
+        Axis(name, signal.unit, roles.get(name, "input"), experiment.U[:, k])
+        for k, (name, signal) in enumerate(model.inputs.items())
+        if not signal.absent
+    ]
+    simulator = Simulator(model)
+    for k, name in enumerate(simulator.states):
+        unit = model.states[name].unit if name in model.states else ""
+        axes.append(Axis(shown.get(name, name), unit, roles.get(name, "other"), X[:, k]))
+    look = simulator.look(experiment, X)
+    for balance in model.balances.values():
+        if balance.defines is not None and balance.defines in look:
+            name = balance.defines
+            axes.append(Axis(shown.get(name, name), _unit_of_output(model, name), roles.get(name, "other"), look[name]))
+    if record is not None:
+        axes += _recorded_temperatures(record, {axis.name for axis in axes})
+    axes.append(Axis("time", "s", "time", experiment.sample_time * np.arange(experiment.n, dtype=np.float64)))
+    return axes
+
+
+def direction_of_movement(axes: Sequence[Axis]) -> FloatArray | None:
+    """Sign of the first velocity among the axes, zero near standstill; None without one."""
+    velocity = next((axis.values for axis in axes if axis.kind == "velocity"), None)
+    if velocity is None or not np.any(np.isfinite(velocity)):
+        return None
+    return np.asarray(np.where(np.abs(velocity) > STANDSTILL_SPEED * np.nanmax(np.abs(velocity)), np.sign(velocity), 0.0))
+
+
+def _roles(model: PhysicalModel) -> Mapping[str, str]:
+    kinds = {"ambient": "temperature"}
+    return {name: kinds.get(role, role) for balance in model.balances.values() for role, name in balance.variables.items()}
+
+
+def _unit_of_output(model: PhysicalModel, variable: str) -> str:
+    units = [output.unit for output in model.outputs.values() if output.value.text.strip() == variable]
+    return units[0] if units else {"current": "A"}.get(_roles(model).get(variable, ""), "")
+
+
+def _recorded_temperatures(record: Record, known: set[str]) -> list[Axis]:
+    found = [name for name in record.names if name not in known and record.units[name] and compatible(record.units[name], "K")]
+    return [Axis(name, record.units[name], "temperature", np.asarray(record[name], dtype=float)) for name in found]
+
+
+# Where structured outputs and their balances' missing terms are large.
+
+
+def regions(
+    model: PhysicalModel,
+    experiments: Sequence[Experiment],
+    residuals: Sequence[FloatArray],
+    smoothed: Sequence[Smoothed],
+    axes: Sequence[Sequence[Axis]],
+    floors: Mapping[str, float],
+    structured: Mapping[str, StructuredError],
+) -> tuple[Region, ...]:
+    """Regions of every axis and of frequency, the most telling first; none when no output's error is structured.
+
+    `floors` is the noise floor of each output; a missing term is compared with the width of its own band.
+    """
+    present = [name for name, test in structured.items() if test.present]
+    if not present:
+        return ()
+    joined = [replace(axis, values=np.concatenate([a[k].values for a in axes])) for k, axis in enumerate(axes[0])]
+    direction = direction_of_movement(joined)
+    found: list[Region] = []
+    for name in present:
+        errors = [residual[:, list(model.outputs).index(name)] for residual in residuals]
+        memory = max(structured[name].noise.time_constant, 1.0)
+        error = np.concatenate(errors)
+        found += locate(error, joined, noise_rms=floors[name], of=name, direction=direction, correlation_samples=memory)
+        amplitude, frequency = _spectrum(errors, experiments)
+        found += locate(amplitude, [frequency], noise_rms=floors[name], of=name)
+    for balance in smoothed[0].missing:
+        term = np.concatenate([s.missing[balance].value for s in smoothed])
+        band = float(np.median(np.concatenate([s.missing[balance].std for s in smoothed])))
+        memory = _correlation_samples(term)
+        found += locate(term, joined, noise_rms=band, of=balance, direction=direction, correlation_samples=memory)
+    return tuple(sorted(found, key=lambda region: -region.score)[:MOST_REGIONS])
+
+
+def _spectrum(errors: Sequence[FloatArray], experiments: Sequence[Experiment]) -> tuple[FloatArray, Axis]:
+    """Amplitudes |E(f)|/√n of the longest stretch (white noise of RMS σ gives RMS σ), and their frequencies [Hz]."""
+    parts = [
+        (error[part], e.sample_time)
+        for error, e in zip(errors, experiments, strict=True)
+        for part in stretches(np.isfinite(error))
+    ]
+    longest, sample_time = max(parts, key=lambda part: len(part[0]))
+    amplitude = np.abs(np.fft.rfft(longest)) / np.sqrt(len(longest))
+    frequency = np.arange(1, amplitude.shape[0], dtype=np.float64) / (len(longest) * sample_time)
+    return amplitude[1:], Axis("frequency", "Hz", "frequency", frequency)
+
+
+def _correlation_samples(x: FloatArray) -> float:
+    """Lag at which the autocorrelation of x has fallen below 1/e, at least 1."""
+    centred = x - x.mean()
+    size = 1 << (2 * len(x) - 1).bit_length()
+    spectrum = np.fft.rfft(centred, size)
+    correlation = np.fft.irfft(np.abs(spectrum) ** 2, size)[: len(x)]
+    below = np.flatnonzero(correlation < correlation[0] / np.e)
+    return float(max(1, below[0] if below.size else len(x)))

@@ -12,11 +12,11 @@ from residuum.identification.errors import BadRecord
 from residuum.identification.record import Record
 from residuum.identification.record_formats.even_time import resampled, resampling
 from residuum.identification.record_formats.options import ReadOptions
-from residuum.service.fieldbus.block import Samples
 from residuum.service.fieldbus.can.can_log import read_can_log
 from residuum.service.fieldbus.can.frame_layout import BusMessages, read_dbc
 from residuum.service.fieldbus.can.logged_messages import LoggedMessage, logged_messages
 from residuum.service.fieldbus.settings import map_file
+from residuum.service.fieldbus.source import Samples
 
 _MOST_SAMPLES = 100_000_000
 _MOST_TRIMMED = 0.01

@@ -9,13 +9,11 @@ import can
 import numpy as np
 import numpy.typing as npt
 
-from residuum.service.fieldbus.backoff import Backoff
-from residuum.service.fieldbus.block import Block, StreamFormat
 from residuum.service.fieldbus.can.can_bus import CanBus, open_bus
 from residuum.service.fieldbus.can.frame_batch import FrameBatch
 from residuum.service.fieldbus.can.frame_layout import BadBusDescription, BusMessages, FrameLayout
 from residuum.service.fieldbus.sequence import BREAK, Placed, SequenceCounter
-from residuum.service.fieldbus.source import FaultsUnavailable, Sink, Source
+from residuum.service.fieldbus.source import Backoff, Block, FaultsUnavailable, Sink, Source, StreamFormat
 
 _POLL = 0.1
 _GATHER = 0.01

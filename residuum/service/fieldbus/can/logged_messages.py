@@ -8,11 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from residuum.service.fieldbus.block import Numbers, Samples
 from residuum.service.fieldbus.can.can_log import CanLog, TimedFrame
 from residuum.service.fieldbus.can.frame_batch import EXTENDED
-from residuum.service.fieldbus.can.frame_layout import BadBusDescription, BusMessages, FrameLayout
-from residuum.service.fieldbus.can.signal_bits import Bytes
+from residuum.service.fieldbus.can.frame_layout import BadBusDescription, BusMessages, Bytes, FrameLayout
+from residuum.service.fieldbus.source import Numbers, Samples
 
 _SAME_TIME = 0.01
 _SHARED = 0.2

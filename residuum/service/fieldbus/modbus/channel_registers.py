@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BeforeValidator, Field, model_validator
 
-from residuum.service.fieldbus.block import Samples
+from residuum.service.fieldbus.source import Samples
 from residuum.service.fieldbus.strict_model import StrictModel
 
 Registers = npt.NDArray[np.uint16]

@@ -11,23 +11,22 @@ from typing import Any
 import numpy as np
 from pymodbus.exceptions import ModbusException
 
-from residuum.service.fieldbus.backoff import Backoff
-from residuum.service.fieldbus.block import Block, StreamFormat
 from residuum.service.fieldbus.modbus.channel_registers import Registers
 from residuum.service.fieldbus.modbus.device_reading import MISSING, ChannelReading, readings_of
 from residuum.service.fieldbus.modbus.modbus_client import BadReply, CheckedModbusClient, DeviceRefused
-from residuum.service.fieldbus.modbus.register_blocks import PolledStream, read_blocks
 from residuum.service.fieldbus.modbus.register_map import (
     MOST_REGISTERS,
     Pages,
+    PolledStream,
     RegisterMap,
     StreamRegisters,
     float_registers,
+    read_blocks,
     read_page,
     registers_float,
 )
 from residuum.service.fieldbus.sequence import BREAK
-from residuum.service.fieldbus.source import FaultsUnavailable, Sink, Source
+from residuum.service.fieldbus.source import Backoff, Block, FaultsUnavailable, Sink, Source, StreamFormat
 
 _LEAST_PERIOD = 0.1
 _STATE_PERIOD = 1.0

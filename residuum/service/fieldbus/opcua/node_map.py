@@ -22,9 +22,9 @@ from typing import Literal
 import yaml
 from pydantic import Field
 
-from residuum.service.fieldbus.block import StreamFormat
 from residuum.service.fieldbus.can.frame_layout import BadBusDescription
 from residuum.service.fieldbus.map_text import read_map
+from residuum.service.fieldbus.source import StreamFormat
 from residuum.service.fieldbus.strict_model import StrictModel
 
 

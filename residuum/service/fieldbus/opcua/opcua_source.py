@@ -23,13 +23,11 @@ from cryptography.hazmat.primitives import serialization
 
 from residuum.identification.errors import in_one_line
 from residuum.nearest_names import nearest_names
-from residuum.service.fieldbus.backoff import Backoff
-from residuum.service.fieldbus.block import StreamFormat
+from residuum.service.broker import with_hidden_password
 from residuum.service.fieldbus.can.frame_layout import BadBusDescription
 from residuum.service.fieldbus.opcua.node_map import ChannelNode, NodeMap
-from residuum.service.fieldbus.source import Sink, Source
+from residuum.service.fieldbus.source import Backoff, Sink, Source, StreamFormat
 from residuum.service.fieldbus.stamped_samples import StampedSamples
-from residuum.service.hidden_password import with_hidden_password
 
 logging.getLogger("asyncua").setLevel(logging.CRITICAL)  # the counters say it
 

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any
 
-from residuum.service.broker_address import BrokerAddress
+from residuum.service.broker import BrokerAddress
 from residuum.service.fieldbus.sparkplug.sparkplug_payload import (
     BOOLEAN,
     DOUBLE,

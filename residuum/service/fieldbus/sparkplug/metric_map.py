@@ -23,12 +23,11 @@ from typing import Literal
 import yaml
 from pydantic import Field
 
-from residuum.service.broker_address import BrokerAddress, BrokerTls, broker_address
-from residuum.service.fieldbus.block import StreamFormat
+from residuum.service.broker import BrokerAddress, BrokerTls, broker_address, with_hidden_password
 from residuum.service.fieldbus.can.frame_layout import BadBusDescription
 from residuum.service.fieldbus.map_text import read_map
+from residuum.service.fieldbus.source import StreamFormat
 from residuum.service.fieldbus.strict_model import StrictModel
-from residuum.service.hidden_password import with_hidden_password
 
 NAME = r"[^/+#]+"
 

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from itertools import chain, count
 from typing import Any
 
-from residuum.service.broker_address import BrokerAddress
+from residuum.service.broker import BrokerAddress
 from residuum.service.fieldbus.sparkplug.sparkplug_payload import BOOLEAN, BadPayload, Metric, Payload, pack, unpack
 from residuum.service.fieldbus.sparkplug.sparkplug_source import NAMESPACE, REBIRTH, kind_and_device
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 from residuum.diagnosis.finding import Finding
 from residuum.identification.errors import BadInput
 from residuum.service.fieldbus.settings import MachineSettings
-from residuum.service.machines.baselines.stored_baselines import baseline_name
+from residuum.service.machines.baselines import baseline_name
 from residuum.service.store import Store
 
 

@@ -10,7 +10,7 @@ from typing import Any
 from sqlalchemy import Connection, Row, Select, select
 
 from residuum.service.alarms.alarm_states import AlarmEvent
-from residuum.service.storage.rows import paging, row_checksums
+from residuum.service.storage.rows import paging, row_checks
 from residuum.service.storage.tables import alarm_journal, alarms, findings
 from residuum.service.store import AlarmOccurrence, Page
 
@@ -72,12 +72,12 @@ def _findings_that_raised(connection: Connection, raised: Sequence[Row[Any]]) ->
         return {}
     c = findings.c
     there = c.asset_id.in_({row.asset_id for row in raised}) & c.at.in_({row.at for row in raised})
-    told: tuple[Any, ...] = (*(c[name] for name in row_checksums.SHORT_OF_FINDING), c.reason, c.checksum)
+    told: tuple[Any, ...] = (*(c[name] for name in row_checks.SHORT_OF_FINDING), c.reason, c.checksum)
     return {(row.asset_id, row.at): row for row in connection.execute(select(*told).where(there))}
 
 
 def _occurrence(row: Row[Any], entries: Sequence[Row[Any]], cause: Row[Any] | None) -> AlarmOccurrence:
-    damaged = any(row_checksums.differs(alarm_journal, each._mapping) for each in (row, *entries))
+    damaged = any(row_checks.differs(alarm_journal, each._mapping) for each in (row, *entries))
     first = {event: next((each for each in entries if each.event == event.value), None) for event in AlarmEvent}
     cleared, acknowledged = first[AlarmEvent.CLEAR], first[AlarmEvent.ACKNOWLEDGE]
     return AlarmOccurrence(
@@ -90,19 +90,15 @@ def _occurrence(row: Row[Any], entries: Sequence[Row[Any]], cause: Row[Any] | No
         acknowledged_at=None if acknowledged is None else acknowledged.at,
         acknowledged_by=None if acknowledged is None else acknowledged.by,
         comments=[entry.comment for entry in entries if entry.comment],
-        message=f"alarm {row.alarm_id}, its journal: {row_checksums.TELLS}"
-        if damaged
-        else None
-        if cause is None
-        else _says(cause),
-        times_threshold=None if cause is None or row_checksums.differs(findings, cause._mapping) else _times_threshold(cause),
+        message=f"alarm {row.alarm_id}, its journal: {row_checks.TELLS}" if damaged else None if cause is None else _says(cause),
+        times_threshold=None if cause is None or row_checks.differs(findings, cause._mapping) else _times_threshold(cause),
         window=None if cause is None else cause.window_id,
     )
 
 
 def _says(cause: Row[Any]) -> str:
-    if row_checksums.differs(findings, cause._mapping):
-        return f"its finding: {row_checksums.TELLS}"
+    if row_checks.differs(findings, cause._mapping):
+        return f"its finding: {row_checks.TELLS}"
     return str(cause.reason or f"{cause.diagnoser}: {cause.fault_class or cause.verdict}")
 
 

@@ -12,10 +12,9 @@ from sqlalchemy import Connection, Row, insert, select, update
 
 from residuum.diagnosis.finding import Finding, Verdict
 from residuum.service.alarms import alarm_states
-from residuum.service.alarms.alarm_rules import AlarmRule, beyond, in_deadband, severity
-from residuum.service.alarms.alarm_states import AlarmEvent, AlarmState, AlarmStatus
+from residuum.service.alarms.alarm_states import AlarmEvent, AlarmRule, AlarmState, AlarmStatus, beyond, in_deadband, severity
 from residuum.service.storage import audit, outbox
-from residuum.service.storage.rows import paging, row_checksums
+from residuum.service.storage.rows import paging, row_checks
 from residuum.service.storage.tables import alarm_journal, alarms
 from residuum.service.store import Alarm, AlarmEntry, NotFound, Page
 
@@ -91,7 +90,7 @@ def operate(
     """What an operator asks for; IllegalTransition when the state does not allow it."""
     row = _row(connection, alarm)
     if _differs(row):
-        raise row_checksums.refuse(f"alarm {alarm}, which begins anew with its machine's next window")
+        raise row_checks.refuse(f"alarm {alarm}, which begins anew with its machine's next window")
     state = alarm_states.operate(_status(row), event).state
     changes: dict[str, Any] = {"state": state.value, "shelved_until": until if state is AlarmState.SHELVED else None}
     if comment is not None:
@@ -145,15 +144,15 @@ def journal(connection: Connection, alarm: int, limit: int) -> Sequence[AlarmEnt
 
 def _new(connection: Connection, asset: str, kind: str) -> Row[Any]:
     values = {"asset_id": asset, "kind": kind, **_NEVER_RAISED}
-    return connection.execute(insert(alarms).values(row_checksums.sealed(alarms, values)).returning(alarms)).one()
+    return connection.execute(insert(alarms).values(row_checks.sealed(alarms, values)).returning(alarms)).one()
 
 
 def _differs(row: Row[Any]) -> bool:
-    return row_checksums.differs(alarms, row._mapping)
+    return row_checks.differs(alarms, row._mapping)
 
 
 def _put(connection: Connection, alarm: int, changes: dict[str, Any]) -> Row[Any]:
-    return row_checksums.change(connection, alarms, alarm, lambda _row: changes)
+    return row_checks.change(connection, alarms, alarm, lambda _row: changes)
 
 
 def _begun_anew(connection: Connection, row: Row[Any], now: datetime) -> Row[Any]:
@@ -163,7 +162,7 @@ def _begun_anew(connection: Connection, row: Row[Any], now: datetime) -> Row[Any
     """
     kept = ("id", "asset_id", "kind", "checksum")
     values = {column.name: None for column in alarms.c if column.name not in kept} | _NEVER_RAISED
-    values["checksum"] = row_checksums.of_row(alarms, {"asset_id": row.asset_id, "kind": row.kind, **values})
+    values["checksum"] = row_checks.of_row(alarms, {"asset_id": row.asset_id, "kind": row.kind, **values})
     connection.execute(update(alarms).where(alarms.c.id == row.id).values(values))
     comment = "its row differed from its checksum: it begins anew"
     _change(connection, row.id, {}, AlarmEvent.RESET, by=None, comment=comment, now=now)
@@ -220,7 +219,7 @@ def _change(
 ) -> Alarm:
     row = _put(connection, alarm, changes)
     entry = {"alarm_id": alarm, "at": now, "event": event.value, "state": row.state, "by": by, "comment": comment}
-    connection.execute(insert(alarm_journal).values(row_checksums.sealed(alarm_journal, entry)))
+    connection.execute(insert(alarm_journal).values(row_checks.sealed(alarm_journal, entry)))
     told = {"asset": row.asset_id, "kind": row.kind, "state": row.state, "comment": comment}
     audit.append(connection, f"alarm {event.value}", f"alarm {alarm}", by=by, now=now, detail=told)
     changed = _alarm(row)
@@ -248,8 +247,8 @@ def _with_times(row: Row[Any]) -> str:
 
 
 def _entry(row: Row[Any]) -> AlarmEntry:
-    if row_checksums.differs(alarm_journal, row._mapping):
-        return AlarmEntry(row.at, "damaged", AlarmState.UNACKNOWLEDGED, None, row_checksums.TELLS)
+    if row_checks.differs(alarm_journal, row._mapping):
+        return AlarmEntry(row.at, "damaged", AlarmState.UNACKNOWLEDGED, None, row_checks.TELLS)
     return AlarmEntry(row.at, row.event, AlarmState(row.state), row.by, row.comment)
 
 
@@ -283,7 +282,7 @@ def _damaged(row: Row[Any]) -> Alarm:
         row.kind,
         AlarmState.UNACKNOWLEDGED,
         condition=True,
-        message=f"alarm {row.id}: {row_checksums.TELLS}",
+        message=f"alarm {row.id}: {row_checks.TELLS}",
         worst_at=None,
         occurrences=0,
         raised_at=None,

@@ -9,7 +9,7 @@ from typing import Any
 from sqlalchemy import Connection, Row, Select, func, insert, select
 
 from residuum.diagnosis.finding import RECORDED, Finding, Verdict
-from residuum.service.storage.rows import paging, row_checksums
+from residuum.service.storage.rows import paging, row_checks
 from residuum.service.storage.tables import assets, findings, windows
 from residuum.service.store import Asset, IndicatorHistory, NotFound, Page, StoredFinding
 
@@ -24,11 +24,11 @@ def ensure(connection: Connection, asset: str, title: str | None, diagnoser: str
     known = connection.execute(select(assets.c.id).where(assets.c.id == asset)).first()
     if known is None:
         row = {"id": asset, "title": title or asset, "diagnoser": diagnoser, "created_at": now, "windows": 0}
-        connection.execute(insert(assets).values(row_checksums.sealed(assets, row)))
+        connection.execute(insert(assets).values(row_checks.sealed(assets, row)))
         return
     changes = {name: value for name, value in (("title", title), ("diagnoser", diagnoser)) if value is not None}
     if changes:
-        row_checksums.change(connection, assets, asset, lambda _row: changes)
+        row_checks.change(connection, assets, asset, lambda _row: changes)
 
 
 def add_finding(connection: Connection, asset: str, window: int, finding: Finding, now: datetime) -> int:
@@ -36,9 +36,9 @@ def add_finding(connection: Connection, asset: str, window: int, finding: Findin
     plain = finding.to_json()
     row = {name: plain[name] for name in ("diagnoser", "verdict", "indicators", "thresholds", "units", "evidence", "reason")}
     values = {"asset_id": asset, "window_id": window, "at": now, "fault_class": finding.fault_class, **row}
-    query = insert(findings).values(row_checksums.sealed(findings, values)).returning(findings.c.id)
+    query = insert(findings).values(row_checks.sealed(findings, values)).returning(findings.c.id)
     number: int = connection.execute(query).scalar_one()
-    row_checksums.change(connection, assets, asset, lambda row: {"last_finding_id": number, "windows": row["windows"] + 1})
+    row_checks.change(connection, assets, asset, lambda row: {"last_finding_id": number, "windows": row["windows"] + 1})
     return number
 
 
@@ -111,11 +111,11 @@ def indicators(
     """Indicators and thresholds of the newest findings, oldest first; with a span, of findings spread over all of it."""
     require(connection, asset)
     documents = (findings.c.indicators, findings.c.thresholds, findings.c.units)
-    columns = (*(findings.c[name] for name in row_checksums.SHORT_OF_FINDING), findings.c.checksum)
+    columns = (*(findings.c[name] for name in row_checks.SHORT_OF_FINDING), findings.c.checksum)
     newest = select(*columns).where(findings.c.asset_id == asset).order_by(findings.c.id.desc())
     query = newest if span is None else newest.where(findings.c.id.in_(_spread(connection, asset, span, limit)))
     found = paging.by_bytes(connection, query, findings.c.id, documents, limit, _HISTORY)[0][::-1]
-    rows = [row for row in found if not row_checksums.differs(findings, row._mapping)]  # a list of findings tells of them
+    rows = [row for row in found if not row_checks.differs(findings, row._mapping)]  # a list of findings tells of them
     units: dict[str, str] = {}
     for row in rows:
         units |= row.units
@@ -155,15 +155,15 @@ def _columns(rows: list[dict[str, Any]]) -> dict[str, list[float | None]]:
 
 
 def _with_finding() -> Select[Any]:
-    return select(*row_checksums.labelled(assets), findings).join_from(
+    return select(*row_checks.labelled(assets), findings).join_from(
         assets, findings, findings.c.id == assets.c.last_finding_id, isouter=True
     )
 
 
 def _asset(row: Row[Any]) -> Asset:
     last = stored_finding(row) if row.id is not None else None
-    known = row_checksums.of_labelled(assets, row)
-    if not row_checksums.differs(assets, known):
+    known = row_checks.of_labelled(assets, row)
+    if not row_checks.differs(assets, known):
         return Asset(known["id"], known["title"], known["diagnoser"], known["created_at"], known["windows"], last)
     damaged = _damaged(f"asset {known['id']}", str(known["diagnoser"]))
     told = StoredFinding(known["last_finding_id"] or 0, known["id"], 0, known["created_at"], damaged)
@@ -171,12 +171,12 @@ def _asset(row: Row[Any]) -> Asset:
 
 
 def _damaged(what: str, diagnoser: str) -> Finding:
-    return Finding.not_assessable(diagnoser, f"{what}: {row_checksums.TELLS}")
+    return Finding.not_assessable(diagnoser, f"{what}: {row_checks.TELLS}")
 
 
 def stored_finding(row: Row[Any]) -> StoredFinding:
     """The finding in a row of its table; that it cannot be told, where the row differs from its checksum."""
-    if row_checksums.differs(findings, row._mapping):
+    if row_checks.differs(findings, row._mapping):
         return StoredFinding(row.id, row.asset_id, row.window_id, row.at, _damaged(f"finding {row.id}", str(row.diagnoser)))
     finding = Finding(
         row.diagnoser,

@@ -11,7 +11,7 @@ from typing import Any
 from sqlalchemy import Connection, Row, delete, insert, select
 
 from residuum.diagnosis.finding import Verdict
-from residuum.service.storage.rows import assets, row_checksums
+from residuum.service.storage.rows import assets, row_checks
 from residuum.service.storage.tables import finding_hours, findings
 from residuum.service.store import FindingHour
 
@@ -27,7 +27,7 @@ def add(connection: Connection, gone: Iterable[Row[Any]]) -> None:
         verdicts = dict(known.verdicts) if known else {}
         indicators = dict(known.indicators) if known else {}
         for row in rows:
-            damaged = row_checksums.differs(findings, row._mapping)
+            damaged = row_checks.differs(findings, row._mapping)
             verdict = Verdict.NOT_ASSESSABLE.value if damaged else row.verdict
             verdicts[verdict] = verdicts.get(verdict, 0) + 1
             for name, value in () if damaged else row.indicators.items():
@@ -35,8 +35,8 @@ def add(connection: Connection, gone: Iterable[Row[Any]]) -> None:
                     indicators[name] = _folded(indicators.get(name), value, row.units.get(name, ""), row.thresholds.get(name))
         count = (known.windows if known else 0) + len(rows)
         values = {"asset_id": asset, "hour": hour, "windows": count, "verdicts": verdicts, "indicators": indicators}
-        if known is None or not row_checksums.differs(finding_hours, known._mapping):
-            values = row_checksums.sealed(finding_hours, values)
+        if known is None or not row_checks.differs(finding_hours, known._mapping):
+            values = row_checks.sealed(finding_hours, values)
         else:  # it goes on to differ
             values["checksum"] = known.checksum
         connection.execute(delete(finding_hours).where(here))
@@ -51,8 +51,8 @@ def newest(connection: Connection, asset: str, limit: int) -> list[FindingHour]:
 
 
 def _hour(row: Row[Any]) -> FindingHour:
-    if row_checksums.differs(finding_hours, row._mapping):
-        raise row_checksums.refuse(f"hour {row.hour:%Y-%m-%d %H} of {row.asset_id!r}")
+    if row_checks.differs(finding_hours, row._mapping):
+        raise row_checks.refuse(f"hour {row.hour:%Y-%m-%d %H} of {row.asset_id!r}")
     return FindingHour(row.hour, row.windows, row.verdicts, row.indicators)
 
 

@@ -9,14 +9,14 @@ from typing import Any
 
 from sqlalchemy import Connection, Row, insert, select
 
-from residuum.service.storage.rows import paging, row_checksums
+from residuum.service.storage.rows import paging, row_checks
 from residuum.service.storage.tables import model_versions, models
 from residuum.service.store import Conflict, ModelVersion, NotFound, Page, StorageUnavailable
 
 MACHINE = "machine"
 """Kind of the documents that hold a machine's settings; they are no models, and listed only when asked for."""
 
-_DESCRIPTION = [*row_checksums.labelled(models), *(column for column in model_versions.c if column.name != "content")]
+_DESCRIPTION = [*row_checks.labelled(models), *(column for column in model_versions.c if column.name != "content")]
 
 
 def add_version(
@@ -26,11 +26,11 @@ def add_version(
     known = connection.execute(select(models).where(models.c.id == model)).first()
     if known is None:
         new = {"id": model, "kind": kind, "created_at": now, "last_number": 0}
-        connection.execute(insert(models).values(row_checksums.sealed(models, new)))
+        connection.execute(insert(models).values(row_checks.sealed(models, new)))
     elif known.kind != kind:
         raise Conflict(f"model {model!r}: is a {known.kind} model; a {kind} one needs another name")
     number = (known.last_number if known else 0) + 1
-    row_checksums.change(connection, models, model, lambda _row: {"last_number": number})
+    row_checks.change(connection, models, model, lambda _row: {"last_number": number})
     row = {
         "model_id": model,
         "number": number,
@@ -41,7 +41,7 @@ def add_version(
         "size_bytes": len(content),
         "checksum": hashlib.sha256(content).hexdigest(),
     }
-    connection.execute(insert(model_versions).values(row_checksums.sealed(model_versions, row)))
+    connection.execute(insert(model_versions).values(row_checks.sealed(model_versions, row)))
     return ModelVersion(model, kind, number, now, by, note, len(content), str(row["checksum"]))
 
 
@@ -85,10 +85,10 @@ def content(connection: Connection, model: str, number: int | None) -> bytes:
 
 
 def _version(row: Row[Any]) -> ModelVersion:
-    if row_checksums.differs(model_versions, row._mapping):
-        raise row_checksums.refuse(f"model {row.model_id!r}, version {row.number}")
-    if row_checksums.differs(models, row_checksums.of_labelled(models, row)):
-        raise row_checksums.refuse(f"model {row.model_id!r}")
+    if row_checks.differs(model_versions, row._mapping):
+        raise row_checks.refuse(f"model {row.model_id!r}, version {row.number}")
+    if row_checks.differs(models, row_checks.of_labelled(models, row)):
+        raise row_checks.refuse(f"model {row.model_id!r}")
     return ModelVersion(
         row.model_id, row.models_kind, row.number, row.created_at, row.created_by, row.note, row.size_bytes, row.checksum
     )

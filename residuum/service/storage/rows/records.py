@@ -9,7 +9,7 @@ from sqlalchemy import Connection, Row, delete, insert, select
 
 from residuum.identification.record import Record
 from residuum.service.storage.blocks import BlockReference
-from residuum.service.storage.rows import paging, row_checksums
+from residuum.service.storage.rows import paging, row_checks
 from residuum.service.storage.tables import records
 from residuum.service.store import NotFound, Page, StoredRecord
 
@@ -28,7 +28,7 @@ def add(connection: Connection, name: str, record: Record, block: BlockReference
         "block_checksum": block.checksum,
         "size_bytes": block.size_bytes,
     }
-    sealed = row_checksums.sealed(records, row)
+    sealed = row_checks.sealed(records, row)
     number: int = connection.execute(insert(records).values(sealed).returning(records.c.id)).scalar_one()
     return number
 
@@ -42,8 +42,8 @@ def row_of(connection: Connection, record: int) -> Row[Any]:
 
 
 def _whole(row: Row[Any]) -> Row[Any]:
-    if row_checksums.differs(records, row._mapping):
-        raise row_checksums.refuse(f"record {row.id}")
+    if row_checks.differs(records, row._mapping):
+        raise row_checks.refuse(f"record {row.id}")
     return row
 
 

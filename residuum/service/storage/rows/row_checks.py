@@ -5,16 +5,159 @@ from __future__ import annotations
 import hashlib
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping
+import zlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
+from functools import cache
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, Row, ScalarSelect, Select, Table, func, select
+import orjson
+from sqlalchemy import (
+    Column,
+    ColumnElement,
+    Connection,
+    Label,
+    LargeBinary,
+    Row,
+    ScalarSelect,
+    Select,
+    Table,
+    func,
+    select,
+    update,
+)
 
 from residuum.diagnosis.finding import Verdict
 from residuum.service.alarms.alarm_states import AlarmState
-from residuum.service.storage.rows.row_checksums import SEALED, differs
-from residuum.service.storage.tables import alarm_journal, alarms, assets, findings, model_versions, models, windows
+from residuum.service.storage.tables import (
+    alarm_journal,
+    alarm_notices,
+    alarms,
+    assets,
+    finding_hours,
+    findings,
+    model_versions,
+    models,
+    records,
+    windows,
+)
+from residuum.service.store import StorageUnavailable
+
+# A checksum in each row that is answered with: SQLite takes a bit that flipped in a value for
+# another value.
+
+TELLS = "its row differs from its checksum, so the database's file is damaged: `residuum doctor` names all"
+"""What is said of a row that cannot be answered with."""
+SHORT_OF_FINDING = ("asset_id", "window_id", "at", "diagnoser", "verdict", "fault_class", "indicators", "thresholds", "units")
+"""Columns of a finding that the first part of its checksum is of: a history reads no others."""
+_PARTS_OF_FINDING = (SHORT_OF_FINDING, ("reason",), ("evidence",))
+SEALED: Mapping[Table, tuple[str, str]] = {
+    windows: ("0010", "window {id} of {asset_id!r}"),
+    findings: ("0010", "finding {id} of {asset_id!r}"),
+    assets: ("0010", "asset {id!r}"),
+    alarms: ("0010", "alarm {id} of {asset_id!r}"),
+    models: ("0010", "model {id!r}"),
+    model_versions: ("0010", "model {model_id!r}, version {number}"),
+    alarm_journal: ("0010", "entry {id} of alarms' journal"),
+    records: ("0010", "record {id}"),
+    finding_hours: ("0010", "hour {hour} of {asset_id!r}"),
+    alarm_notices: ("0011", "notice {number} of an alarm"),
+}
+"""The tables whose rows have a checksum: since which revision of the schema, and what a row of theirs is called."""
+
+
+def of_row(table: Table, values: Mapping[Any, Any]) -> str:
+    """The checksum of a row: 8 hexadecimal digits of all columns that it is of; a finding has three of them, a part each."""
+    return "".join(_crc([values.get(name) for name in part]) for part in _parts(table))
+
+
+def differs(table: Table, values: Mapping[Any, Any]) -> bool:
+    """Whether a row, as far as its parts were read, differs from its checksum.
+
+    One without any does: the end of a row is lost by a flip in its head.
+    """
+    checksum = values[_own(table)] or ""
+    read = ((k, part) for k, part in enumerate(_parts(table)) if part[0] in values)
+    return any(_crc([values[name] for name in part]) != checksum[8 * k : 8 * k + 8] for k, part in read)
+
+
+def sealed(table: Table, values: Mapping[str, Any]) -> dict[str, Any]:
+    """The values of a new row, with its checksum."""
+    return {**values, _own(table): of_row(table, values)}
+
+
+def change(connection: Connection, table: Table, key: Any, changes: Callable[[Mapping[Any, Any]], dict[str, Any]]) -> Row[Any]:
+    """Change the row of a key by what it was, and its checksum; one that differs from it goes on doing so. Gives the new row.
+
+    The row is held from before it is read until the transaction ends: nobody changes it between its values and their checksum.
+    """
+    here = table.c.id == key
+    before = connection.execute(select(table).where(here).with_for_update()).one()._mapping
+    new = changes(before)
+    if not differs(table, before):
+        new[_own(table)] = of_row(table, {**before, **new})
+    return connection.execute(update(table).where(here).values(new).returning(table)).one()
+
+
+def labelled(table: Table) -> list[Label[Any]]:
+    """All columns of a table that is joined to another, under names that are no other's: `of_labelled` takes them back."""
+    return [column.label(f"{table.name}_{column.name}") for column in table.columns]
+
+
+def of_labelled(table: Table, row: Row[Any]) -> dict[str, Any]:
+    """The columns of a table in a row that was asked for with `labelled`."""
+    return {column.name: row._mapping[f"{table.name}_{column.name}"] for column in table.columns}
+
+
+def refuse(what: str) -> StorageUnavailable:
+    """That something cannot be answered with."""
+    return StorageUnavailable(f"database: {what}: {TELLS}")
+
+
+def _own(table: Table) -> str:
+    return "row_checksum" if "row_checksum" in table.columns else "checksum"
+
+
+@cache
+def _parts(table: Table) -> tuple[tuple[str, ...], ...]:
+    """The columns that the parts of a row's checksum are of."""
+    return _PARTS_OF_FINDING if table is findings else (tuple(c.name for c in table.columns if _counts(table, c)),)
+
+
+def _counts(table: Table, column: Column[Any]) -> bool:
+    """Not a number that the database gives, which an index of ours or a constraint holds; nor a file with a checksum of its own;
+    nor the moment at which signals are let go, many at once, by which a window is found."""
+    apart = (_own(table), windows.c.signal_let_go_at.name)
+    return column is not table.autoincrement_column and column.name not in apart and not isinstance(column.type, LargeBinary)
+
+
+def seal_rows_of_old(connection: Connection, revision: str) -> None:
+    """Give each row its checksum that a schema of this revision kept without, as it is now."""
+    for table in (table for table, (since, _) in SEALED.items() if revision < since):
+        own, numbers = table.c[_own(table)], list(table.primary_key)
+        for key in connection.execute(select(*numbers).where(own.is_(None))).all():
+            here = [column == value for column, value in zip(numbers, key, strict=True)]
+            row = connection.execute(select(table).where(*here)).one()
+            connection.execute(update(table).where(*here).values({own: of_row(table, row._mapping)}))
+
+
+def plain(value: Any) -> Any:
+    """The value as either database gives it back: a document of PostgreSQL tells 1.0 and 1 alike, and 0.0 and −0.0."""
+    if isinstance(value, datetime):
+        return value.astimezone(UTC).isoformat()
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        return repr(float(value) + 0.0) if abs(value) < 1e300 else str(value)
+    if isinstance(value, Mapping):
+        return {str(name): plain(each) for name, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(each) for each in value]
+    return value
+
+
+def _crc(values: Sequence[Any]) -> str:
+    return f"{zlib.crc32(orjson.dumps(plain(values), option=orjson.OPT_SORT_KEYS)):08x}"
+
 
 _AT_ONCE = 1000
 _DOCUMENTS = ("indicators", "thresholds", "units", "evidence")

@@ -9,7 +9,7 @@ from sqlalchemy import Connection, Row, insert, select
 
 from residuum.identification.record import Record
 from residuum.service.storage.blocks import BlockReference
-from residuum.service.storage.rows import assets, paging, row_checksums
+from residuum.service.storage.rows import assets, paging, row_checks
 from residuum.service.storage.tables import windows
 from residuum.service.store import Conflict, NotFound, Page, StoredWindow
 
@@ -39,14 +39,14 @@ def add(
         "idempotency_key": idempotency_key,
         "digest": digest,
     }
-    query = insert(windows).values(row_checksums.sealed(windows, row)).returning(windows.c.id)
+    query = insert(windows).values(row_checks.sealed(windows, row)).returning(windows.c.id)
     number: int = connection.execute(query).scalar_one()
     return number
 
 
 def _refuse_broken(row: Row[Any]) -> None:
-    if row_checksums.differs(windows, row._mapping):
-        raise row_checksums.refuse(f"window {row.id}")
+    if row_checks.differs(windows, row._mapping):
+        raise row_checks.refuse(f"window {row.id}")
 
 
 def with_key(connection: Connection, asset: str, idempotency_key: str, digest: str | None) -> int | None:

@@ -6,12 +6,14 @@ from scipy import signal
 
 from benchmarks.plant_tests import dead_time_plant, feedback_plant, integrating_plant, plain_plant
 from residuum.identification.errors import NotIdentifiable
-from residuum.identification.linear_models.plant_tests.dead_time import dead_time
-from residuum.identification.linear_models.plant_tests.excitation import excitation_test
-from residuum.identification.linear_models.plant_tests.feedback import feedback_test
-from residuum.identification.linear_models.plant_tests.integrator import integrator_test
-from residuum.identification.linear_models.plant_tests.long_autoregression import long_autoregression
-from residuum.identification.linear_models.plant_tests.unstable import unstable_test
+from residuum.identification.linear_models.plant_tests import (
+    dead_time,
+    excitation_test,
+    feedback_test,
+    integrator_test,
+    long_autoregression,
+    unstable_test,
+)
 from residuum.identification.record import Record
 
 

@@ -1,1 +1,0 @@
-"""Noise of a channel: its floor, its colour, its innovations."""

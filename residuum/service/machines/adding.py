@@ -1,0 +1,311 @@
+"""Machines that somebody adds: what their buses say, what is kept of their settings."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import orjson
+import structlog
+from pydantic import BaseModel, Field, StringConstraints, ValidationError
+
+from residuum.identification.errors import BadInput
+from residuum.identification.physics import BUILT_IN, PhysicalModel
+from residuum.identification.record import Record
+from residuum.identification.units import compatible
+from residuum.nearest_names import known_names
+from residuum.service.alarms.alarm_states import AlarmRule
+from residuum.service.broker import is_hidden, with_hidden_password
+from residuum.service.fieldbus.can.can_source import streamed
+from residuum.service.fieldbus.can.frame_layout import read_dbc
+from residuum.service.fieldbus.modbus.register_map import read_register_map
+from residuum.service.fieldbus.modbus.register_server import register_map_of, register_map_text
+from residuum.service.fieldbus.settings import MAPS, MachineSettings, SecondOpinion, SourceSettings, WindowSettings
+from residuum.service.fieldbus.source import StreamFormat
+from residuum.service.settings import Settings
+from residuum.service.store import Conflict, NotFound, Store
+
+# What a DBC file, a register map or a table of registers says of a bus, before any machine is
+# read by it.
+
+_ENDINGS_OF_DESCRIPTIONS = {"dbc": ".dbc", "registers": ".yaml"}
+"""Kind of a bus description → ending of its file."""
+
+
+@dataclass(frozen=True)
+class BusDescription:
+    """A bus description that was understood: its file, and the streams of samples that it gives."""
+
+    name: str
+    text: str
+    streams: Sequence[StreamFormat]
+    remarks: Sequence[str]
+
+    def to_json(self) -> dict[str, Any]:
+        """As plain values."""
+        streams = [{"name": s.name, "sample_time": s.sample_time, "channels": dict(s.units)} for s in self.streams]
+        return {"name": self.name, "text": self.text, "streams": streams, "remarks": list(self.remarks)}
+
+
+def bus_description(kind: str, name: str, text: str, sample_time: float = 0.1, unit_id: int = 1) -> BusDescription:
+    """Understand a description: `dbc`, `registers` (a register map in YAML) or `table` (made into one).
+
+    BadBusDescription when it cannot be read, or carries no stream of samples.
+    """
+    stem = Path(name).stem or "bus"
+    if kind == "table":
+        text, kind = register_map_text(register_map_of(text, sample_time, name, unit_id)), "registers"
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / f"{stem}{_ENDINGS_OF_DESCRIPTIONS[kind]}"
+        file.write_text(text, encoding="utf-8")
+        streams, remarks = _of_dbc(file) if kind == "dbc" else _of_registers(file)
+    return BusDescription(file.name, text, streams, remarks)
+
+
+def _of_dbc(file: Path) -> tuple[list[StreamFormat], list[str]]:
+    messages = read_dbc(file)
+    read = streamed(messages)
+    remarks = [f"message {layout.name}: {layout.remark}" for layout in read if layout.remark]
+    left_out = [f"message {name} is not read: it {each.why_no_stream}" for name, each in messages.items() if each.why_no_stream]
+    return [layout.format for layout in read], [*remarks, *left_out, *messages.unusable.values()]
+
+
+def _of_registers(file: Path) -> tuple[list[StreamFormat], list[str]]:
+    streams = read_register_map(file).streams
+    polled = [f"stream {name} is polled: a read that comes late leaves a hole" for name, each in streams.items() if each.poll]
+    formats = [each.format(name) for name, each in streams.items()]
+    bare = [name for each in formats for name, unit in each.units.items() if not unit]
+    says = f"no unit is said for {', '.join(bare)}: a model takes a signal with a unit only where it is said"
+    return formats, [*polled, *([says] if bare else [])]
+
+
+# Which signal of a bus a model means: the one of the same name, else the only one with a unit
+# that can be converted.
+
+
+def model_signals(model: PhysicalModel) -> dict[str, tuple[str, str, bool]]:
+    """Every input and output of a model: its unit, `input` or `output`, and whether a machine must have it."""
+    inputs = {name: (signal.unit, "input", signal.default is None) for name, signal in model.inputs.items()}
+    return inputs | {name: (signal.unit, "output", False) for name, signal in model.outputs.items()}
+
+
+def guessed_channels(model: PhysicalModel, bus: Mapping[str, str]) -> dict[str, str]:
+    """Model's name of a signal → the bus's, where one is the obvious choice.
+
+    Parameters
+    ----------
+    bus : mapping of name to unit
+    """
+    wanted = {name: unit for name, (unit, _, _) in model_signals(model).items()}
+    lower = {name.lower(): name for name in bus}
+    found = {name: lower[name.lower()] for name in wanted if name.lower() in lower}
+    open_names = [name for name in wanted if name not in found]
+    for name in open_names:
+        left = _fitting({channel: unit for channel, unit in bus.items() if channel not in found.values()}, wanted[name])
+        rivals = [other for other in open_names if other not in found and _fitting(left, wanted[other])]
+        if len(left) == 1 and rivals == [name]:
+            found[name] = next(iter(left))
+    return found
+
+
+def _fitting(bus: Mapping[str, str], unit: str) -> dict[str, str]:
+    """The channels whose unit can be converted to this one."""
+    return {channel: its for channel, its in bus.items() if compatible(its, unit)}
+
+
+# The names of signals: those on the bus, and those that a diagnoser or its model uses.
+
+
+def named(record: Record, channels: Mapping[str, str]) -> Record:
+    """The record with the names that the diagnoser uses, where `channels` gives them (diagnoser's name → bus's name).
+
+    A channel of the bus that is called as another one is to be called gives way to it. A record that has the
+    diagnoser's names already stays as it is.
+    """
+    renamed = {bus: name for name, bus in channels.items() if bus in record.names and bus != name}
+    taken = set(renamed.values())
+    kept = record.select([name for name in record.names if name in renamed or name not in taken])
+    return kept.rename(renamed) if renamed else record
+
+
+# Machines that were added while the service ran: kept in the store, each with the bus
+# descriptions that it needs.
+
+log = structlog.get_logger()
+
+KIND = "machine"
+ENDINGS = (f".{KIND}", ".method", ".limits")
+"""What the names of a machine's documents end in: no model is given such a name."""
+_LONGEST = 55
+"""Characters of an asset's name; with an ending it must still be a document's."""
+_PLAIN_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
+
+
+def document_name(asset: str) -> str:
+    """The name under which a machine's document is kept; Conflict for a name that is too long."""
+    if len(asset) > _LONGEST:
+        raise Conflict(f"machine {asset!r}: its name is longer than {_LONGEST} characters")
+    return f"{asset}.{KIND}"
+
+
+def keep_machine(store: Store, machine: MachineSettings, maps: Mapping[str, str], by: str) -> None:
+    """Keep a machine's settings with the texts of the bus descriptions that its sources name."""
+    content = orjson.dumps({"machine": machine.model_dump(mode="json"), "maps": dict(maps)})
+    store.add_model_version(document_name(machine.asset), KIND, content, "settings", by)
+
+
+def forget_machine(store: Store, asset: str, by: str) -> None:
+    """Note that a machine is watched no more."""
+    store.add_model_version(document_name(asset), KIND, orjson.dumps({"machine": None}), "removed", by)
+
+
+def kept_document(store: Store, name: str) -> Any:
+    """The newest version of a machine's document; None where there is none, also where a model has that name."""
+    try:
+        newest = store.model_versions(name)[0]
+    except NotFound:
+        return None
+    return orjson.loads(store.model_content(name, newest.number)) if newest.kind == KIND else None
+
+
+def kept_maps(store: Store, asset: str) -> Mapping[str, str]:
+    """The bus descriptions that are kept with a machine; none for one that is not kept."""
+    return dict((kept_document(store, f"{asset}.{KIND}") or {}).get("maps", {}))
+
+
+def kept_machines(store: Store, data: Path) -> Sequence[MachineSettings]:
+    """All machines that are kept, their bus descriptions as files below the data folder."""
+    found: list[MachineSettings] = []
+    cursor = None
+    while True:
+        page = store.models(KIND, cursor)
+        for version in page.items:
+            if not version.model.endswith(f".{KIND}"):
+                continue
+            try:
+                document = orjson.loads(store.model_content(version.model))
+                if document["machine"] is not None:
+                    found.append(with_map_files(MachineSettings(**document["machine"]), document["maps"], data))
+            except (ValidationError, BadInput, KeyError, TypeError, orjson.JSONDecodeError) as error:
+                log.error("a kept machine cannot be read", document=version.model, reason=str(error))
+        cursor = page.next_cursor
+        if cursor is None:
+            return found
+
+
+def with_map_files(machine: MachineSettings, maps: Mapping[str, str], data: Path) -> MachineSettings:
+    """The settings with the files that hold the bus descriptions in place of their names.
+
+    BadInput for a name that is neither among `maps` nor one that comes with Residuum: other files of this computer are
+    not read for who adds a machine.
+    """
+    sources = [{**source.model_dump(), "map": _file(source.map, maps, data)} for source in machine.sources]
+    return MachineSettings(**{**machine.model_dump(), "sources": sources})
+
+
+def _file(name: str, maps: Mapping[str, Any], data: Path) -> str:
+    if _PLAIN_NAME.fullmatch(name) is None:
+        raise BadInput(f"map {name[:60]!r}: must be a plain file name of letters, digits, '.', '_' and '-'")
+    if name not in maps:
+        if not (MAPS / name).is_file():
+            raise BadInput(f"map {name!r}: is not among the bus descriptions that were sent, and none comes with Residuum")
+        return name
+    text = str(maps[name]).encode()
+    folder = data / "maps" / hashlib.sha256(text).hexdigest()[:24]
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / name).write_bytes(text)
+    return str((folder / name).resolve())
+
+
+# Passwords of machines' sources: they are never shown, and they are kept when what was shown
+# comes back.
+
+
+def with_kept_passwords(asked: Sequence[SourceSettings], kept: Sequence[SourceSettings]) -> list[SourceSettings]:
+    """The sources that are asked for, with a kept password wherever one is hidden.
+
+    A password goes to no other address, user or kind of source than those it was given for: BadInput when none was.
+    """
+    return [_with_password(place, source, kept) for place, source in enumerate(asked)]
+
+
+def _with_password(place: int, source: SourceSettings, kept: Sequence[SourceSettings]) -> SourceSettings:
+    if not is_hidden(source.channel):
+        return source
+    same = {each.channel for each in kept if (each.kind, with_hidden_password(each.channel)) == (source.kind, source.channel)}
+    if len(same) != 1:
+        raise BadInput(f"sources[{place}].channel: its password is hidden, and not one alone is kept for this address; give it")
+    return source.model_copy(update={"channel": same.pop()})
+
+
+# The DBC files that a service knows: those of its machines, and those that come with Residuum.
+
+
+def known_dbc(settings: Settings, store: Store, name: str) -> Path:
+    """The DBC file of this name; BadInput names those that are known. No other file of the computer can be asked for."""
+    machines = [*settings.machines, *kept_machines(store, settings.data)]
+    files = [source.map_file for machine in machines for source in machine.sources if source.kind == "can"]
+    known = {file.name: file for file in [*sorted(MAPS.glob("*.dbc")), *files]}
+    if name not in known:
+        raise BadInput(f"dbc {name[:60]!r}: no machine has a DBC file of this name; {known_names(name, known)}")
+    return known[name]
+
+
+# The text of a physical model: a built-in one, a stored one, or a file that the settings name.
+
+ModelText = tuple[str, bytes | None]
+"""A model's name and text; None for the text of a built-in one."""
+
+
+def stored_model(store: Store, name: str, version: int | None = None) -> ModelText:
+    """Name and text of a built-in or stored model; NotFound, or Conflict when it is not a physical one."""
+    if version is None and name in BUILT_IN:
+        return name, None
+    found = store.model_versions(name)[0].kind
+    if found != "physical":
+        raise Conflict(f"model {name!r}: is a {found} model; this needs a physical one")
+    return name, store.model_content(name, version)
+
+
+def model_of_settings(store: Store, name: str) -> ModelText:
+    """The model that a machine's settings name: built in, stored, or a file of this computer."""
+    try:
+        return stored_model(store, name)
+    except NotFound:
+        pass
+    try:
+        return Path(name).stem, Path(name).read_bytes()
+    except OSError as error:
+        raise BadInput(
+            f"model {name!r}: is neither stored nor built in, and no file that can be read: {error.strerror}"
+        ) from None
+
+
+# A machine as somebody adds it to the running service: its settings, and the bus descriptions
+# that its sources name.
+
+Text = Annotated[str, StringConstraints(min_length=1, max_length=200)]
+
+
+class WatchedMachine(BaseModel, extra="forbid"):
+    """What is watched, where it is read, how it is cut into windows, and who judges."""
+
+    diagnoser: str = Field(max_length=64)
+    window: WindowSettings
+    sources: list[SourceSettings] = Field(min_length=1, max_length=8)
+    channels: dict[Text, Text] = Field({}, max_length=100, description="Diagnoser's name of a signal → the bus's.")
+    model: Text | None = Field(None, description="model-based: a stored or a built-in model.")
+    second: SecondOpinion | None = None
+    alarms: AlarmRule | None = None
+    maps: dict[Text, Annotated[str, StringConstraints(max_length=2**20)]] = Field(
+        {}, max_length=8, description="Texts of the DBC files and register maps that the sources name."
+    )
+
+    def settings(self, asset: str) -> MachineSettings:
+        """The settings, as a file would have them; ValueError when they contradict each other."""
+        return MachineSettings(asset=asset, **self.model_dump(exclude={"maps"}))

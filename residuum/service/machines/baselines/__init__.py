@@ -1,1 +1,0 @@
-"""Baselines of machines: trained on windows that were healthy, stored, accepted."""
