@@ -17,8 +17,8 @@ MAY_IMPORT = {
     "library": {"identification", "diagnosis", "robust_control", "simulation"},
     "service": {"identification", "diagnosis", "robust_control", "simulation", "library"},
 }
-FOR_ALL = {"residuum.code_digest", "residuum.code_folder", "residuum.kept_loops", "residuum.nearest_names"}
-"""How compiled code is kept, and how a name is refused: no physics and no method, so also the simulators may use it."""
+FOR_ALL = {f"residuum.{name}" for name in ("array_types", "code_digest", "code_folder", "kept_loops", "nearest_names")}
+"""Types of arrays, how compiled code is kept, how a name is refused: no physics, no method; simulators may use it, too."""
 ONLY_IN_SERVICE = {
     "fastapi",
     "starlette",

@@ -34,11 +34,10 @@ from residuum.service.security.bearer_tokens import BearerTokens
 from residuum.service.security.gate import Gate, Refusals
 from residuum.service.services import LivePipeline, Services
 from residuum.service.settings import BadSettings, Settings
-from residuum.service.storage import DiskStore
 from residuum.service.storage.database import sqlite_file
-from residuum.service.storage.disk_store import SETTLED
+from residuum.service.storage.disk_store import SETTLED, DiskStore
 from residuum.service.storage.retention import Retention
-from residuum.service.store import Alarm, Page, StorageUnavailable, Store
+from residuum.service.store import Alarm, Page, StorageUnavailable
 from residuum.service.web import web_routes
 from residuum.service.window_queue.set_aside import SetAside
 from residuum.service.window_queue.stored_windows import StoredWindows, Told
@@ -55,7 +54,7 @@ _AUDIT_EVERY = 10.0
 _RETAIN_EVERY = 60.0
 """Seconds between looks at signals that need not be kept."""
 
-MakePipeline = Callable[[Settings, Store, Events, WorkerPool], LivePipeline]
+MakePipeline = Callable[[Settings, DiskStore, Events, WorkerPool], LivePipeline]
 
 
 def create_app(settings: Settings, make_pipeline: MakePipeline = Pipeline) -> FastAPI:
@@ -269,7 +268,7 @@ class Out(Protocol):
         """A finding or an alarm."""
 
 
-def tell_latest(store: Store, outs: Sequence[Out]) -> None:
+def tell_latest(store: DiskStore, outs: Sequence[Out]) -> None:
     """Tell the latest `finding` of every asset, and of its alarms the `alarm` that changed last; StorageUnavailable."""
     if not outs:
         return

@@ -20,7 +20,7 @@ from residuum.service.memory_budget import MIB, MemoryBudget
 from residuum.service.metrics import Metrics
 from residuum.service.security.access import ANYBODY, ApiKeys, Caller
 from residuum.service.settings import Settings
-from residuum.service.store import Store
+from residuum.service.storage.disk_store import DiskStore
 from residuum.service.work.jobs import Jobs
 
 P = ParamSpec("P")
@@ -82,7 +82,7 @@ class Services:
     """The running service."""
 
     settings: Settings
-    store: Store
+    store: DiskStore
     events: Events
     jobs: Jobs
     judges: Judges

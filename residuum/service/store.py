@@ -1,18 +1,17 @@
-"""What the service keeps, as values, and the interface through which the other parts of the service reach it."""
+"""What the service keeps, as values; `storage.disk_store` keeps them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import datetime
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy.typing as npt
 
 from residuum.diagnosis.finding import Finding
 from residuum.identification.errors import BadInput
-from residuum.identification.record import Record
-from residuum.service.alarms.alarm_states import AlarmEvent, AlarmState
+from residuum.service.alarms.alarm_states import AlarmState
 
 
 class NotFound(BadInput):
@@ -271,151 +270,3 @@ class StoredRecord(_Plain):
     units: Mapping[str, str]
     notes: Sequence[str]
     size_bytes: int
-
-
-class Store(Protocol):
-    """Everything that outlives a run of the service. All methods are thread-safe and block until they are done."""
-
-    def add_window(
-        self, asset: str, record: Record, finding: Finding, idempotency_key: str | None = None, digest: str | None = None
-    ) -> int:
-        """Keep a window and its finding; returns the window's id only when both are on disk."""
-
-    def window_with_key(self, asset: str, idempotency_key: str, digest: str) -> int | None:
-        """The window stored under a key before, None when there is none; Conflict when its content differed."""
-
-    def ensure_asset(self, asset: str, title: str | None = None, diagnoser: str | None = None) -> None:
-        """Make an asset known, or update its title and diagnoser."""
-
-    def assets(self, cursor: str | None = None, limit: int = 100, sites: Collection[str] | None = None) -> Page[Asset]:
-        """Assets by name, of some sites or of all."""
-
-    def asset(self, asset: str) -> Asset:
-        """One asset."""
-
-    def findings(self, asset: str, cursor: str | None = None, limit: int = 50, verdict: str | None = None) -> Page[StoredFinding]:
-        """Findings of an asset, newest first."""
-
-    def findings_after(self, asset: str, number: int, limit: int = 100) -> Sequence[StoredFinding]:
-        """The first findings of an asset that come after a number, oldest first; none for an asset that is not known."""
-
-    def newest_finding(self) -> int:
-        """The largest number of a finding; 0 before there is one."""
-
-    def findings_between(
-        self, asset: str, begin: datetime, end: datetime, after: int = 0, limit: int = 500
-    ) -> Sequence[StoredFinding]:
-        """The first findings of an asset in [begin, end) with a number larger than `after`, oldest first."""
-
-    def windows_between(
-        self, asset: str, begin: datetime, end: datetime, after: int = 0, limit: int = 500
-    ) -> Sequence[StoredWindow]:
-        """The first windows of an asset received in [begin, end) with a number larger than `after`, oldest first."""
-
-    def finding_of(self, window: int) -> StoredFinding:
-        """The latest finding on a window."""
-
-    def indicators(
-        self, asset: str, limit: int = 500, span: tuple[datetime | None, datetime | None] | None = None
-    ) -> IndicatorHistory:
-        """Indicators and thresholds of the newest findings, or of at most so many spread over a span of time (None: open)."""
-
-    def finding_hours(self, asset: str, limit: int = 24 * 30) -> Sequence[FindingHour]:
-        """Hourly history of the findings whose rows were let go."""
-
-    def recorded_windows(self, asset: str, limit: int = 500) -> Sequence[int]:
-        """The newest windows of an asset that are kept with their signals and were never judged, oldest first."""
-
-    def windows(self, asset: str, cursor: str | None = None, limit: int = 50) -> Page[StoredWindow]:
-        """Windows of an asset, newest first."""
-
-    def window(self, asset: str, window: int) -> StoredWindow:
-        """One window."""
-
-    def window_record(self, asset: str, window: int, channels: Sequence[str] | None = None) -> Record:
-        """The samples of a window; SignalLetGo when the retention rule has removed them."""
-
-    def window_in_pieces(self, asset: str, window: int, channels: Sequence[str] | None = None) -> ReadInPieces:
-        """The same, to be read piece by piece."""
-
-    def alarms(
-        self,
-        asset: str | None = None,
-        active: bool = True,
-        cursor: str | None = None,
-        limit: int = 100,
-        sites: Collection[str] | None = None,
-    ) -> Page[Alarm]:
-        """Alarms of some sites or of all, the newest occurrence first."""
-
-    def alarms_changed(self, asset: str, moments: Collection[datetime]) -> Sequence[Alarm]:
-        """The alarms of an asset, as they are now, that changed with the findings of these moments."""
-
-    def alarm(self, alarm: int) -> Alarm:
-        """One alarm."""
-
-    def alarm_journal(self, alarm: int, limit: int = 100) -> Sequence[AlarmEntry]:
-        """What happened to an alarm, newest first."""
-
-    def alarm_history(
-        self,
-        span: tuple[datetime | None, datetime | None] = (None, None),
-        asset: str | None = None,
-        cursor: str | None = None,
-        limit: int = 100,
-        sites: Collection[str] | None = None,
-    ) -> Page[AlarmOccurrence]:
-        """Alarms that were raised in a span of time (None: open), the newest first, each with what became of it."""
-
-    def operate_alarm(
-        self, alarm: int, event: AlarmEvent, by: str | None = None, comment: str | None = None, until: datetime | None = None
-    ) -> Alarm:
-        """What an operator asks of an alarm."""
-
-    def alarm_rates(self) -> AlarmRates:
-        """How many alarms were raised of late."""
-
-    def audit(self, cursor: str | None = None, limit: int = 100) -> Page[AuditEntry]:
-        """The audit trail, newest first."""
-
-    def add_record(self, name: str, record: Record) -> int:
-        """Keep an uploaded record; returns its id when it is on disk."""
-
-    def records(self, cursor: str | None = None, limit: int = 50) -> Page[StoredRecord]:
-        """Uploaded records, newest first."""
-
-    def record(self, record: int) -> StoredRecord:
-        """One uploaded record."""
-
-    def record_samples(self, record: int, channels: Sequence[str] | None = None) -> Record:
-        """The samples of an uploaded record."""
-
-    def record_in_pieces(self, record: int, channels: Sequence[str] | None = None) -> ReadInPieces:
-        """The same, to be read piece by piece."""
-
-    def remove_record(self, record: int, by: str | None = None) -> None:
-        """Delete an uploaded record for good; NotFound when there is none."""
-
-    def add_model_version(self, model: str, kind: str, content: bytes, note: str = "", by: str | None = None) -> ModelVersion:
-        """Keep a new version of a model; the first makes the model.
-
-        A trained diagnoser is kept as kind `baseline` under its asset's name: windows of that asset are then judged by it.
-        """
-
-    def models(self, kind: str | None = None, cursor: str | None = None, limit: int = 100) -> Page[ModelVersion]:
-        """The newest version of every model, by name."""
-
-    def model_versions(self, model: str) -> Sequence[ModelVersion]:
-        """All versions of a model, newest first."""
-
-    def model_content(self, model: str, number: int | None = None) -> bytes:
-        """The file of one version (default: the newest)."""
-
-    def check(self) -> None:
-        """Raise StorageUnavailable when a small window could not be stored now."""
-
-    def troubles(self) -> Mapping[str, str]:
-        """What storing suffers from although windows are taken, by its subject; empty where nothing is wrong."""
-
-    def unshelve_expired(self) -> None:
-        """Put alarms back whose shelving has run out."""

@@ -28,7 +28,8 @@ from residuum.service.fieldbus.modbus.register_server import register_map_of, re
 from residuum.service.fieldbus.settings import MAPS, MachineSettings, SecondOpinion, SourceSettings, WindowSettings
 from residuum.service.fieldbus.source import StreamFormat
 from residuum.service.settings import Settings
-from residuum.service.store import Conflict, NotFound, Store
+from residuum.service.storage.disk_store import DiskStore
+from residuum.service.store import Conflict, NotFound
 
 # What a DBC file, a register map or a table of registers says of a bus, before any machine is
 # read by it.
@@ -153,18 +154,18 @@ def document_name(asset: str) -> str:
     return f"{asset}.{KIND}"
 
 
-def keep_machine(store: Store, machine: MachineSettings, maps: Mapping[str, str], by: str) -> None:
+def keep_machine(store: DiskStore, machine: MachineSettings, maps: Mapping[str, str], by: str) -> None:
     """Keep a machine's settings with the texts of the bus descriptions that its sources name."""
     content = orjson.dumps({"machine": machine.model_dump(mode="json"), "maps": dict(maps)})
     store.add_model_version(document_name(machine.asset), KIND, content, "settings", by)
 
 
-def forget_machine(store: Store, asset: str, by: str) -> None:
+def forget_machine(store: DiskStore, asset: str, by: str) -> None:
     """Note that a machine is watched no more."""
     store.add_model_version(document_name(asset), KIND, orjson.dumps({"machine": None}), "removed", by)
 
 
-def kept_document(store: Store, name: str) -> Any:
+def kept_document(store: DiskStore, name: str) -> Any:
     """The newest version of a machine's document; None where there is none, also where a model has that name."""
     try:
         newest = store.model_versions(name)[0]
@@ -173,12 +174,12 @@ def kept_document(store: Store, name: str) -> Any:
     return orjson.loads(store.model_content(name, newest.number)) if newest.kind == KIND else None
 
 
-def kept_maps(store: Store, asset: str) -> Mapping[str, str]:
+def kept_maps(store: DiskStore, asset: str) -> Mapping[str, str]:
     """The bus descriptions that are kept with a machine; none for one that is not kept."""
     return dict((kept_document(store, f"{asset}.{KIND}") or {}).get("maps", {}))
 
 
-def kept_machines(store: Store, data: Path) -> Sequence[MachineSettings]:
+def kept_machines(store: DiskStore, data: Path) -> Sequence[MachineSettings]:
     """All machines that are kept, their bus descriptions as files below the data folder."""
     found: list[MachineSettings] = []
     cursor = None
@@ -246,7 +247,7 @@ def _with_password(place: int, source: SourceSettings, kept: Sequence[SourceSett
 # The DBC files that a service knows: those of its machines, and those that come with Residuum.
 
 
-def known_dbc(settings: Settings, store: Store, name: str) -> Path:
+def known_dbc(settings: Settings, store: DiskStore, name: str) -> Path:
     """The DBC file of this name; BadInput names those that are known. No other file of the computer can be asked for."""
     machines = [*settings.machines, *kept_machines(store, settings.data)]
     files = [source.map_file for machine in machines for source in machine.sources if source.kind == "can"]
@@ -262,7 +263,7 @@ ModelText = tuple[str, bytes | None]
 """A model's name and text; None for the text of a built-in one."""
 
 
-def stored_model(store: Store, name: str, version: int | None = None) -> ModelText:
+def stored_model(store: DiskStore, name: str, version: int | None = None) -> ModelText:
     """Name and text of a built-in or stored model; NotFound, or Conflict when it is not a physical one."""
     if version is None and name in BUILT_IN:
         return name, None
@@ -272,7 +273,7 @@ def stored_model(store: Store, name: str, version: int | None = None) -> ModelTe
     return name, store.model_content(name, version)
 
 
-def model_of_settings(store: Store, name: str) -> ModelText:
+def model_of_settings(store: DiskStore, name: str) -> ModelText:
     """The model that a machine's settings name: built in, stored, or a file of this computer."""
     try:
         return stored_model(store, name)

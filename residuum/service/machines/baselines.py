@@ -27,7 +27,8 @@ from residuum.service.machines.adding import KIND, ModelText, document_name, kep
 from residuum.service.machines.judging.judges import diagnoser_class
 from residuum.service.machines.judging.kept_diagnosers import content_of, diagnoser_of_content
 from residuum.service.machines.windows import REMEDY, holed, kept_windows
-from residuum.service.store import Conflict, ModelVersion, NotFound, Store
+from residuum.service.storage.disk_store import DiskStore
+from residuum.service.store import Conflict, ModelVersion, NotFound
 from residuum.service.views.model_view import model_of
 from residuum.service.work.jobs import Progress
 from residuum.service.work.worker_pool import RecordParts
@@ -224,7 +225,7 @@ def _name(asset: str) -> str:
     return f"{asset}.method"
 
 
-def deciding_method(store: Store, asset: str, diagnoser: str, otherwise: str | None = None) -> str | None:
+def deciding_method(store: DiskStore, asset: str, diagnoser: str, otherwise: str | None = None) -> str | None:
     """Which of a diagnoser's methods decides for a machine: the one that somebody chose while the service ran, else `otherwise`.
 
     The store is asked only for a diagnoser that has a choice. NotFound for a diagnoser that there is not.
@@ -236,7 +237,7 @@ def deciding_method(store: Store, asset: str, diagnoser: str, otherwise: str | N
     return chosen if chosen in methods else otherwise
 
 
-def chosen_method(store: Store, asset: str) -> str | None:
+def chosen_method(store: DiskStore, asset: str) -> str | None:
     """`source` or `default` as somebody chose for this machine; None: as its baseline was trained, or its settings say.
 
     For a machine whose name is too long for a document nothing can have been chosen.
@@ -245,7 +246,7 @@ def chosen_method(store: Store, asset: str) -> str | None:
     return None if document is None or document["method"] is None else str(document["method"])
 
 
-def choose_method(store: Store, asset: str, method: str | None, by: str) -> None:
+def choose_method(store: DiskStore, asset: str, method: str | None, by: str) -> None:
     """Let a method decide from the machine's next window on; None takes the choice back.
 
     Raises
@@ -275,7 +276,7 @@ _MOST = 120
 _CHECKED_SHARE = 0.3
 
 
-def healthy_windows(store: Store, asset: str) -> list[Record]:
+def healthy_windows(store: DiskStore, asset: str) -> list[Record]:
     """The newest windows judged healthy whose signals are kept and alike (channels, units, rate), oldest first.
 
     Conflict when there are fewer than 8.
@@ -334,7 +335,7 @@ def _alike(one: Record, other: Record) -> bool:
 BASELINE = "baseline"
 
 
-def baseline_name(store: Store, asset: str, wanted: str | None = None) -> str:
+def baseline_name(store: DiskStore, asset: str, wanted: str | None = None) -> str:
     """The wanted name or the asset's own; with the ending `.baseline` where a model of another kind has that one."""
     name = wanted or asset
     try:
@@ -343,12 +344,12 @@ def baseline_name(store: Store, asset: str, wanted: str | None = None) -> str:
         return name
 
 
-def newest_baseline(store: Store, asset: str, wanted: str | None = None) -> ModelVersion:
+def newest_baseline(store: DiskStore, asset: str, wanted: str | None = None) -> ModelVersion:
     """The newest version of a machine's baseline; NotFound before there is one."""
     return store.model_versions(baseline_name(store, asset, wanted))[0]
 
 
-def has_baseline(store: Store, asset: str, wanted: str | None = None) -> bool:
+def has_baseline(store: DiskStore, asset: str, wanted: str | None = None) -> bool:
     """Whether a machine has a baseline."""
     try:
         return newest_baseline(store, asset, wanted).kind == BASELINE
@@ -365,7 +366,7 @@ MOST = 60
 
 
 def training_windows(
-    store: Store,
+    store: DiskStore,
     asset: str,
     leave_out: Collection[int],
     *,

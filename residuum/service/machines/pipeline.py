@@ -26,7 +26,8 @@ from residuum.service.machines.judging.second_opinion import second_name, with_s
 from residuum.service.machines.machine_line import MachineLine, unreadable
 from residuum.service.settings import Settings
 from residuum.service.simulated.demo import Demo
-from residuum.service.store import Conflict, NotFound, StorageUnavailable, Store
+from residuum.service.storage.disk_store import DiskStore
+from residuum.service.store import Conflict, NotFound, StorageUnavailable
 from residuum.service.work.worker_pool import WorkerPool
 
 # JudgeAndStore: a window is judged in a worker process and kept with its finding.
@@ -45,11 +46,11 @@ class JudgeAndStore:
     ----------
     pool : WorkerPool
         Runs the diagnosers.
-    store : Store
+    store : DiskStore
         Keeps windows and findings.
     """
 
-    def __init__(self, pool: WorkerPool, store: Store) -> None:
+    def __init__(self, pool: WorkerPool, store: DiskStore) -> None:
         self._pool, self._store = pool, store
         self.second_baselines: dict[str, str] = {}
         """Machine → file of the baseline of its second opinion, once there is one."""
@@ -111,13 +112,13 @@ class Pipeline:
     ----------
     settings : Settings
         `machines` are watched; with `demo` the simulated machines are started, their diagnosers trained, and watched too.
-    store : Store
+    store : DiskStore
     events : Events
         Told `pipeline` whenever a machine's state changes.
     executor : WorkerPool
     """
 
-    def __init__(self, settings: Settings, store: Store, events: Events, executor: WorkerPool) -> None:
+    def __init__(self, settings: Settings, store: DiskStore, events: Events, executor: WorkerPool) -> None:
         self._settings, self._store, self._events, self._pool = settings, store, events, executor
         self._demo = Demo(settings.demo_speed, settings.demo_opcua) if settings.demo else None
         machines = [*settings.machines, *(self._demo.machines if self._demo else [])]

@@ -13,7 +13,7 @@ from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
 from residuum.identification.units import compatible
 from residuum.service.machines.adding import KIND, ModelText, document_name, kept_document, named
-from residuum.service.store import Store
+from residuum.service.storage.disk_store import DiskStore
 from residuum.service.views.model_view import view_model
 from residuum.service.work.jobs import Progress
 from residuum.service.work.worker_pool import RecordParts, parts_of
@@ -25,12 +25,12 @@ def _name(asset: str) -> str:
     return f"{asset}.limits"
 
 
-def limits_of(store: Store, asset: str) -> dict[str, float]:
+def limits_of(store: DiskStore, asset: str) -> dict[str, float]:
     """Name of a parameter → its limit, in the parameter's unit; none for a machine whose name is too long for a document."""
     return {str(name): float(value) for name, value in (kept_document(store, _name(asset)) or {}).items()}
 
 
-def keep_limits(store: Store, asset: str, limits: Mapping[str, float], by: str) -> None:
+def keep_limits(store: DiskStore, asset: str, limits: Mapping[str, float], by: str) -> None:
     """Keep the limits in the place of those before; Conflict for a machine whose name is too long for a document."""
     document_name(asset)  # refuses a name that is too long
     store.add_model_version(_name(asset), KIND, orjson.dumps(dict(limits)), "limits", by)
@@ -42,7 +42,7 @@ _SHORTEST = 1e-3
 """Seconds by which two windows must differ in time."""
 
 
-def told_parameters(store: Store, asset: str) -> list[dict[str, Any]]:
+def told_parameters(store: DiskStore, asset: str) -> list[dict[str, Any]]:
     """What the newest windows told of every parameter, oldest first: `at` [s since 1970], `parameters`, `conditions`."""
     found: list[dict[str, Any]] = []
     cursor = None

@@ -15,13 +15,14 @@ from residuum.identification.record import Record
 from residuum.service.fieldbus.settings import WindowSettings
 from residuum.service.fieldbus.source import Block, Samples, StreamFormat
 from residuum.service.machines.adding import ModelText, model_signals, named
-from residuum.service.store import Conflict, SignalLetGo, Store
+from residuum.service.storage.disk_store import DiskStore
+from residuum.service.store import Conflict, SignalLetGo
 from residuum.service.views.model_view import model_of
 
 # Stored windows whose signals are still kept.
 
 
-def kept_windows(store: Store, asset: str, windows: Iterable[int]) -> Iterator[tuple[int, Record]]:
+def kept_windows(store: DiskStore, asset: str, windows: Iterable[int]) -> Iterator[tuple[int, Record]]:
     """Of these windows, in their order, each with its record; one whose signals were let go is passed over."""
     for window in windows:
         try:
@@ -35,7 +36,7 @@ def kept_windows(store: Store, asset: str, windows: Iterable[int]) -> Iterator[t
 
 
 def complete_windows(
-    store: Store, asset: str, windows: Sequence[int], channels: Mapping[str, str], used: Collection[str], most: int
+    store: DiskStore, asset: str, windows: Sequence[int], channels: Mapping[str, str], used: Collection[str], most: int
 ) -> dict[int, Record]:
     """The newest of these windows without a hole, at most so many, oldest first; Conflict when each has one.
 

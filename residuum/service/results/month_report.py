@@ -12,7 +12,8 @@ from datetime import datetime, timedelta
 from typing import Any
 
 from residuum.service.results.parquet_tables import Span, findings_in, month_of
-from residuum.service.store import Alarm, AlarmEntry, Asset, Store, StoredFinding
+from residuum.service.storage.disk_store import DiskStore
+from residuum.service.store import Alarm, AlarmEntry, Asset, StoredFinding
 
 _HOURS = 24 * 366 * 10
 _JOURNAL = 10_000
@@ -68,7 +69,7 @@ class MonthReport:
         return sum((Counter(day) for day in self.days), Counter())
 
 
-def month_report(store: Store, asset: str, month: str) -> MonthReport:
+def month_report(store: DiskStore, asset: str, month: str) -> MonthReport:
     """The report of a month `YYYY-MM` (UTC). NotFound for an asset that is not there, BadInput for what is no month."""
     span = month_of(month)
     known = store.asset(asset)
@@ -121,7 +122,7 @@ def _add_fault(faults: dict[str, Fault], found: StoredFinding) -> None:
     faults[name] = Fault(says, (before.windows if before else 0) + 1, before.first if before else found.at, found.at)
 
 
-def _alarms_in(store: Store, asset: str, span: Span) -> Iterable[tuple[Alarm, Sequence[AlarmEntry]]]:
+def _alarms_in(store: DiskStore, asset: str, span: Span) -> Iterable[tuple[Alarm, Sequence[AlarmEntry]]]:
     """Alarms of the asset to which something happened in the month, with what, oldest first."""
     for alarm in store.alarms(asset, active=False).items:
         entries = [e for e in store.alarm_journal(alarm.id, _JOURNAL) if span.begin <= e.at < span.end]

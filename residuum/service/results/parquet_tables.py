@@ -17,7 +17,8 @@ import orjson
 
 from residuum.identification.errors import BadInput
 from residuum.library.optional_package import need
-from residuum.service.store import SignalLetGo, Store, StoredFinding, StoredWindow
+from residuum.service.storage.disk_store import DiskStore
+from residuum.service.store import SignalLetGo, StoredFinding, StoredWindow
 
 # A span of time as people write it, and what was stored in it.
 
@@ -66,7 +67,7 @@ def month_of(text: str) -> Span:
         raise BadInput(f"month {text[:40]!r}: must be YYYY-MM, for example 2026-11") from None
 
 
-def findings_in(store: Store, asset: str, span: Span) -> Iterator[StoredFinding]:
+def findings_in(store: DiskStore, asset: str, span: Span) -> Iterator[StoredFinding]:
     """All findings of an asset in a span, oldest first."""
     after = 0
     while found := store.findings_between(asset, *span, after=after, limit=_MANY):
@@ -74,7 +75,7 @@ def findings_in(store: Store, asset: str, span: Span) -> Iterator[StoredFinding]
         after = found[-1].id
 
 
-def windows_in(store: Store, asset: str, span: Span) -> Iterator[StoredWindow]:
+def windows_in(store: DiskStore, asset: str, span: Span) -> Iterator[StoredWindow]:
     """All windows of an asset in a span, oldest first."""
     after = 0
     while found := store.windows_between(asset, *span, after=after, limit=_MANY):
@@ -98,7 +99,7 @@ _GROUP_BYTES = 64 * 2**20
 """Bytes of samples in a group of rows, at most: what is held in memory."""
 
 
-def write_findings(store: Store, asset: str, span: Span, path: Path) -> int:
+def write_findings(store: DiskStore, asset: str, span: Span, path: Path) -> int:
     """Write the findings of an asset; gives their number. NotFound for an asset that is not there."""
     pa = need("pyarrow", "Parquet", "parquet")
     numbers, texts = pa.map_(pa.string(), pa.float64()), pa.map_(pa.string(), pa.string())
@@ -129,7 +130,7 @@ def write_findings(store: Store, asset: str, span: Span, path: Path) -> int:
     return _write(path, schema, rows())
 
 
-def write_windows(store: Store, asset: str, span: Span, path: Path, most_bytes: int | None = None) -> int:
+def write_windows(store: DiskStore, asset: str, span: Span, path: Path, most_bytes: int | None = None) -> int:
     """Write the windows of an asset with their signals; gives the number of rows.
 
     Raises
@@ -172,7 +173,7 @@ def write_windows(store: Store, asset: str, span: Span, path: Path, most_bytes: 
     return _write(path, schema, rows())
 
 
-def _signals(store: Store, asset: str, window: int) -> dict[str, Any]:
+def _signals(store: DiskStore, asset: str, window: int) -> dict[str, Any]:
     """The samples by channel; none where they were let go."""
     try:
         record = store.window_record(asset, window)

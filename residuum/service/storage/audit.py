@@ -79,7 +79,7 @@ def _followed(connection: Connection) -> tuple[int, str]:
     return number, digest
 
 
-def page(connection: Connection, cursor: str | None, limit: int) -> Page[AuditEntry]:
+def page(connection: Connection, cursor: str | None = None, limit: int = 100) -> Page[AuditEntry]:
     """Entries, newest first."""
     query = select(audit).order_by(audit.c.number.desc()).limit(limit + 1)
     if cursor:

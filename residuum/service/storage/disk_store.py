@@ -5,53 +5,43 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
+from functools import wraps
 from pathlib import Path
-from typing import Any
+from typing import Any, Concatenate, ParamSpec, TypeVar
 
-from sqlalchemy import Row
+from sqlalchemy import Connection, Row
 from sqlalchemy.exc import IntegrityError
 
 from residuum.diagnosis.finding import Finding
 from residuum.identification.errors import in_one_line
 from residuum.identification.record import Record
 from residuum.service.alarms.alarm_states import AlarmEvent, AlarmRule
-from residuum.service.storage import alarm_rates, audit, retention, time_range
+from residuum.service.storage import alarm_rates, retention, time_range
+from residuum.service.storage import audit as audit_trail
 from residuum.service.storage.blocks import BlockReference, Blocks, BrokenBlock
 from residuum.service.storage.database import Busy, Database, OutcomeUnknown, SamePlace, sqlite_file
 from residuum.service.storage.outbox import Outbox
 from residuum.service.storage.retention import Clock, Retention
-from residuum.service.storage.rows import (
-    alarm_history,
-    alarms,
-    assets,
-    block_rows,
-    finding_hours,
-    finding_notices,
-    models,
-    records,
-    windows,
-)
+from residuum.service.storage.rows import alarm_history as alarm_occurrences
+from residuum.service.storage.rows import alarms as alarm_rows
+from residuum.service.storage.rows import assets as asset_rows
+from residuum.service.storage.rows import block_rows, finding_notices
+from residuum.service.storage.rows import finding_hours as finding_hour_rows
+from residuum.service.storage.rows import models as model_rows
+from residuum.service.storage.rows import records as record_rows
+from residuum.service.storage.rows import windows as window_rows
 from residuum.service.storage.rows.row_checks import check_rows
 from residuum.service.store import (
     Alarm,
-    AlarmEntry,
-    AlarmOccurrence,
     AlarmRates,
-    Asset,
-    AuditEntry,
-    FindingHour,
-    IndicatorHistory,
     ModelVersion,
-    Page,
     ReadInPieces,
     SignalLetGo,
     StorageUnavailable,
     StoredFinding,
-    StoredRecord,
-    StoredWindow,
 )
 
 SETTLED = 120.0
@@ -68,6 +58,9 @@ _FIRST_CLOCK, _LAST_CLOCK = 946_684_800.0, 253_402_300_000.0
 _AHEAD = timedelta(minutes=1)
 """By how much a window's own clock may be ahead of ours to be believed."""
 
+P = ParamSpec("P")
+Answer = TypeVar("Answer")
+
 Announce = Callable[[str, Mapping[str, Any]], None]
 """Told what changed, after it is on disk: (event kind, payload)."""
 
@@ -81,8 +74,21 @@ def _plain(_asset: str) -> AlarmRule:
     return AlarmRule()
 
 
+def _asked(rows: Callable[Concatenate[Connection, P], Answer]) -> Callable[Concatenate[DiskStore, P], Answer]:
+    """A question of the store that its rows answer in one read: their signature and their words are the method's."""
+
+    @wraps(rows)
+    def method(self: DiskStore, /, *given: P.args, **named: P.kwargs) -> Answer:
+        with self._database.read() as connection:
+            return rows(connection, *given, **named)
+
+    return method
+
+
 class DiskStore:
-    """`residuum.service.store.Store` in a folder and a database.
+    """Everything that outlives a run of the service, in a folder and a database.
+
+    All methods are thread-safe and block until they are done. What is only read is asked of the rows as it stands there.
 
     Order of a write: the signal block, fsync of file and folder, then one transaction with the rows (window, finding,
     asset, alarms); only after its commit does the call return and the change get announced. A crash in between
@@ -115,6 +121,31 @@ class DiskStore:
         self._checking, self._checked_at = threading.Lock(), -math.inf
         self._refusal: StorageUnavailable | None = None
 
+    assets = _asked(asset_rows.page)
+    asset = _asked(asset_rows.get)
+    findings = _asked(asset_rows.findings_page)
+    findings_after = _asked(asset_rows.findings_after)
+    findings_between = _asked(time_range.findings_between)
+    windows_between = _asked(time_range.windows_between)
+    newest_finding = _asked(asset_rows.newest_finding)
+    finding_of = _asked(asset_rows.finding_of)
+    indicators = _asked(asset_rows.indicators)
+    finding_hours = _asked(finding_hour_rows.newest)
+    recorded_windows = _asked(asset_rows.recorded_windows)
+    windows = _asked(window_rows.page)
+    window = _asked(window_rows.get)
+    alarms = _asked(alarm_rows.page)
+    alarms_changed = _asked(alarm_rows.changed_at)
+    alarm = _asked(alarm_rows.get)
+    alarm_journal = _asked(alarm_rows.journal)
+    alarm_history = _asked(alarm_occurrences.page)
+    audit = _asked(audit_trail.page)
+    records = _asked(record_rows.page)
+    record = _asked(record_rows.get)
+    models = _asked(model_rows.page)
+    model_versions = _asked(model_rows.versions)
+    model_content = _asked(model_rows.content)
+
     def close(self) -> None:
         """Close the database."""
         self._database.close()
@@ -140,7 +171,7 @@ class DiskStore:
         try:
             self._blocks.probe()
             with self._database.write() as connection:
-                audit.touch(connection)
+                audit_trail.touch(connection)
         except StorageUnavailable as error:
             return error
         return None
@@ -148,7 +179,7 @@ class DiskStore:
     def unshelve_expired(self) -> None:
         """Put alarms back whose shelving has run out."""
         with self._database.write() as connection:
-            expired = alarms.unshelve_expired(connection, _now())
+            expired = alarm_rows.unshelve_expired(connection, _now())
         for alarm in expired:
             self._announce("alarm", alarm.to_json())
 
@@ -217,11 +248,11 @@ class DiskStore:
         digest: str | None,
     ) -> int:
         with self._database.write() as connection:
-            assets.ensure(connection, asset, None, finding.diagnoser, now)
-            window = windows.add(connection, asset, record, block, now=now, idempotency_key=idempotency_key, digest=digest)
-            number = assets.add_finding(connection, asset, window, finding, now)
+            asset_rows.ensure(connection, asset, None, finding.diagnoser, now)
+            window = window_rows.add(connection, asset, record, block, now=now, idempotency_key=idempotency_key, digest=digest)
+            number = asset_rows.add_finding(connection, asset, window, finding, now)
             finding_notices.add(connection, number)
-            changed = alarms.follow(connection, asset, window, finding, now, self._rule_of(asset), _seen_at(record, now))
+            changed = alarm_rows.follow(connection, asset, window, finding, now, self._rule_of(asset), _seen_at(record, now))
         self._refuse_moved()
         self._announce("finding", StoredFinding(number, asset, window, now, finding).to_json())
         for alarm in changed:
@@ -232,83 +263,12 @@ class DiskStore:
         """The window stored under a key before, None when there is none; Conflict when its content differed."""
         self._place.check()
         with self._database.read() as connection:
-            return windows.with_key(connection, asset, idempotency_key, digest)
+            return window_rows.with_key(connection, asset, idempotency_key, digest)
 
     def ensure_asset(self, asset: str, title: str | None = None, diagnoser: str | None = None) -> None:
         """Make an asset known, or update its title and diagnoser."""
         with self._database.write() as connection:
-            assets.ensure(connection, asset, title, diagnoser, _now())
-
-    def assets(self, cursor: str | None = None, limit: int = 100, sites: Collection[str] | None = None) -> Page[Asset]:
-        """Assets by name, of some sites or of all."""
-        with self._database.read() as connection:
-            return assets.page(connection, cursor, limit, sites)
-
-    def asset(self, asset: str) -> Asset:
-        """One asset."""
-        with self._database.read() as connection:
-            return assets.get(connection, asset)
-
-    def findings(self, asset: str, cursor: str | None = None, limit: int = 50, verdict: str | None = None) -> Page[StoredFinding]:
-        """Findings of an asset, newest first."""
-        with self._database.read() as connection:
-            return assets.findings_page(connection, asset, cursor, limit, verdict)
-
-    def findings_after(self, asset: str, number: int, limit: int = 100) -> Sequence[StoredFinding]:
-        """The first findings of an asset that come after a number, oldest first; none for an asset that is not known."""
-        with self._database.read() as connection:
-            return assets.findings_after(connection, asset, number, limit)
-
-    def findings_between(
-        self, asset: str, begin: datetime, end: datetime, after: int = 0, limit: int = 500
-    ) -> Sequence[StoredFinding]:
-        """The first findings of an asset in [begin, end) with a number larger than `after`, oldest first."""
-        with self._database.read() as connection:
-            return time_range.findings_between(connection, asset, begin, end, after, limit)
-
-    def windows_between(
-        self, asset: str, begin: datetime, end: datetime, after: int = 0, limit: int = 500
-    ) -> Sequence[StoredWindow]:
-        """The first windows of an asset received in [begin, end) with a number larger than `after`, oldest first."""
-        with self._database.read() as connection:
-            return time_range.windows_between(connection, asset, begin, end, after, limit)
-
-    def newest_finding(self) -> int:
-        """The largest number of a finding; 0 before there is one."""
-        with self._database.read() as connection:
-            return assets.newest_finding(connection)
-
-    def finding_of(self, window: int) -> StoredFinding:
-        """The latest finding on a window."""
-        with self._database.read() as connection:
-            return assets.finding_of(connection, window)
-
-    def indicators(
-        self, asset: str, limit: int = 500, span: tuple[datetime | None, datetime | None] | None = None
-    ) -> IndicatorHistory:
-        """Indicators and thresholds of the newest findings, or of at most so many spread over a span; oldest first."""
-        with self._database.read() as connection:
-            return assets.indicators(connection, asset, limit, span)
-
-    def finding_hours(self, asset: str, limit: int = 24 * 30) -> Sequence[FindingHour]:
-        """Hourly history of the findings whose rows were let go, oldest first."""
-        with self._database.read() as connection:
-            return finding_hours.newest(connection, asset, limit)
-
-    def recorded_windows(self, asset: str, limit: int = 500) -> Sequence[int]:
-        """The newest windows of an asset that are kept with their signals and were never judged, oldest first."""
-        with self._database.read() as connection:
-            return assets.recorded_windows(connection, asset, limit)
-
-    def windows(self, asset: str, cursor: str | None = None, limit: int = 50) -> Page[StoredWindow]:
-        """Windows of an asset, newest first."""
-        with self._database.read() as connection:
-            return windows.page(connection, asset, cursor, limit)
-
-    def window(self, asset: str, window: int) -> StoredWindow:
-        """One window."""
-        with self._database.read() as connection:
-            return windows.get(connection, asset, window)
+            asset_rows.ensure(connection, asset, title, diagnoser, _now())
 
     def window_record(self, asset: str, window: int, channels: Sequence[str] | None = None) -> Record:
         """The samples of a window (of some channels), verified; SignalLetGo when the retention rule has removed them."""
@@ -332,57 +292,18 @@ class DiskStore:
 
     def _held(self, asset: str, window: int) -> Row[Any]:
         with self._database.read() as connection:
-            row = windows.row_of(connection, asset, window)
+            row = window_rows.row_of(connection, asset, window)
         if row.signal_let_go_at is not None:
             gone = row.signal_let_go_at.isoformat(" ", "seconds")
             raise SignalLetGo(f"asset {asset!r}, window {window}: its signal was let go at {gone} by the retention rule")
         return row
-
-    def alarms(
-        self,
-        asset: str | None = None,
-        active: bool = True,
-        cursor: str | None = None,
-        limit: int = 100,
-        sites: Collection[str] | None = None,
-    ) -> Page[Alarm]:
-        """Alarms of some sites or of all; `active` leaves out those in state normal."""
-        with self._database.read() as connection:
-            return alarms.page(connection, asset, active, cursor, limit, sites)
-
-    def alarms_changed(self, asset: str, moments: Collection[datetime]) -> Sequence[Alarm]:
-        """The alarms of an asset, as they are now, that changed with the findings of these moments."""
-        with self._database.read() as connection:
-            return alarms.changed_at(connection, asset, moments)
-
-    def alarm(self, alarm: int) -> Alarm:
-        """One alarm."""
-        with self._database.read() as connection:
-            return alarms.get(connection, alarm)
-
-    def alarm_journal(self, alarm: int, limit: int = 100) -> Sequence[AlarmEntry]:
-        """What happened to an alarm, newest first."""
-        with self._database.read() as connection:
-            return alarms.journal(connection, alarm, limit)
-
-    def alarm_history(
-        self,
-        span: tuple[datetime | None, datetime | None] = (None, None),
-        asset: str | None = None,
-        cursor: str | None = None,
-        limit: int = 100,
-        sites: Collection[str] | None = None,
-    ) -> Page[AlarmOccurrence]:
-        """Alarms that were raised in a span of time (None: open), the newest first, each with what became of it."""
-        with self._database.read() as connection:
-            return alarm_history.page(connection, span, asset=asset, cursor=cursor, limit=limit, sites=sites)
 
     def operate_alarm(
         self, alarm: int, event: AlarmEvent, by: str | None = None, comment: str | None = None, until: datetime | None = None
     ) -> Alarm:
         """What an operator asks of an alarm; IllegalTransition when its state does not allow it."""
         with self._database.write() as connection:
-            changed = alarms.operate(connection, alarm, event, by=by, comment=comment, until=until, now=_now())
+            changed = alarm_rows.operate(connection, alarm, event, by=by, comment=comment, until=until, now=_now())
         self._announce("alarm", changed.to_json())
         return changed
 
@@ -391,11 +312,6 @@ class DiskStore:
         with self._database.read() as connection:
             return alarm_rates.rates(connection, _now())
 
-    def audit(self, cursor: str | None = None, limit: int = 100) -> Page[AuditEntry]:
-        """The audit trail, newest first."""
-        with self._database.read() as connection:
-            return audit.page(connection, cursor, limit)
-
     def add_record(self, name: str, record: Record) -> int:
         """Keep an uploaded record; returns its id when it is on disk."""
         now = _now()
@@ -403,30 +319,20 @@ class DiskStore:
         block = self._blocks.write(record, _day(now))
         with self._discarded_on_failure(block):
             with self._database.write() as connection:
-                number = records.add(connection, name, record, block, now)
+                number = record_rows.add(connection, name, record, block, now)
             self._refuse_moved()
             return number
-
-    def records(self, cursor: str | None = None, limit: int = 50) -> Page[StoredRecord]:
-        """Uploaded records, newest first."""
-        with self._database.read() as connection:
-            return records.page(connection, cursor, limit)
-
-    def record(self, record: int) -> StoredRecord:
-        """One uploaded record."""
-        with self._database.read() as connection:
-            return records.get(connection, record)
 
     def record_samples(self, record: int, channels: Sequence[str] | None = None) -> Record:
         """The samples of an uploaded record, verified."""
         with self._database.read() as connection:
-            row = records.row_of(connection, record)
+            row = record_rows.row_of(connection, record)
         return self._blocks.read(row.block_path, channels, row.block_checksum)
 
     def record_in_pieces(self, record: int, channels: Sequence[str] | None = None) -> ReadInPieces:
         """The same, to be read piece by piece."""
         with self._database.read() as connection:
-            row = records.row_of(connection, record)
+            row = record_rows.row_of(connection, record)
         return self._blocks.in_pieces(row.block_path, channels, row.block_checksum)
 
     def audit_refusals(self, refusals: Sequence[tuple[Mapping[str, Any], int]]) -> None:
@@ -436,40 +342,25 @@ class DiskStore:
             for told, times in refusals:
                 subject = f"{told['method']} {told['path']}"
                 detail = {"address": told["address"], "status": told["status"], "times": times}
-                audit.append(connection, "refused", subject, by=told["by"], now=now, detail=detail)
+                audit_trail.append(connection, "refused", subject, by=told["by"], now=now, detail=detail)
 
     def remove_record(self, record: int, by: str | None = None) -> None:
         """Delete an uploaded record for good: its row first, so that a crash leaves at most an orphan for `sweep`."""
         with self._database.write() as connection:
-            row = records.row_of(connection, record)
-            path = records.remove(connection, record)
+            row = record_rows.row_of(connection, record)
+            path = record_rows.remove(connection, record)
             told = {"name": row.name, "checksum": row.block_checksum}
-            audit.append(connection, "record removed", f"record {record}", by=by, now=_now(), detail=told)
+            audit_trail.append(connection, "record removed", f"record {record}", by=by, now=_now(), detail=told)
         self._blocks.remove(path)
 
     def add_model_version(self, model: str, kind: str, content: bytes, note: str = "", by: str | None = None) -> ModelVersion:
         """Keep a new version of a model; the first makes the model."""
         with self._database.write() as connection:
-            version = models.add_version(connection, model, kind, content, note=note, by=by, now=_now())
+            version = model_rows.add_version(connection, model, kind, content, note=note, by=by, now=_now())
             told = {"kind": kind, "number": version.number, "checksum": version.checksum}
-            audit.append(connection, "model version", f"model {model}", by=by, now=version.created_at, detail=told)
+            audit_trail.append(connection, "model version", f"model {model}", by=by, now=version.created_at, detail=told)
         self._announce("model", version.to_json())
         return version
-
-    def models(self, kind: str | None = None, cursor: str | None = None, limit: int = 100) -> Page[ModelVersion]:
-        """The newest version of every model, by name."""
-        with self._database.read() as connection:
-            return models.page(connection, kind, cursor, limit)
-
-    def model_versions(self, model: str) -> Sequence[ModelVersion]:
-        """All versions of a model, newest first."""
-        with self._database.read() as connection:
-            return models.versions(connection, model)
-
-    def model_content(self, model: str, number: int | None = None) -> bytes:
-        """The file of one version (default: the newest)."""
-        with self._database.read() as connection:
-            return models.content(connection, model, number)
 
     def retain(self, rule: Retention) -> int:
         """Remove the signals, and then the rows, that the retention rule no longer keeps; returns how many signals.
@@ -481,7 +372,9 @@ class DiskStore:
             with self._database.patiently(), self._database.write() as connection:
                 paths = retention.let_go(connection, rule, _now(), self._clock)
                 if paths:
-                    audit.append(connection, "signals let go", "windows", by=None, now=_now(), detail={"windows": len(paths)})
+                    audit_trail.append(
+                        connection, "signals let go", "windows", by=None, now=_now(), detail={"windows": len(paths)}
+                    )
             for path in paths:
                 self._blocks.remove(path)
             count += len(paths)
@@ -495,7 +388,7 @@ class DiskStore:
         with self._database.patiently(), self._database.write() as connection:
             count = retention.forget(connection, rule, _now(), self._clock)
             if count:
-                audit.append(connection, "rows let go", "windows", by=None, now=_now(), detail={"windows": count})
+                audit_trail.append(connection, "rows let go", "windows", by=None, now=_now(), detail={"windows": count})
             return count
 
     def troubles(self) -> Mapping[str, str]:
@@ -539,7 +432,7 @@ class DiskStore:
         if orphans:
             with self._database.write() as connection:
                 told = {"blocks": len(orphans)}
-                audit.append(connection, "blocks swept", "signal blocks", by=None, now=_now(), detail=told)
+                audit_trail.append(connection, "blocks swept", "signal blocks", by=None, now=_now(), detail=told)
         return len(orphans)
 
 

@@ -13,7 +13,7 @@ from residuum.service.store import StoredFinding, StoredWindow
 
 
 def findings_between(
-    connection: Connection, asset: str, begin: datetime, end: datetime, after: int, limit: int
+    connection: Connection, asset: str, begin: datetime, end: datetime, after: int = 0, limit: int = 500
 ) -> Sequence[StoredFinding]:
     """The first findings of an asset in [begin, end) with a number larger than `after`."""
     assets.require(connection, asset)
@@ -24,7 +24,7 @@ def findings_between(
 
 
 def windows_between(
-    connection: Connection, asset: str, begin: datetime, end: datetime, after: int, limit: int
+    connection: Connection, asset: str, begin: datetime, end: datetime, after: int = 0, limit: int = 500
 ) -> Sequence[StoredWindow]:
     """The first windows of an asset received in [begin, end) with a number larger than `after`."""
     assets.require(connection, asset)

@@ -20,7 +20,8 @@ from residuum.nearest_names import known_names
 from residuum.service.broker import BrokerAddress
 from residuum.service.machines.baselines import baseline_file, deciding_method
 from residuum.service.machines.judging.scoring import score_window
-from residuum.service.store import NotFound, StorageUnavailable, Store
+from residuum.service.storage.disk_store import DiskStore
+from residuum.service.store import NotFound, StorageUnavailable
 from residuum.service.window_queue.set_aside import ATTEMPTS, Attempts, SetAside
 from residuum.service.window_queue.stored_windows import StoredNews
 from residuum.service.window_queue.window_message import (
@@ -54,12 +55,12 @@ class Scorer:
     part, parts : int
         Which of how many scorers this is, from 1. Two with the same part end each other's connection.
     pool : WorkerPool
-    store : Store
+    store : DiskStore
     data : Path
         Folder for baselines.
     """
 
-    def __init__(self, address: BrokerAddress, part: int, parts: int, pool: WorkerPool, store: Store, data: Path) -> None:
+    def __init__(self, address: BrokerAddress, part: int, parts: int, pool: WorkerPool, store: DiskStore, data: Path) -> None:
         if not 1 <= part <= parts <= PARTITIONS:
             raise BadInput(f"scorer {part}/{parts}: must be one of at most {PARTITIONS}, numbered from 1")
         self._address, self._part, self._parts = address, part, parts

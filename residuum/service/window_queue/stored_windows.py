@@ -14,7 +14,8 @@ import structlog
 
 from residuum.identification.errors import BadInput
 from residuum.service.broker import BrokerAddress
-from residuum.service.store import StorageUnavailable, Store
+from residuum.service.storage.disk_store import DiskStore
+from residuum.service.store import StorageUnavailable
 from residuum.service.window_queue.window_message import ASSET_NAME, PARTITIONS, broker_client, stored_topic
 
 # StoredNews: which window has been stored, as bytes. It names what to read from the store and
@@ -100,7 +101,7 @@ class StoredWindows:
     Parameters
     ----------
     address : BrokerAddress
-    store : Store
+    store : DiskStore
     told : Told
         Shared with what else tells of findings.
     tell : callable
@@ -108,7 +109,7 @@ class StoredWindows:
     count : callable
     """
 
-    def __init__(self, address: BrokerAddress, store: Store, told: Told, tell: Tell, count: Count) -> None:
+    def __init__(self, address: BrokerAddress, store: DiskStore, told: Told, tell: Tell, count: Count) -> None:
         self._address, self._store, self._told, self._tell, self._count = address, store, told, tell, count
         self._lock = threading.Lock()
         self._waiting: dict[str, int] = {}

@@ -16,7 +16,7 @@ from residuum.service.machines.baselines import BASELINE, deciding_method, newes
 from residuum.service.machines.judging.kept_diagnosers import IN_THIS_PROCESS, diagnoser_of_content
 from residuum.service.storage import DiskStore
 from residuum.service.storage.rows import models
-from residuum.service.store import ModelVersion, NotFound, Store
+from residuum.service.store import ModelVersion, NotFound
 from residuum.service.work.fleet import StoredWindows, stored_in
 
 OWN = "own"
@@ -67,7 +67,7 @@ def rescore_own(source: StoredWindows) -> RescoreOwn:
         store.close()
 
 
-def _own(store: Store) -> Sequence[OwnJudge]:
+def _own(store: DiskStore) -> Sequence[OwnJudge]:
     found: list[OwnJudge] = []
     cursor: str | None = None
     while True:
@@ -82,7 +82,7 @@ def _own(store: Store) -> Sequence[OwnJudge]:
             return found
 
 
-def _baseline(store: Store, asset: str) -> ModelVersion | None:
+def _baseline(store: DiskStore, asset: str) -> ModelVersion | None:
     try:
         newest = newest_baseline(store, asset)
     except NotFound:

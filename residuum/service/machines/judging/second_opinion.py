@@ -9,7 +9,7 @@ from residuum.diagnosis.finding import Finding
 from residuum.identification.errors import BadInput
 from residuum.service.fieldbus.settings import MachineSettings
 from residuum.service.machines.baselines import baseline_name
-from residuum.service.store import Store
+from residuum.service.storage.disk_store import DiskStore
 
 
 def with_second_opinion(finding: Finding, second: Finding) -> Finding:
@@ -27,7 +27,7 @@ def with_second_opinion(finding: Finding, second: Finding) -> Finding:
     return replace(finding, evidence={**finding.evidence, "second_opinion": told})
 
 
-def second_name(store: Store, asset: str, wanted: str | None) -> str:
+def second_name(store: DiskStore, asset: str, wanted: str | None) -> str:
     """The name under which the baseline of a machine's second opinion is stored."""
     return baseline_name(store, f"{asset}.second", wanted)
 
@@ -40,7 +40,7 @@ class Trained(NamedTuple):
     model: str | None
 
 
-def what_is_trained(store: Store, settings: MachineSettings, *, second: bool) -> Trained:
+def what_is_trained(store: DiskStore, settings: MachineSettings, *, second: bool) -> Trained:
     """The machine's own diagnoser, or its second opinion; BadInput where it has none."""
     if not second:
         return Trained(settings.diagnoser, baseline_name(store, settings.asset, settings.baseline), settings.model)

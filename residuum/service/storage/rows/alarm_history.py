@@ -20,12 +20,11 @@ _RAISED = (alarm_journal.c.event == AlarmEvent.RAISE.value) | alarm_journal.c.ev
 
 def page(
     connection: Connection,
-    span: tuple[datetime | None, datetime | None],
-    *,
-    asset: str | None,
-    cursor: str | None,
-    limit: int,
-    sites: Collection[str] | None,
+    span: tuple[datetime | None, datetime | None] = (None, None),
+    asset: str | None = None,
+    cursor: str | None = None,
+    limit: int = 100,
+    sites: Collection[str] | None = None,
 ) -> Page[AlarmOccurrence]:
     """Alarms that were raised in [begin, end), None for an open end, the newest first."""
     begin, end = span

@@ -113,7 +113,12 @@ def get(connection: Connection, alarm: int) -> Alarm:
 
 
 def page(
-    connection: Connection, asset: str | None, active: bool, cursor: str | None, limit: int, sites: Collection[str] | None
+    connection: Connection,
+    asset: str | None = None,
+    active: bool = True,
+    cursor: str | None = None,
+    limit: int = 100,
+    sites: Collection[str] | None = None,
 ) -> Page[Alarm]:
     """Alarms, the newest first."""
     query = select(alarms).where(paging.of_sites(alarms.c.asset_id, sites)).order_by(alarms.c.id.desc()).limit(limit + 1)
@@ -135,7 +140,7 @@ def changed_at(connection: Connection, asset: str, moments: Collection[datetime]
     return [_alarm(row) for row in connection.execute(query)]
 
 
-def journal(connection: Connection, alarm: int, limit: int) -> Sequence[AlarmEntry]:
+def journal(connection: Connection, alarm: int, limit: int = 100) -> Sequence[AlarmEntry]:
     """What happened to an alarm, newest first."""
     _row(connection, alarm)
     query = select(alarm_journal).where(alarm_journal.c.alarm_id == alarm).order_by(alarm_journal.c.id.desc()).limit(limit)

@@ -56,7 +56,9 @@ def get(connection: Connection, asset: str) -> Asset:
     return _asset(row)
 
 
-def page(connection: Connection, cursor: str | None, limit: int, sites: Collection[str] | None) -> Page[Asset]:
+def page(
+    connection: Connection, cursor: str | None = None, limit: int = 100, sites: Collection[str] | None = None
+) -> Page[Asset]:
     """Assets by name."""
     query = _with_finding().where(paging.of_sites(assets.c.id, sites)).order_by(assets.c.id)
     if cursor:
@@ -64,7 +66,9 @@ def page(connection: Connection, cursor: str | None, limit: int, sites: Collecti
     return paging.page_by_bytes(connection, query, assets.c.id, DOCUMENTS, limit, "assets_id", _asset)
 
 
-def findings_page(connection: Connection, asset: str, cursor: str | None, limit: int, verdict: str | None) -> Page[StoredFinding]:
+def findings_page(
+    connection: Connection, asset: str, cursor: str | None = None, limit: int = 50, verdict: str | None = None
+) -> Page[StoredFinding]:
     """Findings of an asset, newest first."""
     require(connection, asset)
     query = select(findings).where(findings.c.asset_id == asset).order_by(findings.c.id.desc())
@@ -75,7 +79,7 @@ def findings_page(connection: Connection, asset: str, cursor: str | None, limit:
     return paging.page_by_bytes(connection, query, findings.c.id, DOCUMENTS, limit, "id", stored_finding)
 
 
-def recorded_windows(connection: Connection, asset: str, limit: int) -> Sequence[int]:
+def recorded_windows(connection: Connection, asset: str, limit: int = 500) -> Sequence[int]:
     """Windows with their signals that were kept before there was a baseline, oldest first."""
     query = select(findings.c.window_id).join_from(findings, windows, windows.c.id == findings.c.window_id)
     query = query.where(findings.c.asset_id == asset, findings.c.verdict == Verdict.NOT_ASSESSABLE.value)
@@ -83,7 +87,7 @@ def recorded_windows(connection: Connection, asset: str, limit: int) -> Sequence
     return connection.execute(query.order_by(findings.c.id.desc()).limit(limit)).scalars().all()[::-1]
 
 
-def findings_after(connection: Connection, asset: str, number: int, limit: int) -> Sequence[StoredFinding]:
+def findings_after(connection: Connection, asset: str, number: int, limit: int = 100) -> Sequence[StoredFinding]:
     """The first findings of an asset with a larger number, oldest first."""
     after = (findings.c.asset_id == asset) & (findings.c.id > number)
     query = select(findings).where(after).order_by(findings.c.id)
@@ -106,7 +110,7 @@ def finding_of(connection: Connection, window: int) -> StoredFinding:
 
 
 def indicators(
-    connection: Connection, asset: str, limit: int, span: tuple[datetime | None, datetime | None] | None = None
+    connection: Connection, asset: str, limit: int = 500, span: tuple[datetime | None, datetime | None] | None = None
 ) -> IndicatorHistory:
     """Indicators and thresholds of the newest findings, oldest first; with a span, of findings spread over all of it."""
     require(connection, asset)

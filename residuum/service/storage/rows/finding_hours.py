@@ -43,7 +43,7 @@ def add(connection: Connection, gone: Iterable[Row[Any]]) -> None:
         connection.execute(insert(finding_hours).values(values))
 
 
-def newest(connection: Connection, asset: str, limit: int) -> list[FindingHour]:
+def newest(connection: Connection, asset: str, limit: int = 24 * 30) -> list[FindingHour]:
     """The newest hours of an asset, oldest first."""
     assets.require(connection, asset)
     query = select(finding_hours).where(finding_hours.c.asset_id == asset).order_by(finding_hours.c.hour.desc()).limit(limit)

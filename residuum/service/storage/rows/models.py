@@ -45,7 +45,7 @@ def add_version(
     return ModelVersion(model, kind, number, now, by, note, len(content), str(row["checksum"]))
 
 
-def page(connection: Connection, kind: str | None, cursor: str | None, limit: int) -> Page[ModelVersion]:
+def page(connection: Connection, kind: str | None = None, cursor: str | None = None, limit: int = 100) -> Page[ModelVersion]:
     """The newest version of every model, by name."""
     newest = (model_versions.c.model_id == models.c.id) & (model_versions.c.number == models.c.last_number)
     query = select(*_DESCRIPTION).join_from(models, model_versions, newest).order_by(models.c.id).limit(limit + 1)
@@ -64,7 +64,7 @@ def versions(connection: Connection, model: str) -> Sequence[ModelVersion]:
     return [_version(row) for row in rows]
 
 
-def content(connection: Connection, model: str, number: int | None) -> bytes:
+def content(connection: Connection, model: str, number: int | None = None) -> bytes:
     """The content of one version (default: the newest)."""
     query = select(model_versions.c.content, model_versions.c.number, model_versions.c.checksum).where(
         model_versions.c.model_id == model

@@ -59,7 +59,7 @@ def remove(connection: Connection, record: int) -> str:
     return path
 
 
-def page(connection: Connection, cursor: str | None, limit: int) -> Page[StoredRecord]:
+def page(connection: Connection, cursor: str | None = None, limit: int = 50) -> Page[StoredRecord]:
     """Records, newest first."""
     query = select(records).order_by(records.c.id.desc())
     if cursor:

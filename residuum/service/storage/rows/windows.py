@@ -77,7 +77,7 @@ def row_of(connection: Connection, asset: str, window: int) -> Row[Any]:
     return row
 
 
-def page(connection: Connection, asset: str, cursor: str | None, limit: int) -> Page[StoredWindow]:
+def page(connection: Connection, asset: str, cursor: str | None = None, limit: int = 50) -> Page[StoredWindow]:
     """Windows of an asset, newest first."""
     assets.require(connection, asset)
     query = select(windows).where(windows.c.asset_id == asset).order_by(windows.c.id.desc())
