@@ -95,6 +95,19 @@ def test_no_import_cycles():
         visit(name, [])
 
 
+SEARCH = ROOT / "identification/unseen_blocks"
+
+
+def test_the_plan_draws_the_search_as_its_imports_run():
+    """What ARCHITECTURE.md calls a chain is one: every module stands in it, right of all that it imports of its room."""
+    text = (ROOT.parent / "ARCHITECTURE.md").read_text(encoding="utf-8")
+    chain = text.partition("each importing only what stands left of it:")[2].split("`")[1].split()
+    assert sorted(chain) == sorted(path.stem for path in SEARCH.glob("*.py") if path.stem != "__init__")
+    for place, name in enumerate(chain):
+        of_the_room = {each.rpartition(".")[2] for each in imported(SEARCH / f"{name}.py") if ".unseen_blocks." in each}
+        assert of_the_room <= set(chain[:place]), name
+
+
 DOORS = {
     "library": ["residuum"],
     "command line": [
