@@ -26,14 +26,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from residuum.service.storage.backup.restore import restore_backup
 
 from benchmarks.forgetful_disk import ForgetfulDisk, recorded
 from residuum.diagnosis.finding import Finding
 from residuum.identification.record import Record
 from residuum.service.alarms.alarm_states import AlarmEvent
 from residuum.service.storage import DiskStore
-from residuum.service.storage.backup import BackupReader, BadBackup, write_backup
+from residuum.service.storage.backup import BackupReader, BadBackup, restore_backup, write_backup
 from residuum.service.storage.blocks import Blocks
 from residuum.service.storage.database import Database, known_revisions, newest_revision
 from residuum.service.storage.rows.block_rows import references

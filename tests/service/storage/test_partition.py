@@ -15,7 +15,7 @@ from sqlalchemy.exc import OperationalError
 
 from benchmarks.partition import Source, from_the_bus, silence, stored
 from benchmarks.silent_proxy import SilentProxy
-from residuum.service.machines.judging import judge_and_store
+from residuum.service.machines import pipeline
 from residuum.service.storage import DiskStore, database, service_lock
 from residuum.service.storage.database import Busy, Database
 from residuum.service.storage.service_lock import ServiceRuns, database_lock
@@ -38,7 +38,7 @@ def proxy(request, new_postgresql_database, monkeypatch):
     monkeypatch.setattr(database, "SILENCE", 1.0)
     monkeypatch.setattr("residuum.service.storage.database.PatientConnection.patience", 1.0)
     monkeypatch.setattr("residuum.service.storage.database.CONNECT_WITHIN", 2)
-    monkeypatch.setattr(judge_and_store, "_STORAGE_RETRY", 0.2)
+    monkeypatch.setattr(pipeline, "_STORAGE_RETRY", 0.2)
     url = make_url(new_postgresql_database())
     proxy = SilentProxy((url.host, url.port), keeps=request.param)
     proxy.url = url.set(host="127.0.0.1", port=proxy.port).render_as_string(hide_password=False)
