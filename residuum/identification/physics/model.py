@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from residuum.identification.errors import BadModel
 from residuum.identification.physics.effects import EFFECTS, STRUCTURAL
-from residuum.identification.physics.effects.base import Effect, Parameter, Site
+from residuum.identification.physics.effects.base import Effect, Parameter, Prior, Site
 from residuum.identification.physics.files.expression import Expression
 from residuum.nearest_names import did_you_mean, known_names
 
@@ -256,9 +256,10 @@ class PhysicalModel:
         values: Mapping[str, float] | None = None,
         *,
         fixed: Iterable[str] = (),
+        priors: Mapping[str, Prior | None] | None = None,
         provenance: Mapping[str, Any] | None = None,
     ) -> PhysicalModel:
-        """The model with one more effect at `target`; `values` by the effect's own parameter names.
+        """The model with one more effect at `target`; `values` and `priors` by the effect's own parameter names.
 
         Raises
         ------
@@ -272,6 +273,7 @@ class PhysicalModel:
         if not effect.fits(site):
             raise BadModel(f"effect {id!r} does not fit {site.kind} {target!r}: {_acts_on(effect)}")
         declared = _declared(effect, site, dict(values or {}), tuple(fixed))
+        declared |= {name: replace(declared[name], prior=prior) for name, prior in (priors or {}).items()}
         instance = 1 + sum(use.id == id and use.target == target for use in self.effects)
         own = effect if EFFECTS.is_here(id) else None
         use = EffectUse(id, target, MappingProxyType(declared), instance, dict(provenance or {}), own)

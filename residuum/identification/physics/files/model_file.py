@@ -15,7 +15,7 @@ import yaml
 
 from residuum.identification.errors import BadInput, BadModel, BadUnit
 from residuum.identification.physics.effects import EFFECTS
-from residuum.identification.physics.effects.base import Parameter
+from residuum.identification.physics.effects.base import Parameter, Prior
 from residuum.identification.physics.files.consistency import check
 from residuum.identification.physics.files.effect_file import WrittenEffect, effects_of
 from residuum.identification.physics.files.expression import Expression, parse, with_definitions
@@ -50,10 +50,12 @@ KEYS = (
     "initial",
 )
 INPUT_KEYS, STATE_KEYS, OUTPUT_KEYS = ("unit", "default"), ("unit", "rate"), ("value", "unit")
-PARAMETER_KEYS = ("value", "unit", "lower", "upper", "fixed", "meaning", "std")
+PARAMETER_KEYS = ("value", "unit", "lower", "upper", "fixed", "meaning", "prior", "std")
 EFFECT_KEYS = ("id", "balance", "input", "output", "parameters", "provenance")
 """What each entry of a section may hold; balances also name the variables of their kind."""
 _NAME = re.compile(r"[A-Za-z_][A-Za-z_0-9]*")
+_UNCERTAIN = re.compile(r"(\S+?)\s*(?:±|\+-|\+/-)\s*(\S+)")
+"""A number and its standard deviation."""
 _RESERVED = {"der", "sin", "cos", "tanh", "exp", "log", "sqrt", "abs", "sign", "min", "max", "and", "or", "not"}
 
 
@@ -205,7 +207,7 @@ def _parameter(name: str, section: Table) -> Parameter:
     lower = _bound(table.optional("lower", what), f"{what}: lower", -1)
     upper = _bound(table.optional("upper", what), f"{what}: upper", 1)
     value = table.scalar("value", what)
-    number = value.number(f"{what}: value")
+    number, prior = _value_and_prior(table, what)
     if lower >= upper:
         raise table.place.refuse(f"{what}: lower is {lower:g} and upper is {upper:g}; lower must be below upper")
     if not lower <= number <= upper:
@@ -218,7 +220,33 @@ def _parameter(name: str, section: Table) -> Parameter:
         upper,
         fixed=fixed.truth(f"{what}: fixed") if fixed else False,
         meaning=meaning.text if meaning else "",
+        prior=prior,
     )
+
+
+def _value_and_prior(table: Table, what: str) -> tuple[float, Prior | None]:
+    """`value: 0.07 ± 0.01`, or a value that has left its `prior: 0.07 ± 0.01`."""
+    number, prior = _uncertain(table.scalar("value", what), f"{what}: value")
+    known = table.optional("prior", what)
+    if known is None:
+        return number, prior
+    before = _uncertain(known, f"{what}: prior")[1]
+    if before is None:
+        raise known.place.refuse(f"{what}: prior is {known.text!r}; must be a value and its standard deviation, '0.07 ± 0.01'")
+    if prior is not None:
+        raise known.place.refuse(f"{what}: its value has a standard deviation and there is a 'prior'; only one may be")
+    return number, before
+
+
+def _uncertain(text: Scalar, what: str) -> tuple[float, Prior | None]:
+    """A number, and the normal prior that it is where its standard deviation stands behind it."""
+    found = _UNCERTAIN.fullmatch(text.text.strip())
+    if found is None:
+        return text.number(what), None
+    mean, std = Scalar(found[1], text.place).number(what), Scalar(found[2], text.place).number(f"{what}: standard deviation")
+    if std <= 0.0:
+        raise text.place.refuse(f"{what} is {text.text!r}; its standard deviation must be positive (fixed: true holds a value)")
+    return mean, Prior(mean, std)
 
 
 def _bound(text: Scalar | None, what: str, infinite: int) -> float:
@@ -308,18 +336,21 @@ def _with_effect(model: PhysicalModel, item: Table) -> PhysicalModel:
     target = item.scalar(targets[0], what)
     table = item.table("parameters", what)
     values: dict[str, float] = {}
+    priors: dict[str, Prior | None] = {}
     fixed: list[str] = []
     for name in table:
-        entry = table.entries[name]
-        value = entry if isinstance(entry, Scalar) else table.table(name, what).scalar("value", what)
-        values[name] = value.number(f"effect parameter {name!r}")
+        entry, named = table.entries[name], f"effect parameter {name!r}"
+        values[name], priors[name] = (
+            _uncertain(entry, named) if isinstance(entry, Scalar) else _value_and_prior(table.table(name, what), named)
+        )
         if isinstance(entry, Table):
-            entry.only(PARAMETER_KEYS, f"effect parameter {name!r}")
+            entry.only(PARAMETER_KEYS, named)
             flag = entry.optional("fixed", what)
             fixed += [name] if flag and flag.truth(what) else []
     provenance = {key: _plain(tree) for key, tree in item.table("provenance", what).entries.items()}
     try:
-        return model.with_effect(item.scalar("id", what).text, target.text, values, fixed=fixed, provenance=provenance)
+        id = item.scalar("id", what).text
+        return model.with_effect(id, target.text, values, fixed=fixed, priors=priors, provenance=provenance)
     except BadInput as error:
         raise item.place.refuse(str(error)) from None
 
@@ -334,6 +365,8 @@ def _plain(tree: Scalar | Listing | Table) -> Any:
 
 def _written(parameter: Parameter) -> dict[str, Any]:
     written: dict[str, Any] = {"value": float(parameter.value), "unit": parameter.unit}
+    if parameter.prior is not None:
+        written["prior"] = str(parameter.prior)
     if math.isfinite(parameter.lower):
         written["lower"] = float(parameter.lower)
     if math.isfinite(parameter.upper):
