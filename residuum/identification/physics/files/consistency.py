@@ -31,7 +31,7 @@ def check(model: PhysicalModel, tree: Table) -> PhysicalModel:
     _inputs(model, tree)
     _states_have_rates(model, tree)
     _variables(model, tree)
-    for expression in _expressions(model):
+    for expression in expressions_of(model):
         _no_division_by_zero(expression, model.values)
     for balance in model.balances.values():
         _storage_is_not_zero(balance, model.values)
@@ -39,7 +39,8 @@ def check(model: PhysicalModel, tree: Table) -> PhysicalModel:
     return _with_units(_with_roles(model))
 
 
-def _expressions(model: PhysicalModel) -> list[Expression]:
+def expressions_of(model: PhysicalModel) -> list[Expression]:
+    """Of its balances, then of its outputs."""
     parts = [expression for b in model.balances.values() for expression in (b.storage, *b.terms.values())]
     return [*parts, *(output.value for output in model.outputs.values())]
 
@@ -56,7 +57,7 @@ def _unique_names(tree: Table) -> None:
 def _known_names(model: PhysicalModel) -> None:
     defined = [variable for b in model.balances.values() if (variable := b.defines)]
     known = {*model.inputs, *model.states, *model.parameters, *defined}
-    for expression in _expressions(model):
+    for expression in expressions_of(model):
         for node in walk(expression.tree):
             if isinstance(node, Name) and node.name not in known:
                 raise node.place.refuse(

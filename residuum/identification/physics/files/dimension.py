@@ -111,7 +111,7 @@ def _of_call(tree: Call, operands: list[Dimension]) -> Dimension:
         return PLAIN
     if tree.function == "where":
         return _alike(tree, operands[1:])
-    if tree.function == "table":
+    if tree.function in ("table", "cubic"):
         return _alike(tree, operands[1 + len(operands) // 2 :])
     if tree.function == "der":
         return operands[0] / dimension_of_unit(_SECOND)

@@ -19,6 +19,7 @@ from residuum.identification.physics.effects.base import Parameter, Prior
 from residuum.identification.physics.files.consistency import check
 from residuum.identification.physics.files.effect_file import WrittenEffect, effects_of
 from residuum.identification.physics.files.expression import Expression, parse, with_definitions
+from residuum.identification.physics.files.table_file import with_table_files
 from residuum.identification.physics.files.yaml_tree import MOST_CHARACTERS, Listing, Scalar, Table, read_tree
 from residuum.identification.physics.model import (
     BALANCE_KINDS,
@@ -93,12 +94,14 @@ def load_model(name_or_path: str | Path) -> PhysicalModel:
             text = file.read(MOST_CHARACTERS + 1)
     except (OSError, UnicodeDecodeError) as error:
         raise BadModel(f"model {str(path)!r}: cannot be read as UTF-8 text ({error.__class__.__name__})") from None
-    return read_model(text, path.name)
+    return read_model(text, path.name, path.parent)
 
 
-def read_model(text: str, source: str = "model") -> PhysicalModel:
-    """The model that a YAML text describes (docs/reference/model-files.md says the format); `source` names it in refusals."""
-    tree = read_tree(text, source)
+def read_model(text: str, source: str = "model", folder: Path | None = None) -> PhysicalModel:
+    """The model that a YAML text describes (docs/reference/model-files.md says the format); `source` names it in refusals, the
+    files of its tables stand in `folder`.
+    """
+    tree = with_table_files(read_tree(text, source), folder)
     tree.only(KEYS, "model file")
     for section in ("balances", "outputs"):
         if not list(tree.table(section, "model file", required=True)):
