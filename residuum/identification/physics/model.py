@@ -41,14 +41,23 @@ CHANNELS = ("conveyor", "door")
 """Inputs of these names are offered to effects that know what to do with them."""
 
 
+CLOCK = "clock"
+"""Default of an input that is the time since the record's begin, where records have no column for it."""
+
+
 @dataclass(frozen=True)
 class Input:
-    """A recorded input. `default` (a number or a parameter) stands in when records lack it (`absent`); None: required."""
+    """A recorded input. `default` (a number, a parameter, `clock`) stands in when records lack it (`absent`); None: required."""
 
     name: str
     unit: str
     default: str | None = None
     absent: bool = False
+
+    @property
+    def is_clock(self) -> bool:
+        """Whether it is the time since the record's begin [s]."""
+        return self.default == CLOCK
 
 
 @dataclass(frozen=True)
@@ -237,8 +246,8 @@ class PhysicalModel:
     def supply_input(self, balance: Balance) -> str | None:
         """The first input that a term of the balance contains."""
         for term in balance.terms.values():
-            for name in self.inputs:
-                if name in term.names and name not in balance.variables.values():
+            for name, signal in self.inputs.items():
+                if name in term.names and name not in balance.variables.values() and not signal.is_clock:
                     return name
         return None
 

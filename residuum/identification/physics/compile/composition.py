@@ -188,7 +188,8 @@ class _Composer:
         supply = self.model.supply_input(balance)
         with_input = [n for n, t in balance.terms.items() if supply is not None and supply in t.names]
         currents = {b.variables["current"] for b in self.model.balances.values() if "current" in b.variables} - {own}
-        driving = [n for n, t in balance.terms.items() if t.names & {*self.model.inputs, *currents}]
+        inputs = {name for name, signal in self.model.inputs.items() if not signal.is_clock}
+        driving = [n for n, t in balance.terms.items() if t.names & (inputs | currents)]
         if supply is not None:
             roles["supply"] = self.paths[supply]
         roles |= {name: self.paths[name] for name in CHANNELS if name in self.paths}

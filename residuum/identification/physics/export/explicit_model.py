@@ -90,7 +90,8 @@ def explicit(model: PhysicalModel) -> ExplicitModel:
     equations = _undelayed(model)
     unknown = {missing_name(balance) for balance in model.balances}
     taken: set[str] = {"time", "t", "x", "u", "p", "y", "s", "dx"}
-    states, inputs = _identifiers(equations.x, taken), _identifiers(model.inputs, taken)
+    driving = [name for name, signal in model.inputs.items() if not signal.is_clock]
+    states, inputs = _identifiers(equations.x, taken), _identifiers(driving, taken)
     parameters = _identifiers([name for name in equations.p if name not in unknown], taken)
     outputs = _identifiers(equations.outputs, taken)
     places = _effect_terms(model, equations)
@@ -100,6 +101,7 @@ def explicit(model: PhysicalModel) -> ExplicitModel:
     directions = _directions(equations, states, taken)
     swap = {equations.p[name]: sp.S.Zero for name in unknown} | _renamed(equations, symbols, states, inputs, parameters)
     swap |= {symbol: directions[states[list(equations.x)[k]]] for k, symbol in equations.surfaces.items()}
+    swap |= {equations.u[name]: symbols["time"] for name, signal in model.inputs.items() if signal.is_clock}
 
     def put(expression: Any) -> Any:
         renamed = sp.sympify(expression).xreplace(swap)  # all at once: a model may call its own states x_1, x_2

@@ -67,9 +67,13 @@ def _known_names(model: PhysicalModel) -> None:
 
 def _inputs(model: PhysicalModel, tree: Table) -> None:
     for name, signal in model.inputs.items():
-        if signal.default is not None and signal.default not in model.parameters and not _is_number(signal.default):
+        if signal.is_clock:
+            if not dimension_of_unit(signal.unit).agrees(dimension_of_unit("s")):
+                place = tree.table("inputs", "model file").keys[name]
+                raise place.refuse(f"input {name!r}: a clock is in s, not {signal.unit!r}")
+        elif signal.default is not None and signal.default not in model.parameters and not _is_number(signal.default):
             place = tree.table("inputs", "model file").keys[name]
-            raise place.refuse(f"input {name!r}: default {signal.default!r} is neither a number nor a parameter")
+            raise place.refuse(f"input {name!r}: default {signal.default!r} is neither a number, a parameter nor 'clock'")
 
 
 def _is_number(text: str) -> bool:

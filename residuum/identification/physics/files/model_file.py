@@ -16,13 +16,14 @@ import yaml
 from residuum.identification.errors import BadInput, BadModel, BadUnit
 from residuum.identification.physics.effects import EFFECTS
 from residuum.identification.physics.effects.base import Parameter, Prior
-from residuum.identification.physics.files.consistency import check
+from residuum.identification.physics.files.consistency import check, expressions_of
 from residuum.identification.physics.files.effect_file import WrittenEffect, effects_of
 from residuum.identification.physics.files.expression import Expression, parse, with_definitions
 from residuum.identification.physics.files.table_file import with_table_files
 from residuum.identification.physics.files.yaml_tree import MOST_CHARACTERS, Listing, Scalar, Table, read_tree
 from residuum.identification.physics.model import (
     BALANCE_KINDS,
+    CLOCK,
     Balance,
     EffectUse,
     Input,
@@ -54,6 +55,8 @@ INPUT_KEYS, STATE_KEYS, OUTPUT_KEYS = ("unit", "default"), ("unit", "rate"), ("v
 PARAMETER_KEYS = ("value", "unit", "lower", "upper", "fixed", "meaning", "prior", "std")
 EFFECT_KEYS = ("id", "balance", "input", "output", "parameters", "provenance")
 """What each entry of a section may hold; balances also name the variables of their kind."""
+TIME = "time"
+"""Name of the time since the record's begin, which need not be declared."""
 _NAME = re.compile(r"[A-Za-z_][A-Za-z_0-9]*")
 _UNCERTAIN = re.compile(r"(\S+?)\s*(?:±|\+-|\+/-)\s*(\S+)")
 """A number and its standard deviation."""
@@ -124,9 +127,17 @@ def read_model(text: str, source: str = "model", folder: Path | None = None) -> 
         MappingProxyType(balances),
         MappingProxyType(outputs),
     )
-    model = check(model, tree)
+    model = check(_with_clock(model), tree)
     model = replace(model, initial=_initial(tree, model))
     return _with_effects(model, tree)
+
+
+def _with_clock(model: PhysicalModel) -> PhysicalModel:
+    """The model with `time` among its inputs, where an expression names it and nothing declares it."""
+    declared = {*model.inputs, *model.states, *model.parameters, *(b.defines for b in model.balances.values())}
+    if TIME in declared or not any(TIME in expression.names for expression in expressions_of(model)):
+        return model
+    return replace(model, inputs=MappingProxyType({**model.inputs, TIME: Input(TIME, "s", CLOCK)}))
 
 
 def write_model(model: PhysicalModel) -> str:
