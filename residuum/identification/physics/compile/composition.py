@@ -29,7 +29,7 @@ from residuum.identification.errors import BadModel, NoExplicitEquations
 from residuum.identification.physics.compile.expression_meaning import meaning, number
 from residuum.identification.physics.effects.base import Contribution, Scene
 from residuum.identification.physics.files.consistency import owners_of
-from residuum.identification.physics.files.expression import Call, Name, Node, Number
+from residuum.identification.physics.files.expression import Call, Name, Node, Number, walk
 from residuum.identification.physics.model import CHANNELS, Balance, EffectUse, PhysicalModel, missing_name, term_name, tied_to
 
 TIME = sp.Symbol("t", real=True)
@@ -299,10 +299,21 @@ class _Composer:
             return self._name(tree.name)
         if isinstance(tree, Call) and tree.function == "der":
             return derivative
+        if isinstance(tree, Call) and tree.function == "delay":
+            return self._delayed(tree)
         if surface is not None and isinstance(tree, Call) and tree.function == "sign" and _is_name(tree.operands[0], surface):
             return self.directions[surface]
         operands = [self._symbolic(operand, surface, derivative) for operand in tree.operands]
         return meaning(tree)(*operands)
+
+    def _delayed(self, call: Call) -> sp.Expr:
+        """What is made of inputs, each of them read so much earlier."""
+        signal, by = call.operands
+        delay = self._symbolic(by, None)
+        for node in walk(signal):
+            if isinstance(node, Name) and node.name in self.u and self.delays.setdefault(node.name, delay) != delay:
+                raise NoExplicitEquations(f"input {node.name!r}: the model delays it itself; one delay is all that it can have")
+        return self._symbolic(signal, None)
 
     def _name(self, name: str) -> sp.Expr:
         for family in (self.x, self.paths, self.p, self.variables):

@@ -85,7 +85,7 @@ def explicit(model: PhysicalModel) -> ExplicitModel:
     Raises
     ------
     BadModel
-        An input that an effect delays: no text here has a memory of its inputs.
+        An input that is delayed: no text here has a memory of its inputs.
     """
     equations = _undelayed(model)
     unknown = {missing_name(balance) for balance in model.balances}
@@ -169,7 +169,7 @@ def _undelayed(model: PhysicalModel) -> Equations:
     equations = compose(model)
     for delayed in equations.delays:
         raise BadModel(
-            f"export: input {delayed!r} is delayed (input-delay), which no exported text can hold; take the effect out"
+            f"export: input {delayed!r} is delayed, which no exported text can hold; take the delay out, and delay what drives it"
         )
     return equations
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from types import MappingProxyType
 
@@ -29,6 +29,7 @@ def check(model: PhysicalModel, tree: Table) -> PhysicalModel:
     _unique_names(tree)
     _known_names(model)
     _inputs(model, tree)
+    _delays(model)
     _states_have_rates(model, tree)
     _variables(model, tree)
     for expression in expressions_of(model):
@@ -74,6 +75,49 @@ def _inputs(model: PhysicalModel, tree: Table) -> None:
         elif signal.default is not None and signal.default not in model.parameters and not _is_number(signal.default):
             place = tree.table("inputs", "model file").keys[name]
             raise place.refuse(f"input {name!r}: default {signal.default!r} is neither a number, a parameter nor 'clock'")
+
+
+def _delays(model: PhysicalModel) -> None:
+    """Each delay() is of inputs, by a parameter that is no negative time; an input has one delay wherever it stands."""
+    used: dict[str, set[str]] = {name: {""} for b in model.balances.values() for name in b.variables.values()}
+    for expression in expressions_of(model):
+        for by, node in _delayed_names(expression.tree, ""):
+            if by and node.name not in model.inputs and node.name not in model.parameters:
+                raise node.place.refuse(
+                    f"delay() of {node.name!r}: what is delayed is made of inputs; that a reading is late is the effect "
+                    "output-lag, that a quantity is transported a state more"
+                )
+            used.setdefault(node.name, set()).add(by)
+            if node.name in model.inputs and len(used[node.name]) > 1:
+                raise node.place.refuse(
+                    f"input {node.name!r} stands in the model with more than one delay; declare a second input and map it to the "
+                    f"same column: --map {node.name}_late={node.name}"
+                )
+        for call in walk(expression.tree):
+            if isinstance(call, Call) and call.function == "delay":
+                _check_delay(call, model)
+
+
+def _delayed_names(tree: Node, by: str) -> Iterator[tuple[str, Name]]:
+    """Names in a tree with what each is delayed by; "" where it is not."""
+    if isinstance(tree, Name):
+        yield by, tree
+    elif isinstance(tree, Call) and tree.function == "delay":
+        yield from _delayed_names(tree.operands[0], tree.operands[1].name if isinstance(tree.operands[1], Name) else "?")
+    elif isinstance(tree, Operation | Call):
+        for operand in tree.operands:
+            yield from _delayed_names(operand, by)
+
+
+def _check_delay(call: Call, model: PhysicalModel) -> None:
+    signal, by = call.operands
+    if any(isinstance(node, Call) and node.function == "delay" for node in walk(signal)):
+        raise call.place.refuse("delay() of a delay(): one is enough, by the sum of both")
+    if not isinstance(by, Name) or by.name not in model.parameters:
+        raise call.place.refuse("delay() is by a parameter or a constant; declare one, constants: {T: 0.5 s}")
+    parameter = model.parameters[by.name]
+    if min(parameter.value, parameter.value if parameter.fixed else parameter.lower) < 0.0:
+        raise call.place.refuse(f"parameter {by.name!r} is a delay; it must not be negative, and has to say so: lower: 0")
 
 
 def _is_number(text: str) -> bool:

@@ -51,6 +51,7 @@ FUNCTIONS: Mapping[str, tuple[int, int]] = {
     "hypot": (2, 2),
     "min": (2, 8),
     "max": (2, 8),
+    "delay": (2, 2),
     "where": (3, 3),
     "table": (3, 3),
 }
@@ -255,6 +256,7 @@ _MEANING: Mapping[str, Callable[..., float]] = {
     "floor": math.floor,
     "mod": lambda a, b: a - b * math.floor(a / b),
     "hypot": math.hypot,
+    "delay": lambda signal, by: signal,
     "where": lambda condition, a, b: a if condition else b,
     "table": lambda x, *knots: interpolated(x, knots[: len(knots) // 2], knots[len(knots) // 2 :]),
     "cubic": lambda x, *knots: smooth(x, knots[: len(knots) // 2], knots[len(knots) // 2 :], _within, _where_positive),
