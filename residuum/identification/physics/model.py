@@ -80,7 +80,10 @@ class Output:
 
 @dataclass(frozen=True)
 class Balance:
-    """`storage = sum of terms`; `variables` maps roles (velocity, current, …) to names; `unit` is that of its terms."""
+    """`storage = sum of terms`; `variables` maps roles (velocity, current, …) to names; `unit` is that of its terms.
+
+    Of a balance that is not linear in the variable it defines, Newton's method begins at `start`.
+    """
 
     name: str
     kind: str
@@ -88,6 +91,7 @@ class Balance:
     terms: Mapping[str, Expression]
     variables: Mapping[str, str] = field(default_factory=dict)
     unit: str = ""
+    start: float | None = None
 
     @property
     def defines(self) -> str | None:

@@ -117,7 +117,7 @@ def _compiled(assembly: str) -> str:
 
 def _structure(model: PhysicalModel) -> str:
     balances = [
-        (b.name, b.kind, b.storage.text, [(n, t.text) for n, t in b.terms.items()], sorted(b.variables.items()))
+        (b.name, b.kind, b.storage.text, b.start, [(n, t.text) for n, t in b.terms.items()], sorted(b.variables.items()))
         for b in model.balances.values()
     ]
     effects = [(use.id, use.target, use.instance, EFFECTS.fingerprint(use.id)) for use in model.effects]

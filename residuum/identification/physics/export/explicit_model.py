@@ -10,6 +10,7 @@ from typing import Any
 from residuum.identification.errors import BadModel
 from residuum.identification.physics.compile import symbolic as sp
 from residuum.identification.physics.compile.composition import TIME, Equations, compose
+from residuum.identification.physics.compile.implicit import Root
 from residuum.identification.physics.files.consistency import owners_of
 from residuum.identification.physics.model import PhysicalModel, missing_name, term_name
 from residuum.identification.physics.simulate.stepped_round import SteppedRound
@@ -167,6 +168,11 @@ def _directions(equations: Equations, states: Mapping[str, str], taken: set[str]
 
 def _undelayed(model: PhysicalModel) -> Equations:
     equations = compose(model)
+    if any(sp.sympify(e).has(Root) for e in (*equations.rates, *equations.outputs.values())):
+        raise BadModel(
+            f"export: model {model.name!r} solves balances by Newton's method (start:), which no exported text can hold; solve "
+            "them for their variables by hand"
+        )
     for delayed in equations.delays:
         raise BadModel(
             f"export: input {delayed!r} is delayed, which no exported text can hold; take the delay out, and delay what drives it"

@@ -235,18 +235,22 @@ def _storage_is_not_zero(balance: Balance, values: Mapping[str, float]) -> None:
 
 
 def _defined_variables_can_be_solved(model: PhysicalModel) -> None:
-    """Each balance without storage is linear in its variable with a slope that is not zero, and none define each other."""
+    """Each balance without storage is linear in its variable with a slope that is not zero, and none define each other, but those
+    that name a start value.
+    """
     defined = {variable: balance for balance in model.balances.values() if (variable := balance.defines)}
     needs = {
         variable: {name for term in balance.terms.values() for name in term.names} & (set(defined) - {variable})
         for variable, balance in defined.items()
     }
     for variable, balance in defined.items():
+        if balance.start is not None:
+            continue
         for term in balance.terms.values():
             if _degree(term.tree, variable) > 1:
                 raise term.place.refuse(
                     f"algebraic loop: balance {balance.name!r} has no storage and is not linear in {variable!r}, "
-                    "which it defines",
+                    "which it defines; give it a value to solve from, start: 1.0",
                     NoExplicitEquations,
                 )
         zero = dict.fromkeys([*model.states, *model.inputs, *defined], 0.0) | dict(model.values)
@@ -258,7 +262,8 @@ def _defined_variables_can_be_solved(model: PhysicalModel) -> None:
             )
         if _reaches(needs, variable, variable):
             raise balance.storage.place.refuse(
-                f"algebraic loop: balance {balance.name!r} and another define each other's variables",
+                f"algebraic loop: balance {balance.name!r} and another define each other's variables; give each a value to solve "
+                "from, start: 1.0",
                 NoExplicitEquations,
             )
 

@@ -163,7 +163,8 @@ def write_model(model: PhysicalModel) -> str:
 
 def _written_balance(balance: Balance) -> dict[str, Any]:
     terms = {name: term.text for name, term in balance.terms.items()}
-    return {"kind": balance.kind, "storage": balance.storage.text, "terms": terms, **balance.variables}
+    start = {} if balance.start is None else {"start": balance.start}
+    return {"kind": balance.kind, "storage": balance.storage.text, "terms": terms, **start, **balance.variables}
 
 
 def _written_use(use: EffectUse) -> dict[str, Any]:
@@ -299,7 +300,8 @@ def _balance(name: str, section: Table, let: Mapping[str, Expression]) -> Balanc
     if kind.text not in BALANCE_KINDS:
         raise kind.place.refuse(f"{what}: kind {kind.text!r} is not known; {known_names(kind.text, BALANCE_KINDS, 'there are')}")
     roles = BALANCE_KINDS[kind.text][1]
-    table.only(("kind", "storage", "terms", *roles), what)
+    table.only(("kind", "storage", "terms", "start", *roles), what)
+    start = table.optional("start", what)
     terms = table.table("terms", what, required=True)
     return Balance(
         name,
@@ -308,6 +310,7 @@ def _balance(name: str, section: Table, let: Mapping[str, Expression]) -> Balanc
         MappingProxyType({term: _expression(terms.scalar(term, f"{what}, terms"), let) for term in terms}),
         MappingProxyType({role: table.scalar(role, what).text for role in roles if role in table.entries}),
         BALANCE_KINDS[kind.text][0],
+        None if start is None else start.number(f"{what}: start"),
     )
 
 

@@ -68,7 +68,8 @@ def _balances() -> list[dict[str, Any]]:
     terms = {"type": "object", "additionalProperties": _EXPRESSION}
     found = []
     for kind, (_, roles) in BALANCE_KINDS.items():
-        properties = {"kind": {"const": kind}, "storage": _EXPRESSION, "terms": terms, **dict.fromkeys(roles, _TEXT)}
+        properties = {"kind": {"const": kind}, "storage": _EXPRESSION, "terms": terms, "start": _NUMBER}
+        properties |= dict.fromkeys(roles, _TEXT)
         required = ["kind", "storage", "terms"]
         found.append({"type": "object", "required": required, "additionalProperties": False, "properties": properties})
     return found
