@@ -11,7 +11,9 @@ import numpy as np
 from residuum.identification.discrepancy.improvement import Improvement as Improved
 from residuum.identification.errors import NotIdentifiable
 from residuum.identification.physics import Estimate, Experiment
+from residuum.identification.physics.estimation.prior_conflict import disagreement
 from residuum.identification.physics.simulate.initial_values import begins_elsewhere
+from residuum.identification.physics.simulate.table_ranges import leaves_tables
 from residuum.library.answers.comparison import warning_lines
 from residuum.library.answers.estimation import estimate_json, estimate_text
 from residuum.library.answers.improvement import improvement_json, improvement_text
@@ -145,7 +147,9 @@ class Estimation(Result, Generic[M]):
 
     def _answer(self) -> dict[str, Any]:
         found = estimate_json(self.given, self.records, self.found, self.unsettled)
-        found["warnings"] = (*begins_elsewhere(self.found.model, self.experiments), *self.left_out)
+        against = disagreement(self.found) if self.converged else ()
+        given = self.found.model, self.experiments
+        found["warnings"] = (*begins_elsewhere(*given), *leaves_tables(*given), *self.left_out, *against)
         return found | {"method": self.method, "held_out_rmse": self.held_out_rmse, "model_file": None}
 
     def __str__(self) -> str:

@@ -20,6 +20,7 @@ from residuum.identification.physics import (
     read_model,
 )
 from residuum.identification.physics.simulate.initial_values import begins_elsewhere
+from residuum.identification.physics.simulate.table_ranges import leaves_tables
 from residuum.identification.record import Record as MeasuredRecord
 from residuum.identification.residual_analysis.compare import compare
 from residuum.identification.residual_analysis.odd_readings import records_without_odd
@@ -222,7 +223,8 @@ class Model(DescribedModel):
         with told(progress) as tell:
             ensure_compiled(tell)
             found = asked.handed_to(partial(improve, self.physical, measured, map, tell=tell))
-        return Improvement(Model(found.model), found, (*begins_elsewhere(*match(self.physical, measured, map)), *left_out))
+        matched = match(self.physical, measured, map)
+        return Improvement(Model(found.model), found, (*begins_elsewhere(*matched), *leaves_tables(*matched), *left_out))
 
     @asks(Estimate)
     def estimate(self, records: Records, *, map: Mapped = None, **given: Any) -> Estimation[Model]:

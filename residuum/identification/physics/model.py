@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from residuum.identification.errors import BadModel
 from residuum.identification.physics.effects import EFFECTS, STRUCTURAL
-from residuum.identification.physics.effects.base import Effect, Parameter, Site
+from residuum.identification.physics.effects.base import Effect, Parameter, Prior, Site
 from residuum.identification.physics.files.expression import Expression
 from residuum.nearest_names import did_you_mean, known_names
 
@@ -41,14 +41,23 @@ CHANNELS = ("conveyor", "door")
 """Inputs of these names are offered to effects that know what to do with them."""
 
 
+CLOCK = "clock"
+"""Default of an input that is the time since the record's begin, where records have no column for it."""
+
+
 @dataclass(frozen=True)
 class Input:
-    """A recorded input. `default` (a number or a parameter) stands in when records lack it (`absent`); None: required."""
+    """A recorded input. `default` (a number, a parameter, `clock`) stands in when records lack it (`absent`); None: required."""
 
     name: str
     unit: str
     default: str | None = None
     absent: bool = False
+
+    @property
+    def is_clock(self) -> bool:
+        """Whether it is the time since the record's begin [s]."""
+        return self.default == CLOCK
 
 
 @dataclass(frozen=True)
@@ -71,7 +80,10 @@ class Output:
 
 @dataclass(frozen=True)
 class Balance:
-    """`storage = sum of terms`; `variables` maps roles (velocity, current, …) to names; `unit` is that of its terms."""
+    """`storage = sum of terms`; `variables` maps roles (velocity, current, …) to names; `unit` is that of its terms.
+
+    Of a balance that is not linear in the variable it defines, Newton's method begins at `start`.
+    """
 
     name: str
     kind: str
@@ -79,6 +91,7 @@ class Balance:
     terms: Mapping[str, Expression]
     variables: Mapping[str, str] = field(default_factory=dict)
     unit: str = ""
+    start: float | None = None
 
     @property
     def defines(self) -> str | None:
@@ -237,8 +250,8 @@ class PhysicalModel:
     def supply_input(self, balance: Balance) -> str | None:
         """The first input that a term of the balance contains."""
         for term in balance.terms.values():
-            for name in self.inputs:
-                if name in term.names and name not in balance.variables.values():
+            for name, signal in self.inputs.items():
+                if name in term.names and name not in balance.variables.values() and not signal.is_clock:
                     return name
         return None
 
@@ -256,9 +269,10 @@ class PhysicalModel:
         values: Mapping[str, float] | None = None,
         *,
         fixed: Iterable[str] = (),
+        priors: Mapping[str, Prior | None] | None = None,
         provenance: Mapping[str, Any] | None = None,
     ) -> PhysicalModel:
-        """The model with one more effect at `target`; `values` by the effect's own parameter names.
+        """The model with one more effect at `target`; `values` and `priors` by the effect's own parameter names.
 
         Raises
         ------
@@ -272,6 +286,7 @@ class PhysicalModel:
         if not effect.fits(site):
             raise BadModel(f"effect {id!r} does not fit {site.kind} {target!r}: {_acts_on(effect)}")
         declared = _declared(effect, site, dict(values or {}), tuple(fixed))
+        declared |= {name: replace(declared[name], prior=prior) for name, prior in (priors or {}).items()}
         instance = 1 + sum(use.id == id and use.target == target for use in self.effects)
         own = effect if EFFECTS.is_here(id) else None
         use = EffectUse(id, target, MappingProxyType(declared), instance, dict(provenance or {}), own)

@@ -14,6 +14,7 @@ from residuum.identification.physics import Estimate, Experiment, PhysicalModel,
 from residuum.identification.physics.files.expression import Name, Node, walk
 from residuum.identification.physics.simulate.initial_values import begins_elsewhere
 from residuum.identification.physics.simulate.kalman import Filter, Smoothed, tune
+from residuum.identification.physics.simulate.table_ranges import leaves_tables
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.feedback import at_likelier_timing
 from residuum.identification.residual_analysis.followed import check_followed
@@ -213,7 +214,8 @@ class Comparison:
     def warnings(self) -> tuple[str, ...]:
         """What of the model the records contradict before anything is simulated, and what a sensor says without a value."""
         says = (text for odd in self.odd for text in odd.says())
-        return (*begins_elsewhere(self.model, self.experiments), *says, *self.driven_by_codes)
+        before = (*begins_elsewhere(self.model, self.experiments), *leaves_tables(self.model, self.experiments))
+        return (*before, *says, *self.driven_by_codes)
 
     @property
     def not_recorded(self) -> dict[str, tuple[str, ...]]:

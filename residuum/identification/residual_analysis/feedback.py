@@ -34,7 +34,7 @@ from residuum.identification.side_by_side import side_by_side
 
 def turned_timing(experiments: Sequence[Experiment]) -> list[Experiment]:
     """Inputs that were held now move evenly, and those that moved are held."""
-    return [replace(e, hold=1.0 - e.hold) for e in experiments]
+    return [e.turned(np.ones(len(e.hold), dtype=bool)) for e in experiments]
 
 
 def each_turned(experiments: Sequence[Experiment]) -> list[list[Experiment]]:
@@ -42,10 +42,7 @@ def each_turned(experiments: Sequence[Experiment]) -> list[list[Experiment]]:
     changes = np.any([np.ptp(e.U, axis=0) > 0 for e in experiments], axis=0)
     if changes.sum() < 2:
         return []
-    return [
-        [replace(e, hold=np.where(np.arange(len(changes)) == k, 1.0 - e.hold, e.hold)) for e in experiments]
-        for k in np.flatnonzero(changes)
-    ]
+    return [[e.turned(np.arange(len(changes)) == k) for e in experiments] for k in np.flatnonzero(changes)]
 
 
 def at_likelier_timing(

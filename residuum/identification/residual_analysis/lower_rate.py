@@ -42,7 +42,8 @@ def _at_every(e: Experiment, k: int) -> Experiment:
     n = e.n // k
     U = e.U[: n * k : k].copy()
     for j, hold in enumerate(e.hold):
-        U[:, j] = _means(e.U[:, j], k, n, centred=hold > 0.0)
+        if not (e.clocks and e.clocks[j]):
+            U[:, j] = _means(e.U[:, j], k, n, centred=hold > 0.0)
     spare = {name: replace(s, values=_means(s.values, k, n, centred=False)) for name, s in e.spare.items()}
     return replace(e, U=U, Y=e.Y[: n * k : k], sample_time=k * e.sample_time, spare=spare)
 

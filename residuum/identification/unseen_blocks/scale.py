@@ -26,7 +26,8 @@ class Scale:
     """Weights (outputs,) of errors, their whitening `filters`, and what counts as how much.
 
     `clip` (outputs,) is the largest weighted error that counts. In power `unit` (measured outputs,) is the first model's and
-    `floor` the part of the cost that is noise; in `nats` a parameter costs `price`.
+    `floor` the part of the cost that is noise; in `nats` a parameter costs `price`. `variance` is that of a weighted error which
+    the model leaves, beside which priors count.
     """
 
     weights: FloatArray
@@ -36,6 +37,7 @@ class Scale:
     unit: FloatArray | None = None
     floor: float = 0.0
     price: float = 0.0
+    variance: float = 1.0
 
     def whitened(self, values: FloatArray, starts: Sequence[int]) -> FloatArray:
         """Weighted values (rows, outputs, …) of windows through the outputs' filters."""
@@ -84,7 +86,8 @@ def clipped(scale: Scale, residuals: Sequence[FloatArray], rung: Rung) -> Scale:
     spread = np.full(len(scale.weights), np.inf)
     middle = np.nanmedian(errors[:, measured], axis=0)
     spread[measured] = np.nanmedian(np.abs(errors[:, measured] - middle), axis=0) / NORMAL_MEDIAN
-    return replace(scale, clip=np.where(measured, np.maximum(CLIPPED * spread, 1e-9), np.inf))
+    variance = float(np.mean(spread[measured] ** 2))
+    return replace(scale, clip=np.where(measured, np.maximum(CLIPPED * spread, 1e-9), np.inf), variance=variance)
 
 
 def of_power(scale: Scale, data: Data, power: FloatArray) -> Scale:

@@ -20,12 +20,19 @@ def estimate_json(model: str, records: Sequence[str], result: Estimate, unsettle
     reasons = [*unsettled, *at_bounds(result)]
     std = [None] * len(result.parameters) if reasons else result.std.tolist()
     values = zip(result.parameters, result.theta, std, strict=True)
+    priors = {name: p.prior and {"value": p.prior.mean, "std": p.prior.std} for name, p in declared.items()}
     fit = _fit_percent(result)
     return {
         "model": model,
         "records": list(records),
         "parameters": {
-            name: {"value": value, "std": std, "unit": declared[name].unit, "at_bound": name in result.at_bound}
+            name: {
+                "value": value,
+                "std": std,
+                "unit": declared[name].unit,
+                "at_bound": name in result.at_bound,
+                "prior": priors[name],
+            }
             for name, value, std in values
         },
         "outputs": {
@@ -56,7 +63,8 @@ def _fit_percent(result: Estimate) -> list[float]:
 def _parameter_text(name: str, p: dict[str, Any], settled: bool) -> str:
     unknown = "(not determined)" if settled else "(not settled)"
     doubt = unknown if p["std"] is None else f"± {p['std']:.2g}"
-    return f"{name} = {p['value']:.6g} {doubt} {p['unit']}".rstrip() + ("  (at its bound)" if p["at_bound"] else "")
+    known = f"  (prior {p['prior']['value']:g} ± {p['prior']['std']:g})" if p["prior"] else ""
+    return f"{name} = {p['value']:.6g} {doubt} {p['unit']}".rstrip() + ("  (at its bound)" if p["at_bound"] else "") + known
 
 
 def _percent(fit: float | None) -> str:

@@ -316,7 +316,7 @@ def _tree(node: Node) -> Any:
         return node.value
     if isinstance(node, Name):
         return node.name
-    if isinstance(node, Call) and node.function == "table":
+    if isinstance(node, Call) and node.function in ("table", "cubic"):
         first, *knots = map(_tree, node.operands)
         return ["table", first, ["[]", *knots[: len(knots) // 2]], ["[]", *knots[len(knots) // 2 :]]]
     return [node.function if isinstance(node, Call) else node.operator, *map(_tree, node.operands)]

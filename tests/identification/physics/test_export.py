@@ -55,7 +55,11 @@ balances:
   tank:
     kind: volume
     storage: A * der(h)
-    terms: {curve: "table(n, [-2, 0, 1, 2, 5], [-1, 0, 1, top, 2.5])", out: -k * A * h * open}
+    terms:
+      curve: "table(n, [-2, 0, 1, 2, 5], [-1, 0, 1, top, 2.5])"
+      smooth: "table(n, [-2, 0, 1, 5], [0, 0.1 * top, 0.4, -0.1], cubic)"
+      map: "table(h, n, [0, 1, 2], [-2, 3], [[0.1, 0.3], [0, 0.2], [-0.1, 0.1]])"
+      out: -k * A * h * open
   lag:
     kind: signal
     storage: T * der(x)

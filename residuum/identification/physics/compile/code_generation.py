@@ -10,6 +10,7 @@ parameters, directions, motion of each surface, and three arrays for results.
 
 from __future__ import annotations
 
+import hashlib
 import struct
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import reduce
@@ -19,6 +20,7 @@ import sympy as sp
 from sympy.logic.boolalg import Boolean
 
 from residuum.identification.errors import NoExplicitEquations
+from residuum.identification.physics.compile import implicit
 from residuum.identification.physics.compile.composition import TIME, Equations
 from residuum.identification.physics.compile.external import SYMBOLS, ExternalSlope, ExternalValue
 from residuum.identification.physics.compile.machine_code import FUNCTIONS
@@ -69,7 +71,10 @@ def generate(equations: Equations) -> tuple[str, ...]:
     used = {*_INTRINSICS.values(), "pow", "sqrt"}
     declared = [f"declare double @llvm.{f}.f64({', '.join(['double'] * (2 if f == 'pow' else 1))})" for f in sorted(used)]
     declared += [f"declare double @{SYMBOLS[0]}(i64, ptr)", f"declare double @{SYMBOLS[1]}(i64, i64, ptr)"]
+    systems = {name: system for function in functions for name, system in function.roots.items()}
     bodies = [function.text() for function in functions]
+    for name, (z, a, g, start) in systems.items():
+        bodies += [_NewtonStep(f"{name}_step", z, a, g).text(), implicit.newton(name, [float(value) for value in start])]
     declared += [f"declare double @{f}(double)" for f in _LIBRARY.values()] + ["declare double @atan2(double, double)"]
     own = "\n\n".join([*declared, *bodies, stepping(nx, nu, n_p, ny)])
     slopes = functions[FUNCTIONS.index("slopes")]
@@ -106,18 +111,22 @@ class _Function:
     """
 
     def __init__(self, name: str, eq: Equations, rows: Rows, sloping: Rows) -> None:
-        self.name, self.loads = name, _loads(eq)
-        self.moved = {eq.u[n]: (d, sp.Symbol(f"ur_{list(eq.u).index(n)}", real=True)) for n, d in eq.delays.items()}
-        self.lines: list[str] = []
-        self.known: dict[Any, str] = {}
-        self.dependent: dict[Any, frozenset[sp.Symbol]] = {}
-        self.known_slopes: dict[tuple[Any, sp.Symbol], str | None] = {}
+        moved = {eq.u[n]: (d, sp.Symbol(f"ur_{list(eq.u).index(n)}", real=True)) for n, d in eq.delays.items()}
+        self._begin(name, _loads(eq), moved)
         self.stores: dict[Slot, str] = {("r0", i): self.value(sp.sympify(e)) for i, e in rows.items()}
         matrices = ("r1", "r2") if rows else ("r0", "r1")
         for i, e in sloping.items():
             for matrix, by, width in zip(matrices, (eq.x, eq.p), (len(eq.x), len(eq.p) + len(eq.x)), strict=True):
                 found = {(matrix, i * width + j): self.slope(sp.sympify(e), v) for j, v in enumerate(by.values())}
                 self.stores |= {slot: slope for slot, slope in found.items() if slope is not None}
+
+    def _begin(self, name: str, loads: Mapping[sp.Symbol, Slot], moved: Mapping[Any, tuple[Any, Any]]) -> None:
+        self.name, self.loads, self.moved = name, loads, moved
+        self.roots: dict[str, Any] = {}
+        self.lines: list[str] = []
+        self.known: dict[Any, str] = {}
+        self.dependent: dict[Any, frozenset[sp.Symbol]] = {}
+        self.known_slopes: dict[tuple[Any, sp.Symbol], str | None] = {}
 
     def text(self) -> str:
         """All values first, then the stores: a result array may be one of the arguments."""
@@ -159,6 +168,8 @@ class _Function:
             return self._chosen([(slope or _ZERO, condition) for slope, condition in pieces]) if some else None
         if isinstance(e, (*_FLAT, Boolean)):
             return None
+        if isinstance(e, implicit.Root):
+            return self._root_slope(e, by)
         slopes = [(i, self.slope(part, by)) for i, part in enumerate(e.args)]
         terms = [self._times(self._partial(e, i), slope) for i, slope in slopes if slope is not None]
         return self._fold("fadd", terms) if terms else None
@@ -248,6 +259,42 @@ class _Function:
 
     def _external_slope(self, k: sp.Expr, j: sp.Expr, *arguments: sp.Expr) -> str:
         return self._new(f"call double @{SYMBOLS[1]}(i64 {k}, i64 {j}, ptr {self._array(arguments)})")
+
+    def _root(self, i: sp.Expr, *given: Any) -> str:
+        z, values = self._solution(given[:4], given[4:]), int(i)
+        return self._new(f"load double, ptr {self._new(f'getelementptr double, ptr {z}, i64 {values}')}")
+
+    def _solution(self, system: tuple[Any, ...], values: tuple[sp.Expr, ...]) -> str:
+        """Where the root of a system stands, found once a function."""
+        key = (system, values)
+        if key not in self.known:
+            name = f"root_{hashlib.sha256(str(system).encode()).hexdigest()[:16]}"
+            self.roots[name] = system
+            a = self._array(values)
+            self.known[key] = self._new(f"alloca [{len(system[0])} x double]")
+            self.lines.append(f"call void @{name}(ptr {a}, ptr {self.known[key]})")
+        return self.known[key]
+
+    def _root_slope(self, e: Any, by: sp.Symbol) -> str:
+        """−J⁻¹ ∂g/∂by at the root."""
+        i, z, a, g, start, *values = e.args
+        here = [self._held(self.value(implicit.Root(sp.Integer(k), z, a, g, start, *values))) for k in range(len(z))]
+        at = dict(zip(z, here, strict=True)) | dict(zip(a, values, strict=True))
+        equations = [equation.xreplace(at) for equation in g]
+        right = [self._held(self.slope(equation, by)) for equation in equations]
+        return self.value(-implicit.solved(self._jacobian(equations, here), right)[int(i)])
+
+    def _jacobian(self, equations: Sequence[Any], unknown: Sequence[Any]) -> list[list[Any]]:
+        """Symbols that hold the slopes of equations by unknown symbols."""
+        return [[self._held(self.slope(equation, symbol)) for symbol in unknown] for equation in equations]
+
+    def _held(self, register: str | None) -> Any:
+        """A symbol for what a register holds; zero for nothing."""
+        if register is None:
+            return sp.S.Zero
+        symbol = sp.Symbol(f"held_{register}", real=True)
+        self.known[symbol] = register
+        return symbol
 
     def _array(self, values: tuple[sp.Expr, ...]) -> str:
         """Where values stand side by side."""
@@ -343,7 +390,19 @@ class _Function:
         sp.Or: _or,
         sp.Not: _not,
         sp.ITE: _if_then_else,
+        implicit.Root: _root,
     }
+
+
+class _NewtonStep(_Function):
+    """Newton's next z of g(z, a) = 0, then ‖g‖² at this z; a is in place of the states, z of the inputs."""
+
+    def __init__(self, name: str, z: Sequence[Any], a: Sequence[Any], g: Sequence[Any]) -> None:
+        places = (("x", a), ("u", z))
+        self._begin(name, {symbol: (array, k) for array, symbols in places for k, symbol in enumerate(symbols)}, {})
+        steps = implicit.solved(self._jacobian(g, z), [self._held(self.value(equation)) for equation in g])
+        results = [*(at - step for at, step in zip(z, steps, strict=True)), sum(equation**2 for equation in g)]
+        self.stores = {("r0", k): self.value(result) for k, result in enumerate(results)}
 
 
 def _is_reciprocal(factor: sp.Expr) -> bool:

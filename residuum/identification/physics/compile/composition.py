@@ -13,7 +13,8 @@ s ∈ {−1, 0, 1} that the integrator switches: with f⁺ and f⁻ the right-ha
 sticks while f⁺ ≤ 0 ≤ f⁻ (Filippov's sliding condition, which is Coulomb's law), so no smoothing width is chosen.
 
 **A balance without storage** may contain its variable linearly, and in `sign()` and `abs()`: with residual
-r + a·i + b·sign(i) + c·|i| it is solved piecewise. Anything else is refused as an algebraic loop.
+r + a·i + b·sign(i) + c·|i| it is solved piecewise. Of balances that name a start value the variables are a root (`implicit`),
+each one's or those that define each other together; anything else is refused as an algebraic loop.
 
 Reference: A. F. Filippov, *Differential Equations with Discontinuous Righthand Sides*, 1988.
 """
@@ -26,10 +27,11 @@ from dataclasses import dataclass, field
 import sympy as sp
 
 from residuum.identification.errors import BadModel, NoExplicitEquations
+from residuum.identification.physics.compile import implicit
 from residuum.identification.physics.compile.expression_meaning import meaning, number
 from residuum.identification.physics.effects.base import Contribution, Scene
 from residuum.identification.physics.files.consistency import owners_of
-from residuum.identification.physics.files.expression import Call, Name, Node, Number
+from residuum.identification.physics.files.expression import Call, Name, Node, Number, walk
 from residuum.identification.physics.model import CHANNELS, Balance, EffectUse, PhysicalModel, missing_name, term_name, tied_to
 
 TIME = sp.Symbol("t", real=True)
@@ -188,7 +190,8 @@ class _Composer:
         supply = self.model.supply_input(balance)
         with_input = [n for n, t in balance.terms.items() if supply is not None and supply in t.names]
         currents = {b.variables["current"] for b in self.model.balances.values() if "current" in b.variables} - {own}
-        driving = [n for n, t in balance.terms.items() if t.names & {*self.model.inputs, *currents}]
+        inputs = {name for name, signal in self.model.inputs.items() if not signal.is_clock}
+        driving = [n for n, t in balance.terms.items() if t.names & (inputs | currents)]
         if supply is not None:
             roles["supply"] = self.paths[supply]
         roles |= {name: self.paths[name] for name in CHANNELS if name in self.paths}
@@ -252,16 +255,33 @@ class _Composer:
         solved: dict[sp.Symbol, sp.Expr] = dict(self.became_state)
         open_sides = [side for side in sides.values() if side.state is None and side.defines is not None]
         while open_sides:
-            pending = {side.defines for side in open_sides}
-            ready = [s for s in open_sides if not (sum(s.terms.values()).subs(solved).free_symbols & (pending - {s.defines}))]
-            if not ready:
-                names = ", ".join(side.balance.name for side in open_sides)
-                place = open_sides[0].balance.storage.place
-                raise place.refuse(f"algebraic loop: balances {names} define each other's variables", NoExplicitEquations)
-            for side in ready:
-                solved[side.defines] = self._solve(side.defines, sum(side.terms.values()).subs(solved), side.balance)
-                open_sides.remove(side)
+            together = min((_needed(side, open_sides) for side in open_sides), key=len)
+            total = [sum(side.terms.values()) for side in together]
+            if len(together) == 1 and together[0].balance.start is None:
+                side = together[0]
+                solved[side.defines] = self._solve(side.defines, total[0].subs(solved), side.balance)
+            else:
+                solved |= self._roots(together, total, solved)
+            open_sides = [side for side in open_sides if side not in together]
         return self._substituted(solved)
+
+    def _roots(self, sides: list[_Sides], total: list[sp.Expr], solved: dict[sp.Symbol, sp.Expr]) -> dict[sp.Symbol, sp.Expr]:
+        names, place = ", ".join(side.balance.name for side in sides), sides[0].balance.storage.place
+        start = [side.balance.start for side in sides if side.balance.start is not None]
+        if len(start) < len(sides) or len(sides) > implicit.MOST_VARIABLES:
+            raise place.refuse(
+                f"algebraic loop: balances {names} define each other's variables; each needs a start value (start: 1.0), and at "
+                f"most {implicit.MOST_VARIABLES} are solved together",
+                NoExplicitEquations,
+            )
+        unknown = [side.defines for side in sides]
+        if sp.expand(implicit.jacobian(unknown, total).det(method="berkowitz")) == 0:
+            raise place.refuse(
+                f"algebraic loop of index 2: balances {names} do not determine the variables that they define; differentiate one "
+                "by hand, or give one a storage",
+                NoExplicitEquations,
+            )
+        return dict(zip(unknown, implicit.roots(unknown, total, start, solved), strict=True))
 
     def _substituted(self, solved: dict[sp.Symbol, sp.Expr]) -> dict[sp.Symbol, sp.Expr]:
         for _ in solved:
@@ -298,16 +318,36 @@ class _Composer:
             return self._name(tree.name)
         if isinstance(tree, Call) and tree.function == "der":
             return derivative
+        if isinstance(tree, Call) and tree.function == "delay":
+            return self._delayed(tree)
         if surface is not None and isinstance(tree, Call) and tree.function == "sign" and _is_name(tree.operands[0], surface):
             return self.directions[surface]
         operands = [self._symbolic(operand, surface, derivative) for operand in tree.operands]
         return meaning(tree)(*operands)
+
+    def _delayed(self, call: Call) -> sp.Expr:
+        """What is made of inputs, each of them read so much earlier."""
+        signal, by = call.operands
+        delay = self._symbolic(by, None)
+        for node in walk(signal):
+            if isinstance(node, Name) and node.name in self.u and self.delays.setdefault(node.name, delay) != delay:
+                raise NoExplicitEquations(f"input {node.name!r}: the model delays it itself; one delay is all that it can have")
+        return self._symbolic(signal, None)
 
     def _name(self, name: str) -> sp.Expr:
         for family in (self.x, self.paths, self.p, self.variables):
             if name in family:
                 return family[name]
         raise BadModel(f"model {self.model.name!r}: name {name!r} is not declared")
+
+
+def _needed(side: _Sides, sides: list[_Sides]) -> list[_Sides]:
+    """The sides that have to be solved together with this one, or before it, in their order."""
+    found = [side]
+    for known in found:
+        symbols = sum(known.terms.values()).free_symbols
+        found += [other for other in sides if other.defines in symbols and other not in found]
+    return [each for each in sides if each in found]
 
 
 def _is_name(tree: Node, name: str) -> bool:

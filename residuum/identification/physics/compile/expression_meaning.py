@@ -3,21 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache
 from importlib import import_module
 from itertools import pairwise
 from typing import Any
 
 from residuum.identification.physics.compile import symbolic as sp
-from residuum.identification.physics.files.expression import Call, Name, Node, Number, Operation
+from residuum.identification.physics.files.expression import Call, Name, Node, Number, Operation, smooth
 
 EXTERNAL = "external"
 """Name of the function that a compiled library holds; no model file can call it."""
 _FUNCTIONS: Mapping[str, str] = {"abs": "Abs", "min": "Min", "max": "Max"}
+
+
+@lru_cache(maxsize=4096)
+def _within(x: Any, left: Any, right: Any) -> Any:
+    """Kept, since the rows of a table of two places ask for it again and SymPy takes long."""
+    return sp.Min(sp.Max(x, left), right)
+
+
+def _where_positive(test: Any, yes: Any, no: Any) -> Any:
+    return sp.Piecewise((yes, test > 0), (no, True))
+
+
 _WRITTEN: Mapping[str, Callable[..., Any]] = {
     "hypot": lambda a, b: sp.sqrt(a**2 + b**2),
     "mod": lambda a, b: a - b * sp.floor(a / b),
     "where": lambda condition, a, b: sp.Piecewise((a, condition), (b, True)),
     "table": lambda x, *knots: _straight_lines(x, knots[: len(knots) // 2], knots[len(knots) // 2 :]),
+    "cubic": lambda x, *knots: smooth(x, knots[: len(knots) // 2], knots[len(knots) // 2 :], _within, _where_positive),
 }
 """What is put together from other operations."""
 _OPERATORS: Mapping[str, Callable[..., Any]] = {
@@ -46,7 +60,7 @@ def meaning(node: Operation | Call) -> Callable[..., Any]:
 def _straight_lines(x: Any, places: Sequence[Any], values: Sequence[Any]) -> Any:
     """y₁ + Σ_k (y_{k+1} − y_k) / (x_{k+1} − x_k) · (min(max(x, x_k), x_{k+1}) − x_k): held beyond the places."""
     knots = zip(pairwise(places), pairwise(values), strict=True)
-    return values[0] + sum((b - a) / (right - left) * (sp.Min(sp.Max(x, left), right) - left) for (left, right), (a, b) in knots)
+    return values[0] + sum((b - a) / (right - left) * (_within(x, left, right) - left) for (left, right), (a, b) in knots)
 
 
 def number(node: Number) -> Any:

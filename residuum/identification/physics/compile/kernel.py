@@ -117,11 +117,11 @@ def _compiled(assembly: str) -> str:
 
 def _structure(model: PhysicalModel) -> str:
     balances = [
-        (b.name, b.kind, b.storage.text, [(n, t.text) for n, t in b.terms.items()], sorted(b.variables.items()))
+        (b.name, b.kind, b.storage.text, b.start, [(n, t.text) for n, t in b.terms.items()], sorted(b.variables.items()))
         for b in model.balances.values()
     ]
     effects = [(use.id, use.target, use.instance, EFFECTS.fingerprint(use.id)) for use in model.effects]
-    inputs = [(i.name, i.absent and i.default, i.unit) for i in model.inputs.values()]
+    inputs = [(i.name, (i.absent or i.is_clock) and i.default, i.unit) for i in model.inputs.values()]
     states = [(s.name, s.rate, s.unit) for s in model.states.values()]
     outputs = [(o.name, o.value.text) for o in model.outputs.values()]
     return repr((inputs, states, list(model.parameters), balances, outputs, effects))

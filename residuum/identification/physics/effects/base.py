@@ -20,8 +20,19 @@ RESTS = 1e-60
 
 
 @dataclass(frozen=True)
+class Prior:
+    """What was known of a number before any record: normal, `mean` ± `std`."""
+
+    mean: float
+    std: float
+
+    def __str__(self) -> str:
+        return f"{self.mean!r} ± {self.std!r}"
+
+
+@dataclass(frozen=True)
 class Parameter:
-    """A number of a model: value, unit, bounds, meaning; `fixed` keeps it out of the estimation."""
+    """A number of a model: value, unit, bounds, meaning; `fixed` keeps it out of the estimation, a `prior` draws it."""
 
     name: str
     value: float
@@ -30,6 +41,7 @@ class Parameter:
     upper: float = np.inf
     fixed: bool = False
     meaning: str = ""
+    prior: Prior | None = None
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ error with free states, which suits plants that integrate and data from a closed
 Bounds are kept by projection: a parameter at its bound with the gradient pointing out is held for that step.
 Parameter covariance is σ²·H⁻¹ with H the Gauss–Newton matrix after elimination (Ljung, *System Identification*, 9.4);
 an eigenvector of the scaled H with a vanishing eigenvalue is a *flat direction*: the data cannot tell its members apart.
+A parameter's prior is one more row, (θ − μ)/σ (`priors`).
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ from residuum.identification.physics.estimation.least_squares import (
     damped,
     solve_scaled,
 )
+from residuum.identification.physics.estimation.priors import Priors
 from residuum.identification.physics.model import PhysicalModel
 from residuum.identification.physics.simulate.experiment import Experiment
 from residuum.identification.physics.simulate.simulation import Runs, Simulator
@@ -40,6 +42,8 @@ Array = npt.NDArray[np.float64]
 
 REWEIGHTINGS = 2
 """How often the outputs' weights are taken from the residuals anew."""
+MOST_REWEIGHTINGS, _WEIGHED = 12, 1e-3
+"""How often beside priors at most, and the relative change of a weight at which it is enough."""
 _COARSE = 2.0
 """Times the steps a sample that were taken from which on those of a run are too few."""
 _OPTIMISM = 3.0
@@ -73,6 +77,8 @@ class Estimate:
     converged : bool
     substeps : tuple of int
         Integration steps a sample that were used.
+    priors : Priors
+        Of the parameters.
     promised : float
         Part of the cost that a whole Gauss–Newton step from here promises: next to nothing in a minimum.
     """
@@ -92,6 +98,7 @@ class Estimate:
     converged: bool
     iterations: int
     substeps: tuple[int, ...]
+    priors: Priors
     promised: float = 0.0
 
     @property
@@ -194,6 +201,7 @@ class _Problem:
         self.lower = np.array([parameters[name].lower for name in names])
         self.upper = np.array([parameters[name].upper for name in names])
         self.theta0 = np.array([parameters[name].value for name in names])
+        self.priors = Priors.of(parameters, names)
         self.index = simulator.columns(names)
         self.states = () if self._all_known(simulator.free_states) else simulator.free_states
         self.summed = self.experiments if self.states or len(experiments) == 1 else [_end_to_end(experiments)]
@@ -289,14 +297,22 @@ class _Problem:
         if not np.isfinite(point.cost):
             raise NotIdentifiable(f"model {self.simulator.model.name!r}: diverges at its starting values; {MAY_DIVERGE}")
         point, iterations, converged = self._descend(point)
-        for _ in range(REWEIGHTINGS if given is None and np.sum(self.measured) > 1 else 0):
-            self.weights = self._from_residuals(point)
+        for _ in range(self._reweightings()):
+            before, self.weights = self.weights, self._from_residuals(point)
+            if self.priors.count and np.allclose(self.weights, before, rtol=_WEIGHED):
+                break
             point, used, converged = self._descend(self.point((point.theta, point.initial)))
             iterations += used
         if given is None:
             self.weights = self._from_residuals(point)
             point = self.point((point.theta, point.initial))
         return point, iterations, converged
+
+    def _reweightings(self) -> int:
+        """How often at most: one output is weighed against priors alone, whose weight does not follow."""
+        if self.settings.weights is not None:
+            return 0
+        return MOST_REWEIGHTINGS if self.priors.count else REWEIGHTINGS * int(np.sum(self.measured) > 1)
 
     def _from_residuals(self, point: _Point) -> Array:
         stacked = np.concatenate([e.Y - y for e, y in zip(self.summed, point.predicted, strict=True)])[:, self.measured]
@@ -349,7 +365,8 @@ class _Problem:
         """Cost, and the blocks that the next step needs."""
         theta, initial = trial
         q, runs = len(self.names), self._runs(initial, self.p(theta), self.slopes)
-        point = _Point(theta, initial, [], np.zeros(q), np.zeros((q, q)), [], [], [], 0.0)
+        pull, precision, cost = self.priors.pull(theta), np.diag(self.priors.precisions), self.priors.cost(theta)
+        point = _Point(theta, initial, [], pull, precision, [], [], [], cost)
         if not runs.bounded:
             point.cost = np.inf
             return point
@@ -369,7 +386,7 @@ class _Problem:
         """The cost alone, which needs no sensitivities."""
         theta, initial = trial
         runs = self._runs(initial, self.p(theta))
-        return float(sum(r @ r for r, _ in self._weighted(runs))) if runs.bounded else np.inf
+        return float(sum(r @ r for r, _ in self._weighted(runs))) + self.priors.cost(theta) if runs.bounded else np.inf
 
     def _weighted(self, runs: Runs) -> list[tuple[Array, Array | None]]:
         """Weighted, filtered residuals of each experiment, those of all outputs in one, and their Jacobian; 0 where missing."""
@@ -405,7 +422,7 @@ class _Problem:
         reduced = point.hessian - np.einsum("kqm,kmc->qc", cross, solve_scaled(np.array(point.own), cross.swapaxes(1, 2)))
         samples = sum(int(np.sum(np.isfinite(e.Y[:, self.measured]))) for e in self.experiments)
         unknowns = len(self.names) + len(self.experiments) * len(self.states)
-        variance = point.cost / max(samples - unknowns, 1)
+        variance = point.cost / max(samples + self.priors.count - unknowns, 1)
         covariance, flat = covariance_of(reduced, variance, self.names, point.theta)
         model = self.simulator.model.with_values(dict(zip(self.names, point.theta.tolist(), strict=True)))
         bound = (point.theta <= self.lower) | (point.theta >= self.upper)
@@ -427,5 +444,6 @@ class _Problem:
             converged=converged,
             iterations=iterations,
             substeps=tuple(self.substeps),
+            priors=self.priors,
             promised=self._promised(point) / max(point.cost, 1e-300) if self.slopes else 0.0,
         )

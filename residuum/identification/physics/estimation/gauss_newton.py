@@ -6,7 +6,7 @@ no other one, so they are eliminated: with z = (I, −E), E their best answer to
 equations of a cell are zᵀMz. From these follow the next step, what it promises, and the fit without some cells (downdating).
 
 Weights are Huber's: an error beyond `clip` counts in proportion to its size. Errors are whitened by an autoregression of each
-output where one is given; a missing sample counts nothing.
+output where one is given; a missing sample counts nothing. A parameter's prior is one more row (`priors`).
 
 References
 ----------
@@ -27,6 +27,7 @@ import numpy.typing as npt
 
 from residuum.identification.descent import ATTEMPTS, HARDER, End, descend
 from residuum.identification.physics.estimation.least_squares import NOTHING_ALONG, bounded_step, covariance_of, solved
+from residuum.identification.physics.estimation.priors import Priors
 from residuum.identification.physics.model import PhysicalModel
 from residuum.identification.physics.simulate.experiment import Experiment
 from residuum.identification.physics.simulate.integration import begin, integrate, new_memory
@@ -47,7 +48,8 @@ SHORTENED = (0.0, 0.1, 1.0, 10.0)
 
 class _Unit(Protocol):
     """In what errors are measured: 1/σ of each output (0: it does not count), the weighted errors beyond which Huber's weights
-    fall, and whitening autoregressions (1, a₁, …), one an output.
+    fall, whitening autoregressions (1, a₁, …), one an output, and the variance of a weighted error that is noise, beside which
+    priors count (0: they do not).
     """
 
     @property
@@ -56,6 +58,8 @@ class _Unit(Protocol):
     def clip(self) -> Array: ...
     @property
     def filters(self) -> Sequence[Array] | None: ...
+    @property
+    def variance(self) -> float: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,6 +109,11 @@ class Problem:
         return tuple(self.simulator.model.free)
 
     @cached_property
+    def priors(self) -> Priors:
+        """Of the parameters, in the unit's squares."""
+        return Priors.of(self.simulator.model.all_parameters, self.parameters, self.unit.variance)
+
+    @cached_property
     def columns(self) -> Integers:
         """Kernel columns of the parameters, then of the first states."""
         return self.simulator.columns([*self.parameters, *(f"initial:{n}" for n in self.simulator.free_states)])
@@ -147,13 +156,13 @@ class Problem:
             *(system, at.U, of.Y, unit.weights, self.filters, unit.clip, at.starts, p, X0),
             *(at.sample_times, self.substeps, at.holds, at.follows, self.free, columns, of.cell, M, power),
         )
-        return Fit(self, theta, X0, M, power, float(power.sum()) if possible else np.inf)
+        return Fit(self, theta, X0, M, power, float(power.sum()) + self.priors.cost(theta) if possible else np.inf)
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
     """A problem at parameters `theta` and first states `X0` (windows, states): the normal equations M (cells, outputs, m, m) and
-    Huber's `power` (cells, outputs), whose sum is the `cost`; that is infinite where the model diverges.
+    Huber's `power` (cells, outputs), whose sum with the priors' is the `cost`; that is infinite where the model diverges.
     """
 
     problem: Problem
@@ -182,6 +191,11 @@ class Fit:
     def weights(self) -> Array:
         """1/σ of each output."""
         return self.problem.unit.weights
+
+    @property
+    def priors(self) -> Priors:
+        """Of the parameters, in the unit's squares."""
+        return self.problem.priors
 
     @property
     def initial(self) -> list[Array]:
@@ -214,7 +228,8 @@ class Fit:
         """Standard deviations of the parameters, infinite along flat directions."""
         q = len(self.theta)
         H = _eliminated(self.M, self.problem.cells.part, len(self.X0), q, np.ones(len(self.power)), 0.0)[0]
-        unknowns = q + int(self.problem.free[:, q:].sum())
+        unknowns = q + int(self.problem.free[:, q:].sum()) - self.priors.count
+        H[np.diag_indices(q)] += self.priors.precisions
         covariance, _ = covariance_of(H, self.cost / max(self.samples - unknowns, 1), self.parameters, self.theta)
         return np.sqrt(np.diag(covariance))
 
@@ -226,7 +241,8 @@ class Fit:
         part, use = self.problem.cells.part, np.ones(len(self.power)) if use is None else use
         try:
             H, g, E = _eliminated(self.M, part, len(self.X0), len(self.theta), use, damping)
-            H[np.diag_indices(len(g))] = np.maximum(np.diag(H), 0.0) * (1.0 + damping + ridge)
+            g += self.priors.pull(self.theta)
+            H[np.diag_indices(len(g))] = np.maximum(np.diag(H) + self.priors.precisions, 0.0) * (1.0 + damping + ridge)
             move = bounded_step(H, g, self.theta, self.problem.lower, self.problem.upper)
         except (ValueError, np.linalg.LinAlgError):  # eigenvalues that are not found: next to an overflow
             return np.zeros(len(self.theta)), np.zeros((len(self.X0), self.M.shape[-1] - 1 - len(self.theta)))
@@ -239,7 +255,7 @@ class Fit:
 
     def promised(self, move: Array, firsts: Array) -> float:
         """By how much the cost falls then."""
-        return self.cost - float(self.predicted(move, firsts).sum())
+        return self.cost - float(self.predicted(move, firsts).sum()) - self.priors.cost(self.theta + move)
 
     def moved(self, move: Array, firsts: Array) -> tuple[Array, Array]:
         """Parameters and first states after such changes."""
@@ -262,10 +278,14 @@ class Fit:
         for _ in range(steps if len(self.theta) else 0):
             for damping in SHORTENED:
                 there = self.problem.at(*here.moved(*here.step(use, damping, ridge)))
-                if there.cost < np.inf and use @ there.power.sum(axis=1) <= use @ here.power.sum(axis=1):
+                if there.cost < np.inf and there._cost_of(use) <= here._cost_of(use):
                     here = there
                     break
         return here.with_states_refitted()
+
+    def _cost_of(self, use: Array) -> float:
+        """Of cells weighed so, and of the priors."""
+        return float(use @ self.power.sum(axis=1)) + self.priors.cost(self.theta)
 
     def with_states_refitted(self) -> Fit:
         """First states once more fitted to all rows of their window, parameters held, where that helps."""

@@ -21,6 +21,7 @@ import numpy.typing as npt
 from residuum.identification.descent import End, descend
 from residuum.identification.physics.estimation.estimation import Estimate, Settings, estimate
 from residuum.identification.physics.estimation.least_squares import bounded_step, covariance_of, damped, solve_scaled
+from residuum.identification.physics.estimation.priors import Priors
 from residuum.identification.physics.model import PhysicalModel
 from residuum.identification.physics.simulate.experiment import Experiment
 from residuum.identification.physics.simulate.kalman import Filter, Noise, first_noise, tune
@@ -73,6 +74,7 @@ def estimate_by_likelihood(
         covariance=covariance,
         flat=flat,
         at_bound=tuple(name for name, there in zip(names, bound, strict=True) if there),
+        priors=likelihood.priors,
         converged=converged,
         iterations=iterations,
         promised=_promised(last) / max(simulated.samples, 1),
@@ -100,6 +102,7 @@ class _Likelihood:
         parameters = model.all_parameters
         self.lower = np.array([parameters[name].lower for name in names])
         self.upper = np.array([parameters[name].upper for name in names])
+        self.priors = Priors.of(parameters, names)
         simulator = Simulator(model)
         self.substeps = simulator.substeps_each(experiments, initial, simulator.p())
         self.noise: Noise = first_noise(model, experiments)
@@ -136,11 +139,12 @@ class _Likelihood:
         """−log L there, and the Gauss–Newton matrix and gradient of the innovations."""
         here, cost = self.innovations(trial)
         J = self.slopes(trial, here) if np.isfinite(cost) else np.zeros((0, trial.size))
-        return _Point(trial, cost, J.T @ J, -(J.T @ here))
+        curvature, descent = J.T @ J + np.diag(self.priors.precisions), self.priors.pull(trial) - J.T @ here
+        return _Point(trial, cost + 0.5 * self.priors.cost(trial), curvature, descent)
 
     def cost(self, trial: Array) -> float:
-        """−log L."""
-        return self.innovations(trial)[1]
+        """−log L of the data and the priors."""
+        return self.innovations(trial)[1] + 0.5 * self.priors.cost(trial)
 
     def trial(self, point: _Point, damping: float) -> Array:
         """The damped step, within bounds."""

@@ -10,6 +10,7 @@ from typing import Any
 from residuum.identification.errors import BadModel
 from residuum.identification.physics.compile import symbolic as sp
 from residuum.identification.physics.compile.composition import TIME, Equations, compose
+from residuum.identification.physics.compile.implicit import Root
 from residuum.identification.physics.files.consistency import owners_of
 from residuum.identification.physics.model import PhysicalModel, missing_name, term_name
 from residuum.identification.physics.simulate.stepped_round import SteppedRound
@@ -85,12 +86,13 @@ def explicit(model: PhysicalModel) -> ExplicitModel:
     Raises
     ------
     BadModel
-        An input that an effect delays: no text here has a memory of its inputs.
+        An input that is delayed: no text here has a memory of its inputs.
     """
     equations = _undelayed(model)
     unknown = {missing_name(balance) for balance in model.balances}
     taken: set[str] = {"time", "t", "x", "u", "p", "y", "s", "dx"}
-    states, inputs = _identifiers(equations.x, taken), _identifiers(model.inputs, taken)
+    driving = [name for name, signal in model.inputs.items() if not signal.is_clock]
+    states, inputs = _identifiers(equations.x, taken), _identifiers(driving, taken)
     parameters = _identifiers([name for name in equations.p if name not in unknown], taken)
     outputs = _identifiers(equations.outputs, taken)
     places = _effect_terms(model, equations)
@@ -100,6 +102,7 @@ def explicit(model: PhysicalModel) -> ExplicitModel:
     directions = _directions(equations, states, taken)
     swap = {equations.p[name]: sp.S.Zero for name in unknown} | _renamed(equations, symbols, states, inputs, parameters)
     swap |= {symbol: directions[states[list(equations.x)[k]]] for k, symbol in equations.surfaces.items()}
+    swap |= {equations.u[name]: symbols["time"] for name, signal in model.inputs.items() if signal.is_clock}
 
     def put(expression: Any) -> Any:
         renamed = sp.sympify(expression).xreplace(swap)  # all at once: a model may call its own states x_1, x_2
@@ -165,9 +168,14 @@ def _directions(equations: Equations, states: Mapping[str, str], taken: set[str]
 
 def _undelayed(model: PhysicalModel) -> Equations:
     equations = compose(model)
+    if any(sp.sympify(e).has(Root) for e in (*equations.rates, *equations.outputs.values())):
+        raise BadModel(
+            f"export: model {model.name!r} solves balances by Newton's method (start:), which no exported text can hold; solve "
+            "them for their variables by hand"
+        )
     for delayed in equations.delays:
         raise BadModel(
-            f"export: input {delayed!r} is delayed (input-delay), which no exported text can hold; take the effect out"
+            f"export: input {delayed!r} is delayed, which no exported text can hold; take the delay out, and delay what drives it"
         )
     return equations
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterator
 from typing import Any
 
 from residuum.identification.physics.compile import symbolic as sp
@@ -48,20 +50,22 @@ def _code(expression: Any) -> str:
         return (" and " if isinstance(expression, sp.And) else " or ").join(f"({_code(part)})" for part in expression.args)
     if isinstance(expression, sp.Not):
         return f"not ({_code(expression.args[0])})"
-    piecewise = [e for e in sp.preorder_traversal(expression) if isinstance(e, sp.Piecewise | sp.Min | sp.Max)]
-    texts = {}
-    if piecewise and expression is not piecewise[0]:
-        for k, part in enumerate(piecewise):
-            texts[f"residuum_part_{k}"] = _code(part)
-            expression = expression.subs(part, sp.Symbol(f"residuum_part_{k}", real=True))
-    elif isinstance(expression, sp.Min | sp.Max):
+    if isinstance(expression, sp.Min | sp.Max):
         name, (first, *rest) = expression.func.__name__.lower(), expression.args
         text = _code(first)
         for other in rest:
             text = f"{name}({text}, {_code(other)})"
         return text
-    printed = sp.sstr(expression.evalf(17))
-    text = str(printed).replace("**", "^").replace("Abs(", "abs(")
-    for name, value in texts.items():
-        text = text.replace(name, value)
-    return text
+    names = {part: sp.Symbol(f"residuum_part_{k}", real=True) for k, part in enumerate(dict.fromkeys(_chosen_parts(expression)))}
+    texts = {symbol.name: _code(part) for part, symbol in names.items()}
+    printed = sp.sstr(expression.xreplace(names).evalf(17))
+    return re.sub(r"residuum_part_\d+", lambda name: texts[name[0]], printed.replace("**", "^").replace("Abs(", "abs("))
+
+
+def _chosen_parts(expression: Any) -> Iterator[Any]:
+    """What is written otherwise than SymPy writes it, the outermost of each."""
+    if isinstance(expression, sp.Piecewise | sp.Min | sp.Max):
+        yield expression
+    else:
+        for part in expression.args:
+            yield from _chosen_parts(part)

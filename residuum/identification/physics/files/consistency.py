@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from types import MappingProxyType
 
@@ -29,9 +29,10 @@ def check(model: PhysicalModel, tree: Table) -> PhysicalModel:
     _unique_names(tree)
     _known_names(model)
     _inputs(model, tree)
+    _delays(model)
     _states_have_rates(model, tree)
     _variables(model, tree)
-    for expression in _expressions(model):
+    for expression in expressions_of(model):
         _no_division_by_zero(expression, model.values)
     for balance in model.balances.values():
         _storage_is_not_zero(balance, model.values)
@@ -39,7 +40,8 @@ def check(model: PhysicalModel, tree: Table) -> PhysicalModel:
     return _with_units(_with_roles(model))
 
 
-def _expressions(model: PhysicalModel) -> list[Expression]:
+def expressions_of(model: PhysicalModel) -> list[Expression]:
+    """Of its balances, then of its outputs."""
     parts = [expression for b in model.balances.values() for expression in (b.storage, *b.terms.values())]
     return [*parts, *(output.value for output in model.outputs.values())]
 
@@ -56,7 +58,7 @@ def _unique_names(tree: Table) -> None:
 def _known_names(model: PhysicalModel) -> None:
     defined = [variable for b in model.balances.values() if (variable := b.defines)]
     known = {*model.inputs, *model.states, *model.parameters, *defined}
-    for expression in _expressions(model):
+    for expression in expressions_of(model):
         for node in walk(expression.tree):
             if isinstance(node, Name) and node.name not in known:
                 raise node.place.refuse(
@@ -66,9 +68,56 @@ def _known_names(model: PhysicalModel) -> None:
 
 def _inputs(model: PhysicalModel, tree: Table) -> None:
     for name, signal in model.inputs.items():
-        if signal.default is not None and signal.default not in model.parameters and not _is_number(signal.default):
+        if signal.is_clock:
+            if not dimension_of_unit(signal.unit).agrees(dimension_of_unit("s")):
+                place = tree.table("inputs", "model file").keys[name]
+                raise place.refuse(f"input {name!r}: a clock is in s, not {signal.unit!r}")
+        elif signal.default is not None and signal.default not in model.parameters and not _is_number(signal.default):
             place = tree.table("inputs", "model file").keys[name]
-            raise place.refuse(f"input {name!r}: default {signal.default!r} is neither a number nor a parameter")
+            raise place.refuse(f"input {name!r}: default {signal.default!r} is neither a number, a parameter nor 'clock'")
+
+
+def _delays(model: PhysicalModel) -> None:
+    """Each delay() is of inputs, by a parameter that is no negative time; an input has one delay wherever it stands."""
+    used: dict[str, set[str]] = {name: {""} for b in model.balances.values() for name in b.variables.values()}
+    for expression in expressions_of(model):
+        for by, node in _delayed_names(expression.tree, ""):
+            if by and node.name not in model.inputs and node.name not in model.parameters:
+                raise node.place.refuse(
+                    f"delay() of {node.name!r}: what is delayed is made of inputs; that a reading is late is the effect "
+                    "output-lag, that a quantity is transported a state more"
+                )
+            used.setdefault(node.name, set()).add(by)
+            if node.name in model.inputs and len(used[node.name]) > 1:
+                raise node.place.refuse(
+                    f"input {node.name!r} stands in the model with more than one delay; declare a second input and map it to the "
+                    f"same column: --map {node.name}_late={node.name}"
+                )
+        for call in walk(expression.tree):
+            if isinstance(call, Call) and call.function == "delay":
+                _check_delay(call, model)
+
+
+def _delayed_names(tree: Node, by: str) -> Iterator[tuple[str, Name]]:
+    """Names in a tree with what each is delayed by; "" where it is not."""
+    if isinstance(tree, Name):
+        yield by, tree
+    elif isinstance(tree, Call) and tree.function == "delay":
+        yield from _delayed_names(tree.operands[0], tree.operands[1].name if isinstance(tree.operands[1], Name) else "?")
+    elif isinstance(tree, Operation | Call):
+        for operand in tree.operands:
+            yield from _delayed_names(operand, by)
+
+
+def _check_delay(call: Call, model: PhysicalModel) -> None:
+    signal, by = call.operands
+    if any(isinstance(node, Call) and node.function == "delay" for node in walk(signal)):
+        raise call.place.refuse("delay() of a delay(): one is enough, by the sum of both")
+    if not isinstance(by, Name) or by.name not in model.parameters:
+        raise call.place.refuse("delay() is by a parameter or a constant; declare one, constants: {T: 0.5 s}")
+    parameter = model.parameters[by.name]
+    if min(parameter.value, parameter.value if parameter.fixed else parameter.lower) < 0.0:
+        raise call.place.refuse(f"parameter {by.name!r} is a delay; it must not be negative, and has to say so: lower: 0")
 
 
 def _is_number(text: str) -> bool:
@@ -186,18 +235,22 @@ def _storage_is_not_zero(balance: Balance, values: Mapping[str, float]) -> None:
 
 
 def _defined_variables_can_be_solved(model: PhysicalModel) -> None:
-    """Each balance without storage is linear in its variable with a slope that is not zero, and none define each other."""
+    """Each balance without storage is linear in its variable with a slope that is not zero, and none define each other, but those
+    that name a start value.
+    """
     defined = {variable: balance for balance in model.balances.values() if (variable := balance.defines)}
     needs = {
         variable: {name for term in balance.terms.values() for name in term.names} & (set(defined) - {variable})
         for variable, balance in defined.items()
     }
     for variable, balance in defined.items():
+        if balance.start is not None:
+            continue
         for term in balance.terms.values():
             if _degree(term.tree, variable) > 1:
                 raise term.place.refuse(
                     f"algebraic loop: balance {balance.name!r} has no storage and is not linear in {variable!r}, "
-                    "which it defines",
+                    "which it defines; give it a value to solve from, start: 1.0",
                     NoExplicitEquations,
                 )
         zero = dict.fromkeys([*model.states, *model.inputs, *defined], 0.0) | dict(model.values)
@@ -209,7 +262,8 @@ def _defined_variables_can_be_solved(model: PhysicalModel) -> None:
             )
         if _reaches(needs, variable, variable):
             raise balance.storage.place.refuse(
-                f"algebraic loop: balance {balance.name!r} and another define each other's variables",
+                f"algebraic loop: balance {balance.name!r} and another define each other's variables; give each a value to solve "
+                "from, start: 1.0",
                 NoExplicitEquations,
             )
 

@@ -111,8 +111,12 @@ def _of_call(tree: Call, operands: list[Dimension]) -> Dimension:
         return PLAIN
     if tree.function == "where":
         return _alike(tree, operands[1:])
-    if tree.function == "table":
+    if tree.function in ("table", "cubic"):
         return _alike(tree, operands[1 + len(operands) // 2 :])
+    if tree.function == "delay":
+        if not operands[1].agrees(dimension_of_unit(_SECOND)):
+            raise tree.place.refuse(f"unit clash: delay() by something in {operands[1]}; it must be a time in s")
+        return operands[0]
     if tree.function == "der":
         return operands[0] / dimension_of_unit(_SECOND)
     if tree.function == "sqrt":

@@ -278,10 +278,9 @@ def _of_si(site: Site) -> float:
 
 
 def _parameter(name: str, entry: Mapping[str, Any]) -> Parameter:
-    bounds = {key: float(entry[key]) for key in ("lower", "upper") if key in entry}
-    return Parameter(
-        name, float(entry["value"]), entry["unit"], fixed=bool(entry.get("fixed")), meaning=entry["meaning"], **bounds
-    )
+    lower, upper = float(entry.get("lower", "-inf")), float(entry.get("upper", "inf"))
+    value, fixed = float(entry["value"]), bool(entry.get("fixed"))
+    return Parameter(name, value, entry["unit"], lower, upper, fixed, entry["meaning"])
 
 
 def _names(equation: Expression, states: Mapping[str, OwnState]) -> frozenset[str]:

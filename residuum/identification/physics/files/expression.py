@@ -7,7 +7,8 @@ Grammar, lowest precedence first::
     sign      = ("+" | "-") sign | power
     power     = atom ("**" sign)?
     atom      = number | name | function "(" sum ("," sum)* ")" | "(" sum ")"
-              | "where" "(" condition "," sum "," sum ")" | "table" "(" sum "," list "," list ")"
+              | "where" "(" condition "," sum "," sum ")" | "table" "(" sum "," list "," list ("," "cubic")? ")"
+              | "table" "(" sum "," sum "," list "," list "," "[" list ("," list)* "]" ")"
     list      = "[" sum ("," sum)* "]"
     condition = both ("or" both)*
     both      = either ("and" either)*
@@ -23,6 +24,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from typing import Any, TypeVar
 
 from residuum.identification.errors import BadModel
 from residuum.nearest_names import known_names
@@ -49,13 +51,14 @@ FUNCTIONS: Mapping[str, tuple[int, int]] = {
     "hypot": (2, 2),
     "min": (2, 8),
     "max": (2, 8),
+    "delay": (2, 2),
     "where": (3, 3),
     "table": (3, 3),
 }
 COMPARISONS = ("<=", ">=", "==", "!=", "<", ">")
-MOST_KNOTS = 200
-"""Of a table."""
-LONGEST_EXPRESSION = 4000
+MOST_KNOTS, MOST_VALUES = 200, 1000
+"""Of a table of one place, and of one of two places."""
+LONGEST_EXPRESSION = 20_000
 DEEPEST_EXPRESSION, LARGEST_EXPONENT = 60, 20
 
 _INSTEAD = {"|": "; write abs(x)", "^": "; write x**2", "·": "; write *", "×": "; write *", "²": "; write **2"}
@@ -108,7 +111,9 @@ class Operation:
 
 @dataclass(frozen=True)
 class Call:
-    """One of `FUNCTIONS` applied to its arguments; of a table they are what is looked up, the places, and the values there."""
+    """One of `FUNCTIONS` applied to its arguments; of a table (`cubic`: a smooth one) they are what is looked up, the places, and
+    the values there. One of two places is a table of tables.
+    """
 
     function: str
     operands: tuple[Node, ...]
@@ -116,6 +121,7 @@ class Call:
 
 
 Node = Number | Name | Operation | Call
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -161,7 +167,7 @@ def parse(text: str | float, place: Place | None = None) -> Expression:
     ------
     BadModel
         With line and column: unknown character or function, missing bracket, wrong number of arguments,
-        longer than 4000 characters, brackets more than 60 deep.
+        longer than 20000 characters, brackets more than 60 deep.
 
     Examples
     --------
@@ -250,8 +256,10 @@ _MEANING: Mapping[str, Callable[..., float]] = {
     "floor": math.floor,
     "mod": lambda a, b: a - b * math.floor(a / b),
     "hypot": math.hypot,
+    "delay": lambda signal, by: signal,
     "where": lambda condition, a, b: a if condition else b,
     "table": lambda x, *knots: interpolated(x, knots[: len(knots) // 2], knots[len(knots) // 2 :]),
+    "cubic": lambda x, *knots: smooth(x, knots[: len(knots) // 2], knots[len(knots) // 2 :], _within, _where_positive),
     "<": lambda a, b: a < b,
     "<=": lambda a, b: a <= b,
     ">": lambda a, b: a > b,
@@ -276,6 +284,53 @@ def interpolated(x: float, places: Sequence[float], values: Sequence[float]) -> 
         if x <= right:
             return low + (high - low) * (x - left) / (right - left)
     return values[-1]
+
+
+def _within(x: float, left: float, right: float) -> float:
+    return min(max(x, left), right)
+
+
+def _where_positive(test: float, yes: float, no: float) -> float:
+    return yes if test > 0 else no
+
+
+def smooth(
+    x: Any,
+    places: Sequence[Any],
+    values: Sequence[Any],
+    within: Callable[[Any, Any, Any], Any],
+    where_positive: Callable[[Any, Any, Any], Any],
+) -> Any:
+    """The cubic between the values at neighbouring places that rises and falls only where they do; held beyond them.
+
+    Numbers and SymPy's expressions alike: `within` bounds x, `where_positive` chooses by the sign of its first argument.
+
+    Reference: F. N. Fritsch, J. Butland, SIAM J. Sci. Stat. Comput. 5 (1984) 300.
+    """
+    total, slopes = values[0], _monotone_slopes(places, values, where_positive)
+    for (a, b), (low, high), (at_a, at_b) in zip(pairwise(places), pairwise(values), pairwise(slopes), strict=True):
+        t = (within(x, a, b) - a) / (b - a)
+        total += t * t * (3 - 2 * t) * (high - low) + t * (1 - t) * (b - a) * ((1 - t) * at_a - t * at_b)
+    return total
+
+
+def _monotone_slopes(places: Sequence[Any], values: Sequence[Any], where_positive: Callable[[Any, Any, Any], Any]) -> list[Any]:
+    h = [b - a for a, b in pairwise(places)]
+    m = [(b - a) / width for (a, b), width in zip(pairwise(values), h, strict=True)]
+    if len(m) == 1:
+        return [m[0], m[0]]
+
+    def end(h0: Any, h1: Any, m0: Any, m1: Any) -> Any:
+        d = ((2 * h0 + h1) * m0 - h0 * m1) / (h0 + h1)
+        bounded = where_positive(-m0 * m1, where_positive(abs(d) - 3 * abs(m0), 3 * m0, d), d)
+        return where_positive(d * m0, bounded, 0 * m0)
+
+    inner = []
+    for (h0, h1), (m0, m1) in zip(pairwise(h), pairwise(m), strict=True):
+        w0, w1 = 2 * h1 + h0, h1 + 2 * h0
+        below = w0 * m1 + w1 * m0
+        inner.append(where_positive(m0 * m1, (w0 + w1) * m0 * m1 / where_positive(m0 * m1, below, 1 + 0 * m0), 0 * m0))
+    return [end(h[0], h[1], m[0], m[1]), *inner, end(h[-1], h[-2], m[-1], m[-2])]
 
 
 @dataclass(frozen=True)
@@ -392,12 +447,30 @@ class _Parser:
         return Call(function.text, tuple(operands), function.place)
 
     def _table(self, function: _Token) -> Node:
-        looked_up = self._sum()
+        first = self._sum()
         self._expect(",")
-        places = self._list()
+        second = None if self._peek.text == "[" else self._sum()
+        if second is not None:
+            self._expect(",")
+        places = self._list(self._sum)
         self._expect(",")
-        values = self._list()
+        if second is None:
+            values, name = self._list(self._sum), "table"
+            if self._accept(","):
+                if not self._accept_word("cubic"):
+                    raise self._peek.place.refuse("'cubic' or ')' is expected after the values of a table()")
+                name = "cubic"
+        else:
+            inner = self._list(self._sum)
+            self._expect(",")
+            rows, name = self._list(lambda: self._list(self._sum)), "table"
+            if len(rows) * len(inner) > MOST_VALUES:
+                raise function.place.refuse(f"table() has {len(rows) * len(inner)} values; must be at most {MOST_VALUES}")
+            values = [self._looked_up(function, "table", second, inner, row) for row in rows]
         self._expect(")")
+        return self._looked_up(function, name, first, places, values)
+
+    def _looked_up(self, function: _Token, name: str, x: Node, places: list[Node], values: list[Node]) -> Node:
         if len(places) != len(values) or not 2 <= len(places) <= MOST_KNOTS:
             raise function.place.refuse(
                 f"table() has {len(places)} places and {len(values)} values; must be as many of both, 2 to {MOST_KNOTS}"
@@ -406,13 +479,13 @@ class _Parser:
         if not all(left < right for left, right in pairwise(numbers)):
             raise function.place.refuse("the places of a table() must be numbers that rise; only its values may hold names")
         known = tuple(Number(number, place.place) for number, place in zip(numbers, places, strict=True))
-        return Call("table", (looked_up, *known, *values), function.place)
+        return Call(name, (x, *known, *values), function.place)
 
-    def _list(self) -> list[Node]:
+    def _list(self, item: Callable[[], T]) -> list[T]:
         self._expect("[")
-        items = [self._sum()]
+        items = [item()]
         while self._accept(","):
-            items.append(self._sum())
+            items.append(item())
         self._expect("]")
         return items
 

@@ -15,13 +15,15 @@ import yaml
 
 from residuum.identification.errors import BadInput, BadModel, BadUnit
 from residuum.identification.physics.effects import EFFECTS
-from residuum.identification.physics.effects.base import Parameter
-from residuum.identification.physics.files.consistency import check
+from residuum.identification.physics.effects.base import Parameter, Prior
+from residuum.identification.physics.files.consistency import check, expressions_of
 from residuum.identification.physics.files.effect_file import WrittenEffect, effects_of
 from residuum.identification.physics.files.expression import Expression, parse, with_definitions
+from residuum.identification.physics.files.table_file import with_table_files
 from residuum.identification.physics.files.yaml_tree import MOST_CHARACTERS, Listing, Scalar, Table, read_tree
 from residuum.identification.physics.model import (
     BALANCE_KINDS,
+    CLOCK,
     Balance,
     EffectUse,
     Input,
@@ -50,10 +52,14 @@ KEYS = (
     "initial",
 )
 INPUT_KEYS, STATE_KEYS, OUTPUT_KEYS = ("unit", "default"), ("unit", "rate"), ("value", "unit")
-PARAMETER_KEYS = ("value", "unit", "lower", "upper", "fixed", "meaning", "std")
+PARAMETER_KEYS = ("value", "unit", "lower", "upper", "fixed", "meaning", "prior", "std")
 EFFECT_KEYS = ("id", "balance", "input", "output", "parameters", "provenance")
 """What each entry of a section may hold; balances also name the variables of their kind."""
+TIME = "time"
+"""Name of the time since the record's begin, which need not be declared."""
 _NAME = re.compile(r"[A-Za-z_][A-Za-z_0-9]*")
+_UNCERTAIN = re.compile(r"(\S+?)\s*(?:±|\+-|\+/-)\s*(\S+)")
+"""A number and its standard deviation."""
 _RESERVED = {"der", "sin", "cos", "tanh", "exp", "log", "sqrt", "abs", "sign", "min", "max", "and", "or", "not"}
 
 
@@ -91,12 +97,14 @@ def load_model(name_or_path: str | Path) -> PhysicalModel:
             text = file.read(MOST_CHARACTERS + 1)
     except (OSError, UnicodeDecodeError) as error:
         raise BadModel(f"model {str(path)!r}: cannot be read as UTF-8 text ({error.__class__.__name__})") from None
-    return read_model(text, path.name)
+    return read_model(text, path.name, path.parent)
 
 
-def read_model(text: str, source: str = "model") -> PhysicalModel:
-    """The model that a YAML text describes (docs/reference/model-files.md says the format); `source` names it in refusals."""
-    tree = read_tree(text, source)
+def read_model(text: str, source: str = "model", folder: Path | None = None) -> PhysicalModel:
+    """The model that a YAML text describes (docs/reference/model-files.md says the format); `source` names it in refusals, the
+    files of its tables stand in `folder`.
+    """
+    tree = with_table_files(read_tree(text, source), folder)
     tree.only(KEYS, "model file")
     for section in ("balances", "outputs"):
         if not list(tree.table(section, "model file", required=True)):
@@ -119,9 +127,17 @@ def read_model(text: str, source: str = "model") -> PhysicalModel:
         MappingProxyType(balances),
         MappingProxyType(outputs),
     )
-    model = check(model, tree)
+    model = check(_with_clock(model), tree)
     model = replace(model, initial=_initial(tree, model))
     return _with_effects(model, tree)
+
+
+def _with_clock(model: PhysicalModel) -> PhysicalModel:
+    """The model with `time` among its inputs, where an expression names it and nothing declares it."""
+    declared = {*model.inputs, *model.states, *model.parameters, *(b.defines for b in model.balances.values())}
+    if TIME in declared or not any(TIME in expression.names for expression in expressions_of(model)):
+        return model
+    return replace(model, inputs=MappingProxyType({**model.inputs, TIME: Input(TIME, "s", CLOCK)}))
 
 
 def write_model(model: PhysicalModel) -> str:
@@ -147,7 +163,8 @@ def write_model(model: PhysicalModel) -> str:
 
 def _written_balance(balance: Balance) -> dict[str, Any]:
     terms = {name: term.text for name, term in balance.terms.items()}
-    return {"kind": balance.kind, "storage": balance.storage.text, "terms": terms, **balance.variables}
+    start = {} if balance.start is None else {"start": balance.start}
+    return {"kind": balance.kind, "storage": balance.storage.text, "terms": terms, **start, **balance.variables}
 
 
 def _written_use(use: EffectUse) -> dict[str, Any]:
@@ -205,7 +222,7 @@ def _parameter(name: str, section: Table) -> Parameter:
     lower = _bound(table.optional("lower", what), f"{what}: lower", -1)
     upper = _bound(table.optional("upper", what), f"{what}: upper", 1)
     value = table.scalar("value", what)
-    number = value.number(f"{what}: value")
+    number, prior = _value_and_prior(table, what)
     if lower >= upper:
         raise table.place.refuse(f"{what}: lower is {lower:g} and upper is {upper:g}; lower must be below upper")
     if not lower <= number <= upper:
@@ -218,7 +235,33 @@ def _parameter(name: str, section: Table) -> Parameter:
         upper,
         fixed=fixed.truth(f"{what}: fixed") if fixed else False,
         meaning=meaning.text if meaning else "",
+        prior=prior,
     )
+
+
+def _value_and_prior(table: Table, what: str) -> tuple[float, Prior | None]:
+    """`value: 0.07 ± 0.01`, or a value that has left its `prior: 0.07 ± 0.01`."""
+    number, prior = _uncertain(table.scalar("value", what), f"{what}: value")
+    known = table.optional("prior", what)
+    if known is None:
+        return number, prior
+    before = _uncertain(known, f"{what}: prior")[1]
+    if before is None:
+        raise known.place.refuse(f"{what}: prior is {known.text!r}; must be a value and its standard deviation, '0.07 ± 0.01'")
+    if prior is not None:
+        raise known.place.refuse(f"{what}: its value has a standard deviation and there is a 'prior'; only one may be")
+    return number, before
+
+
+def _uncertain(text: Scalar, what: str) -> tuple[float, Prior | None]:
+    """A number, and the normal prior that it is where its standard deviation stands behind it."""
+    found = _UNCERTAIN.fullmatch(text.text.strip())
+    if found is None:
+        return text.number(what), None
+    mean, std = Scalar(found[1], text.place).number(what), Scalar(found[2], text.place).number(f"{what}: standard deviation")
+    if std <= 0.0:
+        raise text.place.refuse(f"{what} is {text.text!r}; its standard deviation must be positive (fixed: true holds a value)")
+    return mean, Prior(mean, std)
 
 
 def _bound(text: Scalar | None, what: str, infinite: int) -> float:
@@ -257,7 +300,8 @@ def _balance(name: str, section: Table, let: Mapping[str, Expression]) -> Balanc
     if kind.text not in BALANCE_KINDS:
         raise kind.place.refuse(f"{what}: kind {kind.text!r} is not known; {known_names(kind.text, BALANCE_KINDS, 'there are')}")
     roles = BALANCE_KINDS[kind.text][1]
-    table.only(("kind", "storage", "terms", *roles), what)
+    table.only(("kind", "storage", "terms", "start", *roles), what)
+    start = table.optional("start", what)
     terms = table.table("terms", what, required=True)
     return Balance(
         name,
@@ -266,6 +310,7 @@ def _balance(name: str, section: Table, let: Mapping[str, Expression]) -> Balanc
         MappingProxyType({term: _expression(terms.scalar(term, f"{what}, terms"), let) for term in terms}),
         MappingProxyType({role: table.scalar(role, what).text for role in roles if role in table.entries}),
         BALANCE_KINDS[kind.text][0],
+        None if start is None else start.number(f"{what}: start"),
     )
 
 
@@ -308,18 +353,21 @@ def _with_effect(model: PhysicalModel, item: Table) -> PhysicalModel:
     target = item.scalar(targets[0], what)
     table = item.table("parameters", what)
     values: dict[str, float] = {}
+    priors: dict[str, Prior | None] = {}
     fixed: list[str] = []
     for name in table:
-        entry = table.entries[name]
-        value = entry if isinstance(entry, Scalar) else table.table(name, what).scalar("value", what)
-        values[name] = value.number(f"effect parameter {name!r}")
+        entry, named = table.entries[name], f"effect parameter {name!r}"
+        values[name], priors[name] = (
+            _uncertain(entry, named) if isinstance(entry, Scalar) else _value_and_prior(table.table(name, what), named)
+        )
         if isinstance(entry, Table):
-            entry.only(PARAMETER_KEYS, f"effect parameter {name!r}")
+            entry.only(PARAMETER_KEYS, named)
             flag = entry.optional("fixed", what)
             fixed += [name] if flag and flag.truth(what) else []
     provenance = {key: _plain(tree) for key, tree in item.table("provenance", what).entries.items()}
     try:
-        return model.with_effect(item.scalar("id", what).text, target.text, values, fixed=fixed, provenance=provenance)
+        id = item.scalar("id", what).text
+        return model.with_effect(id, target.text, values, fixed=fixed, priors=priors, provenance=provenance)
     except BadInput as error:
         raise item.place.refuse(str(error)) from None
 
@@ -334,6 +382,8 @@ def _plain(tree: Scalar | Listing | Table) -> Any:
 
 def _written(parameter: Parameter) -> dict[str, Any]:
     written: dict[str, Any] = {"value": float(parameter.value), "unit": parameter.unit}
+    if parameter.prior is not None:
+        written["prior"] = str(parameter.prior)
     if math.isfinite(parameter.lower):
         written["lower"] = float(parameter.lower)
     if math.isfinite(parameter.upper):

@@ -20,10 +20,12 @@ _NAME = "^[A-Za-z_][A-Za-z_0-9]*$"
 _TEXT: dict[str, Any] = {"type": "string"}
 _NUMBER: dict[str, Any] = {"type": ["number", "string"], "pattern": r"^[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?$"}
 """A text as well, since YAML 1.1 reads `1e-4` as one."""
+_UNCERTAIN: dict[str, Any] = {"type": "string", "pattern": r"^[-+.0-9eE]+\s*(±|\+-|\+/-)\s*[-+.0-9eE]+$"}
+"""A number and its standard deviation."""
 _EXPRESSION = {"type": ["string", "number"]}
 _TYPES: dict[str, dict[str, Any]] = {
-    "unit": _TEXT, "rate": _TEXT, "default": {"type": ["string", "number"]}, "value": _NUMBER, "lower": _NUMBER,
-    "upper": _NUMBER, "fixed": {"type": "boolean"}, "meaning": _TEXT, "std": _NUMBER,
+    "unit": _TEXT, "rate": _TEXT, "default": {"type": ["string", "number"]}, "value": {"anyOf": [_NUMBER, _UNCERTAIN]},
+    "lower": _NUMBER, "upper": _NUMBER, "fixed": {"type": "boolean"}, "meaning": _TEXT, "prior": _UNCERTAIN, "std": _NUMBER,
 }  # fmt: skip
 
 
@@ -66,7 +68,8 @@ def _balances() -> list[dict[str, Any]]:
     terms = {"type": "object", "additionalProperties": _EXPRESSION}
     found = []
     for kind, (_, roles) in BALANCE_KINDS.items():
-        properties = {"kind": {"const": kind}, "storage": _EXPRESSION, "terms": terms, **dict.fromkeys(roles, _TEXT)}
+        properties = {"kind": {"const": kind}, "storage": _EXPRESSION, "terms": terms, "start": _NUMBER}
+        properties |= dict.fromkeys(roles, _TEXT)
         required = ["kind", "storage", "terms"]
         found.append({"type": "object", "required": required, "additionalProperties": False, "properties": properties})
     return found
@@ -76,7 +79,7 @@ def _effect(parameter: dict[str, Any]) -> dict[str, Any]:
     properties = {
         "id": {"anyOf": [{"enum": [*EFFECTS, *STRUCTURAL]}, {"type": "string", "pattern": OWN_ID}]},
         **dict.fromkeys(("balance", "input", "output"), _TEXT),
-        "parameters": _named({"anyOf": [_NUMBER, parameter]}),
+        "parameters": _named({"anyOf": [_NUMBER, _UNCERTAIN, parameter]}),
         "provenance": {"type": "object"},
     }
     given = {key: properties[key] for key in EFFECT_KEYS}

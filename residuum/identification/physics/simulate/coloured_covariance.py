@@ -3,7 +3,8 @@
 Least squares on coloured noise still finds the parameters, but σ²·H⁻¹ counts every sample as news: at ρ = 0.95 its standard
 deviations are six times too small. With J the weighted derivatives (initial states eliminated) and Γ the noise's
 autocovariance the covariance is H⁻¹ (Jᵀ Γ J) H⁻¹. Autoregressive noise A v = e has Γ = σ² (AᵀA)⁻¹, so that Jᵀ Γ J holds the
-products of the derivatives filtered by 1/A backwards in time.
+products of the derivatives filtered by 1/A backwards in time. Rows of priors are news each: they add P to H and
+σ²P to the middle.
 
 Reference: W. K. Newey, K. D. West, Econometrica 55 (1987) 703; L. Ljung, *System Identification*, 1999, 9.4.
 """
@@ -44,12 +45,19 @@ def coloured_covariance(result: Estimate | Fit, experiments: Sequence[Experiment
             filtered = all_pole(A, J[::-1, o])
             H += J[:, o].T @ J[:, o]
             spread += variance * result.weights[o] ** 2 * filtered.T @ filtered
+    H += np.diag(result.priors.precisions)
+    spread += np.diag(result.priors.precisions) * _variance(result)
     inverse, _ = covariance_of(H, 1.0, result.parameters, result.theta)
     open_ = np.isinf(np.diag(inverse))
     finite = np.where(np.isfinite(inverse), inverse, 0.0)
     covariance = finite @ spread @ finite
     covariance[open_, open_] = np.inf
     return covariance
+
+
+def _variance(result: Estimate | Fit) -> float:
+    """Of a weighted error that is noise, as priors are weighed beside it."""
+    return result.problem.unit.variance if isinstance(result, Fit) else 1.0
 
 
 def _reduced_slopes(result: Estimate | Fit, number: int, experiment: Experiment) -> Array:

@@ -50,6 +50,8 @@ class Experiment:
         Initial values that are known from what went before, and not estimated.
     spare : mapping of column to Spare
         What else was recorded, sample by sample as U is.
+    clocks : tuple of bool
+        Which inputs are the time since the record's begin, whatever the timing of the others; empty: none.
     """
 
     U: Array
@@ -61,6 +63,7 @@ class Experiment:
     block: int = 1
     known: Mapping[str, float] = field(default_factory=dict)
     spare: Mapping[str, Spare] = field(default_factory=dict)
+    clocks: tuple[bool, ...] = ()
 
     @property
     def n(self) -> int:
@@ -71,6 +74,11 @@ class Experiment:
     def measured(self) -> npt.NDArray[np.bool_]:
         """Which outputs the record has, shape (outputs,)."""
         return ~np.all(np.isnan(self.Y), axis=0)
+
+    def turned(self, which: npt.NDArray[np.bool_]) -> Experiment:
+        """These of the inputs at the other timing: those that were held move evenly, and those that moved are held."""
+        clocks = np.array(self.clocks or (False,) * len(self.hold), dtype=bool)
+        return replace(self, hold=np.where(which & ~clocks, 1.0 - self.hold, self.hold))
 
     def follows(self, other: Experiment) -> bool:
         """Whether this one's first sample is the next after the other's last, in the same record."""
@@ -114,7 +122,8 @@ def match(
         A column's unit cannot be converted to the model's.
     """
     columns = _columns(model, mapping or {})
-    lacking = [n for n, i in model.inputs.items() if i.default is not None and not all(columns[n] in r.names for r in records)]
+    optional = [name for name, signal in model.inputs.items() if signal.default is not None and not signal.is_clock]
+    lacking = [name for name in optional if not all(columns[name] in r.names for r in records)]
     inputs = {name: replace(signal, absent=name in lacking) for name, signal in model.inputs.items()}
     model = replace(model, inputs=MappingProxyType(inputs))
     return model, [_experiment(model, record, columns, hold) for record in records]
@@ -157,8 +166,11 @@ def _columns(model: PhysicalModel, mapping: Mapping[str, str]) -> dict[str, str]
 
 def _experiment(model: PhysicalModel, record: Record, columns: Mapping[str, str], hold: Mapping[str, str] | str) -> Experiment:
     U = np.zeros((record.n, len(model.inputs)))
+    clocks = [signal.is_clock for signal in model.inputs.values()]
     for k, signal in enumerate(model.inputs.values()):
-        if not signal.absent:
+        if clocks[k]:
+            U[:, k] = record.sample_time * np.arange(record.n)
+        elif not signal.absent:
             U[:, k] = _input(record, columns[signal.name], signal.name, signal.unit)
     Y = np.full((record.n, len(model.outputs)), np.nan)
     for k, output in enumerate(model.outputs.values()):
@@ -172,9 +184,9 @@ def _experiment(model: PhysicalModel, record: Record, columns: Mapping[str, str]
         there = f"outputs are {', '.join(model.outputs)}; columns are {', '.join(record.names)}; map one: --map OUTPUT=COLUMN"
         raise BadRecord(f"record {record.source!r}: has no output of model {model.name!r} ({there})")
     wanted = [hold if isinstance(hold, str) else hold.get(name, "auto") for name in model.inputs]
-    linear = [_is_linear(how, U[:, k]) for k, how in enumerate(wanted)]
+    linear = np.array([clocks[k] or _is_linear(how, U[:, k]) for k, how in enumerate(wanted)], dtype=float)
     spare = _spare(record, set(columns.values()))
-    return Experiment(U, Y, np.array(linear, dtype=float), record.sample_time, record.t0, record.source, spare=spare)
+    return Experiment(U, Y, linear, record.sample_time, record.t0, record.source, spare=spare, clocks=tuple(clocks))
 
 
 def _spare(record: Record, used: set[str]) -> dict[str, Spare]:

@@ -1,0 +1,72 @@
+"""Whether records leave the range of a model's tables, whose first or last value then holds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from residuum.identification.physics.files.consistency import expressions_of
+from residuum.identification.physics.files.expression import Call, Name, Number, evaluate, walk
+from residuum.identification.physics.model import PhysicalModel
+from residuum.identification.physics.simulate.experiment import Experiment
+
+_LOOKED_AT = 1000
+"""Samples of a record, evenly, besides those where what is looked up is made of an extreme value."""
+
+
+def leaves_tables(model: PhysicalModel, experiments: Sequence[Experiment]) -> tuple[str, ...]:
+    """A sentence for each table that a record leaves: how far, for which part of it.
+
+    What is looked up is computed from the inputs and the outputs that show a state alone, as they were measured; of a table of a
+    state that was not measured nothing is said.
+    """
+    nodes = (node for e in expressions_of(model) for node in walk(e.tree))
+    tables = {n: _looked_up(n) for n in nodes if isinstance(n, Call) and n.function in ("table", "cubic")}
+    told: dict[str, str] = {}
+    for node, text in tables.items():
+        low, high = _ends(node)
+        for experiment in experiments:
+            seen = np.array(list(_along(node, model, experiment)))
+            out = (seen < low) | (seen > high)
+            if out.any() and text not in told:
+                to = f"{np.nanmin(seen):.4g} to {np.nanmax(seen):.4g}, which is there from {low:g} to {high:g}"
+                told[text] = (
+                    f"table: {experiment.source or 'the record'} leads {text} from {to}; its end values hold beyond "
+                    f"({100 * np.mean(out):.2g} % of the record)"
+                )
+    return tuple(told.values())
+
+
+def _looked_up(node: Call) -> str:
+    """What a table looks up, by the names that it is made of."""
+    return " with ".join(sorted({n.name for n in walk(node.operands[0]) if isinstance(n, Name)}))
+
+
+def _ends(node: Call) -> tuple[float, float]:
+    places = [n.value for n in node.operands[1 : 1 + len(node.operands) // 2] if isinstance(n, Number)]
+    return places[0], places[-1]
+
+
+def _along(node: Call, model: PhysicalModel, experiment: Experiment) -> Iterator[float]:
+    first = node.operands[0]
+    names = {n.name for n in walk(first) if isinstance(n, Name)} - model.parameters.keys()
+    columns = {name: values for name in names if (values := _measured(name, model, experiment)) is not None}
+    if names - columns.keys() or not names:
+        return
+    samples = set(np.linspace(0, experiment.n - 1, min(experiment.n, _LOOKED_AT)).astype(int).tolist())
+    for values in columns.values():
+        if np.isfinite(values).any():
+            samples |= {int(np.nanargmin(values)), int(np.nanargmax(values))}
+    for k in sorted(samples):
+        yield evaluate(first, {**model.values, **{name: float(values[k]) for name, values in columns.items()}})
+
+
+def _measured(name: str, model: PhysicalModel, experiment: Experiment) -> npt.NDArray[np.float64] | None:
+    if name in model.inputs:
+        return experiment.U[:, list(model.inputs).index(name)]
+    for number, output in enumerate(model.outputs.values()):
+        if isinstance(output.value.tree, Name) and output.value.tree.name == name:
+            return experiment.Y[:, number]
+    return None
