@@ -50,6 +50,10 @@ export async function uploadedRecords() {
   return (await call("/records?limit=200")).items.filter((record) => !record.notes.includes(DERIVED));
 }
 
+// A record's number → how lists of records name it.
+export const recordTitles = (records) =>
+  Object.fromEntries(records.map((each) => [each.id, `${each.id} · ${each.name.slice(0, 60)}`]));
+
 export async function recordStep(place, bench) {
   const parts = { example: h("div"), record: h("div"), model: h("div"), signals: h("div"), map: h("div"), equations: h("div") };
   show(
