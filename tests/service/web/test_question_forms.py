@@ -9,8 +9,11 @@ from residuum.identification.kernel_based.impulse_response import identify_impul
 from residuum.identification.linear_models.identified_model_file import save_identified
 from residuum.identification.record import Record
 from residuum.library.questions import field
+from residuum.library.questions.compare import Compare
 from residuum.library.questions.control_design import DesignController
+from residuum.library.questions.estimate import Estimate
 from residuum.library.questions.identify import Identify
+from residuum.library.questions.missing_effect import Explain, Improve
 from residuum.service.api.analyses import Identification
 
 SIZES = {"desk": (1280, 800), "phone": (390, 844)}
@@ -46,7 +49,7 @@ class Wider(Identification):
 
 @pytest.mark.parametrize("size", SIZES.values(), ids=SIZES)
 def test_a_field_more_is_on_the_page_with_no_script_changed(service, open_page, legible, size):
-    page = open_page(service.url, size=size)
+    page = open_page(service.url, size=size, expected=["Failed to load"])
 
     def widened(route):
         document = service.app.openapi()
@@ -88,8 +91,43 @@ def drawn(page, name):
 def test_every_field_of_a_question_is_drawn_with_its_default(service, open_page, address, question):
     page = open_page(f"{service.url}/#/{address}")
     expect(page.get_by_text("More options").first).to_be_visible()
+    all_are_drawn(page, question)
+
+
+WORKBENCH = {"compare": Compare, "why": Explain, "add": Improve, "record": Estimate}
+"""Step of the workbench → the question that it asks."""
+
+
+@pytest.mark.parametrize("step", WORKBENCH)
+@pytest.mark.parametrize("size", SIZES.values(), ids=SIZES)
+def test_every_option_is_on_the_steps_of_the_workbench(service, open_page, legible, step, size):
+    page = open_page(service.url, size=size, expected=["Failed to load"])
+    page.route("**/models/gate-drive/*", lambda route: route.abort() if route.request.method == "POST" else route.continue_())
+    shown = "%7B%22auto%22:true%7D" if step == "add" else "%7B%7D"
+    page.goto(f"{service.url}/#/workbench?records=1&model=gate-drive&step={step}&shown={shown}")
+    page.get_by_text("More options").click()
+    legible(page)
+    all_are_drawn(page, WORKBENCH[step])
+
+
+def test_an_option_of_a_step_is_sent_and_kept_in_the_address(service, open_page):
+    page = open_page(f"{service.url}/#/workbench?records=1&model=gate-drive", expected=["Failed to load"])
+    page.route("**/models/gate-drive/explain", lambda route: route.abort())
+    page.get_by_role("tab", name="Why").click()
+    page.get_by_text("More options").click()
+    page.get_by_label("effects").fill("coulomb-friction, backlash")
+    with page.expect_request("**/explain") as sent:
+        page.get_by_label("effects").press("Enter")
+    assert sent.value.post_data_json["effects"] == ["coulomb-friction", "backlash"]
+    page.reload()
+    expect(page.get_by_label("effects")).to_have_value("coulomb-friction, backlash")
+
+
+def all_are_drawn(page, question):
     for name, declared in question.model_fields.items():
         place = drawn(page, OF_THE_PAGE.get(name, name))
+        if name == "auto":
+            continue  # it says what an empty `add` says already
         expect(place).to_be_attached()
         default = declared.default
         if isinstance(default, bool):
