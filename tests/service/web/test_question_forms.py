@@ -5,6 +5,7 @@ import pytest
 from playwright.sync_api import expect
 from scipy.signal import lfilter
 
+from residuum.diagnosis.diagnosers import DIAGNOSERS
 from residuum.identification.kernel_based.impulse_response import identify_impulse_response
 from residuum.identification.linear_models.identified_model_file import save_identified
 from residuum.identification.record import Record
@@ -134,3 +135,42 @@ def all_are_drawn(page, question):
             assert place.is_checked() == default or name == "check"  # the page draws what it tells
         elif isinstance(default, str | int | float) and not declared.is_required():
             assert place.input_value() == (default if isinstance(default, str) else f"{default:.10g}")
+
+
+NODES = """streams:
+  drive:
+    sample_time: 0.1
+    channels:
+      speed: {node: "ns=2;s=Speed", unit: rpm}
+"""
+
+
+@pytest.mark.parametrize("size", SIZES.values(), ids=SIZES)
+def test_a_source_of_any_kind_is_described_by_its_own_settings(service, open_page, legible, size):
+    page = open_page(service.url, size=size, expected=["Failed to load"])
+    page.route("**/assets/press/machine", lambda route: route.abort())
+    page.goto(f"{service.url}/#/watch")
+    kinds = page.locator("[data-key=kind]")
+    expect(kinds).to_be_visible()
+    declared = service.app.openapi()["components"]["schemas"]["SourceSettings"]["properties"]["kind"]["enum"]
+    assert kinds.locator("option").evaluate_all("(all) => all.map((each) => each.value)") == declared
+    described_by = page.locator("[data-key=described_by]")
+    for kind in declared:
+        kinds.select_option(kind)
+        expect(page.get_by_label("host")).to_be_visible(visible=kind == "modbus")
+        assert described_by.locator("option").count() == (2 if kind == "modbus" else 1)
+        legible(page)
+    kinds.select_option("opcua")
+    page.locator("[data-key=name]").fill("press")
+    page.get_by_label("channel").fill("opc.tcp://127.0.0.1:4840")
+    file = {"name": "nodes.yaml", "mimeType": "application/yaml", "buffer": NODES.encode()}
+    page.locator("[data-key=map-file]").set_input_files(file)
+    expect(page.get_by_role("cell", name="speed")).to_be_visible()
+    page.get_by_text("More options").click()
+    offered = page.get_by_label("diagnoser").locator("option").evaluate_all("(all) => all.map((each) => each.value)")
+    assert sorted(offered) == sorted(DIAGNOSERS)
+    with page.expect_request("**/assets/press/machine") as sent:
+        page.locator("[data-key=watch-machine]").click()
+    asked = sent.value.post_data_json
+    assert asked["sources"] == [{"kind": "opcua", "channel": "opc.tcp://127.0.0.1:4840", "map": "nodes.yaml"}]
+    assert asked["diagnoser"] == "model-based" and "Speed" in asked["maps"]["nodes.yaml"]

@@ -13,14 +13,13 @@ export async function fieldsOf(address) {
   const { paths, components } = await described();
   const { post, get } = paths[`/api/v1${address}`];
   if (!post) return Object.fromEntries(get.parameters.map(({ schema, ...told }) => [told.name, { ...schema, ...told }]));
-  return fieldsIn(components, post.requestBody.content["application/json"].schema);
+  return schemaFields(components, post.requestBody.content["application/json"].schema.$ref.split("/").at(-1));
 }
 
-export function fieldsIn({ schemas }, { $ref }) {
-  const { properties, required = [] } = schemas[$ref.split("/").at(-1)];
-  return Object.fromEntries(
-    Object.entries(properties).map(([name, schema]) => [name, { ...schema, required: required.includes(name) }]),
-  );
+export function schemaFields({ schemas }, name) {
+  const { properties, required = [] } = schemas[name];
+  const entries = Object.entries(properties).map(([each, schema]) => [each, { ...schema, required: required.includes(each) }]);
+  return Object.fromEntries(entries);
 }
 
 /** The same without those that the page says itself; `known` is what it knows of some, `{name: {default, enum, titles, label}}`. */
@@ -93,11 +92,11 @@ class Said {
   }
 
   text(name) {
-    const [field, text] = [this.fields[name], this.asked[name]];
-    const names = this.offered(name);
-    const known =
-      !names || text === "" || (text ?? "").split(severalOf(field) ? "\n" : undefined).every((each) => names.includes(each));
-    return text !== undefined && known ? text : written(field, field.default);
+    const [field, text, names] = [this.fields[name], this.asked[name], this.offered(name)];
+    const known = (said) => !names || said.split(severalOf(field) ? "\n" : undefined).every((each) => names.includes(each));
+    if (text !== undefined && (text === "" || known(text))) return text;
+    const standard = written(field, field.default);
+    return field.required && names && !severalOf(field) && !known(standard) ? (names[0] ?? "") : standard;
   }
 
   body() {
@@ -242,7 +241,7 @@ function drawField(name, said, tell, id, inSight) {
   return { place: wrap(h("label", {}, label, typed(field, kind, { ...shared, value: text }, tell))) };
 }
 
-const shown = (field, each) => (each === "" ? "–" : (field.titles?.[each] ?? title(each)));
+const shown = (field, each) => (each === "" ? "–" : ((field.titles ?? field["x-titles"])?.[each] ?? title(each)));
 
 // What is typed: a number within its bounds, a text, or a text of several lines.
 function typed(field, kind, shared, tell) {
