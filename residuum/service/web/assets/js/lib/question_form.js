@@ -108,9 +108,9 @@ class Said {
 /**
  * The form of `fields`. `asked` holds what differs from the defaults, as text by name, and is changed as it is typed.
  * `first` are names of fields, and elements of the page's own, that are shown at once; the others are folded.
- * Gives `{form, body}`; `body(others)` is the request, with some texts other than asked.
+ * `scope` goes before the names of controls where a page has several forms. Gives `{form, body}`; `body(others)` is the request, with some texts other than asked.
  */
-export function questionForm(fields, asked, { first, submit, onsubmit, more = "More options", changed = () => {} }) {
+export function questionForm(fields, asked, { first, submit, onsubmit, more = "More options", scope = "", changed = () => {} }) {
   const number = ++forms;
   const said = new Said(fields, asked);
   const tell = (name) => (text) => {
@@ -120,7 +120,10 @@ export function questionForm(fields, asked, { first, submit, onsubmit, more = "M
     changed(name);
   };
   const drawn = new Map(
-    Object.keys(fields).map((name) => [name, drawField(name, said, tell(name), `help-${number}-${name}`, first.includes(name))]),
+    Object.keys(fields).map((name) => [
+      name,
+      drawField(name, said, tell(name), `help-${number}-${name}`, first.includes(name), scope + name),
+    ]),
   );
   function refresh() {
     for (const [name, { place, offer }] of drawn) {
@@ -135,7 +138,7 @@ export function questionForm(fields, asked, { first, submit, onsubmit, more = "M
     ? h(
         "details",
         { class: "more", open: folded.some((name) => name in asked) },
-        h("summary", { "data-key": "more" }, more),
+        h("summary", { "data-key": `${scope}more` }, more),
         h(
           "div",
           { class: "fields" },
@@ -171,12 +174,12 @@ const labelOf = (name, { label, description = "" }) =>
   label ?? `${title(name)} ${description.match(/\[[^\]]+\]/)?.[0] ?? ""}`.trim();
 
 // A field's element, and what offers its choices anew. Its help is in sight where it is folded, else it comes with the pointer.
-function drawField(name, said, tell, id, inSight) {
+function drawField(name, said, tell, id, inSight, key) {
   const field = said.fields[name];
   const kind = kindOf(field);
   const shared = inSight
-    ? { "data-key": name, title: field.description }
-    : { "data-key": name, "aria-describedby": field.description ? id : null };
+    ? { "data-key": key, title: field.description }
+    : { "data-key": key, "aria-describedby": field.description ? id : null };
   const help = inSight || !field.description ? null : h("p", { class: "muted small", id }, field.description);
   const text = said.text(name);
   const label = labelOf(name, field);
@@ -207,7 +210,7 @@ function drawField(name, said, tell, id, inSight) {
       h(
         "label",
         { class: "choice" },
-        h("input", { type: "checkbox", "data-key": `${name}-${each}`, checked: chosen.has(each), onchange: tick(each) }),
+        h("input", { type: "checkbox", "data-key": `${key}-${each}`, checked: chosen.has(each), onchange: tick(each) }),
         h("span", { class: "name", title: each }, shown(field, each)),
       );
     return { place: group(h("div", { class: "choices" }, said.offered(name).map(box))) };
@@ -217,7 +220,7 @@ function drawField(name, said, tell, id, inSight) {
       h("input", {
         type: "number",
         step: "any",
-        "data-key": `${name}-${index}`,
+        "data-key": `${key}-${index}`,
         "aria-label": `${label}, ${index ? "upper" : "lower"}`,
         placeholder: "none",
         value: text.split(",")[index]?.trim() ?? "",

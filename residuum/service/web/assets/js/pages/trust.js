@@ -40,6 +40,7 @@ async function drawForms(place, model, bench) {
     {},
     {
       first: [],
+      scope: "weight-",
       more: "Models drawn, order, frequencies, form",
       submit: h("button", { "data-key": "weight" }, "Draw the weight"),
       onsubmit: () => fetchWeight().catch((problem) => notify(problem.message)),
@@ -59,6 +60,7 @@ async function drawForms(place, model, bench) {
   };
   const residual = questionForm(adapted(ofResidual, ["healthy", "version"], known), own, {
     first: ["record", "offset"],
+    scope: "residual-",
     submit: h("button", { "data-key": "design" }, "Design and run"),
     onsubmit: design,
     changed: (field) => bench.set({ [KEPT + field]: own[field] }),
