@@ -3,7 +3,7 @@
 
 import { described } from "./api.js";
 import { h, show } from "./dom.js";
-import { capital, title } from "./format.js";
+import { title } from "./format.js";
 
 const LONG_TEXT = 1000; // characters that a text may have, from which on it is written in several lines
 let forms = 0;
@@ -22,7 +22,7 @@ export function schemaFields({ schemas }, name) {
   return Object.fromEntries(entries);
 }
 
-/** The same without those that the page says itself; `known` is what it knows of some, `{name: {default, enum, titles, label}}`. */
+/** The same without those that the page says itself; `known` is what it knows of some: `default`, `enum`, `titles`, `label`. */
 export function adapted(fields, without, known = {}) {
   const kept = Object.entries(fields).filter(([name, field]) => !without.includes(name) && !field.deprecated);
   return Object.fromEntries(kept.map(([name, field]) => [name, { ...field, ...known[name] }]));
@@ -107,8 +107,9 @@ class Said {
 
 /**
  * The form of `fields`. `asked` holds what differs from the defaults, as text by name, and is changed as it is typed.
- * `first` are names of fields, and elements of the page's own, that are shown at once; the others are folded.
- * `scope` goes before the names of controls where a page has several forms. Gives `{form, body}`; `body(others)` is the request, with some texts other than asked.
+ * `first` are names of fields, and elements of the page's own, that are shown at once; the others are folded. `scope` goes
+ * before the names of controls where a page has several forms. Gives `{form, body}`; `body(others)` is the request, with some
+ * texts other than asked.
  */
 export function questionForm(fields, asked, { first, submit, onsubmit, more = "More options", scope = "", changed = () => {} }) {
   const number = ++forms;
@@ -261,9 +262,8 @@ function typed(field, kind, shared, tell) {
     required: field.required,
     oninput: () => {
       const limit = [above, below].find((each) => each !== undefined && input.value !== "" && Number(input.value) === each);
-      input.setCustomValidity(
-        limit === undefined ? "" : `${capital(labelOf("", field))} must be ${limit === above ? ">" : "<"} ${limit}`,
-      );
+      const sign = limit === above ? ">" : "<";
+      input.setCustomValidity(limit === undefined ? "" : `must be ${sign} ${limit}`);
       tell(input.value);
     },
   });
