@@ -9,7 +9,7 @@ from __future__ import annotations
 import inspect
 import re
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextvars import ContextVar
 from textwrap import TextWrapper
 from types import NoneType, UnionType
@@ -104,11 +104,32 @@ class Question(BaseModel):
 Asked = TypeVar("Asked", bound=Question)
 
 
-def field(default: Any, help: str, *, choices: Iterable[str] = (), example: Any = None, **bounds: Any) -> Any:
-    """A field of a question; `...` as default makes it needed, `choices` are the names that it takes, `bounds` are pydantic's."""
-    names: Any = {"enum": list(choices)} if choices else None
+def field(
+    default: Any,
+    help: str,
+    *,
+    choices: Iterable[str] = (),
+    choices_with: Mapping[str, Mapping[str, Collection[Any]]] | None = None,
+    only_with: Iterable[Mapping[str, Collection[Any]]] = (),
+    example: Any = None,
+    **bounds: Any,
+) -> Any:
+    """A field of a question; `...` as default makes it needed, `bounds` are pydantic's.
+
+    `choices` are the names that it takes. `only_with` says with which values of other fields it counts, `{field: values}`, in one
+    way or another, and `choices_with` the same of a name that it takes. A form does not show what does not count.
+    """
+    extra: dict[str, Any] = {"enum": list(choices)} if choices else {}
+    if choices_with:
+        extra["x-choices-only-with"] = {name: [_listed(way)] for name, way in choices_with.items()}
+    if ways := [_listed(way) for way in only_with]:
+        extra["x-only-with"] = ways
     examples = None if example is None else [example]
-    return Field(default, description=help, examples=examples, json_schema_extra=names, **bounds)
+    return Field(default, description=help, examples=examples, json_schema_extra=extra or None, **bounds)
+
+
+def _listed(way: Mapping[str, Collection[Any]]) -> dict[str, list[Any]]:
+    return {name: list(values) for name, values in way.items()}
 
 
 def choices(field: FieldInfo) -> list[str]:

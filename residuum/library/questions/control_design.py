@@ -17,6 +17,8 @@ from residuum.robust_control.control_problem import AIMS, STRUCTURES, WeightChoi
 WISHES = {"nominal": ("overshoot", "settling-time"), "robust": ("high-gain", "critical-frequency")}
 """Aim → the two coordinates of its Pareto front."""
 
+_NOMINAL, _ROBUST = {"aim": ["nominal"]}, {"aim": ["robust"]}
+
 Limit = Annotated[
     Annotated[float, Field(ge=-1e300, le=1e300)] | None,
     BeforeValidator(lambda given: None if str(given).lower() in ("-inf", "inf") else given),
@@ -29,23 +31,39 @@ class DesignController(WeightQuestion):
 
     aim: str = field("nominal", "nominal (the best behaviour, Algorithm 2) or robust (every model, Algorithm 3).", choices=AIMS)
     structure: str = field("pidn", "Form of the controller.", choices=STRUCTURES)
-    overshoot: float = field(0.01, "nominal: overshoot below which less brings no benefit (0.01 = 1 %).", gt=0, lt=1)
-    settling_time: float | None = field(
-        None, "nominal: longest settling time [s]; default: ten times the longest impulse response.", gt=0, le=1e12
+    overshoot: float = field(
+        0.01, "nominal: overshoot below which less brings no benefit (0.01 = 1 %).", only_with=(_NOMINAL,), gt=0, lt=1
     )
-    slack: float = field(0.1, "nominal: slack γ of the mixed-sensitivity bound 1 + γ.", gt=0, le=100)
+    settling_time: float | None = field(
+        None,
+        "nominal: longest settling time [s]; default: ten times the longest impulse response.",
+        only_with=(_NOMINAL,),
+        gt=0,
+        le=1e12,
+    )
+    slack: float = field(0.1, "nominal: slack γ of the mixed-sensitivity bound 1 + γ.", only_with=(_NOMINAL,), gt=0, le=100)
     only: str | None = field(
         None,
         "Meet one wish alone: overshoot or settling-time; with the aim robust high-gain or critical-frequency.",
         choices=[wish for wishes in WISHES.values() for wish in wishes],
+        choices_with={wish: {"aim": [aim]} for aim, wishes in WISHES.items() for wish in wishes},
+        only_with=({"in_time": [False]}, _ROBUST),
     )
     in_time: bool = field(
-        False, "nominal: hold overshoot and settling time in time, in the nominal loop and in 95 % of random plants."
+        False,
+        "nominal: hold overshoot and settling time in time, in the nominal loop and in 95 % of random plants.",
+        only_with=(_NOMINAL,),
     )
-    low_gain: float = field(120.0, "robust: l_g, gain of W_S at low frequency [dB].", gt=0, le=400)
-    high_gain: float = field(-50.0, "robust: smallest h_g, gain of W_S at high frequency [dB].", lt=-0.5, ge=-400)
+    low_gain: float = field(120.0, "robust: l_g, gain of W_S at low frequency [dB].", only_with=(_ROBUST,), gt=0, le=400)
+    high_gain: float = field(
+        -50.0, "robust: smallest h_g, gain of W_S at high frequency [dB].", only_with=(_ROBUST,), lt=-0.5, ge=-400
+    )
     critical_frequency: float | None = field(
-        None, "robust: lowest ω_c [rad/s]; default: a thousandth of where W_T reaches 1.", gt=0, le=1e12
+        None,
+        "robust: lowest ω_c [rad/s]; default: a thousandth of where W_T reaches 1.",
+        only_with=(_ROBUST,),
+        gt=0,
+        le=1e12,
     )
     points: int = field(600, "Frequencies of the grid, logarithmic up to π/Ts.", ge=50, le=5000)
     fix: dict[str, float] | None = field(None, "Parameters of the controller to hold.", example={"k_d": 0.0})

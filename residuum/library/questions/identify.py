@@ -20,6 +20,9 @@ LAGS = 100
 METHODS = ("kernel", *PENALTIES, "set-membership", "stochastic-embedding", *STRUCTURES)
 """`ar` alone needs no input: it is the model of a time series."""
 
+_WITH_INPUT = ({"method": [method for method in METHODS if method != "ar"]},)
+"""Where a field of a model with an input counts."""
+
 _Channel = Annotated[str, Field(min_length=1, max_length=200)]
 _Channels = _Channel | Annotated[list[_Channel], Field(min_length=1, max_length=64)]
 
@@ -36,7 +39,10 @@ class Identify(Question):
     """A linear model from one channel to another, or from several to several, with its uncertainty."""
 
     input: _Channels | None = field(
-        None, "Channel of the input u, or of several that act together. Method ar needs none.", example="voltage"
+        None,
+        "Channel of the input u, or of several that act together. Method ar needs none.",
+        only_with=_WITH_INPUT,
+        example="voltage",
     )
     output: _Channels = field(..., "Channel of the output y. Several outputs: one model each.", example="speed")
     method: str = field(
@@ -53,27 +59,41 @@ class Identify(Question):
         ge=1,
         le=5000,
     )
-    criterion: str = field("bic", "How the order of a model is chosen.", choices=CRITERIA)
+    criterion: str = field("bic", "How the order of a model is chosen.", choices=CRITERIA, only_with=({"method": STRUCTURES},))
     delay: int | None = field(
-        None, "Samples n_k before the input acts; default: estimated (of several inputs or outputs: 1).", ge=0, le=10_000
+        None,
+        "Samples n_k before the input acts; default: estimated (of several inputs or outputs: 1).",
+        only_with=_WITH_INPUT,
+        ge=0,
+        le=10_000,
     )
     noise_variance: Annotated[float | str, BeforeValidator(_number)] = field(
-        "marginal", f"Variance of the noise: {', '.join(NOISE_VARIANCE_METHODS)}, or a number σ² [output unit²]."
+        "marginal",
+        f"Variance of the noise: {', '.join(NOISE_VARIANCE_METHODS)}, or a number σ² [output unit²].",
+        only_with=({"method": ["kernel"]},),
     )
     offset: bool = field(True, "Fit a constant level as well; not where the signals are deviations already.")
     uncertainty: str = field(
         "own",
         "How far to trust the model: by the covariance of its own estimate, or by an error model from data kept aside.",
         choices=("own", *ERROR_MODELS),
+        only_with=_WITH_INPUT,
     )
     noise_bound: float | None = field(
-        None, "Largest noise of set-membership [output unit]; default: 1.1 times the smallest possible.", gt=0, le=1e300
+        None,
+        "Largest noise of set-membership [output unit]; default: 1.1 times the smallest possible.",
+        only_with=({"method": ["set-membership"]}, {"uncertainty": ["set-membership"]}),
+        gt=0,
+        le=1e300,
     )
-    integrator: bool = field(False, "The plant integrates: identify from the summed input, with a pole at one behind.")
+    integrator: bool = field(
+        False, "The plant integrates: identify from the summed input, with a pole at one behind.", only_with=_WITH_INPUT
+    )
     check: bool = field(
         False,
         "Test the residuals on data kept aside (white, free of the input, model error model), and tell the error on new data "
         "by the .632+ bootstrap.",
+        only_with=_WITH_INPUT,
     )
 
     earlier: ClassVar[Mapping[str, Mapping[str, Any]]] = {"delay": {"estimate": None}}

@@ -26,7 +26,9 @@ class DesignResidual(WeightQuestion):
         f"and outputs: {ROBUST}, {UNKNOWN_INPUT}.",
         choices=(ROBUST, *CLASSICAL_METHODS, UNKNOWN_INPUT),
     )
-    unknown_input: list[str] | None = field(None, f"Input that will not be measured, of {UNKNOWN_INPUT}.")
+    unknown_input: list[str] | None = field(
+        None, f"Input that will not be measured, of {UNKNOWN_INPUT}.", only_with=({"method": [UNKNOWN_INPUT]},)
+    )
     gamma: float = field(0.1, "Largest gain from model error and noise to the residual, γ.", gt=0, le=1e6)
 
 
@@ -37,6 +39,7 @@ class RunResidual(Question):
     false_alarms_per_day: float = field(
         1.0,
         "Number of false alarms a day that is accepted, for the posterior and the calibrated threshold.",
+        only_with=({"threshold": ["posterior", "calibrated"]},),
         gt=0,
         le=86400,
     )
@@ -45,7 +48,9 @@ class RunResidual(Question):
         "How the residual is evaluated. Default: glr (likelihood ratio over windows); point for source and peak.",
         choices=get_args(EvaluationName),
     )
-    noise_bound: float | None = field(None, "Largest noise, for source and peak [output unit].", gt=0, le=1e300)
+    noise_bound: float | None = field(
+        None, "Largest noise, for source and peak [output unit].", only_with=({"threshold": ["source", "peak"]},), gt=0, le=1e300
+    )
 
 
 def residual_for(model: IdentifiedModel, healthy: Sequence[Record], asked: DesignResidual) -> ResidualDesign:

@@ -11,12 +11,14 @@ from starlette.concurrency import run_in_threadpool
 
 from residuum.identification.errors import BadInput
 from residuum.identification.physics import write_model
+from residuum.library.questions import field
 from residuum.service.api.answers import PROBLEMS, JobAnswer
 from residuum.service.api.jobs import accepted
 from residuum.service.api.json_response import Json, StrictRoute
 from residuum.service.api.parameters import NAME
 from residuum.service.broker import with_hidden_password
 from residuum.service.machines.adding import (
+    OF_SOURCE,
     ModelText,
     WatchedMachine,
     bus_description,
@@ -45,18 +47,22 @@ router = APIRouter(tags=["machines"], route_class=StrictRoute, responses=PROBLEM
 MachineName = Annotated[str, Path(alias="asset", description="Name of the machine.", pattern=NAME)]
 _WINDOWS_SHOWN = 500
 _MOST_RECORDS = 64
+_OF_TABLE = ({"kind": ["table"]},)
 
 
 class BusText(BaseModel, extra="forbid"):
     """A description of a bus, as text."""
 
-    kind: Literal["dbc", "registers", "table"] = Field(description="A DBC file, a register map, or a table to make one of.")
+    kind: Literal["dbc", "table", "registers", "nodes", "metrics"] = Field(
+        description="A DBC file, a table of registers, or a map of registers, of OPC UA's nodes or of Sparkplug's metrics.",
+        json_schema_extra={"x-of-source": dict(OF_SOURCE)},
+    )
     name: str = Field(
         "bus", min_length=1, max_length=100, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", description="Name of the file."
     )
     text: str = Field(min_length=1, max_length=2**20)
-    sample_time: float = Field(0.1, ge=0.001, le=3600, description="table: seconds between two reads.")
-    unit_id: int = Field(1, ge=0, le=247, description="table: unit of the device.")
+    sample_time: float = field(0.1, "table: time between two reads [s].", only_with=_OF_TABLE, ge=0.001, le=3600)
+    unit_id: int = field(1, "table: unit of the device.", only_with=_OF_TABLE, ge=0, le=247)
 
 
 class Training(BaseModel, extra="forbid"):
@@ -87,7 +93,7 @@ class WindowsAsRecords(BaseModel, extra="forbid"):
 
 @router.post("/bus-descriptions")
 async def read_bus_description(running: Running, asked: BusText) -> Response:
-    """Understand a DBC file, a register map or a table of registers: its streams, and the file to add a machine with."""
+    """Understand a DBC file, a map or a table of registers: its streams, and the file to add a machine with."""
     given = (asked.kind, asked.name, asked.text, asked.sample_time, asked.unit_id)
     return await running.reading(lambda: Json(bus_description(*given).to_json()))
 

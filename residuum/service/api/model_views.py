@@ -11,7 +11,9 @@ from pydantic import BaseModel, Field
 
 from residuum.identification.physics import BUILT_IN, load_model, write_model
 from residuum.identification.record import Record
-from residuum.service.api.analyses import OnRecords, Text
+from residuum.library.questions import part_of
+from residuum.library.questions.compare import Compare
+from residuum.service.api.analyses import Comparison, OnRecords, Text
 from residuum.service.api.answers import PROBLEMS, JobAnswer, ModelVersionAnswer
 from residuum.service.api.jobs import accepted
 from residuum.service.api.json_response import Json, StrictRoute
@@ -97,7 +99,7 @@ def change_parameters(request: Request, running: Running, model: ModelName, aske
 
 
 @router.post("/{model}/views", status_code=202, response_model=JobAnswer)
-def view(running: Running, model: ModelName, asked: OnRecords) -> Response:
+def view(running: Running, model: ModelName, asked: Comparison) -> Response:
     """The `compare` object with everything that is drawn beside it; `signals` become records of their own."""
     text = _text(running, model, asked.version)
 
@@ -107,7 +109,7 @@ def view(running: Running, model: ModelName, asked: OnRecords) -> Response:
         return {**outcome, "signals": signals}
 
     records = _records(running, asked.records)
-    return accepted(running.jobs.submit("view", view_model, model, text, records, asked.map, then=keep))
+    return accepted(running.jobs.submit("view", view_model, model, text, records, asked.map, part_of(asked, Compare), then=keep))
 
 
 @router.post("/{model}/effect-curves", status_code=202, response_model=JobAnswer)

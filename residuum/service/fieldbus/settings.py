@@ -7,11 +7,17 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
+from residuum.library.questions import field
 from residuum.service.alarms.alarm_states import AlarmRule
 from residuum.service.broker import broker_address
 from residuum.service.fieldbus.strict_model import StrictModel
 
 MAPS = Path(__file__).parent / "maps"
+
+
+KINDS = {"can": "CAN bus", "modbus": "Modbus TCP", "opcua": "OPC UA", "sparkplug": "Sparkplug B"}
+"""Kind of a source → how people call it."""
+_OF_MODBUS = ({"kind": ["modbus"]},)
 
 
 def map_file(name: str) -> Path:
@@ -29,11 +35,15 @@ class SourceSettings(StrictModel):
     with Residuum.
     """
 
-    kind: Literal["can", "modbus", "opcua", "sparkplug"]
+    kind: Literal["can", "modbus", "opcua", "sparkplug"] = Field(json_schema_extra={"x-titles": dict(KINDS)})
     map: str
-    channel: str = ""
-    host: str = "127.0.0.1"
-    port: int = Field(default=502, ge=1, le=65535)
+    channel: str = field(
+        "",
+        "Address of the bus: can socketcan:can0, opcua opc.tcp://host:4840, sparkplug mqtt://broker:1883.",
+        only_with=({"kind": ["can", "opcua", "sparkplug"]},),
+    )
+    host: str = field("127.0.0.1", "Address of the device.", only_with=_OF_MODBUS)
+    port: int = field(502, "Port of the device.", only_with=_OF_MODBUS, ge=1, le=65535)
 
     @model_validator(mode="after")
     def _complete(self) -> SourceSettings:

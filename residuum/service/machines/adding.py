@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import re
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -25,17 +25,24 @@ from residuum.service.fieldbus.can.can_source import streamed
 from residuum.service.fieldbus.can.frame_layout import read_dbc
 from residuum.service.fieldbus.modbus.register_map import read_register_map
 from residuum.service.fieldbus.modbus.register_server import register_map_of, register_map_text
+from residuum.service.fieldbus.opcua.node_map import read_node_map
 from residuum.service.fieldbus.settings import MAPS, MachineSettings, SecondOpinion, SourceSettings, WindowSettings
 from residuum.service.fieldbus.source import StreamFormat
+from residuum.service.fieldbus.sparkplug.metric_map import read_metric_map
 from residuum.service.settings import Settings
 from residuum.service.storage.disk_store import DiskStore
 from residuum.service.store import Conflict, NotFound
 
-# What a DBC file, a register map or a table of registers says of a bus, before any machine is
+# What a DBC file, a map or a table of registers says of a bus, before any machine is
 # read by it.
 
-_ENDINGS_OF_DESCRIPTIONS = {"dbc": ".dbc", "registers": ".yaml"}
-"""Kind of a bus description → ending of its file."""
+OF_SOURCE = {"dbc": "can", "table": "modbus", "registers": "modbus", "nodes": "opcua", "metrics": "sparkplug"}
+"""Kind of a bus description → kind of the sources that are read by it."""
+_MAPS: Mapping[str, Callable[[Path], Any]] = {
+    "registers": read_register_map,
+    "nodes": read_node_map,
+    "metrics": read_metric_map,
+}
 
 
 @dataclass(frozen=True)
@@ -54,7 +61,7 @@ class BusDescription:
 
 
 def bus_description(kind: str, name: str, text: str, sample_time: float = 0.1, unit_id: int = 1) -> BusDescription:
-    """Understand a description: `dbc`, `registers` (a register map in YAML) or `table` (made into one).
+    """Understand a description: `dbc`, `table` (made into a register map), or a map in YAML: `registers`, `nodes`, `metrics`.
 
     BadBusDescription when it cannot be read, or carries no stream of samples.
     """
@@ -62,9 +69,9 @@ def bus_description(kind: str, name: str, text: str, sample_time: float = 0.1, u
     if kind == "table":
         text, kind = register_map_text(register_map_of(text, sample_time, name, unit_id)), "registers"
     with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / f"{stem}{_ENDINGS_OF_DESCRIPTIONS[kind]}"
+        file = Path(folder) / f"{stem}{'.dbc' if kind == 'dbc' else '.yaml'}"
         file.write_text(text, encoding="utf-8")
-        streams, remarks = _of_dbc(file) if kind == "dbc" else _of_registers(file)
+        streams, remarks = _of_dbc(file) if kind == "dbc" else _of_map(_MAPS[kind](file).streams)
     return BusDescription(file.name, text, streams, remarks)
 
 
@@ -76,9 +83,9 @@ def _of_dbc(file: Path) -> tuple[list[StreamFormat], list[str]]:
     return [layout.format for layout in read], [*remarks, *left_out, *messages.unusable.values()]
 
 
-def _of_registers(file: Path) -> tuple[list[StreamFormat], list[str]]:
-    streams = read_register_map(file).streams
-    polled = [f"stream {name} is polled: a read that comes late leaves a hole" for name, each in streams.items() if each.poll]
+def _of_map(streams: Mapping[str, Any]) -> tuple[list[StreamFormat], list[str]]:
+    slow = [name for name, each in streams.items() if getattr(each, "poll", None)]
+    polled = [f"stream {name} is polled: a read that comes late leaves a hole" for name in slow]
     formats = [each.format(name) for name, each in streams.items()]
     bare = [name for each in formats for name, unit in each.units.items() if not unit]
     says = f"no unit is said for {', '.join(bare)}: a model takes a signal with a unit only where it is said"

@@ -12,6 +12,7 @@ from residuum.diagnosis.tracks import FEWEST_WINDOWS_OF_A_TRACK, track
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
 from residuum.identification.units import compatible
+from residuum.library.questions.compare import Compare
 from residuum.service.machines.adding import KIND, ModelText, document_name, kept_document, named
 from residuum.service.storage.disk_store import DiskStore
 from residuum.service.views.model_view import view_model
@@ -139,9 +140,9 @@ def missing_terms(
     """
     progress(0.1, "the window of now")
     shown = [parts_of(named(Record(*parts), channels)) for parts in (window, *healthy)]
-    now = view_model(_quiet, *model, shown[:1], {})
+    now = view_model(_quiet, *model, shown[:1], {}, Compare())
     progress(0.5, f"{len(healthy)} healthy windows")
-    before = view_model(_quiet, *model, shown[1:], {})
+    before = view_model(_quiet, *model, shown[1:], {}, Compare())
     return {"now": now["curves"], "healthy": before["curves"]}
 
 

@@ -36,6 +36,7 @@ from residuum.identification.residual_analysis.feedback import at_likelier_timin
 from residuum.identification.residual_analysis.places import term_curves
 from residuum.identification.residual_analysis.places.locate import Axis
 from residuum.library.answers.comparison import comparison_json
+from residuum.library.questions.compare import Compare
 from residuum.nearest_names import known_names
 from residuum.service.views.signal_view import extremes
 from residuum.service.work.jobs import Progress
@@ -53,7 +54,12 @@ def model_of(name: str, text: bytes | None) -> PhysicalModel:
 
 
 def view_model(
-    progress: Progress, name: str, text: bytes | None, records: Sequence[RecordParts], mapping: Mapping[str, str]
+    progress: Progress,
+    name: str,
+    text: bytes | None,
+    records: Sequence[RecordParts],
+    mapping: Mapping[str, str],
+    asked: Compare,
 ) -> Mapping[str, Any]:
     """The `compare` object, and what is drawn beside it.
 
@@ -66,7 +72,7 @@ def view_model(
     """
     loaded = [Record(*parts) for parts in records]
     progress(0.05, "simulating, and smoothing the missing terms")
-    comparison = compare(model_of(name, text), loaded, mapping)
+    comparison = compare(model_of(name, text), loaded, mapping, level=asked.level, seed=asked.seed)
     progress(0.9, "preparing the charts")
     axes, terms = term_curves.joined(comparison.axes), _terms(comparison)
     return {

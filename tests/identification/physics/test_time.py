@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from residuum.identification.residual_analysis.input_timing import turned_timing
 from scipy.integrate import solve_ivp
 
 import residuum as rs
@@ -10,6 +9,7 @@ from residuum.identification.errors import BadModel
 from residuum.identification.physics import Simulator, estimate, match, read_model, windows
 from residuum.identification.physics.export import EXPORTS, explicit
 from residuum.identification.physics.files.model_file import write_model
+from residuum.identification.residual_analysis.feedback import turned_timing
 from residuum.identification.residual_analysis.lower_rate import _at_every
 
 DUFFING = """

@@ -40,7 +40,7 @@ def test_a_controller_is_designed_chosen_on_the_front_and_taken_to_the_target(se
     page.locator(".choice", has_text="plant, version 1").last.get_by_role("checkbox").check()
     page.get_by_label("aim").select_option("robust")
     page.get_by_label("structure").select_option("pi")
-    page.get_by_label("actuator's upper limit").fill("2.5")
+    page.get_by_label("limits, upper").fill("2.5")
     page.get_by_role("button", name="Design", exact=True).click()
     expect(page.get_by_text("No plant within the uncertainty is destabilised")).to_be_visible(timeout=LONG_WORK)
     for chart in ("Pareto front", "Step responses of drawn plants", "Constraints of the design", "Open loop with its range"):
@@ -81,13 +81,13 @@ def test_a_model_file_of_the_command_line_is_dropped_and_designed_for(service, o
 def test_inputs_of_the_source_are_on_the_page_with_its_defaults(service, open_page):
     page = open_page(f"{service.url}/#/control?aim=robust")
     page.locator(".choice", has_text="plant, version 1").last.get_by_role("checkbox").check()
-    page.get_by_text("Uncertainty weight: models drawn").click()
-    fields = {"accuracy ε": "0.1", "risk ζ": "0.2", "order of W_T": "1", "frequencies of the grid": "100"}
-    for name, before in {"accuracy ε": "0.05", "risk ζ": "0.05", "order of W_T": "2", "frequencies of the grid": ""}.items():
+    page.get_by_text("More options").click()
+    fields = {"epsilon": "0.1", "zeta": "0.2", "weight order": "1", "points": "100"}
+    for name, before in {"epsilon": "0.05", "zeta": "0.05", "weight order": "2", "points": "600"}.items():
         expect(page.get_by_label(name)).to_have_value(before)
         page.get_by_label(name).fill(fields[name])
-    page.get_by_label("number of models by a bound").select_option("worst-case")
-    page.get_by_label("least gain h_g at high frequency [dB]").fill("-20")
+    page.get_by_label("rule").select_option("worst-case")
+    page.get_by_label("high gain [dB]").fill("-20")
     with page.expect_request("**/control-designs/views") as sent:
         page.get_by_role("button", name="Design", exact=True).click()
     asked = sent.value.post_data_json
@@ -101,8 +101,8 @@ def test_an_impossible_wish_is_refused_with_its_reason(service, open_page):
     page = open_page(f"{service.url}/#/control?models=plant@1&structure=pi&settling=0.3")
     expect(page.get_by_text("No such controller")).to_be_visible(timeout=LONG_WORK)
     expect(page.locator(".says-large")).to_contain_text("No controller 'pi' meets it")
-    page.get_by_label("longest settling time [s]").fill("40")
-    page.get_by_label("longest settling time [s]").press("Enter")
+    page.get_by_label("settling time [s]").fill("40")
+    page.get_by_label("settling time [s]").press("Enter")
     expect(page.get_by_text("No plant within the uncertainty is destabilised")).to_be_visible(timeout=LONG_WORK)
 
 

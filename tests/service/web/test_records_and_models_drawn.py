@@ -125,7 +125,7 @@ def test_models_are_compared_and_tell_their_residuals_poles_and_zeros(service, o
     page.locator("[data-key=output]").select_option("y")
     page.locator("[data-key=method]").select_option("arx")
     page.locator("[data-key=order]").fill("1, 2")
-    page.locator("[data-key=compare-methods]").click()
+    page.get_by_text("More options").first.click()
     page.locator("[data-key=also-kernel]").check()
     page.locator("[data-key=order]").press("Enter")
     rows = page.locator("section", has=page.get_by_role("heading", name="Models side by side")).locator("tbody tr")

@@ -45,3 +45,17 @@ export async function call(path, { method = "GET", body, file, signal } = {}) {
 }
 
 export const path = (...parts) => `/${parts.map((part) => encodeURIComponent(part)).join("/")}`;
+
+let interfaceRead = null;
+
+// The OpenAPI document of the interface, read once.
+export function described() {
+  interfaceRead ??= fetch("/openapi.json").then((response) => {
+    if (!response.ok) throw new Problem(response.status, `The service answered ${response.status}.`);
+    return response.json();
+  });
+  interfaceRead.catch(() => {
+    interfaceRead = null;
+  });
+  return interfaceRead;
+}

@@ -1,6 +1,6 @@
 // What this service offers to programs, and what is set in it.
 
-import { call } from "../lib/api.js";
+import { call, described } from "../lib/api.js";
 import { h, notify, panel, show } from "../lib/dom.js";
 import { tableHead } from "../lib/table_head.js";
 
@@ -42,9 +42,7 @@ export function interfacePage(place) {
     ".",
   ];
   return begin(place, "API", says, async (body) => {
-    const response = await fetch("/openapi.json");
-    if (!response.ok) throw new Error(`The service answered ${response.status}.`);
-    const { paths } = await response.json();
+    const { paths } = await described();
     const calls = Object.entries(paths).flatMap(([path, methods]) =>
       Object.entries(methods).map(([method, told]) => ({ path, method: method.toUpperCase(), ...told })),
     );

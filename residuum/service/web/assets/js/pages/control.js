@@ -8,42 +8,19 @@ import { h, notify, panel, show } from "../lib/dom.js";
 import { capital, number, percent, quantity, unitText } from "../lib/format.js";
 import { runIn } from "../lib/jobs.js";
 import { modelName } from "../lib/model_name.js";
+import { adapted, fieldsOf, questionForm } from "../lib/question_form.js";
 import { offer, PROCESS, simulateIn } from "../steps/example.js";
-import { WEIGHT, weightDetails, weightFields, weightParameters } from "../steps/weight_form.js";
 import { exportPanel } from "./control_export.js";
 
-const AIMS = { nominal: "nominal performance", robust: "robust performance" };
-const STRUCTURES = {
-  pidn: "PID with filtered derivative",
-  pid: "PID",
-  pi: "PI",
-  "lead-lag": "lead–lag",
-  rational: "rational, order 2",
+// What the address named otherwise once.
+const EARLIER = {
+  settling: "settling_time",
+  lowGain: "low_gain",
+  highGain: "high_gain",
+  critical: "critical_frequency",
+  order: "weight_order",
 };
-const ONLY = {
-  nominal: { "": "both wishes", overshoot: "least overshoot", "settling-time": "shortest settling" },
-  robust: { "": "both wishes", "high-gain": "highest gain", "critical-frequency": "highest frequency" },
-};
-const ROBUST = ["lowGain", "highGain", "critical"];
-const NOMINAL = ["overshoot", "settling", "slack", "held"];
-const KEPT = ["models", "aim", "structure", "only", ...NOMINAL, ...ROBUST, "lower", "upper", ...Object.keys(WEIGHT), "point"];
-const HELD = { "": "those of the weight", time: "held in time" };
-const DEFAULTS = {
-  models: "",
-  aim: "nominal",
-  structure: "pidn",
-  overshoot: "1",
-  settling: "",
-  slack: "0.1",
-  only: "",
-  held: "",
-  lowGain: "120",
-  highGain: "-50",
-  critical: "",
-  lower: "",
-  upper: "",
-  ...WEIGHT,
-};
+const FIRST = "aim structure only in_time overshoot settling_time slack low_gain high_gain critical_frequency limits".split(" ");
 
 const HINT =
   "Choose an identified model and press Design, or try a simulated process that is identified first. " +
@@ -51,14 +28,7 @@ const HINT =
 
 export function controlPage(place, query) {
   document.title = "Control · Residuum";
-  const given = Object.fromEntries(new URLSearchParams(query ?? ""));
-  const asked = { ...DEFAULTS, ...Object.fromEntries(KEPT.filter((key) => key in given).map((key) => [key, given[key]])) };
-  for (const [key, known] of [
-    ["aim", AIMS],
-    ["structure", STRUCTURES],
-    ["only", ONLY[asked.aim] ?? {}],
-  ])
-    if (!(asked[key] in known)) asked[key] = DEFAULTS[key];
+  const asked = addressed(new URLSearchParams(query ?? ""));
   const form = h("div");
   const result = h("div", { class: "stack" });
   const leaving = [];
@@ -79,22 +49,26 @@ export function controlPage(place, query) {
   );
 
   const keep = keptAddress();
-  const save = () => keep(`#/control?${new URLSearchParams(KEPT.filter((key) => asked[key]).map((key) => [key, asked[key]]))}`);
+  const save = () => keep(`#/control?${new URLSearchParams(Object.entries(asked).filter(([, text]) => text))}`);
   const pick = (point) => {
     asked.point = String(point);
     save();
   };
+  let question = null;
+  let declared = null;
+  let stored = [];
 
   function begin({ again = false } = {}) {
     if (again) delete asked.point;
-    if (!asked.models) return notify("Choose a model first.");
+    const { models = [], joined, ...said } = question?.body() ?? {};
+    if (!models.length) return notify("Choose a model first.");
     save();
     runIn(
       result,
       "Designing controllers along the front of what is possible",
       "/control-designs/views",
-      body(asked),
-      (view) => drawDesign(result, view, asked, pick),
+      { ...said, models: models.map(versionOf), ...(joined ? { joined: versionOf(joined) } : {}) },
+      (view) => drawDesign(result, view, said.limits ?? [], asked.point, pick),
       leaving,
     );
   }
@@ -117,122 +91,21 @@ export function controlPage(place, query) {
         ),
       );
     const newest = stored.map((each) => `${each.model}@${each.number}`);
-    const chosen = new Set(
-      asked.models
-        .split(",")
-        .filter(Boolean)
-        .map((each) => (each.includes("@") ? each : (newest.find((one) => one.startsWith(`${each}@`)) ?? each))),
-    );
-    if (!chosen.size && newest.length === 1) chosen.add(newest[0]);
-    const all = [...newest, ...[...chosen].filter((each) => !newest.includes(each))];
-    const tell = () => {
-      asked.models = all.filter((each) => chosen.has(each)).join(",");
-    };
-    tell();
-    const rows = all.map((each) =>
-      h(
-        "label",
-        { class: "choice" },
-        h("input", {
-          type: "checkbox",
-          "data-key": `model-${each}`,
-          checked: chosen.has(each),
-          onchange: (event) => {
-            chosen[event.target.checked ? "add" : "delete"](each);
-            tell();
-          },
-        }),
-        h("span", { class: "name", title: each }, each.replace("@", ", version ")),
-      ),
-    );
-    const choose = (key, label, options, taken = () => {}) =>
-      h(
-        "label",
-        {},
-        label,
-        h(
-          "select",
-          {
-            "data-key": key,
-            onchange: (event) => {
-              asked[key] = event.target.value;
-              taken();
-            },
-          },
-          Object.entries(options).map(([value, text]) => h("option", { value, selected: value === asked[key] }, text)),
-        ),
-      );
-    const type = (key, label, attributes) =>
-      h(
-        "label",
-        {},
-        label,
-        h("input", {
-          type: "number",
-          step: "any",
-          "data-key": key,
-          value: asked[key],
-          ...attributes,
-          oninput: (event) => {
-            asked[key] = event.target.value;
-          },
-        }),
-      );
-    const nominal = asked.aim === "nominal";
-    show(
-      form,
-      panel(
-        "Design for what, and how",
-        null,
-        h(
-          "form",
-          {
-            class: "stack",
-            onsubmit: (event) => {
-              event.preventDefault();
-              begin({ again: true });
-            },
-          },
-          h(
-            "fieldset",
-            {},
-            h("legend", {}, "models, one an operating point"),
-            h("div", { class: "choices" }, rows),
-            modelFiles(take),
-          ),
-          h(
-            "div",
-            { class: "fields" },
-            choose("aim", "aim", AIMS, () => {
-              asked.only = "";
-              drawForm();
-            }),
-            choose("structure", "structure", STRUCTURES),
-            asked.held && nominal ? null : choose("only", "of the front take", ONLY[asked.aim]),
-            nominal
-              ? choose("held", "overshoot and settling time are", HELD, () => {
-                  asked.only = "";
-                  drawForm();
-                })
-              : null,
-            nominal ? type("overshoot", "least overshoot worth having [%]", { min: 0.001, max: 99, required: true }) : null,
-            nominal ? type("settling", "longest settling time [s]", { min: 0, placeholder: "10 × the response" }) : null,
-            nominal ? type("slack", "slack γ of the bound", { min: 0.001, max: 100, required: true }) : null,
-            nominal ? null : type("lowGain", "gain l_g of W_S at low frequency [dB]", { min: 0.001, max: 400, required: true }),
-            nominal
-              ? null
-              : type("highGain", "least gain h_g at high frequency [dB]", { min: -400, max: -0.501, required: true }),
-            nominal
-              ? null
-              : type("critical", "least critical frequency ω_c [rad/s]", { min: 0, placeholder: "a thousandth of W_T's" }),
-            type("lower", "actuator's lower limit", { placeholder: "none" }),
-            type("upper", "actuator's upper limit", { placeholder: "none" }),
-            h("button", { "data-key": "design" }, "Design"),
-          ),
-          weightDetails(weightFields(asked)),
-        ),
-      ),
-    );
+    const chosen = (asked.models ?? "")
+      .split(/[,\n]/)
+      .filter(Boolean)
+      .map((each) => (each.includes("@") ? each : (newest.find((one) => one.startsWith(`${each}@`)) ?? each)));
+    if (!chosen.length && newest.length === 1) chosen.push(newest[0]);
+    asked.models = chosen.join("\n");
+    const names = [...new Set([...newest, ...chosen])];
+    const known = { enum: names, titles: Object.fromEntries(names.map((each) => [each, each.replace("@", ", version ")])) };
+    const models = { ...known, anyOf: [{ type: "array" }], label: "models, one an operating point" };
+    question = questionForm(adapted(declared, ["export"], { models, joined: { ...known, anyOf: [{ type: "string" }] } }), asked, {
+      first: ["models", modelFiles(take), ...FIRST],
+      submit: h("button", { "data-key": "design" }, "Design"),
+      onsubmit: () => begin({ again: true }),
+    });
+    return show(form, panel("Design for what, and how", null, question.form));
   }
 
   // A stored file of the same name gets a new version, which is then the one chosen.
@@ -244,10 +117,8 @@ export function controlPage(place, query) {
           `/models?${new URLSearchParams({ name, kind: "identified", note: `from ${file.name}`.slice(0, 2000) })}`,
           { method: "POST", file },
         );
-        asked.models = [
-          ...asked.models.split(",").filter((each) => each && !each.startsWith(`${name}@`)),
-          `${name}@${version.number}`,
-        ].join(",");
+        const others = (asked.models ?? "").split("\n").filter((each) => each && !each.startsWith(`${name}@`));
+        asked.models = [...others, `${name}@${version.number}`].join("\n");
       }
     } catch (problem) {
       notify(problem.message);
@@ -256,6 +127,7 @@ export function controlPage(place, query) {
   }
 
   async function readStored() {
+    declared ??= await fieldsOf("/control-designs/views");
     stored = (await call("/models?kind=identified&limit=200")).items;
     drawForm();
   }
@@ -276,7 +148,6 @@ export function controlPage(place, query) {
       leaving,
     );
 
-  let stored = [];
   const start = async () => {
     await readStored();
     if (query && asked.models && form.isConnected) begin();
@@ -314,39 +185,22 @@ function modelFiles(take) {
     over(false)(event);
     take([...event.dataTransfer.files]).catch((problem) => notify(problem.message));
   });
-  return h("div", {}, input, drop);
+  return h("div", { class: "field row" }, input, drop);
 }
 
-function body(asked) {
-  const models = asked.models.split(",").map((each) => {
-    const [model, version] = each.split("@");
-    return { model, ...(Number(version) ? { version: Number(version) } : {}) };
-  });
-  const optional = (key, name = key) =>
-    asked[key] === "" || !Number.isFinite(Number(asked[key])) ? {} : { [name]: Number(asked[key]) };
-  const bound = (text) => (text === "" || !Number.isFinite(Number(text)) ? null : Number(text));
-  const wishes =
-    asked.aim === "nominal"
-      ? {
-          overshoot: Number(asked.overshoot) / 100,
-          slack: Number(asked.slack),
-          ...(asked.held ? { in_time: true } : {}),
-          ...optional("settling", "settling_time"),
-        }
-      : {
-          ...optional("lowGain", "low_gain"),
-          ...optional("highGain", "high_gain"),
-          ...optional("critical", "critical_frequency"),
-        };
-  return {
-    models,
-    aim: asked.aim,
-    structure: asked.structure,
-    ...wishes,
-    ...weightParameters(asked),
-    ...(asked.only ? { only: asked.only } : {}),
-    limits: [bound(asked.lower), bound(asked.upper)],
-  };
+// `name@3` as the model and its version.
+function versionOf(text) {
+  const [model, version] = text.split("@");
+  return { model, ...(Number(version) ? { version: Number(version) } : {}) };
+}
+
+// What an address asks. One that still tells the weight's order as `order` has the overshoot in percent.
+function addressed(given) {
+  const asked = Object.fromEntries([...given].map(([name, text]) => [EARLIER[name] ?? name, text]));
+  if (given.has("order")) asked.overshoot = String(Number(asked.overshoot) / 100);
+  if (given.get("lower") || given.get("upper")) asked.limits = `${given.get("lower") ?? ""},${given.get("upper") ?? ""}`;
+  if (given.has("held")) asked.in_time = "true";
+  return asked;
 }
 
 const seconds = (value) => (value === null ? "never" : quantity(value, "s"));
@@ -371,7 +225,7 @@ export const pointText = (view, point) =>
     ? `overshoot ${percent(point.first)}, settling in ${quantity(point.second, "s")}`
     : `gain ${number(point.first)} dB, frequency ${quantity(point.second, "rad/s")}`;
 
-function drawDesign(place, view, asked, pick) {
+function drawDesign(place, view, limits, point, pick) {
   if (!view.feasible)
     return show(
       place,
@@ -397,7 +251,6 @@ function drawDesign(place, view, asked, pick) {
     constraints: chart("Constraints of the design", "chart overlay"),
     loop: chart("Open loop with its range", "chart overlay"),
   };
-  const limits = [asked.lower, asked.upper].map((each) => (each === "" ? null : Number(each)));
   const parts = { says: h("div"), code: h("div") };
   const many = view.points.length > 1;
   const select = h(
@@ -469,7 +322,7 @@ function drawDesign(place, view, asked, pick) {
     Promise.all(drawing).catch((problem) => notify(problem.message));
   }
 
-  const wanted = Number(asked.point ?? view.chosen);
+  const wanted = Number(point ?? view.chosen);
   choose(wanted in view.points ? wanted : view.chosen);
 }
 

@@ -4,34 +4,24 @@ import { draw, forget, series } from "../charts/charts.js";
 import { keptAddress } from "../lib/address.js";
 import { call, path } from "../lib/api.js";
 import { h, notify, panel, show } from "../lib/dom.js";
-import { number, percent, quantity, unitText } from "../lib/format.js";
+import { number, percent, quantity, title, unitText } from "../lib/format.js";
 import { runIn } from "../lib/jobs.js";
+import { adapted, fieldsOf, questionForm } from "../lib/question_form.js";
 import { offer, PROCESS, simulateIn } from "../steps/example.js";
-import { uploadedRecords } from "../steps/record_step.js";
+import { recordTitles, uploadedRecords } from "../steps/record_step.js";
 import { checkPanels } from "./model_checks.js";
 import { compareModels } from "./model_comparison.js";
 import { trustPanels } from "./trust.js";
 
-const METHODS = {
-  kernel: "kernel-based impulse response",
-  ridge: "impulse response, ridge",
-  lasso: "impulse response, lasso",
-  "elastic-net": "impulse response, elastic net",
-  "set-membership": "impulse response, set membership",
-  "stochastic-embedding": "stochastic embedding",
-  arx: "ARX",
-  fir: "FIR",
-  armax: "ARMAX",
-  oe: "output error",
-  bj: "Box–Jenkins",
+// What the address named otherwise once.
+const EARLIER = { bound: "noise_bound", name: "save_as" };
+const PROPOSED = { save_as: { default: "identified", required: true }, check: { default: true } };
+const ALSO = {
+  type: "array",
+  label: "compare with other methods",
+  description: "Identify by these, too, and show them side by side.",
 };
-const UNCERTAINTIES = {
-  own: "covariance of the estimate",
-  "model-error": "model error model",
-  "set-membership": "set membership",
-  "stochastic-embedding": "stochastic embedding",
-};
-const KEPT = ["record", "input", "output", "method", "order", "also", "uncertainty", "bound", "name", "watch", "offset"];
+const SEVERAL_ORDERS = { anyOf: [{ type: "array" }], label: "order (empty: chosen; several: 1, 2, 4)" };
 
 const HINT =
   "Choose a record's input and output and press Identify, or try a simulated process. " +
@@ -39,7 +29,8 @@ const HINT =
 
 export function identifyPage(place, query) {
   document.title = "Identify · Residuum";
-  const asked = Object.fromEntries(new URLSearchParams(query ?? ""));
+  const given = [...new URLSearchParams(query ?? "")];
+  const asked = Object.fromEntries(given.map(([name, text]) => [EARLIER[name] ?? name, text]));
   const form = h("div");
   const compared = h("div");
   const result = h("div", { class: "stack" });
@@ -56,95 +47,49 @@ export function identifyPage(place, query) {
     compared,
     result,
   );
-
   const keep = keptAddress();
-  const save = () => keep(`#/identify?${new URLSearchParams(KEPT.filter((key) => asked[key]).map((key) => [key, asked[key]]))}`);
-
+  const save = () => keep(`#/identify?${new URLSearchParams(Object.entries(asked).filter(([, text]) => text))}`);
   const bench = {
+    asked,
     leaving,
     records: [],
-    get watch() {
-      return asked.watch;
-    },
-    get offset() {
-      return asked.offset;
-    },
-    get healthy() {
-      return asked.record;
-    },
     set: (change) => {
       Object.assign(asked, change);
       save();
     },
   };
+  let question = null;
+  let declared = null;
 
-  const orders = () =>
-    (asked.order ?? "")
-      .split(/[\s,;]+/)
-      .map(Number)
-      .filter((order) => order > 0);
-  const bodyOf = (method, order) => ({
-    records: [Number(asked.record)],
-    input: asked.input,
-    output: asked.output,
-    method,
-    save_as: asked.name,
-    check: true,
-    ...(order ? { order } : {}),
-    uncertainty: asked.uncertainty,
-    ...([asked.uncertainty, method].includes("set-membership") && Number(asked.bound)
-      ? { noise_bound: Number(asked.bound) }
-      : {}),
-  });
+  // What is to be identified: a request for each method and order.
+  function wanted() {
+    const { method, also = [] } = question.body();
+    return [method, ...also.filter((each) => each !== method)].flatMap((each) => {
+      const {
+        record: _,
+        also: __,
+        order: orders = [null],
+        further_records: more = [],
+        ...said
+      } = question.body({ method: each });
+      return orders.map((order) => ({
+        title: `${title(each)}${order ? `, order ${order}` : ""}`,
+        body: { ...said, records: [...new Set([asked.record, ...more])].map(Number), ...(order ? { order: Number(order) } : {}) },
+      }));
+    });
+  }
 
   function begin() {
     save();
-    const methods = [asked.method, ...also().filter((method) => method !== asked.method)];
-    const wanted = methods.flatMap((method) =>
-      (orders().length ? orders() : [null]).map((order) => ({
-        title: `${METHODS[method]}${order ? `, order ${order}` : ""}`,
-        body: bodyOf(method, order),
-      })),
-    );
-    if (wanted.length === 1) {
+    const all = wanted();
+    if (all.length === 1) {
       show(compared);
-      const [{ body }] = wanted;
+      const [{ body }] = all;
       return runIn(result, "Identifying", "/identify", body, (model, signal) => drawModel(result, model, bench, signal), leaving);
     }
     show(result);
     const shown = (model) => drawModel(result, model, bench, undefined).catch((problem) => notify(problem.message));
-    return compareModels(compared, wanted, shown, leaving);
-  }
-
-  const also = () => (asked.also ?? "").split(",").filter((method) => method in METHODS);
-
-  // Other methods that are to be identified by, too, and compared.
-  function otherMethods() {
-    const tick = (method, on) => {
-      asked.also = [...also().filter((each) => each !== method), ...(on ? [method] : [])].join(",");
-    };
-    return h(
-      "details",
-      { open: also().length > 0 },
-      h("summary", { "data-key": "compare-methods" }, "Compare with other methods"),
-      h(
-        "div",
-        { class: "controls" },
-        Object.entries(METHODS).map(([method, title]) =>
-          h(
-            "label",
-            {},
-            h("input", {
-              type: "checkbox",
-              "data-key": `also-${method}`,
-              checked: also().includes(method),
-              onchange: (event) => tick(method, event.target.checked),
-            }),
-            title,
-          ),
-        ),
-      ),
-    );
+    return compareModels(compared, all, shown, leaving);
   }
 
   function drawForm() {
@@ -155,81 +100,29 @@ export function identifyPage(place, query) {
         h("p", { class: "empty" }, "No record yet: ", h("a", { href: "#/workbench" }, "drop one on the workbench"), "."),
       );
     const record = records.find((each) => each.id === Number(asked.record)) ?? records[0];
-    const channels = Object.keys(record.units);
     asked.record = String(record.id);
-    if (!channels.includes(asked.input)) asked.input = channels[0];
-    if (!channels.includes(asked.output)) asked.output = channels.find((name) => name !== asked.input) ?? channels[0];
-    asked.method ??= "kernel";
-    asked.uncertainty ??= "own";
-    asked.name ??= "identified";
-    const choose = (key, label, options) =>
-      h(
-        "label",
-        {},
-        label,
-        h(
-          "select",
-          {
-            "data-key": key,
-            onchange: (event) => {
-              asked[key] = event.target.value;
-              if (["record", "uncertainty", "method"].includes(key)) drawForm();
-            },
-          },
-          options.map(([value, text]) => h("option", { value, selected: value === asked[key] }, text)),
-        ),
-      );
-    const type = (key, label, attributes) =>
-      h(
-        "label",
-        {},
-        label,
-        h("input", {
-          "data-key": key,
-          value: asked[key] ?? "",
-          ...attributes,
-          oninput: (event) => {
-            asked[key] = event.target.value;
-          },
-        }),
-      );
-    show(
-      form,
-      h(
-        "form",
-        {
-          class: "fields",
-          onsubmit: (event) => {
-            event.preventDefault();
-            begin();
-          },
-        },
-        choose(
-          "record",
-          "record",
-          records.map((each) => [String(each.id), `${each.id} · ${each.name.slice(0, 60)}`]),
-        ),
-        choose(
-          "input",
-          "input",
-          channels.map((name) => [name, name.slice(0, 60)]),
-        ),
-        choose(
-          "output",
-          "output",
-          channels.map((name) => [name, name.slice(0, 60)]),
-        ),
-        choose("method", "method", Object.entries(METHODS)),
-        type("order", "order (empty: chosen; several: 1, 2, 4)", { pattern: "[0-9,; ]*", inputmode: "numeric" }),
-        choose("uncertainty", "uncertainty from", Object.entries(UNCERTAINTIES)),
-        [asked.uncertainty, asked.method].includes("set-membership")
-          ? type("bound", "largest noise (empty: 1.1 × least)", { type: "number", step: "any", min: 0 })
-          : null,
-        type("name", "store as", { pattern: "[A-Za-z0-9][A-Za-z0-9._\\-]{0,63}", required: true }),
-        h("button", {}, "Identify"),
-      ),
-      otherMethods(),
-    );
+    const channels = Object.keys(record.units);
+    const input = channels.includes(asked.input) ? asked.input : channels[0];
+    const ofRecord = { anyOf: [{ type: "string" }], enum: channels, titles: shortened(channels), required: true };
+    const named = { enum: records.map((each) => String(each.id)), titles: recordTitles(records) };
+    const fields = {
+      record: { type: "string", required: true, ...named },
+      ...adapted(declared, ["records"], {
+        input: { ...ofRecord, default: channels[0] },
+        output: { ...ofRecord, default: channels.find((name) => name !== input) ?? channels[0] },
+        order: { ...declared.order, ...SEVERAL_ORDERS },
+        ...PROPOSED,
+      }),
+      further_records: { type: "array", description: "Further experiments with the same plant.", ...named },
+      also: { ...ALSO, enum: declared.method.enum },
+    };
+    question = questionForm(fields, asked, {
+      first: ["record", "input", "output", "method", "order", "uncertainty", "noise_bound", "save_as"],
+      submit: h("button", {}, "Identify"),
+      onsubmit: begin,
+      changed: (name) => name === "record" && drawForm(),
+    });
+    return show(form, question.form);
   }
 
   const tryExample = () =>
@@ -238,7 +131,7 @@ export function identifyPage(place, query) {
       PROCESS,
       (record) => {
         bench.records.unshift(record);
-        Object.assign(asked, { record: String(record.id), input: "u", output: "y", name: "example" });
+        Object.assign(asked, { record: String(record.id), input: "u", output: "y", save_as: "example" });
         drawForm();
         begin();
       },
@@ -246,7 +139,7 @@ export function identifyPage(place, query) {
     );
 
   const start = async () => {
-    bench.records = await uploadedRecords();
+    [bench.records, declared] = await Promise.all([uploadedRecords(), fieldsOf("/identify")]);
     drawForm();
     if (query && asked.record && form.isConnected) begin();
     else if (form.isConnected) show(result, offer(HINT, "Try the example", tryExample));
@@ -257,6 +150,8 @@ export function identifyPage(place, query) {
     for (const chart of place.querySelectorAll(".chart")) forget(chart);
   };
 }
+
+const shortened = (names) => Object.fromEntries(names.map((name) => [name, name.slice(0, 60)]));
 
 async function drawModel(place, model, bench, signal) {
   const response = await call(`${path("models", model.stored.model, "frequency-response")}?version=${model.stored.version}`, {

@@ -5,13 +5,10 @@ import { call, path } from "../lib/api.js";
 import { h, notify, show } from "../lib/dom.js";
 import { capital, inBrackets, number, quantity, unitText } from "../lib/format.js";
 import { runIn } from "../lib/jobs.js";
-import { WEIGHT, weightFields, weightParameters } from "../steps/weight_form.js";
+import { adapted, fieldsOf, questionForm } from "../lib/question_form.js";
+import { recordTitles } from "../steps/record_step.js";
 
-const FORMS = {
-  multiplicative: "multiplicative, |G/Ĝ₀ − 1|",
-  additive: "additive, |G − Ĝ₀|",
-  "inverse-multiplicative": "inverse multiplicative, |Ĝ₀/G − 1|",
-};
+const KEPT = "residual_"; // before the names of the residual's fields in the address
 const LEGEND = { showlegend: true, legend: { orientation: "h", y: 1.02, yanchor: "bottom", x: 0 } };
 const chart = (label, kind = "chart tall") => h("div", { class: kind, role: "img", "aria-label": label });
 const part = (span, title, aside, ...body) =>
@@ -22,87 +19,71 @@ const part = (span, title, aside, ...body) =>
     h("div", { class: "body" }, ...body),
   );
 
-// `bench` = { records, record, offset, save(), leaving }: what the address keeps.
+// `bench` = { records, asked, set(change), leaving }: `asked` is what the address keeps, `watch` the record that was run on.
 export function trustPanels(model, bench) {
+  const place = h("div", { class: "stack" });
+  drawForms(place, model, bench).catch((problem) => notify(problem.message));
+  return place;
+}
+
+async function drawForms(place, model, bench) {
+  const [ofWeight, ofResidual] = await Promise.all([
+    fieldsOf("/models/{model}/uncertainty"),
+    fieldsOf("/models/{model}/residual-views"),
+  ]);
   const weight = chart("Uncertainty weight");
   const about = h("p", { class: "muted small" });
   const result = h("div", { class: "stack" });
-  const { stored } = model;
-  const record = h(
-    "select",
-    { "data-key": "residual-record", onchange: () => bench.set({ watch: record.value }) },
-    bench.records.map((each) =>
-      h("option", { value: each.id, selected: String(each.id) === bench.watch }, `${each.id} · ${each.name.slice(0, 60)}`),
-    ),
+  const { model: name, version } = model.stored;
+  const uncertainty = questionForm(
+    adapted(ofWeight, ["model", "version"]),
+    {},
+    {
+      first: [],
+      scope: "weight-",
+      more: "Models drawn, order, frequencies, form",
+      submit: h("button", { "data-key": "weight" }, "Draw the weight"),
+      onsubmit: () => fetchWeight().catch((problem) => notify(problem.message)),
+    },
   );
-  const offset = h("input", {
-    type: "number",
-    step: "any",
-    min: 0,
-    "data-key": "offset",
-    placeholder: "twice the noise",
-    onchange: () => bench.set({ offset: offset.value }),
-    value: bench.offset ?? "",
+  async function fetchWeight() {
+    const query = new URLSearchParams({ version, ...uncertainty.body() });
+    await drawWeight(weight, about, await call(`${path("models", name, "uncertainty")}?${query}`));
+  }
+  const { asked } = bench;
+  const kept = Object.entries(asked).filter(([key]) => key.startsWith(KEPT));
+  const own = { record: asked.watch, ...Object.fromEntries(kept.map(([key, text]) => [key.slice(KEPT.length), text])) };
+  const records = bench.records.map((each) => String(each.id));
+  const known = {
+    record: { enum: records, titles: recordTitles(bench.records), label: "run on record", default: records[0] },
+    offset: { label: `sensor offset of the characteristic${inBrackets(model.output.unit)}` },
+  };
+  const residual = questionForm(adapted(ofResidual, ["healthy", "version"], known), own, {
+    first: ["record", "offset"],
+    scope: "residual-",
+    submit: h("button", { "data-key": "design" }, "Design and run"),
+    onsubmit: design,
+    changed: (field) => bench.set({ [KEPT + field]: own[field] }),
   });
-  const design = (event) => {
-    event?.preventDefault();
-    bench.set({ watch: record.value });
-    const body = {
-      healthy: [Number(bench.healthy)],
-      record: Number(record.value),
-      version: stored.version,
-      ...(Number(offset.value) > 0 ? { offset: Number(offset.value) } : {}),
-    };
+  function design() {
+    const { record, ...said } = residual.body();
+    bench.set({ watch: record });
     runIn(
       result,
       "Designing the residual generator",
-      path("models", stored.model, "residual-views"),
-      body,
+      path("models", name, "residual-views"),
+      { ...said, healthy: [Number(asked.record)], record: Number(record), version },
       (view) => drawResidual(result, view),
       bench.leaving,
     );
-  };
-  const chosen = { ...WEIGHT, form: "multiplicative" };
-  const pickForm = (event) => {
-    chosen.form = event.target.value;
-  };
-  const options = Object.entries(FORMS).map(([value, text]) => h("option", { value }, text));
-  const form = h("label", {}, "error bounded", h("select", { "data-key": "weight-form", onchange: pickForm }, options));
-  const fetchWeight = (event) => {
-    event?.preventDefault();
-    const query = new URLSearchParams({ version: stored.version, form: chosen.form, ...weightParameters(chosen) });
-    call(`${path("models", stored.model, "uncertainty")}?${query}`)
-      .then((found) => drawWeight(weight, about, found))
-      .catch((problem) => notify(problem.message));
-  };
-  const again = h("button", { "data-key": "weight" }, "Draw the weight");
-  const chooser = h("form", { class: "fields", onsubmit: fetchWeight }, weightFields(chosen, [form, again]));
-  const choices = h(
-    "details",
-    {},
-    h("summary", { "data-key": "weight-more" }, "Models drawn, order, frequencies, form"),
-    chooser,
+  }
+  show(
+    place,
+    part("", "Uncertainty weight", "error of models that the data allow", uncertainty.form, weight, about),
+    part("", "Residual generator", "what the model does not explain, with its threshold", residual.form, result),
   );
-  fetchWeight();
-  if (bench.watch) queueMicrotask(design);
-  return h(
-    "div",
-    { class: "stack" },
-    part("", "Uncertainty weight", "error of models that the data allow", choices, weight, about),
-    part(
-      "",
-      "Residual generator",
-      "what the model does not explain, with its threshold",
-      h(
-        "form",
-        { class: "controls", onsubmit: design },
-        h("label", {}, "run on record", record),
-        h("label", {}, `sensor offset of the characteristic${inBrackets(model.output.unit)}`, offset),
-        h("button", { "data-key": "design" }, "Design and run"),
-      ),
-      result,
-    ),
-  );
+  if (asked.watch) design();
+  await fetchWeight();
 }
 
 function drawWeight(place, about, found) {

@@ -13,6 +13,7 @@ import { tableHead } from "../lib/table_head.js";
 import { acceptancePanel } from "./acceptance.js";
 import { structured } from "./compare_step.js";
 import { describe, modelTitle } from "./models.js";
+import { optionsOf } from "./options.js";
 
 const NARROW = 520; // pixels
 const SPANS_DECADES = 30; // largest over least error, from which on bars of one length scale hide the small ones
@@ -23,12 +24,12 @@ export async function addStep(place, bench) {
   const { add, auto } = bench.shown;
   if (!add && !auto) return drawModel(body, bench);
   const { add: _, auto: __, ...shown } = bench.shown;
-  const name = h("input", {
-    value: bench.version ? bench.model : `${bench.model}-mended`.slice(0, 64),
-    pattern: "[A-Za-z0-9][A-Za-z0-9._\\-]{0,63}",
-    required: true,
-    "data-key": "save-as",
-  });
+  const begin = () => {
+    const title = add
+      ? `Adding ${effectTitle(add.effect)} to ${add.balance}, and estimating all parameters`
+      : "Adding what is missing until the model is adequate";
+    runIn(body, title, bench.address(noun), { ...options.body(), ...(add ? { add } : {}) }, done, bench.leaving);
+  };
   const done = (result) => {
     if (!result.stored) return drawRefused(body, bench, result, shown);
     bench.go("add", {
@@ -38,28 +39,19 @@ export async function addStep(place, bench) {
       shown: { ...shown, before: key(bench.model, bench.version), ...(result.verdict ? { ended: result.verdict } : {}) },
     });
   };
-  const begin = (event) => {
-    event.preventDefault();
-    const asked = { ...bench.asked, save_as: name.value };
-    if (add)
-      runIn(
-        body,
-        `Adding ${effectTitle(add.effect)} to ${add.balance}, and estimating all parameters`,
-        bench.address("effects"),
-        { ...asked, add },
-        done,
-        bench.leaving,
-      );
-    else
-      runIn(
-        body,
-        "Adding what is missing until the model is adequate",
-        bench.address("improve"),
-        { ...asked, auto: true, ...(shown.learned ? { learned: true } : {}) },
-        done,
-        bench.leaving,
-      );
+  const noun = add ? "effects" : "improve";
+  const save_as = {
+    default: bench.version ? bench.model : `${bench.model}-mended`.slice(0, 64),
+    label: "store as a new version of",
+    required: true,
   };
+  const learned = { default: bench.shown.explain?.learned === "true" };
+  const options = await optionsOf(bench, noun, begin, {
+    first: ["save_as"],
+    submit: add ? "Add and estimate" : "Add automatically",
+    without: add ? ["add"] : ["auto"],
+    known: { save_as, ...(add ? {} : { learned }) },
+  });
   const says = add
     ? [
         h("b", {}, effectTitle(add.effect)),
@@ -70,24 +62,10 @@ export async function addStep(place, bench) {
         `Effects that explain the error are added to ${modelTitle(bench.model, bench.version)} one after the other, as ` +
           `long as its error on data kept aside falls.`,
       ];
+  const back = h("button", { type: "button", class: "quiet", onclick: () => bench.go("why", { shown }) }, "Back");
   show(
     body,
-    panel(
-      add ? "Add an effect" : "Add automatically",
-      null,
-      h(
-        "form",
-        { class: "stack", onsubmit: begin },
-        h("p", {}, says),
-        h(
-          "div",
-          { class: "controls" },
-          h("label", {}, "store as a new version of", name),
-          h("button", { "data-key": "add" }, add ? "Add and estimate" : "Add automatically"),
-          h("button", { type: "button", class: "quiet", onclick: () => bench.go("why", { shown }) }, "Back"),
-        ),
-      ),
-    ),
+    panel(add ? "Add an effect" : "Add automatically", null, h("div", { class: "stack" }, h("p", {}, says), options.form, back)),
   );
 }
 
@@ -298,12 +276,9 @@ async function drawOverlay(place, bench, before) {
   show(place, h("p", { class: "loading" }, "Simulating …"));
   const stop = new AbortController();
   bench.leaving.push(() => stop.abort());
-  const of = (model) =>
-    run(
-      path("models", model.model, "views"),
-      { records: bench.records, ...(model.version ? { version: model.version } : {}), map: bench.map },
-      { signal: stop.signal },
-    );
+  const { version: _, ...asked } = (await optionsOf(bench, "views")).body();
+  const of = ({ model, version }) =>
+    run(path("models", model, "views"), { ...asked, ...(version ? { version } : {}) }, { signal: stop.signal });
   const current = { model: bench.model, version: bench.version };
   const [after, old] = [
     await of(current),

@@ -6,6 +6,7 @@ import { number, percent, quantity } from "../lib/format.js";
 import { runIn } from "../lib/jobs.js";
 import { badge } from "../lib/parts.js";
 import { tableHead } from "../lib/table_head.js";
+import { optionsOf } from "./options.js";
 
 // " (p = 0.03)", without digits that mean nothing.
 const chance = (p) => (p < 1e-4 ? " (p < 0.0001)" : ` (p = ${number(p)})`);
@@ -21,14 +22,17 @@ export function structured(comparison) {
     : ["healthy", "Only noise is left", `Noise alone explains the whole error${chance(test.p_value)}.`];
 }
 
-export function compareStep(place, bench) {
+export async function compareStep(place, bench) {
   const body = h("div", { class: "stack" });
   show(place, body);
+  const options = await optionsOf(bench, "views", () => bench.go("compare"));
+  if (!body.isConnected) return undefined; // the step has been left
+  place.append(options.form);
   return runIn(
     body,
     "Comparing the model with the record",
     bench.address("views"),
-    bench.asked,
+    options.body(),
     (view) => drawView(body, bench, view),
     bench.leaving,
   );

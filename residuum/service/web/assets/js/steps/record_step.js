@@ -6,11 +6,13 @@ import { call, path } from "../lib/api.js";
 import { h, notify, once, panel, show } from "../lib/dom.js";
 import { balanceEquation } from "../lib/equations.js";
 import { count, quantity, span, unitText } from "../lib/format.js";
+import { runIn } from "../lib/jobs.js";
 import { modelName } from "../lib/model_name.js";
 import { download } from "../lib/report_file.js";
 import { tableHead } from "../lib/table_head.js";
 import { DRIVE, offer, simulateIn } from "./example.js";
 import { describe, modelTitle } from "./models.js";
+import { optionsOf } from "./options.js";
 import { parameterForm } from "./parameter_form.js";
 
 const DERIVED = "derived: a comparison's signals";
@@ -49,6 +51,10 @@ const ALIKE = [
 export async function uploadedRecords() {
   return (await call("/records?limit=200")).items.filter((record) => !record.notes.includes(DERIVED));
 }
+
+// A record's number → how lists of records name it.
+export const recordTitles = (records) =>
+  Object.fromEntries(records.map((each) => [each.id, `${each.id} · ${each.name.slice(0, 60)}`]));
 
 export async function recordStep(place, bench) {
   const parts = { example: h("div"), record: h("div"), model: h("div"), signals: h("div"), map: h("div"), equations: h("div") };
@@ -481,7 +487,28 @@ function guess(signals, units) {
   return found;
 }
 
+// The parameters from the chosen records, by the question `estimate`.
+async function drawEstimation(place, bench, saveAs, stored) {
+  const result = h("div");
+  const known = { save_as: { default: saveAs, label: "store the estimate as", required: true } };
+  const begin = () =>
+    runIn(
+      result,
+      "Estimating the parameters",
+      bench.address("estimate"),
+      options.body(),
+      (found) => stored({ model: found.stored.model, number: found.stored.version }),
+      bench.leaving,
+    );
+  const options = await optionsOf(bench, "estimate", begin, { first: ["save_as"], submit: "Estimate from the records", known });
+  show(place, options.form, result);
+}
+
 function equations(description, bench, known, redraw) {
+  const saveAs = bench.version ? bench.model : `my-${bench.model}`.slice(0, 64);
+  const stored = (made) => take(made, bench, known, redraw);
+  const estimation = h("div", { class: "next stack" });
+  if (bench.ready) drawEstimation(estimation, bench, saveAs, stored).catch((problem) => notify(problem.message));
   return h(
     "div",
     { class: "columns" },
@@ -513,13 +540,7 @@ function equations(description, bench, known, redraw) {
       "section",
       { class: "panel span-7" },
       h("header", {}, h("h2", {}, "Parameters"), h("div", { class: "aside" }, "fixed ones are not estimated")),
-      h(
-        "div",
-        { class: "body" },
-        parameterForm(description, bench.version ? bench.model : `my-${bench.model}`.slice(0, 64), (made) =>
-          take(made, bench, known, redraw),
-        ),
-      ),
+      h("div", { class: "body" }, parameterForm(description, saveAs, stored), estimation),
     ),
   );
 }

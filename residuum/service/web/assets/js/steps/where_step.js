@@ -6,15 +6,18 @@ import { h, show } from "../lib/dom.js";
 import { capital, inBrackets, localised, percent, quantity } from "../lib/format.js";
 import { runIn } from "../lib/jobs.js";
 import { tableHead } from "../lib/table_head.js";
+import { optionsOf } from "./options.js";
 
-export function whereStep(place, bench) {
+export async function whereStep(place, bench) {
   const body = h("div", { class: "stack" });
   show(place, body);
+  const options = await optionsOf(bench, "views");
+  if (!body.isConnected) return undefined; // the step has been left
   return runIn(
     body,
     "Smoothing what each balance lacks",
     bench.address("views"),
-    bench.asked,
+    options.body(),
     (view) => drawView(body, bench, view),
     bench.leaving,
   );

@@ -9,6 +9,7 @@ import { capital, localised, number, percent, quantity, unitText } from "../lib/
 import { run, runIn } from "../lib/jobs.js";
 import { badge, placed } from "../lib/parts.js";
 import { tableHead } from "../lib/table_head.js";
+import { optionsOf } from "./options.js";
 import { naturalAxis } from "./where_step.js";
 
 const LISTED = 8;
@@ -21,15 +22,17 @@ const VERDICTS = {
   "unknown-effect": ["not-assessable", "Something outside the catalogue"],
 };
 
-export function whyStep(place, bench) {
+export async function whyStep(place, bench) {
   const body = h("div", { class: "stack" });
   show(place, body);
+  const options = await optionsOf(bench, "explain", () => bench.go("why"));
+  if (!body.isConnected) return undefined; // the step has been left
+  place.append(options.form);
   const work = async (explanation, signal) => {
     const titles = new Map((await call("/effects", { signal })).items.map((each) => [each.effect, each]));
     drawExplanation(body, bench, explanation, titles);
   };
-  const asked = { ...bench.asked, ...(bench.shown.learned ? { learned: true } : {}) };
-  return runIn(body, "Finding out what is missing", bench.address("explain"), asked, work, bench.leaving);
+  return runIn(body, "Finding out what is missing", bench.address("explain"), options.body(), work, bench.leaving);
 }
 
 // `0.0602 ± 0.0004 N*m`: the value to the digit that its deviation leaves.
@@ -95,7 +98,7 @@ function drawExplanation(body, bench, explanation, effects) {
             "Add automatically",
           )
         : null,
-      explanation.verdict === "unknown-effect" && !bench.shown.learned
+      explanation.verdict === "unknown-effect" && !bench.shown.explain?.learned
         ? h(
             "button",
             {
@@ -103,7 +106,7 @@ function drawExplanation(body, bench, explanation, effects) {
               class: "quiet",
               "data-key": "learn",
               title: "Search again, with curves that are learned over one signal among the candidates",
-              onclick: () => bench.go("why", { shown: { ...bench.shown, learned: true } }),
+              onclick: () => bench.go("why", { shown: { ...bench.shown, explain: { ...bench.shown.explain, learned: "true" } } }),
             },
             "Try learned curves",
           )
@@ -306,7 +309,7 @@ function choice(label, values, value, choose) {
 async function drawCurves(place, bench, candidates) {
   const stop = new AbortController();
   bench.leaving.push(() => stop.abort());
-  const view = await run(bench.address("views"), bench.asked, { signal: stop.signal });
+  const view = await run(bench.address("views"), (await optionsOf(bench, "views")).body(), { signal: stop.signal });
   const balances = view.points.terms.filter((term) => term.kind === "balance").map((term) => term.of);
   const fitting = candidates.filter((candidate) => balances.includes(candidate.balance)).slice(0, DRAWN);
   if (!fitting.length || !place.isConnected) return;

@@ -35,8 +35,8 @@ const trouble = (machine) =>
 
 // Why nothing has come.
 function waiting({ machine, settings }) {
-  const [{ kind, channel, host, port }] = settings.sources;
-  const address = kind === "modbus" ? `${host}:${port}` : channel;
+  const [{ channel, host, port }] = settings.sources;
+  const address = channel || `${host}:${port}`;
   const why = trouble(machine);
   return (
     `Nothing has come yet from ${address}${why ? `: ${why}` : ""}. ` +

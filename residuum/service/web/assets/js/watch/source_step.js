@@ -1,40 +1,45 @@
 // Step 1: where the machine's signals come from. A table of registers is made into a register map.
 
-import { call } from "../lib/api.js";
+import { call, described } from "../lib/api.js";
 import { h, notify, once, panel, show } from "../lib/dom.js";
 import { quantity, unitText } from "../lib/format.js";
-import { diagnoserWith } from "../lib/plant_state.js";
+import { diagnoserWith, plant } from "../lib/plant_state.js";
+import { adapted, questionForm, schemaFields } from "../lib/question_form.js";
 import { tableHead } from "../lib/table_head.js";
 
-const KINDS = {
-  can: { title: "CAN bus", maps: { dbc: "DBC file" } },
-  modbus: { title: "Modbus TCP", maps: { table: "table of registers", registers: "register map (YAML)" } },
-};
+const NAME = "[A-Za-z0-9][A-Za-z0-9._\\-]{0,54}";
+const KNOWN_OF_SOURCE = { kind: { label: "source", required: true, default: "can" }, channel: { required: true } };
 const EXAMPLE = "name;register;type;unit;scale\nspeed;40001;uint16;rpm;0.1\n";
 
 const HINT =
   "Say how the machine is reached, and choose the file that describes its bus. The next step shows what its signals read now.";
 
-export function sourceStep(place, way) {
+export async function sourceStep(place, way) {
+  const { components } = await described();
   const before = way.settings?.sources[0];
-  const field = (label, input) => h("label", {}, label, input);
-  const name = h("input", {
-    value: way.machine ?? "",
-    required: true,
-    pattern: "[A-Za-z0-9][A-Za-z0-9._\\-]{0,54}",
-    placeholder: "press-3",
-    "data-key": "name",
-  });
-  const kind = h(
-    "select",
-    { "data-key": "kind", onchange: () => redraw() },
-    Object.entries(KINDS).map(([id, { title }]) => h("option", { value: id, selected: before?.kind === id }, title)),
-  );
-  const channel = h("input", { value: before?.channel ?? "", placeholder: "socketcan:can0", "data-key": "channel" });
-  const host = h("input", { value: before?.host ?? "127.0.0.1", "data-key": "host" });
-  const port = h("input", { type: "number", min: 1, max: 65535, value: before?.port ?? 502, "data-key": "port" });
-  const every = h("input", { type: "number", min: 0.001, step: "any", value: 0.1, "data-key": "every" });
-  const form = h("select", { "data-key": "map-kind", onchange: () => redraw() });
+  const texts = Object.entries(before ?? {}).map(([name, value]) => [name, String(value)]);
+  const asked = { ...Object.fromEntries(texts), ...(way.machine ? { name: way.machine } : {}) };
+  const ofText = schemaFields(components, "BusText");
+  const ofSource = adapted(schemaFields(components, "SourceSettings"), ["map"], KNOWN_OF_SOURCE);
+  const fields = {
+    name: { type: "string", required: true, label: "name of the machine", pattern: NAME, examples: ["press-3"] },
+    ...ofSource,
+    ...withKindOfText(adapted(ofText, ["name", "text"])),
+    length: {
+      type: "number",
+      label: "length of a window [s]",
+      minimum: 0.1,
+      required: true,
+      default: way.settings?.window.length ?? 10,
+    },
+    diagnoser: {
+      type: "string",
+      required: true,
+      description: "Who judges the windows.",
+      enum: [...plant.diagnosers.keys()],
+      default: way.settings?.diagnoser ?? diagnoserWith("tracks"),
+    },
+  };
   const file = h("input", {
     type: "file",
     accept: ".dbc,.yaml,.yml,.csv,.txt",
@@ -42,17 +47,19 @@ export function sourceStep(place, way) {
     onchange: () => takeFile(),
   });
   const text = h("textarea", { rows: 8, spellcheck: "false", class: "code", "aria-label": "Text of the description" });
-  const length = h("input", {
-    type: "number",
-    min: 0.1,
-    step: "any",
-    value: way.settings?.window.length ?? 10,
-    "data-key": "length",
-  });
-  const fields = h("div", { class: "fields" });
   const found = h("div");
   let fileName = before?.map ?? "bus";
   let description = null;
+  const question = questionForm(fields, asked, {
+    first: ["name", "kind", "channel", "host", "port", "described_by", "sample_time", h("label", {}, "file", file), "length"],
+    submit: h("button", { "data-key": "watch-machine" }, "Read this machine"),
+    onsubmit: () => watch(),
+    changed: offerExample,
+  });
+
+  function offerExample() {
+    text.placeholder = question.body().described_by === "table" ? EXAMPLE : "";
+  }
 
   async function takeFile() {
     fileName = file.files[0].name.replaceAll(/[^A-Za-z0-9._-]/g, "-");
@@ -60,30 +67,9 @@ export function sourceStep(place, way) {
     await understand().catch((problem) => notify(problem.message));
   }
 
-  function redraw() {
-    const { maps } = KINDS[kind.value];
-    if (![...form.options].some((option) => option.value in maps))
-      show(
-        form,
-        Object.entries(maps).map(([id, title]) => h("option", { value: id }, title)),
-      );
-    text.placeholder = form.value === "table" ? EXAMPLE : "";
-    const own = kind.value === "can" ? [field("channel", channel)] : [field("host", host), field("port", port)];
-    const polled = form.value === "table" ? [field("seconds between two reads", every)] : [];
-    show(
-      fields,
-      field("name of the machine", name),
-      field("source", kind),
-      own,
-      field("described by", form),
-      polled,
-      field("file", file),
-      field("length of a window [s]", length),
-    );
-  }
-
   async function understand() {
-    const body = { kind: form.value, name: fileName, text: text.value, sample_time: Number(every.value) };
+    const said = question.body();
+    const body = { ...picked(said, ofText), kind: said.described_by, name: fileName, text: text.value };
     description = await call("/bus-descriptions", { method: "POST", body });
     show(found, signalTable(description));
   }
@@ -91,17 +77,12 @@ export function sourceStep(place, way) {
   const watch = once(async () => {
     try {
       if (text.value) await understand();
-      way.machine = name.value;
-      const source =
-        kind.value === "can"
-          ? { kind: "can", channel: channel.value }
-          : { kind: "modbus", host: host.value, port: Number(port.value) };
-      const map = description?.name ?? before?.map;
-      const seconds = Number(length.value);
+      const said = question.body();
+      way.machine = said.name;
       await way.put({
-        diagnoser: diagnoserWith("tracks"),
-        window: { cut: "sliding", length: seconds, step: seconds },
-        sources: [{ ...source, map }],
+        diagnoser: said.diagnoser,
+        window: { cut: "sliding", length: said.length, step: said.length },
+        sources: [{ ...picked(said, ofSource), map: description?.name ?? before?.map }],
         maps: description ? { [description.name]: description.text } : {},
       });
       way.go("signals");
@@ -110,28 +91,36 @@ export function sourceStep(place, way) {
     }
   });
 
-  redraw();
+  offerExample();
   show(
     place,
     panel(
       "Where do the signals come from?",
       null,
       before ? null : h("p", { class: "muted" }, HINT),
-      h(
-        "form",
-        { class: "editor-form", onsubmit: watch },
-        fields,
-        h("details", { class: "editor" }, h("summary", {}, "Write or change the description here"), text),
-        h(
-          "p",
-          { class: "controls next" },
-          h("button", { "data-key": "watch-machine" }, "Read this machine"),
-          h("span", { class: "muted small" }, "Nothing is sent to the machine. Windows are recorded from now on."),
-        ),
-      ),
+      question.form,
+      h("details", { class: "editor" }, h("summary", {}, "Write or change the description here"), text),
+      h("p", { class: "muted small next" }, "Nothing is sent to the machine. Windows are recorded from now on."),
     ),
     found,
   );
+}
+
+const picked = (said, fields) =>
+  Object.fromEntries(
+    Object.keys(fields)
+      .filter((name) => name in said)
+      .map((name) => [name, said[name]]),
+  );
+
+// How the source is described: the kinds that fit its own, and what counts with one of them.
+function withKindOfText({ kind, ...others }) {
+  const fitting = Object.entries(kind["x-of-source"]).map(([name, source]) => [name, [{ kind: [source] }]]);
+  const renamed = Object.entries(others).map(([name, field]) => [
+    name,
+    { ...field, "x-only-with": field["x-only-with"]?.map((way) => ({ described_by: way.kind })) },
+  ]);
+  return { described_by: { ...kind, "x-choices-only-with": Object.fromEntries(fitting) }, ...Object.fromEntries(renamed) };
 }
 
 function signalTable(description) {
