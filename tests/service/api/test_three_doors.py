@@ -39,6 +39,7 @@ REFUSED = {
     "an unknown name": ({"method": "arxx"}, "method", "'arxx': there is none of this name; did you mean 'arx'? known are "),
     "out of bounds": ({"order": 0}, "order", ": must be ≥ 1"),
     "another kind": ({"delay": "soon"}, "delay", "'soon': must be a whole number"),
+    "a name that is none": ({"output": ""}, "output", ": must be a channel's name, or a list of names"),
     "a variance that is none": ({"noise_variance": "guess"}, "noise_variance", "'guess': must be a number or one of "),
     "an input too many": ({"method": "ar"}, "method", "'ar': models an output alone; leave the input out"),
     "a field of another method": ({"noise_bound": 1.0}, "noise_bound", ": is used by the uncertainty set-membership alone"),
