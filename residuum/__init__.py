@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     from residuum.library.plant import Plant, identify, load_plant
     from residuum.library.reading import from_arrays, from_pandas, from_xarray, read
     from residuum.library.record import Record
+    from residuum.library.residual import Residual, ResidualRun, residual
+    from residuum.library.uncertainty import Uncertainty, uncertainty
     from residuum.library.virtual_machine import simulate
 
 __all__ = [
@@ -49,6 +51,9 @@ __all__ = [
     "NotIdentifiable",
     "Plant",
     "Record",
+    "Residual",
+    "ResidualRun",
+    "Uncertainty",
     "control",
     "effects",
     "equations_model",
@@ -62,7 +67,9 @@ __all__ = [
     "model",
     "monitor",
     "read",
+    "residual",
     "simulate",
+    "uncertainty",
 ]
 
 _PLACES = {
@@ -80,6 +87,8 @@ _PLACES = {
     "library.plant": ("Plant", "identify", "load_plant"),
     "library.reading": ("from_arrays", "from_pandas", "from_xarray", "read"),
     "library.record": ("Record",),
+    "library.residual": ("Residual", "ResidualRun", "residual"),
+    "library.uncertainty": ("Uncertainty", "uncertainty"),
     "library.virtual_machine": ("simulate",),
 }
 _PLACE = {name: place for place, names in _PLACES.items() for name in names}

@@ -4,7 +4,8 @@ Every message is one line that says *what* is wrong, *where*, and *which rule* i
 command line and the HTTP interface print it unchanged.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
 
 _LONGEST = 200
 
@@ -21,39 +22,70 @@ Named = Callable[[str, object], str]
 """How a door names one of its fields, alone (`None`) or with a value: `--delay 3`, `"delay": 3`, `delay=3`."""
 
 
+Way = tuple[str, object] | tuple[str, object, str]
+"""A field, a value with which it would do (`"SECONDS"`: one that only the caller knows), and perhaps when it would."""
+
+
 def as_keyword(field: str, value: object = None) -> str:
     """A field as it is said in Python."""
-    return field if value is None else f"{field}={value!r}"
+    return field if value is None else f"{field}={value if str(value).isupper() else repr(value)}"
+
+
+def as_text(value: object) -> str:
+    """A value as it is said outside of Python: of a mapping `name=value`, of a list its items with commas between them.
+
+    >>> as_text({"speed": "rpm"}), as_text(["time [s]", "n"]), as_text(3)
+    ('speed=rpm', 'time [s],n', '3')
+    """
+    if isinstance(value, Mapping):
+        return ",".join(f"{name}={of_it}" for name, of_it in value.items())
+    return ",".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
 
 
 class BadInput(ValueError):
     """Something a caller handed over cannot be used; the message names what, where and the rule.
 
-    Where the input is a field of a question, `what` is its value, `where` its name, and `way_on` may name a field and a value
-    with which it would do; a door says both in its own words by `told`.
+    Where the input is a field of a question, `what` is its value, `where` its name, and `way_on` may name fields and values
+    with which it would do; a door says them in its own words by `told`. Python's are those of `str(error)`. A text that names a
+    way on of its own ends in `, or`.
 
     >>> import residuum as rs
     >>> rs.simulate("gate-drive", duration=2.0, colour="red")  # doctest: +ELLIPSIS
     Traceback (most recent call last):
         ...
     residuum.identification.errors.BadInput: gate-drive: has no setting 'colour'; known are ...
-    >>> error = BadInput("-3", "delay", "must be ≥ 0", way_on=("delay", 3))
+    >>> error = BadInput("-3", "delay", "must be ≥ 0", way_on=[("delay", 3)])
     >>> print(error)
     delay -3: must be ≥ 0; say delay=3
     >>> error.told(lambda field, value: f"--{field}" if value is None else f"--{field} {value}")
     '--delay -3: must be ≥ 0; say --delay 3'
     """
 
-    def __init__(self, what: str, where: str = "", rule: str = "", *, way_on: tuple[str, object] | None = None) -> None:
-        self.what, self.where, self.rule, self.way_on = what, where, rule, way_on
-        super().__init__(self.told(as_keyword) if rule else what)
+    named: Named | None = None
+    """The words of the door through which the input came, where another one tells the refusal."""
+
+    def __init__(self, what: str, where: str = "", rule: str = "", *, way_on: Iterable[Way] = ()) -> None:
+        self.what, self.where, self.rule, self.way_on = what, where, rule, tuple(way_on)
+        super().__init__(what, where, rule)
+
+    def __str__(self) -> str:
+        return self.told(as_keyword)
 
     def told(self, named: Named) -> str:
         """The refusal in the words of a door."""
-        if not self.rule:
-            return str(self)
+        named = self.named or named
         place = " ".join(text for text in (self.where and named(self.where, None), self.what) if text)
-        return f"{place}: {self.rule}" + ("" if self.way_on is None else f"; say {named(*self.way_on)}")
+        ways = [" ".join([named(field, value), *when]) for field, value, *when in self.way_on]
+        says = f"{place}: {self.rule}" if self.rule else place
+        if not ways:
+            return says
+        listed = (", or " if any(len(way) > 2 for way in self.way_on) else " or ").join(ways)
+        return f"{says}{'' if says.endswith(', or') else ';'} say {listed}"
+
+    @property
+    def parts(self) -> dict[str, Any]:
+        """Its parts as plain values, of which another process makes it again."""
+        return {"what": self.what, "where": self.where, "rule": self.rule, "way_on": self.way_on}
 
 
 class BadRecord(BadInput):

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.errors import BadRecord, BadUnit
-from residuum.identification.units import convert, parse_unit, say_unit
+from residuum.identification.units import convert, parse_unit
 from residuum.nearest_names import known_names
 
 Signal = npt.NDArray[np.floating]
@@ -95,7 +95,8 @@ class Record:
             try:
                 parse_unit(unit)
             except BadUnit as error:
-                raise BadUnit(f"{where}, channel {name!r}: {error}") from error
+                way = ("units", {name: "UNIT"}, "in a spelling that is known")
+                raise BadUnit(f"{where}, channel {name!r}: {error}", way_on=[way]) from error
         return units
 
     @property
@@ -170,7 +171,8 @@ class Record:
         """
         where = f"record {self.source!r}, " if self.source else ""
         if name in self.channels and not self.units[name] and parse_unit(unit).factors:
-            raise BadUnit(f"{where}channel {name!r}: has no unit, and {unit!r} is needed; say it: {say_unit(name, unit)}")
+            way = ("units", {name: unit}, "if it is in that")
+            raise BadUnit(f"{where}channel {name!r}: has no unit, and {unit!r} is needed", way_on=[way])
         return convert(self[name], self.units[name], unit, what=f"{where}channel {name!r}", column=name)
 
     def missing(self, name: str) -> npt.NDArray[np.bool_]:

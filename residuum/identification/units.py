@@ -7,7 +7,6 @@ read here; pint reads everything else, and is loaded when it is first needed.
 from __future__ import annotations
 
 import re
-import shlex
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -188,15 +187,6 @@ def _cycles_against_turns(first: Unit, second: Unit) -> bool:
     return sorted((first.base, second.base), key=len) == [{"second": -1.0}, rotation]
 
 
-def say_unit(column: str, unit: str) -> str:
-    """How a column's unit is said.
-
-    >>> say_unit("torque", "N*m")
-    "--unit 'torque=N*m', in Python units={'torque': 'N*m'}"
-    """
-    return f"--unit {shlex.quote(f'{column}={unit}')}, in Python units={{{column!r}: {unit!r}}}"
-
-
 def convert(values: npt.ArrayLike, source: str, target: str, *, what: str = "value", column: str = "") -> npt.NDArray[np.float64]:
     """Convert absolute values from unit `source` to unit `target` (°C to K shifts, rpm to rad/s scales).
 
@@ -213,16 +203,15 @@ def convert(values: npt.ArrayLike, source: str, target: str, *, what: str = "val
     given, wanted = _read_together(source, target)
     if _cycles_against_turns(given, wanted):
         raise BadUnit(
-            f"{what}: unit {source!r} and {target!r} are a frequency and a speed of rotation; say what one cycle is"
-            + (f", as for a turn: {say_unit(column, 'rev/s')}" if column else "")
+            f"{what}: unit {source!r} and {target!r} are a frequency and a speed of rotation; nothing says what one cycle is",
+            way_on=[("units", {column: "rev/s"}, "if it is a turn")] if column else (),
         )
     if not compatible(source, target):
         says = f"unit {_shown(source)} cannot be converted to {_shown(target)}"
-        if column and (own := [word for word in given.base if is_own(word)]):
-            says += f", nobody knows {own[0]!r}; say what it is in: {say_unit(column, target)}"
-        elif column:
-            says += f"; if the column is in {target!r} all the same, say it: {say_unit(column, target)}"
-        raise BadUnit(f"{what}: {says}")
+        own = [word for word in given.base if is_own(word)]
+        when = f", nobody knows {own[0]!r}" if own else ""
+        way = ("units", {column: target}, f"if the column is in {target!r}" + ("" if own else " all the same"))
+        raise BadUnit(f"{what}: {says}{when}", way_on=[way] if column else ())
     if given.offset == wanted.offset:
         return np.asarray(array * (given.scale / wanted.scale))
     return np.asarray((array * given.scale + (given.offset - wanted.offset)) / wanted.scale)

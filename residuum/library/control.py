@@ -17,7 +17,7 @@ from residuum.identification.linear_models.transfer_function import TransferFunc
 from residuum.library.answers.control_design import design_json, design_text
 from residuum.library.answers.control_promise import promise_and_measurement
 from residuum.library.picture import Curve, Panel, Picture
-from residuum.library.plant import Plant, load_plant, to_control
+from residuum.library.plant import Plant, plant_of, to_control
 from residuum.library.questions import asks
 from residuum.library.questions.control_design import DesignController
 from residuum.library.result import Result, Row
@@ -262,8 +262,8 @@ def design(
     asked = DesignController.of(given)
     listed: list[Plant | str | PathLike[str]] = [plants] if isinstance(plants, Plant | str | PathLike) else list(plants)
     names = [_described(plant) if isinstance(plant, Plant) else str(plant) for plant in listed]
-    middle = None if joined is None else _loaded(joined).identified
-    return designed(names, [_loaded(plant).identified for plant in listed], middle, asked)
+    middle = None if joined is None else plant_of(joined).identified
+    return designed(names, [plant_of(plant).identified for plant in listed], middle, asked)
 
 
 def designed(
@@ -286,10 +286,6 @@ def law(problem: ControlProblem, asked: DesignController) -> ControllerStructure
     """The structure whose parameters are sought, those that are held or kept between limits among them."""
     whole: ControllerStructure = STRUCTURES[asked.structure](problem.loop.sample_time)
     return Constrained(whole, fixed=asked.fix, within=asked.within) if asked.fix or asked.within else whole
-
-
-def _loaded(plant: Plant | str | PathLike[str]) -> Plant:
-    return plant if isinstance(plant, Plant) else load_plant(plant)
 
 
 def _described(plant: Plant) -> str:

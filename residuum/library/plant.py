@@ -371,6 +371,11 @@ def load_plant(path: str | PathLike[str]) -> Plant:
     return Plant(model, model.method.split("-")[0])
 
 
+def plant_of(given: Plant | str | PathLike[str]) -> Plant:
+    """A plant, or the one in a file."""
+    return given if isinstance(given, Plant) else load_plant(given)
+
+
 def identified(records: Sequence[MeasuredRecord], asked: Identify, tell: Tell) -> Plant | MultivariablePlant:
     """The plant that the method finds; each record's part after its split note is kept for validation."""
     estimation, held_out = split_records(records)

@@ -15,7 +15,6 @@ from residuum.identification.record import Record as MeasuredRecord
 from residuum.identification.record_formats import ReadOptions
 from residuum.identification.record_formats.even_time import even_columns
 from residuum.identification.record_formats.read_apart import read_mapped
-from residuum.identification.record_formats.remedies import notes_respelt, respelling
 from residuum.library.record import Record, shown
 from residuum.library.table_columns import as_frame, heads, numbers, units_of
 from residuum.library.table_time import refuse_disorder, seconds, unit_of_time
@@ -106,23 +105,8 @@ def read(
         duplicates=duplicates,
         reordered=reordered,
     )
-    with respelling(_as_keyword):
-        record = notes_respelt(read_mapped(Path(path), options, None if mapping is None else Path(mapping)), _as_keyword)
+    record = read_mapped(Path(path), options, None if mapping is None else Path(mapping))
     return shown(record.rename({column: name for name, column in columns.items()} | dict(rename or {})))
-
-
-def _as_keyword(option: str, value: str | None) -> str:
-    """An option of a command as a keyword of `read`."""
-    name = {"unit": "units", "sample-time": "sample_time"}.get(option, option)
-    if option == "resample":
-        return "resample=True"
-    if option in ("unit", "map"):
-        key, _, of_it = (value or "NAME=…").partition("=")
-        return f"{name}={{{key!r}: {of_it!r}}}"
-    if value is None:
-        return f"{name}=…"
-    said = {"missing": [value], "names": value.split(",")}
-    return f"{name}={said.get(option, value)!r}"
 
 
 def from_arrays(

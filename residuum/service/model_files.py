@@ -41,8 +41,8 @@ def check_long_model_file(kind: str, content: bytes, diagnoser: str | None, *, m
         file.write_bytes(content)
         refusal = run_limited(__name__, (str(file), kind, diagnoser or ""), Path(folder), memory=memory, seconds=seconds)
     if refusal is not None:
-        reason, says = refusal
-        raise BadModel(says if reason else f"model file: {says}")
+        reason, parts = refusal
+        raise BadModel(**parts) if reason else BadModel(f"model file: {parts['what']}")
 
 
 def check_model_file(kind: str, content: bytes, diagnoser: str | None = None) -> None:

@@ -18,7 +18,7 @@ from residuum.library.questions import refusal
 from residuum.service.alarms.alarm_states import IllegalTransition
 from residuum.service.logs import HEADER, request_id
 from residuum.service.memory_budget import TooBusy
-from residuum.service.remedies_over_http import as_key, said_over_http
+from residuum.service.remedies_over_http import as_key
 from residuum.service.store import Conflict, NotFound, SignalLetGo, StorageUnavailable
 from residuum.service.work.jobs import TooManyJobs
 
@@ -78,7 +78,7 @@ def install(app: FastAPI) -> None:
         status = next(_STATUS[kind] for kind in type(error).__mro__ if kind in _STATUS)
         return problem(
             status,
-            said_over_http(error),
+            error.told(as_key),
             _kebab(type(error).__name__),
             {"Retry-After": "5"} if status in (429, 503) else None,
         )

@@ -1,41 +1,74 @@
-"""What refusals name as the way on, said to a client: the library speaks of options of commands and of Python.
-
-Files that come with the request are spoken of in `api/reading_options`; this is for records that are stored already.
-"""
+"""What refusals name as the way on, said to a client: a key of the query with which a file comes, or of a body."""
 
 import json
-import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from urllib.parse import quote
 
-from residuum.identification.errors import BadInput
-from residuum.identification.record_formats.remedies import IN_PYTHON
+from residuum.identification.errors import BadInput, Named, as_text
 
-_UNIT = re.compile(r"--unit (?:'([^=']+)=([^']+)'|([^\s=,;)]+)=([^\s,;)]+))")
-_MAP = re.compile(r"--map ([^\s=,;)]+)=([^\s,;)]+)")
+_OF_FILES = ("resample", "sample_time", "units", "decimal", "time", "missing", "names", "duplicates", "reordered")
+_KEYS = {"units": "unit", "time": "time_form"}
+"""How a file is read, in Python → key of the query, where these differ."""
+
+
+@contextmanager
+def refusing_in(named: Named) -> Iterator[None]:
+    """Let refusals of what came in this way be told in these words."""
+    try:
+        yield
+    except BadInput as error:
+        error.named = named
+        raise
 
 
 def as_key(field: str, value: object = None) -> str:
-    """A field of a question as it is said in a body."""
+    """A field of a question as it is said in a body; how a file is read is said where its record is stored.
+
+    >>> as_key("delay", 3), as_key("units", {"duty": "%"}), as_key("map", {"u": "COLUMN"})
+    ('"delay": 3', 'POST /records?unit=duty=%25', '"map": {"u": "COLUMN"}')
+    """
+    if field in _OF_FILES:
+        return in_upload(field, value)
     return f'"{field}"' if value is None else f'"{field}": {json.dumps(value, ensure_ascii=False)}'
 
 
-def said_over_http(error: BadInput) -> str:
-    """A refusal whose way on is one of the interface: a key of the query with which the record is stored, or of the body.
+def in_upload(field: str, value: object = None) -> str:
+    """How a file is read, as it is said where its record is stored."""
+    return f"POST /records{as_query(field, value)}"
 
-    >>> said_over_http(BadInput("unit none is no '%'; say it, --unit duty=% if it is in that, in Python units={'duty': '%'}"))
-    "unit none is no '%'; say it, POST /records?unit=duty=%25 if it is in that"
-    >>> said_over_http(BadInput("say it, --unit 'Motor voltage=V' if it is in that"))
-    'say it, POST /records?unit=Motor%20voltage=V if it is in that'
-    >>> said_over_http(BadInput("map one of them: --map u=COLUMN, in Python map={'u': 'COLUMN'}"))
-    'map one of them: "map": {"u": "COLUMN"} in the body'
+
+def as_query(field: str, value: object = None) -> str:
+    """How a file is read, as a key of the query with which it comes.
+
+    >>> as_query("time", "day first"), as_query("map", {"time": "COLUMN"}), as_query("units", {"duty": "%"})
+    ('?time_form=day%20first', '?time=COLUMN', '?unit=duty=%25')
     """
-    says = error.told(as_key)
-    if "--" not in says:
-        return says
-    says = _UNIT.sub(_unit_key, IN_PYTHON.sub("", says)).replace("--resample", "POST /records?resample=true")
-    return _MAP.sub(lambda found: f'"map": {{"{found[1]}": "{found[2]}"}} in the body', says)
+    if field not in (*_OF_FILES, "map"):
+        return as_key(field, value)
+    of_times = field == "map" and isinstance(value, dict) and "time" in value
+    key = "?" if of_times else f"?{_KEYS.get(field, field)}"
+    if value is None:
+        return key
+    said = quote("true" if value is True else as_text(value), safe="=/*,:[]")
+    return key + said if of_times else f"{key}={said}"
 
 
-def _unit_key(found: re.Match[str]) -> str:
-    name, unit = (each for each in found.groups() if each is not None)
-    return f"POST /records?unit={quote(name)}={quote(unit, safe='/*')}"
+def in_json(field: str, value: object = None) -> str:
+    """How a body in JSON is read, which says its units itself.
+
+    >>> in_json("units", {"speed": "rpm"})
+    '"units": {"speed": "rpm"} in the body'
+    """
+    return f'"units": {json.dumps(value, ensure_ascii=False)} in the body' if field == "units" else as_query(field, value)
+
+
+def of_array(field: str, value: object = None) -> str:
+    """How an array is read, whose rows the query names with their units.
+
+    >>> of_array("units", {"speed": "rpm"})
+    '?channel=speed%20[rpm]'
+    """
+    if field != "units" or not isinstance(value, dict):
+        return as_query(field, value)
+    return "".join(f"?channel={quote(f'{name} [{unit}]', safe='/*[]')}" for name, unit in value.items())

@@ -25,30 +25,29 @@ def test_units_convert_by_name():
 @pytest.mark.parametrize("wanted", ["%", "deg", "rad", "V"])
 def test_a_channel_without_a_unit_is_converted_to_none(wanted):
     record = Record({"duty": [60.0]}, {"duty": ""}, 1.0, source="r.csv")
-    with pytest.raises(BadUnit, match=f"record 'r.csv', channel 'duty': has no unit, and '{wanted}' is needed; .*--unit duty"):
+    told = rf"record 'r.csv', channel 'duty': has no unit, and '{wanted}' is needed; say units={{'duty': '{wanted}'}}"
+    with pytest.raises(BadUnit, match=told):
         record.in_unit("duty", wanted)
     assert record.in_unit("duty", "")[0] == record.in_unit("duty", "1")[0] == 60.0
 
 
-def test_what_is_to_be_typed_is_said_as_a_shell_takes_it():
+def test_what_is_to_be_typed_is_said_as_python_takes_it():
     record = Record({"Motor voltage": [6.0]}, {"Motor voltage": ""}, 1.0)
-    with pytest.raises(BadUnit, match="--unit 'Motor voltage=V', in Python"):
+    with pytest.raises(BadUnit, match=r"units={'Motor voltage': 'V'}"):
         record.in_unit("Motor voltage", "V")
 
 
 def test_a_unit_of_another_kind_is_refused_with_its_record():
     record = Record({"n": [6.0]}, {"n": "bar"}, 1.0, source="r.csv")
     with pytest.raises(
-        BadUnit, match=r"record 'r\.csv', channel 'n': unit 'bar' cannot be converted to 'rad/s'; if .* all the same"
+        BadUnit, match=r"record 'r\.csv', channel 'n': unit 'bar' cannot be converted to 'rad/s'; say .* if .* all the same"
     ):
         record.in_unit("n", "rad/s")
 
 
 def test_a_unit_that_nobody_knows_is_said_in_the_way_that_is_told():
     record = Record({"M": [6.0]}, {"M": "Nmeter"}, 1.0)
-    with pytest.raises(
-        BadUnit, match=r"nobody knows 'Nmeter'; say what it is in: --unit 'M=N\*m', in Python units={'M': 'N\*m'}"
-    ):
+    with pytest.raises(BadUnit, match=r"nobody knows 'Nmeter'; say units={'M': 'N\*m'} if the column is in"):
         record.in_unit("M", "N*m")
 
 

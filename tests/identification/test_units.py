@@ -112,6 +112,6 @@ def test_what_one_unit_reads_as_does_not_hang_on_what_was_read_before():
 def test_a_frequency_is_no_speed_of_rotation_until_somebody_says_what_a_cycle_is(frequency, rotation):
     for one, other in ((frequency, rotation), (rotation, frequency)):
         assert not compatible(one, other)
-        with pytest.raises(BadUnit, match="--unit speed=rev/s, in Python"):
+        with pytest.raises(BadUnit, match=r"units={'speed': 'rev/s'}"):
             convert(1.0, one, other, column="speed")
     assert float(convert(1.0, "rev/s", "rpm")) == pytest.approx(60.0)

@@ -13,7 +13,7 @@ from residuum.service.commands import compare
 from residuum.service.commands import inspect as inspection
 from tests.identification.record_formats.left_open import LEFT_OPEN
 
-SAID = {"UNIT": "V", "COLUMN": "t"}
+SAID = {"UNIT": "V", "COLUMN": "t", "SIGN": "','"}
 
 
 @pytest.mark.parametrize("kind", LEFT_OPEN)
@@ -26,7 +26,7 @@ def test_the_way_on_of_a_refusal_is_a_keyword_with_which_the_file_is_read(tmp_pa
     keyword, _, value = re.search(way_on, str(refusal.value))[0].partition("=")
     for word, meant in SAID.items():
         value = value.replace(word, meant)
-    said = {keyword: "," if value == "…" else ast.literal_eval(value)}
+    said = {keyword: ast.literal_eval(value)}
     try:
         assert rs.read(tmp_path / "log.csv", **said).n > 2
     except rs.BadInput as next_step:  # a cell that is still open: the first way on was gone

@@ -27,11 +27,11 @@ DOORS = {
     Explain: ("explain", "models/{model}/explain", rs.Model.explain),
     Improve: ("improve", "models/{model}/improve", rs.Model.improve),
     DesignController: ("control design", "control-designs", rs.control.design),
-    DesignResidual: ("residual design", "residuals", None),
-    RunResidual: ("residual run", "residuals", None),
-    Uncertainty: ("uncertainty", "models/{model}/uncertainty", None),
+    DesignResidual: ("residual design", "residuals", rs.residual),
+    RunResidual: ("residual run", "residuals", rs.Residual.run),
+    Uncertainty: ("uncertainty", "models/{model}/uncertainty", rs.uncertainty),
 }
-"""Question → command, route, function of the library where there is one."""
+"""Question → command, route, function of the library."""
 
 
 @pytest.fixture(scope="module")
@@ -53,12 +53,11 @@ def test_a_field_is_an_option_a_key_and_a_keyword(question, described):
     module, *verb = command.split()
     asked = get_command(import_module(f"residuum.service.commands.{module}").app)
     shown = {p.name: p for p in (asked.commands[verb[0]] if verb else asked).params}
-    body, keywords = body_of(described, f"/api/v1/{path}"), function and inspect.signature(function).parameters
+    body, keywords = body_of(described, f"/api/v1/{path}"), inspect.signature(function).parameters
     for name, declared in question.model_fields.items():
         default = inspect.Parameter.empty if declared.is_required() else declared.default
-        if function is not None:
-            assert keywords[name].default == default
-            assert " ".join(help_of(declared).split()) in " ".join(function.__doc__.split())
+        assert keywords[name].default == default
+        assert " ".join(help_of(declared).split()) in " ".join(function.__doc__.split())
         assert shown[name].help.replace("\\[", "[").startswith(help_of(declared))
         if isinstance(default, bool) or (declared.default is not None and not declared.is_required()):
             assert str(shown[name].default) == str(default)

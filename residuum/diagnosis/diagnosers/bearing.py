@@ -23,7 +23,7 @@ from residuum.diagnosis.vibration.spectra import octave_edges, octave_rms
 from residuum.diagnosis.vibration.vibration_indicators import LIMITS, LONGEST, blocks_of, indicators, score_in_blocks, severity
 from residuum.identification.errors import BadInput, NotIdentifiable
 from residuum.identification.record import Record
-from residuum.identification.units import compatible, convert, say_unit
+from residuum.identification.units import compatible, convert
 from residuum.nearest_names import known_names
 
 SHAPE = ("rms", "kurtosis", "crest")
@@ -279,8 +279,8 @@ class Bearing(Diagnoser):
             name = record.names[0]
         if name is None:
             raise BadInput(
-                f"bearing: record {record.source!r} has no channel with a unit of acceleration; say one: "
-                f"{say_unit(record.names[0], 'g')}; has {dict(record.units)}"
+                f"bearing: record {record.source!r} has no channel with a unit of acceleration, but {dict(record.units)}",
+                way_on=[("units", {record.names[0]: "g"})],
             )
         unit = record.units[name]
         if compatible(unit, ""):
@@ -300,10 +300,11 @@ class Bearing(Diagnoser):
             return None
         if speed:
             return BearingFrequencies.from_orders(self.orders, speed / 60)
-        wrong = unusable_speeds(record)
+        wrong, way_on = unusable_speeds(record)
         raise BadInput(
             "bearing: orders are multiples of shaft speed; give speed_rpm, or a record with a speed channel"
-            + (f" ({wrong})" if wrong else "")
+            + (f" ({wrong})" if wrong else ""),
+            way_on=way_on,
         )
 
     def save(self, path: str | Path) -> None:

@@ -12,9 +12,9 @@ from scipy.interpolate import CubicSpline
 from residuum.array_types import AnyArray, FloatArray
 from residuum.diagnosis.thresholds.tails import HealthyBand
 from residuum.diagnosis.vibration.bearing_lines import SLIP
-from residuum.identification.errors import BadInput, BadRecord
+from residuum.identification.errors import BadInput, BadRecord, Way
 from residuum.identification.record import Record
-from residuum.identification.units import convert, parse_unit, say_unit
+from residuum.identification.units import convert, parse_unit
 
 # Two recorders with clocks of their own, brought onto one time base by the synchronisation pulses
 # that both see.
@@ -420,7 +420,10 @@ def speed_channel(record: Record) -> str | None:
     speeds = {name: speed for name in found if (speed := _usual(record, name))}
     if len(speeds) > 1 and max(speeds.values()) > (1 + _SAME) * min(speeds.values()):
         told = ", ".join(f"{name!r} {speed:.4g} rpm" for name, speed in speeds.items())
-        raise BadInput(f"bearing: record {record.source!r} has several speeds ({told}); name the shaft's: --map speed=CHANNEL")
+        raise BadInput(
+            f"bearing: record {record.source!r} has several speeds ({told})",
+            way_on=[("map", {"speed": "CHANNEL"}, "of the shaft")],
+        )
     return next(iter(speeds), found[0] if found else None)
 
 
@@ -442,16 +445,11 @@ def usual_speed(record: Record, name: str | None) -> float | None:
     return None if name is None else _usual(record, name)
 
 
-def unusable_speeds(record: Record) -> str:
-    """What is wrong with channels whose name tells of a speed: they have no unit, or none of rotation; empty without such."""
-    named = [name for name in _named_so(record) if not is_turning(record.units[name])]
-    said = [
-        f"channel {name!r} is in {unit!r}"
-        if (unit := record.units[name])
-        else f"channel {name!r} has no unit: {say_unit(name, 'rpm')}"
-        for name in named
-    ]
-    return "; ".join(said)
+def unusable_speeds(record: Record) -> tuple[str, list[Way]]:
+    """What is wrong with channels whose name tells of a speed (no unit, or none of rotation), and what may be said of them."""
+    units = {name: record.units[name] for name in _named_so(record) if not is_turning(record.units[name])}
+    said = [f"channel {name!r} " + (f"is in {unit!r}" if unit else "has no unit") for name, unit in units.items()]
+    return "; ".join(said), [("units", {name: "rpm"}) for name, unit in units.items() if not unit]
 
 
 def _named_so(record: Record) -> list[str]:

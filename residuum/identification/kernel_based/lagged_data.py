@@ -122,7 +122,8 @@ def _check_alike(records: Sequence[Record], names: Sequence[str]) -> None:
             if record.units[name] != first.units[name]:
                 where = f"{record.source or 'record'}, channel {name!r}"
                 raise BadRecord(
-                    f"{where}: unit {record.units[name]!r}, others have {first.units[name]!r}; say one unit for all with --unit"
+                    f"{where}: unit {record.units[name]!r}, others have {first.units[name]!r}",
+                    way_on=[("units", {name: "UNIT"}, "for all")],
                 )
         if not math.isclose(record.sample_time, first.sample_time, rel_tol=1e-6):
             raise BadRecord(

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from residuum.identification.errors import BadInput, BadRecord, BadUnit, in_one_line
+from residuum.identification.errors import BadInput, BadRecord, in_one_line
 from residuum.identification.record import Record
 from residuum.identification.record_formats.csv import parse_csv, read_csv, write_csv
 from residuum.identification.record_formats.loggers.no_value import without_marks, without_overloads
@@ -68,8 +68,6 @@ def read_record(path: str | Path, options: ReadOptions = ReadOptions()) -> Recor
         raise BadRecord(f"{path}: no such file")
     try:
         return without_overloads(without_marks(reader(path, options), options.missing))
-    except BadUnit as error:
-        raise unit_to_say(error) from error
     except BadInput as error:
         if "\n" not in str(error) and len(str(error)) <= _LONGEST:
             raise
@@ -78,11 +76,6 @@ def read_record(path: str | Path, options: ReadOptions = ReadOptions()) -> Recor
         raise
     except Exception as error:
         raise BadRecord(f"{path}: is damaged or not a {ending} file ({in_one_line(error)})") from error
-
-
-def unit_to_say(error: BadUnit) -> BadUnit:
-    """The refusal of a unit that a file says, with the way on."""
-    return BadUnit(f"{error}; --unit CHANNEL=UNIT says it in another spelling")
 
 
 def write_record(record: Record, path: str | Path) -> None:
@@ -106,6 +99,5 @@ __all__ = [
     "ReadOptions",
     "parse_csv",
     "read_record",
-    "unit_to_say",
     "write_record",
 ]

@@ -13,11 +13,10 @@ from residuum.identification.record_formats.even_time import even_columns
 from residuum.identification.record_formats.loggers.logger_file import understand
 from residuum.identification.record_formats.loggers.logger_head import unit_of_head
 from residuum.identification.record_formats.loggers.logger_mapping import (
-    ENDING,
-    SAY_DUPLICATES,
+    DUPLICATES,
     LoggerMapping,
+    no_number,
     parse_logger,
-    say_missing,
 )
 from residuum.identification.record_formats.options import ReadOptions
 from residuum.identification.record_formats.scope_csv import is_scope_csv, parse_scope_csv
@@ -74,25 +73,18 @@ def _is_utf8(start: bytes) -> bool:
 
 def _from_logger(content: bytes, source: str, options: ReadOptions) -> Record:
     """A logger's file by what is understood of it; BadRecord, with the way to settle it, where that is not sure."""
-    try:
-        found = understand(
-            content,
-            source,
-            decimal=options.decimal,
-            time_form=options.time_form,
-            time_column=options.time_column,
-            told_units=options.units,
-            missing=options.missing,
-            sample_time=options.sample_time,
-            heads=options.names,
-        )
-        record = parse_logger(content, source, found.mapping, options)
-    except BadRecord as error:
-        if "--decimal" not in str(error) and "--time" not in str(error):
-            raise
-        settle = f"`residuum inspect FILE` with it and --out FILE{ENDING} settles it for every command"
-        raise BadRecord(f"{error} ({settle})") from None
-    mapping = found.mapping
+    mapping = understand(
+        content,
+        source,
+        decimal=options.decimal,
+        time_form=options.time_form,
+        time_column=options.time_column,
+        told_units=options.units,
+        missing=options.missing,
+        sample_time=options.sample_time,
+        heads=options.names,
+    ).mapping
+    record = parse_logger(content, source, mapping, options)
     habits = f"cells cut by {mapping.delimiter!r}, decimal sign {mapping.decimal!r}, {_times(mapping)}"
     told = f"{AS_LOGGER}: {habits}"
     return replace(record, notes=(told, *record.notes))
@@ -115,10 +107,8 @@ def _refuse_rounded_times(time: npt.NDArray[np.float64], first_row: int, source:
     """Refuse times that were written with too few digits, so that neighbours are the same."""
     if (same := np.diff(time) == 0).any():
         row = first_row + 1 + int(np.argmax(same))
-        raise BadRecord(
-            f"{source}, row {row}: time does not increase, {time[row - first_row]:g} s stands twice; write times with more "
-            f"digits, or {SAY_DUPLICATES} (`residuum inspect FILE --out FILE{ENDING}` writes it)"
-        )
+        says = f"{source}, row {row}: time does not increase, {time[row - first_row]:g} s stands twice"
+        raise BadRecord(f"{says}; write times with more digits, or", way_on=[DUPLICATES])
 
 
 def column_heads(cells: list[str], source: str) -> tuple[list[str], list[str]]:
@@ -240,6 +230,5 @@ def _bad_cell(lines: list[str], width: int, first_row: int, source: str) -> BadR
             try:
                 float(cell)
             except ValueError:
-                what = f"{cell.strip()[:40]!r} is not a number; if it means no value, {say_missing(cell.strip())}"
-                return BadRecord(f"{source}, row {row}, column {column}: {what}")
+                return no_number(cell.strip(), f"{source}, row {row}, column {column}")
     return BadRecord(f"{source}: is not a table of numbers")

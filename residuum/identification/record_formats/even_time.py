@@ -62,8 +62,8 @@ def even_columns(
     row, found = first_row + 1 + int(np.argmax(uneven)), float(steps[np.argmax(uneven)])
     raise BadRecord(
         f"{source}, row {row}: time step {found:.6g} s differs from {median:.6g} s by more than 1 %"
-        f"{', as at the beginning of summer time' if an_hour_ahead(found, median) else ''}; "
-        "resample (--resample) to accept it: holes of more than three steps stay missing"
+        f"{', as at the beginning of summer time' if an_hour_ahead(found, median) else ''}",
+        way_on=[("resample", True, "to accept it: holes of more than three steps stay missing")],
     )
 
 

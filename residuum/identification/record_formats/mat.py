@@ -75,10 +75,10 @@ def _in_seconds(name: str, vector: FloatArray, ending: str, found: MatVariables,
     if step < 1:
         return vector
     if options.sample_time is None:
-        may = "seconds, milliseconds or a count of rows"
+        may = f"seconds, milliseconds or a count of rows; save units_{name} = 's' beside it, or"
         raise BadRecord(
-            f"{source}: nothing says the unit of {name!r}, whose steps are {step:g}: {may}; save units_{name} = 's' beside it, "
-            "or say --sample-time"
+            f"{source}: nothing says the unit of {name!r}, whose steps are {step:g}: {may}",
+            way_on=[("sample_time", "SECONDS")],
         )
     return vector * (options.sample_time / step)
 
@@ -109,7 +109,8 @@ def _timed_record(found: MatVariables, times: dict[str, FloatArray], source: str
     record = on_one_base(channels, source, options, _left_out(found, read))
     if said is not None and len(times) == 1 and options.sample_time is None and abs(said - record.sample_time) > 0.01 * said:
         raise BadRecord(
-            f"{source}: its time says {record.sample_time:.6g} s a sample, its scalar {said:.6g} s; say which with --sample-time"
+            f"{source}: its time says {record.sample_time:.6g} s a sample, its scalar {said:.6g} s",
+            way_on=[("sample_time", "SECONDS")],
         )
     return record
 

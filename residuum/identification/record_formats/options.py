@@ -42,12 +42,12 @@ class ReadOptions:
 
     def __post_init__(self) -> None:
         if self.sample_time is not None and not self.sample_time > 0:
-            raise BadRecord(f"option sample_time: {self.sample_time!r}; must be a positive number of seconds")
+            raise BadRecord(repr(self.sample_time), "sample_time", "must be a positive number of seconds")
 
     def settle_sample_time(self, found: float | None, source: str) -> float:
         """The sample time [s] of file `source`: what it says, or what the caller says; both must agree."""
         if found is None and self.sample_time is None:
-            raise BadRecord(f"{source}: does not say its sample time; give it with --sample-time")
+            raise BadRecord(f"{source}: does not say its sample time", way_on=[("sample_time", "SECONDS")])
         if found is None or self.sample_time is None:
             return float(found if found is not None else self.sample_time or 0.0)
         if abs(found - self.sample_time) > 0.01 * found:

@@ -4,7 +4,7 @@ SciPy's reader of MAT files and the one of MDF files have been ended by damaged 
 sees. The process costs half a second; other formats are read by Python, or by libraries that withstood mutated files.
 
 As a program (`python -m residuum.identification.record_formats.read_apart FILE FOLDER OPTIONS`) it leaves the record in FOLDER; a
-refusal is its class and one line on standard output, and exit status 2.
+refusal is its class and its parts, JSON on standard output, and exit status 2.
 """
 
 import json
@@ -61,8 +61,8 @@ def read_safely(path: str | Path, options: ReadOptions = ReadOptions()) -> Recor
         if done.returncode == 0:
             return load_plain(Path(folder), str(path))
     if done.returncode == _REFUSED and done.stdout:
-        kind, _, says = done.stdout.decode("utf-8", "replace").partition("\n")
-        raise getattr(errors, kind, BadRecord)(says)
+        kind, parts = json.loads(done.stdout)
+        raise getattr(errors, kind, BadRecord)(**parts)
     raise BadRecord(
         f"{path}: reading it ended the process that did ({_ending(done.returncode)}): the file is damaged; save it anew"
     )
@@ -78,11 +78,11 @@ def main(file: str, folder: str, told: str) -> int:
     try:
         keep_plain(read_record(file, ReadOptions(**json.loads(told))), Path(folder))
     except BadInput as error:
-        out.buffer.write(f"{type(error).__name__}\n{error}".encode("utf-8", "replace"))
+        json.dump([type(error).__name__, error.parts], out)
         out.flush()
         return _REFUSED
     except MemoryError:
-        out.write(f"BadRecord\n{file}: reading it takes more memory than there is")
+        json.dump(["BadRecord", {"what": f"{file}: reading it takes more memory than there is"}], out)
         out.flush()
         return _REFUSED
     return 0

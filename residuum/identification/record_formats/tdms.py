@@ -82,7 +82,8 @@ def _times(channel: Any, clock: Any, options: ReadOptions, source: str) -> np.nd
     if options.sample_time is None:
         raise BadRecord(
             f"{source}: nothing says the sample time of channel {channel.name!r} (no wf_increment, no channel of times as long "
-            "as it in its group); give it with --sample-time"
+            "as it in its group)",
+            way_on=[("sample_time", "SECONDS")],
         )
     return start + options.sample_time * np.arange(len(channel))
 
@@ -95,7 +96,8 @@ def _instants(clock: Any, source: str) -> np.ndarray:
         values = values.astype(float)
         step = float(np.median(np.diff(values)))
         if step >= 1 or values[0] > 1e9:
-            raise BadRecord(f"{source}: nothing says the unit of channel {clock.name!r} of times; give --sample-time without it")
+            says = f"{source}: nothing says the unit of channel {clock.name!r} of times"
+            raise BadRecord(says, way_on=[("sample_time", "SECONDS", "without it")])
         return values
     return values.astype(float) * seconds
 

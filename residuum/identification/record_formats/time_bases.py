@@ -54,8 +54,8 @@ def on_one_base(channels: Sequence[TimedChannel], source: str, options: ReadOpti
     if not options.resample and any(place is None for place in places):
         listed = "; ".join(channel.says for channel in channels[:_LISTED])
         raise BadRecord(
-            f"{source}: channels have several time bases ({listed}); resample (--resample) to bring them onto the finest: "
-            "what was not measured stays missing"
+            f"{source}: channels have several time bases ({listed})",
+            way_on=[("resample", True, "to bring them onto the finest: what was not measured stays missing")],
         )
     signals, told = {}, list(notes)
     for channel, place in zip(channels, places, strict=True):

@@ -15,7 +15,7 @@ from residuum.identification.record import Record
 from residuum.library.answers.chance import chance
 
 
-def design_json(made: ResidualDesign, records: Sequence[Record], *, identified: str, file: str | None) -> dict[str, Any]:
+def design_json(made: ResidualDesign, records: Sequence[Record], *, identified: str | None, file: str | None) -> dict[str, Any]:
     """The `residual design` object; `identified` and `file` are the files of the model and of the design."""
     post_filter, noise = made.post_filter, made.noise
     return {
@@ -49,13 +49,14 @@ def design_json(made: ResidualDesign, records: Sequence[Record], *, identified: 
     }
 
 
-def design_text(made: ResidualDesign, file: str) -> str:
-    """The short human report of a design that was written to `file`."""
+def design_text(made: ResidualDesign, file: str | None = None) -> str:
+    """The short human report of a design that was perhaps written to `file`."""
     f = made.post_filter
     lines = [
         f"{made.method} residual for {made.fault} faults of {made.model.output_name!r}: γ = {f.gamma:.4g} (verified), "
         f"β = {f.beta:.4g}, β/γ = {f.decoupling:.3g}",
-        f"post-filter of order {f.Q.order} (optimum: {f.full_order}, reduced with an error ≤ {f.reduction_error:.2g}) → {file}",
+        f"post-filter of order {f.Q.order} (optimum: {f.full_order}, reduced with an error ≤ {f.reduction_error:.2g})"
+        + (f" → {file}" if file else ""),
         f"healthy noise: {_size(made)}, {_colour(made.noise)}, tails {_tails(made.noise, made.model.output_unit)}",
     ]
     if made.has_structured_error:

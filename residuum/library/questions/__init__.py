@@ -11,11 +11,21 @@ import re
 import warnings
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextvars import ContextVar
+from dataclasses import dataclass
 from textwrap import TextWrapper
 from types import NoneType, UnionType
 from typing import Any, ClassVar, Self, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, field_validator, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    GetCoreSchemaHandler,
+    ValidationError,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 from pydantic.fields import FieldInfo
 
 from residuum.identification.errors import BadInput
@@ -32,7 +42,11 @@ _RULES = {
     "less_than": "must be < {lt:.10g}",
     **dict.fromkeys(("int_type", "int_parsing", "int_from_float"), "must be a whole number"),
     **dict.fromkeys(("float_type", "float_parsing"), "must be a number"),
-    "tuple_type": "must be a list",
+    **dict.fromkeys(("tuple_type", "list_type"), "must be a list"),
+    "dict_type": "must be names with values",
+    "string_type": "must be a text",
+    "string_too_short": "needs {min_length} or more characters",
+    "too_short": "needs {min_length} or more items",
     **dict.fromkeys(("bool_type", "bool_parsing"), "must be true or false"),
 }
 """pydantic's kinds of errors → rules of ours."""
@@ -102,6 +116,17 @@ class Question(BaseModel):
 
 
 Asked = TypeVar("Asked", bound=Question)
+
+
+@dataclass(frozen=True)
+class Either:
+    """Beside a type of several alternatives: what is told of a value that is none of them, instead of pydantic's own names."""
+
+    rule: str
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> Any:
+        """pydantic's schema of the alternatives, with one error for all of them."""
+        return {**handler(source), "custom_error_type": "either", "custom_error_message": self.rule}
 
 
 def field(

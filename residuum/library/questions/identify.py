@@ -13,7 +13,7 @@ from residuum.identification.kernel_based.kernels import KERNELS
 from residuum.identification.linear_models.error_bounds.error_models import ERROR_MODELS
 from residuum.identification.linear_models.prediction_error import CRITERIA, STRUCTURES
 from residuum.identification.linear_models.prediction_error.regularised_regression import PENALTIES
-from residuum.library.questions import Question, field
+from residuum.library.questions import Either, Question, field
 
 LAGS = 100
 """Length of an impulse response that nobody chose."""
@@ -24,7 +24,11 @@ _WITH_INPUT = ({"method": [method for method in METHODS if method != "ar"]},)
 """Where a field of a model with an input counts."""
 
 _Channel = Annotated[str, Field(min_length=1, max_length=200)]
-_Channels = _Channel | Annotated[list[_Channel], Field(min_length=1, max_length=64)]
+_Channels = Annotated[
+    _Channel | Annotated[list[_Channel], Field(min_length=1, max_length=64)],
+    Either("must be a channel's name, or a list of names"),
+]
+_VARIANCE = f"must be a number or one of {', '.join(NOISE_VARIANCE_METHODS)}"
 
 
 def _number(given: object) -> object:
@@ -67,7 +71,7 @@ class Identify(Question):
         ge=0,
         le=10_000,
     )
-    noise_variance: Annotated[float | str, BeforeValidator(_number)] = field(
+    noise_variance: Annotated[float | str, Either(_VARIANCE), BeforeValidator(_number)] = field(
         "marginal",
         f"Variance of the noise: {', '.join(NOISE_VARIANCE_METHODS)}, or a number σ² [output unit²].",
         only_with=({"method": ["kernel"]},),
@@ -127,7 +131,7 @@ class Identify(Question):
     @classmethod
     def _is_variance(cls, value: float | str) -> float | str:
         if isinstance(value, str) and value not in NOISE_VARIANCE_METHODS:
-            raise BadInput(repr(value), "noise_variance", f"must be a number or one of {', '.join(NOISE_VARIANCE_METHODS)}")
+            raise BadInput(repr(value), "noise_variance", _VARIANCE)
         if isinstance(value, float) and value <= 0:
             raise BadInput(repr(value), "noise_variance", "must be > 0")
         return value

@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from typing import Any, NamedTuple
-from urllib.parse import quote
 
 from starlette.datastructures import QueryParams
 
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
 from residuum.identification.record_formats.loggers.logger_time import FORMS
-from residuum.identification.record_formats.remedies import notes_respelt, respelling
 from residuum.service.problems import BadBody
+from residuum.service.remedies_over_http import as_query, in_json, in_upload, of_array, refusing_in
 
 _OF_THE_FILE = {
     "unit": "CHANNEL=UNIT, once a channel: the unit of a column that has none.",
@@ -28,17 +27,8 @@ _OF_THE_FILE = {
 }
 READING_OPTIONS = _OF_THE_FILE | {"map": "NAME=COLUMN, once a signal: take the signal NAME from this column."}
 """Key and meaning of what may be said of a body that is a file; several of `unit`, `map` and `missing` are taken."""
-_KEYS = {"sample-time": "sample_time", "time": "time_form"}
-"""Option of the command line → key of the query, where these differ."""
-_EXAMPLES = {
-    "sample-time": "SECONDS",
-    "resample": "true",
-    "decimal": "SIGN",
-    "time": "FORM",
-    "unit": "CHANNEL=UNIT",
-    "map": "NAME=COLUMN",
-    "missing": "CELL",
-}
+_SAID_ITSELF = {"application/json": in_json, "application/octet-stream": of_array}
+"""How the kinds of bodies are read that say their units themselves."""
 _TRUE, _FALSE = ("true", "1", "yes", "on"), ("false", "0", "no", "off")
 
 
@@ -50,7 +40,7 @@ class Reading(NamedTuple):
 
     def renamed(self, record: Record) -> Record:
         """The record with its columns called as was said."""
-        return notes_respelt(record.rename(self.renames) if self.renames else record, as_query)
+        return record.rename(self.renames) if self.renames else record
 
 
 def reading_of(query: QueryParams) -> Reading:
@@ -81,52 +71,13 @@ def reading(said: Mapping[str, Any], maps: Sequence[str], units: Sequence[str]) 
 
 
 def remedies_in_query(kind: str = "") -> AbstractContextManager[None]:
-    """Let refusals name the keys of the query, or of a body of this kind, where readers name the options of the command line."""
-    return respelling(_SAID_ITSELF.get(kind, as_query))
+    """Let refusals name the keys of the query, or of a body of this kind."""
+    return refusing_in(_SAID_ITSELF.get(kind, as_query))
 
 
 def remedies_in_upload() -> AbstractContextManager[None]:
     """Let refusals of a stored record name the keys with which it is stored."""
-    return respelling(lambda option, value: f"POST /records{as_query(option, value)}")
-
-
-def as_query(option: str, value: str | None) -> str:
-    """An option of a command as a key of the query.
-
-    >>> as_query("time", "day first"), as_query("map", "time=COLUMN"), as_query("unit", "duty=%")
-    ('?time_form=day%20first', '?time=COLUMN', '?unit=duty=%25')
-    """
-    if option == "map" and (value or "").startswith("time="):
-        return f"?{value}"
-    return f"?{_KEYS.get(option, option)}={quote(value or _EXAMPLES[option], safe='=/*,:[]')}"
-
-
-def _in_json(option: str, value: str | None) -> str:
-    """An option as a key of a body in JSON, which says its units itself.
-
-    >>> _in_json("unit", "speed=rpm")
-    '"units": {"speed": "rpm"} in the body'
-    """
-    if option != "unit" or value is None:
-        return as_query(option, value)
-    name, _, unit = value.partition("=")
-    return f'"units": {{"{name}": "{unit}"}} in the body'
-
-
-def _of_array(option: str, value: str | None) -> str:
-    """An option as a key of the query of an array, which names its rows with their units.
-
-    >>> _of_array("unit", "speed=rpm")
-    '?channel=speed%20[rpm]'
-    """
-    if option != "unit" or value is None:
-        return as_query(option, value)
-    name, _, unit = value.partition("=")
-    return f"?channel={quote(f'{name} [{unit}]', safe='/*[]')}"
-
-
-_SAID_ITSELF = {"application/json": _in_json, "application/octet-stream": _of_array}
-"""How the options of kinds of bodies are said that say their units themselves."""
+    return refusing_in(in_upload)
 
 
 def only_of_files(query: QueryParams, kind: str) -> None:

@@ -9,6 +9,7 @@ from fastapi import APIRouter, Response
 from pydantic import BaseModel, Field
 
 from residuum.identification.record import Record
+from residuum.library.questions import Either
 from residuum.service.api.answers import PROBLEMS, JobAnswer
 from residuum.service.api.jobs import accepted
 from residuum.service.api.json_response import StrictRoute
@@ -20,13 +21,14 @@ router = APIRouter(prefix="/records", tags=["records"], route_class=StrictRoute,
 Text = Annotated[str, Field(min_length=1, max_length=64)]
 Size = Literal["small", "medium", "large"]
 Parameters = Annotated[dict[Text, float], Field(max_length=20)]
+Hidden = Annotated[Size | Parameters, Either("must be small, medium or large, or names of parameters with numbers")]
 
 
 class Simulation(BaseModel, extra="forbid"):
     """Which virtual machine runs, for how long, and what is hidden in it."""
 
     machine: Text = Field(description="Name of the virtual machine, such as gate-drive.")
-    effects: dict[Text, Size | Parameters] = Field(
+    effects: dict[Text, Hidden] = Field(
         default={}, max_length=20, description="Hidden physics: effect → its parameters, or small, medium, large."
     )
     duration: float | None = Field(None, gt=0, le=120, description="Length [s]; null: the machine's own.")

@@ -4,12 +4,31 @@ Each module holds `app`, a `typer.Typer` with the command (or its subcommands). 
 through `residuum.service.commands.report`.
 """
 
+import shlex
+
+from residuum.identification.errors import as_text
+
+_OF_INSPECT = ("decimal", "time", "missing", "names")
+_OF_MAPPINGS = ("duplicates", "reordered")
+"""How a logger's file is read: one command, or a person, writes it into a mapping for all others."""
+
 
 def as_option(field: str, value: object = None) -> str:
-    """A field of a question as it is said on the command line."""
+    """A field of a question as it is said on the command line, or how a file is read.
+
+    >>> as_option("units", {"torque": "N*m"})
+    "--unit 'torque=N*m'"
+    >>> as_option("missing", ["OL"])
+    '`residuum inspect FILE --missing OL --out FILE.mapping.yaml`'
+    """
+    if field in _OF_MAPPINGS and value is not None:
+        return f"`{field}: {value}` in the mapping that `residuum inspect FILE --out FILE.mapping.yaml` writes"
     name, *parts = field.split(".")
-    option = " ".join([f"--{name.replace('_', '-')}", *parts])
-    return option if value is None or value is True else f"{option} {value}"
+    option = " ".join([f"--{'unit' if name == 'units' else name.replace('_', '-')}", *parts])
+    if value is None or value is True:
+        return option
+    said = f"{option} {shlex.quote(as_text(value))}"
+    return f"`residuum inspect FILE {said} --out FILE.mapping.yaml`" if field in _OF_INSPECT else said
 
 
 COMMANDS: dict[str, tuple[str, str]] = {

@@ -13,14 +13,14 @@ from residuum.diagnosis.residuals.multivariable import (
     detect_multivariable,
 )
 from residuum.diagnosis.residuals.residual_design import ResidualDesign
-from residuum.diagnosis.residuals.residual_detection import detect
 from residuum.identification.errors import BadInput
 from residuum.identification.kernel_based.multivariable import is_multivariable, load_multivariable
 from residuum.identification.linear_models.identified_model import load_identified
 from residuum.identification.record import Record
 from residuum.library.answers import multivariable_residual as several
-from residuum.library.answers.residual import design_json, design_text, run_json, run_text
+from residuum.library.answers.residual import design_json, design_text
 from residuum.library.questions.residual import DesignResidual, RunResidual, residual_for
+from residuum.library.residual import judged
 from residuum.service.commands.asked import asks
 from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.records import ChannelMap, Reading, reads
@@ -91,9 +91,8 @@ def run(
         seen = detect_multivariable(MultivariableResidual.load(design), loaded, false_alarms_per_day=asked.false_alarms_per_day)
         answer = several.run_json(loaded, seen, asked.false_alarms_per_day)
         return report(answer, several.run_text(answer), as_json=as_json)
-    made = ResidualDesign.load(design)
-    found = detect(made, loaded, **asked.model_dump())
-    report(run_json(made, loaded, found), run_text(made, loaded, found), as_json=as_json)
+    found = judged(ResidualDesign.load(design), loaded, asked)
+    report(found.to_dict(), str(found), as_json=as_json)
 
 
 def _only_posterior(asked: RunResidual) -> None:

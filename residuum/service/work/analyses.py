@@ -10,11 +10,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from residuum.diagnosis.residuals.residual_detection import detect
 from residuum.identification.record import Record
 from residuum.library import control
-from residuum.library.answers.plain import to_plain
-from residuum.library.answers.residual import design_json, run_json
 from residuum.library.model import Model
 from residuum.library.plant import identified
 from residuum.library.questions.compare import Compare
@@ -23,6 +20,8 @@ from residuum.library.questions.estimate import Estimate
 from residuum.library.questions.identify import Identify
 from residuum.library.questions.missing_effect import Explain, Improve
 from residuum.library.questions.residual import DesignResidual, RunResidual, residual_for
+from residuum.library.residual import Residual
+from residuum.library.residual import judged as run_of
 from residuum.library.virtual_machine import simulated
 from residuum.robust_control.controller_export import LANGUAGES
 from residuum.robust_control.weights.performance_weight import Infeasible
@@ -110,12 +109,12 @@ def residuals(
     steps = 1 + len(records)
     progress(0.0, "residual")
     known = _records(healthy)
-    made = residual_for(read_identified(model), known, asked)
+    made = Residual(residual_for(read_identified(model), known, asked), tuple(known))
     runs = []
     for number, record in enumerate(_records(records), start=1):
         progress(number / steps, "residual")
-        runs.append(to_plain(run_json(made, record, detect(made, record, **judged.model_dump()))))
-    return {"design": to_plain(design_json(made, known, identified="model.json", file="design.json")), "runs": runs}
+        runs.append(run_of(made.design, record, judged).to_dict())
+    return {"design": made.to_dict() | {"identified": "model.json", "file": "design.json"}, "runs": runs}
 
 
 def design_controller(

@@ -23,7 +23,7 @@ import structlog
 
 from residuum.identification.discrepancy import compile_ahead
 from residuum.identification.errors import BadInput
-from residuum.service.remedies_over_http import said_over_http
+from residuum.service.remedies_over_http import as_key
 from residuum.service.store import NotFound
 
 # Compiles what explanations need behind the running service, in a process of its own that gives
@@ -223,7 +223,7 @@ class Jobs:
             try:
                 outcome = then(outcome)
             except BadInput as error:
-                state, outcome = JobState.REFUSED, said_over_http(error)
+                state, outcome = JobState.REFUSED, error.told(as_key)
             except Exception as error:  # what was computed cannot be kept: the job has failed, and says why
                 state, outcome = JobState.FAILED, f"{type(error).__name__}: {error}"
         self._finish(job, state, outcome)
@@ -281,6 +281,6 @@ def _work_on(channel: Connection[Any, Any]) -> None:
                 # in a context of its own: what a job's model brings, effects of its own above all, is no other job's
                 channel.send((JobState.DONE.value, dict(copy_context().run(work, progress, *arguments))))
             except BadInput as error:
-                channel.send((JobState.REFUSED.value, " ".join(said_over_http(error).split())))
+                channel.send((JobState.REFUSED.value, " ".join(error.told(as_key).split())))
             except Exception:
                 channel.send((JobState.FAILED.value, traceback.format_exc()))

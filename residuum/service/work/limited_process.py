@@ -1,19 +1,21 @@
 """A stranger's bytes are read in a process of its own, with limits on memory, time, files and output. What is hostile or
 broken can end that process, and nothing else.
 
-The process is a module run as a program, `python -m MODULE MEMORY SECONDS …`. A refusal is its kind and one line on standard
-output, and exit status 2.
+The process is a module run as a program, `python -m MODULE MEMORY SECONDS …`. A refusal is its kind and its parts, JSON on
+standard output, and exit status 2.
 """
 
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import resource
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 from residuum.identification.errors import BadInput
 
@@ -24,11 +26,13 @@ _PATIENCE = 20
 small part of a processor, and whether a file can be read must not hang on that."""
 
 
-def run_limited(module: str, arguments: Sequence[str], folder: Path, *, memory: int, seconds: int) -> tuple[str, str] | None:
+def run_limited(
+    module: str, arguments: Sequence[str], folder: Path, *, memory: int, seconds: int
+) -> tuple[str, dict[str, Any]] | None:
     """Run a module in `folder` with at most `memory` bytes and `seconds` of processor time. How many run at once is
     the caller's to say (`Services.reading`).
 
-    Gives why it refused, as kind and line, where the kind is empty when a limit was exceeded or the process ended; None when it
+    Gives why it refused, as kind and parts, where the kind is empty when a limit was exceeded or the process ended; None when it
     did what it was asked.
     """
     threads = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
@@ -45,13 +49,14 @@ def run_limited(module: str, arguments: Sequence[str], folder: Path, *, memory: 
             check=False,
         )
     except subprocess.TimeoutExpired:
-        return "", f"reading it takes longer than {_PATIENCE * seconds} s"
+        return "", {"what": f"reading it takes longer than {_PATIENCE * seconds} s"}
     if done.returncode == 0:
         return None
     if done.returncode == _REFUSED:
-        kind, _, says = done.stdout.decode("utf-8", "replace").partition("\n")
-        return kind, says
-    return "", f"reading it ended the process that did ({done.returncode}); at most {memory} bytes and {seconds} s are given"
+        kind, parts = json.loads(done.stdout)
+        return kind, parts
+    ended = f"reading it ended the process that did ({done.returncode}); at most {memory} bytes and {seconds} s are given"
+    return "", {"what": ended}
 
 
 def within_limits(work: Callable[[], None], memory: int, seconds: int) -> int:
@@ -61,10 +66,10 @@ def within_limits(work: Callable[[], None], memory: int, seconds: int) -> int:
         with contextlib.redirect_stdout(sys.stderr):  # a library's chatter is no refusal
             work()
     except BadInput as error:
-        sys.stdout.buffer.write(f"{type(error).__name__}\n{error}".encode("utf-8", "replace"))
+        json.dump([type(error).__name__, error.parts], sys.stdout)
         return _REFUSED
     except MemoryError:
-        sys.stdout.write(f"\nreading it takes more than {memory} bytes of memory")
+        json.dump(["", {"what": f"reading it takes more than {memory} bytes of memory"}], sys.stdout)
         return _REFUSED
     return 0
 

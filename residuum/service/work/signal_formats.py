@@ -16,10 +16,10 @@ from typing import IO, Any
 import numpy as np
 import orjson
 
-from residuum.identification.errors import BadRecord, BadUnit, in_one_line
+from residuum.identification.errors import BadRecord, in_one_line
 from residuum.identification.npy_header import LONGEST_HEADER
 from residuum.identification.record import Record
-from residuum.identification.record_formats import parse_csv, read_record, unit_to_say
+from residuum.identification.record_formats import parse_csv, read_record
 from residuum.identification.record_formats.loggers.no_value import without_overloads
 from residuum.service.problems import BadBody, TooLarge
 from residuum.service.work.npy import read_header
@@ -76,10 +76,7 @@ def _no_number(body: bytes, at: int) -> str:
 
 def from_csv(body: bytes, _unpacked: int) -> Record:
     """Of our own form of CSV."""
-    try:
-        return without_overloads(parse_csv(body, source="body"))
-    except BadUnit as error:
-        raise unit_to_say(error) from error
+    return without_overloads(parse_csv(body, source="body"))
 
 
 def from_npz(body: bytes, unpacked: int) -> Record:
@@ -91,7 +88,8 @@ def from_npz(body: bytes, unpacked: int) -> Record:
         try:
             return read_record(file)
         except BadRecord as error:
-            raise BadRecord(str(error).replace(str(file), "body")) from None
+            error.what = error.what.replace(str(file), "body")
+            raise
 
 
 FORMATS: dict[str, Callable[[bytes, int], Record]] = {

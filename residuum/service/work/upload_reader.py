@@ -60,9 +60,12 @@ def _read(content: bytes, ending: str, name: str, how: Mapping[str, object], mem
         arguments = (str(file), orjson.dumps(how).decode())
         refusal = run_limited(__name__, arguments, file.parent, memory=memory, seconds=seconds)
         if refusal is not None:
-            kind, says = refusal
-            named = says.replace(str(file), name).replace(file.name, name)
-            raise _REFUSALS.get(kind, BadRecord)(named if kind and named.startswith(name) else f"{name}: {named}")
+            kind, parts = refusal
+            for part in ("what", "rule"):
+                parts[part] = parts.get(part, "").replace(str(file), name).replace(file.name, name)
+            if not (kind and parts["what"].startswith(name)) and not parts["rule"]:
+                parts["what"] = f"{name}: {parts['what']}"
+            raise _REFUSALS.get(kind, BadRecord)(**parts)
         return _load(file, name)
 
 

@@ -44,13 +44,15 @@ def test_what_is_no_speed_of_rotation_is_refused_and_named(unit):
 
 
 def test_a_speed_without_a_unit_is_asked_for_it():
-    with pytest.raises(BadInput, match="'speed' has no unit: --unit speed=rpm"):
+    with pytest.raises(BadInput, match=r"'speed' has no unit.*say units={'speed': 'rpm'}"):
         Bearing(orders=ORDERS).score(inner_race(speed=(1797.0, "")))
 
 
 def test_of_two_speeds_the_shaft_s_must_be_named():
     two = {"motor_speed": (3000.0, "rpm"), "shaft_speed": (SHAFT, "Hz")}
-    with pytest.raises(BadInput, match=r"several speeds.*'motor_speed' 3000 rpm, 'shaft_speed' 1797 rpm.*--map speed=CHANNEL"):
+    with pytest.raises(
+        BadInput, match=r"several speeds.*'motor_speed' 3000 rpm, 'shaft_speed' 1797 rpm.*map={'speed': 'CHANNEL'}"
+    ):
         Bearing(orders=ORDERS).score(inner_race(**two))
     named = inner_race(**two).rename({"shaft_speed": "speed"})
     assert usual_speed(named, speed_channel(named)) == pytest.approx(60 * SHAFT)

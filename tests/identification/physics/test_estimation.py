@@ -126,7 +126,7 @@ def test_missing_samples_are_left_out_and_missing_inputs_refused(truth, records)
     with pytest.raises(BadRecord, match="input 'voltage' is missing"):
         match(structure(), [record.select(["speed"])])
     with pytest.raises(
-        BadRecord, match=r"input 'voltage' is mapped to 'u', which is not there; the columns are .*--map voltage=COLUMN"
+        BadRecord, match=r"input 'voltage' is mapped to 'u', which is not there; the columns are .*map={'voltage': 'COLUMN'}"
     ):
         match(structure(), [record], {"voltage": "u"})
 

@@ -63,7 +63,7 @@ def test_an_input_of_a_lower_rate_is_completed_by_resampling_as_its_refusal_says
     slow = Record({"force": np.where(np.arange(2000) % every, np.nan, force), "velocity": whole["velocity"]}, whole.units, H)
     rs.from_arrays(slow.channels, units=slow.units, sample_time=H).save(tmp_path / "axis.csv")
     (tmp_path / "axis.csv").write_text((tmp_path / "axis.csv").read_text().replace(",", separator))
-    with pytest.raises(BadRecord, match=f"one every {every} samples; read the record with --resample, in Python resample=True"):
+    with pytest.raises(BadRecord, match=f"one every {every} samples; say resample=True where the record is read"):
         rs.model("linear-axis").compare(rs.read(tmp_path / "axis.csv"))
     record = rs.read(tmp_path / "axis.csv", resample=True)
     assert any("force resampled to 0.01 s" in note for note in record.notes)

@@ -31,7 +31,7 @@ LEFT_OPEN = {
     "set clock": (_SET, "reordered='bridge'", "?reordered=bridge"),
     "uneven": (_rows("time [s],n [rpm]", lambda k: f"{k + 0.3 * (k % 2)},{k}"), "resample=True", "?resample=true"),
     "unit": (_rows("time [s],CHANNEL [V(]", lambda k: f"{k},{k}"), r"units=\{'CHANNEL': 'UNIT'\}", "?unit=CHANNEL=UNIT"),
-    "decimal": (_rows("Zeit [s];n [rpm]", lambda k: f"{k};{k % 9 + 1},234"), "decimal=…", "?decimal=SIGN"),
+    "decimal": (_rows("Zeit [s];n [rpm]", lambda k: f"{k};{k % 9 + 1},234"), "decimal=SIGN", "?decimal=SIGN"),
     "times": (
         _rows("t [s];date;n [rpm]", lambda k: f"{k};2024-01-01 00:00:{k:02d};{k}"),
         r"map=\{'time': 'COLUMN'\}",

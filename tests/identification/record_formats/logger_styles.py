@@ -332,7 +332,7 @@ def hand_made() -> list[Written]:
             "ours, units in parentheses", lines(["time [s],speed (rpm),current (A)"], rows, ",").encode(), BOTH, UNITS, t0=0.0
         ),
         Written("seconds in the name", lines(["time_s|speed|current"], rows, "|").encode(), BOTH, {}, t0=0.0),
-        Written("no unit", lines(["time,speed,current"], rows, ",").encode(), refused="--time"),
+        Written("no unit", lines(["time,speed,current"], rows, ",").encode(), refused="time='excel'"),
         Written(
             "notes first",
             lines(["# bench 3", "# new belt", "time [min];speed [rpm];current [A]"], rows, ";").encode(),

@@ -50,7 +50,7 @@ def test_empty_cells_are_missing():
         ("time [s],a [V]\n0,1\n1,2\n2,3\n3.5,4\n", "row 5: time step"),
         (
             "time [s],a [V]\n0,1\n0,2\n2,3\n",
-            "row 3: time does not increase, 0 s stands twice; write times with more digits, or set",
+            "row 3: time does not increase, 0 s stands twice; write times with more digits, or say duplicates='spread'",
         ),
         ("time [s],a [V]\n0,1\n2,2\n1,3\n", "row 4: time does not increase; rows must be in order of time"),
         ("time [s]" + ",a" * 1_000_000 + "\n0,1\n", "header of"),
@@ -69,7 +69,7 @@ def test_what_is_no_unit_is_refused():
 
 def test_a_unit_that_cannot_be_read_is_said_in_another_spelling(tmp_path):
     (tmp_path / "r.csv").write_text("time [s],a [m^^2]\n0,1\n1,2\n")
-    with pytest.raises(BadUnit, match=r"r\.csv', channel 'a': unit 'm\^\^2': not a known unit.*; --unit CHANNEL=UNIT"):
+    with pytest.raises(BadUnit, match=r"r\.csv', channel 'a': unit 'm\^\^2': not a known unit.*; say units={'a': 'UNIT'}"):
         read_record(tmp_path / "r.csv")
     assert read_record(tmp_path / "r.csv", ReadOptions(units={"a": "m**2"})).units["a"] == "m**2"
 

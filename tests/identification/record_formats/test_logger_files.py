@@ -130,10 +130,10 @@ def test_estimated_error_of_resampling_is_near_the_true_one(tmp_path):
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("t [s];v [V]\n0;1,234\n1;2,345\n", "--decimal"),
+        ("t [s];v [V]\n0;1,234\n1;2,345\n", "say decimal=SIGN"),
         ("t [s];v [V]\n0;1,5\n1;2.25\n", "both decimal signs"),
         ("time;v [V]\n01/02/2024 10:00:00;1\n01/02/2024 10:00:01;2\n", "day first"),
-        ("time;v [V]\n0;1\n1;2\n2;3\n", "--time"),
+        ("time;v [V]\n0;1\n1;2\n2;3\n", "time='excel' for dates"),
         ("a;b\n0;1\n1;2\n", "no time column"),
         ("t1 [s],time [s],a [V],time b [s],c [V]\n0,0,1,0,1\n1,1,2,1,2\n", "several time columns"),
         ("t [s];v [V]\n0;1\n1;oops\n2;3\n", "row 3, column 'v': 'oops'"),
@@ -151,7 +151,7 @@ def test_what_may_be_read_in_two_ways_or_none_is_refused(tmp_path, text, says):
 
 def test_rows_without_times_are_as_far_apart_as_is_said(tmp_path):
     content = b"y u\n" + b"".join(b"%d.5 %d\n" % (k, k % 3) for k in range(20))
-    with pytest.raises(BadRecord, match="where none is a time, give --sample-time"):
+    with pytest.raises(BadRecord, match="sample_time=SECONDS where none is a time"):
         understand(content, "log.txt")
     found = understand(content, "log.txt", sample_time=0.025)
     assert found.guesses["time"] == ("rows of 0.025 s", "said with --sample-time; no column is a time")
@@ -164,7 +164,7 @@ def test_rows_without_times_are_as_far_apart_as_is_said(tmp_path):
 
 
 def test_a_sample_time_does_not_stand_in_for_a_time_that_the_file_has():
-    with pytest.raises(BadRecord, match="time column 'time' has no unit; say --unit time=s"):
+    with pytest.raises(BadRecord, match=r"time column 'time' has no unit; .*say units={'time': 's'}"):
         understand(b"time;v [V]\n0;1\n1;2\n2;3\n", "log.csv", sample_time=0.1)
 
 

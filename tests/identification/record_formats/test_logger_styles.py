@@ -70,7 +70,7 @@ def test_inspect_takes_the_column_of_times_and_its_form(tmp_path, capsys):
     rows = "\n".join(f"{k * 0.02:.2f},95,{k * k * 2e-4:.6f}" for k in range(200))
     file.write_text(f"Stempel,force [N],position [m]\n{rows}\n")
     assert run(["inspect", str(file), "--time", "seconds"]) == BAD_INPUT
-    assert "name it with --map time=COLUMN" in capsys.readouterr().err
+    assert "say --map time=COLUMN, or" in capsys.readouterr().err
     assert run(["inspect", str(file), "--time", "seconds", "--map", "time=Stempel", "--out", str(mapping)]) == DONE
     assert "'Stempel': seconds" in capsys.readouterr().out
     assert run(["compare", "linear-axis", str(file), "--mapping", str(mapping)]) == DONE

@@ -58,7 +58,7 @@ def test_the_head_is_understood_in_any_encoding(tmp_path, encoding):
 def test_uneven_times_are_refused_and_resampled_on_request(tmp_path):
     times = 0.001 * np.arange(N) + 0.0004 * np.sin(np.arange(N))
     (tmp_path / "r.lvm").write_text(measurement("One", times=times))
-    with pytest.raises(BadRecord, match="--resample"):
+    with pytest.raises(BadRecord, match="resample=True"):
         read_record(tmp_path / "r.lvm")
     assert read_record(tmp_path / "r.lvm", ReadOptions(resample=True)).n > 150
 

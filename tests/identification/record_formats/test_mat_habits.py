@@ -67,20 +67,20 @@ def test_a_time_in_another_unit_is_read_where_it_says_so_and_asked_for_where_not
     assert told.sample_time == pytest.approx(0.01)
     assert read_record(saved(tmp_path, time_ms=column(1000 * TIME), u=column(U))).sample_time == pytest.approx(0.01)
     untold = saved(tmp_path, time=column(1000 * TIME), u=column(U))
-    with pytest.raises(BadRecord, match=r"nothing says the unit of 'time', whose steps are 10: .*--sample-time"):
+    with pytest.raises(BadRecord, match=r"nothing says the unit of 'time', whose steps are 10: .*sample_time=SECONDS"):
         read_record(untold)
     assert read_record(untold, ReadOptions(sample_time=0.01)).sample_time == pytest.approx(0.01)
 
 
 def test_a_scalar_that_contradicts_the_time_is_refused(tmp_path):
     file = saved(tmp_path, time=column(TIME), y=column(Y), Fs=1000.0)
-    with pytest.raises(BadRecord, match=r"its time says 0\.01 s a sample, its scalar 0\.001 s; say which with --sample-time"):
+    with pytest.raises(BadRecord, match=r"its time says 0\.01 s a sample, its scalar 0\.001 s; say sample_time=SECONDS"):
         read_record(file)
     assert read_record(file, ReadOptions(sample_time=0.01)).sample_time == pytest.approx(0.01)
 
 
 def test_the_rate_of_a_shaft_is_no_sampling_rate(tmp_path):
-    with pytest.raises(BadRecord, match=r"does not say its sample time; give it with --sample-time"):
+    with pytest.raises(BadRecord, match=r"does not say its sample time; say sample_time=SECONDS"):
         read_record(saved(tmp_path, bearing={"gs": Y, "rate": 25.0, "load": 270.0}))
 
 

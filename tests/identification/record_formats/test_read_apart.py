@@ -37,7 +37,7 @@ def test_it_is_the_same_record(drive):
 def test_options_and_refusals_go_through(tmp_path):
     file = tmp_path / "bare.mat"
     savemat(file, {"u": np.sin(T)})
-    with pytest.raises(BadRecord, match="give it with --sample-time") as apart:
+    with pytest.raises(BadRecord, match="say sample_time=SECONDS") as apart:
         read_safely(file)
     with pytest.raises(BadRecord) as here:
         read_record(file)

@@ -77,7 +77,7 @@ def test_a_record_s_units_names_and_time_are_said_in_the_query(client):
 def test_uneven_stamps_are_accepted_when_asked_for(client, refused):
     content = table(["time [s]", "a [V]"], [["0", "1"], ["1", "2"], ["2.5", "3"], ["3.5", "3"], ["4.5", "3"]])
     status, detail = refused("POST", "/api/v1/records?filename=a.csv", content=content)
-    assert status == 422 and "resample (?resample=true) to accept it" in detail
+    assert status == 422 and "say ?resample=true to accept it" in detail
     assert client.post("/api/v1/records?filename=a.csv&resample=true", content=content).status_code == 201
 
 
@@ -86,7 +86,7 @@ def test_a_sample_time_is_taken_from_the_query(client, refused):
     file = io.BytesIO()
     sio.savemat(file, {"x": np.arange(50.0)[:, None]})
     status, detail = refused("POST", "/api/v1/records?filename=a.mat", content=file.getvalue())
-    assert status == 422 and detail == "a.mat: does not say its sample time; give it with ?sample_time=SECONDS"
+    assert status == 422 and detail == "a.mat: does not say its sample time; say ?sample_time=SECONDS"
     answer = client.post("/api/v1/records?filename=a.mat&sample_time=0.01&unit=x=V", content=file.getvalue())
     assert answer.status_code == 201 and answer.json()["sample_time"] == pytest.approx(0.01)
 
@@ -116,7 +116,7 @@ def test_a_file_without_a_time_is_told_each_key_that_gives_one(client, refused):
     content = table(["Stempel", "n [V]"], [[f"{0.1 * k:.1f}", "1"] for k in range(9)])
     status, detail = refused("POST", "/api/v1/records?filename=a.csv", content=content)
     assert status == 422 and "residuum" not in detail and "--" not in detail
-    for key in ("name it with ?time=COLUMN", "?time_form=seconds where the first is an axis", "give ?sample_time=SECONDS"):
+    for key in ("or say ?time=COLUMN, or", "?time_form=seconds where the first is an axis", "or ?sample_time=SECONDS where"):
         assert key in detail, detail
     assert client.post("/api/v1/records?filename=a.csv&sample_time=0.1", content=content).json()["units"] == {
         "Stempel": "",
@@ -165,7 +165,7 @@ def test_a_cell_that_means_no_value_is_said_in_the_query(client, refused):
     """What a mapping settles for the commands is a key here; the refusal names it."""
     content = table(["Time (s)", "U (V)"], [[f"{k}", "OL" if k == 7 else f"{20 + k / 4}"] for k in range(60)])
     status, detail = refused("POST", "/api/v1/records?filename=a.csv", content=content)
-    assert status == 422 and detail.endswith("say ?missing=OL")
+    assert status == 422 and detail.endswith("say ?missing=OL if it means no value")
     stored = client.post("/api/v1/records?filename=a.csv&missing=OL", content=content)
     assert stored.status_code == 201 and stored.json()["n"] == 60
 
@@ -177,12 +177,8 @@ def test_the_way_on_of_a_refusal_is_a_key_with_which_the_file_is_read(client, re
     lines, _, way_on = LEFT_OPEN[kind]
     body = {"content": "\n".join(lines) + "\n", "headers": {"content-type": "text/csv"}}
     status, detail = refused("POST", path, **body)
-    assert (
-        status == 422
-        and way_on in detail
-        and "--" not in detail
-        and "`" not in detail.replace("`first`", "").replace("`mean`", "")
-    )
+    assert status == 422 and way_on in detail and "--" not in detail
+    assert "`" not in detail.replace("`first`", "").replace("`mean`", "")
     key = way_on.replace("UNIT", "V").replace("COLUMN", "t").replace("SIGN", ",").replace("?", "&")
     assert way_on not in client.post(path + key, **body).text
 
@@ -247,7 +243,7 @@ def test_a_unit_is_said_where_the_body_says_it(client, refused):
 
     def said(path, way_on, **request):
         status, detail = refused("POST", path, **request)
-        assert status == 422 and f"say one: {way_on}; has" in detail, detail
+        assert status == 422 and detail.endswith(f"say {way_on}"), detail
 
     said(scored, f'"units": {{"{column}": "g"}} in the body', json=BODY | {"units": {column: "V"}})
     assert client.post(scored, json=BODY | {"units": {column: "g"}}).status_code == httpx.codes.OK

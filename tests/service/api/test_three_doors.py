@@ -39,6 +39,7 @@ REFUSED = {
     "an unknown name": ({"method": "arxx"}, "method", "'arxx': there is none of this name; did you mean 'arx'? known are "),
     "out of bounds": ({"order": 0}, "order", ": must be ≥ 1"),
     "another kind": ({"delay": "soon"}, "delay", "'soon': must be a whole number"),
+    "a name that is none": ({"output": ""}, "output", ": must be a channel's name, or a list of names"),
     "a variance that is none": ({"noise_variance": "guess"}, "noise_variance", "'guess': must be a number or one of "),
     "an input too many": ({"method": "ar"}, "method", "'ar': models an output alone; leave the input out"),
     "a field of another method": ({"noise_bound": 1.0}, "noise_bound", ": is used by the uncertainty set-membership alone"),
@@ -70,6 +71,11 @@ WATCHED = {
     "a bound of the noise": ({}, {"threshold": "source", "noise_bound": 0.5}),
 }
 """What is asked of the design, and of its run."""
+BOUNDED = {
+    "an uncertainty": {},
+    "an additive one": {"form": "additive", "seed": 3},
+    "few models": {"rule": "worst-case", "epsilon": 0.1, "zeta": 0.2, "weight_order": 1, "points": 80, "lowest": 0.05},
+}
 NOT_WATCHED = {
     "an unknown method": ({"method": "kalmann"}, "method", "'kalmann': there is none of this name; did you mean 'kalman'"),
     "no gain": ({"gamma": 0}, "gamma", ": must be > 0"),
@@ -188,17 +194,16 @@ def test_identify(case, axis, client, capsys):
 
 @pytest.fixture
 def refused_alike(refused, capsys):
-    """Ask every door what it must refuse (Python, where there is such a function, the command, a route): the rule is the same."""
+    """Ask every door what it must refuse (Python, the command, a route): the rule is the same."""
 
     def ask(field, says, python, words, path, body):
         assert run(list(map(str, words))) == BAD_INPUT
         told = [(capsys.readouterr().err.removeprefix("residuum: ").rstrip(), as_option(field))]
         status, http = refused("POST", f"/api/v1/{path}", json=body)
         told.append((http, f'"{field}"'))
-        if python is not None:
-            with pytest.raises(rs.BadInput) as error:
-                python()
-            told.append((str(error.value), field))
+        with pytest.raises(rs.BadInput) as error:
+            python()
+        told.append((str(error.value), field))
         assert status == 422
         for text, name in told:
             assert text.startswith(name if field else "several") and says in text, text
@@ -286,16 +291,28 @@ def test_a_residual(case, axis, short_plant, client, capsys, tmp_path):
     design = printed(capsys, "residual", "design", short_plant, "--healthy", path, *options(designed), *out)
     ran = printed(capsys, "residual", "run", tmp_path / "design", path, *options(judged))
     body = {"model": "short", "healthy": [number], "records": [number]} | designed | judged
-    http = answered(client, "residuals", body)
-    assert shared(http["design"]) == shared(design) and shared(http["runs"][0]) == shared(ran)
+    http, here = answered(client, "residuals", body), rs.residual(short_plant, path, **designed)
+    told = shared(here.to_dict()), shared(here.run(path, **judged).to_dict())
+    assert (shared(design), shared(ran)) == (shared(http["design"]), shared(http["runs"][0])) == told
 
 
 @pytest.mark.parametrize("case", NOT_WATCHED)
 def test_a_residual_is_refused_alike(case, plant_file, refused_alike, tmp_path):
     asked, field, says = NOT_WATCHED[case]
     verb = ["design", plant_file, "--out", tmp_path / "d"] if field in DesignResidual.model_fields else ["run", "d", "r.csv"]
-    body = {"model": "axis", "healthy": [1], "records": [1]} | asked
-    refused_alike(field, says, None, ["residual", *verb, *options(asked)], "residuals", body)
+    body, ask = {"model": "axis", "healthy": [1], "records": [1]} | asked, partial(rs.residual, plant_file, "r.csv", **asked)
+    if verb[0] == "run":
+        ask = partial(rs.Residual.run, None, "r.csv", **asked)
+    refused_alike(field, says, ask, ["residual", *verb, *options(asked)], "residuals", body)
+
+
+@pytest.mark.parametrize("case", BOUNDED)
+def test_an_uncertainty(case, short_plant, client, capsys):
+    asked = BOUNDED[case]
+    told = rs.uncertainty(short_plant, **asked).to_dict()
+    assert shared(printed(capsys, "uncertainty", short_plant, *options(asked))) == shared(told)
+    http = client.get("/api/v1/models/short/uncertainty", params=asked).raise_for_status().json()
+    assert (http["largest"], http["n_samples"], http["promise"]) == (told["largest_error"], told["samples"], told["promise"])
 
 
 @pytest.mark.parametrize("knocks", [0.0, 20.0], ids=["healthy", "faulty"])

@@ -93,7 +93,7 @@ def test_what_a_library_leaves_behind_goes_with_the_upload(tmp_path):
 
 def test_what_a_loggers_file_leaves_open_is_said_with_the_upload():
     content = b"Zeit;speed [rpm]\n01.02.2024 10:00:00;1,500\n01.02.2024 10:00:01;2,500\n"
-    with pytest.raises(BadRecord, match="--decimal"):
+    with pytest.raises(BadRecord, match="say decimal=SIGN"):
         read_upload(content, ".csv", "log.csv", **LIMITS)
     record = read_upload(content, ".csv", "log.csv", **LIMITS, options={"decimal": ","})
     assert record["speed"].tolist() == [1.5, 2.5] and record.units["speed"] == "rpm"

@@ -181,8 +181,9 @@ def _experiment(model: PhysicalModel, record: Record, columns: Mapping[str, str]
         if column in record.names:
             Y[:, k] = record.in_unit(column, output.unit)
     if np.all(np.isnan(Y)):
-        there = f"outputs are {', '.join(model.outputs)}; columns are {', '.join(record.names)}; map one: --map OUTPUT=COLUMN"
-        raise BadRecord(f"record {record.source!r}: has no output of model {model.name!r} ({there})")
+        there = f"outputs are {', '.join(model.outputs)}; columns are {', '.join(record.names)}"
+        way = ("map", {"OUTPUT": "COLUMN"})
+        raise BadRecord(f"record {record.source!r}: has no output of model {model.name!r} ({there})", way_on=[way])
     wanted = [hold if isinstance(hold, str) else hold.get(name, "auto") for name in model.inputs]
     linear = np.array([clocks[k] or _is_linear(how, U[:, k]) for k, how in enumerate(wanted)], dtype=float)
     spare = _spare(record, set(columns.values()))
@@ -201,23 +202,23 @@ def _spare(record: Record, used: set[str]) -> dict[str, Spare]:
 
 def _input(record: Record, column: str, name: str, unit: str) -> Array:
     if column not in record.names:
-        how = f"map one of them: --map {name}=COLUMN, in Python map={{{name!r}: 'COLUMN'}}"
-        there = f"{known_names(column, record.names, 'the columns are')}; {how}"
+        there = known_names(column, record.names, "the columns are")
         lacking = "is missing" if column == name else f"is mapped to {column!r}, which is not there"
-        raise BadRecord(f"{_named(record)}: input {name!r} {lacking}; {there}")
+        raise BadRecord(f"{_named(record)}: input {name!r} {lacking}; {there}", way_on=[("map", {name: "COLUMN"})])
     gaps = np.flatnonzero(record.missing(column))
     if gaps.size:
-        where = f"{_named(record)}: input {column!r} has no value at sample {int(gaps[0])}"
-        raise BadRecord(f"{where}; inputs must be complete: {_completed(record.missing(column))}")
+        where = f"{_named(record)}: input {column!r} has no value at sample {int(gaps[0])}; inputs must be complete"
+        raise _incomplete(record.missing(column), where)
     return record.in_unit(column, unit)
 
 
-def _completed(missing: npt.NDArray[np.bool_]) -> str:
-    """How an input without these samples becomes complete: one that is recorded at a lower rate by lines between its samples."""
+def _incomplete(missing: npt.NDArray[np.bool_], says: str) -> BadRecord:
+    """The refusal of an input without these samples: one that is recorded at a lower rate gets lines between its samples."""
     apart = np.diff(np.flatnonzero(~missing))
     if apart.size and (step := int(np.median(apart))) > 1:
-        return f"it has one every {step} samples; read the record with --resample, in Python resample=True, to have those between"
-    return "cut the record there, record.window(start, stop), and give the parts as a list"
+        way = ("resample", True, "where the record is read, to have those between")
+        return BadRecord(f"{says}, it has one every {step} samples", way_on=[way])
+    return BadRecord(f"{says}: cut the record there, record.window(start, stop), and give the parts as a list")
 
 
 def _named(record: Record) -> str:

@@ -15,8 +15,6 @@ from residuum.identification.record_formats.even_time import an_hour_ahead, on_g
 from residuum.identification.record_formats.loggers.first_rows import first_rows
 from residuum.identification.record_formats.loggers.logger_head import is_unit, unit_of_head, unit_word
 from residuum.identification.record_formats.loggers.logger_mapping import (
-    ENDING,
-    SAY_DUPLICATES,
     LoggerMapping,
     check_told,
     clock_steps,
@@ -173,12 +171,10 @@ def _said_heads(
 ) -> tuple[list[str], list[str]]:
     """Names and units of columns as they were said."""
     if len(heads) != width:
-        raise BadRecord(f"option --names: names {len(heads)} columns; {source} has {width}")
+        raise BadRecord(f"of {len(heads)} columns", "names", f"{source} has {width}")
     found = [unit_of_head(head.strip()) for head in heads]
     guesses["header"] = (", ".join(heads), "said with --names")
-    return _distinct([name or f"column {k}" for k, (name, _) in enumerate(found, start=1)], "option --names"), [
-        u for _, u in found
-    ]
+    return _distinct([name or f"column {k}" for k, (name, _) in enumerate(found, start=1)], "names"), [u for _, u in found]
 
 
 def _heads(
@@ -190,10 +186,9 @@ def _heads(
         if len(row) == width and (sum(map(bool, row)) > width / 2 or _holds_units_only(row))
     ]
     if not above:
-        like = ",".join(["'time [s]'", *(f"name{k}" for k in range(2, width + 1))])
+        like = ["time [s]", *(f"name{k}" for k in range(2, width + 1))]
         raise BadRecord(
-            f"{source}, row {first}: no line of {width} column names stands above it; write one, or say them with "
-            f"`residuum inspect FILE --names {like} --out FILE{ENDING}`"
+            f"{source}, row {first}: no line of {width} column names stands above it; write one, or", way_on=[("names", like)]
         )
     at, line = above[-1]
     units = [""] * width
@@ -284,13 +279,12 @@ def _time(
         found = (said, "said with --time")
     if found is None:
         raise BadRecord(
-            f"{source}: time column {where} has no unit; say --unit {names[chosen[0]]}=s (or ms, min), "
-            "or write it into the head; "
-            "dates of a spreadsheet: --time excel"
+            f"{source}: time column {where} has no unit; write it into the head, or",
+            way_on=[("units", {names[chosen[0]]: "s"}, "(ms, min …)"), ("time", "excel", "for dates of a spreadsheet")],
         )
     if found[0] not in FORMS:
-        ways = " or ".join(f"--time {way!r}" for way in _EITHER.get(found[0], ("day first", "month first")))
-        raise BadRecord(f"{source}, time column {where}: {found[1]}; say {ways}")
+        forms = _EITHER.get(found[0], ("day first", "month first"))
+        raise BadRecord(f"{source}, time column {where}: {found[1]}", way_on=[("time", form) for form in forms])
     guesses["time"] = (f"{where}: {found[0]}", found[1])
     return tuple(k + 1 for k in chosen), found[0]
 
@@ -333,12 +327,15 @@ def _time_columns(names: list[str], units: list[str], stamped: dict[int, tuple[s
     named = [k for k, name in enumerate(names) if k not in stamped and _is_named_time(k, name, units)]
     if len(stamped) + len(named) > 1:
         both = ", ".join(repr(names[k]) for k in (*stamped, *named))
-        raise BadRecord(f"{source}: several time columns, {both}; say which with --map time=COLUMN")
+        raise BadRecord(f"{source}: several time columns, {both}", way_on=[("map", {"time": "COLUMN"})])
     if not stamped and not named:
         raise BadRecord(
-            f"{source}: no time column found among {', '.join(names)[:200]}; name it with --map time=COLUMN, write 'time [s]', "
-            "or `residuum inspect FILE --time seconds` where the first is an axis in seconds; where none is a time, give "
-            "--sample-time"
+            f"{source}: no time column found among {', '.join(names)[:200]}; write 'time [s]', or",
+            way_on=[
+                ("map", {"time": "COLUMN"}),
+                ("time", "seconds", "where the first is an axis in seconds"),
+                ("sample_time", "SECONDS", "where none is a time"),
+            ],
         )
     return tuple(stamped) or tuple(named)
 
@@ -442,7 +439,8 @@ def _with_samples(text: str, mapping: LoggerMapping, guesses: dict[str, tuple[st
     if pairs and not was_set:
         equal = all(np.array_equal(values[:, i], values[:, k], equal_nan=True) for i, k in pairs)
         mapping = replace(mapping, duplicates="first" if equal else "refuse")
-        why = "the rows are equal" if equal else f"the rows differ: {SAY_DUPLICATES}"
+        ways = "set `duplicates` to `spread` (even steps until the next stamp), `first` or `mean`"
+        why = "the rows are equal" if equal else f"the rows differ: {ways}"
         guesses["duplicates"] = (
             mapping.duplicates,
             f"{len(pairs)} rows repeat a stamp, first row {rows[pairs[0][1]]}; {why}",

@@ -23,7 +23,10 @@ from residuum.nearest_names import known_names
 
 ENDING = ".mapping.yaml"
 _DUPLICATES = ("refuse", "first", "mean", "spread")
-_BRIDGE = ", or set the mapping's `reordered: bridge` where the rows came as they stand and only the clock was set"
+_BRIDGE = ("reordered", "bridge", "where the rows came as they stand and only the clock was set")
+_SORT = ("reordered", "sort", "where its rows are only shuffled")
+DUPLICATES = ("duplicates", "spread", "(even steps until the next stamp; `first` and `mean` are others)")
+"""The way on where rows of one stamp differ."""
 _REORDERED = ("refuse", "sort", "bridge")
 _AROUND = 60
 """Rows on both sides of a step back in which a shuffled one would have left its hole."""
@@ -32,12 +35,12 @@ FloatArray = npt.NDArray[np.float64]
 
 
 _TOLD = {
-    "decimal": ("--decimal", (".", ",")),
-    "time_form": ("--time", FORMS),
+    "decimal": ("decimal", (".", ",")),
+    "time_form": ("time", FORMS),
     "duplicates": ("duplicates", _DUPLICATES),
     "reordered": ("reordered", _REORDERED),
 }
-"""What may be said beside a mapping: its option and its values."""
+"""What may be said beside a mapping: how it is called, and its values."""
 
 
 def check_told(said: Mapping[str, str | None]) -> None:
@@ -45,7 +48,7 @@ def check_told(said: Mapping[str, str | None]) -> None:
     for name, value in said.items():
         option, known = _TOLD[name]
         if value is not None and value not in known:
-            raise BadRecord(f"option {option} {value!r}: {known_names(value, known, 'must be one of')}")
+            raise BadRecord(repr(value), option, known_names(value, known, "must be one of"))
 
 
 @dataclass(frozen=True)
@@ -126,7 +129,7 @@ class LoggerMapping:
     def with_told(self, options: ReadOptions) -> "LoggerMapping":
         """The mapping with what is said beside it; BadRecord where that is another column of times."""
         if options.time_column is not None and options.time_column in self.names.values():
-            raise BadRecord(f"option --map time={options.time_column}: the mapping says another column; change its `time`")
+            raise BadRecord(f"time={options.time_column}", "map", "the mapping says another column; change its `time`")
         said = {name: getattr(options, name) for name in _TOLD}
         check_told(said)
         missing = (*self.missing, *(cell.strip().lower() for cell in options.missing))
@@ -203,13 +206,9 @@ def _stamp(cells: list[str], mapping: LoggerMapping, number_of_row: int, where: 
         raise BadRecord(f"{where}: {what}; cut or mend the row") from None
 
 
-SAY_DUPLICATES = "set the mapping's `duplicates` to `spread` (even steps until the next stamp), `first` or `mean`"
-"""The way on where rows of one stamp differ."""
-
-
-def say_missing(cell: str) -> str:
-    """The command that says of a cell that it means no value."""
-    return f"`residuum inspect FILE --missing {cell[:40]!r} --out FILE{ENDING}` says so"
+def no_number(cell: str, where: str) -> BadRecord:
+    """The refusal of a cell among numbers, which may mean that there is no value."""
+    return BadRecord(f"{where}: {cell[:40]!r} is not a number", way_on=[("missing", [cell[:40]], "if it means no value")])
 
 
 def _value(cell: str, mapping: LoggerMapping, column: int, where: str) -> float:
@@ -218,7 +217,7 @@ def _value(cell: str, mapping: LoggerMapping, column: int, where: str) -> float:
     try:
         value = number(cell.removesuffix(mapping.suffixes.get(column, "")).rstrip(), mapping.decimal)
     except ValueError:
-        raise BadRecord(f"{where}: {cell[:40]!r} is not a number; if it means no value, {say_missing(cell)}") from None
+        raise no_number(cell, where) from None
     return float("nan") if value in _marks(mapping.missing, mapping.decimal) else value
 
 
@@ -262,7 +261,8 @@ def parse_logger(content: bytes, source: str, mapping: LoggerMapping, options: R
             columns, source, resample=options.resample, first_row=mapping.first_row, told=notes, names=names
         )
     except BadRecord as error:
-        raise BadRecord(f"{error}{_BRIDGE}" if _hours_ahead(stamps) else str(error)) from None
+        error.way_on += (_BRIDGE,) if _hours_ahead(stamps) else ()
+        raise
     options.settle_sample_time(step, source)
     units = {name: options.unit_of(name, mapping.units.get(column, "")) for column, name in mapping.names.items()}
     channels = dict(zip(names, columns[1:], strict=True))
@@ -284,9 +284,10 @@ def _ordered(
     if backward.any():
         if mapping.reordered != "sort" or was_set:
             row = rows[int(was_set[0] if was_set else np.argmax(backward) + 1)]
-            raise BadRecord(
-                f"{source}, row {row}: time goes back{went_back(stamps, was_set)}; cut the file there{_or(mapping, was_set)}"
-            )
+            says = f"{source}, row {row}: time goes back{went_back(stamps, was_set)}; cut the file there"
+            if mapping.time_form in SINCE_START:
+                raise BadRecord(says)
+            raise BadRecord(f"{says}, or", way_on=[_BRIDGE if was_set else _SORT])
         order = np.argsort(stamps, kind="stable")
         stamps, values, rows = stamps[order], values[:, order], [rows[k] for k in order]
         notes.append(f"rows sorted by time: {int(backward.sum())} steps went back")
@@ -295,10 +296,7 @@ def _ordered(
         return stamps, values
     if mapping.duplicates == "refuse":
         row = rows[int(np.argmax(same)) + 1]
-        raise BadRecord(
-            f"{source}, row {row}: time stamp stands twice; {SAY_DUPLICATES} "
-            f"(`residuum inspect FILE --out FILE{ENDING}` writes it)"
-        )
+        raise BadRecord(f"{source}, row {row}: time stamp stands twice", way_on=[DUPLICATES])
     notes.append(f"{int(same.sum())} rows of a time stamp that stands twice: {mapping.duplicates}")
     starts = np.flatnonzero(np.concatenate([[True], ~same]))
     if mapping.duplicates == "spread":
@@ -332,15 +330,6 @@ def _spread(stamps: npt.NDArray[np.int64], starts: npt.NDArray[np.intp], rows: l
     place[: counts[0]] += each - counts[0]
     found: npt.NDArray[np.int64] = np.repeat(stamps[starts], counts) + step * place
     return found
-
-
-def _or(mapping: LoggerMapping, was_set: list[int]) -> str:
-    """The other way on where time goes back."""
-    if mapping.time_form in SINCE_START:
-        return ""
-    if was_set:
-        return _BRIDGE
-    return ", or set the mapping's `reordered: sort` where its rows are only shuffled"
 
 
 def clock_steps(stamps: npt.NDArray[np.int64]) -> list[int]:

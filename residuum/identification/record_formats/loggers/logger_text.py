@@ -14,6 +14,7 @@ MISSING = (
     *("#div/0!", "#value!", "#ref!", "#num!", "#name?"),  # of spreadsheets
 )
 """Cells that loggers write for a value that is not there, in lower case."""
+_SIGN = ("decimal", "SIGN")
 _NUMBER = re.compile(r"[+-]?(\d[\d.,]*|[.,]\d+)([eE][+-]?\d+)?")
 _STAMP = re.compile(
     r"(\d{4}[-/.]\d\d?[-/.]\d\d?|\d\d?[-/.]\d\d?[-/.](\d{4}|\d\d)|\d+:\d\d|\d\d?[-. /]+[A-Za-zä]{3,9}[-. ,/]+\d{4}"
@@ -147,12 +148,13 @@ def find_decimal(rows: list[list[str]], source: str, first_row: int) -> tuple[st
                 unsure = (row, cell)
     if len(seen) == 2:
         says = " and ".join(f"{cell!r} in row {row}" for row, cell in seen.values())
-        raise BadRecord(f"{source}: both decimal signs are used, {says}; say which with --decimal")
+        raise BadRecord(f"{source}: both decimal signs are used, {says}", way_on=[_SIGN])
     if seen:
         sign, (row, cell) = next(iter(seen.items()))
         return sign, f"{cell!r} in row {row} reads only so"
     if unsure is not None:
-        raise BadRecord(f"{source}, row {unsure[0]}: {unsure[1]!r} may hold a decimal comma or a thousands sign; give --decimal")
+        row, cell = unsure
+        raise BadRecord(f"{source}, row {row}: {cell!r} may hold a decimal comma or a thousands sign", way_on=[_SIGN])
     return ".", "no cell says otherwise"
 
 

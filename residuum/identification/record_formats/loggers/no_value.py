@@ -50,10 +50,7 @@ def without_overload(name: str, signal: Signal) -> tuple[Signal, list[str]]:
 
 def _said(value: float, count: int) -> str:
     cell = f"{value:.10g}"
-    return (
-        f"{count} samples of {cell}, far from all others, may mean that there is none; then "
-        f"`residuum inspect FILE --missing {cell} --out FILE.mapping.yaml` says so"
-    )
+    return f"{count} samples of {cell}, far from all others, may mean that there is none; then read the file with missing {cell}"
 
 
 def _marks(signal: Signal) -> list[tuple[float, int]]:

@@ -90,7 +90,8 @@ def _on_own_clocks(
             else:
                 raise BadRecord(
                     f"{source}, message {message.layout.name}: has no counter, and its frames come up to {message.jitter:.2g} of "
-                    f"their time of {message.frame_time:.6g} s off; resample (--resample) to accept it"
+                    f"their time of {message.frame_time:.6g} s off",
+                    way_on=[("resample", True, "to accept it")],
                 )
     return signals, min(own for _, own, _ in signals.values())
 
