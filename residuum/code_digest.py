@@ -39,7 +39,7 @@ def code_digest(package: str) -> str:
 
 
 def _add(digest: hashlib._Hash, folder: Traversable, place: str) -> None:
-    for entry in sorted(folder.iterdir(), key=lambda found: found.name):
+    for entry in sorted(folder.iterdir(), key=lambda child: child.name):
         inside = f"{place}/{entry.name}"
         if entry.is_dir():
             _add(digest, entry, inside)

@@ -80,9 +80,9 @@ def why_not_private(folder: Path) -> str | None:
     if folder.is_symlink() or folder.stat().st_uid != os.getuid():
         return f"{folder} belongs to another user"
     for above in folder.resolve().parents:
-        found = above.stat()
-        if found.st_uid not in (0, os.getuid()):
+        status = above.stat()
+        if status.st_uid not in (0, os.getuid()):
             return f"{folder} lies in {above}, which belongs to another user"
-        if found.st_mode & _OTHERS_WRITE and not found.st_mode & stat.S_ISVTX:
+        if status.st_mode & _OTHERS_WRITE and not status.st_mode & stat.S_ISVTX:
             return f"{folder} lies in {above}, in which others may write"
     return None

@@ -50,19 +50,19 @@ def njit(**options: Any) -> Callable[[Any], Any]:
 def made_of(file: Path) -> str:
     """A digest of a file of this package and of all files of it that this one imports, directly or through others."""
     digest = hashlib.sha256()
-    for each in sorted(_reached(file)):
-        digest.update(_content(each))
+    for source_file in sorted(_reached(file)):
+        digest.update(_content(source_file))
     return digest.hexdigest()
 
 
 def _reached(file: Path) -> set[Path]:
-    found, waiting = {file}, [file]
+    files, waiting = {file}, [file]
     while waiting:
         for imported in _imported(waiting.pop()):
-            if imported not in found:
-                found.add(imported)
+            if imported not in files:
+                files.add(imported)
                 waiting.append(imported)
-    return found
+    return files
 
 
 @lru_cache(maxsize=4096)

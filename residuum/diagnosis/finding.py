@@ -108,8 +108,8 @@ class Finding:
 
     def to_json(self) -> dict[str, Any]:
         """The finding as plain JSON values (the `score` object of the command line and the HTTP interface)."""
-        told = {name: _plain(self.evidence[name]) for name in TOLD_BESIDE if name in self.evidence}
-        return told | {
+        outer = {name: _plain(self.evidence[name]) for name in TOLD_BESIDE if name in self.evidence}
+        return outer | {
             "diagnoser": self.diagnoser,
             "verdict": self.verdict.value,
             "class": self.fault_class,

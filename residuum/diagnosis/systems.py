@@ -186,9 +186,9 @@ def _convolve(taps, past):  # type: ignore[no-untyped-def]
                 early = out[t] + h0 * p[t + 7] + h1 * p[t + 6] + h2 * p[t + 5] + h3 * p[t + 4]
                 out[t] = early + h4 * p[t + 3] + h5 * p[t + 2] + h6 * p[t + 1] + h7 * p[t]
             k += 8
-        for rest in range(k, m):
-            p = past[start + m - 1 - rest :]
-            h0 = taps[rest]
+        for tap in range(k, m):
+            p = past[start + m - 1 - tap :]
+            h0 = taps[tap]
             for t in range(size):
                 out[t] += h0 * p[t]
     return w

@@ -95,13 +95,13 @@ def local_trend(
         What the value moves with, centred.
     alternatives : sequence of sequences of Change
     """
-    each = side_by_side(t, y, std, x, alternatives)
-    likely = np.array([trend.log_likelihood for trend in each])
+    trends = side_by_side(t, y, std, x, alternatives)
+    likely = np.array([trend.log_likelihood for trend in trends])
     share = np.exp(likely - likely.max())
     share /= share.sum()
     names = ("mean", "covariance", "level_walk", "slope_walk")
-    joined = {name: np.concatenate([getattr(trend, name) for trend in each]) for name in names}
-    weight = np.concatenate([part * trend.weight for part, trend in zip(share, each, strict=True)])
+    joined = {name: np.concatenate([getattr(trend, name) for trend in trends]) for name in names}
+    weight = np.concatenate([part * trend.weight for part, trend in zip(share, trends, strict=True)])
     return LocalTrend(float(likely.max() + np.log(np.mean(np.exp(likely - likely.max())))), weight, **joined)
 
 
@@ -430,8 +430,8 @@ def _samples(
     x = np.zeros((len(y), 0)) if moves_with is None else np.asarray(moves_with, dtype=float).reshape(len(y), -1)
     if t.ndim != 1 or t.shape != y.shape or t.shape != s.shape or not (np.diff(t) > 0).all():
         raise BadInput(f"track: times {t.shape}, values {y.shape} and deviations {s.shape} must be equal vectors, times rising")
-    kept = np.isfinite(y) & np.isfinite(s) & np.isfinite(x).all(axis=1)
-    t, y, s, x = t[kept], y[kept], s[kept], x[kept]
+    finite = np.isfinite(y) & np.isfinite(s) & np.isfinite(x).all(axis=1)
+    t, y, s, x = t[finite], y[finite], s[finite], x[finite]
     if len(t) < FEWEST_WINDOWS_OF_A_TRACK:
         raise NotIdentifiable(f"track: {len(t)} windows tell the value; at least {FEWEST_WINDOWS_OF_A_TRACK} are needed")
     x = x - x.mean(axis=0)
@@ -451,42 +451,42 @@ def _joined(t: FloatArray, y: FloatArray, s: FloatArray, x: FloatArray) -> tuple
 
 def _changes(t: FloatArray, y: FloatArray, s: FloatArray, x: FloatArray) -> list[Change]:
     """Changes of level, slope or both, the most worthy first, until none is worth it."""
-    found: list[Change] = []
+    changes: list[Change] = []
     base = float(likelihoods(t, y, s, x, [[]])[0])
-    while len(found) < _MOST_CHANGES:
+    while len(changes) < _MOST_CHANGES:
         every = max(1, len(t) // _CANDIDATES)
-        best, gained = _best(t, y, s, x, found, range(_MARGIN, len(t) - _MARGIN + 1, every))
+        best, gained = _best(t, y, s, x, changes, range(_MARGIN, len(t) - _MARGIN + 1, every))
         if best is not None and every > 1:
             best, gained = _best(
-                t, y, s, x, found, range(max(_MARGIN, best.at - every), min(len(t) - _MARGIN, best.at + every) + 1)
+                t, y, s, x, changes, range(max(_MARGIN, best.at - every), min(len(t) - _MARGIN, best.at + every) + 1)
             )
         if best is None or gained - base < _WORTH + np.log(len(t)):
             break
-        found, base = [*found, best], gained
-    return sorted(found, key=lambda change: change.at)
+        changes, base = [*changes, best], gained
+    return sorted(changes, key=lambda change: change.at)
 
 
 def _alike(t: FloatArray, y: FloatArray, s: FloatArray, x: FloatArray, changes: list[Change]) -> list[list[Change]]:
     """The changes with the last one at every place that is nearly as likely: where a drift began is not known for sure."""
     if not changes:
         return [[]]
-    *others, last = changes
-    begin = others[-1].at + _MARGIN if others else 1
+    *earlier, last = changes
+    begin = earlier[-1].at + _MARGIN if earlier else 1
     places = [k for k in range(begin, len(t) - 1) if abs(k - last.at) <= _REACH]
-    alternatives = [[*others, Change(k, last.kind)] for k in places]
+    alternatives = [[*earlier, Change(k, last.kind)] for k in places]
     likely = likelihoods(t, y, s, x, alternatives)
     near = np.argsort(-likely)[:_PLACES]
     return [alternatives[k] for k in near if likely[k] > likely.max() - _UNLIKELY]
 
 
 def _best(
-    t: FloatArray, y: FloatArray, s: FloatArray, x: FloatArray, found: list[Change], places: range
+    t: FloatArray, y: FloatArray, s: FloatArray, x: FloatArray, changes: list[Change], places: range
 ) -> tuple[Change | None, float]:
-    free = [k for k in places if all(abs(k - change.at) >= _MARGIN for change in found)]
+    free = [k for k in places if all(abs(k - change.at) >= _MARGIN for change in changes)]
     candidates = [Change(k, kind) for k in free for kind in ("level", "slope", "renewal")]
     if not candidates:
         return None, -np.inf
-    likely = likelihoods(t, y, s, x, [[*found, candidate] for candidate in candidates])
+    likely = likelihoods(t, y, s, x, [[*changes, candidate] for candidate in candidates])
     best = int(np.argmax(likely))
     return candidates[best], float(likely[best])
 

@@ -102,8 +102,8 @@ def _lower(landscape: Landscape[P, T], point: P, damping: float, refused: bool) 
         if trial is None:
             break
         if not refused or landscape.cost(trial) < point.cost:
-            there = landscape.point(trial)
-            if there.cost < point.cost:
-                return there, damping
+            lower = landscape.point(trial)
+            if lower.cost < point.cost:
+                return lower, damping
         damping, refused = damping * HARDER, True
     return None, damping

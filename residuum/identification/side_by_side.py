@@ -53,7 +53,7 @@ def each_beside(function: Callable[[T], R], items: Sequence[T]) -> list[R]:
     """`function` of each item, in order, which looks itself whether work is left."""
     if len(items) < 2:
         return [function(item) for item in items]
-    found: list[R] = []
+    results: list[R] = []
     with ThreadPoolExecutor(min(MOST_THREADS, os.cpu_count() or 1, len(items))) as pool:
         for begin in range(0, len(items), BEGUN_AT_ONCE):
             whole, several = begun(), items[begin : begin + BEGUN_AT_ONCE]
@@ -63,12 +63,12 @@ def each_beside(function: Callable[[T], R], items: Sequence[T]) -> list[R]:
                 for part, item in zip(parts, several, strict=True)
             ]
             try:
-                found += [one.result() for one in running]
+                results += [future.result() for future in running]
             finally:
-                for one, part in zip(running, parts, strict=True):
-                    one.exception()  # waits
+                for future, part in zip(running, parts, strict=True):
+                    future.exception()  # waits
                     whole.take(part)
-    return found
+    return results
 
 
 def _counted(part: Work, function: Callable[[], R]) -> R:

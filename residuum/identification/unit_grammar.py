@@ -123,11 +123,11 @@ class _Reader:
 def _tokens(text: str) -> Iterator[str]:
     place, end = 0, len(text.rstrip())
     while place < end:
-        found = _TOKEN.match(text, place)
-        if found is None:
+        match = _TOKEN.match(text, place)
+        if match is None:
             raise BadUnit(f"unit {text!r}: not a known unit")
-        yield str(found[found.lastgroup or 0])
-        place = found.end()
+        yield str(match[match.lastgroup or 0])
+        place = match.end()
 
 
 def _raised(factors: Factors, power: float) -> Factors:

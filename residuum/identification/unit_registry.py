@@ -45,10 +45,10 @@ def _named(word: str) -> NamedUnit:
 
 def _of_registry(name: str) -> NamedUnit:
     unit = _REGISTRY.Unit(name)
-    one: Any = _REGISTRY.Quantity(1.0, _REGISTRY.Unit(f"delta_{name}") if _shifted(name) else unit).to_base_units()
+    unity: Any = _REGISTRY.Quantity(1.0, _REGISTRY.Unit(f"delta_{name}") if _shifted(name) else unit).to_base_units()
     zero: Any = _REGISTRY.Quantity(0.0, unit).to_base_units().magnitude
-    base = tuple((base, float(power)) for base, power in one.unit_items())
-    return NamedUnit(_symbol(unit), float(one.magnitude), base, float(zero))
+    base = tuple((base, float(power)) for base, power in unity.unit_items())
+    return NamedUnit(_symbol(unit), float(unity.magnitude), base, float(zero))
 
 
 def _symbol(unit: Any) -> str:

@@ -208,7 +208,7 @@ def canonical(text: str) -> str:
     plain = _JOINED.sub(r"\1*\2", _BELOW.sub(r"/\1/\2", _powers(plain))).replace("°C", "delta_degC")
     if whole := _WHOLE.get(plain.replace(" ", "_")):
         return whole
-    return _WORD.sub(lambda found: _WORDS.get(found[0], found[0]), plain)
+    return _WORD.sub(lambda match: _WORDS.get(match[0], match[0]), plain)
 
 
 def is_spelled(text: str) -> bool:
@@ -222,4 +222,4 @@ def is_spelled(text: str) -> bool:
 
 
 def _powers(text: str) -> str:
-    return _POWER.sub(lambda found: f"{found[1]}**{found[2] or found[3]}", _DOT.sub("*", text)).replace("^", "**")
+    return _POWER.sub(lambda match: f"{match[1]}**{match[2] or match[3]}", _DOT.sub("*", text)).replace("^", "**")

@@ -119,12 +119,12 @@ def _common(spelled: str) -> list[tuple[NamedUnit, float]] | None:
         return []
     factors, place = [], 0
     while place < len(spelled):
-        found = _FACTOR.match(spelled, place)
-        if found is None or bool(found[1]) != bool(place) or (found[2] not in COMMON_UNITS and found[2] != "1"):
+        match = _FACTOR.match(spelled, place)
+        if match is None or bool(match[1]) != bool(place) or (match[2] not in COMMON_UNITS and match[2] != "1"):
             return None
-        power = float(found[3] or 1.0) * (-1.0 if found[1] == "/" else 1.0)
-        factors += [(COMMON_UNITS[found[2]], power)] if found[2] != "1" else []
-        place = found.end()
+        power = float(match[3] or 1.0) * (-1.0 if match[1] == "/" else 1.0)
+        factors += [(COMMON_UNITS[match[2]], power)] if match[2] != "1" else []
+        place = match.end()
     return factors
 
 
@@ -172,13 +172,13 @@ def compatible(first: str, second: str) -> bool:
 
 def _read_together(first: str, second: str) -> tuple[Unit, Unit]:
     """Two units that are held against each other: `C` is the coulomb beside a charge, and everywhere else the degree Celsius."""
-    one, other = parse_unit(first), parse_unit(second)
+    left, right = parse_unit(first), parse_unit(second)
     charge = parse_unit("A*s")
-    if first.strip() == "C" and other.dimension == charge.dimension:
-        return charge, other
-    if second.strip() == "C" and one.dimension == charge.dimension:
-        return one, charge
-    return one, other
+    if first.strip() == "C" and right.dimension == charge.dimension:
+        return charge, right
+    if second.strip() == "C" and left.dimension == charge.dimension:
+        return left, charge
+    return left, right
 
 
 def _cycles_against_turns(first: Unit, second: Unit) -> bool:

@@ -92,10 +92,10 @@ class Catalogue(Mapping[str, Effect]):
             ...
         residuum.identification.errors.BadModel: ...
         """
-        found = read_effects(Path(path))
-        for effect in found:
+        added = read_effects(Path(path))
+        for effect in added:
             EFFECTS.add(effect)
-        return [effect.id for effect in found]
+        return [effect.id for effect in added]
 
     def to_dict(self) -> dict[str, Any]:
         """The JSON object of `residuum effects --json`.

@@ -73,8 +73,8 @@ class Controller(Result):
     @property
     def parameters(self) -> dict[str, float]:
         """The structure's parameters by name."""
-        made = self.found.chosen.design
-        return dict(zip(made.structure.names, made.rho.tolist(), strict=True))
+        synthesis = self.found.chosen.design
+        return dict(zip(synthesis.structure.names, synthesis.rho.tolist(), strict=True))
 
     @cached_property
     def measured(self) -> Measured:

@@ -114,8 +114,8 @@ def _held_out_error(
     model: PhysicalModel, experiments: Sequence[Experiment], records: Sequence[Record]
 ) -> dict[str, float] | None:
     """RMS error of each output on the parts after the split, simulated with initial states of their own."""
-    kept = [(e, r.split) for e, r in zip(experiments, records, strict=True) if r.split is not None]
-    rests = [e.window(round(split * e.n), e.n) for e, split in kept if e.n - round(split * e.n) >= 2]
+    parted = [(e, r.split) for e, r in zip(experiments, records, strict=True) if r.split is not None]
+    rests = [e.window(round(split * e.n), e.n) for e, split in parted if e.n - round(split * e.n) >= 2]
     if not rests:
         return None
     rmse = estimate(model, rests, free=()).rmse

@@ -145,15 +145,15 @@ class Explanation(Result):
         """The term that the first candidate's balance lacks, over the signal that tells most of it, and what candidates add."""
         compared = self.comparison.found
         missing = [smoothed.missing for smoothed in compared.smoothed]
-        there = [c for c in self.found.candidates if c.step == 0 and c.balance in missing[0]]
-        if not there:
+        candidates = [c for c in self.found.candidates if c.step == 0 and c.balance in missing[0]]
+        if not candidates:
             return []
-        balance, unit = there[0].balance, missing[0][there[0].balance].unit
-        term, std = (np.concatenate([getattr(each[balance], part) for each in missing]) for part in ("value", "std"))
+        balance, unit = candidates[0].balance, missing[0][candidates[0].balance].unit
+        term, std = (np.concatenate([getattr(by_balance[balance], part) for by_balance in missing]) for part in ("value", "std"))
         over = telling(_physical(joined(compared.axes)), term, _BINS)
         shown, band = binned(over.values, term, _BINS), 2.0 * binned(over.values, std, _BINS).mean
         curves = [Curve("missing, ± 2 standard deviations", shown.at, shown.mean, shown.mean - band, shown.mean + band)]
-        for c in [c for c in there if c.balance == balance][:_COMPARED]:
+        for c in [c for c in candidates if c.balance == balance][:_COMPARED]:
             values = {name: quantity.value for name, quantity in c.parameters.items()}
             every = effect_curves(compared.model, compared.experiments, c.key, values)
             curves += [Curve(c.effect, curve.at, curve.mean) for along, curve in every if along.name == over.name]

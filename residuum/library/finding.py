@@ -54,10 +54,10 @@ class Finding(Result):
         return finding_text(self._answer())
 
     def _rows(self) -> Sequence[Row]:
-        found = self.found
+        finding = self.found
         return [
-            {"indicator": name, "value": value, "threshold": found.thresholds.get(name), "unit": found.units.get(name, "")}
-            for name, value in found.indicators.items()
+            {"indicator": name, "value": value, "threshold": finding.thresholds.get(name), "unit": finding.units.get(name, "")}
+            for name, value in finding.indicators.items()
         ]
 
     def _picture(self) -> Picture:

@@ -36,10 +36,10 @@ def identified_by(records: Sequence[Record], asked: Identify, like: IdentifiedMo
 
     `like` is a model of the same plant and method: the search begins there, and what only describes the model is left out.
     """
-    found = _METHODS[asked.method]
+    method = _METHODS[asked.method]
     if not asked.integrator:
-        return found(records, asked, like)
-    return integrated(found(summed_input(records, asked.input_name, asked.output_name), asked, like))
+        return method(records, asked, like)
+    return integrated(method(summed_input(records, asked.input_name, asked.output_name), asked, like))
 
 
 def _kernel(records: Sequence[Record], asked: Identify, like: IdentifiedModel | None) -> IdentifiedModel:
@@ -75,10 +75,10 @@ def _delay(records: Sequence[Record], asked: Identify) -> int:
 def _first_significant_lag(records: Sequence[Record], asked: Identify) -> int:
     """When the input acts for certain: the likelihood of a delay far below that is flat, and its candidates have to go beyond."""
     try:
-        found = dead_time(long_autoregression(records, asked.input_name, asked.output_name, first_lag=0))
+        lag = dead_time(long_autoregression(records, asked.input_name, asked.output_name, first_lag=0))
     except NotIdentifiable:
         return 0
-    return found or 0
+    return lag or 0
 
 
 def _delays_in_a_loop(records: Sequence[Record], asked: Identify) -> list[int]:
@@ -88,13 +88,13 @@ def _delays_in_a_loop(records: Sequence[Record], asked: Identify) -> list[int]:
     on a model with its noise is right, and no delay can be longer than where the long autoregression sees the input act.
     """
     try:
-        found = long_autoregression(records, asked.input_name, asked.output_name)
+        autoregression = long_autoregression(records, asked.input_name, asked.output_name)
     except NotIdentifiable:
         return []
-    answers = feedback_test(found)
+    answers = feedback_test(autoregression)
     if answers is None or not answers.present:
         return []
-    latest = dead_time(found) or 1
+    latest = dead_time(autoregression) or 1
     return sorted({round(float(delay)) for delay in np.linspace(1, latest, min(latest, _DELAYS_IN_A_LOOP))})
 
 
@@ -117,8 +117,8 @@ def _parametric(structure: str) -> Callable[[Sequence[Record], Identify, Identif
     def identify_structure(records: Sequence[Record], asked: Identify, _like: IdentifiedModel | None) -> IdentifiedModel:
         delays = _delays_in_a_loop(records, asked) if asked.delay is None and structure in NOISE_MODELLED else []
         if delays:
-            found = min((fitted(records, asked, delay) for delay in delays), key=_criterion_a_sample)
-            return replace(found, warnings=(*found.warnings, _NO_DELAY_ZERO))
+            best_model = min((fitted(records, asked, delay) for delay in delays), key=_criterion_a_sample)
+            return replace(best_model, warnings=(*best_model.warnings, _NO_DELAY_ZERO))
         return fitted(records, asked, _delay(records, asked) if STRUCTURES[structure].has_input else 1)
 
     def fitted(records: Sequence[Record], asked: Identify, delay: int) -> IdentifiedModel:

@@ -146,11 +146,11 @@ class Estimation(Result, Generic[M]):
         return parameters
 
     def _answer(self) -> dict[str, Any]:
-        found = estimate_json(self.given, self.records, self.found, self.unsettled)
+        answer = estimate_json(self.given, self.records, self.found, self.unsettled)
         against = disagreement(self.found) if self.converged else ()
         given = self.found.model, self.experiments
-        found["warnings"] = (*begins_elsewhere(*given), *leaves_tables(*given), *self.left_out, *against)
-        return found | {"method": self.method, "held_out_rmse": self.held_out_rmse, "model_file": None}
+        answer["warnings"] = (*begins_elsewhere(*given), *leaves_tables(*given), *self.left_out, *against)
+        return answer | {"method": self.method, "held_out_rmse": self.held_out_rmse, "model_file": None}
 
     def __str__(self) -> str:
         return estimate_text(self._answer())

@@ -178,10 +178,10 @@ class Model(DescribedModel):
         with told(progress) as tell:
             ensure_compiled(tell)
             searching = partial(explain, self.physical, self._sensed(measured, map)[0], map, tell=part_of(tell, 0.0, 0.9))
-            found = asked.handed_to(searching)
+            explanation = asked.handed_to(searching)
             tell(0.9, "comparing")
             compared = self._compared(measured, map, Compare())
-        return Explanation(compared, found)
+        return Explanation(compared, explanation)
 
     @asks(Improve)
     def improve(self, records: Records, *, map: Mapped = None, progress: Progress = None, **given: Any) -> Improvement[Model]:
@@ -222,9 +222,9 @@ class Model(DescribedModel):
         measured, left_out = self._sensed(self._measured(records, map), map)
         with told(progress) as tell:
             ensure_compiled(tell)
-            found = asked.handed_to(partial(improve, self.physical, measured, map, tell=tell))
+            improved = asked.handed_to(partial(improve, self.physical, measured, map, tell=tell))
         matched = match(self.physical, measured, map)
-        return Improvement(Model(found.model), found, (*begins_elsewhere(*matched), *leaves_tables(*matched), *left_out))
+        return Improvement(Model(improved.model), improved, (*begins_elsewhere(*matched), *leaves_tables(*matched), *left_out))
 
     @asks(Estimate)
     def estimate(self, records: Records, *, map: Mapped = None, **given: Any) -> Estimation[Model]:
@@ -261,10 +261,10 @@ class Model(DescribedModel):
 
         asked = Estimate.of(given)
         measured, left_out = self._sensed(self._measured(records, map), map)
-        found = estimated(self.physical, measured, map, method=asked.method, steps=asked.steps, hold=asked.hold)
-        result, fitted = found.estimate, Model(found.estimate.model)
-        answer = self._given, _names(measured), asked.method, found.held_out_rmse, result, found.experiments
-        return Estimation(fitted, *answer, found.unsettled, asked.anyway, left_out)
+        estimation = estimated(self.physical, measured, map, method=asked.method, steps=asked.steps, hold=asked.hold)
+        result, fitted = estimation.estimate, Model(estimation.estimate.model)
+        answer = self._given, _names(measured), asked.method, estimation.held_out_rmse, result, estimation.experiments
+        return Estimation(fitted, *answer, estimation.unsettled, asked.anyway, left_out)
 
     def simulate(self, record: MeasuredRecord, *, map: Mapped = None, initial: Mapping[str, float] | None = None) -> Record:
         """The outputs as the model computes them from the record's inputs.

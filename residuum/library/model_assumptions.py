@@ -85,8 +85,8 @@ class Assumptions:
         """Whether the input excites to the order that the model needs."""
         return self.excitation is None or self.excitation.order >= min(self.needed, self.excitation.lags)
 
-    def _excitation_json(self, found: ExcitationTest) -> dict[str, Any]:
-        return asdict(found) | {"needed": self.needed, "tells_model": self.tells_model, "tells_gain": found.tells_gain}
+    def _excitation_json(self, test: ExcitationTest) -> dict[str, Any]:
+        return asdict(test) | {"needed": self.needed, "tells_model": self.tells_model, "tells_gain": test.tells_gain}
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON."""
@@ -101,8 +101,8 @@ class Assumptions:
         }
 
 
-def _unstable_json(found: UnstableTest) -> dict[str, Any]:
-    return {"present": found.unstable, "pole_size": abs(found.pole), "spread": found.spread}
+def _unstable_json(test: UnstableTest) -> dict[str, Any]:
+    return {"present": test.unstable, "pole_size": abs(test.pole), "spread": test.spread}
 
 
 def assumptions(
@@ -128,39 +128,39 @@ def assumptions(
     return Assumptions(integrator, feedback, dead, aside, late, unstable, excitation, _needed(model, asked.method))
 
 
-def told(model: IdentifiedModel, method: str, found: Assumptions, estimation: Sequence[Record]) -> IdentifiedModel:
+def told(model: IdentifiedModel, method: str, tests: Assumptions, estimation: Sequence[Record]) -> IdentifiedModel:
     """The model with what was found: as warnings, and as unfit where no controller may be promised for it."""
-    untold = _untold(model, found, estimation)
-    unfit = [*_unstable(model, found), *untold, *_unfit(model, method, found)]
-    remarks = _remarks(method, found, trusted=not unfit)
+    untold = _untold(model, tests, estimation)
+    unfit = [*_unstable(model, tests), *untold, *_unfit(model, method, tests)]
+    remarks = _remarks(method, tests, trusted=not unfit)
     own = [text for text in model.warnings if not (untold and text.startswith(untold[0][: len(_EXCITES)]))]
     return replace(model, warnings=(*own, *unfit, *remarks), unfit=(*model.unfit, *unfit))
 
 
-def check_stable(method: str, found: PlantTests, sample_time: float) -> None:
+def check_stable(method: str, tests: PlantTests, sample_time: float) -> None:
     """Refuse a method whose models are stable only, on a plant that is not: its gain would be a number without a meaning."""
-    if found.unstable is None or not found.unstable.unstable or method in _MAY_BE_UNSTABLE:
+    if tests.unstable is None or not tests.unstable.unstable or method in _MAY_BE_UNSTABLE:
         return
     raise NotIdentifiable(
-        f"the plant is unstable ({found.unstable.says(sample_time)}), and recorded in a closed loop: models of method "
+        f"the plant is unstable ({tests.unstable.says(sample_time)}), and recorded in a closed loop: models of method "
         f"{method!r} are stable, and would say something else; identify it with method arx or armax"
     )
 
 
-def _unstable(model: IdentifiedModel, found: Assumptions) -> list[str]:
-    if found.unstable is None or not found.unstable.unstable:
+def _unstable(model: IdentifiedModel, tests: Assumptions) -> list[str]:
+    if tests.unstable is None or not tests.unstable.unstable:
         return []
-    pole = found.unstable.says(model.sample_time)
+    pole = tests.unstable.says(model.sample_time)
     return [f"the plant is unstable ({pole}), and controllers are designed for stable plants; {_ANOTHER_RECORD}"]
 
 
-def _untold(model: IdentifiedModel, found: Assumptions, estimation: Sequence[Record]) -> list[str]:
+def _untold(model: IdentifiedModel, tests: Assumptions, estimation: Sequence[Record]) -> list[str]:
     """What one experiment cannot tell: directions of the response, its gain, its end."""
-    excitation = found.excitation
+    excitation = tests.excitation
     if excitation is None:
         return []
     says = []
-    if not found.tells_model or not excitation.tells_gain:
+    if not tests.tells_model or not excitation.tells_gain:
         gain = "" if excitation.tells_gain else ", not its static gain"
         says.append(
             f"{_EXCITES} of order {excitation.order} only at the noise of this record: it tells {excitation.order} "
@@ -195,30 +195,30 @@ def _needed(model: IdentifiedModel, method: str) -> int:
     return _FEW
 
 
-def _unfit(model: IdentifiedModel, method: str, found: Assumptions) -> list[str]:
+def _unfit(model: IdentifiedModel, method: str, tests: Assumptions) -> list[str]:
     says = []
-    unstable = found.unstable is not None and found.unstable.unstable
+    unstable = tests.unstable is not None and tests.unstable.unstable
     if unstable:
         pass  # A(1) says nothing where a root lies outside
     elif model.integrates:
         says.append(f"the model integrates, and controllers are designed for stable plants; {_ANOTHER_RECORD}")
-    elif found.integrator is not None and found.integrator.integrates:
+    elif tests.integrator is not None and tests.integrator.integrates:
         says.append(
             "the plant integrates, or settles slower than the record shows, so that its static gain has no bound; identify it "
             f"with `integrator`, method bj and no `delay`, and {_ANOTHER_RECORD}"
         )
-    if found.feedback is not None and found.feedback.present and method not in NOISE_MODELLED:
+    if tests.feedback is not None and tests.feedback.present and method not in NOISE_MODELLED:
         says.append(
-            f"the input answers the output's noise (feedback, {100 * found.feedback.share:.2g} % of its news), which {method} "
+            f"the input answers the output's noise (feedback, {100 * tests.feedback.share:.2g} % of its news), which {method} "
             f"takes for response; use method bj and no `delay`, or record steps that nobody answers"
         )
-    if found.late:
+    if tests.late:
         says.append(
-            f"the input acts after {found.dead_time} samples, later than the model's last input lag; identify with method "
-            f"bj and no `delay` (or {found.dead_time})"
+            f"the input acts after {tests.dead_time} samples, later than the model's last input lag; identify with method "
+            f"bj and no `delay` (or {tests.dead_time})"
         )
-    worst = found.worst
-    if worst is not None and any(part.fails for part in found.aside) and not found.late:
+    worst = tests.worst
+    if worst is not None and any(part.fails for part in tests.aside) and not tests.late:
         says.append(
             f"on data kept aside the fit is {worst.fit_percent:.0f} %, and the input explains what the model misses; try another "
             "method or `order`, no `delay`, or record longer, with more steps of the input"
@@ -226,13 +226,13 @@ def _unfit(model: IdentifiedModel, method: str, found: Assumptions) -> list[str]
     return says
 
 
-def _remarks(method: str, found: Assumptions, trusted: bool) -> list[str]:
+def _remarks(method: str, tests: Assumptions, trusted: bool) -> list[str]:
     says = []
-    if found.feedback is not None and found.feedback.present and method in NOISE_MODELLED:
+    if tests.feedback is not None and tests.feedback.present and method in NOISE_MODELLED:
         says.append("the input answers the output's noise (feedback): the model is as right as its noise model is")
-    if found.integrator is not None and found.integrator.wanders:
+    if tests.integrator is not None and tests.integrator.wanders:
         says.append("the output wanders by itself (a root at one that the input does not reach): its level tells little")
-    worst = found.worst
+    worst = tests.worst
     if trusted and worst is not None and worst.fit_percent < _POOR_FIT:
         says.append(f"on data kept aside the fit is {worst.fit_percent:.0f} %; as far as they tell the rest is noise")
     return says
@@ -304,13 +304,13 @@ def identified_again(model: IdentifiedModel, records: Sequence[Record], asked: I
 
 
 def _aside(parts: Sequence[Part]) -> tuple[KeptAside, ...]:
-    found = []
+    aside = []
     for part in parts:
         try:
-            found.append(kept_aside(part.model, part.record, part.first))
+            aside.append(kept_aside(part.model, part.record, part.first))
         except BadInput:
             continue  # a part too short to have a fit says nothing
-    return tuple(found)
+    return tuple(aside)
 
 
 def _last_input_lag(model: IdentifiedModel, asked: Identify) -> int:

@@ -109,10 +109,10 @@ def _test_json(test: ResidualTest | None) -> dict[str, Any] | None:
     }
 
 
-def _error_json(found: ModelErrorModel | None) -> dict[str, Any] | None:
-    if found is None:
+def _error_json(error: ModelErrorModel | None) -> dict[str, Any] | None:
+    if error is None:
         return None
-    return {"falsified": found.falsified, "falsified_at": found.falsified_at, "frequencies": len(found.omega)}
+    return {"falsified": error.falsified, "falsified_at": error.falsified_at, "frequencies": len(error.omega)}
 
 
 def _part_lines(part: ResidualCheck) -> list[str]:
@@ -120,14 +120,14 @@ def _part_lines(part: ResidualCheck) -> list[str]:
     free = "too short to tell" if part.input is None else _verdict(part.input)
     lines = [f"  residuals         white: {white}; free of the input: {free}; {part.samples} samples kept aside"]
     if part.model_error is not None:
-        found = part.model_error
-        where = f"falsified at {len(found.falsified_at)} of {len(found.omega)} frequencies"
-        if found.falsified:
-            where += f", {found.falsified_at[0]:.3g} to {found.falsified_at[-1]:.3g} rad/s"
-        lines.append(f"  model error       {where if found.falsified else 'not falsified at any frequency'}")
+        error = part.model_error
+        where = f"falsified at {len(error.falsified_at)} of {len(error.omega)} frequencies"
+        if error.falsified:
+            where += f", {error.falsified_at[0]:.3g} to {error.falsified_at[-1]:.3g} rad/s"
+        lines.append(f"  model error       {where if error.falsified else 'not falsified at any frequency'}")
     return lines
 
 
 def _verdict(test: ResidualTest) -> str:
-    said = "yes" if test.passed else "no"
-    return f"{said} (p {test.p_value:.2g}, level {test.level:g}, lags {test.lags[0]} to {test.lags[-1]})"
+    answer = "yes" if test.passed else "no"
+    return f"{answer} (p {test.p_value:.2g}, level {test.level:g}, lags {test.lags[0]} to {test.lags[-1]})"

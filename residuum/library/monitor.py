@@ -383,10 +383,10 @@ def load_monitor(diagnoser: str, path: str | PathLike[str]) -> Monitor:
 def _made(name: str, settings: Mapping[str, Any]) -> Diagnoser:
     kind: Any = diagnoser_class(name)
     try:
-        made: Diagnoser = kind(**settings)
+        diagnoser: Diagnoser = kind(**settings)
     except TypeError as error:
         raise BadInput(f"diagnoser {name!r}: {str(error).split('()')[-1].strip()}") from None
-    return made
+    return diagnoser
 
 
 def _largest(finding: Judged) -> float:

@@ -28,7 +28,7 @@ def design_multivariable(file: str | PathLike[str], asked: DesignController) -> 
         if getattr(asked, name):
             raise BadInput("", name, "is for a plant of one input and one output; leave it out")
     problem = MultivariableProblem(load_multivariable(str(file)), asked.seed, asked.handed_to(WeightChoice))
-    found = problem.solve(STRUCTURES[asked.structure](problem.sample_time), asked.handed_to(Wishes))
+    design = problem.solve(STRUCTURES[asked.structure](problem.sample_time), asked.handed_to(Wishes))
     described = {"aim": "nominal", "structure": asked.structure, "models": [str(file)]}
-    plain: dict[str, Any] = to_plain(described | design_json(problem, found) | {"file": None})
+    plain: dict[str, Any] = to_plain(described | design_json(problem, design) | {"file": None})
     return plain

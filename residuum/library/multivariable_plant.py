@@ -94,7 +94,7 @@ class MultivariablePlant(Result):
         result : dict
             As `to_dict` gives it.
         """
-        inputs, outputs = ([each["name"] for each in result[name]] for name in ("inputs", "outputs"))
+        inputs, outputs = ([channel["name"] for channel in result[name]] for name in ("inputs", "outputs"))
         lines = [f"kernel: {', '.join(inputs)} → {', '.join(outputs)}, {result['order']} coefficients a path"]
         for i, output in enumerate(outputs):
             gains = ", ".join(

@@ -19,8 +19,8 @@ class MissingPackage(BadInput, ImportError):
     """
 
 
-def need(package: str, what: str, extra: str = "notebook") -> Any:
-    """The imported `package`, for `what`.
+def need(package: str, purpose: str, extra: str = "notebook") -> Any:
+    """The imported `package`, for `purpose`.
 
     Raises
     ------
@@ -35,4 +35,4 @@ def need(package: str, what: str, extra: str = "notebook") -> Any:
         return import_module(package)
     except ImportError:
         name = package.split(".", maxsplit=1)[0]
-        raise MissingPackage(f"{what} needs the package {name!r}: pip install 'residuum[{extra}]'") from None
+        raise MissingPackage(f"{purpose} needs the package {name!r}: pip install 'residuum[{extra}]'") from None

@@ -38,8 +38,8 @@ class Curve:
         if self.low is not None and self.high is not None:
             step = slice(None, None, -(-n // points))
             return Curve(self.name, self.x[step], self.y[step], self.low[step], self.high[step])
-        kept = _extremes(np.asarray(self.y, dtype=float), max(1, points // 2))
-        return Curve(self.name, self.x[kept], self.y[kept])
+        extremes = _extremes(np.asarray(self.y, dtype=float), max(1, points // 2))
+        return Curve(self.name, self.x[extremes], self.y[extremes])
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,14 +73,14 @@ class Picture:
 def _extremes(y: Array, stretches: int) -> npt.NDArray[np.intp]:
     """Indices of the smallest and largest value of each of so many stretches; a stretch of NaN alone keeps its first."""
     edges = np.linspace(0, len(y), stretches + 1).astype(np.intp)
-    kept: list[int] = []
+    indices: list[int] = []
     for begin, end in pairwise(edges.tolist()):
         part = y[begin:end]
         if np.isnan(part).all():
-            kept.append(begin)
+            indices.append(begin)
             continue
-        kept += sorted({int(begin + np.nanargmin(part)), int(begin + np.nanargmax(part))})
-    return np.array(kept, dtype=np.intp)
+        indices += sorted({int(begin + np.nanargmin(part)), int(begin + np.nanargmax(part))})
+    return np.array(indices, dtype=np.intp)
 
 
 def axis(name: str, unit: str) -> str:

@@ -294,8 +294,8 @@ class Plant(Result):
     def _rows(self) -> Sequence[Row]:
         model = self.identified
         times = model.sample_time * (model.delay + np.arange(model.order))
-        each = zip(times, model.impulse_response, model.std, strict=True)
-        return [{"time": float(t), "impulse_response": float(g), "std": float(s)} for t, g, s in each]
+        coefficients = zip(times, model.impulse_response, model.std, strict=True)
+        return [{"time": float(t), "impulse_response": float(g), "std": float(s)} for t, g, s in coefficients]
 
     def _picture(self) -> Picture:
         return Picture([response_panel(self.identified)])
@@ -391,13 +391,13 @@ def identified(records: Sequence[MeasuredRecord], asked: Identify, tell: Tell) -
         return Plant(model, asked.method, estimation, held_out)
     tell(0.6, "testing what the model assumes")
     parts = parts_kept_aside(model, asked, estimation, records)
-    found = assumptions(model, asked, estimation, parts, plant)
+    assumed = assumptions(model, asked, estimation, parts, plant)
     check = None
     if asked.check:
         tell(0.7, "testing residuals and drawing blocks")
         check = model_check(model, asked, parts, estimation)
     tell(0.9, "simulating beside the records")
-    return Plant(told_assumptions(model, asked.method, found, estimation), asked.method, estimation, held_out, found, check)
+    return Plant(told_assumptions(model, asked.method, assumed, estimation), asked.method, estimation, held_out, assumed, check)
 
 
 def split_records(records: Sequence[MeasuredRecord]) -> tuple[tuple[MeasuredRecord, ...], tuple[MeasuredRecord, ...]]:

@@ -25,14 +25,14 @@ def figure(picture: Picture) -> Any:
     """
     graphs, subplots = need("plotly.graph_objects", "a figure"), need("plotly.subplots", "a figure")
     panels = picture.panels
-    made = subplots.make_subplots(rows=len(panels), cols=1, subplot_titles=[panel.title for panel in panels])
+    plot = subplots.make_subplots(rows=len(panels), cols=1, subplot_titles=[panel.title for panel in panels])
     for row, panel in enumerate(panels, start=1):
         for trace in _traces(graphs, panel):
-            made.add_trace(trace, row=row, col=1)
-        made.update_xaxes(title_text=panel.x_label, type=panel.x_scale if _is_curves(panel) else None, row=row, col=1)
-        made.update_yaxes(title_text=panel.y_label, row=row, col=1)
-    made.update_layout(template="plotly_white", height=_HEIGHT * len(panels) + 80, margin={"t": 60, "b": 50})
-    return made
+            plot.add_trace(trace, row=row, col=1)
+        plot.update_xaxes(title_text=panel.x_label, type=panel.x_scale if _is_curves(panel) else None, row=row, col=1)
+        plot.update_yaxes(title_text=panel.y_label, row=row, col=1)
+    plot.update_layout(template="plotly_white", height=_HEIGHT * len(panels) + 80, margin={"t": 60, "b": 50})
+    return plot
 
 
 def _is_curves(panel: Panel) -> bool:

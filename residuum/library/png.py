@@ -24,8 +24,8 @@ def png(picture: Picture) -> bytes:
     MissingPackage
         Matplotlib is not installed.
     """
-    made = need_matplotlib().Figure(figsize=(_WIDTH, sum(map(_height, picture.panels))), dpi=_DOTS, layout="constrained")
-    rows = made.subplots(len(picture.panels), 1, squeeze=False, height_ratios=[_height(panel) for panel in picture.panels])
+    figure = need_matplotlib().Figure(figsize=(_WIDTH, sum(map(_height, picture.panels))), dpi=_DOTS, layout="constrained")
+    rows = figure.subplots(len(picture.panels), 1, squeeze=False, height_ratios=[_height(panel) for panel in picture.panels])
     for axes, panel in zip(rows[:, 0], picture.panels, strict=True):
         axes.set_title(panel.title, loc="left", fontsize=10)
         if isinstance(panel.content, Bars):
@@ -33,7 +33,7 @@ def png(picture: Picture) -> bytes:
         else:
             _curves(axes, panel)
     content = BytesIO()
-    made.savefig(content, format="png")
+    figure.savefig(content, format="png")
     return content.getvalue()
 
 

@@ -159,14 +159,14 @@ def from_arrays(
     if unknown := [name for name in given if name not in channels]:
         raise BadRecord(f"units: there is no channel {unknown[0]!r}; {known_names(unknown[0], channels, 'there are')}")
     signals: Any = dict(channels)
-    told = {name: given.get(name, "") for name in signals}
+    all_units = {name: given.get(name, "") for name in signals}
     if time is not None:
-        return _at_times(time, signals, told, resample, source or "arrays", sample_time, t0)
+        return _at_times(time, signals, all_units, resample, source or "arrays", sample_time, t0)
     if sample_time is None:
         raise BadRecord(
             f"{source or 'arrays'}: has no time; say sample_time=0.01 (seconds between samples), or time=t (an array)"
         )
-    return Record(signals, told, sample_time, t0=t0 or 0.0, source=source)
+    return Record(signals, all_units, sample_time, t0=t0 or 0.0, source=source)
 
 
 def _at_times(
@@ -239,15 +239,15 @@ def from_pandas(
     frame = as_frame(frame, where)
     if time is not None and time not in frame.columns:
         raise BadRecord(f"{where}: has no column {time!r} for the time; {known_names(time, frame.columns, 'there are')}")
-    found = heads(frame, where, without=time)
-    told = units_of(found, frame.attrs.get("units", {}), units or {})
-    signals = {name: numbers(frame[column], f"{where}, column {column!r}") for column, (name, _) in found.items()}
+    by_column = heads(frame, where, without=time)
+    all_units = units_of(by_column, frame.attrs.get("units", {}), units or {})
+    signals = {name: numbers(frame[column], f"{where}, column {column!r}") for column, (name, _) in by_column.items()}
     if sample_time is not None and time is None and not _has_instants(frame.index):
-        return from_arrays(signals, units=told, sample_time=sample_time, source=where)
+        return from_arrays(signals, units=all_units, sample_time=sample_time, source=where)
     taken, head = (frame.index, frame.index.name) if time is None else (frame[time], time)
-    instants = seconds(taken, where, unit=unit_of_time(head), told=time is not None, near=_near_time(found))
+    instants = seconds(taken, where, unit=unit_of_time(head), told=time is not None, near=_near_time(by_column))
     refuse_disorder(instants, where)
-    return _timed(instants, signals, told, resample, where, sample_time)
+    return _timed(instants, signals, all_units, resample, where, sample_time)
 
 
 def from_xarray(data: xarray.Dataset, *, dim: str = "time", resample: bool = False, source: str = "") -> Record:
@@ -284,8 +284,8 @@ def from_xarray(data: xarray.Dataset, *, dim: str = "time", resample: bool = Fal
     dataset = data.to_dataset() if not hasattr(data, "data_vars") else data
     if dim not in dataset.coords:
         raise BadRecord(f"{where}: has no coordinate {dim!r}; {known_names(dim, dataset.coords, 'there are')}")
-    if other := [name for name, values in dataset.data_vars.items() if values.dims != (dim,)]:
-        raise BadRecord(f"{where}: variable {other[0]!r} lies along {dataset[other[0]].dims}; must be along ({dim!r},) alone")
+    if off_dim := [name for name, values in dataset.data_vars.items() if values.dims != (dim,)]:
+        raise BadRecord(f"{where}: variable {off_dim[0]!r} lies along {dataset[off_dim[0]].dims}; must be along ({dim!r},) alone")
     signals = {str(name): numbers(values, f"{where}, variable {name!r}") for name, values in dataset.data_vars.items()}
     units = {str(name): str(values.attrs.get("units", "")) for name, values in dataset.data_vars.items()}
     instants = seconds(dataset[dim].values, where, unit=str(dataset[dim].attrs.get("units", "")))
@@ -306,7 +306,7 @@ def as_records(records: Any) -> list[MeasuredRecord]:
     if isinstance(records, str | PathLike):
         return [read(records)]
     if isinstance(records, Sequence) and records:
-        return [one for item in records for one in as_records(item)]
+        return [record for item in records for record in as_records(item)]
     raise _no_record(records)
 
 
@@ -328,9 +328,9 @@ def _has_instants(index: Any) -> bool:
     return getattr(getattr(index, "dtype", None), "kind", "") in "mM"
 
 
-def _near_time(found: Mapping[Any, tuple[str, str]]) -> str:
+def _near_time(by_column: Mapping[Any, tuple[str, str]]) -> str:
     """The column that looks like the time, for a refusal of the index."""
-    named = (column for column, (name, _) in found.items() if name.lower() in _TIMES)
+    named = (column for column, (name, _) in by_column.items() if name.lower() in _TIMES)
     return str(next(named, "COLUMN"))
 
 
@@ -344,8 +344,8 @@ def _timed(
 ) -> Record:
     if not signals:
         raise BadRecord(f"{where}: has no channel; at least one is needed")
-    told: list[str] = []
-    step, columns = even_columns(np.stack([instants, *signals.values()]), where, resample=resample, told=told, names=[*signals])
+    notes: list[str] = []
+    step, columns = even_columns(np.stack([instants, *signals.values()]), where, resample=resample, told=notes, names=[*signals])
     ReadOptions(sample_time=sample_time).settle_sample_time(step, where)
     channels = dict(zip(signals, columns[1:], strict=True))
-    return Record(channels, units, step, t0=float(columns[0][0]), notes=tuple(told), source=where)
+    return Record(channels, units, step, t0=float(columns[0][0]), notes=tuple(notes), source=where)

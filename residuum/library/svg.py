@@ -102,9 +102,9 @@ def _heights(values: Array, span: tuple[float, float]) -> Array:
 
 def _path(x: Array, y: Array) -> str:
     """Straight lines through the points; a gap where one is not there."""
-    there = np.isfinite(x) & np.isfinite(y)
+    finite = np.isfinite(x) & np.isfinite(y)
     parts, pen_up = [], True
-    for a, b, known in zip(x, y, there, strict=True):
+    for a, b, known in zip(x, y, finite, strict=True):
         if known:
             parts.append(f"{'M' if pen_up else 'L'}{a:.1f} {b:.1f}")
         pen_up = not known

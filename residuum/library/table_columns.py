@@ -35,13 +35,13 @@ def heads(frame: pandas.DataFrame, where: str, *, without: Any = None) -> dict[A
     """Column → (name, unit) of every column but the one of time; several rows of heads are joined, a row of units is one."""
     columns = [column for column in frame.columns if without is None or column != without]
     if getattr(frame.columns, "nlevels", 1) > 1:
-        found = _of_levels(columns)
+        by_column = _of_levels(columns)
     else:
-        found = {column: unit_of_head(str(column)) for column in columns}
-    names = [name for name, _ in found.values()]
+        by_column = {column: unit_of_head(str(column)) for column in columns}
+    names = [name for name, _ in by_column.values()]
     if twice := [name for name in names if names.count(name) > 1]:
         raise BadRecord(f"{where}: columns share the name {twice[0]!r}; rename one")
-    return found
+    return by_column
 
 
 def _of_levels(columns: list[Any]) -> dict[Any, tuple[str, str]]:
@@ -60,15 +60,15 @@ def _named(parts: list[str]) -> list[str]:
     return [part for part in parts if part and not part.startswith("Unnamed")]
 
 
-def units_of(found: Mapping[Any, tuple[str, str]], attributes: Mapping[Any, str], told: Mapping[Any, str]) -> dict[str, str]:
+def units_of(by_column: Mapping[Any, tuple[str, str]], attributes: Mapping[Any, str], given: Mapping[Any, str]) -> dict[str, str]:
     """Name → unit: what the caller tells goes over what the frame's attributes say, and that over the heads."""
-    units = dict(found.values())
-    for said in (attributes, told):
-        for key, unit in said.items():
-            name = found[key][0] if key in found else key
+    units = dict(by_column.values())
+    for source in (attributes, given):
+        for key, unit in source.items():
+            name = by_column[key][0] if key in by_column else key
             if name in units:
                 units[name] = unit
-            elif said is told:
+            elif source is given:
                 raise BadRecord(f"units: there is no channel {key!r}; {known_names(key, units, 'there are')}")
     return units
 

@@ -75,14 +75,14 @@ def _without_zone(values: Any) -> npt.NDArray[Any]:
     if getattr(accessor, "tz", None) is not None:
         return np.asarray(accessor.tz_convert(None))
     array = np.asarray(values)
-    if array.dtype.kind == "O" and len(array) and all(hasattr(one, "isoformat") and hasattr(one, "hour") for one in array):
+    if array.dtype.kind == "O" and len(array) and all(hasattr(t, "isoformat") and hasattr(t, "hour") for t in array):
         return _of_datetimes(array)
     return _plain(array) if array.dtype.kind == "O" else array
 
 
 def _plain(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
     """Numbers that came as objects, or the objects as they are."""
-    if any(isinstance(one, str) for one in array):
+    if any(isinstance(entry, str) for entry in array):
         return array
     try:
         return np.asarray(array, dtype=float)
@@ -91,4 +91,4 @@ def _plain(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
 
 
 def _of_datetimes(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    return np.array([one.astimezone(UTC).replace(tzinfo=None) if one.tzinfo else one for one in array], dtype="datetime64[ns]")
+    return np.array([t.astimezone(UTC).replace(tzinfo=None) if t.tzinfo else t for t in array], dtype="datetime64[ns]")

@@ -112,17 +112,17 @@ def _settings(machine: type[Machine], given: dict[str, Any]) -> dict[str, Any]:
     return given
 
 
-def _typed(value: Any, like: Any, what: str) -> Any:
+def _typed(value: Any, like: Any, setting: str) -> Any:
     if isinstance(like, bool):
         if str(value).lower() not in ("true", "false"):
-            raise BadInput(f"{what} is {value!r}; must be true or false")
+            raise BadInput(f"{setting} is {value!r}; must be true or false")
         return str(value).lower() == "true"
     if isinstance(like, str):
         return value
     try:
         return float(value)
     except (TypeError, ValueError):
-        raise BadInput(f"{what}: {value!r} is not a number") from None
+        raise BadInput(f"{setting}: {value!r} is not a number") from None
 
 
 def _record(machine: str, signals: Signals, seed: int, truth: Any) -> Record:

@@ -147,10 +147,10 @@ def h_infinity_norm(system: StateSpace, *, tolerance: float = 1e-8) -> tuple[flo
         level = lower * (1.0 + 2.0 * tolerance)
         crossings = _crossings(system, level)
         ends = np.unique(np.concatenate([[0.0, np.pi], crossings]))
-        found, at = _largest(system, np.concatenate([ends, 0.5 * (ends[1:] + ends[:-1])]))
-        if found <= level:
+        gain, at = _largest(system, np.concatenate([ends, 0.5 * (ends[1:] + ends[:-1])]))
+        if gain <= level:
             return level, peak
-        lower, peak = found, at
+        lower, peak = gain, at
     return lower * (1.0 + 2.0 * tolerance), peak
 
 
@@ -170,9 +170,9 @@ def _crossings(system: StateSpace, level: float) -> FloatArray:
     zero = np.zeros((n, n))
     left = np.block([[np.eye(n), -B @ np.linalg.solve(R, B.T)], [zero, closed.T]])
     right = np.block([[closed, zero], [-output, np.eye(n)]])
-    found = eigvals(right, left)
-    found = found[np.isfinite(found) & (np.abs(np.abs(found) - 1.0) < _NEAR_CIRCLE)]
-    return np.unique(np.abs(np.angle(found)))
+    roots = eigvals(right, left)
+    roots = roots[np.isfinite(roots) & (np.abs(np.abs(roots) - 1.0) < _NEAR_CIRCLE)]
+    return np.unique(np.abs(np.angle(roots)))
 
 
 # Algorithm 3: the most demanding monotone performance weight that every plant of the uncertainty
@@ -242,11 +242,11 @@ def design_for_robust_performance(
         W_S = MonotoneWeight(aim.low_gain_db, high_gain, frequency).magnitude(loop.omega)
         weights = Weights(W_S, W_T, "1")
         starts = None if warm is None else [warm.rho]
-        found = synthesise(loop, weights, structure, starts=starts, target=0.995)
-        if warm is not None and found.certified >= 1.0:
-            found = synthesise(loop, weights, structure, target=0.995)
-        tried.append(found)
-        return found if found.certified < 1.0 and found.stable else None
+        design = synthesise(loop, weights, structure, starts=starts, target=0.995)
+        if warm is not None and design.certified >= 1.0:
+            design = synthesise(loop, weights, structure, target=0.995)
+        tried.append(design)
+        return design if design.certified < 1.0 and design.stable else None
 
     front = bisected_front([float(h) for h in gains], [float(w) for w in frequencies], meets)
     if not front:
@@ -357,5 +357,5 @@ def measured(
     nominal: TransferFunction, plants: Sequence[TransferFunction], controller: TransferFunction, duration: float
 ) -> Measured:
     """Follow the steps of the nominal loop and of every drawn plant for `duration` [s]."""
-    first, *others = over_plants([nominal, *plants], controller, duration)
-    return Measured(first, tuple(others))
+    first, *drawn = over_plants([nominal, *plants], controller, duration)
+    return Measured(first, tuple(drawn))

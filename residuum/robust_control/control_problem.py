@@ -74,7 +74,7 @@ def overall_uncertainty(
     n_samples : int or None
         Random plants in all, shared equally; None: (2.24) at ε = ζ = 0.05, 738.
     """
-    each = int(np.ceil((n_samples or chernoff_samples(0.05, 0.95)) / len(models)))
+    share = int(np.ceil((n_samples or chernoff_samples(0.05, 0.95)) / len(models)))
     nominal = average.frequency_response(omega)
     if np.any(np.abs(nominal) < 1e-12 * np.abs(nominal).max()):
         raise BadInput("overall uncertainty: the average plant has a zero on the grid, where a relative error means nothing")
@@ -84,7 +84,7 @@ def overall_uncertainty(
     errors = DrawnErrors.joined(
         [
             DrawnErrors.of(
-                model.sample_polynomials(each, np.random.default_rng([seed, number])), middle, sample_time, "multiplicative"
+                model.sample_polynomials(share, np.random.default_rng([seed, number])), middle, sample_time, "multiplicative"
             )
             for number, model in enumerate(models)
         ]
@@ -244,9 +244,9 @@ class ControlProblem:
     def nominal_plants(self) -> dict[str, Any]:
         """The largest uncertainty about the joined model and about the models' mean, and which of them is the nominal plant."""
         mean = average_plant(self.models)
-        other = None if self.joined is None else float(self._uncertainty(mean, frequency_grid([mean]))[1].max())
+        about_mean = None if self.joined is None else float(self._uncertainty(mean, frequency_grid([mean]))[1].max())
         largest = float(self.largest.max())
-        about = {"joined": None, "mean": largest} if self.joined is None else {"joined": largest, "mean": other}
+        about = {"joined": None, "mean": largest} if self.joined is None else {"joined": largest, "mean": about_mean}
         return {
             "nominal": "mean" if self.joined is None else "joined",
             "largest_uncertainty_about": about,
@@ -295,32 +295,32 @@ class ControlProblem:
         aim = TimeAim(wishes.overshoot, limit)
         plants = self.random_plants(_PLANTS_IN_SEARCH, stream=2)
         mixed = [plants[k] for k in np.random.default_rng(self.seed).permutation(len(plants))]
-        others = self.random_plants(_PLANTS_OF_PROMISE, stream=3)
-        found = design_in_time(self.loop, mixed, others, self.magnitude, law, aim, self.crossing)
-        chosen = Point(wishes.overshoot, found.settling_time, found.design)
+        held_out = self.random_plants(_PLANTS_OF_PROMISE, stream=3)
+        timed = design_in_time(self.loop, mixed, held_out, self.magnitude, law, aim, self.crossing)
+        chosen = Point(wishes.overshoot, timed.settling_time, timed.design)
         return Solution(chosen, (chosen,))
 
-    def measured(self, found: Solution, wishes: Wishes) -> Measured:
+    def measured(self, solution: Solution, wishes: Wishes) -> Measured:
         """Step responses of the nominal loop and of plants that no design has seen.
 
         So many are drawn that what 95 % of them stay below is known to a tenth of itself: 200, and four times as many until it
         is, at most 12 800. Where a few plants settle one swing later than the others, that quantile of 200 is off by half.
         """
-        duration = max(self.horizon, _FOLLOWED * found.chosen.second) if wishes.aim == "nominal" else self.horizon
+        duration = max(self.horizon, _FOLLOWED * solution.chosen.second) if wishes.aim == "nominal" else self.horizon
         count = _VALIDATION_PLANTS
         while True:
-            seen = measured(self.plant, self.random_plants(count), found.chosen.design.controller, duration)
-            if count >= _MOST_PLANTS or seen.is_sure_of(_PROMISED_SHARE, self.loop.sample_time):
-                return seen
+            steps = measured(self.plant, self.random_plants(count), solution.chosen.design.controller, duration)
+            if count >= _MOST_PLANTS or steps.is_sure_of(_PROMISED_SHARE, self.loop.sample_time):
+                return steps
             count *= _MORE_PLANTS
 
     def random_plants(self, count: int = _VALIDATION_PLANTS, stream: int = 1) -> list[TransferFunction]:
         """Plants of every model's posterior, other ones than the weight was made from; another `stream`, others."""
         plants = []
-        each = math.ceil(count / len(self.models))
+        share = math.ceil(count / len(self.models))
         for number, model in enumerate(self.models):
             den = np.r_[1.0, np.zeros(model.delay + model.reach - 1)]
-            drawn = model.sample_longer(each, np.random.default_rng([self.seed, stream, number]))
+            drawn = model.sample_longer(share, np.random.default_rng([self.seed, stream, number]))
             plants += [TransferFunction(g, den, model.sample_time) for g in drawn]
         return plants
 
@@ -333,8 +333,8 @@ def _refuse_unfit(models: Sequence[IdentifiedModel]) -> None:
     """Promise nothing for a model that its own record speaks against."""
     for model in models:
         if model.unfit:
-            which = f"model {model.method} from {model.input_name!r} to {model.output_name!r}"
-            raise BadInput(f"{which}: no controller is promised for it: {model.unfit[0]}")
+            label = f"model {model.method} from {model.input_name!r} to {model.output_name!r}"
+            raise BadInput(f"{label}: no controller is promised for it: {model.unfit[0]}")
 
 
 def critical_frequency(omega: FloatArray, magnitude: FloatArray) -> float:

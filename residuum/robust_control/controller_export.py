@@ -183,12 +183,12 @@ def _c_list(values: Iterable[float]) -> str:
 
 
 def _c_limits(equation: DifferenceEquation) -> list[str]:
-    found = []
+    lines = []
     if math.isfinite(equation.lower):
-        found.append(f"    if (u < {float(equation.lower)!r}) u = {float(equation.lower)!r};\n")
+        lines.append(f"    if (u < {float(equation.lower)!r}) u = {float(equation.lower)!r};\n")
     if math.isfinite(equation.upper):
-        found.append(f"    if (u > {float(equation.upper)!r}) u = {float(equation.upper)!r};\n")
-    return found
+        lines.append(f"    if (u > {float(equation.upper)!r}) u = {float(equation.upper)!r};\n")
+    return lines
 
 
 # A controller as a function block of IEC 61131-3 structured text.
@@ -287,12 +287,12 @@ def _text_list(values: Iterable[float]) -> str:
 
 
 def _text_limits(equation: DifferenceEquation) -> list[str]:
-    found = []
+    lines = []
     if math.isfinite(equation.lower):
-        found.append(f"Output := MAX(Output, {_real(equation.lower)});\n")
+        lines.append(f"Output := MAX(Output, {_real(equation.lower)});\n")
     if math.isfinite(equation.upper):
-        found.append(f"Output := MIN(Output, {_real(equation.upper)});\n")
-    return found
+        lines.append(f"Output := MIN(Output, {_real(equation.upper)});\n")
+    return lines
 
 
 LANGUAGES: dict[str, Callable[[DifferenceEquation], str]] = {"c": c_source, "st": structured_text}

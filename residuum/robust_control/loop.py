@@ -240,14 +240,14 @@ class Loop:
         self.stabilising: dict[object, list[tuple[FloatArray, FloatArray]]] = {}  # per structure, once found
         self.G = np.array([plant.frequency_response(self.omega) for plant in plants])
 
-    def part_of_finer(self, kept: npt.NDArray[np.intp]) -> Loop:
+    def part_of_finer(self, points: npt.NDArray[np.intp]) -> Loop:
         """The loop on some points of its finer grid; nothing is computed anew, and it refines to the same grid."""
         fine, position = self.finer
         part = object.__new__(Loop)
         part.plants, part.sample_time = self.plants, self.sample_time
         part.stabilising = self.stabilising
-        part.omega, part.z, part.G = fine.omega[kept], fine.z[kept], fine.G[:, kept]
-        part.__dict__["finer"] = (fine, np.interp(position, position[kept], np.arange(len(kept))))
+        part.omega, part.z, part.G = fine.omega[points], fine.z[points], fine.G[:, points]
+        part.__dict__["finer"] = (fine, np.interp(position, position[points], np.arange(len(points))))
         return part
 
     @cached_property
@@ -326,8 +326,8 @@ class Loop:
         integrators = int(np.sum(np.abs(poles - 1.0) < 1e-6))
         outside = int(np.sum(np.abs(poles) > 1.0)) if not integrators else int(np.sum(np.abs(poles) > 1.0 + 1e-6))
         L = self.G[k] * self.controller_response(num, den)
-        found = closed_loop_unstable_poles(L, plant.unstable_poles + outside, plant.integrators + integrators)
-        return found == 0
+        unstable = closed_loop_unstable_poles(L, plant.unstable_poles + outside, plant.integrators + integrators)
+        return unstable == 0
 
 
 def frequency_grid(plants: Sequence[Plant], *, points: int = 600, lowest: float | None = None) -> FloatArray:

@@ -144,7 +144,7 @@ class MultivariableDesign:
     @property
     def certified(self) -> bool:
         """Whether every drawn model's closed loop is proven stable."""
-        return all(one.proven for one in self.loops) and max(self.bounds) < 1.0 and all(p.design.stable for p in self.points)
+        return all(loop.proven for loop in self.loops) and max(self.bounds) < 1.0 and all(p.design.stable for p in self.points)
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,10 +207,10 @@ class MultivariableProblem:
         """Random plants, shape (count, p, q, length); another `stream`, others. As long as the data can tell."""
         return self._taps(self.model.sample_longer(count, np.random.default_rng([self.seed, stream])))
 
-    def _nominal_and(self, others: FloatArray) -> FloatArray:
+    def _nominal_and(self, drawn: FloatArray) -> FloatArray:
         """The nominal plant, its response ended by zeros, before the others."""
-        ended = np.pad(self.nominal, ((0, 0), (0, 0), (0, 0), (0, others.shape[3] - self.nominal.shape[3])))
-        return np.concatenate([ended, others])
+        ended = np.pad(self.nominal, ((0, 0), (0, 0), (0, 0), (0, drawn.shape[3] - self.nominal.shape[3])))
+        return np.concatenate([ended, drawn])
 
     @cached_property
     def loops(self) -> tuple[DecoupledLoop, ...]:
@@ -250,33 +250,33 @@ class MultivariableProblem:
         longest = wishes.settling_time or 10.0 * self.nominal.shape[3] * self.sample_time
         aim = NominalAim(wishes.overshoot, longest, wishes.slack, only=wishes.only)
         points = []
-        for one in self.loops:
+        for loop in self.loops:
             try:
-                made = design_for_nominal_performance(one.loop, wishes.limit * one.magnitude, law, aim, one.crossing)
+                design = design_for_nominal_performance(loop.loop, wishes.limit * loop.magnitude, law, aim, loop.crossing)
             except Infeasible as no:
-                raise Infeasible(f"loop of {one.output!r}: {no}") from None
-            points.append(made.chosen)
-        bounds = tuple(one.stability_bound(point.design.controller) for one, point in zip(self.loops, points, strict=True))
+                raise Infeasible(f"loop of {loop.output!r}: {no}") from None
+            points.append(design.chosen)
+        bounds = tuple(loop.stability_bound(point.design.controller) for loop, point in zip(self.loops, points, strict=True))
         return MultivariableDesign(self.decoupler, self.loops, tuple(points), bounds)
 
-    def measured(self, found: MultivariableDesign) -> tuple[MeasuredLoop, ...]:
+    def measured(self, design: MultivariableDesign) -> tuple[MeasuredLoop, ...]:
         """Step responses of the whole, every reference in turn, of the nominal plant and of plants that no design has seen."""
-        longest = max(point.second for point in found.points)
+        longest = max(point.second for point in design.points)
         n = max(round(_FOLLOWED * longest / self.sample_time), 4 * self.nominal.shape[3])
         count = _FIRST_PLANTS
         while True:
             plants = self._nominal_and(self.drawn(count, 1))
-            seen = tuple(self._seen(found, plants, i, n) for i in range(len(self.gains)))
-            if count >= _MOST_PLANTS or all(one.own.is_sure_of(SHARE, self.sample_time) for one in seen):
-                return seen
+            loops = tuple(self._seen(design, plants, i, n) for i in range(len(self.gains)))
+            if count >= _MOST_PLANTS or all(loop.own.is_sure_of(SHARE, self.sample_time) for loop in loops):
+                return loops
             count *= _MORE_PLANTS
 
-    def _seen(self, found: MultivariableDesign, plants: FloatArray, i: int, n: int) -> MeasuredLoop:
-        y = closed_loop_steps(plants, found.decoupler, found.controllers, i, n)
-        nominal, *others = [assess(one, self.sample_time) for one in y[:, :, i]]
+    def _seen(self, design: MultivariableDesign, plants: FloatArray, i: int, n: int) -> MeasuredLoop:
+        y = closed_loop_steps(plants, design.decoupler, design.controllers, i, n)
+        nominal, *drawn = [assess(response, self.sample_time) for response in y[:, :, i]]
         coupling = np.abs(np.delete(y, i, axis=2)).max(axis=(1, 2))
         coupling = np.where(np.isfinite(coupling), coupling, math.inf)
-        return MeasuredLoop(Measured(nominal, tuple(others)), float(coupling[0]), coupling[1:])
+        return MeasuredLoop(Measured(nominal, tuple(drawn)), float(coupling[0]), coupling[1:])
 
 
 def reached(values: Sequence[float] | FloatArray) -> float:

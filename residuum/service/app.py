@@ -113,7 +113,7 @@ async def _running(
     set_up_logs(settings)
     notifications = Notifications(settings)
 
-    told = Told()
+    shown = Told()
     outs: list[Any] = []
 
     def show(kind: str, payload: Mapping[str, Any]) -> None:
@@ -125,7 +125,7 @@ async def _running(
             out.tell(kind, payload)
 
     def announce(kind: str, payload: Mapping[str, Any]) -> None:
-        if kind != "finding" or told.first(payload["id"]):
+        if kind != "finding" or shown.first(payload["id"]):
             show(kind, payload)
         notifications.tell(kind, payload)
 
@@ -174,7 +174,7 @@ async def _running(
         await pipeline.start()
         await asyncio.to_thread(app.openapi)  # routes are put together at first use, which would hold up whoever asks then
         if settings.mqtt:
-            elsewhere = StoredWindows(settings.broker, store, told, show, metrics.stored_message)
+            elsewhere = StoredWindows(settings.broker, store, shown, show, metrics.stored_message)
             elsewhere.start()
             ends(elsewhere.stop)
         started.callback(events.close)
@@ -201,9 +201,9 @@ def _sparkplug_findings(settings: Settings) -> Any:
         module = import_module("residuum.service.finding_metrics")
     except ModuleNotFoundError:
         raise BadSettings("setting sparkplug: needs the extra `sparkplug`: pip install 'residuum[sparkplug]'") from None
-    found = module.FindingMetrics(settings.broker, settings.sparkplug)
-    found.start()
-    return found
+    node = module.FindingMetrics(settings.broker, settings.sparkplug)
+    node.start()
+    return node
 
 
 def _baselines(store: DiskStore) -> Any:
@@ -229,9 +229,9 @@ async def _watch_refusals(store: DiskStore, refusals: Refusals) -> None:
 
 def _audit_refusals(store: DiskStore, refusals: Refusals) -> None:
     """Into the trail with what was refused; what the database cannot take now is in the log."""
-    if told := refusals.take():
+    if refused := refusals.take():
         with suppress(StorageUnavailable):
-            store.audit_refusals([(asdict(refusal), times) for refusal, times in told])
+            store.audit_refusals([(asdict(refusal), times) for refusal, times in refused])
 
 
 def _look_for_damage(store: DiskStore) -> None:
@@ -243,14 +243,14 @@ def _look_for_damage(store: DiskStore) -> None:
 
 async def _retain(store: DiskStore, settings: Settings) -> None:
     rule = Retention(settings.keep_days, settings.keep_bytes, settings.keep_row_days, settings.keep_rows)
-    told: str | None = None
+    logged: str | None = None
     while True:
         try:
-            if gone := await asyncio.to_thread(store.retain, rule):
-                log.info("let signals go", windows=gone)
-            if (doubt := store.troubles().get("retention")) not in (None, told):
+            if freed := await asyncio.to_thread(store.retain, rule):
+                log.info("let signals go", windows=freed)
+            if (doubt := store.troubles().get("retention")) not in (None, logged):
                 log.error("signals and rows are kept beyond their days", reason=doubt)
-            told = doubt
+            logged = doubt
         except (StorageUnavailable, OSError) as error:
             log.error("signals could not be let go", reason=str(error))
         await asyncio.sleep(_RETAIN_EVERY)

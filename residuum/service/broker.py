@@ -37,15 +37,15 @@ class BrokerTls(BaseModel):
     def context(self) -> ssl.SSLContext:
         """What connections are made by; the broker's name is compared. BadInput names a file that cannot be used."""
         try:
-            made = ssl.create_default_context(cafile=self.ca)
+            tls = ssl.create_default_context(cafile=self.ca)
         except (OSError, ssl.SSLError) as error:
             raise BadInput(f"{self.ca}: holds no certificate of an authority: {error}") from None
         if self.certificate is not None:
             try:
-                made.load_cert_chain(self.certificate, self.key)
+                tls.load_cert_chain(self.certificate, self.key)
             except (OSError, ssl.SSLError) as error:
                 raise BadInput(f"{self.certificate}, {self.key}: are no certificate with its key: {error}") from None
-        return made
+        return tls
 
 
 class BrokerAddress(NamedTuple):
@@ -109,13 +109,13 @@ def with_hidden_password(address: str) -> str:
     >>> with_hidden_password("mqtt://eva:secret@broker/plant")
     'mqtt://eva:***@broker/plant'
     """
-    found = _USER_INFO.match(address)
-    if found is None or ":" not in found[2]:
+    user_info = _USER_INFO.match(address)
+    if user_info is None or ":" not in user_info[2]:
         return address
-    return f"{found[1]}{found[2].partition(':')[0]}:***@{address[found.end() :]}"
+    return f"{user_info[1]}{user_info[2].partition(':')[0]}:***@{address[user_info.end() :]}"
 
 
 def is_hidden(address: str) -> bool:
     """Whether the password of an address is the mark that stands for one."""
-    found = _USER_INFO.match(address)
-    return found is not None and found[2].partition(":")[2] == "***"
+    user_info = _USER_INFO.match(address)
+    return user_info is not None and user_info[2].partition(":")[2] == "***"

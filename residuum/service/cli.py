@@ -31,18 +31,18 @@ def run(arguments: list[str]) -> int:
     if arguments[0] == "--version":
         sys.stdout.write(f"residuum {version('residuum')}\n")
         return DONE
-    name, *rest = arguments
+    name, *words = arguments
     if name not in COMMANDS:
         return _refuse(f"command {name!r}: there is none of this name; {known_names(name, COMMANDS)}")
     try:
-        if fmus := [argument for argument in rest if argument.lower().endswith(".fmu")]:
+        if fmus := [argument for argument in words if argument.lower().endswith(".fmu")]:
             apart = import_module("residuum.service.commands.fmu_process")
             if apart.is_wanted(name):
                 return int(apart.run_apart(arguments, fmus[0]))
         with loading_modules():
             command = import_module(f"residuum.service.commands.{COMMANDS[name][0]}").app
         _take_interrupts()
-        status = command(args=rest, prog_name=f"residuum {name}", standalone_mode=False)
+        status = command(args=words, prog_name=f"residuum {name}", standalone_mode=False)
     except typer.Exit as done:
         return done.exit_code
     except _UsageError as error:
@@ -73,8 +73,8 @@ def _usage(error: Any) -> str:
     says = str(getattr(error, "format_message", error.__str__)())
     command: Any = getattr(getattr(error, "ctx", None), "command", None)
     if option := getattr(error, "option_name", None):
-        options = [each for parameter in command.params for each in (*parameter.opts, *parameter.secondary_opts)]
-        return f"there is no option {option}; {known_names(option, [each for each in options if each.startswith('-')])}"
+        options = [flag for parameter in command.params for flag in (*parameter.opts, *parameter.secondary_opts)]
+        return f"there is no option {option}; {known_names(option, [flag for flag in options if flag.startswith('-')])}"
     if unknown := re.match(r"No such command '([^']*)'", says):
         return f"there is no command {unknown[1]!r}; {known_names(unknown[1], command.commands)}"
     if choice := re.match(r"Invalid value for '([^']*)': .*?'([^']*)' is not one of (.*)", says):

@@ -41,11 +41,11 @@ class FindingMetrics:
         if kind == "alarm":
             self._node.write(str(payload["asset"]), {"alarm": str(payload["state"])}, time.time())
         elif kind == "finding":
-            said = {name: str(payload.get(name) or "") for name in ("verdict", "class", "reason")}
+            texts = {name: str(payload.get(name) or "") for name in ("verdict", "class", "reason")}
             numbers = {
                 f"indicator/{name}": float(value)
                 for name, value in (payload.get("indicators") or {}).items()
                 if isinstance(value, int | float)
             }
             at = payload["at"]
-            self._node.write(str(payload["asset"]), said | numbers, at.timestamp() if isinstance(at, datetime) else time.time())
+            self._node.write(str(payload["asset"]), texts | numbers, at.timestamp() if isinstance(at, datetime) else time.time())

@@ -63,7 +63,7 @@ class KnownQueries:
 
 def _keys(methods: Mapping[str, Any]) -> dict[str, list[str]]:
     return {
-        method.upper(): [each["name"] for each in operation.get("parameters", []) if each["in"] == "query"]
+        method.upper(): [parameter["name"] for parameter in operation.get("parameters", []) if parameter["in"] == "query"]
         for method, operation in methods.items()
     }
 

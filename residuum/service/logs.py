@@ -84,5 +84,5 @@ def set_up_logs(settings: Settings) -> None:
     handler = _StandardError()
     handler.setFormatter(lines)
     handler.setLevel(logging.WARNING)
-    others = [known for known in logging.root.handlers if not isinstance(known, _StandardError)]
-    logging.root.handlers[:] = [*others, handler]
+    foreign = [known for known in logging.root.handlers if not isinstance(known, _StandardError)]
+    logging.root.handlers[:] = [*foreign, handler]

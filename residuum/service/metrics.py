@@ -97,9 +97,9 @@ class _Status(Collector):
         yield self._by_state(status.get("machines", {}))
         for kind in ("source", "machine"):
             family = GaugeMetricFamily(f"residuum_{kind}", f"Numbers of a {kind}", labels=(kind, "name"))
-            for one, state in _by_name(status.get(f"{kind}s", {})):
+            for label, state in _by_name(status.get(f"{kind}s", {})):
                 for name, number in _numbers(state):
-                    family.add_metric((one, name), number)
+                    family.add_metric((label, name), number)
             yield family
 
 

@@ -57,8 +57,8 @@ def check_model_file(kind: str, content: bytes, diagnoser: str | None = None) ->
         try:
             reader(file)
         except BadInput as error:
-            said = str(error).replace(f"model {str(file)!r}", "model file")
-            raise BadModel(said.replace(str(file), "model file").replace(file.name, "model file")) from None
+            refusal = str(error).replace(f"model {str(file)!r}", "model file")
+            raise BadModel(refusal.replace(str(file), "model file").replace(file.name, "model file")) from None
 
 
 def _reader(kind: str, diagnoser: str | None) -> Callable[[Path], object]:

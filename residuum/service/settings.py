@@ -175,11 +175,11 @@ class Settings(BaseSettings):
     @field_validator("trusted_proxies")
     @classmethod
     def _networks(cls, value: list[str]) -> list[str]:
-        for each in value:
+        for network in value:
             try:
-                ipaddress.ip_network(each, strict=False)
+                ipaddress.ip_network(network, strict=False)
             except ValueError:
-                raise ValueError(f"{each!r} is neither an address nor a network; write 10.0.0.7 or 10.0.0.0/24") from None
+                raise ValueError(f"{network!r} is neither an address nor a network; write 10.0.0.7 or 10.0.0.0/24") from None
         return value
 
     @model_validator(mode="after")

@@ -326,11 +326,11 @@ def _happening(s, a, dt):  # type: ignore[no-untyped-def]
         return 0.0, 0.0
     heading = 1.0 if s.phase == OPENING else -1.0
     whole = a.travel - s.start if s.phase == OPENING else s.start
-    gone = heading * (s.x - s.start)
+    travelled = heading * (s.x - s.start)
     if s.event == _OBSTACLE:
-        into = gone - s.event_size * whole
+        into = travelled - s.event_size * whole
         return 0.0, -heading * max(2.0e4 * into + 2.0e3 * heading * s.v, 0.0) if into > 0.0 else 0.0
-    if gone < 0.4 * whole:
+    if travelled < 0.4 * whole:
         return 0.0, 0.0
     s.event_time += dt
     if s.event == _SAG:

@@ -190,10 +190,10 @@ class GateDrive(Machine):
             self._walk = walk[-1]
         steps = int(np.ceil(self.sample_time / _STEP - 1e-9))
         fine = (k[:, None] + np.arange(steps) / steps) * self.sample_time
-        seen = self._seen(fine)
+        applied = self._seen(fine)
         self._knots = [knot for knot in self._knots if knot[0] > fine[0, 0] - _MEMORY]
         out = np.empty((2, n))
-        _live(out, self._y, self.drive, seen, walk, self._table, self.sample_time / steps)
+        _live(out, self._y, self.drive, applied, walk, self._table, self.sample_time / steps)
         return {"voltage": u, **self._sensed(out, draws[:, :2])}
 
     def _command(self, t: Array) -> Array:

@@ -167,8 +167,8 @@ class LinearAxis(Machine):
         target = draw.uniform(-0.4, 0.4)
         way = abs(target - place)
         moving = max(1.875 * way / draw.uniform(0.1, 0.8), np.sqrt(5.774 * way / 3.0), 0.05)
-        rest = draw.uniform(0.1, 0.6)
-        return [(now, now + moving, place, target), (now + moving, now + moving + rest, target, target)]
+        dwell = draw.uniform(0.1, 0.6)
+        return [(now, now + moving, place, target), (now + moving, now + moving + dwell, target, target)]
 
     def _constants(self) -> dict[str, float]:
         return {"M": float(self.axis.M)}

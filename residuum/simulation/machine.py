@@ -191,15 +191,15 @@ class Machine(ABC):
         return np.clip(draws, -2.0, 2.0) if self.exemplar else np.zeros(count)
 
 
-def _known(listed: Mapping[str, Kind], id: str, what: str) -> Kind:
+def _known(listed: Mapping[str, Kind], id: str, role: str) -> Kind:
     if id not in listed:
-        raise BadSetting(f"{what} {id!r} is not known; {known_names(id, listed)}")
+        raise BadSetting(f"{role} {id!r} is not known; {known_names(id, listed)}")
     return listed[id]
 
 
-def _size(fault: Fault, size: float | None, what: str) -> float:
+def _size(fault: Fault, size: float | None, where: str) -> float:
     size = fault.default_size if size is None else float(size)
     if not (np.isfinite(size) and 0 < size <= fault.largest):
         limit = "" if np.isinf(fault.largest) else f" and at most {fault.largest:g}"
-        raise BadSetting(f"{what}: size is {size:g}; must be positive{limit} [{fault.unit or '-'}]")
+        raise BadSetting(f"{where}: size is {size:g}; must be positive{limit} [{fault.unit or '-'}]")
     return size

@@ -95,9 +95,9 @@ class OscillatorMachine(Machine):
         k = self._samples + np.arange(n)
         draws = self._rng.standard_normal((n, 2))
         force = self._force(k, draws[:, 0])
-        seen = force + self.active_effects.get("input-offset", {}).get("offset", 0.0)
+        applied = force + self.active_effects.get("input-offset", {}).get("offset", 0.0)
         out = np.empty(n)
-        _live(out, self._y, self.circuit, seen, self.sample_time)
+        _live(out, self._y, self.circuit, applied, self.sample_time)
         offset = self.active_effects.get("output-offset", {}).get("offset", 0.0)
         return {"force": force, "position": out + offset + 3e-4 * self._noise * draws[:, 1]}
 

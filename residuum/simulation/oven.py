@@ -172,8 +172,8 @@ class OvenMachine(Machine):
         if self._profile == "steps":
             return self._levels(k * self.sample_time, draws, holds)
         duty = np.clip(60.0 + 30.0 * draws, 0.0, 100.0)
-        rest = (k % 4800 < 400) | (k % 4800 >= 4400)
-        return np.where(rest, 0.0, duty) if self._profile == "experiment" else duty
+        idle = (k % 4800 < 400) | (k % 4800 >= 4400)
+        return np.where(idle, 0.0, duty) if self._profile == "experiment" else duty
 
     def _levels(self, t: Array, draws: Array, holds: Array) -> Array:
         duty = np.empty(len(t))

@@ -104,9 +104,9 @@ class Diagnoser(ABC):
             raise BadInput(f"diagnoser {self.name!r}, method {str(method)[:40]!r}: {asked}must be {' or '.join(self.methods)}")
         if method == self.method:
             return self
-        other = copy.copy(self)
-        other.method = str(method)
-        return other
+        diagnoser = copy.copy(self)
+        diagnoser.method = str(method)
+        return diagnoser
 
     def learned(self) -> dict[str, Any]:
         """What training found that its user should know, as JSON; under `says` the same in sentences."""

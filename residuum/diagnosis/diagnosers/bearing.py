@@ -137,15 +137,15 @@ class Bearing(Diagnoser):
         if unknown := [name for name in settings if name not in ("orders", "hertz", "speed_rpm")]:
             raise BadInput(f"bearing: has no setting {unknown[0]!r}; has orders, hertz, speed_rpm")
         lines = settings.keys() & {"orders", "hertz"}
-        kept = (
+        unchanged = (
             {"speed_rpm": self.speed_rpm} if lines else {"orders": self.orders, "hertz": self.hertz, "speed_rpm": self.speed_rpm}
         )
-        other = type(self)(
-            **{**kept, **settings}, channel=self.channel, machine_class=self.machine_class, false_alarm=self.false_alarm
+        bearing = type(self)(
+            **{**unchanged, **settings}, channel=self.channel, machine_class=self.machine_class, false_alarm=self.false_alarm
         )
-        same = (other.orders, other.hertz) == (self.orders, self.hertz)
-        other._baseline = self._baseline if same or self._baseline is None else replace(self._baseline, lines={})
-        return other
+        same = (bearing.orders, bearing.hertz) == (self.orders, self.hertz)
+        bearing._baseline = self._baseline if same or self._baseline is None else replace(self._baseline, lines={})
+        return bearing
 
     def fit(self, records: Sequence[Record], labels: Sequence[str] | None = None) -> Self:
         """Learn what is healthy, from one-second windows of the records; records with another label are left out.
@@ -411,8 +411,8 @@ def _windows(x: AnyArray, rate: float, window: float) -> list[AnyArray]:
 
 
 def _shape(x: AnyArray) -> list[float]:
-    found = indicators(x - x.mean())
-    return [found.rms, found.kurtosis, found.crest]
+    statistics = indicators(x - x.mean())
+    return [statistics.rms, statistics.kurtosis, statistics.crest]
 
 
 def _band_names(edges: AnyArray) -> list[str]:

@@ -147,12 +147,12 @@ class GateActuator(Diagnoser):
         if not movements:
             return Finding.not_assessable(self.name, f"no movement in {record.duration:.4g} s: the phase is 0 throughout")
         scored = [self._score_movement(self._baseline, movement) for movement in movements]
-        judged = [one for one in scored if one.judgement is not None]
+        judged = [move for move in scored if move.judgement is not None]
         if not judged:
             return not_assessed(self.name, scored)
         if self.method == "source" and self._baseline.source is None:
             raise NotTrained(_NO_CLASSIFIER)
-        worst = next((one for one in judged if one.said_by(self.method) is not None), judged[-1])
+        worst = next((move for move in judged if move.said_by(self.method) is not None), judged[-1])
         return self._finding(self._baseline, worst, scored)
 
     def _unusable(self, movement: Movement, shortest_travel: float) -> ScoredMovement | None:
@@ -173,24 +173,24 @@ class GateActuator(Diagnoser):
             return ScoredMovement(movement, happened.says, happened, features)
         return ScoredMovement(movement, None, None, features, baseline.judge(features), baseline.judge_by_source(features))
 
-    def _finding(self, baseline: GateBaseline, one: ScoredMovement, scored: Sequence[ScoredMovement]) -> Finding:
-        features, judgement = one.features, one.judgement
+    def _finding(self, baseline: GateBaseline, move: ScoredMovement, scored: Sequence[ScoredMovement]) -> Finding:
+        features, judgement = move.features, move.judgement
         if features is None or judgement is None:
             raise NotTrained("gate-actuator: the movement was not judged")
         known = baseline.known(features)
         indicators = baseline.indicators(features, known) | {"fault_frequency": features.fault_frequency}
         if judgement.isolation is not None:
             indicators["fault_probability"] = judgement.isolation.fault_probability
-        said = one.said_by(self.method)
+        fault_class = move.said_by(self.method)
         return Finding(
             self.name,
-            Verdict.HEALTHY if said is None else Verdict.FAULTY,
-            said,
+            Verdict.HEALTHY if fault_class is None else Verdict.FAULTY,
+            fault_class,
             indicators,
             baseline.feature_limits(known) if self.method == "default" else {},
             _UNITS | {"fault_frequency": "Hz"},
-            evidence_of(baseline, one, scored) | {"known_gear": known is not None, "method": self.method},
-            sentence(one) if self.method == "default" else source_sentence(one),
+            evidence_of(baseline, move, scored) | {"known_gear": known is not None, "method": self.method},
+            sentence(move) if self.method == "default" else source_sentence(move),
         )
 
     @property

@@ -137,12 +137,12 @@ class GrippingPliers(Diagnoser):
         # Impacts scatter log-normally: of few rounds the geometric mean tells quadrants apart more surely than the median does.
         evidence = self._evidence(baseline, part, excess, np.exp(np.log(bands[shown]).mean(axis=0)))
         evidence |= {"rounds": part.rounds.count, "exceeding_rounds": int(exceeding.sum())}
-        found = dict(zip(NAMES, map(float, values), strict=True)) | {"band_excess": float(excess.max())}
+        figures = dict(zip(NAMES, map(float, values), strict=True)) | {"band_excess": float(excess.max())}
         thresholds = dict(zip(NAMES, map(float, limits), strict=True)) | {"band_excess": 1.0}
         units = {name: "m/s²" for name in NAMES if name.startswith("rms")}
         verdict, fault_class = (Verdict.FAULTY, "plier-bearing") if faulty else (Verdict.HEALTHY, None)
-        says = _says(found, thresholds, evidence) if faulty else None
-        return Finding(self.name, verdict, fault_class, found, thresholds, units, evidence, says).with_remarks(part.remarks)
+        says = _says(figures, thresholds, evidence) if faulty else None
+        return Finding(self.name, verdict, fault_class, figures, thresholds, units, evidence, says).with_remarks(part.remarks)
 
     def _evidence(self, baseline: _Baseline, part: _RoundsOf, excess: AnyArray, bands: AnyArray) -> dict[str, Any]:
         row, column = np.unravel_index(int(np.argmax(excess)), excess.shape)
@@ -306,8 +306,8 @@ class _Baseline:
     @classmethod
     def of(cls, healthy: list[_RoundsOf], faulty: list[_RoundsOf], levels: int) -> _Baseline:
         band = _choose_band(healthy, faulty, levels)
-        found = [part.measure(band, levels) for part in healthy]
-        measured, bands = (np.concatenate([pair[k] for pair in found]) for k in (0, 1))
+        measurements = [part.measure(band, levels) for part in healthy]
+        measured, bands = (np.concatenate([pair[k] for pair in measurements]) for k in (0, 1))
         profiles = np.concatenate([part.profiles(band) for part in healthy])
         marked = all(part.rounds.phase is not None for part in healthy)
         if not marked:  # no pulse says which quadrant is which: all four share one limit
@@ -358,11 +358,11 @@ def _pooled(measured: AnyArray, bands: AnyArray, profiles: AnyArray) -> tuple[An
     )
 
 
-def _says(found: dict[str, float], thresholds: dict[str, float], evidence: dict[str, Any]) -> str:
-    worst = max(thresholds, key=lambda name: found[name] / thresholds[name])
+def _says(figures: dict[str, float], thresholds: dict[str, float], evidence: dict[str, Any]) -> str:
+    worst = max(thresholds, key=lambda name: figures[name] / thresholds[name])
     differs = evidence["differs_most"]
     return (
-        f"{worst} is {found[worst]:.3g} against a limit of {thresholds[worst]:.3g}; the machine differs most "
+        f"{worst} is {figures[worst]:.3g} against a limit of {thresholds[worst]:.3g}; the machine differs most "
         f"from its healthy self around {differs['centre']:.0f} Hz ({differs['in']})"
     )
 

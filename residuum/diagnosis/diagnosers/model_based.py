@@ -94,25 +94,25 @@ class ModelBased(Diagnoser):
         known = () if self._baseline is None else self._baseline.stand_ins
         if self._baseline is not None:
             refuse_recalibration(self._baseline, healthy, [] if model is None else [use.key for use in model.effects])
-        other = copy.copy(self)
-        other.model = self.baseline.asked if model is None else model
-        other._baseline = train(other.model, healthy, fix_undetermined=self.fix_undetermined, known=known)
-        return other
+        diagnoser = copy.copy(self)
+        diagnoser.model = self.baseline.asked if model is None else model
+        diagnoser._baseline = train(diagnoser.model, healthy, fix_undetermined=self.fix_undetermined, known=known)
+        return diagnoser
 
     def with_settings(self, **settings: object) -> Self:
         """The same baseline at another rate of false alarms."""
         if "method" in settings:
             super().with_settings(method=settings.pop("method"))
-        kept = {name: getattr(self, name) for name in _SETTINGS}
+        current = {name: getattr(self, name) for name in _SETTINGS}
         try:
-            other = type(self)(model=self.model, **(kept | settings))
+            diagnoser = type(self)(model=self.model, **(current | settings))
         except TypeError:
             first = next(name for name in settings if name not in _SETTINGS)
             raise BadInput(
                 f"diagnoser {self.name!r}: has no setting {first!r}; {known_names(first, _SETTINGS, 'it has')}"
             ) from None
-        other._baseline = self._baseline
-        return other
+        diagnoser._baseline = self._baseline
+        return diagnoser
 
     def learned(self) -> dict[str, Any]:
         """Healthy values, the physics that healthy windows show beyond the model, and the rate that they vouch for."""
@@ -134,8 +134,8 @@ class ModelBased(Diagnoser):
         ]
         says += [f"  {b.sources[k]} stands apart from the others: is it healthy?" for k in b.apart if k < len(b.sources)]
         says.append(f"  {b.windows} healthy windows by themselves allow {alone:.3g} false alarms a day; less is extrapolated")
-        told = {"windows": b.windows, "parameters": values, "missing_physics": missing, "apart": list(b.apart)}
-        return told | {"rate_without_extrapolation": alone, "says": says}
+        summary = {"windows": b.windows, "parameters": values, "missing_physics": missing, "apart": list(b.apart)}
+        return summary | {"rate_without_extrapolation": alone, "says": says}
 
     def describe(self) -> Mapping[str, object]:
         """With the channels of the model, once it is known."""

@@ -135,24 +135,24 @@ class RobustResidual(Diagnoser):
         if (reason := self._unusable(record, u, y)) is not None:
             return Finding.not_assessable(self.name, reason)
         signals, bank = self.stream().process(u, y)
-        said = {
+        tests = {
             "default": ThresholdTest.of("glr", "σ", bank.statistic, bank.alarm, self._threshold),
             "source": _algorithm_6(design, signals, u),
         }
-        deciding = said[self.method]
+        deciding = tests[self.method]
         if deciding.alarm is not None and (reason := design.swapped(record.source, u, y)) is not None:
             return Finding.not_assessable(self.name, reason)
         estimate = None if deciding.alarm is None else self._estimate(u, y, deciding.alarm)
         evidence = self._evidence(record, signals, deciding.alarm, estimate) | {"method": self.method}
-        evidence |= {f"{name}_method": test.to_json(record.time) for name, test in said.items()}
+        evidence |= {f"{name}_method": test.to_json(record.time) for name, test in tests.items()}
         rms = float(np.sqrt(np.mean(signals.primary[signals.valid] ** 2)))
         return Finding(
             self.name,
             Verdict.HEALTHY if deciding.alarm is None else Verdict.FAULTY,
             estimate.kind if estimate is not None else None,
-            {test.indicator: test.largest for test in said.values()} | {"residual_rms": rms},
+            {test.indicator: test.largest for test in tests.values()} | {"residual_rms": rms},
             {deciding.indicator: deciding.threshold},
-            {test.indicator: test.unit for test in said.values()} | {"residual_rms": design.model.output_unit or "1"},
+            {test.indicator: test.unit for test in tests.values()} | {"residual_rms": design.model.output_unit or "1"},
             evidence,
             self._reason(deciding, evidence, estimate),
         )
@@ -215,14 +215,14 @@ class RobustResidual(Diagnoser):
             if self.method == "default"
             else f"the post-filtered residual reaches {test.largest:.3g} {test.unit} (automatic threshold {test.threshold:.3g})"
         )
-        said = f"{compared}: {_describe(estimate, evidence)}" if estimate is not None else compared
+        says = f"{compared}: {_describe(estimate, evidence)}" if estimate is not None else compared
         if not evidence["model_explains_healthy_data"] and self.method == "default":
-            said += (
+            says += (
                 "; the healthy records already carry structured error, "
                 "so the limit was widened: find the missing effect with `residuum explain`, add it with `residuum improve`, "
                 "and train `model-based` with the improved model to see smaller faults"
             )
-        return said
+        return says
 
     def save(self, path: str | Path) -> None:
         """Store the trained diagnoser."""

@@ -66,8 +66,8 @@ class NotchMatch:
         X = self.spectrum(typical_turn)
         z, _ = self.largest_bump(X, motor_speed, time_constant)
         energy = 2.0 * float(np.sum(np.abs(X) ** 2 / self.power))
-        rest = (energy - z**2) / (2 * len(self.power) - 1)
-        return z / max(rest, 1.0) ** 0.25
+        variance = (energy - z**2) / (2 * len(self.power) - 1)
+        return z / max(variance, 1.0) ** 0.25
 
     @property
     def orders(self) -> npt.NDArray[np.int64]:

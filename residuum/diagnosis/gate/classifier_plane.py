@@ -75,8 +75,8 @@ def decision_regions(classifier: BaseEstimator, points: npt.ArrayLike, resolutio
     x, y = (np.linspace(low[k] - margin[k], high[k] + margin[k], resolution) for k in (0, 1))
     grid = np.stack(np.meshgrid(x, y), axis=-1)
     classes = tuple(str(label) for label in classifier.classes_)
-    said = np.asarray(classifier.predict(grid.reshape(-1, 2)))
-    return DecisionRegions(x, y, classes, np.searchsorted(np.asarray(classifier.classes_), said).reshape(grid.shape[:2]))
+    predicted = np.asarray(classifier.predict(grid.reshape(-1, 2)))
+    return DecisionRegions(x, y, classes, np.searchsorted(np.asarray(classifier.classes_), predicted).reshape(grid.shape[:2]))
 
 
 _LEAST = 1e-12  # features are positive; the margin of a plane may reach beyond
@@ -88,12 +88,12 @@ def plane_features(baseline: GateBaseline) -> tuple[str, ...]:
 
 
 def classifier_plane(
-    baseline: GateBaseline, here: Mapping[str, float], x: str, y: str, points: npt.ArrayLike, resolution: int = 80
+    baseline: GateBaseline, features: Mapping[str, float], x: str, y: str, points: npt.ArrayLike, resolution: int = 80
 ) -> DecisionRegions:
     """Regions in the plane of features x and y.
 
     In the plane of F₁ and F₂ these are the regions of the source's support vector machine, which knows no other features. Any
-    other plane is a cut through the regions of the classifier of all features: the other features stay as they are `here`.
+    other plane is a cut through the regions of the classifier of all features: the other features stay as they are `features`.
 
     Parameters
     ----------
@@ -109,7 +109,7 @@ def classifier_plane(
     Raises
     ------
     BadInput
-        Unknown or equal features, a feature that `here` lacks, a baseline of healthy movements alone.
+        Unknown or equal features, a feature that `features` lacks, a baseline of healthy movements alone.
     """
     known = plane_features(baseline)
     if baseline.classifier is None or baseline.source is None:
@@ -118,9 +118,9 @@ def classifier_plane(
         raise BadInput(f"gate-actuator, plane of {x[:40]!r} and {y[:40]!r}: needs two of {', '.join(known)}")
     if {x, y} == set(SOURCE_FEATURES):
         return decision_regions(_Turned(baseline.source, x != SOURCE_FEATURES[0]), points, resolution)
-    if missing := [name for name in known if not here.get(name, np.nan) > 0]:
+    if missing := [name for name in known if not features.get(name, np.nan) > 0]:
         raise BadInput(f"gate-actuator, plane: the movement has no positive {missing[0]}")
-    return decision_regions(_Cut(baseline.classifier.pipeline, here, x, y), points, resolution)
+    return decision_regions(_Cut(baseline.classifier.pipeline, features, x, y), points, resolution)
 
 
 class _Turned(BaseEstimator):

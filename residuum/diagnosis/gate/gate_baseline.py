@@ -91,9 +91,9 @@ class KnownGears:
                 movements[nearest] = n + 1
         return cls(np.array(patterns).reshape(len(patterns), len(notch.orders)), np.array(movements, dtype=np.int64))
 
-    def joined(self, others: KnownGears) -> KnownGears:
+    def joined(self, added: KnownGears) -> KnownGears:
         """These patterns and the others'."""
-        return KnownGears(np.vstack([self.patterns, others.patterns]), np.append(self.movements, others.movements))
+        return KnownGears(np.vstack([self.patterns, added.patterns]), np.append(self.movements, added.movements))
 
     def recognise(self, typical_turn: Signal, notch: NotchMatch, motor_speed: float, time_constant: float) -> KnownTurn | None:
         """The known gear that explains the turn best, or None; ω_M [rad/s], T [s]."""
@@ -101,8 +101,8 @@ class KnownGears:
             return None
         X = notch.spectrum(typical_turn)
         nearest = np.argsort(_laid_over(self.patterns, X, notch.power, _COARSE_GRID).left)[:_CANDIDATES]
-        found = [_explained(self.patterns[k], X, notch, motor_speed, time_constant) for k in nearest]
-        best = min(found, key=lambda known: known.unexplained)
+        candidates = [_explained(self.patterns[k], X, notch, motor_speed, time_constant) for k in nearest]
+        best = min(candidates, key=lambda known: known.unexplained)
         return best if best.unexplained < _SAME else None
 
 
@@ -212,7 +212,7 @@ def _refuse_few(labels: npt.NDArray[Any]) -> None:
 
 def _folds(labels: npt.NDArray[Any], groups: Sequence[object]) -> StratifiedGroupKFold:
     """As many folds as every class has groups, at most five."""
-    counts = [len({group for group, label in zip(groups, labels, strict=True) if label == each}) for each in set(labels)]
+    counts = [len({group for group, label in zip(groups, labels, strict=True) if label == kind}) for kind in set(labels)]
     return StratifiedGroupKFold(max(2, min(_FOLDS, *counts)))
 
 
@@ -387,8 +387,8 @@ class GateBaseline:
         if self.source is None:
             return None
         point = features.source_vector()[None]
-        said = str(self.source.predict(point)[0])
-        return SourceJudgement(None if said == HEALTHY else said, np.ravel(self.source.decision_function(point)))
+        predicted = str(self.source.predict(point)[0])
+        return SourceJudgement(None if predicted == HEALTHY else predicted, np.ravel(self.source.decision_function(point)))
 
     def _beyond(self, features: MovementFeatures) -> dict[str, float]:
         """Each judged feature as a multiple of its limit."""
@@ -474,7 +474,7 @@ def _held_out_matches(healthy: Sequence[TrainingMovement], gear_teeth: int) -> l
     matches = []
     for exemplar in {movement.exemplar for movement in healthy}:
         own = [movement.features for movement in healthy if movement.exemplar == exemplar]
-        others = [movement.features for movement in healthy if movement.exemplar != exemplar] or own
-        notch = NotchMatch.of([features.pattern.typical for features in others], gear_teeth)
+        peers = [movement.features for movement in healthy if movement.exemplar != exemplar] or own
+        notch = NotchMatch.of([features.pattern.typical for features in peers], gear_teeth)
         matches += [_match(notch, features) for features in own]
     return matches

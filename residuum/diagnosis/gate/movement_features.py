@@ -230,8 +230,8 @@ def _pulses(
 
 def _positions(movement: Movement) -> Signal:
     """Travel at each sample as a fraction of the way, counted from the closed gate, shape (n,)."""
-    gone = movement.motor_angle / movement.motor_angle[-1]
-    return gone if movement.direction is Direction.OPENING else 1.0 - gone
+    fraction = movement.motor_angle / movement.motor_angle[-1]
+    return fraction if movement.direction is Direction.OPENING else 1.0 - fraction
 
 
 def _robust_deviation(x: Signal) -> float:

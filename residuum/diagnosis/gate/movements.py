@@ -67,9 +67,9 @@ def average_profile(profiles: Sequence[PositionProfile]) -> PositionProfile:
     if not profiles:
         raise BadInput("average over the way: no movement is given; at least one is needed")
     stacked = np.array([profile.statistic for profile in profiles])
-    seen = np.isfinite(stacked)
-    total = np.where(seen, stacked, 0.0).sum(axis=0)
-    return PositionProfile(np.where(seen.any(axis=0), total / np.maximum(seen.sum(axis=0), 1), np.nan))
+    finite = np.isfinite(stacked)
+    total = np.where(finite, stacked, 0.0).sum(axis=0)
+    return PositionProfile(np.where(finite.any(axis=0), total / np.maximum(finite.sum(axis=0), 1), np.nan))
 
 
 _SHORTEST = 0.05  # s; shorter runs of the phase signal are no movement

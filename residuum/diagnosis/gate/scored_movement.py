@@ -129,8 +129,8 @@ class ScoredMovement:
 
     def said_by(self, method: str) -> str | None:
         """The fault class by this method; None: healthy, or not judged by it."""
-        said = self.source if method == "source" else self.judgement
-        return None if said is None else said.fault_class
+        judgement = self.source if method == "source" else self.judgement
+        return None if judgement is None else judgement.fault_class
 
     def known(self) -> tuple[MovementFeatures, Judgement]:
         """Features and judgement of a movement that was judged."""
@@ -141,21 +141,21 @@ class ScoredMovement:
 
 def not_assessed(diagnoser: str, scored: Sequence[ScoredMovement]) -> Finding:
     """The finding when no movement can be judged: what happened, or the first reason."""
-    first = next((one for one in scored if one.happened), scored[0])
-    evidence: dict[str, Any] = {"movements": [_summary(one) for one in scored]}
+    first = next((move for move in scored if move.happened), scored[0])
+    evidence: dict[str, Any] = {"movements": [_summary(move) for move in scored]}
     if first.happened is not None:
         evidence["event"] = first.happened.event.value
     return Finding.not_assessable(diagnoser, f"{first.movement.direction}: {first.reason}", **evidence)
 
 
-def evidence_of(baseline: GateBaseline, one: ScoredMovement, scored: Sequence[ScoredMovement]) -> dict[str, Any]:
+def evidence_of(baseline: GateBaseline, subject: ScoredMovement, scored: Sequence[ScoredMovement]) -> dict[str, Any]:
     """What a person can check of the movement that the finding is about, and of all movements in the record."""
-    features, judgement = one.known()
+    features, judgement = subject.known()
     shown = features.spectrum.frequency <= _SHOWN_SPECTRUM
     fine = max(1, round(features.spectrum.resolution / (4 * features.spectrum.frequency[1])))
     model = features.model
     evidence: dict[str, Any] = {
-        "direction": one.movement.direction.value,
+        "direction": subject.movement.direction.value,
         "motor_speed": features.motor_speed,
         "turns": features.turns,
         "model": {"gain": model.gain, "time_constant": model.time_constant, "delay": model.delay, "load": list(model.load)},
@@ -165,7 +165,7 @@ def evidence_of(baseline: GateBaseline, one: ScoredMovement, scored: Sequence[Sc
             "modulus": features.spectrum.modulus[shown][::fine],
         },
         "orders": features.pattern.orders()[: _SHOWN_ORDERS + 1],
-        "movements": [_summary(each) for each in scored],
+        "movements": [_summary(move) for move in scored],
         "over_the_way": _over_the_way(scored),
         "healthy_movements_trained": baseline.features.n,
     }
@@ -174,58 +174,58 @@ def evidence_of(baseline: GateBaseline, one: ScoredMovement, scored: Sequence[Sc
     if judgement.likely_part is not None:
         evidence["likely_part"] = judgement.likely_part
     evidence["default_method"] = {"verdict": _verdict(judgement.fault_class), "class": judgement.fault_class}
-    evidence["source_method"] = _source_says(one)
-    if one.source is not None:
-        evidence |= {"source_class": one.source.fault_class or HEALTHY, "source_decision": one.source.decision}
+    evidence["source_method"] = _source_says(subject)
+    if subject.source is not None:
+        evidence |= {"source_class": subject.source.fault_class or HEALTHY, "source_decision": subject.source.decision}
     return evidence
 
 
-def _source_says(one: ScoredMovement) -> dict[str, Any]:
+def _source_says(move: ScoredMovement) -> dict[str, Any]:
     """What the source's classifier says, or why it says nothing."""
-    if one.source is None or one.features is None:
+    if move.source is None or move.features is None:
         return {"verdict": "not-assessable", "class": None, "reason": "only healthy movements were trained; it needs faults too"}
-    F1, F2 = (float(value) for value in one.features.source_vector())
-    said = one.source.fault_class
-    return {"verdict": _verdict(said), "class": said, "F1": F1, "F2": F2, "decision": one.source.decision}
+    F1, F2 = (float(value) for value in move.features.source_vector())
+    fault_class = move.source.fault_class
+    return {"verdict": _verdict(fault_class), "class": fault_class, "F1": F1, "F2": F2, "decision": move.source.decision}
 
 
 def _verdict(fault_class: str | None) -> str:
     return "healthy" if fault_class is None else "faulty"
 
 
-def source_sentence(one: ScoredMovement) -> str:
+def source_sentence(move: ScoredMovement) -> str:
     """Why the source's method says what it says."""
-    features, _ = one.known()
+    features, _ = move.known()
     F1, F2 = features.source_vector()
-    said = one.said_by("source") or HEALTHY
+    fault_class = move.said_by("source") or HEALTHY
     return (
-        f"{one.movement.direction} at {features.motor_speed * 30 / np.pi:.0f} rpm: F1 = {F1:.2f} mm/s and F2 = {F2:.2f} mm/s of "
-        f"the residual's envelope at {features.fault_frequency:.2f} Hz lie on the side of {said!r} (linear SVM)"
+        f"{move.movement.direction} at {features.motor_speed * 30 / np.pi:.0f} rpm: F1 = {F1:.2f} mm/s and F2 = {F2:.2f} mm/s of "
+        f"the residual's envelope at {features.fault_frequency:.2f} Hz lie on the side of {fault_class!r} (linear SVM)"
     )
 
 
 def _over_the_way(scored: Sequence[ScoredMovement]) -> dict[str, Any]:
     """The pulse statistic by place of the gate, averaged over all movements that were assessed, both ways."""
-    average = average_profile([one.features.profile for one in scored if one.features is not None])
+    average = average_profile([move.features.profile for move in scored if move.features is not None])
     return {"place": average.place, "contrast": average.contrast, "statistic": average.statistic}
 
 
-def _summary(one: ScoredMovement) -> dict[str, Any]:
-    said = one.judgement.fault_class or HEALTHY if one.judgement else "not-assessable"
-    event = one.happened.event.value if one.happened else None
+def _summary(move: ScoredMovement) -> dict[str, Any]:
+    fault_class = move.judgement.fault_class or HEALTHY if move.judgement else "not-assessable"
+    event = move.happened.event.value if move.happened else None
     return {
-        "direction": one.movement.direction.value,
-        "start": one.movement.start * one.movement.sample_time,
-        "class": said,
-        "source_class": None if one.source is None else one.source.fault_class or HEALTHY,
+        "direction": move.movement.direction.value,
+        "start": move.movement.start * move.movement.sample_time,
+        "class": fault_class,
+        "source_class": None if move.source is None else move.source.fault_class or HEALTHY,
         "event": event,
     }
 
 
-def sentence(one: ScoredMovement) -> str:
+def sentence(move: ScoredMovement) -> str:
     """Why the default method says what it says."""
-    features, judgement = one.known()
-    where = f"{one.movement.direction} at {features.motor_speed * 30 / np.pi:.0f} rpm, {features.turns} turns of the shaft"
+    features, judgement = move.known()
+    where = f"{move.movement.direction} at {features.motor_speed * 30 / np.pi:.0f} rpm, {features.turns} turns of the shaft"
     values = features.values
     if judgement.fault_class == PINION_OR_GEAR:
         return (

@@ -50,7 +50,7 @@ class Validation:
 
     def confusion(self, labels: Sequence[str]) -> npt.NDArray[np.int_]:
         """Counts, rows predicted and columns true (as the source's Table 7), in the order of `labels`."""
-        rows = [[int(np.sum((self.predicted == said) & (self.truth == true))) for true in labels] for said in labels]
+        rows = [[int(np.sum((self.predicted == predicted) & (self.truth == true))) for true in labels] for predicted in labels]
         return np.asarray(rows, dtype=int)
 
     def interval(
@@ -208,7 +208,7 @@ def bootstrap_632_plus(
         trained += 1
         for k in map(int, left):
             wrong[k].append(said(judge, records[k]) != truth[k])
-    counted = [float(np.mean(each)) for each in wrong if each]
+    counted = [float(np.mean(misses)) for misses in wrong if misses]
     if not counted:
         raise BadInput("bootstrap: no sample of objects could be trained on; more objects of every class are needed")
     return _combined(truth, own, float(np.mean(counted)), trained)

@@ -16,13 +16,13 @@ def read_labels(file: Path, records: Sequence[Path]) -> tuple[list[str], list[st
     if wrong := [number for number, row in enumerate(table, start=1) if len(row) != columns or columns not in (2, 3)]:
         raise BadInput(f"{file}, row {wrong[0]}: must be record,label or record,label,exemplar, the same in every row")
     known = {row[0]: row[1:] for row in table if row[:2] != ["record", "label"]}
-    found: list[list[str]] = []
+    label_rows: list[list[str]] = []
     for record in records:
         row = known.get(str(record), known.get(record.name))
         if row is None:
             raise BadInput(f"{file}: has no label for {record}")
-        found.append(row)
-    return [row[0] for row in found], [row[1] for row in found] if columns == 3 else None
+        label_rows.append(row)
+    return [row[0] for row in label_rows], [row[1] for row in label_rows] if columns == 3 else None
 
 
 def _rows(file: Path) -> list[list[str]]:

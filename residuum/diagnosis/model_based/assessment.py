@@ -53,19 +53,19 @@ def detected(baseline: Baseline, fit: Fit, offsets: tuple[FloatArray, FloatArray
     """
     mean, covariance = baseline.values.at(features)
     z, freedom = baseline.surprise(features, fit), baseline.values.freedom
-    each = [len(z) * float(stats.t.sf(z, baseline.errors.freedom).min(initial=1.0))]
+    p_values = [len(z) * float(stats.t.sf(z, baseline.errors.freedom).min(initial=1.0))]
     usual, scatter = baseline.offsets.at(features)
     t = np.abs(offsets[0] - usual) / np.sqrt(np.diag(scatter) + 1.0 / np.maximum(offsets[1], 1e-300))
-    each.append(2.0 * len(t) * float(stats.t.sf(t, baseline.offsets.freedom).min(initial=1.0)))
+    p_values.append(2.0 * len(t) * float(stats.t.sf(t, baseline.offsets.freedom).min(initial=1.0)))
     if k := len(mean):
         d, H = fit.others - mean, information(fit, k)
         T = H - H @ np.linalg.solve(H + np.linalg.inv(covariance), H)  # (S + H⁻¹)⁻¹, where H may be singular
         t2 = max(float(d @ T @ d), 0.0)
         m = max(freedom - k + 1.0, 1.0)
-        one = (T @ d) ** 2 / np.maximum(np.diag(T), 1e-300)  # what one value alone explains of it
-        each.append(float(stats.f.sf(t2 * m / (k * freedom), k, m)))
-        each.append(k * float(stats.f.sf(one * m / np.maximum(freedom + t2 - one, 1e-12), 1, m).min()))
-    return Detected(min(1.0, _TESTS * min(each)), mean, covariance, z)
+        alone = (T @ d) ** 2 / np.maximum(np.diag(T), 1e-300)  # what one value alone explains of it
+        p_values.append(float(stats.f.sf(t2 * m / (k * freedom), k, m)))
+        p_values.append(k * float(stats.f.sf(alone * m / np.maximum(freedom + t2 - alone, 1e-12), 1, m).min()))
+    return Detected(min(1.0, _TESTS * min(p_values)), mean, covariance, z)
 
 
 _RAREST = 1e-300
@@ -96,24 +96,24 @@ def assess(name: str, baseline: Baseline, record: Record, false_alarms_per_day: 
     whole = record
     record = complete_stretch(whole, _required(baseline), COMPLETE * baseline.seconds / baseline.sample_time)
     try:
-        seen = seen_window(baseline, record)
+        observed = seen_window(baseline, record)
     except NotAssessable as refused:
         return Finding.not_assessable(name, str(refused))
-    found = detected(baseline, seen.fit, seen.offsets, seen.features)
+    detection = detected(baseline, observed.fit, observed.offsets, observed.features)
     level = min(0.5, false_alarms_per_day * baseline.seconds / SECONDS_A_DAY)
-    deviation, limit = (float(stats.norm.isf(max(p, _RAREST))) for p in (found.p, level))
+    deviation, limit = (float(stats.norm.isf(max(p, _RAREST))) for p in (detection.p, level))
     faulty = deviation > limit
-    listed = causes(baseline, seen.window, seen.features) if faulty else []
-    told = [_told(baseline, found, record, cause) for cause in listed]
+    listed = causes(baseline, observed.window, observed.features) if faulty else []
+    cause_rows = [_told(baseline, detection, record, cause) for cause in listed]
     evidence: dict[str, Any] = {
-        "causes": told,
-        "parameters": _parameters(baseline, seen, found),
+        "causes": cause_rows,
+        "parameters": _parameters(baseline, observed, detection),
         "false_alarms_per_day": false_alarms_per_day,
         "healthy_windows": baseline.windows,
         "rate_without_extrapolation": rate_alone(baseline),
         "missing_physics": missing_physics(baseline),
     }
-    reason = _reason(baseline, max(deviation, 0.0), limit, told, false_alarms_per_day)
+    reason = _reason(baseline, max(deviation, 0.0), limit, cause_rows, false_alarms_per_day)
     if record is not whole:
         evidence["judged"] = {"from": record.t0, "to": record.t0 + record.duration, "samples": record.n, "of": whole.n}
         reason += f"; judged by the {record.n} of {whole.n} samples from {record.t0:.6g} s on, between which none is missing"
@@ -143,8 +143,8 @@ def seen_window(baseline: Baseline, record: Record) -> Seen:
     if fit is None:
         raise NotAssessable("the model diverges along the window")
     loud = max(1.0, float(fit.power.mean(axis=0).max()))  # a large error weighs less in the information, however much moves
-    told = loud * np.diag(information(fit, len(baseline.free)))
-    if told.size and np.all(told < LEAST_EXCITED * np.maximum(baseline.information, 1e-300)):
+    info = loud * np.diag(information(fit, len(baseline.free)))
+    if info.size and np.all(info < LEAST_EXCITED * np.maximum(baseline.information, 1e-300)):
         raise NotAssessable(
             "the window says next to nothing of any value of the model: let its inputs move as they did in the healthy windows"
         )
@@ -154,7 +154,7 @@ def seen_window(baseline: Baseline, record: Record) -> Seen:
 def _required(baseline: Baseline) -> list[str]:
     """The signals that a window must have."""
     inputs = [n for n, s in baseline.model.inputs.items() if not s.absent]
-    return inputs + [n for n, there in zip(baseline.model.outputs, baseline.measured, strict=True) if there]
+    return inputs + [n for n, known in zip(baseline.model.outputs, baseline.measured, strict=True) if known]
 
 
 def _experiment(baseline: Baseline, record: Record) -> Experiment:
@@ -191,31 +191,31 @@ def rate_alone(baseline: Baseline) -> float:
 
 def missing_physics(baseline: Baseline) -> list[dict[str, Any]]:
     """Effects that healthy windows show too, and the model file lacks: what was found is no fault of the machine."""
-    values, known, found = baseline.model.values, baseline.model.all_parameters, []
+    values, known, missing = baseline.model.values, baseline.model.all_parameters, []
     for use in baseline.stand_ins:
         sizes = {n: {"value": values[f"{use.label}.{n}"], "unit": known[f"{use.label}.{n}"].unit} for n in use.parameters}
-        found.append({"effect": use.id, "place": use.target, "parameters": sizes})
-    return found
+        missing.append({"effect": use.id, "place": use.target, "parameters": sizes})
+    return missing
 
 
-def _parameters(baseline: Baseline, seen: Seen, found: Detected) -> dict[str, Any]:
+def _parameters(baseline: Baseline, observed: Seen, detection: Detected) -> dict[str, Any]:
     """Every value as this window tells it, all at once, with its 95 % band in healthy windows of such a run."""
     k = len(baseline.free)
-    H = information(seen.fit, k) + np.linalg.inv(wide_prior(found.mean))
+    H = information(observed.fit, k) + np.linalg.inv(wide_prior(detection.mean))
     std = np.sqrt(np.diag(np.linalg.pinv(H, hermitian=True)))
-    reach = float(stats.t.ppf(0.975, baseline.values.freedom)) * np.sqrt(np.diag(found.covariance) + std**2)
+    reach = float(stats.t.ppf(0.975, baseline.values.freedom)) * np.sqrt(np.diag(detection.covariance) + std**2)
     return {
         name: {
-            "value": float(seen.fit.others[j]),
+            "value": float(observed.fit.others[j]),
             "std": float(std[j]),
             "unit": baseline.model.all_parameters[name].unit,
-            "healthy": {"low": float(found.mean[j] - reach[j]), "high": float(found.mean[j] + reach[j])},
+            "healthy": {"low": float(detection.mean[j] - reach[j]), "high": float(detection.mean[j] + reach[j])},
         }
         for j, name in enumerate(baseline.free)
     }
 
 
-def _told(baseline: Baseline, found: Detected, record: Record, cause: Cause) -> dict[str, Any]:
+def _told(baseline: Baseline, detection: Detected, record: Record, cause: Cause) -> dict[str, Any]:
     """A cause as the interface gives it; its first size is told."""
     h = cause.hypothesis
     onset = record.t0 + cause.onset * record.sample_time if cause.onset else None
@@ -224,7 +224,7 @@ def _told(baseline: Baseline, found: Detected, record: Record, cause: Cause) -> 
     if h is not None and len(cause.size) and np.isfinite(cause.std[0]):  # a size of which nothing is known is not told
         times = record.sample_time if h.in_samples else 1.0
         value, std = float(cause.size[0]) * times, float(cause.std[0]) * times
-        healthy = _usual_band(baseline, found, h.label, times)
+        healthy = _usual_band(baseline, detection, h.label, times)
     size = None
     if value is not None and std is not None and h is not None:
         size = {"value": value, "std": std, "unit": h.unit, "band_95": [value - 1.96 * std, value + 1.96 * std]}
@@ -242,12 +242,12 @@ def _told(baseline: Baseline, found: Detected, record: Record, cause: Cause) -> 
     }
 
 
-def _usual_band(baseline: Baseline, found: Detected, label: str, times: float) -> tuple[float, float] | None:
+def _usual_band(baseline: Baseline, detection: Detected, label: str, times: float) -> tuple[float, float] | None:
     """95 % of a value, or of a hypothesis' first size, in healthy windows; None where it was not tried there."""
     if label in baseline.free:
         j = baseline.free.index(label)
-        reach = float(stats.t.ppf(0.975, baseline.values.freedom)) * float(np.sqrt(found.covariance[j, j]))
-        return float(found.mean[j]) - reach, float(found.mean[j]) + reach
+        reach = float(stats.t.ppf(0.975, baseline.values.freedom)) * float(np.sqrt(detection.covariance[j, j]))
+        return float(detection.mean[j]) - reach, float(detection.mean[j]) + reach
     usual = baseline.usual.get(label)
     if usual is None or len(usual.sizes) < 3:
         return None
@@ -273,13 +273,13 @@ def _class(cause: Cause) -> str:
     return h.kind if h.kind in CLASSES else "effect"
 
 
-def _reason(baseline: Baseline, deviation: float, limit: float, told: list[dict[str, Any]], rate: float) -> str:
+def _reason(baseline: Baseline, deviation: float, limit: float, cause_rows: list[dict[str, Any]], rate: float) -> str:
     beyond = "beyond" if deviation > limit else "within"
     words = f"the window lies {deviation:.1f} σ from healthy ones, {beyond} the limit of {limit:.1f}"
-    if told:
-        first = told[0]
+    if cause_rows:
+        first = cause_rows[0]
         alike = f" (or {', '.join(first['indistinguishable_from'])})" if first["indistinguishable_from"] else ""
-        also = f", and {told[1]['says']}" if first["beside"] else ""
+        also = f", and {cause_rows[1]['says']}" if first["beside"] else ""
         words = f"{first['says']}{alike}{also}; {words}"
     if missing := missing_physics(baseline):
         names = " and ".join(f"{m['effect']}@{m['place']}" for m in missing)

@@ -111,20 +111,20 @@ class Baseline:
     def surprise(self, features: FloatArray, fit: Fit) -> FloatArray:
         """How far error power lies above the usual [standard deviations], of errors as they are and whitened, (2 · outputs,)."""
         log, covariance = self.errors.at(features)
-        there = np.tile(self.measured, 2)
-        return np.where(there, (log_power(fit) - log) / np.sqrt(np.diag(covariance)), 0.0)
+        measured = np.tile(self.measured, 2)
+        return np.where(measured, (log_power(fit) - log) / np.sqrt(np.diag(covariance)), 0.0)
 
     def offsets_in(self, fitter: WindowFitter, healthy: Fit | None) -> tuple[FloatArray, FloatArray]:
         """The offset of each output that explains a window best beside values in their healthy scatter, and its information.
         Each has shape (outputs,). Begun where the healthy model's fit ended.
         """
-        found, told = np.zeros((2, len(self.model.outputs)))
+        offsets, offset_info = np.zeros((2, len(self.model.outputs)))
         for o in np.flatnonzero(self.measured):
             moved = Variant(self.model, sizes=(0.0,), lower=(-np.inf,), reading=edited(int(o), shifted))
             fit = fitter.fit(moved, FIT_STEPS, beside=healthy)
             if fit is not None:
-                found[o], told[o] = fit.own[0], information_on_size(fit, fitter.covariance)
-        return found, told
+                offsets[o], offset_info[o] = fit.own[0], information_on_size(fit, fitter.covariance)
+        return offsets, offset_info
 
     def usual_gain(self, hypothesis: Hypothesis) -> float:
         """[nat] Of a hypothesis in healthy windows."""
@@ -219,8 +219,8 @@ def alone(
     to begin with.
     """
     fitter = WindowFitter(model, window, mean, wide_prior(mean), whitening, 1e6)
-    each = [fitter.fit(Variant(model), 2 * FIT_STEPS, one) for one in ([None] if begin is None else [None, begin])]
-    return min((fit for fit in each if fit is not None), key=lambda fit: float(np.mean(fit.power)), default=None)
+    fits = [fitter.fit(Variant(model), 2 * FIT_STEPS, start) for start in ([None] if begin is None else [None, begin])]
+    return min((fit for fit in fits if fit is not None), key=lambda fit: float(np.mean(fit.power)), default=None)
 
 
 def with_absent(model: PhysicalModel, absent: Sequence[str]) -> PhysicalModel:

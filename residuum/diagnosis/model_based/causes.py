@@ -51,10 +51,10 @@ def pairs(baseline: Baseline, fitter: WindowFitter, singles: Iterable[Tried]) ->
     for a, b in combinations([*ranked[:PAIRED], *plain], 2):
         if set(a.fit.variant.own) & set(b.fit.variant.own):
             continue
-        one, other = _ended(a.fit), b.fit.variant
-        fit = fitter.fit(beside(fitter.model, one, other), PAIR_STEPS, beside=a.fit)
+        first, second = _ended(a.fit), b.fit.variant
+        fit = fitter.fit(beside(fitter.model, first, second), PAIR_STEPS, beside=a.fit)
         if fit is not None:
-            looks.append(Pair((a.hypothesis, b.hypothesis), fit, (one.own, other.own), _whose(one, other)))
+            looks.append(Pair((a.hypothesis, b.hypothesis), fit, (first.own, second.own), _whose(first, second)))
     looks.sort(key=lambda pair: fitter.nats(pair.fit))
     return [_fitted(fitter, pair) for pair in looks[:FITTED_PAIRS]]
 
@@ -150,7 +150,7 @@ def of_some_size(listed: Sequence[Cause]) -> list[Cause]:
         return list(listed)
     names = {cause.hypothesis.label for cause in none if cause.hypothesis is not None}
     unknown = sum(cause.probability for cause in listed if cause in none or cause.hypothesis is None)
-    others = [
+    sized = [
         replace(
             cause,
             alike=tuple(name for name in cause.alike if name not in names),
@@ -160,8 +160,8 @@ def of_some_size(listed: Sequence[Cause]) -> list[Cause]:
         if cause.hypothesis is not None and cause not in none
     ]
     nobody = Cause(None, min(unknown, 1.0), np.zeros(0), np.zeros(0), 0)
-    first = not others or unknown > others[0].probability
-    return [nobody, *others] if first else [others[0], nobody, *others[1:]]
+    first = not sized or unknown > sized[0].probability
+    return [nobody, *sized] if first else [sized[0], nobody, *sized[1:]]
 
 
 def _is_of_size_zero(cause: Cause) -> bool:
@@ -174,29 +174,29 @@ def _is_of_size_zero(cause: Cause) -> bool:
 
 def _causes(baseline: Baseline, window: Experiment, features: FloatArray) -> list[Cause]:
     fitter = baseline.fitter(window, features)
-    healthy, found = tried(fitter, baseline.hypotheses, baseline.usual_gain)
-    if not found:
+    healthy, trials = tried(fitter, baseline.hypotheses, baseline.usual_gain)
+    if not trials:
         return [Cause(None, 1.0, np.zeros(0), np.zeros(0), 0)]
-    best = _cheapest(baseline, fitter, found.values())
-    whole = list(found.values())
+    best = _cheapest(baseline, fitter, trials.values())
+    whole = list(trials.values())
     left = float(baseline.surprise(features, best.fit).max())
     if best.hypothesis.seen is None and (left > UNEXPLAINED or len(best.fit.own) > 2):  # many sizes may stand for a beginning
-        for label, one in begun(baseline, fitter, features).items():
-            found[label] = _cheapest(baseline, fitter, [one, *([found[label]] if label in found else [])])
-    listed = list(found.values())
-    told = _weighed(baseline, fitter, listed)
+        for label, beginning in begun(baseline, fitter, features).items():
+            trials[label] = _cheapest(baseline, fitter, [beginning, *([trials[label]] if label in trials else [])])
+    listed = list(trials.values())
+    weighed = _weighed(baseline, fitter, listed)
     best = _cheapest(baseline, fitter, listed)
     unknown = 0.0 if best.hypothesis.seen is not None else _unknown(baseline, fitter, features, healthy, best.fit)
     if not unknown:
-        return told
+        return weighed
     if (two := _two(baseline, fitter, whole, listed)) is not None:
         alone = 1.0 - two[2]
-        told = [*two[1], *(replace(c, probability=alone * c.probability) for c in told if c.hypothesis not in two[0].both)]
+        weighed = [*two[1], *(replace(c, probability=alone * c.probability) for c in weighed if c.hypothesis not in two[0].both)]
         unknown = _unknown(baseline, fitter, features, healthy, two[0].fit)
     lead = 1 if two is None else 2
-    others = [replace(c, probability=(1.0 - unknown) * c.probability) for c in told]
+    scaled = [replace(c, probability=(1.0 - unknown) * c.probability) for c in weighed]
     nobody = [Cause(None, unknown, np.zeros(0), np.zeros(0), 0)] if unknown else []
-    return [*nobody, *others] if unknown > others[0].probability else [*others[:lead], *nobody, *others[lead:]]
+    return [*nobody, *scaled] if unknown > scaled[0].probability else [*scaled[:lead], *nobody, *scaled[lead:]]
 
 
 def _two(
@@ -205,30 +205,30 @@ def _two(
     """The best pair of causes that may have acted all window long, where it costs less than any single hypothesis. Beside it
     stands the probability of any pair; that of a cause is of all pairs which hold it.
     """
-    found = pairs(baseline, fitter, whole)
-    if not found:
+    candidates = pairs(baseline, fitter, whole)
+    if not candidates:
         return None
-    names = [{h.label for h in pair.both} for pair in found]
-    fits = [*(pair.fit for pair in found), *(t.fit for t in listed)]
+    names = [{h.label for h in pair.both} for pair in candidates]
+    fits = [*(pair.fit for pair in candidates), *(t.fit for t in listed)]
     logs = np.array([fitter.logs(fit) for fit in fits])
-    usual = [sum(baseline.usual_gain(h) for h in pair.both) for pair in found]
+    usual = [sum(baseline.usual_gain(h) for h in pair.both) for pair in candidates]
     usual += [baseline.usual_gain(t.hypothesis) for t in listed]
     fixed = np.array([fitter.price(fit) for fit in fits]) + np.array(usual)
     total = logs.sum(axis=1) + fixed
-    lead = int(np.argmin(total[: len(found)]))
-    if total[lead] > total[len(found) :].min() - TIE:
+    lead = int(np.argmin(total[: len(candidates)]))
+    if total[lead] > total[len(candidates) :].min() - TIE:
         return None
     wins, near = _wins(logs, fixed), _near(logs, total, lead)
-    rivals = [k for k in range(len(found)) if k != lead and near[k]]
-    best, told = found[lead], []
+    rivals = [k for k in range(len(candidates)) if k != lead and near[k]]
+    best, pair_causes = candidates[lead], []
     std = _open(fitter, best.fit)
     for k, (h, own, at) in enumerate(zip(best.both, best.own, best.sizes, strict=True)):
-        other = best.both[1 - k].label
-        alike = tuple(name for j in rivals if other in names[j] for name in names[j] - {other, h.label})
-        p = sum(float(wins[j]) for j in range(len(found)) if h.label in names[j])
+        partner = best.both[1 - k].label
+        alike = tuple(name for j in rivals if partner in names[j] for name in names[j] - {partner, h.label})
+        p = sum(float(wins[j]) for j in range(len(candidates)) if h.label in names[j])
         doubt = np.sqrt(std[at] ** 2 + _scatter(baseline, fitter, h, own, len(at)))
-        told.append(Cause(h, min(p, 1.0), best.fit.own[at], doubt, 0, alike, (other,)))
-    return best, told, float(wins[: len(found)].sum())
+        pair_causes.append(Cause(h, min(p, 1.0), best.fit.own[at], doubt, 0, alike, (partner,)))
+    return best, pair_causes, float(wins[: len(candidates)].sum())
 
 
 def _cheapest(baseline: Baseline, fitter: WindowFitter, fits: Iterable[Tried]) -> Tried:
@@ -263,12 +263,12 @@ def _weighed(baseline: Baseline, fitter: WindowFitter, listed: Sequence[Tried]) 
     same = total - total[group].min() < 0.5 * TIE
     order = np.lexsort((total, np.where(group & same, changed, 9), -np.where(group, 1.0, wins), ~group))
     names = [listed[k].hypothesis.label for k in order if group[k]]
-    found = []
+    causes = []
     for k in order[:TOLD].tolist():
-        one = listed[k]
-        alike = tuple(n for n in names if n != one.hypothesis.label) if group[k] else ()
-        found.append(Cause(one.hypothesis, float(wins[k]), one.fit.own, _doubt(baseline, fitter, one), one.fit.onset, alike))
-    return found
+        look = listed[k]
+        alike = tuple(n for n in names if n != look.hypothesis.label) if group[k] else ()
+        causes.append(Cause(look.hypothesis, float(wins[k]), look.fit.own, _doubt(baseline, fitter, look), look.fit.onset, alike))
+    return causes
 
 
 def _wins(logs: FloatArray, fixed: FloatArray, sizes: FloatArray | None = None) -> FloatArray:
@@ -328,24 +328,24 @@ _SHORTEST = 10
 
 def begun(baseline: Baseline, fitter: WindowFitter, features: FloatArray) -> dict[str, Tried]:
     """The best beginning of each hypothesis, found on a coarse grid; those that promise most halved in."""
-    window, found = fitter.window, dict[str, Tried]()
+    window, beginnings = fitter.window, dict[str, Tried]()
     listed = [h for h in baseline.hypotheses if not (h.seen or h.begin or h.kind == "disturbance")]
     for part in range(1, PARTS):
-        _keep(found, _beginning_at(baseline, fitter, features, window.n * part // PARTS, listed, LOOK_STEPS), fitter)
+        _keep(beginnings, _beginning_at(baseline, fitter, features, window.n * part // PARTS, listed, LOOK_STEPS), fitter)
     steps = window.n // PARTS
     while (steps := steps // 2) > window.n // WINDOW_PARTS:
-        ranked = sorted(found.values(), key=lambda t: fitter.nats(t.fit) + baseline.usual_gain(t.hypothesis))
+        ranked = sorted(beginnings.values(), key=lambda t: fitter.nats(t.fit) + baseline.usual_gain(t.hypothesis))
         for t in ranked[:BEGINNINGS_FOLLOWED]:
             for at in (t.fit.onset - steps, t.fit.onset, t.fit.onset + steps):
-                _keep(found, _beginning_at(baseline, fitter, features, at, [t.hypothesis], FIT_STEPS), fitter)
-    return found
+                _keep(beginnings, _beginning_at(baseline, fitter, features, at, [t.hypothesis], FIT_STEPS), fitter)
+    return beginnings
 
 
-def _keep(found: dict[str, Tried], new: Sequence[Tried], fitter: WindowFitter) -> None:
+def _keep(cheapest: dict[str, Tried], new: Sequence[Tried], fitter: WindowFitter) -> None:
     for t in new:
-        old = found.get(t.hypothesis.label)
+        old = cheapest.get(t.hypothesis.label)
         if old is None or fitter.nats(t.fit) < fitter.nats(old.fit):
-            found[t.hypothesis.label] = t
+            cheapest[t.hypothesis.label] = t
 
 
 def _beginning_at(
@@ -359,15 +359,15 @@ def _beginning_at(
     if head is None:
         return []
     end = before.states(head)[-1]
-    rest = replace(window.window(at, window.n), known=dict(zip(before.model.states, end.tolist(), strict=False)))
-    after, X, found = baseline.fitter(rest, features), np.repeat(end[None], rest.n, axis=0), []
+    tail = replace(window.window(at, window.n), known=dict(zip(before.model.states, end.tolist(), strict=False)))
+    after, X, trials = baseline.fitter(tail, features), np.repeat(end[None], tail.n, axis=0), []
     for h in listed:
-        for variant in h.variants(rest, X):
+        for variant in h.variants(tail, X):
             fit = after.fit(variant, steps)
             if fit is None:
                 continue
             white = np.concatenate([head.white[:-1], fit.white])
             error = np.concatenate([head.error[:-1], fit.error])
             paid = fit.paid + head.paid
-            found.append(Tried(h, replace(fit, white=white, error=error, power=fitter.blocks(white), paid=paid, onset=at)))
-    return found
+            trials.append(Tried(h, replace(fit, white=white, error=error, power=fitter.blocks(white), paid=paid, onset=at)))
+    return trials

@@ -68,14 +68,14 @@ class Hypothesis:
 
 def hypotheses(model: PhysicalModel, values: Sequence[str]) -> list[Hypothesis]:
     """Everything that may have happened to a machine with this model, of which these values may change."""
-    found = [_value(model, name) for name in values]
-    found += [_new_effect(model, key) for key in candidates(model) if model.records(key)]
+    listed = [_value(model, name) for name in values]
+    listed += [_new_effect(model, key) for key in candidates(model) if model.records(key)]
     for o, (name, output) in enumerate(model.outputs.items()):
-        found += _sensor(model, o, name, output.unit)
+        listed += _sensor(model, o, name, output.unit)
     for i, (name, signal) in enumerate(model.inputs.items()):
         if not signal.absent and Key("input-offset", name) in candidates(model, ["input-offset"]):
-            found += _actuator(model, i, name, signal.unit)
-    return found + [_load(model, name) for name in model.balances]
+            listed += _actuator(model, i, name, signal.unit)
+    return listed + [_load(model, name) for name in model.balances]
 
 
 def _load(model: PhysicalModel, balance: str) -> Hypothesis:
@@ -99,7 +99,7 @@ def _new_effect(model: PhysicalModel, key: Key) -> Hypothesis:
 
 def _beginnings(model: PhysicalModel, key: Key, e: Experiment, X: FloatArray) -> list[Variant]:
     """An effect at each of its first shapes, small: the fit finds its sizes."""
-    effect, found = find_effect(key.effect), []
+    effect, variants = find_effect(key.effect), []
     try:
         for start in list(effect.starts(conditions_at(model, effect, key.target, e, X)))[:SHAPES_LOOKED_AT]:
             small = {name: value * FIRST_SIZE if name in effect.sizes else value for name, value in start.items()}
@@ -108,10 +108,10 @@ def _beginnings(model: PhysicalModel, key: Key, e: Experiment, X: FloatArray) ->
             # the size first: it is what is told
             own = sorted((n for n, p in use.parameters.items() if not p.fixed), key=lambda n: n not in effect.sizes)
             if own:
-                found.append(Variant(larger, tuple(f"{use.label}.{name}" for name in own)))
+                variants.append(Variant(larger, tuple(f"{use.label}.{name}" for name in own)))
     except BadInput:
         pass
-    return found
+    return variants
 
 
 def _sensor(model: PhysicalModel, o: int, name: str, unit: str) -> list[Hypothesis]:
@@ -192,8 +192,8 @@ def _dropped(o: int, fitter: WindowFitter, healthy: Fit) -> Fit | None:
         return None
     lost = far & (Y[:, o] == values[counts.argmax()])
     Y[lost, o] = np.nan
-    found = fitter.of(replace(fitter.window, Y=Y)).fit(healthy.variant)
-    return None if found is None else replace(found, own=np.array([lost.mean()]))
+    refit = fitter.of(replace(fitter.window, Y=Y)).fit(healthy.variant)
+    return None if refit is None else replace(refit, own=np.array([lost.mean()]))
 
 
 # Every hypothesis tried on one window: all are looked at, the best are fitted.
@@ -225,10 +225,10 @@ def tried(
     X, looks = fitter.states(healthy), []
     for h in listed:
         if h.seen is not None:
-            each = [h.seen(fitter, healthy)]
+            fits = [h.seen(fitter, healthy)]
         else:
-            each = [fitter.fit(v, LOOK_STEPS, beside=healthy) for v in h.variants(fitter.window, X)]
-        if known := [fit for fit in each if fit is not None]:
+            fits = [fitter.fit(v, LOOK_STEPS, beside=healthy) for v in h.variants(fitter.window, X)]
+        if known := [fit for fit in fits if fit is not None]:
             looks.append(Tried(h, min(known, key=fitter.nats)))
     looks.sort(key=lambda t: fitter.nats(t.fit) + usual_gain(t.hypothesis))
     looks[:HYPOTHESES_FITTED] = [_fitted(fitter, healthy, t) for t in looks[:HYPOTHESES_FITTED]]
@@ -245,6 +245,6 @@ def _fitted(fitter: WindowFitter, healthy: Fit, look: Tried) -> Tried:
     best = min(known, key=fitter.nats)
     while h.begin is not None and (steps := steps // 2):
         beside = [t for t in (best.onset - steps, best.onset + steps) if 0 <= t < fitter.window.n - 2]
-        others = [fitter.fit(h.begin(fitter.window, t), LOOK_STEPS, beside=healthy) for t in beside]
-        best = min([best, *(fit for fit in others if fit is not None)], key=fitter.nats)
+        nearby = [fitter.fit(h.begin(fitter.window, t), LOOK_STEPS, beside=healthy) for t in beside]
+        best = min([best, *(fit for fit in nearby if fit is not None)], key=fitter.nats)
     return Tried(h, best)

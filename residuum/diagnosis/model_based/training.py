@@ -68,9 +68,9 @@ class _Mended:
 
         An error a thousand times smaller is none: in a window in which nothing moves any error can be taken away.
         """
-        there = self.windows[0].measured
+        measured = self.windows[0].measured
         power = [None if f is None else f.power.mean(axis=0) for f in self.fits]
-        return np.array([np.inf if p is None else 0.5 * np.mean(np.log(p + NO_ERROR**2), where=there) for p in power])
+        return np.array([np.inf if p is None else 0.5 * np.mean(np.log(p + NO_ERROR**2), where=measured) for p in power])
 
     @property
     def told(self) -> FloatArray:
@@ -88,14 +88,14 @@ def mended(model: PhysicalModel, windows: Sequence[Experiment], whitening: White
     few = [windows[k] for k in evenly(len(windows), CALIBRATED)]
     base = _fitted(model, few, whitening)
     searched = np.argsort(-_telling(base), kind="stable")[:SEARCHED]
-    found = [_fitted(*one, whitening) for one in _lacking(model, few, searched.tolist())]
-    errors = [one.log_errors for one in found]
+    fits = [_fitted(*trial, whitening) for trial in _lacking(model, few, searched.tolist())]
+    errors = [trial.log_errors for trial in fits]
     better = [k for k, error in enumerate(errors) if _falls(base.log_errors - error)]
     if not better:
         return model, list(windows)
     best = min(better, key=lambda k: float(errors[k].mean()))
     alike = [k for k in better if k == best or not _falls(errors[k] - errors[best], 1.0)]
-    chosen = found[min(alike, key=lambda k: (len(found[k].model.free), float(errors[k].mean())))]
+    chosen = fits[min(alike, key=lambda k: (len(fits[k].model.free), float(errors[k].mean())))]
     return _settled(chosen, model), [replace(e, hold=chosen.windows[0].hold) for e in windows]
 
 
@@ -116,33 +116,33 @@ def evenly(windows: int, count: int) -> list[int]:
 
 def _telling(base: _Mended) -> FloatArray:
     """How much each window tells of the values, shape (windows,): the geometric mean of the information on each of them."""
-    told = np.nan_to_num(np.diagonal(base.told, axis1=1, axis2=2))
-    return np.asarray(np.log(np.maximum(told, 1e-12 * told.max(axis=0, initial=0.0)) + 1e-300).sum(axis=1))
+    precision = np.nan_to_num(np.diagonal(base.told, axis1=1, axis2=2))
+    return np.asarray(np.log(np.maximum(precision, 1e-12 * precision.max(axis=0, initial=0.0)) + 1e-300).sum(axis=1))
 
 
 def _lacking(
     model: PhysicalModel, windows: Sequence[Experiment], searched: Sequence[int]
 ) -> list[tuple[PhysicalModel, Sequence[Experiment]]]:
     """The model with what one of the windows that are searched lacks, at either input timing of all windows."""
-    found: dict[tuple[Key, ...], list[tuple[PhysicalModel, Sequence[Experiment]]]] = {}
+    by_effects: dict[tuple[Key, ...], list[tuple[PhysicalModel, Sequence[Experiment]]]] = {}
     for k in searched:
         try:
             with at_most(SEARCH):
-                there = search(data_of(model, [windows[k]]), Wanted(held=False))
+                outcome = search(data_of(model, [windows[k]]), Wanted(held=False))
         except (BadRecord, NotIdentifiable):
             continue
-        one = _physics(there)
-        keys = tuple(use.key for use in one.effects)
-        if len(keys) > len(model.effects) and keys not in found:
-            found[keys] = [(one, windows), (one, turned_timing(windows))]
-    return [each for both in found.values() for each in both]
+        physics = _physics(outcome)
+        keys = tuple(use.key for use in physics.effects)
+        if len(keys) > len(model.effects) and keys not in by_effects:
+            by_effects[keys] = [(physics, windows), (physics, turned_timing(windows))]
+    return [candidate for both in by_effects.values() for candidate in both]
 
 
-def _physics(found: Search) -> PhysicalModel:
+def _physics(outcome: Search) -> PhysicalModel:
     """The best model without shifts in time by less than a sample: those are how records were taken."""
-    model = found.best.model
-    for use in found.best.model.effects:
-        if use.key in found.best.keys and is_timing(use.key, found):
+    model = outcome.best.model
+    for use in outcome.best.model.effects:
+        if use.key in outcome.best.keys and is_timing(use.key, outcome):
             model = model.without_effect(use.label)
     return model
 
@@ -152,21 +152,21 @@ def _fitted(model: PhysicalModel, windows: Sequence[Experiment], whitening: Whit
     return _Mended(model, windows, [alone(model, window, start, whitening) for window in windows])
 
 
-def _settled(found: _Mended, before: PhysicalModel) -> PhysicalModel:
+def _settled(best: _Mended, before: PhysicalModel) -> PhysicalModel:
     """At the middle of the windows' values, each weighing as much as it tells; of new effects held are shapes, which no window
     changes, and what they leave open.
     """
-    names, there = list(found.model.free), [fit is not None for fit in found.fits]
-    each = found.told[there]
-    values = _middle(np.array([fit.others for fit in found.fits if fit is not None]), np.diagonal(each, axis1=1, axis2=2))
-    total = each.sum(axis=0)
+    names, known = list(best.model.free), [fit is not None for fit in best.fits]
+    window_info = best.told[known]
+    values = _middle(np.array([fit.others for fit in best.fits if fit is not None]), np.diagonal(window_info, axis1=1, axis2=2))
+    total = window_info.sum(axis=0)
     std = np.sqrt(np.diag(np.linalg.pinv(total, hermitian=True)))
-    told = (np.diag(total) > 0.0) & (std < OPEN * np.abs(values))
+    fixed = (np.diag(total) > 0.0) & (std < OPEN * np.abs(values))
     shapes = {
-        f"{use.label}.{p}" for use in found.model.effects if use.effect.sizes for p in use.parameters if p not in use.effect.sizes
+        f"{use.label}.{p}" for use in best.model.effects if use.effect.sizes for p in use.parameters if p not in use.effect.sizes
     }
-    new = [name for name, there in zip(names, told, strict=True) if name not in before.free and (name in shapes or not there)]
-    return held(found.model.with_values(dict(zip(names, values.tolist(), strict=True))), new)
+    new = [name for name, known in zip(names, fixed, strict=True) if name not in before.free and (name in shapes or not known)]
+    return held(best.model.with_values(dict(zip(names, values.tolist(), strict=True))), new)
 
 
 def _middle(values: FloatArray, weights: FloatArray) -> FloatArray:
@@ -208,15 +208,15 @@ def refuse_recalibration(baseline: Baseline, records: Sequence[Record], accepted
     gains: dict[str, float] = {}
     for k in chosen:
         try:
-            seen = seen_window(baseline, records[k])
+            observed = seen_window(baseline, records[k])
         except NotAssessable:
             continue
-        fitter = baseline.fitter(seen.window, seen.features)
-        healthy, found = tried(fitter, baseline.hypotheses, baseline.usual_gain)
-        for label, one in found.items():
-            sizes.setdefault(label, []).append(one.fit.own)
+        fitter = baseline.fitter(observed.window, observed.features)
+        healthy, trials = tried(fitter, baseline.hypotheses, baseline.usual_gain)
+        for label, trial in trials.items():
+            sizes.setdefault(label, []).append(trial.fit.own)
             gains[label] = (
-                gains.get(label, 0.0) + fitter.nats(healthy) - fitter.nats(one.fit) - baseline.usual_gain(one.hypothesis)
+                gains.get(label, 0.0) + fitter.nats(healthy) - fitter.nats(trial.fit) - baseline.usual_gain(trial.hypothesis)
             )
     if max(map(len, sizes.values()), default=0) < _FEWEST:
         return
@@ -244,12 +244,12 @@ def _chance(baseline: Baseline, label: str, sizes: Sequence[FloatArray]) -> floa
     usual = baseline.usual.get(label)
     if usual is None or len(usual.sizes) < _FEWEST or len(sizes) < _FEWEST:
         return 1.0
-    here, there = np.array([s[0] for s in sizes]), usual.sizes[:, 0]
-    least = (1e-9 * float(np.max(np.abs([*here, *there])))) ** 2 + 1e-300  # sizes that are alike to rounding
-    a, b = (max(float(x.var(ddof=1)), least) / len(x) for x in (here, there))
-    t = float(here.mean() - there.mean()) / np.sqrt(a + b)
+    new_sizes, usual_sizes = np.array([s[0] for s in sizes]), usual.sizes[:, 0]
+    least = (1e-9 * float(np.max(np.abs([*new_sizes, *usual_sizes])))) ** 2 + 1e-300  # sizes that are alike to rounding
+    a, b = (max(float(x.var(ddof=1)), least) / len(x) for x in (new_sizes, usual_sizes))
+    t = float(new_sizes.mean() - usual_sizes.mean()) / np.sqrt(a + b)
     share = a / (a + b)
-    freedom = 1.0 / (share**2 / (len(here) - 1) + (1.0 - share) ** 2 / (len(there) - 1))
+    freedom = 1.0 / (share**2 / (len(new_sizes) - 1) + (1.0 - share) ** 2 / (len(usual_sizes) - 1))
     return float(2.0 * stats.t.sf(abs(t), freedom))
 
 
@@ -279,18 +279,18 @@ def train(
     """
     asked, experiments = match(model, windows_of(records))
     experiments = _alike(experiments)
-    here = asked
+    base = asked
     for use in known:
         if use.key not in [own.key for own in asked.effects]:
-            here = here.with_effect(*use.key, {name: p.value for name, p in use.parameters.items()})
-    climbed = climb_at_likelier_timing(data_of(here, experiments))
-    data, found = climbed.data, climbed.found
-    while wide := [name for name in _open(found) if name in asked.parameters]:
+            base = base.with_effect(*use.key, {name: p.value for name, p in use.parameters.items()})
+    climbed = climb_at_likelier_timing(data_of(base, experiments))
+    data, fit = climbed.data, climbed.found
+    while wide := [name for name in _open(fit) if name in asked.parameters]:
         if not fix_undetermined:
             raise _refusal(asked, data, wide)
         data = data_of(held(data.model, wide[:1]), data.experiments)  # with the widest one held, others may be determined
-        found = climb(data).found
-    better, experiments = mended(found.model, data.experiments, _sized(found.model, data.experiments))
+        fit = climb(data).found
+    better, experiments = mended(fit.model, data.experiments, _sized(fit.model, data.experiments))
     return _calibrated(_learned(asked, better, experiments, [record.source for record in records]), experiments)
 
 
@@ -327,10 +327,10 @@ def _alike(experiments: Sequence[Experiment]) -> list[Experiment]:
     return [replace(e, hold=hold) for e in experiments]
 
 
-def _open(found: gauss_newton.Fit) -> list[str]:
+def _open(fit: gauss_newton.Fit) -> list[str]:
     """Values that all healthy windows together leave open, the widest first."""
-    now = found.model.values
-    share = {name: std / max(abs(now[name]), 1e-300) for name, std in zip(found.parameters, found.std.tolist(), strict=True)}
+    now = fit.model.values
+    share = {name: std / max(abs(now[name]), 1e-300) for name, std in zip(fit.parameters, fit.std.tolist(), strict=True)}
     return sorted(
         (name for name, wide in share.items() if not wide < OPEN), key=lambda name: -np.nan_to_num(share[name], nan=np.inf)
     )
@@ -338,7 +338,7 @@ def _open(found: gauss_newton.Fit) -> list[str]:
 
 def _refusal(model: PhysicalModel, data: Data, wide: Sequence[str]) -> Undetermined:
     driving = ", ".join(model.inputs) or "the machine"
-    lacking = [name for name, there in zip(model.outputs, data.measured, strict=True) if not there]
+    lacking = [name for name, known in zip(model.outputs, data.measured, strict=True) if not known]
     more = f", or record {' or '.join(lacking)} too" if lacking else ""
     return Undetermined(
         f"model {model.name!r}: healthy windows do not determine {', '.join(wide)}: record windows in which {driving} "
@@ -367,15 +367,15 @@ def _learned(asked: PhysicalModel, model: PhysicalModel, experiments: Sequence[E
     for _ in range(2):
         whitening = Whitening.of([fit.error for fit in _each_alone(model, experiments, start, whitening)])
     kind = KindOfRun.of(experiments)
-    each = _Windows(_each_alone(model, experiments, start, whitening), np.array([kind.features(e) for e in experiments]))
-    told = [information(fit, len(start)) for fit in each.fits]
-    values = Scatter.of(each.F, each.theta, told, 1e-3 * np.abs(start) + 1e-12)
-    power = np.array([log_power(fit) for fit in each.fits])
-    errors = Scatter.of(each.F, power, None, np.full(power.shape[1], 0.01))
+    by_window = _Windows(_each_alone(model, experiments, start, whitening), np.array([kind.features(e) for e in experiments]))
+    window_info = [information(fit, len(start)) for fit in by_window.fits]
+    values = Scatter.of(by_window.F, by_window.theta, window_info, 1e-3 * np.abs(start) + 1e-12)
+    power = np.array([log_power(fit) for fit in by_window.fits])
+    errors = Scatter.of(by_window.F, power, None, np.full(power.shape[1], 0.01))
     model = model.with_values(dict(zip(model.free, values.B[0].tolist(), strict=True)))
-    diagonals = np.array([np.diag(h) for h in told]).reshape(len(told), len(start))
+    diagonals = np.array([np.diag(h) for h in window_info]).reshape(len(window_info), len(start))
     mended = tuple(use.label for use in model.effects if use.label not in [own.label for own in asked.effects])
-    unasked = np.zeros((len(told), len(model.outputs)))  # offsets are, once the values' scatter is known
+    unasked = np.zeros((len(window_info), len(model.outputs)))  # offsets are, once the values' scatter is known
     input_spans, spans = (np.array([np.ptp(x(e), axis=0) for e in experiments]).min(axis=0) for x in (_inputs, _readings))
     return Baseline(
         asked,
@@ -385,7 +385,7 @@ def _learned(asked: PhysicalModel, model: PhysicalModel, experiments: Sequence[E
         whitening,
         values,
         errors,
-        Scatter.of(each.F, unasked, None, unasked[0] + 1.0),
+        Scatter.of(by_window.F, unasked, None, unasked[0] + 1.0),
         {},
         diagonals.min(axis=0),
         np.median(diagonals, axis=0),
@@ -396,7 +396,7 @@ def _learned(asked: PhysicalModel, model: PhysicalModel, experiments: Sequence[E
         experiments[0].sample_time,
         experiments[0].sample_time * float(np.median([e.n for e in experiments])),
         len(experiments),
-        _apart(each.F, np.column_stack([each.theta, power])),
+        _apart(by_window.F, np.column_stack([by_window.theta, power])),
         list(sources),
     )
 
@@ -407,15 +407,15 @@ def _sized(model: PhysicalModel, experiments: Sequence[Experiment]) -> Whitening
 
 
 def _each_alone(model: PhysicalModel, experiments: Sequence[Experiment], start: FloatArray, whitening: Whitening) -> list[Fit]:
-    found = []
+    fits = []
     for e in experiments:
         fit = alone(model, e, start, whitening)
         if fit is None:
             raise BadRecord(
                 f"record {e.source!r}: the model diverges along it; look at it with `residuum compare`, or leave it out"
             )
-        found.append(fit)
-    return found
+        fits.append(fit)
+    return fits
 
 
 def _inputs(e: Experiment) -> FloatArray:
@@ -430,32 +430,32 @@ def _readings(e: Experiment) -> FloatArray:
 
 def _apart(F: FloatArray, x: FloatArray) -> tuple[int, ...]:
     """Windows that differ from all others in a value or in their error, each held against the scatter of the others."""
-    found, n = [], len(x)
+    apart, n = [], len(x)
     for k in range(n):
-        others = np.arange(n) != k
-        scatter = Scatter.of(F[others], x[others], None, 1e-3 * np.abs(x).mean(axis=0) + 1e-12)
+        but_k = np.arange(n) != k
+        scatter = Scatter.of(F[but_k], x[but_k], None, 1e-3 * np.abs(x).mean(axis=0) + 1e-12)
         mean, covariance = scatter.at(F[k])
         t = np.abs(x[k] - mean) / np.sqrt(np.diag(covariance))
         if 2.0 * x.size * stats.t.sf(t.max(), scatter.freedom) < APART:
-            found.append(k)
-    return tuple(found)
+            apart.append(k)
+    return tuple(apart)
 
 
 def _calibrated(baseline: Baseline, experiments: Sequence[Experiment]) -> Baseline:
     """With what each hypothesis gains in healthy windows, and how its sizes scatter there; offsets in all of them."""
     F = np.array([baseline.kind.features(e) for e in experiments])
     fitters = [baseline.fitter(e, f) for e, f in zip(experiments, F, strict=True)]
-    offsets, told = np.array([baseline.offsets_in(one, one.fit(Variant(baseline.model))) for one in fitters]).swapaxes(0, 1)
-    baseline = replace(baseline, offsets=Scatter.of(F, offsets, [np.diag(h) for h in told], 1e-6 * baseline.spans + 1e-300))
+    offsets, H = np.array([baseline.offsets_in(fitter, fitter.fit(Variant(baseline.model))) for fitter in fitters]).swapaxes(0, 1)
+    baseline = replace(baseline, offsets=Scatter.of(F, offsets, [np.diag(h) for h in H], 1e-6 * baseline.spans + 1e-300))
     every = []
     for k in evenly(len(experiments), CALIBRATED):
-        healthy, found = tried(fitters[k], baseline.hypotheses, baseline.usual_gain)
-        every.append((fitters[k], fitters[k].nats(healthy), found))
+        healthy, trials = tried(fitters[k], baseline.hypotheses, baseline.usual_gain)
+        every.append((fitters[k], fitters[k].nats(healthy), trials))
     usual = {}
     for h in baseline.hypotheses:
-        there = [(f, null, t.fit) for f, null, found in every if (t := found.get(h.label))]
-        gains = [max(null - f.nats(fit) + f.price(fit) - fit.paid, 0.0) for f, null, fit in there]
-        usual[h.label] = Usual(float(np.mean(gains)) if gains else 0.0, _sizes([fit for *_, fit in there]))
+        fitted = [(f, null, t.fit) for f, null, trials in every if (t := trials.get(h.label))]
+        gains = [max(null - f.nats(fit) + f.price(fit) - fit.paid, 0.0) for f, null, fit in fitted]
+        usual[h.label] = Usual(float(np.mean(gains)) if gains else 0.0, _sizes([fit for *_, fit in fitted]))
     return replace(baseline, usual=usual)
 
 

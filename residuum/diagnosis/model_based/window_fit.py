@@ -58,12 +58,12 @@ class Whitening:
         """Values (n, outputs, …) whitened, over their healthy size; zero where nothing was measured."""
         out = np.empty(values.shape)
         for o, a in enumerate(self.filters):
-            there = known[:, o].reshape((-1,) + (1,) * (values.ndim - 2))
-            x = np.where(there, values[:, o], 0.0)
+            measured = known[:, o].reshape((-1,) + (1,) * (values.ndim - 2))
+            x = np.where(measured, values[:, o], 0.0)
             y = x.copy()
             for lag in np.flatnonzero(a[1:]) + 1:
                 y[lag:] += a[lag] * x[:-lag]
-            out[:, o] = np.where(there, y, 0.0) / self.sigma[o]
+            out[:, o] = np.where(measured, y, 0.0) / self.sigma[o]
         return out
 
     @property
@@ -83,7 +83,7 @@ class Whitening:
     def of(cls, errors: Sequence[FloatArray]) -> Whitening:
         """Learned from the errors (n, outputs) of healthy windows; Yule-Walker equations."""
         outputs = errors[0].shape[1]
-        found = cls.plain(np.ones(outputs))
+        whitening = cls.plain(np.ones(outputs))
         for o in range(outputs):
             x = [np.nan_to_num(r[:, o]) for r in errors]
             a = _autoregression(x)
@@ -92,10 +92,10 @@ class Whitening:
             end = int(np.argmax(rho < _CORRELATED)) or len(rho)
             sigma = max(float(np.sqrt(np.mean(np.concatenate(white) ** 2))), 1e-300)
             steps = [float(np.mean(np.diff(y) ** 2)) / 2.0 / sigma**2 for y in white]
-            found.filters[o, : len(a)], found.sigma[o] = a, sigma
-            found.inflation[o] = 1.0 + 2.0 * float(rho[1:end].sum())
-            found.steps[o], found.most_steps[o] = np.mean(steps), np.mean(steps) + 2.0 * np.std(steps)
-        return found
+            whitening.filters[o, : len(a)], whitening.sigma[o] = a, sigma
+            whitening.inflation[o] = 1.0 + 2.0 * float(rho[1:end].sum())
+            whitening.steps[o], whitening.most_steps[o] = np.mean(steps), np.mean(steps) + 2.0 * np.std(steps)
+        return whitening
 
 
 def _autoregression(x: Sequence[FloatArray]) -> FloatArray:
@@ -156,11 +156,11 @@ class Scatter:
             Least standard deviation of each.
         """
         ridges = np.full(x.shape[1], RIDGES[0])
-        found, post = _fitted(F, x, information, floor, ridges)
+        scatter, post = _fitted(F, x, information, floor, ridges)
         for _ in range(2):
             ridges = np.array([_evident_ridge(F, y, least) for y, least in zip(post.T, floor, strict=True)])
-            found, post = _fitted(F, x, information, floor, ridges)
-        return found
+            scatter, post = _fitted(F, x, information, floor, ridges)
+        return scatter
 
     def at(self, features: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Mean (values,) and covariance (values, values) of a further window."""
@@ -185,8 +185,8 @@ def _fitted(
         if information is not None:
             P = np.linalg.inv(S)
             V = np.array([np.linalg.inv(P + h) for h in information])
-            told = zip(V, F @ B, information, x, strict=True)
-            post = np.array([v @ (P @ mean + h @ y) for v, mean, h, y in told]).reshape(n, p)
+            by_window = zip(V, F @ B, information, x, strict=True)
+            post = np.array([v @ (P @ mean + h @ y) for v, mean, h, y in by_window]).reshape(n, p)
     B, S, M = (np.ascontiguousarray(x) for x in (B, S, M))  # as they are loaded: the order decides the last digit
     return Scatter(B, S, M, float(freedom.min(initial=float(n)))), post
 
@@ -343,55 +343,55 @@ class _Problem:
 
     def solved(self, steps: int) -> Fit | None:
         """The fit after so many steps; None where the first values cannot be simulated."""
-        here = self._errors(self.z)
-        if here is None:
+        at_z = self._errors(self.z)
+        if at_z is None:
             return None
         z = self.z
         for _ in range(1 if steps <= LOOK_STEPS else 2):  # twice: errors beyond the healthy size say less
-            z, here = self._descended(z, here, self._weights(here[0]), steps)
-        return self._told(z, here)
+            z, at_z = self._descended(z, at_z, self._weights(at_z[0]), steps)
+        return self._told(z, at_z)
 
     def _descended(
-        self, z: FloatArray, here: tuple[FloatArray, FloatArray, FloatArray], weights: FloatArray, steps: int
+        self, z: FloatArray, at_z: tuple[FloatArray, FloatArray, FloatArray], weights: FloatArray, steps: int
     ) -> tuple[FloatArray, tuple[FloatArray, FloatArray, FloatArray]]:
-        damping, now = 1e-3, self._cost(z, here[0], weights)
+        damping, now = 1e-3, self._cost(z, at_z[0], weights)
         for _ in range(steps):
-            J = (here[1] * weights[:, None]).reshape(-1, len(z))
-            H, g = J.T @ J, J.T @ (here[0] * weights).ravel()
+            J = (at_z[1] * weights[:, None]).reshape(-1, len(z))
+            H, g = J.T @ J, J.T @ (at_z[0] * weights).ravel()
             H[: self.k, : self.k] += self.prior.T @ self.prior
             g[: self.k] -= self.prior.T @ self._paid(z)
             for _ in range(6):
                 trial = np.clip(z + _bounded_step(H, g, z, self.lower, self.upper, damping), self.lower, self.upper)
-                there = self._errors(trial)
-                if there is not None and self._cost(trial, there[0], weights) < now:
+                at_trial = self._errors(trial)
+                if at_trial is not None and self._cost(trial, at_trial[0], weights) < now:
                     break
                 damping = max(damping, 1e-4) * 8.0
             else:
-                return z, here
-            assert there is not None
-            before, now = now, self._cost(trial, there[0], weights)
-            z, here, damping = trial, there, damping / 10.0
+                return z, at_z
+            assert at_trial is not None
+            before, now = now, self._cost(trial, at_trial[0], weights)
+            z, at_z, damping = trial, at_trial, damping / 10.0
             if now > before * (1.0 - SETTLED):
                 break
-        return z, here
+        return z, at_z
 
-    def _told(self, z: FloatArray, here: tuple[FloatArray, FloatArray, FloatArray]) -> Fit | None:
+    def _told(self, z: FloatArray, at_z: tuple[FloatArray, FloatArray, FloatArray]) -> Fit | None:
         k, q, nx, variant, fitter = self.k, self.q, self.nx, self.variant, self.fitter
-        J = (here[1] * self._weights(here[0])[:, None]).reshape(-1, len(z))
+        J = (at_z[1] * self._weights(at_z[0])[:, None]).reshape(-1, len(z))
         order = [*range(q), *range(q + nx, len(z)), *range(q, q + nx)]
         x0 = self.x0.copy()
         x0[self.at] = z[q : q + nx]
-        power = fitter.blocks(here[0])
+        power = fitter.blocks(at_z[0])
         if variant.louder is not None:
-            power = power / np.clip(fitter.louder(here[0]), 1.0, np.maximum(variant.louder(z[q + nx :]), 1.0))
+            power = power / np.clip(fitter.louder(at_z[0]), 1.0, np.maximum(variant.louder(z[q + nx :]), 1.0))
         information = (J.T @ J)[np.ix_(order, order)]
         if not (np.all(np.isfinite(power)) and np.all(np.isfinite(information))):
             return None
         paid, freedom = self._paid(z), fitter.freedom
         worth = 0.5 * (freedom + k) * float(np.log1p(paid @ paid / freedom))
-        error = np.where(fitter.known, here[2], np.nan)
+        error = np.where(fitter.known, at_z[2], np.nan)
         own = np.concatenate([z[k:q], z[q + nx :]])
-        return Fit(variant, z[:k], own, power, worth, here[0], error, information, x0, self.substeps, variant.onset)
+        return Fit(variant, z[:k], own, power, worth, at_z[0], error, information, x0, self.substeps, variant.onset)
 
     def _paid(self, z: FloatArray) -> FloatArray:
         return np.asarray(self.prior @ (z[: self.k] - self.mean))
@@ -430,10 +430,10 @@ class _Problem:
         for j in range(first, len(z)):  # sizes of what is done to signals: by differences
             moved = z.copy()
             moved[j] += 1e-4 * max(abs(z[j]), 1.0)
-            there = self._simulated(moved, ()) if variant.inputs is not None else run
-            if there is None:
+            run_j = self._simulated(moved, ()) if variant.inputs is not None else run
+            if run_j is None:
                 return None
-            read = there[0] if variant.reading is None else variant.reading(there[0], moved[first:])
+            read = run_j[0] if variant.reading is None else variant.reading(run_j[0], moved[first:])
             dY = np.concatenate([dY, ((read - Y) / (moved[j] - z[j]))[:, :, None]], axis=2)
         return white(e.Y - Y, known), white(dY, known), e.Y - Y
 

@@ -196,10 +196,10 @@ class FaultEstimator:
         fit = _Fit(self, u, y)
         if (stuck := self._stuck(fit, y, alarm)) is not None:
             return stuck
-        found = [fit.best(kind, alarm) for kind in FAULT_KINDS]
-        largest = max(item.log_likelihood_ratio for item in found)
-        best, *others = [item for item in found if item.log_likelihood_ratio >= largest - _INDISTINCT]
-        alike = tuple(item.kind for item in others)
+        fits = [fit.best(kind, alarm) for kind in FAULT_KINDS]
+        largest = max(item.log_likelihood_ratio for item in fits)
+        best, *rivals = [item for item in fits if item.log_likelihood_ratio >= largest - _INDISTINCT]
+        alike = tuple(item.kind for item in rivals)
         adequate, left = fit.leaves_healthy(best)
         if not adequate and left > 0.5:
             return FaultEstimate(PLANT_CHANGE, left, 0.0, "", best.onset, best.log_likelihood_ratio, (), False)
@@ -316,11 +316,11 @@ class _Fit:
         if onset >= self.first and strength[-1] > 2 * _GUARD:
             guard = int(np.argmax(strength > _GUARD))
             columns = [np.where(np.arange(len(s)) >= guard, s, 0.0) for s in columns]
-            kept = self.white[onset:guard].copy()
+            saved = self.white[onset:guard].copy()
             self.white[onset:guard] = 0.0
             error, self._error = self._error, self._on_lags(self.white)
             sizes, covariance, _ = self.fit(columns)
-            self.white[onset:guard], self._error = kept, error
+            self.white[onset:guard], self._error = saved, error
         else:
             sizes, covariance, _ = self.fit(columns)
         return float(sizes[0]), float(np.sqrt(covariance[0, 0]))

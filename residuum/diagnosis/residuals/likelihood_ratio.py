@@ -158,13 +158,13 @@ def scan(scores, template, white_input, valid, limits, model, memory, restart, s
         if not valid[t]:
             _empty(memory)
             continue
-        here, local = _add(memory, scores[t], template[t])
-        found = _over_windows(limits, model, memory, now, here, local)
-        found = _of_steps(found, limits.square, model, memory, now, scores[t])
-        statistic[t], kind[t], window[t] = np.sqrt(found[0]), found[1], found[2]
+        head, local = _add(memory, scores[t], template[t])
+        largest = _over_windows(limits, model, memory, now, head, local)
+        largest = _of_steps(largest, limits.square, model, memory, now, scores[t])
+        statistic[t], kind[t], window[t] = np.sqrt(largest[0]), largest[1], largest[2]
         if local == _EPOCH:
-            _move_origin(memory.sums, here)
-        if restart and found[1] > 0:
+            _move_origin(memory.sums, head)
+        if restart and largest[1] > 0:
             _empty(memory)
 
 
@@ -190,77 +190,77 @@ def _add(memory, s, p):  # type: ignore[no-untyped-def]
     """Go on with the running sums; their place now, and the local time τ."""
     sums, n = memory.sums, memory.counts[0] + 1
     ring = sums.shape[1]
-    here, before, local = n % ring, (n - 1) % ring, (n - 1) % _EPOCH + 1
-    sums[0, here] = sums[0, before] + s
-    sums[1, here] = sums[1, before] + s * p
-    sums[2, here] = sums[2, before] + p * p
-    sums[3, here] = sums[3, before] + s * s
-    sums[4, here] = sums[4, before] + local * s
+    head, before, local = n % ring, (n - 1) % ring, (n - 1) % _EPOCH + 1
+    sums[0, head] = sums[0, before] + s
+    sums[1, head] = sums[1, before] + s * p
+    sums[2, head] = sums[2, before] + p * p
+    sums[3, head] = sums[3, before] + s * s
+    sums[4, head] = sums[4, before] + local * s
     memory.counts[0] = n
-    return here, local
+    return head, local
 
 
 @njit()
-def _larger(found, z2, square, kind, length):  # type: ignore[no-untyped-def]
+def _larger(largest, z2, square, kind, length):  # type: ignore[no-untyped-def]
     """The larger of a finding and of z² of a kind over a window."""
-    if z2 <= found[0]:
-        return found
-    return (z2, kind, length) if z2 > square else (z2, found[1], found[2])
+    if z2 <= largest[0]:
+        return largest
+    return (z2, kind, length) if z2 > square else (z2, largest[1], largest[2])
 
 
 @njit()
-def _over_windows(limits, model, memory, now, here, local):  # type: ignore[no-untyped-def]
+def _over_windows(limits, model, memory, now, head, local):  # type: ignore[no-untyped-def]
     """The largest statistic over all windows that end here."""
     sums, ring = memory.sums, memory.sums.shape[1]
-    found = (0.0, 0, 0)
+    largest = (0.0, 0, 0)
     for i in range(len(limits.windows)):
         length = limits.windows[i]
         if length > memory.counts[0]:
             break
-        start = here - length
+        start = head - length
         if start < 0:
             start += ring
-        offset = sums[0, here] - sums[0, start]
+        offset = sums[0, head] - sums[0, start]
         begins = 2.0 * SHORT_START if length <= SHORT else 0.0
-        found = _matched(found, offset, float(length), begins, OFFSET, STEP, length, limits.square, model, memory, now)
+        largest = _matched(largest, offset, float(length), begins, OFFSET, STEP, length, limits.square, model, memory, now)
         if length < SHORTEST_GAIN:
             continue
-        product, energy = sums[1, here] - sums[1, start], sums[2, here] - sums[2, start]
+        product, energy = sums[1, head] - sums[1, start], sums[2, head] - sums[2, start]
         if energy > 0.0:
-            found = _matched(found, product, energy, 0.0, GAIN, TEMPLATE, length, limits.square, model, memory, now)
+            largest = _matched(largest, product, energy, 0.0, GAIN, TEMPLATE, length, limits.square, model, memory, now)
         if length < SHORTEST_POWER:
             continue
-        ramp = sums[4, here] - sums[4, start] - (local - length) * offset
-        found = _matched(found, ramp, limits.ramp_energy[i], 0.0, RAMPED, RAMP, length, limits.square, model, memory, now)
-        found = _of_power(found, sums[3, here] - sums[3, start], i, limits, model, memory, now)
-    return found
+        ramp = sums[4, head] - sums[4, start] - (local - length) * offset
+        largest = _matched(largest, ramp, limits.ramp_energy[i], 0.0, RAMPED, RAMP, length, limits.square, model, memory, now)
+        largest = _of_power(largest, sums[3, head] - sums[3, start], i, limits, model, memory, now)
+    return largest
 
 
 @njit()
-def _matched(found, product, energy, begins, kind, shape, length, square, model, memory, now):  # type: ignore[no-untyped-def]
+def _matched(largest, product, energy, begins, kind, shape, length, square, model, memory, now):  # type: ignore[no-untyped-def]
     """(Σ s p)² / (Σ p² + model error) of a template, with a start.
 
     The model error only lowers it, so it is worked out for the rare windows that would alarm without it.
     """
-    if product * product <= (found[0] - begins) * energy:
-        return found
+    if product * product <= (largest[0] - begins) * energy:
+        return largest
     z2 = product * product / energy
     if z2 + begins > square:
         enough = product * product / (square - begins) - energy
         past, (root, level, delay) = memory.past, model
         z2 = product * product / (energy + model_error(past[0], past[1], now, length, delay, root, level, enough, shape))
-    return _larger(found, z2 + begins, square, kind, length)
+    return _larger(largest, z2 + begins, square, kind, length)
 
 
 @njit()
-def _of_power(found, power, i, limits, model, memory, now):  # type: ignore[no-untyped-def]
+def _of_power(largest, power, i, limits, model, memory, now):  # type: ignore[no-untyped-def]
     """The score of Σ s² over window i, the model error's share taken out."""
     length, spread = limits.windows[i], limits.spread[i]
-    if power <= limits.power[i] or _power_score(power / length, spread) ** 2 <= found[0]:
-        return found
+    if power <= limits.power[i] or _power_score(power / length, spread) ** 2 <= largest[0]:
+        return largest
     own = mean_square(memory.past[1], now, length, model.delay, model.root)
     z = _power_score(power / (length * (1.0 + limits.quantile * own)), spread)
-    return _larger(found, z * z, limits.square, POWER, length) if z > 0.0 else found
+    return _larger(largest, z * z, limits.square, POWER, length) if z > 0.0 else largest
 
 
 @njit()
@@ -270,7 +270,7 @@ def _power_score(mean_square, spread):  # type: ignore[no-untyped-def]
 
 
 @njit()
-def _of_steps(found, square, model, memory, now, s):  # type: ignore[no-untyped-def]
+def _of_steps(largest, square, model, memory, now, s):  # type: ignore[no-untyped-def]
     """Go on with R of Shiryaev and Roberts for a step up and one down, and the larger of the finding and theirs."""
     steps = memory.steps
     up = np.exp(min(max(s, -_LARGEST_SCORE), _LARGEST_SCORE) - 0.5)
@@ -281,8 +281,8 @@ def _of_steps(found, square, model, memory, now, s):  # type: ignore[no-untyped-
             ratio, length = 0.0, 0
         steps[side, 0], steps[side, 1] = ratio, length
         if length > 0:
-            found = _larger(found, _step_score(np.log(ratio), length, square, model, memory, now), square, OFFSET, length)
-    return found
+            largest = _larger(largest, _step_score(np.log(ratio), length, square, model, memory, now), square, OFFSET, length)
+    return largest
 
 
 @njit()
@@ -300,12 +300,12 @@ def _step_score(log_ratio, length, square, model, memory, now):  # type: ignore[
 
 
 @njit()
-def _move_origin(sums: Any, here: int) -> None:
+def _move_origin(sums: Any, head: int) -> None:
     """Count τ of Σ τ s from here on again, and Σ s from its value here: only differences matter, and they keep their digits."""
     for slot in range(sums.shape[1]):
         sums[4, slot] -= _EPOCH * sums[0, slot]
     for row in range(5):
-        level = sums[row, here]
+        level = sums[row, head]
         for slot in range(sums.shape[1]):
             sums[row, slot] -= level
 
@@ -462,9 +462,9 @@ def covariance_root(covariance: FloatArray) -> FloatArray:
     eigenvalues, vectors = np.linalg.eigh(covariance)
     eigenvalues = np.maximum(eigenvalues[::-1], 0.0)
     left = np.cumsum(eigenvalues[::-1])[::-1]
-    kept = left > 1e-6 * left[0] if left.size and left[0] > 0 else np.zeros(len(left), dtype=bool)
-    kept[:1] = True
-    return np.ascontiguousarray((vectors[:, ::-1][:, kept] * np.sqrt(eigenvalues[kept])).T)
+    large = left > 1e-6 * left[0] if left.size and left[0] > 0 else np.zeros(len(left), dtype=bool)
+    large[:1] = True
+    return np.ascontiguousarray((vectors[:, ::-1][:, large] * np.sqrt(eigenvalues[large])).T)
 
 
 def _upper_mean_square(covariance: FloatArray, b: float) -> float:

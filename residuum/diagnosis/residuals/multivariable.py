@@ -64,10 +64,10 @@ class VectorWhitener:
 
     def after(self, impulse: FloatArray) -> FloatArray:
         """Impulse response of the whitener behind a filter with `impulse`, shape (length, r, p) → (length + k, r, p)."""
-        made = np.concatenate([impulse, np.zeros((len(self.past), *impulse.shape[1:]))])
+        whitened = np.concatenate([impulse, np.zeros((len(self.past), *impulse.shape[1:]))])
         for k, A in enumerate(self.past, start=1):
-            made[k : k + len(impulse)] -= A @ impulse
-        return np.linalg.solve(self.root, made)
+            whitened[k : k + len(impulse)] -= A @ impulse
+        return np.linalg.solve(self.root, whitened)
 
 
 def fit_whitener(residuals: Sequence[FloatArray]) -> VectorWhitener:
@@ -279,7 +279,7 @@ def design_multivariable_residual(
     memory = max(path.delay + path.order for row in model.models for path in row)
     errors = [y - _response(model, blank.known, np.nan_to_num(u - input_mean)) for u, y in pairs]
     bad = [_any_missing(u) for u, _ in pairs]
-    usable = [np.where((_dilated(gone, memory))[:, None], np.nan, error) for error, gone in zip(errors, bad, strict=True)]
+    usable = [np.where((_dilated(missing, memory))[:, None], np.nan, error) for error, missing in zip(errors, bad, strict=True)]
     if not any(np.isfinite(error).all(axis=1).any() for error in usable):
         raise BadRecord(f"healthy records: none is longer than the model's memory, {memory} samples, without a gap")
     output_mean = np.nanmean(np.concatenate(usable), axis=0)
@@ -287,8 +287,8 @@ def design_multivariable_residual(
     impulse = Q.impulse_response(settled)
     residuals = []
     for error in usable:
-        gone = _dilated(_any_missing(error), settled)
-        residuals.append(np.where(gone[:, None], np.nan, filtered(impulse, np.nan_to_num(error - output_mean))))
+        missing = _dilated(_any_missing(error), settled)
+        residuals.append(np.where(missing[:, None], np.nan, filtered(impulse, np.nan_to_num(error - output_mean))))
     return MultivariableResidual(
         model=model,
         unknown=tuple(unknown),
@@ -335,10 +335,10 @@ def _any_missing(values: FloatArray) -> BoolArray:
     return np.asarray(np.isnan(values).any(axis=1))
 
 
-def _dilated(gone: BoolArray, memory: int) -> BoolArray:
+def _dilated(missing: BoolArray, memory: int) -> BoolArray:
     """Samples of which one of the last `memory` is gone, or lies before the start."""
-    n = len(gone)
-    last = np.maximum.accumulate(np.where(gone, np.arange(n), -1))
+    n = len(missing)
+    last = np.maximum.accumulate(np.where(missing, np.arange(n), -1))
     return np.asarray(np.arange(n) - last <= memory)
 
 
@@ -395,8 +395,8 @@ def unknown_input_decoupling(model: MultivariableModel, unknown: Sequence[str]) 
         StateSpace(small.A, np.zeros((small.order, 0)), small.C, np.zeros((len(paths), 0)), small.sample_time), small.B
     )
     free = linalg.null_space((small.C @ small.B).T).T
-    made = observer.filter
-    return StateSpace(made.A, made.B, free @ made.C, free @ made.D, made.sample_time)
+    uio = observer.filter
+    return StateSpace(uio.A, uio.B, free @ uio.C, free @ uio.D, uio.sample_time)
 
 
 def _first(g: FloatArray, std: FloatArray) -> int:
@@ -535,8 +535,8 @@ class _Scan:
     def _known_part(self, i: int) -> FloatArray:
         paths = self.design.model.models[i]
         starts = np.cumsum([0, *(path.order for path in paths)])
-        kept = np.concatenate([np.zeros(0, int), *(np.arange(starts[j], starts[j + 1]) for j in self.design.known)])
-        return np.asarray(self.design.model.covariances[i][np.ix_(kept, kept)])
+        columns = np.concatenate([np.zeros(0, int), *(np.arange(starts[j], starts[j + 1]) for j in self.design.known)])
+        return np.asarray(self.design.model.covariances[i][np.ix_(columns, columns)])
 
     @cached_property
     def hypotheses(self) -> list[tuple[Hypothesis, FloatArray]]:
@@ -544,9 +544,9 @@ class _Scan:
         model, direct = self.design.model, self.design.filter.sum(axis=0)
         through = direct @ static_gain(model)
         rows, first = model.models, model.models[0]
-        found = [(Hypothesis("sensor", i, row[0].output_name, row[0].output_unit), direct[:, i]) for i, row in enumerate(rows)]
-        found += [(Hypothesis("actuator", j, first[j].input_name, first[j].input_unit), through[:, j]) for j in self.design.known]
-        return [(one, f) for one, f in found if np.any(f)]
+        pairs = [(Hypothesis("sensor", i, row[0].output_name, row[0].output_unit), direct[:, i]) for i, row in enumerate(rows)]
+        pairs += [(Hypothesis("actuator", j, first[j].input_name, first[j].input_unit), through[:, j]) for j in self.design.known]
+        return [(h, f) for h, f in pairs if np.any(f)]
 
     def statistic(self) -> FloatArray:
         """Largest |z| over faults and windows that end at each sample, shape (n,); zero where none ends."""
@@ -574,19 +574,19 @@ class _Scan:
 
     def _model_error(self, w: Sequence[FloatArray]) -> FloatArray:
         """Σ_i wᵀ Σ_i w of w, shape (windows, lags), an output each."""
-        return np.asarray(sum(np.sum((each @ root.T) ** 2, axis=-1) for each, root in zip(w, self.roots, strict=True)))
+        return np.asarray(sum(np.sum((w_i @ root.T) ** 2, axis=-1) for w_i, root in zip(w, self.roots, strict=True)))
 
     def _moved(self, f: FloatArray) -> list[FloatArray]:
         """For each output the running sums of the inputs at its lags through filter and signature, shape (n + 1, lags)."""
-        made = []
+        moved = []
         for i, row in enumerate(self.design.model.models):
             columns = [np.zeros((self.n + 1, 0))]
             for c, j in enumerate(self.design.known):
                 taps = self.design.filter[:, :, i] @ f
                 through = np.cumsum(signal.oaconvolve(self.residual.inputs[:, c], taps)[: self.n])
                 columns.append(_lagged(through, row[j].delay, row[j].order))
-            made.append(np.concatenate(columns, axis=1))
-        return made
+            moved.append(np.concatenate(columns, axis=1))
+        return moved
 
     def isolated(self, alarm: int) -> IsolatedFault | None:
         """The fault that explains best what the scores do about an alarm, with its course from the onset on."""
@@ -595,9 +595,9 @@ class _Scan:
         stop = alarm + int(broken[0]) if len(broken) else stop
         before = np.flatnonzero(~self.residual.valid[:alarm])
         start = max(int(before[-1]) + 1 if len(before) else 0, alarm - LONGEST_SCAN)
-        found = []
-        for one, f in self.hypotheses:
-            response = own_response(self.design, one.place, one.kind == "actuator", stop - start)
+        fits = []
+        for h, f in self.hypotheses:
+            response = own_response(self.design, h.place, h.kind == "actuator", stop - start)
             constant = self._moved(f)
             coarse = np.unique(np.linspace(start, alarm, _COARSE).astype(int))
             values = {int(k): self._course(response, constant, int(k), stop) for k in coarse}
@@ -606,23 +606,23 @@ class _Scan:
             for k in range(max(start, best - step), min(alarm, best + step) + 1):
                 values.setdefault(k, self._course(response, constant, k, stop))
             onset = max(values, key=lambda k: values[k][2])
-            found.append((one, onset, *values[onset]))
-        likelihood = np.array([each[4] for each in found])
+            fits.append((h, onset, *values[onset]))
+        likelihood = np.array([fit[4] for fit in fits])
         chosen = int(np.argmax(likelihood))
         weights = np.exp(likelihood - likelihood.max())
-        alike = tuple(found[k][0] for k in range(len(found)) if k != chosen and likelihood[k] > likelihood[chosen] - _ALIKE)
-        one, onset, value, std, _ = found[chosen]
-        if one.kind == "actuator":
-            std = float(np.hypot(std, self._gain_doubt(one, value)))
-        return IsolatedFault(one, value, std, onset, float(weights[chosen] / weights.sum()), alike)
+        alike = tuple(fits[k][0] for k in range(len(fits)) if k != chosen and likelihood[k] > likelihood[chosen] - _ALIKE)
+        h, onset, value, std, _ = fits[chosen]
+        if h.kind == "actuator":
+            std = float(np.hypot(std, self._gain_doubt(h, value)))
+        return IsolatedFault(h, value, std, onset, float(weights[chosen] / weights.sum()), alike)
 
-    def _gain_doubt(self, one: Hypothesis, value: float) -> float:
+    def _gain_doubt(self, h: Hypothesis, value: float) -> float:
         """Part of `std` that the error of the gains from an actuator's input makes: it acts on the fault as on the input."""
-        f = dict(self.hypotheses)[one]
+        f = dict(self.hypotheses)[h]
         direct, variance = self.design.filter.sum(axis=0), 0.0
         for i, row in enumerate(self.design.model.models):
             starts = np.cumsum([0, *(path.order for path in row)])
-            part = slice(starts[one.place], starts[one.place + 1])
+            part = slice(starts[h.place], starts[h.place + 1])
             gain = float(np.sum(self.design.model.covariances[i][part, part]))
             variance += gain * float(direct[:, i] @ f) ** 2
         return abs(value) * float(np.sqrt(variance)) / float(f @ f)

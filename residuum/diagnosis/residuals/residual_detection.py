@@ -134,5 +134,5 @@ def _estimate(design: ResidualDesign, u: FloatArray, y: FloatArray, alarm: int) 
     stop = min(int(after[0]) if len(after) else len(u), alarm + _AROUND)
     model = design.model
     estimator = FaultEstimator(design.generator, model.covariance, model.delay, (model.input_unit, model.output_unit))
-    found = estimator.estimate(u[start:stop], y[start:stop], alarm - start)
-    return None if found is None else found.moved(start)
+    fault = estimator.estimate(u[start:stop], y[start:stop], alarm - start)
+    return None if fault is None else fault.moved(start)

@@ -168,8 +168,8 @@ def fit_hazard_tail(excess: FloatArray) -> tuple[float, float]:
         return -float(np.sum(np.log(np.maximum(hazard(growth) + growth * excess, np.finfo(float).tiny))))
 
     most = k / half_square
-    found = optimize.minimize_scalar(cost, bounds=(0.0, most), method="bounded", options={"xatol": 1e-6 * most})
-    growth = float(found.x) if found.fun < cost(0.0) else 0.0
+    minimum = optimize.minimize_scalar(cost, bounds=(0.0, most), method="bounded", options={"xatol": 1e-6 * most})
+    growth = float(minimum.x) if minimum.fun < cost(0.0) else 0.0
     return hazard(growth), growth
 
 

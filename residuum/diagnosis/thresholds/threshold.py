@@ -121,19 +121,19 @@ def posterior_threshold(design: ResidualDesign, u: FloatArray, rate: float, eval
     seen, and single samples then alarm less often than chosen.
     """
     per_day = rate * 86400.0 / design.model.sample_time
-    said = "the chosen rate, while noise and model are as identified"
+    guarantee = "the chosen rate, while noise and model are as identified"
     if evaluation == "glr":
         b = design.bank_threshold(rate)
         factor = design.noise.rate_factor(b)
-        known = f"{said}; within a factor of {factor:.2g} of it for 95 % of designs from as much healthy data"
+        known = f"{guarantee}; within a factor of {factor:.2g} of it for 95 % of designs from as much healthy data"
         return Threshold("posterior", "glr", b, "σ", per_day, known, factor)
     if evaluation == "cusum":
-        return Threshold("posterior", "cusum", cusum_threshold(rate, CUSUM_REFERENCE), "σ", per_day, said)
+        return Threshold("posterior", "cusum", cusum_threshold(rate, CUSUM_REFERENCE), "σ", per_day, guarantee)
     if evaluation == "rms":
-        return Threshold("posterior", "rms", _rms_level(rate), "σ", per_day, said)
+        return Threshold("posterior", "rms", _rms_level(rate), "σ", per_day, guarantee)
     law = design.single_sample_noise
     level = law.innovation_std * law.limit(rate, design.robust_error(u) / law.innovation_std)
-    return Threshold("posterior", "point", level, design.model.output_unit, per_day, said)
+    return Threshold("posterior", "point", level, design.model.output_unit, per_day, guarantee)
 
 
 def calibrated(design: ResidualDesign, rate: float, evaluation: EvaluationName) -> Threshold:
@@ -146,16 +146,16 @@ def calibrated(design: ResidualDesign, rate: float, evaluation: EvaluationName) 
     """
     if not design.peaks:
         raise BadInput("calibrated threshold: the design has no healthy records; design it with --healthy RECORD")
-    found = calibrated_threshold(design.peaks[evaluation], rate, design.model.sample_time)
+    learnt = calibrated_threshold(design.peaks[evaluation], rate, design.model.sample_time)
     unit = design.model.output_unit if evaluation == "point" else "σ"
-    if found.guaranteed:
-        said = f"at most twice the chosen rate with 95 % confidence, from {found.days:.3g} days of healthy data"
+    if learnt.guaranteed:
+        guarantee = f"at most twice the chosen rate with 95 % confidence, from {learnt.days:.3g} days of healthy data"
     else:
-        said = (
-            f"none: extrapolated from {found.days:.3g} days of healthy data; {found.days_needed:.3g} days give one at this rate"
+        guarantee = (
+            f"none: extrapolated from {learnt.days:.3g} days of healthy data; {learnt.days_needed:.3g} days give one at this rate"
         )
     per_day = rate * 86400.0 / design.model.sample_time
-    return Threshold("calibrated", evaluation, found.value, unit, per_day, said)
+    return Threshold("calibrated", evaluation, learnt.value, unit, per_day, guarantee)
 
 
 def bounds(design: ResidualDesign, u: FloatArray, noise_bound: float | None = None) -> tuple[float, float]:

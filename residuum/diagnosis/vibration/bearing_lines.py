@@ -92,14 +92,14 @@ def orders_from_geometry(balls: int, ball_diameter: float, pitch_diameter: float
     }
 
 
-def _check(lines: Mapping[str, float], what: str) -> None:
+def _check(lines: Mapping[str, float], subject: str) -> None:
     for name, value in lines.items():
         if name not in CLASS_OF:
-            raise BadInput(f"{what}: {name!r} is no fault line; {known_names(name, CLASS_OF)}")
+            raise BadInput(f"{subject}: {name!r} is no fault line; {known_names(name, CLASS_OF)}")
         if not 0 < value < float("inf"):
-            raise BadInput(f"{what}: {name} is {value!r}; must be a positive number")
+            raise BadInput(f"{subject}: {name} is {value!r}; must be a positive number")
     if not lines:
-        raise BadInput(f"{what}: names no fault line; known are {', '.join(CLASS_OF)}")
+        raise BadInput(f"{subject}: names no fault line; known are {', '.join(CLASS_OF)}")
 
 
 # Do the lines of a bearing fault stand out of the squared-envelope spectrum, and by more than
@@ -192,17 +192,17 @@ def line_evidence(x: npt.ArrayLike, sampling_rate: float, frequencies: BearingFr
     signal: AnyArray = np.asarray(x)
     signal = signal - signal.mean()
     cage = {name: f for name, f in frequencies.lines.items() if name == "ftf"}
-    others = {name: f for name, f in frequencies.lines.items() if name != "ftf"}
-    found: dict[str, LineEvidence] = {}
-    for lines, periods in ((others, _PERIODS), (cage, _PERIODS_OF_CAGE)):  # the cage, ten times slower, needs a finer spectrum
+    non_cage = {name: f for name, f in frequencies.lines.items() if name != "ftf"}
+    by_line: dict[str, LineEvidence] = {}
+    for lines, periods in ((non_cage, _PERIODS), (cage, _PERIODS_OF_CAGE)):  # the cage, ten times slower, needs a finer spectrum
         resolved = {name: f for name, f in lines.items() if signal.shape[0] * f >= _FEWEST_PERIODS * sampling_rate}
         if resolved:
             evidence = _evidence(signal, sampling_rate, resolved, frequencies, periods)
             if beating := [name for name, line in evidence.items() if _beats(signal, sampling_rate, line)]:
                 flat = _evidence(signal, sampling_rate, resolved, frequencies, periods, tonal=True)
                 evidence |= {name: min(evidence[name], flat[name], key=lambda line: line.prominence) for name in beating}
-            found |= evidence
-    return found
+            by_line |= evidence
+    return by_line
 
 
 def _beats(x: AnyArray, rate: float, line: LineEvidence) -> bool:
@@ -234,16 +234,16 @@ def _evidence(
         _Floored.of(spectrum, rate / length, high - low, frequencies.shaft)
         for spectrum, (low, high) in zip(spectra, bands, strict=True)
     ]
-    scores, depths = (np.array(part) for part in zip(*(one.families(grid) for one in floored), strict=True))
+    scores, depths = (np.array(part) for part in zip(*(floor.families(grid) for floor in floored), strict=True))
     prominence = _prominence(scores, scores, control)
-    found = {}
+    by_line = {}
     for name, variants in centres.items():
         cleaned = prominence.copy()
         if max(prominence[:, int(np.abs(grid - f).argmin())].max() for f in variants) > _WORTH_CLEANING:
             for f in variants:
                 _clean(cleaned, floored, scores, grid, control, f, frequencies)
-        found[name] = _best(variants, grid, bands, cleaned, scores, depths)
-    return found
+        by_line[name] = _best(variants, grid, bands, cleaned, scores, depths)
+    return by_line
 
 
 def _bands(rate: float, fastest: float) -> tuple[list[tuple[float, float]], list[tuple[float, float]]]:
@@ -256,8 +256,8 @@ def _prominence(scores: AnyArray, of_controls: AnyArray, control: AnyArray) -> A
     """Scores maximised over the tolerance, in deciles above the median of the control frequencies, a band a row."""
     window = 2 * round(SLIP / _GRID) + 1
     T = maximum_filter1d(scores, window, axis=1)
-    others = T if of_controls is scores else maximum_filter1d(of_controls, window, axis=1)
-    middle, decile = np.quantile(others[:, control], [0.5, 0.9], axis=1)
+    T_controls = T if of_controls is scores else maximum_filter1d(of_controls, window, axis=1)
+    middle, decile = np.quantile(T_controls[:, control], [0.5, 0.9], axis=1)
     return np.asarray((T - middle[:, None]) / np.maximum(decile - middle, 0.5)[:, None])
 
 

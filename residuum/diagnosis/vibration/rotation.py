@@ -57,7 +57,7 @@ class ClockAlignment:
         return self.middle + (np.asarray(time, dtype=float) - self.middle - self.offset) / (1 + self.drift)
 
 
-def align_clocks(reference: npt.ArrayLike, other: npt.ArrayLike, expected_offset: float = 0.0) -> ClockAlignment:
+def align_clocks(reference: npt.ArrayLike, aligned: npt.ArrayLike, expected_offset: float = 0.0) -> ClockAlignment:
     """Least-squares line through the paired pulse times of two clocks.
 
     Each pulse is paired with the nearest one of the other clock after shifting by `expected_offset`, which must therefore be
@@ -82,14 +82,14 @@ def align_clocks(reference: npt.ArrayLike, other: npt.ArrayLike, expected_offset
     >>> round(1e6 * alignment.drift), round(float(alignment.to_reference(50.13 - 0.002)), 6)
     (40, 50.0)
     """
-    reference, other = np.asarray(reference, dtype=float), np.asarray(other, dtype=float)
-    if reference.size == 0 or other.size == 0:
+    reference, aligned = np.asarray(reference, dtype=float), np.asarray(aligned, dtype=float)
+    if reference.size == 0 or aligned.size == 0:
         raise BadRecord("clock alignment: one recorder saw no synchronisation pulse")
-    nearest = np.abs(reference[None, :] - expected_offset - other[:, None]).argmin(axis=1)
-    difference = reference[nearest] - other
-    spacing = float(np.median(np.diff(other))) if other.size > 1 else np.inf
+    nearest = np.abs(reference[None, :] - expected_offset - aligned[:, None]).argmin(axis=1)
+    difference = reference[nearest] - aligned
+    spacing = float(np.median(np.diff(aligned))) if aligned.size > 1 else np.inf
     paired = np.abs(difference - np.median(difference)) <= 0.2 * spacing
-    t, d = other[paired], difference[paired]
+    t, d = aligned[paired], difference[paired]
     middle = float(t.mean())
     long_enough = t.size >= 3 and np.ptp(t) >= _SHORTEST_BASE * spacing
     drift = float(np.polynomial.Polynomial.fit(t - middle, d, 1).convert().coef[1]) if long_enough else 0.0
@@ -97,25 +97,25 @@ def align_clocks(reference: npt.ArrayLike, other: npt.ArrayLike, expected_offset
         raise BadRecord(
             f"clock alignment: the clocks drift by {1e6 * drift:.0f} ppm; at most {1e6 * LARGEST_DRIFT:.0f} is plausible"
         )
-    rest = d - d.mean() - drift * (t - middle)
-    return ClockAlignment(float(d.mean()), drift, middle, float(rest.std()), int(t.size))
+    residuals = d - d.mean() - drift * (t - middle)
+    return ClockAlignment(float(d.mean()), drift, middle, float(residuals.std()), int(t.size))
 
 
-def on_clock_of(reference: Record, other: Record, alignment: ClockAlignment, names: Iterable[str] | None = None) -> Record:
-    """`reference` with channels of `other` added, each held from its last sample before; NaN where `other` has none.
+def on_clock_of(reference: Record, added: Record, alignment: ClockAlignment, names: Iterable[str] | None = None) -> Record:
+    """`reference` with channels of `added` added, each held from its last sample before; NaN where `added` has none.
 
     Holding (not interpolating) keeps two-valued signals two-valued; the error is less than one of other's sample times.
     A channel name that `reference` has already is left as it is.
     """
-    at = (alignment.to_other(reference.time) - other.t0) / other.sample_time
+    at = (alignment.to_other(reference.time) - added.t0) / added.sample_time
     index = np.floor(at + 1e-9).astype(int)
-    covered = (index >= 0) & (index < other.n)
-    index = np.clip(index, 0, other.n - 1)
+    covered = (index >= 0) & (index < added.n)
+    index = np.clip(index, 0, added.n - 1)
     channels, units = dict(reference.channels), dict(reference.units)
-    for name in other.names if names is None else names:
+    for name in added.names if names is None else names:
         if name not in channels:
-            channels[name] = np.where(covered, other[name][index], np.nan)
-            units[name] = other.units[name]
+            channels[name] = np.where(covered, added[name][index], np.nan)
+            units[name] = added.units[name]
     return replace(reference, channels=channels, units=units)
 
 
@@ -195,8 +195,8 @@ class RoundComparison:
 
 def round_profile(segments: Sequence[AnyArray]) -> AnyArray:
     """RMS in equal places of a round, from its segments in quadrant order, shape (PLACES_OF_A_ROUND,)."""
-    each = PLACES_OF_A_ROUND // len(segments)
-    return np.array([np.sqrt(np.mean(part * part)) for segment in segments for part in np.array_split(segment, each)])
+    places = PLACES_OF_A_ROUND // len(segments)
+    return np.array([np.sqrt(np.mean(part * part)) for segment in segments for part in np.array_split(segment, places)])
 
 
 def compare_rounds(healthy: HealthyBand, profiles: AnyArray, false_alarm: float, quadrants: int) -> RoundComparison:
@@ -351,8 +351,8 @@ class ShaftPattern:
         """
         coefficients = np.fft.fft(self.typical)[: POINTS_OF_A_TURN // 2 + 1]
         order = np.arange(coefficients.shape[0])
-        kept = np.where((order >= low) & (order <= high), coefficients, 0.0)
-        return np.asarray(2.0 * np.fft.ifft(kept, POINTS_OF_A_TURN))
+        in_band = np.where((order >= low) & (order <= high), coefficients, 0.0)
+        return np.asarray(2.0 * np.fft.ifft(in_band, POINTS_OF_A_TURN))
 
 
 def shaft_pattern(x: Signal, shaft_turns: Signal) -> ShaftPattern:
@@ -414,17 +414,17 @@ def speed_channel(record: Record) -> str | None:
 
     Raises BadInput when several tell different speeds, for then nobody knows which of them is the bearing's shaft.
     """
-    found = [name for name in _named_so(record) if is_turning(record.units[name])]
-    if "speed" in found:
+    turning = [name for name in _named_so(record) if is_turning(record.units[name])]
+    if "speed" in turning:
         return "speed"
-    speeds = {name: speed for name in found if (speed := _usual(record, name))}
+    speeds = {name: speed for name in turning if (speed := _usual(record, name))}
     if len(speeds) > 1 and max(speeds.values()) > (1 + _SAME) * min(speeds.values()):
-        told = ", ".join(f"{name!r} {speed:.4g} rpm" for name, speed in speeds.items())
+        listing = ", ".join(f"{name!r} {speed:.4g} rpm" for name, speed in speeds.items())
         raise BadInput(
-            f"bearing: record {record.source!r} has several speeds ({told})",
+            f"bearing: record {record.source!r} has several speeds ({listing})",
             way_on=[("map", {"speed": "CHANNEL"}, "of the shaft")],
         )
-    return next(iter(speeds), found[0] if found else None)
+    return next(iter(speeds), turning[0] if turning else None)
 
 
 def speed_in_rpm(record: Record, name: str) -> FloatArray:
@@ -448,8 +448,8 @@ def usual_speed(record: Record, name: str | None) -> float | None:
 def unusable_speeds(record: Record) -> tuple[str, list[Way]]:
     """What is wrong with channels whose name tells of a speed (no unit, or none of rotation), and what may be said of them."""
     units = {name: record.units[name] for name in _named_so(record) if not is_turning(record.units[name])}
-    said = [f"channel {name!r} " + (f"is in {unit!r}" if unit else "has no unit") for name, unit in units.items()]
-    return "; ".join(said), [("units", {name: "rpm"}) for name, unit in units.items() if not unit]
+    reasons = [f"channel {name!r} " + (f"is in {unit!r}" if unit else "has no unit") for name, unit in units.items()]
+    return "; ".join(reasons), [("units", {name: "rpm"}) for name, unit in units.items() if not unit]
 
 
 def _named_so(record: Record) -> list[str]:

@@ -258,15 +258,15 @@ def remarks(x: npt.ArrayLike, sampling_rate: float, unit: str, spikes: int = 0) 
         How many were left out of it.
     """
     signal: AnyArray = np.asarray(x, dtype=float)
-    mean, told = float(signal.mean()), []
+    mean, notes = float(signal.mean()), []
     if spikes:
-        told.append(f"spikes of single samples were left out, {spikes} of {signal.shape[0]}: a loose contact or interference")
+        notes.append(f"spikes of single samples were left out, {spikes} of {signal.shape[0]}: a loose contact or interference")
     if unit == "m/s²" and abs(mean) > max(1.5 * _GRAVITY, 5 * float(signal.std())):
-        told.append(f"the mean lies at {mean:.3g} m/s², which gravity does not explain: the sensor's bias or its zero is off")
+        notes.append(f"the mean lies at {mean:.3g} m/s², which gravity does not explain: the sensor's bias or its zero is off")
     frequency, share = strongest_line(signal[:_LOOKED_AT], sampling_rate)
     if share > _LINE:
-        told.append(f"one line, at {frequency:.4g} Hz, holds {100 * share:.0f} % of the power")
-    return told
+        notes.append(f"one line, at {frequency:.4g} Hz, holds {100 * share:.0f} % of the power")
+    return notes
 
 
 def strongest_line(x: AnyArray, sampling_rate: float, low: float = 0.0, high: float = np.inf) -> tuple[float, float]:
@@ -326,8 +326,8 @@ def _stuck_value(x: AnyArray) -> str | None:
     """One value again and again among values that hardly ever repeat: what a bad line hands on in place of a sample."""
     values, counts = np.unique(x[:4096], return_counts=True)
     most = int(counts.argmax())
-    others = np.delete(counts, most).max(initial=0)
-    if counts[most] > _FLAT_SHARE * counts.sum() and counts[most] > 10 * others:
+    second_most = np.delete(counts, most).max(initial=0)
+    if counts[most] > _FLAT_SHARE * counts.sum() and counts[most] > 10 * second_most:
         share = 100 * counts[most] / counts.sum()
         return f"{share:.2g} % of the samples are {values[most] + 0.0:g}, a value of the line and not of the sensor"
     return None

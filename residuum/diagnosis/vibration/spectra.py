@@ -331,7 +331,7 @@ class Kurtogram:
         taken: list[Band] = []
         for index in np.argsort(-(self.kurtosis if merit is None else merit), kind="stable"):
             band = self.band(int(index))
-            if not any(other.low < band.centre < other.high or band.low < other.centre < band.high for other in taken):
+            if not any(better.low < band.centre < better.high or band.low < better.centre < band.high for better in taken):
                 taken.append(band)
                 yield band
 
@@ -481,7 +481,7 @@ def _by_fft(x: AnyArray, deepest: int, segments: int) -> list[Row]:
     if n < LONG:
         return rows + [row for division in _divisions(deepest) for row in of_level(division)]
     with ThreadPoolExecutor(os.cpu_count()) as pool:  # transforms and moments leave the interpreter free
-        return rows + [row for found in pool.map(of_level, _divisions(deepest)) for row in found]
+        return rows + [row for group in pool.map(of_level, _divisions(deepest)) for row in group]
 
 
 @njit(fastmath={"contract", "nsz", "reassoc"})

@@ -199,8 +199,8 @@ def score_in_blocks(name: str, score: Callable[[Record], Finding], record: Recor
         return Finding.not_assessable(
             name, f"block {k + 1} of {len(findings)}, at {seconds[k]:.0f} s: {findings[k].reason}", **evidence
         )
-    told = next((f"at {seconds[k]:.0f} s: {finding.reason}" for k, finding in enumerate(findings) if finding.reason), None)
-    return _together(name, Verdict.HEALTHY, None, findings, evidence | {"faulty_blocks": len(faulty)}, told)
+    reason = next((f"at {seconds[k]:.0f} s: {finding.reason}" for k, finding in enumerate(findings) if finding.reason), None)
+    return _together(name, Verdict.HEALTHY, None, findings, evidence | {"faulty_blocks": len(faulty)}, reason)
 
 
 def _together(

@@ -94,6 +94,6 @@ def explained(
         began = time.perf_counter()
         model = informed(model, records, mapping, wanted)
         left = None if seconds is None else seconds - (time.perf_counter() - began)
-        found = searched(model, records, mapping, wanted, seconds=left, tell=part_of(tell, 0.0, 0.9))
+        search = searched(model, records, mapping, wanted, seconds=left, tell=part_of(tell, 0.0, 0.9))
         tell(0.9, "drawing what no effect explains")
-        return answer_on_blocks(found, wanted, records, mapping, began)
+        return answer_on_blocks(search, wanted, records, mapping, began)

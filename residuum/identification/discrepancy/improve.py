@@ -61,7 +61,7 @@ class Joined:
 
 
 def joined_of(
-    found: Search,
+    search: Search,
     records: Sequence[Record],
     mapping: Mapping[str, str] | None,
     *,
@@ -72,41 +72,42 @@ def joined_of(
 
     `was` is the model before values of it were set free.
     """
-    every = chain(found, [key for key in found.best.keys if key.effect != HELD]) if asked is None else _in_order(found, asked)
-    steps = every if asked is not None else _that_hold(every, found, records, mapping)
-    told = [(None, found.base), *((key.effect, after) for key, _, after in steps)]
-    final = steps[-1][2] if steps else found.base
+    every = chain(search, [key for key in search.best.keys if key.effect != HELD]) if asked is None else _in_order(search, asked)
+    steps = every if asked is not None else _that_hold(every, search, records, mapping)
+    rows = [(None, search.base), *((key.effect, after) for key, _, after in steps)]
+    final = steps[-1][2] if steps else search.base
     if was is not None:
-        told = [*_before(found, was), *told[1:]]
-    noted, o = is_noted(records), _told(found)
-    errors = _on_the_rest([one for _, one in told], o, found, records, mapping) if noted else [one.rms[o] for _, one in told]
+        rows = [*_before(search, was), *rows[1:]]
+    noted, o = is_noted(records), _told(search)
+    errors = _on_the_rest([fit for _, fit in rows], o, search, records, mapping) if noted else [fit.rms[o] for _, fit in rows]
     history = [
-        Step(name, float(error), remaining(told[0][1], one, found.court)) for (name, one), error in zip(told, errors, strict=True)
+        Step(name, float(error), remaining(rows[0][1], fit, search.court))
+        for (name, fit), error in zip(rows, errors, strict=True)
     ]
-    data = _every_sample(found, records, mapping) if noted else found.court.data.finer or found.court.data
-    model, std = _final(found, final, data, noted=noted)
-    refused = [key.effect for key, _, _ in every if key not in {kept for kept, _, _ in steps}]
+    data = _every_sample(search, records, mapping) if noted else search.court.data.finer or search.court.data
+    model, std = _final(search, final, data, noted=noted)
+    refused = [key.effect for key, _, _ in every if key not in {accepted for accepted, _, _ in steps}]
     aside = split(records).aside if noted else ASIDE
-    return Joined(model, history, refused, std, list(found.best.model.outputs)[o], aside)
+    return Joined(model, history, refused, std, list(search.best.model.outputs)[o], aside)
 
 
 def _that_hold(
-    steps: Sequence[_Step], found: Search, records: Sequence[Record], mapping: Mapping[str, str] | None
+    steps: Sequence[_Step], search: Search, records: Sequence[Record], mapping: Mapping[str, str] | None
 ) -> Sequence[_Step]:
     """All steps where they hold at the ends kept aside; else all but one effect, or the first of them."""
     keys = [key for key, _, _ in steps]
     tried = [keys, *([k for k in keys if k != out] for out in reversed(keys)), *(keys[:n] for n in range(len(keys) - 2, 0, -1))]
     tried = [some for number, some in enumerate(tried) if some and some not in tried[:number]]
-    models = [(some, one.model) for some in tried if (one := with_only(found, some)) is not None]
-    kept = first_that_holds(found.base.model, [model for _, model in models], found, records, mapping)
-    return [] if kept is None else chain(found, models[kept][0])
+    models = [(some, judged.model) for some in tried if (judged := with_only(search, some)) is not None]
+    index = first_that_holds(search.base.model, [model for _, model in models], search, records, mapping)
+    return [] if index is None else chain(search, models[index][0])
 
 
-def _in_order(found: Search, keys: Sequence[Key]) -> list[_Step]:
+def _in_order(search: Search, keys: Sequence[Key]) -> list[_Step]:
     """Each effect with the structures before and after it."""
-    steps, before = [], found.base
+    steps, before = [], search.base
     for key in keys:
-        after = with_only(found, (*before.keys, key))
+        after = with_only(search, (*before.keys, key))
         if after is None:
             raise NotIdentifiable(f"effect {key.effect!r} at {key.target!r}: the model diverges with it alone")
         steps.append((key, before, after))
@@ -114,46 +115,46 @@ def _in_order(found: Search, keys: Sequence[Key]) -> list[_Step]:
     return steps
 
 
-def _before(found: Search, was: PhysicalModel) -> list[tuple[str | None, Judged]]:
+def _before(search: Search, was: PhysicalModel) -> list[tuple[str | None, Judged]]:
     """The model with values held that the base has free, judged like that, and the base once a value."""
-    names = [name for name, p in was.parameters.items() if p.fixed and not found.base.model.parameters[name].fixed]
-    held = {**found.base.model.parameters, **{name: was.parameters[name] for name in names}}
-    base = found.base.structure
-    before = found.court.judge(
+    names = [name for name, p in was.parameters.items() if p.fixed and not search.base.model.parameters[name].fixed]
+    held = {**search.base.model.parameters, **{name: was.parameters[name] for name in names}}
+    base = search.base.structure
+    before = search.court.judge(
         Structure((), replace(base.model, parameters=held), base.states, base.steps), steps=15, tolerance=1e-5
     )
-    return [(None, before or found.base), *((f"{name} freed", found.base) for name in names)]
+    return [(None, before or search.base), *((f"{name} freed", search.base) for name in names)]
 
 
 def _on_the_rest(
-    each: Sequence[Judged], o: int, found: Search, records: Sequence[Record], mapping: Mapping[str, str] | None
+    fits: Sequence[Judged], o: int, search: Search, records: Sequence[Record], mapping: Mapping[str, str] | None
 ) -> list[float]:
     """Errors of an output on the part that a user keeps aside."""
-    testing = testing_of(found.base.model, split(records), mapping, found.court.data.experiments[0].hold)
-    return [float(rmse_aside(one.model, testing)[o]) for one in each]
+    testing = testing_of(search.base.model, split(records), mapping, search.court.data.experiments[0].hold)
+    return [float(rmse_aside(fit.model, testing)[o]) for fit in fits]
 
 
-def _every_sample(found: Search, records: Sequence[Record], mapping: Mapping[str, str] | None) -> Data:
+def _every_sample(search: Search, records: Sequence[Record], mapping: Mapping[str, str] | None) -> Data:
     """All records at the input timing of the search."""
-    return data_of(*matched_at(found.court.data.model, records, mapping, found.court.data.experiments[0].hold))
+    return data_of(*matched_at(search.court.data.model, records, mapping, search.court.data.experiments[0].hold))
 
 
-def _final(found: Search, one: Judged, data: Data, *, noted: bool) -> tuple[PhysicalModel, Mapping[str, float]]:
+def _final(search: Search, final: Judged, data: Data, *, noted: bool) -> tuple[PhysicalModel, Mapping[str, float]]:
     """The model on all the data, and its standard deviations. One that nothing joins is estimated at its least simulation error
     over whole records, which a search in windows does not seek.
     """
-    if not one.keys and (alone := _estimated(one.model, data)) is not None:
+    if not final.keys and (alone := _estimated(final.model, data)) is not None:
         return alone.model, dict(zip(alone.parameters, alone.std.tolist(), strict=True))
-    if noted and (whole := _on_everything(found, one, data)) is not None:
+    if noted and (whole := _on_everything(search, final, data)) is not None:
         return whole.best.model, doubts_of(whole)
-    return one.model, doubts_of(replace(found, best=one))
+    return final.model, doubts_of(replace(search, best=final))
 
 
-def _on_everything(found: Search, one: Judged, data: Data) -> Search | None:
+def _on_everything(search: Search, final: Judged, data: Data) -> Search | None:
     """The structure judged on all the data; None where it diverges there."""
-    court = replace(found.court, data=data, last=data.rung(found.court.last.windows))
-    best = court.judge(Structure(one.keys, one.model, {}, {}), steps=20, tolerance=1e-5)
-    return None if best is None else replace(found, court=court, best=best)
+    court = replace(search.court, data=data, last=data.rung(search.court.last.windows))
+    best = court.judge(Structure(final.keys, final.model, {}, {}), steps=20, tolerance=1e-5)
+    return None if best is None else replace(search, court=court, best=best)
 
 
 def _estimated(model: PhysicalModel, data: Data) -> Estimate | None:
@@ -163,10 +164,10 @@ def _estimated(model: PhysicalModel, data: Data) -> Estimate | None:
         return None
 
 
-def _told(found: Search) -> int:
+def _told(search: Search) -> int:
     """The output whose error falls most."""
     with np.errstate(invalid="ignore", divide="ignore"):
-        ratio = found.best.rms / found.base.rms
+        ratio = search.best.rms / search.base.rms
     return int(np.nanargmin(np.where(np.isfinite(ratio), ratio, np.inf)))
 
 
@@ -180,7 +181,7 @@ def _told(found: Search) -> int:
 def first_that_holds(
     base: PhysicalModel,
     models: Sequence[PhysicalModel],
-    found: Search,
+    search: Search,
     records: Sequence[Record],
     mapping: Mapping[str, str] | None,
 ) -> int | None:
@@ -189,12 +190,12 @@ def first_that_holds(
     records are too short to ask.
     """
     asked = _kept_aside(records)
-    if found.court.last.windows > 1:  # whose first states hide where a model goes in the long run
+    if search.court.last.windows > 1:  # whose first states hide where a model goes in the long run
         asked.append(Split(list(records), [(record, 0) for record in records]))
     asked = [parts for parts in asked if parts.testing and long_enough([r.n for r in parts.training])]
-    most = [KEPT_RISE * _error(base, found, parts, mapping) for parts in asked]
+    most = [KEPT_RISE * _error(base, search, parts, mapping) for parts in asked]
     for number, model in enumerate(models):
-        if all(_error(model, found, parts, mapping) <= limit for parts, limit in zip(asked, most, strict=True)):
+        if all(_error(model, search, parts, mapping) <= limit for parts, limit in zip(asked, most, strict=True)):
             return number
     return None
 
@@ -204,32 +205,32 @@ def _kept_aside(records: Sequence[Record]) -> list[Split]:
     usual = split(records)
     if len(records) < 2:
         return [usual]
-    most = max(records, key=lambda record: _beyond(record, [other for other in records if other is not record]))
+    most = max(records, key=lambda record: _beyond(record, [peer for peer in records if peer is not record]))
     if [record for record, _ in usual.testing] == [most]:
         return [usual]
     return [usual, Split([record for record in records if record is not most], [(most, 0)])]
 
 
-def _beyond(record: Record, others: Sequence[Record]) -> float:
+def _beyond(record: Record, peers: Sequence[Record]) -> float:
     """By how much a record's signals leave the range of the same signals of the others, in units of that range, at most."""
     far = 0.0
     for name, values in record.channels.items():
-        known = [other.channels[name] for other in others if name in other.channels]
-        there = np.concatenate(known) if known else np.empty(0)
-        if np.isfinite(values).any() and np.isfinite(there).any():
-            low, high = float(np.nanmin(there)), float(np.nanmax(there))
+        known = [peer.channels[name] for peer in peers if name in peer.channels]
+        peer_values = np.concatenate(known) if known else np.empty(0)
+        if np.isfinite(values).any() and np.isfinite(peer_values).any():
+            low, high = float(np.nanmin(peer_values)), float(np.nanmax(peer_values))
             out = max(low - float(np.nanmin(values)), float(np.nanmax(values)) - high)
             far = max(far, out / max(high - low, 1e-300))
     return far
 
 
-def _error(model: PhysicalModel, found: Search, parts: Split, mapping: Mapping[str, str] | None) -> float:
+def _error(model: PhysicalModel, search: Search, parts: Split, mapping: Mapping[str, str] | None) -> float:
     """Simulation error over what is kept aside, estimated on the rest, the outputs in units of the first model's errors; infinite
     where it diverges.
     """
-    hold, scale = found.court.data.experiments[0].hold, found.court.scale
+    hold, scale = search.court.data.experiments[0].hold, search.court.scale
     data = data_of(*matched_at(model, parts.training, mapping, hold))
-    estimated = fitted(data.model, data.rung(found.court.last.windows), None, scale, steps=20, tolerance=1e-5)
+    estimated = fitted(data.model, data.rung(search.court.last.windows), None, scale, steps=20, tolerance=1e-5)
     if estimated is None:
         return np.inf
     return scale.error(rmse_aside(estimated.model, testing_of(estimated.model, parts, mapping, hold)))
@@ -283,30 +284,30 @@ def improve(
     wanted = Wanted(None if effects is None else tuple(effects), learned)
     how = Request(mapping, wanted, free, None if seconds is None else EXPLAINING_TIME * seconds)
     with at_most() as work:
-        found = _as_explained(model, records, how, tell) if add is None else _as_asked(model, records, add, how, tell)
-    return replace(found, work=work)
+        improvement = _as_explained(model, records, how, tell) if add is None else _as_asked(model, records, add, how, tell)
+    return replace(improvement, work=work)
 
 
 def _check_fixed(model: PhysicalModel, names: Sequence[str]) -> None:
     fixed = [name for name, p in model.parameters.items() if p.fixed]
     if unknown := [name for name in names if name not in fixed]:
-        there = known_names(unknown[0], fixed, "there are")
-        raise BadModel(f"free {unknown[0]!r}: is no parameter that model {model.name!r} holds fixed; {there}")
+        hint = known_names(unknown[0], fixed, "there are")
+        raise BadModel(f"free {unknown[0]!r}: is no parameter that model {model.name!r} holds fixed; {hint}")
 
 
 def _as_explained(model: PhysicalModel, records: Sequence[Record], how: Request, tell: Tell) -> Improvement:
     """The model with what `explain` accepts, without values that only it frees."""
     check_length(records)
     training, before = _training(records), freed(model, how.free)
-    said = explained(before, training, how.mapping, how.wanted, how.seconds, part_of(tell, 0.0, 0.8))
-    found = said.found
-    if any(key.effect == HELD for key in found.best.keys):  # what is found beside them as they are held
+    explanation = explained(before, training, how.mapping, how.wanted, how.seconds, part_of(tell, 0.0, 0.8))
+    search = explanation.found
+    if any(key.effect == HELD for key in search.best.keys):  # what is found beside them as they are held
         held = replace(how.wanted, held=False)
-        before = _with_inputs_of(before, found.court.data.model)
-        found = searched(before, training, how.mapping, held, seconds=how.seconds, tell=part_of(tell, 0.8, 0.9))
+        before = _with_inputs_of(before, search.court.data.model)
+        search = searched(before, training, how.mapping, held, seconds=how.seconds, tell=part_of(tell, 0.8, 0.9))
     tell(0.9, "estimating on everything")
-    joined = joined_of(found, records, how.mapping, was=model if how.free else None)
-    return _improvement(model, records, joined, how, said)
+    joined = joined_of(search, records, how.mapping, was=model if how.free else None)
+    return _improvement(model, records, joined, how, explanation)
 
 
 def _as_asked(model: PhysicalModel, records: Sequence[Record], ids: Sequence[str], how: Request, tell: Tell) -> Improvement:
@@ -314,9 +315,9 @@ def _as_asked(model: PhysicalModel, records: Sequence[Record], ids: Sequence[str
     knowing = _with_columns_of(model, records, ids)
     keys = [_resolved(knowing, id) for id in ids]
     data = matched(freed(knowing, how.free), _training(records), how.mapping)
-    found = at_its_rate(data, partial(with_asked, keys=keys, tell=part_of(tell, 0.0, 0.9)))
+    search = at_its_rate(data, partial(with_asked, keys=keys, tell=part_of(tell, 0.0, 0.9)))
     tell(0.9, "estimating on everything")
-    joined = joined_of(found, records, how.mapping, asked=keys, was=model if how.free else None)
+    joined = joined_of(search, records, how.mapping, asked=keys, was=model if how.free else None)
     return _improvement(model, records, joined, how)
 
 
@@ -326,17 +327,17 @@ def _training(records: Sequence[Record]) -> Sequence[Record]:
 
 
 def _improvement(
-    model: PhysicalModel, records: Sequence[Record], joined: Joined, how: Request, said: Explanation | None = None
+    model: PhysicalModel, records: Sequence[Record], joined: Joined, how: Request, explanation: Explanation | None = None
 ) -> Improvement:
-    """The improvement by what was `said`, or else asked for."""
+    """The improvement by what an explanation found, or else by what was asked for."""
     unit = joined.model.outputs[joined.output].unit
     improved = with_provenance(joined.model, joined.std, records, joined.history, joined.output, unit)
     improved, history = without_idle(improved, model), tuple(joined.history)
-    if said is None:
+    if explanation is None:
         verdict = "improved" if history[-1].error < history[0].error else "not-improved"
     else:
         verdict = _verdict(improved, records, how.mapping)
-    return Improvement(improved, history, verdict, joined.output, unit, said, joined.aside, tuple(joined.refused))
+    return Improvement(improved, history, verdict, joined.output, unit, explanation, joined.aside, tuple(joined.refused))
 
 
 def _verdict(improved: PhysicalModel, records: Sequence[Record], mapping: Mapping[str, str] | None) -> str:
@@ -372,6 +373,6 @@ def _resolved(model: PhysicalModel, id: str) -> Key:
         return Key(name, target)
     key, *more = fitting(model, name)
     if more:
-        places = ", ".join(each.target for each in (key, *more))
+        places = ", ".join(place.target for place in (key, *more))
         raise BadModel(f"effect {name!r}: fits {places}; say which, as {name}@{key.target}")
     return key

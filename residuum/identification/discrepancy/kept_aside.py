@@ -46,8 +46,8 @@ def split(records: Sequence[Record]) -> Split:
     begin, stop = next((span for span in wanted if _moves(record, *span)), wanted[0])
     if stop == record.n:
         return Split([record.window(0, begin)], [(record, begin)])
-    rest = [record.window(0, begin), record.window(stop, record.n)] if begin else [record.window(stop, record.n)]
-    return Split(rest, [(record.window(begin, stop), 0)])
+    training = [record.window(0, begin), record.window(stop, record.n)] if begin else [record.window(stop, record.n)]
+    return Split(training, [(record.window(begin, stop), 0)])
 
 
 def is_noted(records: Sequence[Record]) -> bool:
@@ -87,9 +87,9 @@ def rmse_aside(model: PhysicalModel, testing: Sequence[tuple[Experiment, int]]) 
     Initial states come from the samples before those that count, or where all count from the experiment itself.
     """
     simulator, experiments = Simulator(model), [e for e, _ in testing]
-    seen = [replace(e, Y=np.where(np.arange(e.n)[:, None] < first, e.Y, np.nan)) if first else e for e, first in testing]
+    beginnings = [replace(e, Y=np.where(np.arange(e.n)[:, None] < first, e.Y, np.nan)) if first else e for e, first in testing]
     try:
-        start = estimate(model, seen, free=(), settings=STATES_ALONE)
+        start = estimate(model, beginnings, free=(), settings=STATES_ALONE)
     except NotIdentifiable:
         return np.full(len(model.outputs), np.inf)
     runs = simulator.run_each(experiments, start.initial, simulator.p(), substeps=start.substeps)

@@ -34,83 +34,83 @@ from residuum.identification.work import begun
 
 
 def answer_on_blocks(
-    found: Search, wanted: Wanted, records: Sequence[Record], mapping: Mapping[str, str] | None, began: float
+    search: Search, wanted: Wanted, records: Sequence[Record], mapping: Mapping[str, str] | None, began: float
 ) -> Explanation:
     """The answer by errors on unseen blocks."""
-    best, stds, steps = found.best, doubts_of(found), steps_of(found)
-    free = free_terms(found.base, found.court)
-    left = _left(found)
+    best, stds, steps = search.best, doubts_of(search), steps_of(search)
+    free = free_terms(search.base, search.court)
+    left = _left(search)
     slow = any(times > SLOW for _, _, times in left.values())  # few answers to few steps look like a walk at random
     adequate = not slow and not compare(best.model, records, mapping, refuse_unstable=False).present
-    verdict = verdict_on(found, steps, free, stds, adequate=adequate)
-    rest = free_terms(best, found.court) if best.keys else free
-    named = {key for step in steps for one in (step.after, *step.group) for key in one.keys}
+    verdict = verdict_on(search, steps, free, stds, adequate=adequate)
+    free_beside = free_terms(best, search.court) if best.keys else free
+    named = {key for step in steps for judged in (step.after, *step.group) for key in judged.keys}
     return Explanation(
         verdict=verdict.verdict,
         candidates=verdict.candidates,
         probability_none=verdict.none,
         probability_unknown=verdict.unknown,
-        unexplained_share=_unexplained(found, rest),
-        free=next(iter(rest), None),
-        undetectable=undetectable(found, wanted, found.along, named),
-        next_experiment=next_experiments(found, verdict.candidates),
-        accepted=tuple(s.key for s in steps if s.key.effect != HELD and not is_timing(s.key, found)),
-        timing=tuple(s.key for s in steps if is_timing(s.key, found)),
+        unexplained_share=_unexplained(search, free_beside),
+        free=next(iter(free_beside), None),
+        undetectable=undetectable(search, wanted, search.along, named),
+        next_experiment=next_experiments(search, verdict.candidates),
+        accepted=tuple(s.key for s in steps if s.key.effect != HELD and not is_timing(s.key, search)),
+        timing=tuple(s.key for s in steps if is_timing(s.key, search)),
         drifting=verdict.unknown > UNKNOWN_LEADS and bool(free) and free[0].axis == "time",
         left=left,
-        values=estimated_values(found.court.data.model, best.model, stds),
-        held=tuple(_held(s, found, stds) for s in steps if s.key.effect == HELD),
-        remaining=remaining(found.base, best, found.court),
-        blocks=_block_errors(found, verdict.candidates),
+        values=estimated_values(search.court.data.model, best.model, stds),
+        held=tuple(_held(s, search, stds) for s in steps if s.key.effect == HELD),
+        remaining=remaining(search.base, best, search.court),
+        blocks=_block_errors(search, verdict.candidates),
         work=begun(),
         seconds=time.perf_counter() - began,
-        found=found,
+        found=search,
     )
 
 
-def _block_errors(found: Search, candidates: Sequence[Candidate]) -> BlockErrors:
-    data, base = found.court.data, found.base
-    alone = {c.key: found.every[(c.key,)].squares for c in candidates if c.step == 0 and (c.key,) in found.every}
+def _block_errors(search: Search, candidates: Sequence[Candidate]) -> BlockErrors:
+    data, base = search.court.data, search.base
+    alone = {c.key: search.every[(c.key,)].squares for c in candidates if c.step == 0 and (c.key,) in search.every}
     records = [block * len(data.experiments) // data.blocks for block in range(data.blocks)]
     times = [data.times_of(block) for block in range(data.blocks)]
-    return block_errors(data.model, records, times, base.count, base.squares, found.best.squares, alone)
+    return block_errors(data.model, records, times, base.count, base.squares, search.best.squares, alone)
 
 
-def doubts_of(found: Search) -> dict[str, float]:
+def doubts_of(search: Search) -> dict[str, float]:
     """Standard deviations of the best structure's parameters by full name, in noise of the colour that is left."""
-    here = found.court.begun(found.best.structure)
-    if here is None:
+    fit = search.court.begun(search.best.structure)
+    if fit is None:
         return {}
-    std = np.sqrt(np.maximum(np.diag(coloured_covariance(here, found.court.last.parts)), 0.0))
-    return dict(zip(here.parameters, std.tolist(), strict=True))
+    std = np.sqrt(np.maximum(np.diag(coloured_covariance(fit, search.court.last.parts)), 0.0))
+    return dict(zip(fit.parameters, std.tolist(), strict=True))
 
 
-def _unexplained(found: Search, rest: Sequence[BlockTerm]) -> float:
+def _unexplained(search: Search, terms: Sequence[BlockTerm]) -> float:
     """Part of what could be explained that only the best free term explains."""
-    if not rest:
+    if not terms:
         return 0.0
-    named = max(found.base.cost - found.best.cost, 0.0)
-    more = max(found.best.cost - rest[0].cost, 0.0)
+    named = max(search.base.cost - search.best.cost, 0.0)
+    more = max(search.best.cost - terms[0].cost, 0.0)
     return more / (more + named) if more > 0.0 else 0.0
 
 
-def _left(found: Search) -> dict[str, tuple[float, str, float]]:
-    best, parts = found.best, np.split(found.best.errors, found.court.last.starts[1:-1])
-    told = {}
+def _left(search: Search) -> dict[str, tuple[float, str, float]]:
+    best, parts = search.best, np.split(search.best.errors, search.court.last.starts[1:-1])
+    left = {}
     for o, output in enumerate(best.model.outputs.values()):
-        if found.court.data.measured[o]:
+        if search.court.data.measured[o]:
             errors = [p[:, o] for p in parts]
             rms = float(np.sqrt(np.nanmean(np.concatenate(errors) ** 2)))
-            told[output.name] = (rms, output.unit, rms / max(float(np.sqrt(innovation_variance(errors))), 1e-300))
-    return told
+            left[output.name] = (rms, output.unit, rms / max(float(np.sqrt(innovation_variance(errors))), 1e-300))
+    return left
 
 
-def _held(step: Step, found: Search, stds: Mapping[str, float]) -> HeldValue:
+def _held(step: Step, search: Search, stds: Mapping[str, float]) -> HeldValue:
     """The fixed value that is doubted; of several that do as much the first of the model."""
-    model, tied = found.court.data.model, {step.key.target: found}
-    for one in step.group:
-        tied |= {k.target: replace(found, best=one) for k in one.keys if k.effect == HELD and k not in found.best.keys}
+    model, tied = search.court.data.model, {step.key.target: search}
+    for rival in step.group:
+        tied |= {k.target: replace(search, best=rival) for k in rival.keys if k.effect == HELD and k not in search.best.keys}
     first, *alike = sorted(tied, key=list(model.parameters).index)
-    doubt = stds if tied[first] is found else doubts_of(tied[first])
+    doubt = stds if tied[first] is search else doubts_of(tied[first])
     before, now = model.parameters[first], tied[first].best.model.parameters[first]
     return HeldValue(first, before.value, now.value, float(doubt.get(first, 0.0)), now.unit, tuple(alike))

@@ -53,11 +53,11 @@ def nearest_formula(at: FloatArray, value: FloatArray) -> Suggestion | None:
         for names in combinations(columns, count):
             design: FloatArray = np.column_stack([columns[name] for name in names])
             coefficients: FloatArray = np.asarray(np.linalg.lstsq(design, value, rcond=None)[0], dtype=np.float64)
-            rest = float(np.sum((value - design @ coefficients) ** 2))
-            criterion = float(n * np.log(rest / spread + 1e-6) + count * np.log(n))
+            squares = float(np.sum((value - design @ coefficients) ** 2))
+            criterion = float(n * np.log(squares / spread + 1e-6) + count * np.log(n))
             if best is None or criterion < best[0]:
-                best = criterion, names, coefficients, rest
+                best = criterion, names, coefficients, squares
     assert best is not None
-    _, chosen, found, left = best
-    terms = [f"{c:+.3g}·{name.format(z='z')}" for c, name in zip(found, chosen, strict=True)]
+    _, chosen, weights, left = best
+    terms = [f"{c:+.3g}·{name.format(z='z')}" for c, name in zip(weights, chosen, strict=True)]
     return Suggestion(" ".join(terms), largest, max(0.0, 1.0 - left / spread))

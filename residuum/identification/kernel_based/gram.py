@@ -140,7 +140,7 @@ def regression_sums(
                 for signal, level in zip(signals, levels, strict=True)
             ]
             # Beyond its own lags a signal may be missing; what stands there is in columns that are left out.
-            past = [one if own == order else np.nan_to_num(one) for one, own in zip(past, lags, strict=True)]
+            past = [stretch if own == order else np.nan_to_num(stretch) for stretch, own in zip(past, lags, strict=True)]
             total = total + _run_sums(past, np.subtract(y[k:end], output_level, dtype=float), order)
     if total.rows == 0:
         raise NotIdentifiable(
@@ -231,8 +231,8 @@ def _lagged_products(signals: list[FloatArray], x: list[FloatArray], order: int)
         X = [fft.rfft(_blocks(signal[start : stop + order - 1], blocks, size, step), axis=1) for signal in x]
         for index, a in enumerate(signals):
             A = fft.rfft(_blocks(a[start:stop], blocks, step, step), n=size, axis=1).conj()
-            for j, other in enumerate(X):
-                spectrum[index, j] += np.einsum("bf,bf->f", A, other)
+            for j, X_j in enumerate(X):
+                spectrum[index, j] += np.einsum("bf,bf->f", A, X_j)
     return np.asarray(fft.irfft(spectrum, n=size, axis=-1)[..., :order][..., ::-1])
 
 

@@ -252,7 +252,7 @@ def maximise(
     decay = [item.bounds for item in likelihood.kernel.parameters]
     kappa = [(value - 40.0, value + 40.0) for value in x.reshape(likelihood.n_inputs, -1)[:, -1]]
     bounds = [pair for input_kappa in kappa for pair in [*decay, input_kappa]]
-    found = optimize.minimize(
+    optimum = optimize.minimize(
         lambda at: _finite(*likelihood.value_and_gradient(at)),
         x,
         jac=True,
@@ -260,7 +260,7 @@ def maximise(
         bounds=bounds,
         options={"ftol": tolerance, "gtol": 1e-6 * likelihood.n},
     )
-    return np.asarray(found.x), float(found.fun)
+    return np.asarray(optimum.x), float(optimum.fun)
 
 
 def _finite_start(likelihood: MarginalLikelihood, starts: Sequence[FloatArray]) -> FloatArray | None:
@@ -330,20 +330,20 @@ def _known_variance(scaled: RegressionSums, setting: NoiseVariance, output_scale
 
 def _warnings(likelihood: MarginalLikelihood, posterior: Posterior, value: float, excited: int) -> list[str]:
     columns = likelihood.order * likelihood.n_inputs
-    found = []
+    texts = []
     if excited < columns:
-        found.append(f"the input is persistently exciting of order {excited} only; {columns} coefficients rest on the prior")
+        texts.append(f"the input is persistently exciting of order {excited} only; {columns} coefficients rest on the prior")
     if posterior.noise_variance <= 2 * RESOLUTION:
-        found.append("the noise is below what double precision can resolve; its variance is a bound, not an estimate")
+        texts.append("the noise is below what double precision can resolve; its variance is a bound, not an estimate")
     variance = likelihood.energy / likelihood.n if likelihood.noise_variance is None else likelihood.noise_variance
     silent = 0.5 * (likelihood.energy / variance + likelihood.n * math.log(2 * math.pi * variance))
     if silent - value < 3.0 + math.log(likelihood.n):
-        found.append("the output shows no significant response to the input")
+        texts.append("the output shows no significant response to the input")
     for g in np.abs(posterior.mean).reshape(likelihood.n_inputs, -1):
         left = float(np.sqrt(np.mean(g[-max(1, len(g) // 20) :] ** 2)) / max(g.max(), np.finfo(float).tiny))
         if len(g) > 1 and left > 0.05:
-            found.append(f"the response has not decayed within {len(g)} samples: {100 * left:.0f} % of its largest value is left")
-    return found
+            texts.append(f"the response has not decayed within {len(g)} samples: {100 * left:.0f} % of its largest value is left")
+    return texts
 
 
 def uncovered(longer: Longer | None, delay: int, n_inputs: int = 1) -> list[str]:

@@ -135,8 +135,8 @@ def _check_alike(records: Sequence[Record], names: Sequence[str]) -> None:
 def _check_apart(records: Sequence[Record], inputs: Sequence[str], *, offset: bool) -> None:
     """Refuse inputs of which one is a sum of multiples of the others, to a thousandth of its size."""
     signals = [np.stack([np.asarray(record[name], dtype=float) for name in inputs], axis=1) for record in records]
-    complete = [one[np.isfinite(one).all(axis=1)] for one in signals]
-    centred = np.concatenate([one - one.mean(axis=0) if offset and len(one) else one for one in complete])
+    complete = [rows[np.isfinite(rows).all(axis=1)] for rows in signals]
+    centred = np.concatenate([rows - rows.mean(axis=0) if offset and len(rows) else rows for rows in complete])
     size = np.linalg.norm(centred, axis=0)
     if not np.all(size > 0):
         return  # one that moves only where another is missing: the rows tell
@@ -159,10 +159,10 @@ def _check_moves(records: Sequence[Record], name: str, helps: str, *, offset: bo
             size = max(abs(lowest), abs(highest))
             spans.append(highest - lowest > 1e-13 * size if offset else size > 0)
     if not any(spans):
-        found = "is constant" if spans and offset else "is zero" if spans else "has no sample"
+        defect = "is constant" if spans and offset else "is zero" if spans else "has no sample"
         what_helps = helps if spans else "take a channel that was recorded"
         raise NotIdentifiable(
-            f"channel {name!r} {found}: it is persistently exciting of order 0; nothing can be identified from it; {what_helps}"
+            f"channel {name!r} {defect}: it is persistently exciting of order 0; nothing can be identified from it; {what_helps}"
         )
 
 

@@ -57,8 +57,8 @@ class HyperMixture:
             log_weight, squares = [], []
             for point, density in zip(points, log_density, strict=True):
                 log_weight.append(-self._likelihood.value(point) - density)
-                found = self._likelihood.posterior(point)
-                squares.append(np.diag(found.covariance) + (found.mean - estimate) ** 2)
+                posterior = self._likelihood.posterior(point)
+                squares.append(np.diag(posterior.covariance) + (posterior.mean - estimate) ** 2)
         return np.asarray(self._scale * np.sqrt(_weights(np.array(log_weight)) @ np.array(squares)))
 
     def _proposals(self) -> tuple[FloatArray, FloatArray]:

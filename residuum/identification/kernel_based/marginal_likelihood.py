@@ -108,8 +108,8 @@ class MarginalLikelihood(ABC):
         x = np.asarray(x, dtype=float)
         gradient, mean = self._gradient_and_mean(x)
         moved = [self._gradient_and_mean(x + step) for step in _STEP * np.eye(len(x))]
-        H = np.array([(other - gradient) / _STEP for other, _ in moved])
-        J = np.array([(other - mean) / _STEP for _, other in moved])
+        H = np.array([(shifted - gradient) / _STEP for shifted, _ in moved])
+        J = np.array([(shifted - mean) / _STEP for _, shifted in moved])
         curvature, axes = np.linalg.eigh(0.5 * (H + H.T))
         directions = (axes.T @ J) / np.sqrt(np.maximum(curvature, 0.0) + 1 / _WIDEST**2)[:, None]
         return np.asarray(directions.T @ directions)

@@ -82,8 +82,8 @@ class MultivariableModel:
             longer = self.longer[i] if self.longer else None
             mean, covariance = self._posterior(i) if longer is None else (longer.mean, longer.covariance)
             drawn.append(_drawn(n, mean, covariance, rng, len(row)))
-        M = max(one.shape[2] for one in drawn)
-        return np.stack([np.pad(one, ((0, 0), (0, 0), (0, M - one.shape[2]))) for one in drawn], axis=1)
+        M = max(draw.shape[2] for draw in drawn)
+        return np.stack([np.pad(draw, ((0, 0), (0, 0), (0, M - draw.shape[2]))) for draw in drawn], axis=1)
 
     def _posterior(self, i: int) -> tuple[FloatArray, FloatArray]:
         return np.concatenate([model.impulse_response for model in self.models[i]]), self.covariances[i]
@@ -200,7 +200,7 @@ def multivariable_text(model: MultivariableModel) -> str:
         "version": VERSION,
         "models": [[identified_object(path) for path in row] for row in model.models],
         "covariances": [covariance.tolist() for covariance in model.covariances],
-        "longer": [_longer_object(one) for one in model.longer],
+        "longer": [_longer_object(response) for response in model.longer],
     }
     return json.dumps(content)
 
@@ -231,19 +231,19 @@ def load_multivariable(path: str | Path) -> MultivariableModel:
 
 def multivariable_from(content: dict[str, Any], path: Path) -> MultivariableModel:
     """The model of a file's content; `path` names the file in what is refused."""
-    models = tuple(tuple(identified_from(each, path) for each in row) for row in content["models"])
-    covariances = tuple(np.asarray(each, dtype=float) for each in content["covariances"])
+    models = tuple(tuple(identified_from(encoded, path) for encoded in row) for row in content["models"])
+    covariances = tuple(np.asarray(encoded, dtype=float) for encoded in content["covariances"])
     if not models or len({len(row) for row in models}) != 1 or len(covariances) != len(models):
         raise BadModel(f"{path}: models must be a full grid, with one covariance an output")
     for row, covariance in zip(models, covariances, strict=True):
-        size = sum(one.order for one in row)
+        size = sum(model.order for model in row)
         if covariance.shape != (size, size):
             raise BadModel(f"{path}: covariance of {row[0].output_name!r} has shape {covariance.shape}; must be ({size}, {size})")
-    longer = tuple(_longer_from(each, path) for each in content.get("longer", []))  # files of older versions have none
+    longer = tuple(_longer_from(encoded, path) for encoded in content.get("longer", []))  # files of older versions have none
     if longer and len(longer) != len(models):
         raise BadModel(f"{path}: longer must have an entry an output")
-    for row, one in zip(models, longer, strict=False):
-        if one is not None and (len(one.mean) % len(row) or one.covariance.shape != (len(one.mean), len(one.mean))):
+    for row, model in zip(models, longer, strict=False):
+        if model is not None and (len(model.mean) % len(row) or model.covariance.shape != (len(model.mean), len(model.mean))):
             raise BadModel(
                 f"{path}: longer responses of {row[0].output_name!r} do not fit {len(row)} inputs and their covariance"
             )

@@ -408,12 +408,12 @@ class IdentifiedModel:
             raise BadModel(f"IdentifiedModel {self.method!r}: has no parameters to draw from")
         theta = np.concatenate([self.numerator, self.denominator[1:]])
         root, p = _square_root(self.parameter_covariance), len(self.numerator)
-        kept: list[FloatArray] = []
+        stable: list[FloatArray] = []
         for _ in range(20):
             drawn = theta + rng.standard_normal((n, len(theta))) @ root.T
-            kept.extend(drawn[_stable(drawn[:, p:])])
-            if len(kept) >= n:
-                parameters = np.array(kept[:n])
+            stable.extend(drawn[_stable(drawn[:, p:])])
+            if len(stable) >= n:
+                parameters = np.array(stable[:n])
                 return parameters[:, :p], np.hstack([np.ones((n, 1)), parameters[:, p:]])
         raise BadModel(
             f"IdentifiedModel {self.method!r}: over 95 % of its random models are unstable; its covariance says nothing"
@@ -429,18 +429,18 @@ def _stable(coefficients: FloatArray) -> npt.NDArray[np.bool_]:
     return np.asarray((np.abs(np.linalg.eigvals(companion)) < 1).all(axis=1))
 
 
-def _rule(holds: bool | np.bool_, what: str, rule: str) -> None:
+def _rule(holds: bool | np.bool_, quantity: str, rule: str) -> None:
     if not holds:
-        raise BadModel(f"IdentifiedModel, {what}: {rule}")
+        raise BadModel(f"IdentifiedModel, {quantity}: {rule}")
 
 
-def _finite(values: npt.ArrayLike, what: str) -> FloatArray:
+def _finite(values: npt.ArrayLike, quantity: str) -> FloatArray:
     try:
         array = np.array(values, dtype=float)
     except (TypeError, ValueError):
-        raise BadModel(f"IdentifiedModel, {what}: is not an array of numbers") from None
+        raise BadModel(f"IdentifiedModel, {quantity}: is not an array of numbers") from None
     if not np.isfinite(array).all():
-        raise BadModel(f"IdentifiedModel, {what}: has a missing or infinite value; all must be finite")
+        raise BadModel(f"IdentifiedModel, {quantity}: has a missing or infinite value; all must be finite")
     array.flags.writeable = False
     return array
 

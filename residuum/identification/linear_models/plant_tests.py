@@ -170,7 +170,7 @@ def _innovations(u: FloatArray, y: FloatArray, alpha: FloatArray, b: FloatArray,
 _LEVEL_OF_DEAD_TIME = 1e-3
 
 
-def dead_time(found: LongAutoregression) -> int | None:
+def dead_time(regression: LongAutoregression) -> int | None:
     """Samples before the input acts; None where it acts within no lag of the regression.
 
     >>> from residuum.identification.linear_models.plant_tests import long_autoregression
@@ -180,8 +180,8 @@ def dead_time(found: LongAutoregression) -> int | None:
     >>> dead_time(long_autoregression([record], "u", "y"))
     40
     """
-    refused = np.flatnonzero(stats.chi2.sf(found.leading, np.arange(1, len(found.leading) + 1)) < _LEVEL_OF_DEAD_TIME)
-    return found.first_lag + int(refused[0]) if refused.size else None
+    refused = np.flatnonzero(stats.chi2.sf(regression.leading, np.arange(1, len(regression.leading) + 1)) < _LEVEL_OF_DEAD_TIME)
+    return regression.first_lag + int(refused[0]) if refused.size else None
 
 
 # What of a response does one experiment tell? The directions of its input that rise above the
@@ -245,8 +245,8 @@ def excitation_test(records: Sequence[Record], input: str, output: str, first_la
     noise = max(1.0 - float(explained @ explained) / sums.rows, 0.0) * sums.rows / max(sums.degrees_of_freedom - lags, 1)
     g = linalg.solve_triangular(factor, explained, lower=True, trans="T")
     spread = float(np.sqrt(noise) * np.linalg.norm(linalg.solve_triangular(factor, np.ones(lags), lower=True)))
-    told = np.linalg.eigvalsh(scaled.gram) > max(noise, 1e-9 * sums.rows)
-    return ExcitationTest(int(np.count_nonzero(told)), lags, float(g.sum()), spread)
+    resolved = np.linalg.eigvalsh(scaled.gram) > max(noise, 1e-9 * sums.rows)
+    return ExcitationTest(int(np.count_nonzero(resolved)), lags, float(g.sum()), spread)
 
 
 # Does the input answer the output's noise, as a controller's does?
@@ -277,7 +277,7 @@ class FeedbackTest:
         return self.p_value < _LEVEL_OF_FEEDBACK and self.share > _LEAST_SHARE
 
 
-def feedback_test(found: LongAutoregression) -> FeedbackTest | None:
+def feedback_test(regression: LongAutoregression) -> FeedbackTest | None:
     """The test on a long autoregression; None where noise or rows are too few to tell.
 
     >>> from residuum.identification.linear_models.plant_tests import long_autoregression
@@ -290,11 +290,11 @@ def feedback_test(found: LongAutoregression) -> FeedbackTest | None:
     >>> feedback_test(long_autoregression([Record({"u": u, "y": y}, {"u": "", "y": ""}, 1.0)], "u", "y")).present
     True
     """
-    if not found.resolved:
+    if not regression.resolved:
         return None
-    sums = reduce(add, [_sums_over_innovations(u, e) for u, e in zip(found.inputs, found.innovations, strict=True)])
+    sums = reduce(add, [_sums_over_innovations(u, e) for u, e in zip(regression.inputs, regression.innovations, strict=True)])
     own = np.arange(1, _INPUT_PAST + 1)
-    noise = _INPUT_PAST + 1 + np.arange(1 - found.first_lag, _NOISE_PAST)
+    noise = _INPUT_PAST + 1 + np.arange(1 - regression.first_lag, _NOISE_PAST)
     columns = np.r_[own, noise]
     if sums.rows < _FEWEST_A_COLUMN * len(columns):
         return None
@@ -350,7 +350,7 @@ class IntegratorTest:
         return self.level_statistic < DICKEY_FULLER and abs(self.input_statistic) <= _INPUT_ACTS
 
 
-def integrator_test(found: LongAutoregression) -> IntegratorTest:
+def integrator_test(regression: LongAutoregression) -> IntegratorTest:
     """The test on a long autoregression.
 
     >>> from residuum.identification.linear_models.plant_tests import long_autoregression
@@ -362,9 +362,9 @@ def integrator_test(found: LongAutoregression) -> IntegratorTest:
     >>> integrator_test(long_autoregression([record], "u", "level")).integrates
     True
     """
-    a, b = found.output_weights, found.input_weights
-    level_spread = found.spread(np.ones_like(a), np.zeros_like(b))
-    input_spread = found.spread(np.zeros_like(a), np.ones_like(b))
+    a, b = regression.output_weights, regression.input_weights
+    level_spread = regression.spread(np.ones_like(a), np.zeros_like(b))
+    input_spread = regression.spread(np.zeros_like(a), np.ones_like(b))
     return IntegratorTest((1.0 - float(a.sum())) / level_spread, float(b.sum()) / input_spread)
 
 
@@ -413,8 +413,8 @@ def kept_aside(model: IdentifiedModel, record: Record, first: int = 0) -> KeptAs
 
     Raises BadRecord for a part too short to have a fit, or one in whose past and present the input stands still.
     """
-    seen = np.asarray(record[model.input_name], dtype=float)[max(first - model.delay - model.order + 1, 0) :]
-    if first and not np.nanmax(seen) > np.nanmin(seen):
+    past_input = np.asarray(record[model.input_name], dtype=float)[max(first - model.delay - model.order + 1, 0) :]
+    if first and not np.nanmax(past_input) > np.nanmin(past_input):
         raise BadRecord(
             f"{record.source or 'record'}: the input stands still in the part kept aside, which therefore tells nothing"
         )
@@ -485,7 +485,7 @@ class UnstableTest:
         return f"pole at {at} ± {self.spread:.1g}, which grows e-fold in {sample_time / np.log(abs(self.pole)):.3g} s"
 
 
-def unstable_test(found: LongAutoregression) -> UnstableTest | None:
+def unstable_test(regression: LongAutoregression) -> UnstableTest | None:
     """The test on a long autoregression; None where noise is too small to tell.
 
     >>> from residuum.identification.linear_models.plant_tests import long_autoregression
@@ -498,9 +498,9 @@ def unstable_test(found: LongAutoregression) -> UnstableTest | None:
     >>> unstable_test(long_autoregression([Record({"u": u, "y": y}, {"u": "", "y": ""}, 1.0)], "u", "y")).unstable
     True
     """
-    if not found.resolved:
+    if not regression.resolved:
         return None
-    A = np.r_[1.0, -found.output_weights]
+    A = np.r_[1.0, -regression.output_weights]
     roots = np.roots(A)
     pole = complex(roots[np.argmax(np.abs(roots))])
     slope = np.polyval(np.polyder(A), pole)
@@ -508,5 +508,7 @@ def unstable_test(found: LongAutoregression) -> UnstableTest | None:
         return UnstableTest(pole, float("inf"), 0.0)
     by_weight = pole ** np.arange(len(A) - 2, -1, -1.0) / slope  # dλ/dα_i, from A(λ) = 0
     by_size = np.real(np.conj(pole) / abs(pole) * by_weight)
-    samples = sum(len(u) for u in found.inputs) / len(found.inputs)
-    return UnstableTest(pole, found.spread(by_size, np.zeros_like(found.input_weights)), float(np.log(abs(pole)) * samples))
+    samples = sum(len(u) for u in regression.inputs) / len(regression.inputs)
+    return UnstableTest(
+        pole, regression.spread(by_size, np.zeros_like(regression.input_weights)), float(np.log(abs(pole)) * samples)
+    )

@@ -207,27 +207,27 @@ def identify_set_membership(
         )
     smallest = feasible_set(Phi, y, 1e-12 * (float(np.abs(y).max()) or 1.0)).smallest_bound
     bound = _ROOM * smallest if noise_bound is None else noise_bound
-    found = feasible_set(Phi, y, bound)
+    feasible = feasible_set(Phi, y, bound)
     unit = f" {data.output_unit}" if data.output_unit else ""
-    if found.empty:
+    if feasible.empty:
         raise NotIdentifiable(
             f"set-membership: with noise of at most {bound:.4g}{unit} no impulse response of {m} coefficients agrees with the "
             f"records; the smallest bound that leaves one is {smallest:.4g}{unit}"
         )
-    residual = y - Phi @ found.centre
-    lasts = abs(found.centre[m - 1]) > found.radius[m - 1]
+    residual = y - Phi @ feasible.centre
+    lasts = abs(feasible.centre[m - 1]) > feasible.radius[m - 1]
     return IdentifiedModel(
         method="set-membership",
         sample_time=data.sample_time,
-        impulse_response=found.centre[:m],
-        covariance=np.diag(found.radius[:m] ** 2 / 3.0),
+        impulse_response=feasible.centre[:m],
+        covariance=np.diag(feasible.radius[:m] ** 2 / 3.0),
         noise_variance=float(np.mean(residual**2)),
         input_name=input,
         input_unit=data.input_units[0],
         output_name=output,
         output_unit=data.output_unit,
         delay=delay,
-        offset=float(found.centre[m]) if offset else 0.0,
+        offset=float(feasible.centre[m]) if offset else 0.0,
         hyper_parameters={"noise_bound": float(bound), "smallest_noise_bound": smallest},
         warnings=_said(bound, smallest, unit, given=noise_bound is not None, outlasts=m if lasts else None),
         provenance={"records": [record.source for record in records], "n": len(y), "seconds": time.perf_counter() - started},
@@ -258,5 +258,5 @@ def _rows(records: Sequence[Record], input: str, output: str, m: int, delay: int
         rows.append(past[known])
         targets.append(y[first:][known])
     Phi, y = np.concatenate(rows), np.concatenate(targets)
-    kept = np.unique(np.linspace(0, len(y) - 1, min(len(y), _ROWS)).round().astype(int)) if len(y) else np.zeros(0, dtype=int)
-    return Phi[kept], y[kept]
+    spaced = np.unique(np.linspace(0, len(y) - 1, min(len(y), _ROWS)).round().astype(int)) if len(y) else np.zeros(0, dtype=int)
+    return Phi[spaced], y[spaced]

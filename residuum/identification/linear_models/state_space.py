@@ -241,10 +241,10 @@ def _tridiagonal_recursion(diagonals, d, x, v, w):  # type: ignore[no-untyped-de
     now[1 : n + 1] = x
     for t in range(len(v)):
         entering, total = v[t], 0.0
-        before, here, after, new = now[:n], now[1 : n + 1], now[2:], following[1 : n + 1]
+        before, current, after, new = now[:n], now[1 : n + 1], now[2:], following[1 : n + 1]
         for i in range(n):
-            total += c[i] * here[i]
-            new[i] = diagonal[i] * here[i] + lower[i] * before[i] + upper[i] * after[i] + b[i] * entering
+            total += c[i] * current[i]
+            new[i] = diagonal[i] * current[i] + lower[i] * before[i] + upper[i] * after[i] + b[i] * entering
         w[t] = total + d * entering
         now, following = following, now
     x[:] = now[1 : n + 1]

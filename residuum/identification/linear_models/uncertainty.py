@@ -61,20 +61,20 @@ def largest_excess(errors: DrawnErrors, weight: TransferFunction, omega: npt.Arr
     """
     angle = np.asarray(omega, dtype=float) * errors.sample_time
     left, right = angle[:-1], angle[1:]
-    seen, finished = 0.0, 0.0
+    attained, finished = 0.0, 0.0
     for _ in range(_MOST_ROUNDS):
         at_centre, bound = _bounds(errors, weight, left, right)
-        seen = max(seen, float(at_centre.max(initial=0.0)))
-        enough = bound <= max(1.0, seen) * (1.0 + ABOVE_THE_SEEN)
+        attained = max(attained, float(at_centre.max(initial=0.0)))
+        enough = bound <= max(1.0, attained) * (1.0 + ABOVE_THE_SEEN)
         finished = max(finished, float(bound[enough].max(initial=0.0)))
         if enough.all():
-            return Certificate(seen, finished * (1.0 + _ROUNDING), True)
+            return Certificate(attained, finished * (1.0 + _ROUNDING), True)
         left, right = left[~enough], right[~enough]
         if 2 * len(left) > _MOST_INTERVALS:
             break
         middle = 0.5 * (left + right)
         left, right = np.concatenate([left, middle]), np.concatenate([middle, right])
-    return Certificate(seen, np.inf, False)
+    return Certificate(attained, np.inf, False)
 
 
 def _bounds(errors: DrawnErrors, weight: TransferFunction, left: FloatArray, right: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -107,17 +107,17 @@ def _line(rows: FloatArray, centre: FloatArray, half: FloatArray) -> tuple[Compl
 
 def _above(rows: FloatArray, centre: FloatArray, half: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(bound from above, value at the centre) of |F|."""
-    value, change, rest = _line(rows, centre, half)
+    value, change, remainder = _line(rows, centre, half)
     ends = np.maximum(np.abs(value + change), np.abs(value - change))  # of a line the ends are furthest from zero
-    return ends + rest, np.abs(value)
+    return ends + remainder, np.abs(value)
 
 
 def _below(rows: FloatArray, centre: FloatArray, half: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(bound from below, value at the centre) of |F|."""
-    value, change, rest = _line(rows, centre, half)
+    value, change, remainder = _line(rows, centre, half)
     along = (change.conj() * value).real
     nearest = np.clip(-along / np.maximum(np.abs(change) ** 2, 1e-300), -1.0, 1.0)
-    return np.abs(value + nearest * change) - rest, np.abs(value)
+    return np.abs(value + nearest * change) - remainder, np.abs(value)
 
 
 def _least_change(weight: TransferFunction, left: FloatArray, right: FloatArray, centre: FloatArray) -> FloatArray:
@@ -278,9 +278,9 @@ def weight_above(
 ) -> tuple[TransferFunction, bool]:
     """The weight fitted above Ω on a grid, raised until it is above the errors between the points too; whether that is proven."""
     weight = fit_magnitude(omega, magnitude, order=order, bound="above", sample_time=errors.sample_time)
-    found = largest_excess(errors, weight, omega)
-    factor = max(1.0, found.bound if found.proven else found.seen)
-    return replace(weight, num=weight.num * factor), found.proven
+    certificate = largest_excess(errors, weight, omega)
+    factor = max(1.0, certificate.bound if certificate.proven else certificate.seen)
+    return replace(weight, num=weight.num * factor), certificate.proven
 
 
 def _lags(model: IdentifiedModel) -> int:

@@ -580,14 +580,14 @@ def block_bootstrap(
         if not len(out):
             continue
         try:
-            found = fit([blocks[k] for k in drawn])
-            errors, _ = _errors(found, [blocks[k] for k in out])
+            refit = fit([blocks[k] for k in drawn])
+            errors, _ = _errors(refit, [blocks[k] for k in out])
         except BadInput:
             continue
         trained += 1
         for k, e in zip(out, errors, strict=True):
             left[k].append(float(np.nanmean(e**2)))
-    counted = [float(np.mean(each)) for each in left if each]
+    counted = [float(np.mean(block_mse)) for block_mse in left if block_mse]
     if not counted:
         raise NotIdentifiable(
             "bootstrap: no sample of blocks has enough data for the model; record longer, or take a smaller order"

@@ -213,8 +213,8 @@ class PhysicalModel:
         place, tied = place_of(target), tied_to(target)
         if place not in self.balances or len(tied) != (effect.signals or 1):
             form = "balance(other balance)" if effect.joins(target) else "balance(signal)"
-            there = ", ".join(self.balances)
-            raise BadModel(f"effect {effect.id!r} at {target!r}: say where as {form}; the balances are {there}")
+            balances = ", ".join(self.balances)
+            raise BadModel(f"effect {effect.id!r} at {target!r}: say where as {form}; the balances are {balances}")
         known = self.balances if effect.joins(target) else {**self.inputs, **self.states, **self._defined()}
         for name in tied:
             if name not in known or name == place:
@@ -294,11 +294,11 @@ class PhysicalModel:
 
     def without_effect(self, label: str) -> PhysicalModel:
         """The model without the effect of this label (`id@target`, or the id alone when it occurs once)."""
-        found = [use for use in self.effects if label in (use.label, use.id)]
-        if len(found) != 1:
-            there = known_names(label, [use.label for use in self.effects], "there are")
-            raise BadModel(f"model {self.name!r}: effect {label!r} occurs {len(found)} times; {there}")
-        return replace(self, effects=tuple(use for use in self.effects if use is not found[0]))
+        uses = [use for use in self.effects if label in (use.label, use.id)]
+        if len(uses) != 1:
+            hint = known_names(label, [use.label for use in self.effects], "there are")
+            raise BadModel(f"model {self.name!r}: effect {label!r} occurs {len(uses)} times; {hint}")
+        return replace(self, effects=tuple(use for use in self.effects if use is not uses[0]))
 
     def with_values(self, values: Mapping[str, float]) -> PhysicalModel:
         """The model with these parameter values, by full name (values are taken as they are, bounds are not checked)."""
@@ -376,13 +376,13 @@ def _acts_on(effect: Effect) -> str:
 
 def fitting(model: PhysicalModel, id: str) -> list[Key]:
     """The keys of one effect that fit the model; BadModel where it fits nowhere, or is in it already."""
-    found = candidates(model, [id])
-    if not found:
+    keys = candidates(model, [id])
+    if not keys:
         raise BadModel(
             f"effect {id!r}: fits no balance, input or output of model {model.name!r}, or is in it already: "
             f"{_acts_on(find_effect(id))}"
         )
-    return found
+    return keys
 
 
 def candidates(model: PhysicalModel, ids: Iterable[str] | None = None) -> list[Key]:
@@ -430,13 +430,13 @@ def _pairs_of_balances(model: PhysicalModel, effect: Effect) -> list[str]:
     known = {
         b.name: {n for term in b.terms.values() for n in term.names} | set(b.variables.values()) for b in model.balances.values()
     }
-    found = []
+    targets = []
     storing, couples = [b for b in model.balances.values() if b.defines is None], permutations if effect.reaches else combinations
-    for one, other in couples(storing, 2):
-        apart = effect.reaches or not (known[one.name] & known[other.name] & set(model.states))
-        if one.kind == other.kind and apart and effect.fits(model.site(f"{one.name}({other.name})", effect)):
-            found.append(f"{one.name}({other.name})")
-    return found
+    for first, second in couples(storing, 2):
+        apart = effect.reaches or not (known[first.name] & known[second.name] & set(model.states))
+        if first.kind == second.kind and apart and effect.fits(model.site(f"{first.name}({second.name})", effect)):
+            targets.append(f"{first.name}({second.name})")
+    return targets
 
 
 def find_effect(id: str) -> Effect:

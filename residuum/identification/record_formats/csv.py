@@ -86,8 +86,8 @@ def _from_logger(content: bytes, source: str, options: ReadOptions) -> Record:
     ).mapping
     record = parse_logger(content, source, mapping, options)
     habits = f"cells cut by {mapping.delimiter!r}, decimal sign {mapping.decimal!r}, {_times(mapping)}"
-    told = f"{AS_LOGGER}: {habits}"
-    return replace(record, notes=(told, *record.notes))
+    note = f"{AS_LOGGER}: {habits}"
+    return replace(record, notes=(note, *record.notes))
 
 
 def _times(mapping: LoggerMapping) -> str:
@@ -151,15 +151,15 @@ def table_record(
         if (infinite := np.isinf(column)).any():
             row = first_row + int(np.argmax(infinite))
             raise BadRecord(f"{source}, row {row}, column {name!r}: infinite value; must be finite or empty (missing)")
-    told: list[str] = []
-    step, columns = even_columns(columns, source, resample=options.resample, first_row=first_row, told=told, names=names[1:])
+    remarks: list[str] = []
+    step, columns = even_columns(columns, source, resample=options.resample, first_row=first_row, told=remarks, names=names[1:])
     options.settle_sample_time(step, source)
     return Record(
         dict(zip(names[1:], columns[1:], strict=True)),
         {name: options.unit_of(name, unit) for name, unit in zip(names[1:], units[1:], strict=True)},
         step,
         t0=float(columns[0][0]),
-        notes=(*notes, *told),
+        notes=(*notes, *remarks),
         source=source,
     )
 

@@ -59,10 +59,10 @@ def even_columns(
         step, signals, done = made_even(time - time[0], columns[1:], source)
         _tell(told, names, step, done, columns)
         return step, np.stack([time[0] + step * np.arange(signals.shape[1]), *signals])
-    row, found = first_row + 1 + int(np.argmax(uneven)), float(steps[np.argmax(uneven)])
+    row, bad_step = first_row + 1 + int(np.argmax(uneven)), float(steps[np.argmax(uneven)])
     raise BadRecord(
-        f"{source}, row {row}: time step {found:.6g} s differs from {median:.6g} s by more than 1 %"
-        f"{', as at the beginning of summer time' if an_hour_ahead(found, median) else ''}",
+        f"{source}, row {row}: time step {bad_step:.6g} s differs from {median:.6g} s by more than 1 %"
+        f"{', as at the beginning of summer time' if an_hour_ahead(bad_step, median) else ''}",
         way_on=[("resample", True, "to accept it: holes of more than three steps stay missing")],
     )
 
@@ -77,12 +77,12 @@ def an_hour_ahead(steps: FloatArray | float, usual: float) -> npt.NDArray[np.boo
 
 
 def _tell(
-    told: list[str] | None, names: Sequence[str], step: float, done: Sequence[tuple[str, int] | None], columns: FloatArray
+    notes: list[str] | None, names: Sequence[str], step: float, done: Sequence[tuple[str, int] | None], columns: FloatArray
 ) -> None:
-    """Put what became of channels into `told`; None is nothing."""
-    if told is not None:
+    """Put what became of channels into `notes`; None is nothing."""
+    if notes is not None:
         heads = names or [f"column {k}" for k in range(2, len(columns) + 1)]
-        told += [f"{head} {resampling(step, *one)}" for head, one in zip(heads, done, strict=True) if one is not None]
+        notes += [f"{head} {resampling(step, *change)}" for head, change in zip(heads, done, strict=True) if change is not None]
 
 
 def _between_slower(values: FloatArray, step: float) -> tuple[FloatArray, list[tuple[str, int] | None]]:
@@ -183,9 +183,9 @@ def made_even(time: FloatArray, values: FloatArray, source: str) -> tuple[float,
     step, place = grid
     signals = np.full((len(values), int(place[-1]) + 1), np.nan)
     signals[:, place] = values
-    kept = ("error about 0, each sample kept at its instant", signals.shape[1] - len(place))
+    unchanged = ("error about 0, each sample kept at its instant", signals.shape[1] - len(place))
     signals, filled = _between_slower(signals, step)
-    return step, signals, [kept if how is None else how for how in filled]
+    return step, signals, [unchanged if how is None else how for how in filled]
 
 
 def resampled(time: FloatArray, values: FloatArray, source: str) -> tuple[float, FloatArray, list[tuple[str, int]]]:
@@ -212,7 +212,7 @@ def resampled(time: FloatArray, values: FloatArray, source: str) -> tuple[float,
     if near:
         alone = _stamps_alone_late(time, near[1], values)
         pairs = [_at_its_places(pair, column, *near, alone) for pair, column in zip(pairs, values, strict=True)]
-    return step, np.array([signal for signal, _ in pairs]).reshape(len(values), len(even)), [told for _, told in pairs]
+    return step, np.array([signal for signal, _ in pairs]).reshape(len(values), len(even)), [outcome for _, outcome in pairs]
 
 
 def _stamps_alone_late(time: FloatArray, place: npt.NDArray[np.int64], values: FloatArray) -> bool:

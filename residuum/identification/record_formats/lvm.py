@@ -60,8 +60,8 @@ def parse_lvm(content: bytes, source: str, options: ReadOptions = ReadOptions())
         raise BadRecord(f"{source}: its head says the decimal sign {decimal!r}; it must be a point or a comma")
     segment = _keys(lines[ends[0] + 1 : ends[1]], cut)
     heads = [cell.strip() for cell in "".join(lines[ends[1] + 1 : ends[1] + 2]).split(cut)]
-    said = segment.get("Channels", ["0"])[0]
-    n_channels = int(said) if said.isdigit() else 0
+    count_cell = segment.get("Channels", ["0"])[0]
+    n_channels = int(count_cell) if count_cell.isdigit() else 0
     places = _places(general.get("X_Columns", ["No"])[0].lower().strip("\t,; "), n_channels, source)
     width = max(map(max, places)) + 1
     table = _table(lines[ends[1] + 2 :], cut, decimal, width, ends[1] + 3, source)
@@ -85,11 +85,11 @@ def parse_lvm(content: bytes, source: str, options: ReadOptions = ReadOptions())
 
 def _keys(lines: Sequence[str], cut: str | None) -> dict[str, list[str]]:
     """Key → its values, of the lines of a head; the general one does not say yet what cuts its cells."""
-    found = {}
+    keys = {}
     for line in lines:
         cells = line.split(cut) if cut else re.split(r"[\t;,]", line, maxsplit=1)
-        found[cells[0].strip()] = [cell.strip() for cell in cells[1:]] or [""]
-    return found
+        keys[cells[0].strip()] = [cell.strip() for cell in cells[1:]] or [""]
+    return keys
 
 
 def _places(x_columns: str, n: int, source: str) -> list[tuple[int, int]]:
@@ -125,5 +125,5 @@ def _said(segment: dict[str, list[str]], key: str, k: int, decimal: str, source:
     try:
         return number(cell, decimal) if cell else 0.0
     except ValueError:
-        what = f"{key} of channel {k + 1} is {cell[:40]!r}, no number with decimal sign {decimal!r}"
-        raise BadRecord(f"{source}: {what}; mend the head") from None
+        fault = f"{key} of channel {k + 1} is {cell[:40]!r}, no number with decimal sign {decimal!r}"
+        raise BadRecord(f"{source}: {fault}; mend the head") from None

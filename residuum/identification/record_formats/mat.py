@@ -35,40 +35,40 @@ def read_mat(path: str | Path, options: ReadOptions = ReadOptions()) -> Record:
     telling times; with what to save instead.
     """
     content = _load(path)
-    found = variables_of(content)
-    times = _times(found, str(path), options)
+    saved = variables_of(content)
+    times = _times(saved, str(path), options)
     if times:
-        return _timed_record(found, times, str(path), options)
-    if not found.vectors:
-        raise BadRecord(f"{path}: holds no numeric vector of at least {SHORTEST_SIGNAL} samples{_instead(found, content)}")
-    length = max(map(len, found.vectors.values()))
-    channels = {name: vector.astype(float) for name, vector in found.vectors.items() if len(vector) == length}
-    units = {name: _unit(found, name, options) for name in channels}
-    step = options.settle_sample_time(_scalar_step(found, str(path)), str(path))
-    return Record(channels, units, step, notes=_left_out(found, [*channels]), source=str(path))
+        return _timed_record(saved, times, str(path), options)
+    if not saved.vectors:
+        raise BadRecord(f"{path}: holds no numeric vector of at least {SHORTEST_SIGNAL} samples{_instead(saved, content)}")
+    length = max(map(len, saved.vectors.values()))
+    channels = {name: vector.astype(float) for name, vector in saved.vectors.items() if len(vector) == length}
+    units = {name: _unit(saved, name, options) for name in channels}
+    step = options.settle_sample_time(_scalar_step(saved, str(path)), str(path))
+    return Record(channels, units, step, notes=_left_out(saved, [*channels]), source=str(path))
 
 
-def _times(found: MatVariables, source: str, options: ReadOptions) -> dict[str, FloatArray]:
+def _times(saved: MatVariables, source: str, options: ReadOptions) -> dict[str, FloatArray]:
     """The vectors that are times [s]; those of one length in one place that say the same count once."""
     times: dict[str, FloatArray] = {}
-    for name, vector in list(found.vectors.items()):
+    for name, vector in list(saved.vectors.items()):
         short = name.rpartition(".")[2]
-        named = None if _is_quantity(name, vector.astype(float), found) else _TIME.fullmatch(short)
+        named = None if _is_quantity(name, vector.astype(float), saved) else _TIME.fullmatch(short)
         if named or (_OWN_TIME.fullmatch(short) and on_grid(vector.astype(float)) is not None):
-            times[name] = _in_seconds(name, vector.astype(float), (named and named[2]) or "", found, source, options)
-            del found.vectors[name]
+            times[name] = _in_seconds(name, vector.astype(float), (named and named[2]) or "", saved, source, options)
+            del saved.vectors[name]
     return times
 
 
-def _is_quantity(name: str, vector: FloatArray, found: MatVariables) -> bool:
+def _is_quantity(name: str, vector: FloatArray, saved: MatVariables) -> bool:
     """Whether a vector that is called as times are is another quantity: by its unit, or a `T` that does not rise (torque)."""
-    unit = found.texts.get(f"units_{name}", "")
+    unit = saved.texts.get(f"units_{name}", "")
     falls = not (np.diff(vector) > 0).all()
     return bool(unit and seconds_of(unit) is None) or (name.rpartition(".")[2] == "T" and falls)
 
 
-def _in_seconds(name: str, vector: FloatArray, ending: str, found: MatVariables, source: str, options: ReadOptions) -> FloatArray:
-    unit = found.texts.get(f"units_{name}", "") or found.texts.get("TimeUnit", "") or ending
+def _in_seconds(name: str, vector: FloatArray, ending: str, saved: MatVariables, source: str, options: ReadOptions) -> FloatArray:
+    unit = saved.texts.get(f"units_{name}", "") or saved.texts.get("TimeUnit", "") or ending
     if unit:
         return vector * _seconds(unit, name, source)
     step = float(np.median(np.diff(vector)))
@@ -89,69 +89,69 @@ def _seconds(unit: str, name: str, source: str) -> float:
     return seconds
 
 
-def _timed_record(found: MatVariables, times: dict[str, FloatArray], source: str, options: ReadOptions) -> Record:
+def _timed_record(saved: MatVariables, times: dict[str, FloatArray], source: str, options: ReadOptions) -> Record:
     channels, read = [], []
-    for name, vector in found.vectors.items():
-        clock = _clock(found, name, len(vector), times, source)
+    for name, vector in saved.vectors.items():
+        clock = _clock(saved, name, len(vector), times, source)
         if clock is not None:
-            channels.append(TimedChannel(name, _unit(found, name, options), times[clock], vector.astype(float)))
+            channels.append(TimedChannel(name, _unit(saved, name, options), times[clock], vector.astype(float)))
             read.append(name)
-    for name, matrix in found.matrices.items():
-        for number, column in enumerate(_columns(found, name, matrix, times, source), start=1):
+    for name, matrix in saved.matrices.items():
+        for number, column in enumerate(_columns(saved, name, matrix, times, source), start=1):
             own = f"{name}_{number}"
-            clock = _clock(found, name, len(column), times, source)
-            channels.append(TimedChannel(own, _unit(found, own, options), times[clock or ""], column.astype(float)))
+            clock = _clock(saved, name, len(column), times, source)
+            channels.append(TimedChannel(own, _unit(saved, own, options), times[clock or ""], column.astype(float)))
             read.append(name)
     if not channels:
-        there = "".join(f"; {name} has {len(vector)} values" for name, vector in found.vectors.items())
-        raise BadRecord(f"{source}: holds time ({', '.join(times)}) but no channel of its length{there}")
-    said = _scalar_step(found, source)
-    record = on_one_base(channels, source, options, _left_out(found, read))
-    if said is not None and len(times) == 1 and options.sample_time is None and abs(said - record.sample_time) > 0.01 * said:
+        lengths = "".join(f"; {name} has {len(vector)} values" for name, vector in saved.vectors.items())
+        raise BadRecord(f"{source}: holds time ({', '.join(times)}) but no channel of its length{lengths}")
+    step = _scalar_step(saved, source)
+    record = on_one_base(channels, source, options, _left_out(saved, read))
+    if step is not None and len(times) == 1 and options.sample_time is None and abs(step - record.sample_time) > 0.01 * step:
         raise BadRecord(
-            f"{source}: its time says {record.sample_time:.6g} s a sample, its scalar {said:.6g} s",
+            f"{source}: its time says {record.sample_time:.6g} s a sample, its scalar {step:.6g} s",
             way_on=[("sample_time", "SECONDS")],
         )
     return record
 
 
-def _clock(found: MatVariables, name: str, length: int, times: dict[str, FloatArray], source: str) -> str | None:
+def _clock(saved: MatVariables, name: str, length: int, times: dict[str, FloatArray], source: str) -> str | None:
     """The time of a channel: of its length, in its struct before one outside."""
     fitting = [clock for clock, time in times.items() if len(time) == length]
-    near = [clock for clock in fitting if found.home[clock] == found.home[name]] or fitting
+    near = [clock for clock in fitting if saved.home[clock] == saved.home[name]] or fitting
     if any(not np.array_equal(times[clock], times[near[0]]) for clock in near[1:]):
         raise BadRecord(f"{source}: several times of {length} samples, {', '.join(near)}, for {name!r}; save one file a time")
     return near[0] if near else None
 
 
-def _columns(found: MatVariables, name: str, matrix: np.ndarray, times: dict[str, FloatArray], source: str) -> list[np.ndarray]:
+def _columns(saved: MatVariables, name: str, matrix: np.ndarray, times: dict[str, FloatArray], source: str) -> list[np.ndarray]:
     """The signals of a matrix: along the side that is as long as a time, which one side alone must be."""
-    sides = [side for side in (0, 1) if _clock(found, name, matrix.shape[side], times, source) is not None]
+    sides = [side for side in (0, 1) if _clock(saved, name, matrix.shape[side], times, source) is not None]
     return list(matrix.T if sides == [0] else matrix) if len(sides) == 1 else []
 
 
-def _left_out(found: MatVariables, read: list[str]) -> tuple[str, ...]:
-    vectors = [f"{name} ({len(vector)} values)" for name, vector in found.vectors.items() if name not in read]
-    matrices = [f"{name} ({' × '.join(map(str, m.shape))})" for name, m in found.matrices.items() if name not in read]
-    left = [*vectors, *matrices, *found.rest]
+def _left_out(saved: MatVariables, read: list[str]) -> tuple[str, ...]:
+    vectors = [f"{name} ({len(vector)} values)" for name, vector in saved.vectors.items() if name not in read]
+    matrices = [f"{name} ({' × '.join(map(str, m.shape))})" for name, m in saved.matrices.items() if name not in read]
+    left = [*vectors, *matrices, *saved.rest]
     return (f"{NOT_READ}{', '.join(left)}",) if left else ()
 
 
-def _instead(found: MatVariables, content: dict[str, Any]) -> str:
+def _instead(saved: MatVariables, content: dict[str, Any]) -> str:
     """What to save instead, by what the file holds."""
-    if found.matrices:
-        name, matrix = next(iter(found.matrices.items()))
+    if saved.matrices:
+        name, matrix = next(iter(saved.matrices.items()))
         how = f"time = {name}(:,1); u = {name}(:,2); save('file.mat', 'time', 'u')"
         return f", but the matrix {name} ({' × '.join(map(str, matrix.shape))}); save its columns under their names: {how}"
-    if found.rest or "__function_workspace__" in content:
-        there = ", ".join(found.rest[:4]) or "objects of MATLAB"
+    if saved.rest or "__function_workspace__" in content:
+        objects = ", ".join(saved.rest[:4]) or "objects of MATLAB"
         how = "save their parts, time = ts.Time; y = ts.Data; save('file.mat', 'time', 'y')"
-        return f" ({there}); objects (timeseries, timetable, Dataset) are read by MATLAB alone: {how}"
+        return f" ({objects}); objects (timeseries, timetable, Dataset) are read by MATLAB alone: {how}"
     return ""
 
 
-def _unit(found: MatVariables, name: str, options: ReadOptions) -> str:
-    return options.unit_of(name, found.texts.get(f"units_{name}", ""))
+def _unit(saved: MatVariables, name: str, options: ReadOptions) -> str:
+    return options.unit_of(name, saved.texts.get(f"units_{name}", ""))
 
 
 def write_mat(record: Record, path: str | Path) -> None:
@@ -184,29 +184,29 @@ def _load_hdf5(path: str | Path) -> dict[str, Any]:
         import h5py  # noqa: PLC0415  optional: the extra `formats`
     except ImportError:
         raise BadRecord(f"{path}: MAT version 7.3 needs an extra: pip install 'residuum[formats]'") from None
-    found: dict[str, Any] = {}
+    content: dict[str, Any] = {}
 
     def keep(name: str, node: Any) -> None:
         if isinstance(node, h5py.Dataset) and node.dtype.kind in "fiu" and not name.startswith("#refs#"):
             is_text = node.attrs.get("MATLAB_class") == b"char"
             value = node[()]
-            found[name.replace("/", ".")] = "".join(map(chr, np.ravel(value))) if is_text else np.squeeze(value)
+            content[name.replace("/", ".")] = "".join(map(chr, np.ravel(value))) if is_text else np.squeeze(value)
 
     with h5py.File(path, "r") as file:
         file.visititems(keep)
-    return found
+    return content
 
 
-def _scalar_step(found: MatVariables, source: str) -> float | None:
+def _scalar_step(saved: MatVariables, source: str) -> float | None:
     """The sample time [s] that scalars say; `iddata` counts its `Ts` in its `TimeUnit`.
 
     Raises BadRecord for a unit that is none of time, and for scalars that contradict each other.
     """
-    unit = found.texts.get("TimeUnit", "s")
-    steps = {name: found.numbers[name] for name in _STEP if found.numbers.get(name, 0.0) > 0}
-    said = {name: step * _seconds(unit, name, source) for name, step in steps.items()}
-    said |= {name: 1.0 / found.numbers[name] for name in _RATE if found.numbers.get(name, 0.0) > 0}
-    if said and max(said.values()) > 1.01 * min(said.values()):
-        both = ", ".join(f"{name} {step:.6g} s" for name, step in said.items())
+    unit = saved.texts.get("TimeUnit", "s")
+    steps = {name: saved.numbers[name] for name in _STEP if saved.numbers.get(name, 0.0) > 0}
+    sample_times = {name: step * _seconds(unit, name, source) for name, step in steps.items()}
+    sample_times |= {name: 1.0 / saved.numbers[name] for name in _RATE if saved.numbers.get(name, 0.0) > 0}
+    if sample_times and max(sample_times.values()) > 1.01 * min(sample_times.values()):
+        both = ", ".join(f"{name} {step:.6g} s" for name, step in sample_times.items())
         raise BadRecord(f"{source}: its scalars say several sample times ({both}); save one of them")
-    return next(iter(said.values()), None)
+    return next(iter(sample_times.values()), None)

@@ -28,14 +28,14 @@ class MatVariables:
 
 def variables_of(content: dict[str, Any]) -> MatVariables:
     """Sort what `scipy.io.loadmat` (simplified cells) or an HDF5 file gives."""
-    found, taken = MatVariables(), {name for name in content if not isinstance(content[name], dict)}
+    saved, taken = MatVariables(), {name for name in content if not isinstance(content[name], dict)}
     for path, value in _leaves(content, ""):
         home, _, short = path.rpartition(".")
         name = path if home and short in taken else short
         taken.add(name)
-        found.home[name] = home
-        _sort(found, name, value)
-    return found
+        saved.home[name] = home
+        _sort(saved, name, value)
+    return saved
 
 
 def _leaves(content: dict[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
@@ -66,22 +66,22 @@ def _simulink(path: str, log: dict[str, Any]) -> Iterator[tuple[str, Any]]:
             yield f"{path}.{name.replace('.', '_')}", column
 
 
-def _sort(found: MatVariables, name: str, value: Any) -> None:
+def _sort(saved: MatVariables, name: str, value: Any) -> None:
     if isinstance(value, str):
-        found.texts[name] = value
+        saved.texts[name] = value
     elif isinstance(value, bool | int | float | np.number) or (isinstance(value, np.ndarray) and value.ndim == 0):
         array = np.asarray(value)
         if array.dtype.kind in "fiub":
-            found.numbers[name] = float(array)
+            saved.numbers[name] = float(array)
     elif not isinstance(value, np.ndarray) or value.dtype.kind not in "fiub":
         if isinstance(value, np.ndarray | list) and np.size(value):
-            found.rest.append(f"{name} ({_kind(value)})")
+            saved.rest.append(f"{name} ({_kind(value)})")
     elif value.size >= SHORTEST_SIGNAL and value.size == max(value.shape):
-        found.vectors[name] = np.ravel(value)
+        saved.vectors[name] = np.ravel(value)
     elif value.ndim == 2 and value.size >= SHORTEST_SIGNAL:
-        found.matrices[name] = value
+        saved.matrices[name] = value
     elif value.ndim > 2:
-        found.rest.append(f"{name} ({' × '.join(map(str, value.shape))} values)")
+        saved.rest.append(f"{name} ({' × '.join(map(str, value.shape))} values)")
 
 
 def _kind(value: Any) -> str:

@@ -39,10 +39,10 @@ def _signals(path: str | Path) -> tuple[list[Any], list[str]]:
             raise BadRecord(f"{path}: is not an MDF file: it does not begin with 'MDF'")
     try:
         with asammdf.MDF(path) as file:
-            found = list(file.iter_channels(skip_master=True))
+            every = list(file.iter_channels(skip_master=True))
     except Exception as error:  # the reader raises its own, struct's, NumPy's and zlib's errors on damaged files
         raise BadRecord(f"{path}: is not an MDF file: {' '.join(str(error).split())[:120]}") from None
-    return [signal for signal in found if _is_signal(signal)], [_why_not(signal) for signal in found if not _is_signal(signal)]
+    return [signal for signal in every if _is_signal(signal)], [_why_not(signal) for signal in every if not _is_signal(signal)]
 
 
 def _why_not(signal: Any) -> str:
@@ -76,5 +76,5 @@ def _finite(signal: Any) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _free_name(signal: Any, position: int, signals: list[Any]) -> str:
-    taken = [other.name for other in signals[:position]]
+    taken = [earlier.name for earlier in signals[:position]]
     return str(signal.name) if signal.name not in taken else f"{signal.name}.{position}"

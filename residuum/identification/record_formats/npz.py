@@ -55,12 +55,12 @@ def read_npz(path: str | Path, options: ReadOptions = ReadOptions()) -> Record:
             stored: dict[str, Any] = {name: archive[name] for name in archive.files}
     except (OSError, ValueError, zipfile.BadZipFile, EOFError) as error:
         raise BadRecord(f"{path}: is not an NPZ file of plain arrays: {in_one_line(error)}") from None
-    found = _scalar(stored["sample_time"], "sample_time", path) if "sample_time" in stored else None
+    step = _scalar(stored["sample_time"], "sample_time", path) if "sample_time" in stored else None
     channels = {name: array for name, array in stored.items() if name not in _RESERVED}
     return Record(
         channels,
         {name: options.unit_of(name, unit) for name, unit in _units(stored.get("units"), channels, path).items()},
-        sample_time=options.settle_sample_time(found, str(path)),
+        sample_time=options.settle_sample_time(step, str(path)),
         t0=_scalar(stored.get("t0", np.array(0.0)), "t0", path),
         notes=tuple(str(note) for note in np.atleast_1d(stored.get("notes", np.array([], dtype=str)))),
         source=str(path),

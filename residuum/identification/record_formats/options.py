@@ -44,21 +44,21 @@ class ReadOptions:
         if self.sample_time is not None and not self.sample_time > 0:
             raise BadRecord(repr(self.sample_time), "sample_time", "must be a positive number of seconds")
 
-    def settle_sample_time(self, found: float | None, source: str) -> float:
+    def settle_sample_time(self, own_step: float | None, source: str) -> float:
         """The sample time [s] of file `source`: what it says, or what the caller says; both must agree."""
-        if found is None and self.sample_time is None:
+        if own_step is None and self.sample_time is None:
             raise BadRecord(f"{source}: does not say its sample time", way_on=[("sample_time", "SECONDS")])
-        if found is None or self.sample_time is None:
-            return float(found if found is not None else self.sample_time or 0.0)
-        if abs(found - self.sample_time) > 0.01 * found:
-            raise BadRecord(f"{source}: has sample time {found:.6g} s, but {self.sample_time:.6g} s was given; leave it out")
-        return float(found)
+        if own_step is None or self.sample_time is None:
+            return float(own_step if own_step is not None else self.sample_time or 0.0)
+        if abs(own_step - self.sample_time) > 0.01 * own_step:
+            raise BadRecord(f"{source}: has sample time {own_step:.6g} s, but {self.sample_time:.6g} s was given; leave it out")
+        return float(own_step)
 
     @property
     def of_a_logger(self) -> bool:
         """Whether something is said that only a logger's text leaves open."""
         return any((self.decimal, self.time_form, self.time_column, self.missing, self.names, self.duplicates, self.reordered))
 
-    def unit_of(self, name: str, found: str = "") -> str:
+    def unit_of(self, name: str, own_unit: str = "") -> str:
         """The unit of channel `name`: what the caller says, else what the file says."""
-        return self.units.get(name, found)
+        return self.units.get(name, own_unit)

@@ -49,11 +49,11 @@ def read_safely(path: str | Path, options: ReadOptions = ReadOptions()) -> Recor
     if path.suffix.lower() not in MAY_CRASH or not path.is_file():
         return read_record(path, options)
     with tempfile.TemporaryDirectory(prefix="residuum-record-") as folder:
-        told = json.dumps(asdict(options) | {"units": dict(options.units)})
-        found = os.environ.get("PYTHONPATH")
+        arguments = json.dumps(asdict(options) | {"units": dict(options.units)})
+        python_path = os.environ.get("PYTHONPATH")
         done = subprocess.run(
-            [sys.executable, "-m", __name__, str(path), folder, told],
-            env=os.environ | {"PYTHONPATH": _HERE + (os.pathsep + found if found else "")},
+            [sys.executable, "-m", __name__, str(path), folder, arguments],
+            env=os.environ | {"PYTHONPATH": _HERE + (os.pathsep + python_path if python_path else "")},
             stdin=subprocess.DEVNULL,
             capture_output=True,
             check=False,
@@ -72,11 +72,11 @@ def _ending(status: int) -> str:
     return f"signal {-status}" if status < 0 else f"exit status {status}"
 
 
-def main(file: str, folder: str, told: str) -> int:
+def main(file: str, folder: str, arguments: str) -> int:
     """Read a file and leave its record in the folder; gives the exit status."""
     out, sys.stdout = sys.stdout, sys.stderr  # a library's chatter is no refusal
     try:
-        keep_plain(read_record(file, ReadOptions(**json.loads(told))), Path(folder))
+        keep_plain(read_record(file, ReadOptions(**json.loads(arguments))), Path(folder))
     except BadInput as error:
         json.dump([type(error).__name__, error.parts], out)
         out.flush()

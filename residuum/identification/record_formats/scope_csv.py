@@ -51,12 +51,12 @@ def _counted(rows: list[list[str]], source: str, options: ReadOptions) -> Record
 
 def _beside(rows: list[list[str]], source: str, options: ReadOptions) -> Record:
     """Keys, values and units stand in the first three columns beside the samples' time and value."""
-    said = {row[0]: row[1] for row in rows if len(row) > 1 and row[0]}
-    if (unit := said.get("Horizontal Units", "s")) != "s":
+    head = {row[0]: row[1] for row in rows if len(row) > 1 and row[0]}
+    if (unit := head.get("Horizontal Units", "s")) != "s":
         raise BadRecord(f"{source}: its times are in {unit!r}; seconds are read")
     samples = [(row, cells) for row, cells in enumerate(rows, start=1) if any(cells)]
     time, values = (np.array([_number(cells, k, row, source) for row, cells in samples]) for k in (_TIME, _VALUE))
-    return _record([TimedChannel(said.get("Source") or "CH1", said.get("Vertical Units", ""), time, values)], source, options)
+    return _record([TimedChannel(head.get("Source") or "CH1", head.get("Vertical Units", ""), time, values)], source, options)
 
 
 def _record(channels: list[TimedChannel], source: str, options: ReadOptions) -> Record:

@@ -27,7 +27,7 @@ def read_tdms(path: str | Path, options: ReadOptions = ReadOptions()) -> Record:
     """
     groups = _groups(path)
     plain = [channel.name for channels in groups.values() for channel in channels]
-    found, left_out = [], []
+    timed, left_out = [], []
     for group, channels in groups.items():
         clock = _clock(channels, str(path))
         for channel in channels:
@@ -36,13 +36,13 @@ def read_tdms(path: str | Path, options: ReadOptions = ReadOptions()) -> Record:
             name = channel.name if plain.count(channel.name) == 1 else f"{group}.{channel.name}"
             if _is_signal(channel):
                 values = np.asarray(channel[:], dtype=float)
-                found.append(TimedChannel(name, _unit(channel), _times(channel, clock, options, str(path)), values))
+                timed.append(TimedChannel(name, _unit(channel), _times(channel, clock, options, str(path)), values))
             else:
                 left_out.append(f"{name} ({'no numbers' if len(channel) > 1 else f'{len(channel)} samples'})")
-    if not found:
+    if not timed:
         raise BadRecord(f"{path}: holds no numeric channel{among(left_out)}")
     notes = (f"{NOT_READ}{', '.join(left_out)}",) if left_out else ()
-    return on_one_base(found, str(path), options, notes)
+    return on_one_base(timed, str(path), options, notes)
 
 
 def _groups(path: str | Path) -> dict[str, list[Any]]:

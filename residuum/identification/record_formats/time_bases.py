@@ -57,18 +57,18 @@ def on_one_base(channels: Sequence[TimedChannel], source: str, options: ReadOpti
             f"{source}: channels have several time bases ({listed})",
             way_on=[("resample", True, "to bring them onto the finest: what was not measured stays missing")],
         )
-    signals, told = {}, list(notes)
+    signals, log = {}, list(notes)
     for channel, place in zip(channels, places, strict=True):
         if place is None:
             signals[channel.name], (how, holes) = on_instants(channel.time, channel.values, even, step)
-            told.append(f"{channel.name} {resampling(step, how, holes)}")
+            log.append(f"{channel.name} {resampling(step, how, holes)}")
         else:
             signals[channel.name] = np.full(n, np.nan)
             signals[channel.name][place] = channel.values
             if len(place) < n:
-                told.append(f"{channel.name}: {MEASURED_AT} {len(place)} of {n} instants, missing at the others ({channel.says})")
+                log.append(f"{channel.name}: {MEASURED_AT} {len(place)} of {n} instants, missing at the others ({channel.says})")
     units = {channel.name: options.unit_of(channel.name, channel.unit) for channel in channels}
-    return Record(signals, units, options.settle_sample_time(step, source), t0=begin, notes=tuple(told), source=source)
+    return Record(signals, units, options.settle_sample_time(step, source), t0=begin, notes=tuple(log), source=source)
 
 
 def _check(channel: TimedChannel, source: str) -> None:

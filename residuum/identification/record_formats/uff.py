@@ -84,10 +84,10 @@ def _data_sets(path: str | Path) -> list[dict[str, Any]]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # deprecations of the reader's own dependencies
-            found = pyuff.UFF(str(path)).read_sets()
+            sets = pyuff.UFF(str(path)).read_sets()
     except Exception as error:  # the reader raises bare Exception on damaged files
         raise BadRecord(f"{path}: is not a UFF file: {' '.join(str(error).split())[:120]}") from None
-    return found if isinstance(found, list) else [found]
+    return sets if isinstance(sets, list) else [sets]
 
 
 def _name(data: dict[str, Any], position: int) -> str:

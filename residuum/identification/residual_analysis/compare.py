@@ -77,7 +77,7 @@ def output_errors(
     structured: Mapping[str, StructuredError],
 ) -> dict[str, OutputError]:
     """Of each measured output; `ahead` are the errors of predictions, `structured` the tests that say what of it is noise."""
-    found = {}
+    by_output = {}
     for k, output in enumerate(model.outputs.values()):
         errors = [residual[:, k] for residual in simulation.residuals]
         error = np.concatenate(errors)
@@ -89,23 +89,23 @@ def output_errors(
         spread = float(np.sqrt(np.mean((y - y.mean()) ** 2)))
         test = structured.get(output.name)
         if test is not None and test.present:
-            told = floor_under_drift(errors)
-            least = min(noise_floor(errors, lowest=UNDER_STRUCTURE), _unstructured(rmse, test), told.rms)
+            floor = floor_under_drift(errors)
+            least = min(noise_floor(errors, lowest=UNDER_STRUCTURE), _unstructured(rmse, test), floor.rms)
         else:
             least = noise_floor(errors)
             least = rmse if test is not None and rmse < BEYOND_NOISE * least else least
-            told = Floor(least, at_most=False)
-        found[output.name] = OutputError(
+            floor = Floor(least, at_most=False)
+        by_output[output.name] = OutputError(
             unit=output.unit,
             rmse=rmse,
             fit_percent=100.0 * (1.0 - rmse / spread) if spread > 0 else float("nan"),
             bias=float(np.mean(error[known])),
-            noise_floor=told.rms,
-            noise_at_most=told.at_most,
+            noise_floor=floor.rms,
+            noise_at_most=floor.at_most,
             least_floor=least,
             k_step={steps: float(errors_ahead[k]) for steps, errors_ahead in ahead.items()},
         )
-    return found
+    return by_output
 
 
 def _unstructured(rmse: float, test: StructuredError) -> float:
@@ -116,15 +116,15 @@ def _unstructured(rmse: float, test: StructuredError) -> float:
 
 def prediction_errors(kalman: Filter, experiments: list[Experiment], smoothed: list[Smoothed]) -> dict[int, FloatArray]:
     """RMS error of each output predicted 1, 10 and 100 samples ahead, missing terms held at their last estimate."""
-    found = {}
+    by_horizon = {}
     for steps in HORIZONS:
         long_enough = [(e, s) for e, s in zip(experiments, smoothed, strict=True) if e.n > 2 * steps]
         if not long_enough:
             continue
         errors = np.concatenate([_ahead(kalman, e, s, steps, PREDICTED_SAMPLES // len(long_enough)) for e, s in long_enough])
         count = np.isfinite(errors).sum(axis=0)
-        found[steps] = np.sqrt(np.nansum(errors**2, axis=0) / np.where(count > 0, count, np.nan))
-    return found
+        by_horizon[steps] = np.sqrt(np.nansum(errors**2, axis=0) / np.where(count > 0, count, np.nan))
+    return by_horizon
 
 
 def _ahead(kalman: Filter, experiment: Experiment, smoothed: Smoothed, steps: int, most: int) -> FloatArray:
@@ -139,7 +139,7 @@ def balance_errors(model: PhysicalModel, experiments: list[Experiment], smoothed
     """Of each balance whose missing term was estimated."""
     simulator = Simulator(model)
     looks = [simulator.look(e, s.X) for e, s in zip(experiments, smoothed, strict=True)]
-    found = {}
+    by_balance = {}
     for name, balance in model.balances.items():
         terms = [s.missing[name].value for s in smoothed if name in s.missing]
         if not terms:
@@ -148,8 +148,8 @@ def balance_errors(model: PhysicalModel, experiments: list[Experiment], smoothed
         driven = [f"{name}.{term}" for term, value in balance.terms.items() if _is_driven(model, value.tree)]
         drive = np.concatenate([sum((look[key] for key in driven), np.zeros(1)) * np.ones(1) for look in looks])
         size = float(np.sqrt(np.mean(drive**2)))
-        found[name] = BalanceError(balance.unit, rms, 100.0 * rms / size if size > 0 else float("nan"))
-    return found
+        by_balance[name] = BalanceError(balance.unit, rms, 100.0 * rms / size if size > 0 else float("nan"))
+    return by_balance
 
 
 def _is_driven(model: PhysicalModel, tree: Node) -> bool:
@@ -187,8 +187,8 @@ class Comparison:
             odd = whole = 0.0
             for source, residuals in zip(self.records, self.simulation.residuals, strict=True):
                 error = np.nan_to_num(residuals[:, k]) ** 2
-                here = (each for each in self.odd if (each.output, each.source) == (name, source))
-                odd += float(error[sorted({row for each in here for row in each.rows if row < len(error)})].sum())
+                readings = (reading for reading in self.odd if (reading.output, reading.source) == (name, source))
+                odd += float(error[sorted({row for reading in readings for row in reading.rows if row < len(error)})].sum())
                 whole += float(error.sum())
             if odd > 0.5 * whole:
                 return True
@@ -286,7 +286,7 @@ def compare(
     structured |= in_parts or beyond_noise(model, experiments, simulation.residuals, axes, structured)
     ahead = prediction_errors(kalman, experiments, smoothed)
     outputs = output_errors(model, experiments, simulation, ahead, structured)
-    seen = [signal_axes(model, e, s.X, record) for e, s, record in zip(experiments, smoothed, records, strict=True)]
+    smoothed_axes = [signal_axes(model, e, s.X, record) for e, s, record in zip(experiments, smoothed, records, strict=True)]
     floors = {name: output.least_floor for name, output in outputs.items()}
     return Comparison(
         model=model,
@@ -297,10 +297,10 @@ def compare(
         balances=balance_errors(model, experiments, smoothed),
         structured=structured,
         smoothed=smoothed,
-        axes=seen,
+        axes=smoothed_axes,
         odd=_beside(model, experiments, simulation, odd),
         driven_by_codes=codes_of_inputs(model, records, mapping),
-        where=regions(model, experiments, simulation.residuals, smoothed, seen, floors, structured),
+        where=regions(model, experiments, simulation.residuals, smoothed, smoothed_axes, floors, structured),
     )
 
 
@@ -308,5 +308,5 @@ def _beside(
     model: PhysicalModel, experiments: Sequence[Experiment], simulation: Estimate, left_out: Sequence[OddReadings]
 ) -> tuple[OddReadings, ...]:
     """What was left out, and what stands out of the rest beside the simulation."""
-    simulated = [each.Y - rest for each, rest in zip(experiments, simulation.residuals, strict=True)]
+    simulated = [experiment.Y - residual for experiment, residual in zip(experiments, simulation.residuals, strict=True)]
     return (*left_out, *odd_readings(model, experiments, simulated))

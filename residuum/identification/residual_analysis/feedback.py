@@ -62,15 +62,15 @@ def at_likelier_timing(
         except NotIdentifiable as diverges:
             return diverges
 
-    first, other = side_by_side(tried, [list(experiments), turned_timing(experiments)])
+    first, alternative = side_by_side(tried, [list(experiments), turned_timing(experiments)])
     if isinstance(first, NotIdentifiable):
         raise first
-    best = _likelier([first, other])
+    best = _likelier([first, alternative])
     return _likelier([best, *side_by_side(tried, each_turned(best[0]))])
 
 
 def _likelier(tried: Sequence[tuple[list[Experiment], Estimate] | NotIdentifiable]) -> tuple[list[Experiment], Estimate]:
-    fits = [each for each in tried if not isinstance(each, NotIdentifiable)]
+    fits = [trial for trial in tried if not isinstance(trial, NotIdentifiable)]
     return min(fits, key=lambda fit: innovations_of(fit[1].residuals))
 
 
@@ -108,22 +108,22 @@ def feeds_back(model: PhysicalModel, experiments: Sequence[Experiment], residual
 def _felt_at_once(model: PhysicalModel, experiment: Experiment) -> npt.NDArray[np.bool_]:
     """Which outputs change with the inputs of the same sample."""
     simulator, first = Simulator(model), experiment.window(0, 2)
-    there = replace(first, U=first.U + np.std(experiment.U, axis=0))
-    runs = [simulator.run_vectors(e, simulator.x0(), simulator.p(), substeps=1) for e in (first, there)]
+    stepped = replace(first, U=first.U + np.std(experiment.U, axis=0))
+    runs = [simulator.run_vectors(e, simulator.x0(), simulator.p(), substeps=1) for e in (first, stepped)]
     return np.asarray(runs[0].Y[0] != runs[1].Y[0])
 
 
 def _innovations(signals: Sequence[FloatArray]) -> list[FloatArray | None]:
     """What the past of each signal does not predict of it, in units of its spread, outliers drawn in; None if that is nothing."""
-    found: list[FloatArray | None] = []
+    by_output: list[FloatArray | None] = []
     for o, noise in enumerate(fit_noises(signals, NOISE_ORDER)):
         if noise is None:
-            found.append(None)
+            by_output.append(None)
             continue
         e = np.concatenate([_in_place(noise.whiten(np.ascontiguousarray(v[:, o])), len(v)) for v in signals])
         spread = np.nanmedian(np.abs(e)) / NORMAL_MEDIAN if e.size else 0.0
-        found.append(np.clip(e / spread, -OUTLYING_INNOVATION, OUTLYING_INNOVATION) if spread > 0.0 else None)
-    return found
+        by_output.append(np.clip(e / spread, -OUTLYING_INNOVATION, OUTLYING_INNOVATION) if spread > 0.0 else None)
+    return by_output
 
 
 def _in_place(e: FloatArray, n: int) -> FloatArray:

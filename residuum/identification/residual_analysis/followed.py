@@ -37,7 +37,7 @@ def check_followed(model: PhysicalModel, experiments: Sequence[Experiment], simu
     except NotIdentifiable:
         near = [False] * len(experiments)
     else:
-        near = [_is_near(e.Y, rest) for e, rest in zip(experiments, simulated.residuals, strict=True)]
+        near = [_is_near(e.Y, residual) for e, residual in zip(experiments, simulated.residuals, strict=True)]
     for e in (e for e, is_near in zip(experiments, near, strict=True) if not is_near):
         lasts, growth = e.n * e.sample_time, growth_over_second_half(model, e)
         if growth > _MOST_GROWTH:
@@ -50,10 +50,10 @@ def check_followed(model: PhysicalModel, experiments: Sequence[Experiment], simu
             )
 
 
-def _is_near(measured: FloatArray, rest: FloatArray) -> bool:
+def _is_near(measured: FloatArray, residual: FloatArray) -> bool:
     """Whether the simulation of some output is nearer to it than its mean."""
     with np.errstate(over="ignore", invalid="ignore"):
-        error, spread = np.nansum(rest**2, axis=0), np.nansum((measured - _means(measured)) ** 2, axis=0)
+        error, spread = np.nansum(residual**2, axis=0), np.nansum((measured - _means(measured)) ** 2, axis=0)
     return bool(np.any(error < spread))
 
 

@@ -30,10 +30,10 @@ def at_lower_rate(
     outputs = _outputs(model, experiments, initial) if most >= 2 else None
     best, step = (list(experiments), 1), 2
     while outputs is not None and step <= most:
-        there = [_at_every(e, step) for e in experiments]
-        if not _loses_nothing(outputs, there, _outputs(model, there, initial), step):
+        coarse = [_at_every(e, step) for e in experiments]
+        if not _loses_nothing(outputs, coarse, _outputs(model, coarse, initial), step):
             break
-        best, step = (there, step), 2 * step
+        best, step = (coarse, step), 2 * step
     return best
 
 
@@ -59,11 +59,11 @@ def _means(values: FloatArray, k: int, n: int, *, centred: bool) -> FloatArray:
     return np.asarray(values[: n * k].reshape(n, k).mean(axis=1))
 
 
-def _loses_nothing(fine: Sequence[FloatArray], coarse: Sequence[Experiment], there: Sequence[FloatArray] | None, k: int) -> bool:
+def _loses_nothing(fine: Sequence[FloatArray], coarse: Sequence[Experiment], slow: Sequence[FloatArray] | None, k: int) -> bool:
     """Whether the model's outputs at the coarse rate differ by next to nothing of its error from the fine ones."""
-    if there is None:
+    if slow is None:
         return False
-    for e, y, z in zip(coarse, (y[::k] for y in fine), there, strict=True):
+    for e, y, z in zip(coarse, (y[::k] for y in fine), slow, strict=True):
         error, lost = e.Y - y[: e.n], z - y[: e.n]
         if np.any(np.nansum(np.where(np.isfinite(error), lost, 0.0) ** 2, axis=0) > LOST * np.nansum(error**2, axis=0)):
             return False

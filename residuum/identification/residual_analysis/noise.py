@@ -47,16 +47,16 @@ def within(a, radius):  # type: ignore[no-untyped-def]  # compiled
     """Coefficients of A(z) with its zeros drawn onto the circle of this radius where they lie beyond, and whether any did."""
     if stable(a / radius ** np.arange(1, a.shape[0] + 1)):
         return a, False
-    found = np.zeros(a.shape[0] + 1, dtype=np.complex128)
-    found[0] = 1.0
+    expanded = np.zeros(a.shape[0] + 1, dtype=np.complex128)
+    expanded[0] = 1.0
     polynomial = np.ones(a.shape[0] + 1, dtype=np.complex128)
     polynomial[1:] = a
     for number, root in enumerate(np.roots(polynomial)):
         size = abs(root)
         drawn = root * (radius / size) if size > radius else root
         for k in range(number + 1, 0, -1):
-            found[k] -= drawn * found[k - 1]
-    return found[1:].real.copy(), True
+            expanded[k] -= drawn * expanded[k - 1]
+    return expanded[1:].real.copy(), True
 
 
 @njit(error_model="numpy")
@@ -101,10 +101,10 @@ _FAST = {"reassoc", "contract", "arcp"}  # sums in any order; missing samples st
 def whitened(rows, a):  # type: ignore[no-untyped-def]  # compiled
     """A(z) x of each row x without the first p samples, shape (rows, n − p); NaN where one of its samples is missing."""
     order, count, n = a.shape[0], rows.shape[0], rows.shape[1]
-    found = np.empty((count, max(n - order, 0)))
+    innovations = np.empty((count, max(n - order, 0)))
     for row in range(count):
-        whiten(rows[row], a, found[row])
-    return found
+        whiten(rows[row], a, innovations[row])
+    return innovations
 
 
 @njit(error_model="numpy", fastmath=_FAST)
@@ -113,12 +113,12 @@ def whiten(x, a, e):  # type: ignore[no-untyped-def]  # compiled
     order = a.shape[0]
     for begin in range(0, e.shape[0], INNOVATION_STRETCH):
         end = min(begin + INNOVATION_STRETCH, e.shape[0])
-        there = e[begin:end]
-        there[:] = x[begin + order : end + order]
+        stretch = e[begin:end]
+        stretch[:] = x[begin + order : end + order]
         for lag in range(order):
             past, factor = x[begin + order - lag - 1 :], a[lag]
-            for t in range(there.shape[0]):
-                there[t] += factor * past[t]
+            for t in range(stretch.shape[0]):
+                stretch[t] += factor * past[t]
 
 
 @njit(error_model="numpy", fastmath=_FAST)
@@ -170,8 +170,8 @@ def squared_scale(e, near, floor):  # type: ignore[no-untyped-def]  # compiled
     n = e.shape[0]
     square = e * e
     mean, zeros = np.mean(square), 0
-    for one in square:
-        zeros += one <= ZERO_INNOVATION * mean
+    for power in square:
+        zeros += power <= ZERO_INNOVATION * mean
     least = max(LEAST_SPREAD * max(mean if 2 * zeros > n else 0.0, floor), 1e-300)
     variance = near
     if near == 0.0:
@@ -195,9 +195,9 @@ def scale_of(x, starts, a, near, floor):  # type: ignore[no-untyped-def]  # comp
         v = x[starts[j] : starts[j + 1]]
         innovations = np.empty(max(v.shape[0] - a.shape[0], 0))
         whiten(v, a, innovations)
-        for one in innovations:
-            if np.isfinite(one):
-                e[count] = one
+        for innovation in innovations:
+            if np.isfinite(innovation):
+                e[count] = innovation
                 count += 1
     return squared_scale(e[:count], near, floor)
 
@@ -401,8 +401,8 @@ def fit_noises(
     signals = [[r[:, o] for r in residuals] for o in range(residuals[0].shape[1])]
     known = [None] * len(signals) if near is None else near
     floors = np.zeros(len(signals)) if reading is None else reading
-    each = zip(signals, known, floors.tolist(), strict=True)
-    return tuple(_fit(signal, order, drifting, noise, floor) for signal, noise, floor in each)
+    per_output = zip(signals, known, floors.tolist(), strict=True)
+    return tuple(_fit(signal, order, drifting, noise, floor) for signal, noise, floor in per_output)
 
 
 def _fit(signals: list[FloatArray], order: int, drifting: bool, near: ColouredNoise | None, floor: float) -> ColouredNoise | None:
@@ -462,11 +462,11 @@ def noise_floor(residuals: Sequence[FloatArray], slowest: float = 1.0, lowest: S
     spectra = [_spectra(_windows(part, length)).mean(axis=0) for part in parts]
     weights = np.array([len(part) for part in parts], dtype=float)
     power = np.average(spectra, axis=0, weights=weights)
-    colours, found = COLOURS[max(slowest, 0.0) >= COLOURS], []
+    colours, variances = COLOURS[max(slowest, 0.0) >= COLOURS], []
     for begin in lowest:
         frequency, fast = _fast_frequencies(length, begin)
-        found.append(_whittle_variance(frequency[fast], power[fast], colours))
-    return min(rms, float(np.sqrt(min(found))))
+        variances.append(_whittle_variance(frequency[fast], power[fast], colours))
+    return min(rms, float(np.sqrt(min(variances))))
 
 
 @dataclass(frozen=True)
@@ -562,8 +562,8 @@ def _spectra(windows: FloatArray) -> FloatArray:
     slope = np.arange(length) - 0.5 * (length - 1)
     line = np.stack([np.full(length, length**-0.5), slope / np.linalg.norm(slope)])
     taper = 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(length) / length)
-    rest = windows - windows @ line.T @ line
-    power = np.abs(np.fft.rfft(rest * taper, axis=1)) ** 2 / np.sum(taper**2)
+    detrended = windows - windows @ line.T @ line
+    power = np.abs(np.fft.rfft(detrended * taper, axis=1)) ** 2 / np.sum(taper**2)
     power[:, 1 : (length + 1) // 2] *= 2.0
     return np.asarray(power)
 

@@ -91,11 +91,11 @@ class OddReadings:
 
     def says(self) -> list[str]:
         """A sentence of each kind."""
-        found = []
+        texts = []
         where = f"{self.source}, {self.output}"
         if self.coded.size:
             values, leave_out = _values_and_command(self.codes)
-            found.append(
+            texts.append(
                 f"{where}: {_told_rows(self.coded, '')} read {values} {self.unit}, an error code beside their neighbours; they "
                 f"are left out here; {leave_out} leaves them out everywhere"
             )
@@ -103,23 +103,23 @@ class OddReadings:
         if alone.size:
             near, far = self.distance
             lie = f"lie {near:.3g} to {far:.3g}" if len(alone) > 1 else f"lies {near:.3g}"
-            told = f"{where}: {_told_rows(alone, 'single ')} {lie} {self.unit} beside the neighbours"
+            text = f"{where}: {_told_rows(alone, 'single ')} {lie} {self.unit} beside the neighbours"
             if np.isin(alone, self.spikes).all():
-                found.append(f"{told}, where the model does not jump; they are left out here")
+                texts.append(f"{text}, where the model does not jump; they are left out here")
             else:
-                found.append(
-                    f"{told} and may make much of the error; where they mean no value, "
+                texts.append(
+                    f"{text} and may make much of the error; where they mean no value, "
                     "`residuum inspect FILE --missing VALUE --out FILE.mapping.yaml` says so"
                 )
         if self.held:
-            found.append(
+            texts.append(
                 f"{where}: stands still in samples {_spans(self.held)} while the model moves, as no machine at rest does: a "
                 "sensor that held its last value; they are left out here"
             )
         if self._merely_still:
             spans = _spans(self._merely_still)
-            found.append(f"{where}: stands still in samples {spans} while the model moves: a sensor that held its last value?")
-        return found
+            texts.append(f"{where}: stands still in samples {spans} while the model moves: a sensor that held its last value?")
+        return texts
 
 
 def _told_rows(rows: npt.NDArray[np.intp], kind: str) -> str:
@@ -144,7 +144,7 @@ def _spans(spans: Sequence[tuple[int, int]]) -> str:
 
 def odd_readings(model: PhysicalModel, experiments: Sequence[Experiment], simulated: Sequence[FloatArray]) -> list[OddReadings]:
     """What stands out of every measured output, beside `simulated` (n, outputs) an experiment."""
-    found = []
+    readings = []
     for experiment, beside in zip(experiments, simulated, strict=True):
         for k, name in enumerate(model.outputs):
             y = experiment.Y[:, k]
@@ -162,8 +162,8 @@ def odd_readings(model: PhysicalModel, experiments: Sequence[Experiment], simula
             if rows.size or still:
                 unit = str(model.outputs[name].unit)
                 spikes = np.setdiff1d(rows[~_jumps(beside[:, k], rows, off)], coded)
-                found.append(OddReadings(name, unit, experiment.source, rows, codes, coded, still, distance, held, spikes))
-    return found
+                readings.append(OddReadings(name, unit, experiment.source, rows, codes, coded, still, distance, held, spikes))
+    return readings
 
 
 def without_odd(model: PhysicalModel, experiments: Sequence[Experiment]) -> tuple[list[Experiment], list[OddReadings]]:
@@ -172,14 +172,14 @@ def without_odd(model: PhysicalModel, experiments: Sequence[Experiment]) -> tupl
     The model is simulated without any of them, and then says which rows it jumps at itself and which spans it moves in. A model
     that diverges tells no spans; whoever simulates it says so.
     """
-    without, found = _left_out(model, experiments, [np.full_like(each.Y, np.nan) for each in experiments])
+    without, readings = _left_out(model, experiments, [np.full_like(experiment.Y, np.nan) for experiment in experiments])
     try:
         simulated = estimate(model, without, free=()).predicted
     except NotIdentifiable:
         simulated = []
     if simulated:
-        without, found = _left_out(model, experiments, simulated)
-    return without, [odd.only_left_out for odd in found if odd.left_out.size]
+        without, readings = _left_out(model, experiments, simulated)
+    return without, [odd.only_left_out for odd in readings if odd.left_out.size]
 
 
 def records_without_odd(
@@ -194,7 +194,7 @@ def records_without_odd(
         out = np.isnan(now.Y) & np.isfinite(was.Y)
         lacking = {name: np.where(out[:, k], np.nan, record[name]) for name, k in columns.items() if out[:, k].any()}
         mended.append(replace(record, channels={**record.channels, **lacking}) if lacking else record)
-    says = (text for each in odd for text in each.says())
+    says = (text for reading in odd for text in reading.says())
     return mended, (*says, *codes_of_inputs(model, records, mapping))
 
 
@@ -210,11 +210,11 @@ def codes_of_inputs(model: PhysicalModel, records: Sequence[Record], mapping: Ma
                 continue
             u = np.asarray(record[column], dtype=float)
             marked = np.isfinite(u) & is_mark(u)
-            rest = u[np.isfinite(u) & ~marked]
-            if not marked.any() or not rest.size:
+            unmarked = u[np.isfinite(u) & ~marked]
+            if not marked.any() or not unmarked.size:
                 continue
-            apart = _OF_RANGE * np.ptp(rest)
-            rows = np.flatnonzero(marked & ((u < rest.min() - apart) | (u > rest.max() + apart)))
+            apart = _OF_RANGE * np.ptp(unmarked)
+            rows = np.flatnonzero(marked & ((u < unmarked.min() - apart) | (u > unmarked.max() + apart)))
             if rows.size:
                 values, leave_out = _values_and_command(sorted(set(u[rows].tolist())))
                 says.append(
@@ -229,15 +229,15 @@ def _left_out(
     model: PhysicalModel, experiments: Sequence[Experiment], simulated: Sequence[FloatArray]
 ) -> tuple[list[Experiment], list[OddReadings]]:
     """The experiments without the rows that no sensor measured, and what was found."""
-    mended, found = [], []
+    mended, readings = [], []
     for experiment, beside in zip(experiments, simulated, strict=True):
-        here = odd_readings(model, [experiment], [beside])
+        outliers = odd_readings(model, [experiment], [beside])
         Y = experiment.Y.copy()
-        for odd in here:
+        for odd in outliers:
             Y[odd.left_out, list(model.outputs).index(odd.output)] = np.nan
         mended.append(replace(experiment, Y=Y))
-        found += here
-    return mended, found
+        readings += outliers
+    return mended, readings
 
 
 def far_beside(y: FloatArray, unit: str = "") -> tuple[npt.NDArray[np.intp], tuple[float, ...], FloatArray]:
@@ -313,7 +313,7 @@ def _is_power_on(values: FloatArray, unit: str) -> npt.NDArray[np.bool_]:
 def _may_rest(model: PhysicalModel, output: str, y: FloatArray, span: tuple[int, int]) -> bool:
     """Whether the machine itself may stand still there, as friction holds it: at any position, at a speed of none."""
     names = model.outputs[output].value.names
-    moves = {role for each in model.balances.values() for role, name in each.variables.items() if name in names}
+    moves = {role for balance in model.balances.values() for role, name in balance.variables.items() if name in names}
     steps = np.abs(np.diff(y[np.isfinite(y)]))
     digit = float(steps[steps > 0].min()) if (steps > 0).any() else 0.0
     return moves == {"position"} or ("velocity" in moves and abs(float(y[span[0]])) <= digit)

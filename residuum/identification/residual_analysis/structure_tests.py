@@ -44,7 +44,7 @@ def reading_variances(experiments: Sequence[Experiment]) -> FloatArray:
     error of a model can be told from.
     """
     changes = np.concatenate([np.diff(e.Y, axis=0) for e in experiments])
-    return np.array([_step(each) ** 2 / 12.0 for each in changes.T])
+    return np.array([_step(change) ** 2 / 12.0 for change in changes.T])
 
 
 def _step(changes: FloatArray) -> float:
@@ -69,16 +69,16 @@ def in_windows(model: PhysicalModel, experiments: Sequence[Experiment], finer: i
     States that no output feels (a position where only speed is measured) go on from window to window as the measurements
     track them: free in every window, they would let whatever depends on them differ from one to the next.
     """
-    found: list[Experiment] = []
+    windowed: list[Experiment] = []
     for e in experiments:
         samples = int(np.clip(e.n // WINDOWS, SHORTEST_PREDICTED, LONGEST_PREDICTED)) // finer
         felt = _lasting(model, e) if e.n > 2 * samples else None
         if felt is None or not any(share > LASTING for share in felt.values()):
-            found.append(e)
+            windowed.append(e)
             continue
         unfelt = [name for name, share in felt.items() if share == 0.0]
-        found += _anchored(model, e, windows(e, samples), unfelt) if unfelt else windows(e, samples)
-    return found
+        windowed += _anchored(model, e, windows(e, samples), unfelt) if unfelt else windows(e, samples)
+    return windowed
 
 
 def _anchored(model: PhysicalModel, experiment: Experiment, parts: list[Experiment], states: list[str]) -> list[Experiment]:
@@ -118,22 +118,22 @@ def refitted_difference(model: PhysicalModel, experiments: list[Experiment], sim
     nothing = [np.zeros_like(residual) for residual in simulation.residuals]
     try:
         coarse, step = at_lower_rate(model, experiments, simulation.initial)
-        other = estimate(model, coarse, initial=simulation.initial, settings=REVALUED)
-        after = other.residuals if step == 1 else _left(other, experiments)
+        refit = estimate(model, coarse, initial=simulation.initial, settings=REVALUED)
+        after = refit.residuals if step == 1 else _left(refit, experiments)
     except NotIdentifiable:
         return nothing
     with np.errstate(invalid="ignore"):
         mended = np.nan_to_num(_rms(after) / simulation.rmse, nan=1.0) < VALUES_ERR
     pairs = zip(simulation.residuals, after, strict=True)
-    return [np.where(mended & np.isfinite(before), before - rest, 0.0) for before, rest in pairs]
+    return [np.where(mended & np.isfinite(before), before - remaining, 0.0) for before, remaining in pairs]
 
 
-def _left(found: Estimate, experiments: Sequence[Experiment]) -> list[FloatArray]:
+def _left(estimated: Estimate, experiments: Sequence[Experiment]) -> list[FloatArray]:
     """What an estimate at a lower rate leaves of each experiment at its own."""
-    simulator = Simulator(found.model)
+    simulator = Simulator(estimated.model)
     p = simulator.p()
-    substeps = simulator.substeps_each(experiments, found.initial, p)
-    return simulator.run_each(experiments, found.initial, p, substeps=substeps).errors_of_each
+    substeps = simulator.substeps_each(experiments, estimated.initial, p)
+    return simulator.run_each(experiments, estimated.initial, p, substeps=substeps).errors_of_each
 
 
 def _rms(residuals: Sequence[FloatArray]) -> FloatArray:
@@ -169,17 +169,17 @@ def structured_errors(
     alive = np.any([np.any(design, axis=0) for design in every], axis=0)
     later = (1 if block == 1 else 2) * int(feeds_back(model, experiments, residuals))
     designs = [block_means(design[:, alive], block) for design in every]
-    found = {}
+    by_output = {}
     for k, name in enumerate(model.outputs):
         errors = [block_means(residual[:, k], block) for residual in residuals]
         changes = [block_means(change[:, k : k + 1], block) for change in refitted or ()]
         own = [np.hstack(pair) for pair in zip(designs, changes, strict=True)] if changes else designs
         known = [np.vstack([np.full((later, X.shape[1]), np.nan), X[: len(X) - later]]) for X in own]
         try:
-            found[name] = test_structured_error(errors, known, **how)
+            by_output[name] = test_structured_error(errors, known, **how)
         except BadInput:  # not measured, or too short a record for the test: no claim is made
             continue
-    return found
+    return by_output
 
 
 def structured_in_windows(
@@ -200,12 +200,12 @@ def structured_in_windows(
     axes = [signal_axes(model, run[0], simulated_states(model, *run)) for run in runs]
     refitted = refitted_difference(model, parts, simulation)
     tested = at_likeliest_values(model, parts, simulation)
-    found = structured_errors(parts, tested, axes, model, refitted, level=level, seed=seed)
-    found |= beyond_noise(model, parts, simulation.residuals, axes, found)
+    tests = structured_errors(parts, tested, axes, model, refitted, level=level, seed=seed)
+    tests |= beyond_noise(model, parts, simulation.residuals, axes, tests)
     # The windows decide whether; how much of the error it is, is asked of the record that is reported.
     return {
         name: replace(whole[name], present=test.present, p_value=test.p_value, noise=test.noise)
-        for name, test in found.items()
+        for name, test in tests.items()
         if name in whole
     }
 
@@ -218,7 +218,7 @@ def beyond_noise(
     tested: Mapping[str, StructuredError],
 ) -> dict[str, StructuredError]:
     """The tests of those outputs whose error is too large for noise: everywhere, or at one place."""
-    hidden, found = reading_variances(experiments), {}
+    hidden, by_output = reading_variances(experiments), {}
     for k, name in enumerate(model.outputs):
         if name not in tested:
             continue
@@ -227,8 +227,8 @@ def beyond_noise(
         if structured is None and not test.present:
             structured = _locally_structured(errors, test, axes, float(np.sqrt(12.0 * hidden[k])))
         if structured is not None:
-            found[name] = structured
-    return found
+            by_output[name] = structured
+    return by_output
 
 
 def _plainly_structured(errors: Sequence[FloatArray], test: StructuredError) -> StructuredError | None:

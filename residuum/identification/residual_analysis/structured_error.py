@@ -108,8 +108,8 @@ def test_structured_error(
     statistic, coefficients, noise = _likelihood_ratio(segments, designs, null, drifting)
     predicted = [design @ coefficients for design in designs]
     total = sum(float(segment @ segment) for segment in segments)
-    rest = sum(float(np.sum((segment - part) ** 2)) for segment, part in zip(segments, predicted, strict=True))
-    share, p_value = max(0.0, 1.0 - rest / total) if total > 0 else 0.0, np.nan
+    left_power = sum(float(np.sum((segment - part) ** 2)) for segment, part in zip(segments, predicted, strict=True))
+    share, p_value = max(0.0, 1.0 - left_power / total) if total > 0 else 0.0, np.nan
     if share >= least_share:
         rng = np.random.default_rng(seed)
         lengths, draws = [len(segment) for segment in segments], np.zeros(0)
@@ -183,9 +183,9 @@ def _orthonormal(designs: list[FloatArray]) -> list[FloatArray]:
     scale = np.linalg.norm(stacked, axis=0)
     stacked = stacked[:, scale > 0] / scale[scale > 0]
     u, s, _ = np.linalg.svd(stacked, full_matrices=False)
-    kept = u[:, s > 1e-9 * s[0]] if s.size else u
+    basis = u[:, s > 1e-9 * s[0]] if s.size else u
     bounds = np.cumsum([len(design) for design in designs])[:-1]
-    return [np.ascontiguousarray(part) for part in np.split(kept, bounds)]
+    return [np.ascontiguousarray(part) for part in np.split(basis, bounds)]
 
 
 def _likelihood_ratio(
@@ -204,13 +204,13 @@ def _likelihood_ratio(
     for noise in (white, null):
         for _ in range(NOISE_PASSES):
             coefficients = _generalised_least_squares(segments, designs, noise)
-            rest = [segment - design @ coefficients for segment, design in zip(segments, designs, strict=True)]
-            beside, noise = noise, _noise(rest, null.order, drifting)
-            after = sum(float(np.sum(noise.whiten(part) ** 2)) for part in rest)
+            residuals = [segment - design @ coefficients for segment, design in zip(segments, designs, strict=True)]
+            beside, noise = noise, _noise(residuals, null.order, drifting)
+            after = sum(float(np.sum(noise.whiten(part) ** 2)) for part in residuals)
             if after < best[0]:
                 best = (after, coefficients, noise)
             if beside.order == null.order:  # Burg's noise of the rest is not always likelier than that before it
-                same = sum(float(np.sum(beside.whiten(part) ** 2)) for part in rest)
+                same = sum(float(np.sum(beside.whiten(part) ** 2)) for part in residuals)
                 least = min(least, (same, coefficients, beside), key=itemgetter(0))
     _, coefficients, noise = best if best[0] < before else least
     return n * float(np.log(max(before, 1e-300) / max(min(least[0], best[0]), 1e-300))), coefficients, noise

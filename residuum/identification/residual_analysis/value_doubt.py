@@ -36,14 +36,14 @@ def at_likeliest_values(model: PhysicalModel, experiments: Sequence[Experiment],
     doubt is that of the estimate, and not of its difference from the likeliest values, which is less: a generous bound.
     """
     slopes = [_slopes(model, *run) for run in zip(experiments, simulation.initial, simulation.substeps, strict=True)]
-    rest = [residual.copy() for residual in simulation.residuals]
+    residuals = [residual.copy() for residual in simulation.residuals]
     if not slopes[0].shape[-1]:  # nothing is free
-        return rest
-    for o in map(int, np.flatnonzero(np.any([np.isfinite(r).any(axis=0) for r in rest], axis=0))):
-        errors = [_Slope(r[:, o], J[:, o], len(model.free)) for r, J in zip(rest, slopes, strict=True)]
-        for r, change in zip(rest, _changes(errors), strict=True):
+        return residuals
+    for o in map(int, np.flatnonzero(np.any([np.isfinite(r).any(axis=0) for r in residuals], axis=0))):
+        errors = [_Slope(r[:, o], J[:, o], len(model.free)) for r, J in zip(residuals, slopes, strict=True)]
+        for r, change in zip(residuals, _changes(errors), strict=True):
             r[:, o] -= change
-    return rest
+    return residuals
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,8 +66,8 @@ class _Slope:
     def without_states(self) -> tuple[FloatArray, FloatArray]:
         """e and the slopes by the values, less what the first states take up."""
         wanted = np.column_stack([self.e, self.J[:, : self.values]])
-        rest = wanted - self.J[:, self.values :] @ self.of_states(wanted)
-        return rest[:, 0], rest[:, 1:]
+        projected = wanted - self.J[:, self.values :] @ self.of_states(wanted)
+        return projected[:, 0], projected[:, 1:]
 
 
 def _slopes(model: PhysicalModel, experiment: Experiment, x0: FloatArray, substeps: int) -> FloatArray:
@@ -82,32 +82,32 @@ def _slopes(model: PhysicalModel, experiment: Experiment, x0: FloatArray, subste
 
 def _changes(errors: Sequence[_Slope]) -> list[FloatArray]:
     """What the likeliest values and first states change of one output's error, an array an experiment."""
-    missing = [np.where(np.isfinite(each.e), 0.0, np.nan) for each in errors]
+    missing = [np.where(np.isfinite(slope.e), 0.0, np.nan) for slope in errors]
     changes = missing
     for _ in range(2):
         try:
-            noise = lasting_noise([each.e - change for each, change in zip(errors, changes, strict=True)], NOISE_ORDER)
+            noise = lasting_noise([slope.e - change for slope, change in zip(errors, changes, strict=True)], NOISE_ORDER)
         except BadInput:  # too short to tell a colour
             return missing
-        white = [each.whitened(noise) for each in errors]
+        white = [slope.whitened(noise) for slope in errors]
         by = _values(errors, white, noise)
-        changes = [each.J @ np.r_[by, w.of_states(w.e - w.J[:, : by.size] @ by)] for each, w in zip(errors, white, strict=True)]
+        changes = [slope.J @ np.r_[by, w.of_states(w.e - w.J[:, : by.size] @ by)] for slope, w in zip(errors, white, strict=True)]
     return changes
 
 
 def _values(errors: Sequence[_Slope], white: Sequence[_Slope], noise: ColouredNoise) -> FloatArray:
     """By how much the likeliest values differ; zero where that is beyond the doubt of values that were estimated."""
-    rest = [each.without_states() for each in white]
-    H, g = sum(J.T @ J for _, J in rest), sum(J.T @ e for e, J in rest)
+    projected = [slope.without_states() for slope in white]
+    H, g = sum(J.T @ J for _, J in projected), sum(J.T @ e for e, J in projected)
     change = np.asarray(np.linalg.lstsq(H, g, rcond=None)[0])
     squares, spread = np.zeros_like(H), np.zeros_like(H)
-    for each in errors:
-        known = np.isfinite(each.e)
-        _, J = _Slope(each.e[known], each.J[known], each.values).without_states()
+    for slope in errors:
+        known = np.isfinite(slope.e)
+        _, J = _Slope(slope.e[known], slope.J[known], slope.values).without_states()
         backwards = all_pole(np.r_[1.0, noise.a], J[::-1])
         squares += J.T @ J
         spread += noise.innovation_variance * backwards.T @ backwards
     # (change)ᵀ (H⁻¹ S H⁻¹)⁻¹ (change)
     far = float(squares @ change @ np.linalg.lstsq(spread, squares @ change, rcond=None)[0])
-    told = max(int(np.linalg.matrix_rank(H)), 1) if change.size else 1
-    return change if far <= chdtri(told, STRUCTURE_LEVEL) else np.zeros_like(change)
+    rank = max(int(np.linalg.matrix_rank(H)), 1) if change.size else 1
+    return change if far <= chdtri(rank, STRUCTURE_LEVEL) else np.zeros_like(change)

@@ -31,13 +31,13 @@ class Undetectable:
     unit: str
 
 
-def noise_of(one: Judged, found: Search) -> Scale:
+def noise_of(judged: Judged, search: Search) -> Scale:
     """Nats of the noise that a structure leaves."""
-    last = found.court.last
-    return of_noise(np.split(one.errors, last.starts[1:-1]), last, found.court.data.measured)
+    last = search.court.last
+    return of_noise(np.split(judged.errors, last.starts[1:-1]), last, search.court.data.measured)
 
 
-def undetectable(found: Search, wanted: Wanted, along: Track | None, named: Collection[Key]) -> tuple[Undetectable, ...]:
+def undetectable(search: Search, wanted: Wanted, along: Track | None, named: Collection[Key]) -> tuple[Undetectable, ...]:
     """For every effect with a size that is not `named`: the size s whose ½·I·s² nats would be enough.
 
     `named` are those that joined and what does the same in their place. I is the information on the size beside the free
@@ -45,23 +45,23 @@ def undetectable(found: Search, wanted: Wanted, along: Track | None, named: Coll
     """
     if along is None:
         return ()
-    keys = [k for k in proposed(found.best.model, wanted.effects, None, learned=False, held=False) if k not in named]
+    keys = [k for k in proposed(search.best.model, wanted.effects, None, learned=False, held=False) if k not in named]
     keys = [key for key in keys if find_effect(key.effect).sizes]
-    scale = noise_of(found.best, found)
-    each = side_by_side(lambda key: _smallest(key, found, scale, along, len(keys)), keys)
-    return tuple(one for one in each if one is not None)
+    scale = noise_of(search.best, search)
+    undetected = side_by_side(lambda key: _smallest(key, search, scale, along, len(keys)), keys)
+    return tuple(effect for effect in undetected if effect is not None)
 
 
-def _smallest(key: Key, found: Search, scale: Scale, along: Track, count: int) -> Undetectable | None:
+def _smallest(key: Key, search: Search, scale: Scale, along: Track, count: int) -> Undetectable | None:
     effect = find_effect(key.effect)
     first = starts(key, along)
     if not first:
         return None
     size, start = effect.sizes[0], first[-1]
     try:
-        model = found.best.model.with_effect(*key, effect.at_rest(start))
+        model = search.best.model.with_effect(*key, effect.at_rest(start))
         at = model.effects[-1]
-        information = _information(model, f"{at.label}.{size}", found, scale)
+        information = _information(model, f"{at.label}.{size}", search, scale)
     except BadInput:
         return None
     if not information > 0.0:
@@ -70,15 +70,15 @@ def _smallest(key: Key, found: Search, scale: Scale, along: Track, count: int) -
     return Undetectable(key.effect, key.target, {size: float(np.sqrt(2.0 * needed / information))}, at.parameters[size].unit)
 
 
-def _information(model: PhysicalModel, name: str, found: Search, scale: Scale) -> float:
+def _information(model: PhysicalModel, name: str, search: Search, scale: Scale) -> float:
     """On one parameter, the free ones of the best structure projected out; none where they do all that it does, or its slopes
     grow without bounds.
     """
-    last, simulator = found.court.last, Simulator(model)
-    states = found.best.structure.states[last.windows]
+    last, simulator = search.court.last, Simulator(model)
+    states = search.best.structure.states[last.windows]
     initial = [simulator.x0({n: v for n, v in s.items() if n in simulator.states}) for s in states]
-    steps = found.best.structure.steps[last.windows]
-    columns = [name, *found.best.model.free]
+    steps = search.best.structure.steps[last.windows]
+    columns = [name, *search.best.model.free]
     runs = simulator.run_each(last.parts, initial, simulator.p(), slopes=columns, substeps=steps)
     if runs.dY is None or not runs.bounded:
         return 0.0
@@ -90,40 +90,40 @@ def _information(model: PhysicalModel, name: str, found: Search, scale: Scale) -
         return 0.0
     Q, R = np.linalg.qr(J[:, 1:][:, size[1:] > 0.0] / size[1:][size[1:] > 0.0])
     Q = Q[:, np.abs(np.diag(R)) > 1e-9]
-    rest = J[:, 0] - Q @ (Q.T @ J[:, 0])
-    own = float(rest @ rest)
+    residual = J[:, 0] - Q @ (Q.T @ J[:, 0])
+    own = float(residual @ residual)
     return own if own > 1e-9 * float(size[0]) ** 2 else 0.0
 
 
-def next_experiments(found: Search, candidates: Sequence[Candidate]) -> tuple[NextExperiment, ...]:
+def next_experiments(search: Search, candidates: Sequence[Candidate]) -> tuple[NextExperiment, ...]:
     """Extra sensors and other input profiles, best first, for the leading candidate and what it cannot be told from.
 
     Both structures are simulated; the difference of their signals in units of noise, what their own free parameters can absorb
     taken out, is the non-centrality of a χ² test that tells them apart.
     """
-    pair = _rivals(found, candidates)
+    pair = _rivals(search, candidates)
     if pair is None:
         return ()
-    (key, first), (other, second) = pair
-    scale = noise_of(first, found)
+    (key, first), (rival, second) = pair
+    scale = noise_of(first, search)
 
     def power(experiments: Sequence[Experiment], only: int | None) -> float | None:
         return _power(first, second, experiments, scale, only)
 
-    return distinguishing((key.effect, other.effect), first.model, found.court.data.experiments, power)
+    return distinguishing((key.effect, rival.effect), first.model, search.court.data.experiments, power)
 
 
-def _rivals(found: Search, candidates: Sequence[Candidate]) -> tuple[tuple[Key, Judged], tuple[Key, Judged]] | None:
+def _rivals(search: Search, candidates: Sequence[Candidate]) -> tuple[tuple[Key, Judged], tuple[Key, Judged]] | None:
     if not candidates:
         return None
     first = candidates[0]
-    others = [
+    rivals = [
         c
         for c in candidates[1:]
         if c.step == 0 and (c.effect in first.indistinguishable_from or c.probability > WORTH_SEPARATING)
     ]
-    alone = {key: one for (key, *more), one in ((k, o) for k, o in found.every.items() if k) if not more}
-    rival = next((c for c in others if c.key in alone and c.key != first.key), None)
+    alone = {key: judged for (key, *more), judged in ((k, o) for k, o in search.every.items() if k) if not more}
+    rival = next((c for c in rivals if c.key in alone and c.key != first.key), None)
     if rival is None or first.key not in alone or rival.key.effect == HELD:
         return None
     return (first.key, alone[first.key]), (rival.key, alone[rival.key])
@@ -131,10 +131,10 @@ def _rivals(found: Search, candidates: Sequence[Candidate]) -> tuple[tuple[Key, 
 
 def _power(a: Judged, b: Judged, experiments: Sequence[Experiment], scale: Scale, only: int | None) -> float | None:
     """Power of the test on what the second structure's parameters cannot absorb; None when it could not be simulated."""
-    one, two = Simulator(a.model), Simulator(b.model)
+    simulator_a, two = Simulator(a.model), Simulator(b.model)
     rows, slopes = [], []
     for e in experiments:
-        x = one.run_vectors(e, one.x0(_first(a)), one.p()).Y
+        x = simulator_a.run_vectors(e, simulator_a.x0(_first(a)), simulator_a.p()).Y
         run = two.run_vectors(e, two.x0(_first(b)), two.p(), slopes=b.model.free)
         if run.dY is None or not (np.all(np.isfinite(x)) and run.finite):
             return None
@@ -146,7 +146,7 @@ def _power(a: Judged, b: Judged, experiments: Sequence[Experiment], scale: Scale
     return power_of_test(np.concatenate(rows), np.concatenate(slopes))
 
 
-def _first(one: Judged) -> dict[str, float]:
+def _first(judged: Judged) -> dict[str, float]:
     """First states of the first window on the last rung; those that it fixes stay."""
-    states = one.structure.states[min(one.structure.states)]
+    states = judged.structure.states[min(judged.structure.states)]
     return dict(states[0])

@@ -29,30 +29,30 @@ def with_asked(data: Data, keys: Sequence[Key], tell: Tell = untold, *, turn: bo
         The model diverges on the records, as it is or with one of the effects.
     """
     tell(0.0, "estimating the model as it is")
-    found = begun(climb_at_likelier_timing(data) if turn else climb(data))
+    search = begun(climb_at_likelier_timing(data) if turn else climb(data))
     for number, key in enumerate(keys):
         tell(0.1 + 0.8 * number / len(keys), f"adding {key.effect} to {key.target}")
-        after = _joined(found, key)
+        after = _joined(search, key)
         if after is None:
             raise NotIdentifiable(f"effect {key.effect!r} at {key.target!r}: the model diverges with it; {_OTHERWISE}")
-        found.best, found.every[after.keys] = after, after
-        if turn and (other := at_the_timing_it_suits(found)) is not None:
-            return with_asked(other, keys, tell, turn=False)
-        settled(found, [after])
-    return found
+        search.best, search.every[after.keys] = after, after
+        if turn and (retimed := at_the_timing_it_suits(search)) is not None:
+            return with_asked(retimed, keys, tell, turn=False)
+        settled(search, [after])
+    return search
 
 
-def _joined(found: Search, key: Key) -> Judged | None:
+def _joined(search: Search, key: Key) -> Judged | None:
     """The best structure with one effect more; None where it diverges from all first values."""
-    parent, court = found.best, found.court
+    parent, court = search.best, search.court
     along = followed(parent.model, court.data, parent.errors, court.last)
     if along is None:
         return None
     given = None if parent.keys else followed(court.data.model, court.data)
-    seen = glance(parent.structure, key, along, court, given)
-    if seen is None:
+    glanced = glance(parent.structure, key, along, court, given)
+    if glanced is None:
         return None
-    near = followed_on(seen)
-    lowest = min((fits[0] for fits in near.seen.values()), key=lambda one: one.mean)
+    near = followed_on(glanced)
+    lowest = min((fits[0] for fits in near.seen.values()), key=lambda fit: fit.mean)
     structure = Structure(near.keys, lowest.model, parent.structure.states, parent.structure.steps)
     return look(near, court) or court.judge(structure, steps=15, tolerance=1e-5)

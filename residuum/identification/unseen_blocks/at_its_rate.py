@@ -47,10 +47,10 @@ def searched(
 
 def at_its_rate(data: Data, seek: Callable[[Data], Search]) -> Search:
     """What is sought in data, at a lower rate that loses nothing; in noise, where every sample counts, at their own."""
-    found = seek(coarser(data))
-    if found.court.scale.nats and (finer := found.court.data.finer) is not None:
+    outcome = seek(coarser(data))
+    if outcome.court.scale.nats and (finer := outcome.court.data.finer) is not None:
         try:
             return seek(finer)
         except OutOfWork:
             left_out("the samples between those of a lower rate")
-    return found
+    return outcome

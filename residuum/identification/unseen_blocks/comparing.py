@@ -31,8 +31,8 @@ def share(before: FloatArray, after: FloatArray) -> tuple[float, float]:
     total = before.sum(axis=0)
     if not (total > 0.0).any():
         return 0.0, 0.0  # there was no error
-    each = ((before - after)[:, total > 0.0] / total[total > 0.0]).mean(axis=1)
-    return float(each.sum()), float(np.sqrt(len(each)) * each.std(ddof=1))
+    by_block = ((before - after)[:, total > 0.0] / total[total > 0.0]).mean(axis=1)
+    return float(by_block.sum()), float(np.sqrt(len(by_block)) * by_block.std(ddof=1))
 
 
 class OnBlocks(Protocol):
@@ -114,8 +114,8 @@ def is_real(new: Judged, old: Judged, base: Judged, scale: Scale, tried: int) ->
 
 def real_ones(ranked: Sequence[Judged], old: Judged, base: Judged, scale: Scale, tried: int) -> list[Judged]:
     """Those that are real, without rare ones that do no better than one that is less rare."""
-    real = [one for one in ranked if is_real(one, old, base, scale, tried)]
-    return [one for one in real if not any(other.rarity < one.rarity and other.cost <= one.cost for other in ranked)]
+    real = [fit for fit in ranked if is_real(fit, old, base, scale, tried)]
+    return [fit for fit in real if not any(rival.rarity < fit.rarity and rival.cost <= fit.cost for rival in ranked)]
 
 
 def is_nothing(left: Judged, base: Judged, scale: Scale) -> bool:
@@ -127,12 +127,12 @@ def simplest(ranked: Sequence[Judged], scale: Scale) -> Judged:
     """The fewest parameters among those that the best does not stand before; of what noise cannot tell apart the physics of a
     balance before the path of an input.
     """
-    lead = min(ranked, key=lambda one: one.cost)
+    lead = min(ranked, key=lambda rival: rival.cost)
     if scale.nats:
-        near = [one for one in ranked if one is lead or one.cost < lead.cost + TIE]
+        near = [rival for rival in ranked if rival is lead or rival.cost < lead.cost + TIE]
     else:
-        near = [one for one in ranked if one is lead or one.cost < 1.1 * lead.cost or _beside(one, lead, scale)]
-    chosen = min(near, key=lambda one: (one.parameters, one.cost))
+        near = [rival for rival in ranked if rival is lead or rival.cost < 1.1 * lead.cost or _beside(rival, lead, scale)]
+    chosen = min(near, key=lambda rival: (rival.parameters, rival.cost))
     return _physics_first(chosen, ranked, scale) if scale.nats else chosen
 
 
@@ -143,45 +143,45 @@ def _physics_first(chosen: Judged, ranked: Sequence[Judged], scale: Scale) -> Ju
     """
     least = chosen.cost - scale.price * chosen.parameters + TIE
     same = [
-        one
-        for one in ranked
-        if one.cost - scale.price * one.parameters < least
-        and one.rarity <= chosen.rarity
-        and len(one.keys) == len(chosen.keys) == len({*one.keys, *chosen.keys}) - 1
+        rival
+        for rival in ranked
+        if rival.cost - scale.price * rival.parameters < least
+        and rival.rarity <= chosen.rarity
+        and len(rival.keys) == len(chosen.keys) == len({*rival.keys, *chosen.keys}) - 1
     ]
-    return min([chosen, *same], key=lambda one: (_on_inputs(one), one.parameters, one.cost))
+    return min([chosen, *same], key=lambda rival: (_on_inputs(rival), rival.parameters, rival.cost))
 
 
-def _on_inputs(one: Judged) -> int:
-    return sum(key.effect != HELD and find_effect(key.effect).place == "input" for key in one.keys)
+def _on_inputs(candidate: Judged) -> int:
+    return sum(key.effect != HELD and find_effect(key.effect).place == "input" for key in candidate.keys)
 
 
-def _beside(one: Judged, lead: Judged, scale: Scale) -> bool:
-    mean, std = paired(lead, one, scale)
-    return mean < std and one.cost < 1.4 * lead.cost
+def _beside(rival: Judged, lead: Judged, scale: Scale) -> bool:
+    mean, std = paired(lead, rival, scale)
+    return mean < std and rival.cost < 1.4 * lead.cost
 
 
-def is_alike(other: Judged, chosen: Judged, before: Judged | None, scale: Scale) -> bool:
+def is_alike(rival: Judged, chosen: Judged, before: Judged | None, scale: Scale) -> bool:
     """Whether the data cannot tell another structure from the chosen one, both in the place of `before`."""
     if not scale.nats:
-        mean, std = paired(chosen, other, scale)
-        return mean <= 2.0 * std and other.cost < 1.5 * chosen.cost
+        mean, std = paired(chosen, rival, scale)
+        return mean <= 2.0 * std and rival.cost < 1.5 * chosen.cost
     # deletion has a scatter of its own: alike where seen or unseen blocks say so
-    difference = 0.5 * (other.power - chosen.power).sum(axis=1)
+    difference = 0.5 * (rival.power - chosen.power).sum(axis=1)
     doubt = float(difference.std(ddof=1) * np.sqrt(len(difference)))
     most = np.inf if before is None else 0.2 * (before.cost - chosen.cost)
-    return min(other.cost - chosen.cost, other.seen - chosen.seen) < max(TIE, min(doubt, most))
+    return min(rival.cost - chosen.cost, rival.seen - chosen.seen) < max(TIE, min(doubt, most))
 
 
 def going_on(ranked: Sequence[Judged], scale: Scale) -> list[Judged]:
     """Those that a next effect is tried beside: ties have to travel."""
     lead = ranked[0]
     if scale.nats:
-        return [one for one in ranked if one.cost < lead.cost + TIE][:BEAM]
-    near = [one for one in ranked if one is lead or one.cost < 1.2 * lead.cost or _within_three(one, lead, scale)]
+        return [rival for rival in ranked if rival.cost < lead.cost + TIE][:BEAM]
+    near = [rival for rival in ranked if rival is lead or rival.cost < 1.2 * lead.cost or _within_three(rival, lead, scale)]
     return near[:BEAM]
 
 
-def _within_three(one: Judged, lead: Judged, scale: Scale) -> bool:
-    mean, std = paired(lead, one, scale)
+def _within_three(rival: Judged, lead: Judged, scale: Scale) -> bool:
+    mean, std = paired(lead, rival, scale)
     return mean < 3.0 * std

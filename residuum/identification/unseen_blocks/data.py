@@ -100,18 +100,18 @@ class Data:
 
     def times_of(self, block: int) -> tuple[float, float]:
         """Begin and end of a block [s], in its record's time."""
-        each = self.blocks // len(self.experiments)
-        e, k = self.experiments[block // each], block % each
-        return tuple(e.t0 + e.sample_time * np.ceil(e.n * edge / each) for edge in (k, k + 1))
+        per_experiment = self.blocks // len(self.experiments)
+        e, k = self.experiments[block // per_experiment], block % per_experiment
+        return tuple(e.t0 + e.sample_time * np.ceil(e.n * edge / per_experiment) for edge in (k, k + 1))
 
     def rows(self, rung: Rung) -> Integers:
         """Of each row of a rung the row among all experiments, one after the other."""
         begins = np.cumsum([0, *(e.n for e in self.experiments)])
-        found = []
+        indices = []
         for part, number in zip(rung.parts, rung.experiment, strict=True):
             e = self.experiments[number]
-            found.append(begins[number] + round((part.t0 - e.t0) / e.sample_time) + np.arange(part.n))
-        return np.concatenate(found)
+            indices.append(begins[number] + round((part.t0 - e.t0) / e.sample_time) + np.arange(part.n))
+        return np.concatenate(indices)
 
 
 def matched(model: PhysicalModel, records: Sequence[Record], mapping: Mapping[str, str] | None) -> Data:
@@ -147,8 +147,8 @@ def data_of(model: PhysicalModel, experiments: list[Experiment]) -> Data:
     spread[measured] = np.nanstd(Y[:, measured], axis=0)
     spread[~(spread > 0.0)] = 1.0
     shortest = min(e.n for e in experiments)
-    each, fold = folds_of(len(experiments), shortest)
-    rungs = tuple(_rung(experiments, k, each) for k in LADDER if shortest // k >= WINDOW_SAMPLES or k == LADDER[-1])
+    per_experiment, fold = folds_of(len(experiments), shortest)
+    rungs = tuple(_rung(experiments, k, per_experiment) for k in LADDER if shortest // k >= WINDOW_SAMPLES or k == LADDER[-1])
     return Data(model, experiments, measured, spread, rungs, fold)
 
 
@@ -156,10 +156,10 @@ def folds_of(count: int, shortest: int) -> tuple[int, Integers]:
     """How many blocks each of so many experiments has, the shortest with so many samples, and which blocks are left out together
     (blocks,).
     """
-    each = BLOCKS if count == 1 else FOLDS * -(-BLOCKS // (FOLDS * count))
-    each = max(FOLDS, min(each, FOLDS * (shortest // (FOLDS * BLOCK_SAMPLES))))
-    block = np.arange(each * count)
-    return each, (block // each if count >= FOLDS - 1 else block) % FOLDS  # whole records where there are several
+    blocks = BLOCKS if count == 1 else FOLDS * -(-BLOCKS // (FOLDS * count))
+    blocks = max(FOLDS, min(blocks, FOLDS * (shortest // (FOLDS * BLOCK_SAMPLES))))
+    block = np.arange(blocks * count)
+    return blocks, (block // blocks if count >= FOLDS - 1 else block) % FOLDS  # whole records where there are several
 
 
 def _rung(experiments: Sequence[Experiment], count: int, blocks: int) -> Rung:

@@ -53,11 +53,11 @@ def followed(model: PhysicalModel, data: Data, errors: FloatArray | None = None,
     `errors` (rows, outputs) are those of its simulation on a rung, where they are known.
     """
     kalman, simulator = Filter(model, first_noise(model, data.experiments)), Simulator(model)
-    found = [kalman.run(e, simulator.x0(e.known)) for e in data.experiments]
-    if not all(np.all(np.isfinite(s.X)) and all(np.all(np.isfinite(m.value)) for m in s.missing.values()) for s in found):
+    smoothed = [kalman.run(e, simulator.x0(e.known)) for e in data.experiments]
+    if not all(np.all(np.isfinite(s.X)) and all(np.all(np.isfinite(m.value)) for m in s.missing.values()) for s in smoothed):
         return None
-    lacks = [{b: s.missing[b].value if b in s.missing else np.zeros(len(s.X)) for b in model.balances} for s in found]
-    along = joined(model, data.experiments, [s.X for s in found], lacks)
+    lacks = [{b: s.missing[b].value if b in s.missing else np.zeros(len(s.X)) for b in model.balances} for s in smoothed]
+    along = joined(model, data.experiments, [s.X for s in smoothed], lacks)
     if errors is not None and rung is not None:
         along.errors[data.rows(rung)] = np.nan_to_num(errors)
     return along
@@ -79,8 +79,8 @@ def joined(
 
 
 def _joined(experiments: Sequence[Experiment]) -> Experiment:
-    first, *others = experiments
-    names = [n for n, s in first.spare.items() if all(n in e.spare and e.spare[n].unit == s.unit for e in others)]
+    first, *later = experiments
+    names = [n for n, s in first.spare.items() if all(n in e.spare and e.spare[n].unit == s.unit for e in later)]
     spare: dict[str, Spare] = {
         n: replace(first.spare[n], values=np.concatenate([e.spare[n].values for e in experiments])) for n in names
     }
@@ -99,29 +99,29 @@ def regressed(key: Key, start: Mapping[str, float], along: Track) -> tuple[float
         return None
     few, place = along.thinned, place_of(key.target)
     own = own_terms(model, place, few)
-    rest = beside(own, few.missing[place])
+    lack = beside(own, few.missing[place])
     sizes = {n: start[n] for n in effect.sizes if start.get(n)}
     columns = {n: c for n in sizes if (c := _column(key, start, n, few)) is not None and np.any(c)}
     columns = {n: beside(own, c) for n, c in columns.items()}
     known = {p.name: p for p in effect.parameters(model.site(key.target, effect))}
-    found, power = _inside_bounds(columns, rest, sizes, known), float(rest @ rest)
-    if found is None or not power > 0.0:
+    solution, power = _inside_bounds(columns, lack, sizes, known), float(lack @ lack)
+    if solution is None or not power > 0.0:
         return None
-    values, left = found
+    values, left = solution
     return 1.0 - float(left @ left) / power, model.with_effect(*key, dict(start) | dict.fromkeys(sizes, 0.0) | values)
 
 
 def _inside_bounds(
-    columns: Mapping[str, FloatArray], rest: FloatArray, sizes: Mapping[str, float], known: Mapping[str, Parameter]
+    columns: Mapping[str, FloatArray], lack: FloatArray, sizes: Mapping[str, float], known: Mapping[str, Parameter]
 ) -> tuple[dict[str, float], FloatArray] | None:
-    """Values whose columns come nearest to `rest`, without those that would lie outside their bounds, and what is left of it."""
+    """Values whose columns come nearest to `lack`, without those that would lie outside their bounds, and what is left of it."""
     while columns:
         C = np.column_stack(list(columns.values()))
-        factors = np.linalg.lstsq(C, rest, rcond=None)[0]
+        factors = np.linalg.lstsq(C, lack, rcond=None)[0]
         values = {n: float(f * sizes[n]) for n, f in zip(columns, factors, strict=True)}
         outside = [n for n, value in values.items() if not known[n].lower < value < known[n].upper]
         if not outside:
-            return values, rest - C @ factors
+            return values, lack - C @ factors
         columns = {n: c for n, c in columns.items() if n not in outside}
     return None
 

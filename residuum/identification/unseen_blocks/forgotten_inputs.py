@@ -17,9 +17,9 @@ from residuum.identification.unseen_blocks.tried import Wanted
 
 def _check_fitting(model: PhysicalModel, wanted: Wanted) -> None:
     """BadModel for an effect that was asked for, is not in the model, and can act nowhere in it, whatever columns there are."""
-    there = {use.id for use in model.effects}
+    present = {use.id for use in model.effects}
     for id in wanted.effects or ():
-        if id not in there and not find_effect(id).takes_columns:
+        if id not in present and not find_effect(id).takes_columns:
             fitting(model, id)
 
 

@@ -119,28 +119,28 @@ class BlockTerm:
     evidence: float
 
 
-def free_terms(one: Judged, court: Court) -> list[BlockTerm]:
+def free_terms(parent: Judged, court: Court) -> list[BlockTerm]:
     """Every free term beside a structure, the best first; none where the model diverges or has nowhere to put one."""
-    last, found = court.last, court.begun(one.structure)
-    at = None if found is None else equations(found, last, court.scale)
-    if found is None or at is None:
+    last, fit = court.last, court.begun(parent.structure)
+    at = None if fit is None else equations(fit, last, court.scale)
+    if fit is None or at is None:
         return []
-    each = zip(last.parts, found.initial, found.substeps, strict=True)
-    responses = [linear_response(found.model, e, x, s) for e, x, s in each]
+    runs = zip(last.parts, fit.initial, fit.substeps, strict=True)
+    responses = [linear_response(fit.model, e, x, s) for e, x, s in runs]
     if not all(np.all(np.isfinite(r.F)) and np.all(np.isfinite(r.C)) for r in responses):
         return []
     kernel = at
 
     def judged(term: tuple[str, str, FloatArray, list[FloatArray]]) -> BlockTerm:
-        return _judged(term, one, court, kernel, responses)
+        return _judged(term, parent, court, kernel, responses)
 
-    terms = list(_terms(found.model, last.parts, responses))
+    terms = list(_terms(fit.model, last.parts, responses))
     return sorted(side_by_side(judged, terms), key=lambda term: term.cost)
 
 
 def _judged(
     term: tuple[str, str, FloatArray, list[FloatArray]],
-    one: Judged,
+    parent: Judged,
     court: Court,
     at: Equations,
     responses: Sequence[LinearResponse],
@@ -152,13 +152,13 @@ def _judged(
     columns = scale.whitened(columns * scale.weights[:, None], at.starts)[:, measured]
     columns[~at.known] = 0.0
     extra, clip = at.beside_states(columns), scale.clip[measured]
-    each = (at.unseen(last.block, court.data.fold, more) for more in (None, extra))
-    before, after = (summed(np.where(at.known, np.clip(e, -clip, clip), 0.0) ** 2, last, court.data.blocks) for e in each)
-    power = one.power * after / np.maximum(before, 1e-300)  # both by the equations alone, which know no fold's own simulation
-    parameters = one.parameters + len(knots)
-    unit = one.model.balances[balance].unit
-    found = BlockTerm(balance, axis, unit, knots, at.step(extra), power, parameters, scale.cost(power, parameters), 0.0)
-    return replace(found, evidence=evidence(found, one, scale))
+    errors = (at.unseen(last.block, court.data.fold, more) for more in (None, extra))
+    before, after = (summed(np.where(at.known, np.clip(e, -clip, clip), 0.0) ** 2, last, court.data.blocks) for e in errors)
+    power = parent.power * after / np.maximum(before, 1e-300)  # both by the equations alone, which know no fold's own simulation
+    parameters = parent.parameters + len(knots)
+    unit = parent.model.balances[balance].unit
+    free_term = BlockTerm(balance, axis, unit, knots, at.step(extra), power, parameters, scale.cost(power, parameters), 0.0)
+    return replace(free_term, evidence=evidence(free_term, parent, scale))
 
 
 def _terms(

@@ -150,9 +150,9 @@ def moved(T: FloatArray, e: FloatArray, row_fold: Integers) -> dict[int, FloatAr
 
 def normal_equations(T: FloatArray, e: FloatArray, row_fold: Integers) -> tuple[FloatArray, FloatArray]:
     """TᵀT (folds, q, q) and Tᵀe (folds, q) of slopes T (rows, outputs, q) and errors e (rows, outputs), by fold of rows."""
-    each = [(T[at], e[at]) for at in (row_fold == k for k in np.unique(row_fold))]
-    H = np.array([np.einsum("roi,roj->ij", t, t) for t, _ in each])
-    return H, np.array([np.einsum("roi,ro->i", t, r) for t, r in each])
+    by_fold = [(T[at], e[at]) for at in (row_fold == k for k in np.unique(row_fold))]
+    H = np.array([np.einsum("roi,roj->ij", t, t) for t, _ in by_fold])
+    return H, np.array([np.einsum("roi,ro->i", t, r) for t, r in by_fold])
 
 
 def steps_without(H: FloatArray, g: FloatArray, damping: float) -> list[FloatArray]:
@@ -162,12 +162,12 @@ def steps_without(H: FloatArray, g: FloatArray, damping: float) -> list[FloatArr
     return [solve_scaled(all_H - h + ridge, (all_g - b)[:, None], 1e-10)[:, 0] for h, b in zip(H, g, strict=True)]
 
 
-def equations(found: Fit, rung: Rung, scale: Scale) -> Equations | None:
+def equations(fit: Fit, rung: Rung, scale: Scale) -> Equations | None:
     """Errors and slopes of a fit; None where it diverges."""
-    simulator, model = found.problem.simulator, found.model
+    simulator, model = fit.problem.simulator, fit.model
     names, free_states = list(model.free), [f"initial:{name}" for name in simulator.free_states]
     columns = [*names, *free_states]
-    runs = simulator.run_each(rung.parts, found.initial, found.problem.p(found.theta), slopes=columns, substeps=found.substeps)
+    runs = simulator.run_each(rung.parts, fit.initial, fit.problem.p(fit.theta), slopes=columns, substeps=fit.substeps)
     if not runs.bounded:
         return None
     starts, measured = rung.starts.tolist(), scale.weights > 0.0
@@ -188,14 +188,14 @@ def equations(found: Fit, rung: Rung, scale: Scale) -> Equations | None:
     return replace(at, slopes=at.beside_states(T))
 
 
-def judged(structure: Structure, found: Fit, rung: Rung, data: Data, scale: Scale, *, steps: int = 1) -> Judged | None:
+def judged(structure: Structure, fit: Fit, rung: Rung, data: Data, scale: Scale, *, steps: int = 1) -> Judged | None:
     """The structure's errors on unseen blocks, from its fit on a rung in that scale; None where it diverges.
 
     So many steps to the values without each fold are simulated.
     """
     measured, starts = scale.weights > 0.0, rung.starts.tolist()
     row_fold, cell_fold = data.fold[rung.block], data.fold[rung.cells.block]
-    errors = np.concatenate(found.residuals)
+    errors = np.concatenate(fit.residuals)
     known = np.isfinite(errors)[:, measured]
 
     def in_scale(rows: FloatArray) -> FloatArray:
@@ -204,9 +204,9 @@ def judged(structure: Structure, found: Fit, rung: Rung, data: Data, scale: Scal
 
     unseen, left = errors.copy(), np.zeros(known.shape)
     for fold in np.unique(cell_fold).tolist():
-        at, there = row_fold == fold, np.concatenate(found.without(cell_fold == fold, DAMPING, steps).residuals)
-        unseen[at], left[at] = there[at], in_scale(there)[at]
-    power, seen = (summed(each**2, rung, data.blocks) for each in (left, in_scale(errors)))
+        at, fold_errors = row_fold == fold, np.concatenate(fit.without(cell_fold == fold, DAMPING, steps).residuals)
+        unseen[at], left[at] = fold_errors[at], in_scale(fold_errors)[at]
+    power, seen_power = (summed(scaled**2, rung, data.blocks) for scaled in (left, in_scale(errors)))
     if not np.all(np.isfinite(power)):
         return None
     model = structure.model
@@ -215,7 +215,7 @@ def judged(structure: Structure, found: Fit, rung: Rung, data: Data, scale: Scal
     squares, count = np.zeros((2, data.blocks, len(measured)))
     squares[:, measured] = summed(np.where(known, np.nan_to_num(unseen[:, measured]), 0.0) ** 2, rung, data.blocks)
     count[:, measured] = summed(known.astype(float), rung, data.blocks)
-    cost, seen_cost = scale.cost(power, parameters), scale.cost(seen, parameters)
+    cost, seen_cost = scale.cost(power, parameters), scale.cost(seen_power, parameters)
     return Judged(structure, parameters, power, left, cost, seen_cost, squares, count, errors)
 
 

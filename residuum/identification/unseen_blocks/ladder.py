@@ -47,21 +47,21 @@ def climb(data: Data) -> Climbed:
         The model diverges on every rung.
     """
     scale = plain(data)
-    structure, last, found = Structure((), data.model, {}, {}), None, None
-    each: dict[int, FloatArray] = {}
+    structure, last, fit = Structure((), data.model, {}, {}), None, None
+    powers: dict[int, FloatArray] = {}
     for rung in data.rungs:
-        here = _fitted(structure, data.model, rung, last, scale)
-        if here is None or (last is not None and here.mean > RUNG_ERROR and not _is_forgotten(here, data.model, rung, scale)):
+        trial = _fitted(structure, data.model, rung, last, scale)
+        if trial is None or (last is not None and trial.mean > RUNG_ERROR and not _is_forgotten(trial, data.model, rung, scale)):
             continue
-        structure, last, found = structure.at(rung, here), rung, here
-        each[rung.windows] = np.array([np.nanmean((r * scale.weights) ** 2) for r in here.residuals])
-    if last is None or found is None:
+        structure, last, fit = structure.at(rung, trial), rung, trial
+        powers[rung.windows] = np.array([np.nanmean((r * scale.weights) ** 2) for r in trial.residuals])
+    if last is None or fit is None:
         raise NotIdentifiable(f"model {data.model.name!r}: diverges on the records, also in short windows; {MAY_DIVERGE}")
     ordered = [rung for rung in data.rungs if rung.windows in structure.states]
-    scale = clipped(scale, found.residuals, last)
-    found = found.in_unit(scale).descended(6, 1e-4)
+    scale = clipped(scale, fit.residuals, last)
+    fit = fit.in_unit(scale).descended(6, 1e-4)
     middle = ordered[min(1, len(ordered) - 1)]
-    return Climbed(data, structure.at(last, found), found, last, middle, scale, each[middle.windows])
+    return Climbed(data, structure.at(last, fit), fit, last, middle, scale, powers[middle.windows])
 
 
 def _fitted(structure: Structure, first: PhysicalModel, rung: Rung, last: Rung | None, scale: Scale) -> Fit | None:
@@ -74,8 +74,8 @@ def _fitted(structure: Structure, first: PhysicalModel, rung: Rung, last: Rung |
         }
         states = [known.get((number, part.t0), {}) for number, part in zip(rung.experiment, rung.parts, strict=True)]
         begins = [(structure.model, states), (structure.model, None), *begins]
-    each = [fitted(model, rung, states, scale, steps=20, tolerance=1e-4) for model, states in begins]
-    return min((one for one in each if one is not None), key=lambda one: one.cost, default=None)
+    fits = [fitted(model, rung, states, scale, steps=20, tolerance=1e-4) for model, states in begins]
+    return min((fit for fit in fits if fit is not None), key=lambda fit: fit.cost, default=None)
 
 
 def climb_at_likelier_timing(data: Data) -> Climbed:
@@ -85,27 +85,27 @@ def climb_at_likelier_timing(data: Data) -> Climbed:
     controller answers the noise, inputs were held. All inputs are turned at once, then each of several alone.
     """
 
-    def climbed(one: Data) -> Climbed | NotIdentifiable:
+    def climbed(variant: Data) -> Climbed | NotIdentifiable:
         try:
-            return climb(one)
+            return climb(variant)
         except NotIdentifiable as diverges:
             return diverges
 
-    found = side_by_side(climbed, [data, turned(data)])
-    known = [one for one in found if isinstance(one, Climbed)]
+    climbs = side_by_side(climbed, [data, turned(data)])
+    known = [variant for variant in climbs if isinstance(variant, Climbed)]
     if not known:
-        raise next(one for one in found if isinstance(one, NotIdentifiable))
-    held = [one for one in known if not any(e.hold.any() for e in one.data.experiments)]
+        raise next(variant for variant in climbs if isinstance(variant, NotIdentifiable))
+    held = [variant for variant in known if not any(e.hold.any() for e in variant.data.experiments)]
     if len(known) > 1 and held and feeds_back(held[0].found.model, held[0].last.parts, held[0].found.residuals):
         return held[0]
     best = min(known, key=_preference)
-    here = innovations_on(best.last, best.found.model, best.structure, best.scale)
+    innovation = innovations_on(best.last, best.found.model, best.structure, best.scale)
     likelier = [
         data
         for data in one_turned(best.data)
-        if innovations_on(data.rung(best.last.windows), best.found.model, best.structure, best.scale) < here
+        if innovations_on(data.rung(best.last.windows), best.found.model, best.structure, best.scale) < innovation
     ]
-    alone = [one for one in side_by_side(climbed, likelier) if isinstance(one, Climbed)]
+    alone = [variant for variant in side_by_side(climbed, likelier) if isinstance(variant, Climbed)]
     return min([best, *alone], key=_preference)
 
 
@@ -121,23 +121,23 @@ def _preference(climbed: Climbed) -> tuple[int, float]:
     return climbed.last.windows, innovations_of(climbed.found.residuals)
 
 
-def _is_forgotten(found: Fit, first: PhysicalModel, rung: Rung, scale: Scale) -> bool:
+def _is_forgotten(fit: Fit, first: PhysicalModel, rung: Rung, scale: Scale) -> bool:
     """Whether first states are forgotten within a window, with the values that were fitted or as they were given: short windows
     that a model cannot follow are fitted by one that stands still, and forgets nothing.
     """
-    if _forgets(found, rung):
+    if _forgets(fit, rung):
         return True
     given = at_start(first, rung, None, scale)
     return given is not None and _forgets(given, rung)
 
 
-def _forgets(found: Fit, rung: Rung) -> bool:
+def _forgets(fit: Fit, rung: Rung) -> bool:
     """Whether first states are forgotten within a window by that fit."""
-    simulator = found.problem.simulator
+    simulator = fit.problem.simulator
     names = [f"initial:{name}" for name in simulator.free_states]
     if not names:
         return True
-    runs = simulator.run_each(rung.parts, found.initial, found.problem.p(found.theta), slopes=names, substeps=found.substeps)
+    runs = simulator.run_each(rung.parts, fit.initial, fit.problem.p(fit.theta), slopes=names, substeps=fit.substeps)
     slopes = [np.abs(run.dY) for run in runs if run.dY is not None]
     late, peak = np.array([s[-1].max(axis=0) for s in slopes]), np.array([s.max(axis=(0, 1)) for s in slopes])
     return bool(np.median(late / np.maximum(peak, 1e-300), axis=0).max() < FORGETS)

@@ -57,8 +57,8 @@ class Court:
         """The structure fitted on the last rung, and judged there; None where it diverges."""
         k = self.last.windows
         known, taken = structure.states.get(k), structure.steps.get(k)
-        found = fitted(structure.model, self.last, known, self.scale, steps=steps, tolerance=tolerance, substeps=taken)
-        return None if found is None else self.judge_fit(structure, found)
+        fit = fitted(structure.model, self.last, known, self.scale, steps=steps, tolerance=tolerance, substeps=taken)
+        return None if fit is None else self.judge_fit(structure, fit)
 
     def begun(self, structure: Structure, model: PhysicalModel | None = None) -> Fit | None:
         """A structure that was found on the last rung, or a model that has more than it, at its own values there; None where that
@@ -67,9 +67,9 @@ class Court:
         k = self.last.windows
         return at_start(model or structure.model, self.last, structure.states[k], self.scale, structure.steps[k])
 
-    def judge_fit(self, structure: Structure, found: Fit) -> Judged | None:
+    def judge_fit(self, structure: Structure, fit: Fit) -> Judged | None:
         """The structure judged by a fit on the last rung."""
-        return judged(structure.at(self.last, found), found, self.last, self.data, self.scale)
+        return judged(structure.at(self.last, fit), fit, self.last, self.data, self.scale)
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,43 +106,43 @@ def glance(parent: Structure, key: Key, along: Track, court: Court, given: Track
     `given` is the track of the model as it was given: what is missing may have driven the values that were fitted far away.
     """
     first = beginnings(key, along) + ([] if given is None else beginnings(key, given))
-    seen: dict[str, Sequence[Fit]] = {}
+    by_kind: dict[str, Sequence[Fit]] = {}
     for kind in court.kinds:
-        rung, which = (court.last, range(len(court.last.parts))) if kind == LONG else court.short
-        states = [parent.states[rung.windows][k] for k in which]
-        steps = [parent.steps[rung.windows][k] for k in which]
-        begun = [one for model in first if (one := at_start(model, rung, states, court.scale, steps)) is not None]
-        begun.sort(key=lambda one: one.cost - one.promised(*one.step(damping=PROMISING)))
-        if each := [one.descended(1, 0.0) for one in begun[:FOLLOWED_STARTS]]:
-            seen[kind] = sorted(each, key=lambda one: one.cost)
-    return Glance(parent, key, seen, _sizes(key, along, first, seen), along) if seen else None
+        rung, windows = (court.last, range(len(court.last.parts))) if kind == LONG else court.short
+        states = [parent.states[rung.windows][k] for k in windows]
+        steps = [parent.steps[rung.windows][k] for k in windows]
+        begun = [fit for model in first if (fit := at_start(model, rung, states, court.scale, steps)) is not None]
+        begun.sort(key=lambda fit: fit.cost - fit.promised(*fit.step(damping=PROMISING)))
+        if stepped := [fit.descended(1, 0.0) for fit in begun[:FOLLOWED_STARTS]]:
+            by_kind[kind] = sorted(stepped, key=lambda fit: fit.cost)
+    return Glance(parent, key, by_kind, _sizes(key, along, first, by_kind), along) if by_kind else None
 
 
-def _sizes(key: Key, along: Track, first: Sequence[PhysicalModel], seen: Mapping[str, Sequence[Fit]]) -> dict[str, list[float]]:
+def _sizes(key: Key, along: Track, first: Sequence[PhysicalModel], looks: Mapping[str, Sequence[Fit]]) -> dict[str, list[float]]:
     """Magnitudes of an effect's values: as they are proposed, regressed, and after a step."""
-    models = [*first, *(one.model for fits in seen.values() for one in fits)]
+    models = [*first, *(fit.model for fits in looks.values() for fit in fits)]
     known = [*(starts(key, along) if key.effect != HELD else ()), *(_values(model, key) for model in models)]
     return {name: [abs(values[name]) for values in known if name in values] for name in known[-1]} if known else {}
 
 
-def followed_on(seen: Glance) -> Glance:
+def followed_on(view: Glance) -> Glance:
     """The glance after two steps more."""
-    each = {kind: [one.descended(2, 1e-3) for one in fits] for kind, fits in seen.seen.items()}
-    return replace(seen, seen={kind: sorted(fits, key=lambda one: one.cost) for kind, fits in each.items()})
+    by_kind = {kind: [fit.descended(2, 1e-3) for fit in fits] for kind, fits in view.seen.items()}
+    return replace(view, seen={kind: sorted(fits, key=lambda fit: fit.cost) for kind, fits in by_kind.items()})
 
 
-def look(seen: Glance, court: Court) -> Judged | None:
+def look(view: Glance, court: Court) -> Judged | None:
     """The full fit from the best of each kind of glance; the best one judged.
 
     None where all diverge, or their values refuse them.
     """
-    found: list[Fit] = []
-    for kind, fits in seen.seen.items():
-        for one in fits[: FOLLOWED_STARTS if court.scale.nats else 1]:  # small effects of the wrong shape mislead
-            ends = [one, descended(one, steps=15, tolerance=1e-4)] if court.scale.nats and kind == SHORT else [one]
-            each = ends if kind == LONG else [_on_the_last_rung(end.model, seen.parent, court) for end in ends]
-            found += [here for here in each if here is not None]
-    return _lowest(found, Structure(seen.keys, seen.parent.model, seen.parent.states, seen.parent.steps), seen, court)
+    candidates: list[Fit] = []
+    for kind, fits in view.seen.items():
+        for fit in fits[: FOLLOWED_STARTS if court.scale.nats else 1]:  # small effects of the wrong shape mislead
+            ends = [fit, descended(fit, steps=15, tolerance=1e-4)] if court.scale.nats and kind == SHORT else [fit]
+            rung_fits = ends if kind == LONG else [_on_the_last_rung(end.model, view.parent, court) for end in ends]
+            candidates += [rung_fit for rung_fit in rung_fits if rung_fit is not None]
+    return _lowest(candidates, Structure(view.keys, view.parent.model, view.parent.states, view.parent.steps), view, court)
 
 
 def _on_the_last_rung(model: PhysicalModel, near: Structure, court: Court) -> Fit | None:
@@ -150,27 +150,27 @@ def _on_the_last_rung(model: PhysicalModel, near: Structure, court: Court) -> Fi
     return at_start(model, court.last, near.states.get(k), court.scale, near.steps.get(k))
 
 
-def follow(models: Sequence[PhysicalModel], seen: Glance, near: Structure, court: Court) -> Judged | None:
+def follow(models: Sequence[PhysicalModel], view: Glance, near: Structure, court: Court) -> Judged | None:
     """The lowest of the full fits from other first values of what was glanced at."""
-    found = [one for model in models if (one := _on_the_last_rung(model, near, court)) is not None]
-    return _lowest(found, Structure(seen.keys, near.model, near.states, near.steps), seen, court)
+    fits = [fit for model in models if (fit := _on_the_last_rung(model, near, court)) is not None]
+    return _lowest(fits, Structure(view.keys, near.model, near.states, near.steps), view, court)
 
 
-def _lowest(begun: Sequence[Fit], structure: Structure, seen: Glance, court: Court) -> Judged | None:
+def _lowest(begun: Sequence[Fit], structure: Structure, view: Glance, court: Court) -> Judged | None:
     """The lowest of the full fits from where these begin, judged; without those whose values refuse them."""
     tolerance = 1e-6 if court.scale.nats else 1e-4
-    each = [descended(one, steps=15, tolerance=tolerance) for one in begun]
-    each += [back for one in each if (back := called_back(one, structure, court)) is not None]
-    good = [one for one in each if not _is_refused(one.model, seen, court)]
-    return court.judge_fit(structure, min(good, key=lambda one: one.cost)) if good else None
+    fits = [descended(fit, steps=15, tolerance=tolerance) for fit in begun]
+    fits += [back for fit in fits if (back := called_back(fit, structure, court)) is not None]
+    good = [fit for fit in fits if not _is_refused(fit.model, view, court)]
+    return court.judge_fit(structure, min(good, key=lambda fit: fit.cost)) if good else None
 
 
-def called_back(found: Fit, near: Structure, court: Court) -> Fit | None:
+def called_back(fit: Fit, near: Structure, court: Court) -> Fit | None:
     """The fit once more with the model's values that ran off put back to where they were given; None where none did.
 
     What is missing drives a value away (a resistance to infinity), and from there nothing draws it back when the effect is there.
     """
-    given, model = court.data.model.parameters, found.model
+    given, model = court.data.model.parameters, fit.model
     off = {
         name: p.value
         for name, p in given.items()
@@ -180,8 +180,8 @@ def called_back(found: Fit, near: Structure, court: Court) -> Fit | None:
     return None if begun is None else descended(begun, steps=15, tolerance=1e-6 if court.scale.nats else 1e-4)
 
 
-def _is_refused(model: PhysicalModel, seen: Glance, court: Court) -> bool:
-    return _is_absurd(model, seen) or not shows(model, seen.along, court.last)
+def _is_refused(model: PhysicalModel, view: Glance, court: Court) -> bool:
+    return _is_absurd(model, view) or not shows(model, view.along, court.last)
 
 
 def _values(model: PhysicalModel, key: Key) -> dict[str, float]:
@@ -202,10 +202,10 @@ def shows(model: PhysicalModel, along: Track, rung: Rung) -> bool:
     )
 
 
-def _is_absurd(model: PhysicalModel, seen: Glance) -> bool:
+def _is_absurd(model: PhysicalModel, view: Glance) -> bool:
     """Whether a value left all its first values: a ripple without a period is a load."""
-    for name, value in _values(model, seen.key).items():
-        known = [v for v in seen.sizes.get(name, ()) if v > 0]
+    for name, value in _values(model, view.key).items():
+        known = [v for v in view.sizes.get(name, ()) if v > 0]
         if known and (abs(value) > ABSURD * max(known) or 0 < abs(value) < min(known) / (100.0 * ABSURD)):
             return True
     return not np.all(np.isfinite(list(model.values.values())))

@@ -67,13 +67,13 @@ def distinguishing(
     same would do.
     """
     measured = np.any([e.measured for e in experiments], axis=0)
-    found = {
+    powers = {
         f"also record {name} [{output.unit}]": power(experiments, o)
         for o, (name, output) in enumerate(model.outputs.items())
         if not measured[o]
     }
-    found |= {do: power(profile, None) for do, profile in _profiles(model, experiments).items()}
-    proposals = [NextExperiment(do, separates, p) for do, p in found.items() if p is not None]
+    powers |= {do: power(profile, None) for do, profile in _profiles(model, experiments).items()}
+    proposals = [NextExperiment(do, separates, p) for do, p in powers.items() if p is not None]
     best = sorted(proposals, key=lambda p: -p.power)[:MOST_PROPOSALS]
     times = _times_as_much(power(experiments, None))
     more = [] if times is None else [NextExperiment(f"record {times} times as much of the same", separates, POWER_WANTED)]
@@ -87,8 +87,8 @@ def power_of_test(r: FloatArray, J: FloatArray) -> float:
     size = np.linalg.norm(J, axis=0)
     u, s, _ = np.linalg.svd(J[:, size > 0] / size[size > 0], full_matrices=False)
     u = u[:, s > 1e-9 * s.max(initial=0.0)]
-    rest = r - u @ (u.T @ r)
-    return _exceeds(NormalDist().inv_cdf(1.0 - DISTINCTION_LEVEL / 2.0), float(np.sqrt(rest @ rest)))
+    residual = r - u @ (u.T @ r)
+    return _exceeds(NormalDist().inv_cdf(1.0 - DISTINCTION_LEVEL / 2.0), float(np.sqrt(residual @ residual)))
 
 
 def _times_as_much(power: float | None) -> int | None:

@@ -50,24 +50,24 @@ def pairs(parent: Judged, keys: Iterable[Key], along: Track, court: Court) -> li
     own = None if begun is None else equations(begun, court.last, court.scale)
     if own is None or not own.errors.any():  # nothing is left that a pair could explain
         return []
-    there = each_beside(lambda key: _at_rest(key, parent, along, court), list(keys))
-    slopes = [one for shapes in there for one in shapes]
+    by_effect = each_beside(lambda key: _at_rest(key, parent, along, court), list(keys))
+    slopes = [trial for shapes in by_effect for trial in shapes]
     unit = np.ones(own.errors.shape[1]) if court.scale.unit is None else np.maximum(court.scale.unit, 1e-300)
-    T = np.concatenate([own.slopes, *(one.columns for one in slopes)], axis=2) / np.sqrt(unit)[:, None]
+    T = np.concatenate([own.slopes, *(trial.columns for trial in slopes)], axis=2) / np.sqrt(unit)[:, None]
     H, g = normal_equations(T, own.errors * own.huber / np.sqrt(unit), court.data.fold[court.last.block])
-    places = np.split(np.arange(T.shape[2]), np.cumsum([own.slopes.shape[2], *(len(one.names) for one in slopes)])[:-1])
+    places = np.split(np.arange(T.shape[2]), np.cumsum([own.slopes.shape[2], *(len(trial.names) for trial in slopes)])[:-1])
 
     def of_pair(i: int, j: int) -> tuple[FloatArray, FloatArray]:
         at = np.concatenate([places[0], places[i + 1], places[j + 1]])
         return H[:, at][:, :, at], g[:, at]
 
-    each = [(i, j) for i, j in combinations(range(len(slopes)), 2) if slopes[i].key != slopes[j].key]
-    ranked = sorted((_unseen(*of_pair(i, j)), i, j) for i, j in each)
+    index_pairs = [(i, j) for i, j in combinations(range(len(slopes)), 2) if slopes[i].key != slopes[j].key]
+    ranked = sorted((_unseen(*of_pair(i, j)), i, j) for i, j in index_pairs)
     tasks = []
     for i, j in islice(_unlike(ranked, slopes), PAIRS_FITTED):
         step = _step(*of_pair(i, j))[len(places[0]) :]
         tasks.append(partial(_fitted, parent, (slopes[i], slopes[j]), step, court))
-    return [one for one in each_beside(lambda task: task(), tasks) if one is not None]
+    return [trial for trial in each_beside(lambda task: task(), tasks) if trial is not None]
 
 
 def _unlike(ranked: Iterable[tuple[float, int, int]], slopes: Sequence[_Slopes]) -> Iterator[tuple[int, int]]:
@@ -86,7 +86,7 @@ def _at_rest(key: Key, parent: Judged, along: Track, court: Court) -> list[_Slop
     """An effect at rest beside the structure, in each of its shapes; none of one that is never at rest."""
     if key.effect == HELD or not find_effect(key.effect).vanishes or find_effect(key.effect).shifts:
         return []
-    effect, found, shapes = find_effect(key.effect), [], []
+    effect, slopes, shapes = find_effect(key.effect), [], []
     for start in starts(key, along):
         values = effect.at_rest(start)
         if values in shapes:
@@ -100,8 +100,8 @@ def _at_rest(key: Key, parent: Judged, along: Track, court: Court) -> list[_Slop
         at = None if begun is None else equations(begun, court.last, court.scale)
         if at is not None and np.all(np.isfinite(at.slopes)):
             new = [k for k, name in enumerate(model.free) if name not in parent.model.free]
-            found.append(_Slopes(key, values, [list(model.free)[k].rpartition(".")[2] for k in new], at.slopes[..., new]))
-    return found
+            slopes.append(_Slopes(key, values, [list(model.free)[k].rpartition(".")[2] for k in new], at.slopes[..., new]))
+    return slopes
 
 
 def _unbounded(model: PhysicalModel, key: Key) -> PhysicalModel:
@@ -130,13 +130,13 @@ def _unseen(H: FloatArray, g: FloatArray) -> float:
 def _fitted(parent: Judged, pair: Sequence[_Slopes], step: FloatArray, court: Court) -> Judged | None:
     """The structure with both, begun where the step leads."""
     model: PhysicalModel = parent.model
-    for one, more in zip(pair, np.split(step, [len(pair[0].names)]), strict=True):
-        moved = {name: one.values[name] + float(d) for name, d in zip(one.names, more, strict=True)}
+    for member, more in zip(pair, np.split(step, [len(pair[0].names)]), strict=True):
+        moved = {name: member.values[name] + float(d) for name, d in zip(member.names, more, strict=True)}
         try:
-            model = model.with_effect(*one.key, _within(model.with_effect(*one.key, one.values), one.key, moved))
+            model = model.with_effect(*member.key, _within(model.with_effect(*member.key, member.values), member.key, moved))
         except BadInput:
             return None
-    keys = tuple(sorted((*parent.keys, *(one.key for one in pair))))
+    keys = tuple(sorted((*parent.keys, *(member.key for member in pair))))
     return court.judge(
         Structure(keys, canonical(model), parent.structure.states, parent.structure.steps), steps=15, tolerance=1e-5
     )

@@ -67,10 +67,10 @@ def beginnings(key: Key, along: Track) -> list[PhysicalModel]:
             continue
         shapes.append(shape)
         try:
-            found = regressed(key, start, along)
-            if found is not None:
-                models.append(found[1])
-            if not effect.curve or found is None:
+            regression = regressed(key, start, along)
+            if regression is not None:
+                models.append(regression[1])
+            if not effect.curve or regression is None:
                 models.append(along.model.with_effect(*key, effect.at_rest(start) if zero else start))
         except BadInput:
             continue
@@ -94,16 +94,16 @@ def specialised(key: Key, general: Track) -> list[PhysicalModel]:
     uses = [
         u for u in general.model.effects if u.target == key.target and u.effect.generalises == key.effect and u.id != key.effect
     ]
-    found = []
+    models = []
     for use in uses:
         less = general.model.without_effect(use.label)
         values = {name: p.value for name, p in use.parameters.items()}
         try:
             if special := use.effect.specialised(values, conditions_along(Key(use.id, use.target), general)):
-                found.append(canonical(less.with_effect(*key, special)))
+                models.append(canonical(less.with_effect(*key, special)))
         except BadInput:
             continue
-    return found
+    return models
 
 
 def generalised(key: Key) -> Key | None:
@@ -121,21 +121,21 @@ def special_of(key: Key) -> Key | None:
 def starts(key: Key, along: Track) -> list[Mapping[str, float]]:
     """First values of an effect, those of each thing that it follows in turn."""
     effect = find_effect(key.effect)
-    each = [list(effect.starts(conditions_along(key, along, missing))) for missing in _lacks(effect, key.target, along)]
-    turns = [start for turn in zip_longest(*each) for start in turn if start is not None]
+    by_lack = [list(effect.starts(conditions_along(key, along, missing))) for missing in _lacks(effect, key.target, along)]
+    turns = [start for turn in zip_longest(*by_lack) for start in turn if start is not None]
     return [start for k, start in enumerate(turns) if start not in turns[:k]][:STARTS_LOOKED_AT]
 
 
 def _lacks(effect: Effect, target: str, along: Track) -> list[FloatArray | None]:
     """What is missing, along the longest record, in each way in which the effect's first values follow it."""
-    found: list[FloatArray | None] = []
-    for what in effect.follows:
-        if what == "lack":
-            found.append(along.missing[place_of(target)][along.longest])
+    lacks: list[FloatArray | None] = []
+    for signal in effect.follows:
+        if signal == "lack":
+            lacks.append(along.missing[place_of(target)][along.longest])
         else:
             errors = along.errors[along.longest][:, along.experiment.measured].T
-            found += [innovations(e) if what == "innovations" else e for e in errors]
-    return found or [None]
+            lacks += [innovations(e) if signal == "innovations" else e for e in errors]
+    return lacks or [None]
 
 
 def conditions_along(key: Key, along: Track, missing: FloatArray | None = None) -> Conditions:
@@ -192,14 +192,14 @@ def _share_of(basis: FloatArray, v: FloatArray) -> float:
 
 def _alike(basis: FloatArray, lack: FloatArray, signal: FloatArray) -> float:
     """Part of the lack's power beside the balance's own terms that the signal explains there."""
-    rest, own = beside(basis, lack), beside(basis, signal)
-    power = float(rest @ rest) * float(own @ own)
-    return float(rest @ own) ** 2 / power if power > 0 else 0.0
+    residual, own = beside(basis, lack), beside(basis, signal)
+    power = float(residual @ residual) * float(own @ own)
+    return float(residual @ own) ** 2 / power if power > 0 else 0.0
 
 
 def _curves(model: PhysicalModel, along: Track) -> list[Key]:
     """Learned curves: the signals of which a smooth function explains most of what a balance lacks."""
-    found, present = [], {use.key for use in model.effects}
+    ranked, present = [], {use.key for use in model.effects}
     names = [*model.states, *model.inputs]
     learned = [effect.id for effect in STRUCTURAL.values() if effect.curve]
     known = dict(zip(model.states, along.X.T, strict=False)) | dict(zip(model.inputs, along.experiment.U.T, strict=False))
@@ -209,8 +209,8 @@ def _curves(model: PhysicalModel, along: Track) -> list[Key]:
             keys = [key for id in learned if (key := Key(id, f"{balance}({name})")) not in present]
             if keys and name in known and np.ptp(known[name]) > 0:
                 share = _explained(basis, along.missing[balance], known[name])
-                found += [(share, key) for key in keys]
-    return [key for share, key in sorted(found, reverse=True)[:MOST_CURVES] if share > 0.0]
+                ranked += [(share, key) for key in keys]
+    return [key for share, key in sorted(ranked, reverse=True)[:MOST_CURVES] if share > 0.0]
 
 
 def _explained(basis: FloatArray, lack: FloatArray, signal: FloatArray) -> float:
@@ -220,8 +220,8 @@ def _explained(basis: FloatArray, lack: FloatArray, signal: FloatArray) -> float
         return 0.0
     hats: Sequence[FloatArray] = [np.interp(signal, at, row) for row in np.eye(len(at))]
     every = np.column_stack([basis, *hats])
-    kept = (np.arange(len(lack)) * 20 // len(lack)) % 2 == 1
-    weights = np.linalg.lstsq(every[~kept], lack[~kept], rcond=1e-6)[0]
-    power = float(lack[kept] @ lack[kept])
-    left = lack[kept] - every[kept] @ weights
+    aside = (np.arange(len(lack)) * 20 // len(lack)) % 2 == 1
+    weights = np.linalg.lstsq(every[~aside], lack[~aside], rcond=1e-6)[0]
+    power = float(lack[aside] @ lack[aside])
+    left = lack[aside] - every[aside] @ weights
     return 1.0 - float(left @ left) / power if power > 0 else 0.0

@@ -105,9 +105,9 @@ def of_noise(residuals: Sequence[FloatArray], rung: Rung, measured: npt.NDArray[
 
     at = np.split(rung.block, rung.starts[1:-1])
     weights, filters = np.zeros(len(measured)), []
-    for o, seen in enumerate(measured):
+    for o, is_measured in enumerate(measured):
         filters.append(np.ones(1))
-        if seen:
+        if is_measured:
             pieces = [r[b == k, o] for r, b in zip(residuals, at, strict=True) for k in np.unique(b)]
             filters[o] = _whitening(pieces)
             white = [lfilter(filters[o], [1.0], np.nan_to_num(r[:, o])) for r in residuals]
@@ -128,7 +128,7 @@ def _whitening(pieces: Sequence[FloatArray]) -> FloatArray:
         spectrum = np.abs(np.fft.rfft(piece, 2 * max(len(piece), WHITENING + 1))) ** 2
         total += np.fft.irfft(spectrum)[: WHITENING + 1]
     rho = total / max(float(total[0]), 1e-300)
-    best, found = np.inf, np.ones(1)
+    best, whitener = np.inf, np.ones(1)
     for order in range(WHITENING + 1):
         column = rho[:order].copy()
         column[:1] += 1e-9
@@ -136,8 +136,8 @@ def _whitening(pieces: Sequence[FloatArray]) -> FloatArray:
         left = max(float(1.0 - phi @ rho[1 : order + 1]), 1e-12)
         criterion = n * np.log(left) + 2 * order
         if criterion < best:
-            best, found = criterion, np.concatenate([[1.0], -phi])
-    return found
+            best, whitener = criterion, np.concatenate([[1.0], -phi])
+    return whitener
 
 
 def innovations(signal: FloatArray) -> FloatArray:

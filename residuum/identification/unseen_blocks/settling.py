@@ -27,21 +27,21 @@ def settle(best: Judged, court: Court) -> tuple[Court, Judged] | None:
     otherwise.
     """
     last, data = court.last, court.data
-    found = court.begun(best.structure)
-    if found is None:
+    fit = court.begun(best.structure)
+    if fit is None:
         return None
-    scale = replace(of_noise(found.residuals, last, data.measured), filters=None)
+    scale = replace(of_noise(fit.residuals, last, data.measured), filters=None)
     for _ in range(3):  # outputs weighed by their own errors, then these whitened
-        found = descended(found.in_unit(scale), steps=12, tolerance=1e-5)
-        if found.cost == np.inf:
+        fit = descended(fit.in_unit(scale), steps=12, tolerance=1e-5)
+        if fit.cost == np.inf:
             return None
-        scale = of_noise(found.residuals, last, data.measured)
-    times = max(times_the_noise([r[:, o] for r in found.residuals]) for o in np.flatnonzero(data.measured))
-    if times > NOISY or _unevenness(found.residuals, scale, court) > UNEVEN:
+        scale = of_noise(fit.residuals, last, data.measured)
+    times = max(times_the_noise([r[:, o] for r in fit.residuals]) for o in np.flatnonzero(data.measured))
+    if times > NOISY or _unevenness(fit.residuals, scale, court) > UNEVEN:
         return None
-    scale = clipped(scale, found.residuals, last)
-    found = found.in_unit(scale)
-    in_nats = judged(best.structure.at(last, found), found, last, data, scale)
+    scale = clipped(scale, fit.residuals, last)
+    fit = fit.in_unit(scale)
+    in_nats = judged(best.structure.at(last, fit), fit, last, data, scale)
     return None if in_nats is None else (replace(court, scale=scale), in_nats)
 
 
@@ -59,8 +59,8 @@ def accurate(best: Judged, court: Court) -> Judged:
     if steps == list(taken):
         return best
     finer = replace(structure, steps={**structure.steps, last.windows: steps})
-    found = court.judge(finer, steps=15, tolerance=1e-6)
-    return best if found is None or found.cost > best.cost else found
+    refitted = court.judge(finer, steps=15, tolerance=1e-6)
+    return best if refitted is None or refitted.cost > best.cost else refitted
 
 
 def _unevenness(residuals: Sequence[FloatArray], scale: Scale, court: Court) -> float:
@@ -95,20 +95,20 @@ def begun(climbed: Climbed) -> Search:
 # was.
 
 
-def at_the_timing_it_suits(found: Search) -> Data | None:
+def at_the_timing_it_suits(search: Search) -> Data | None:
     """The data at the other input timing, where the best structure fits better there; None where it does not, or nothing drives
     the machine.
     """
-    court = found.court
-    if not found.best.model.inputs:
+    court = search.court
+    if not search.best.model.inputs:
         return None
-    here = _innovations(found, court.data)
-    others = [(_innovations(found, data), data) for data in (turned(court.data), *one_turned(court.data))]
-    there, data = min(others, key=itemgetter(0))
-    return data if there < here else None
+    current = _innovations(search, court.data)
+    alternatives = [(_innovations(search, data), data) for data in (turned(court.data), *one_turned(court.data))]
+    least, data = min(alternatives, key=itemgetter(0))
+    return data if least < current else None
 
 
-def _innovations(found: Search, data: Data) -> float:
-    court = found.court
+def _innovations(search: Search, data: Data) -> float:
+    court = search.court
     rung = court.last if data is court.data else data.rung(court.last.windows)
-    return innovations_on(rung, found.best.model, found.best.structure, court.scale)
+    return innovations_on(rung, search.best.model, search.best.structure, court.scale)

@@ -75,11 +75,11 @@ class Structure:
         """For how many parameters the effects count besides their own, as they are rarely missing."""
         return sum(rarity(self.model, key) for key in self.keys)
 
-    def at(self, rung: Rung, found: Fit, keys: tuple[Key, ...] | None = None) -> Structure:
+    def at(self, rung: Rung, fit: Fit, keys: tuple[Key, ...] | None = None) -> Structure:
         """The structure with what was found on a rung."""
-        names = found.problem.simulator.states
-        states = {**self.states, rung.windows: [dict(zip(names, x.tolist(), strict=True)) for x in found.X0]}
-        return Structure(self.keys if keys is None else keys, found.model, states, {**self.steps, rung.windows: found.substeps})
+        names = fit.problem.simulator.states
+        states = {**self.states, rung.windows: [dict(zip(names, x.tolist(), strict=True)) for x in fit.X0]}
+        return Structure(self.keys if keys is None else keys, fit.model, states, {**self.steps, rung.windows: fit.substeps})
 
 
 def at_start(
@@ -97,24 +97,24 @@ def at_start(
         if steps is None or not (states and set(simulator.states) <= states[0].keys()):
             needed = _steps_needed(simulator, rung, X0)
             steps = needed if steps is None else np.maximum(steps, needed).tolist()
-        here = Problem.of(simulator, rung.cells, scale, steps).begin(X0)
+        fit = Problem.of(simulator, rung.cells, scale, steps).begin(X0)
     except BadInput:
         return None
-    if here.cost == np.inf:
+    if fit.cost == np.inf:
         return None
     if states is not None:
-        return here
-    held = replace(here.problem, lower=here.theta, upper=here.theta)
-    return replace(replace(here, problem=held).descended(2, 1e-2), problem=here.problem)
+        return fit
+    held = replace(fit.problem, lower=fit.theta, upper=fit.theta)
+    return replace(replace(fit, problem=held).descended(2, 1e-2), problem=fit.problem)
 
 
 def _vectors(simulator: Simulator, rung: Rung, states: States) -> list[FloatArray]:
     """The states in the order of a model that may have others, which begin where its kernel sets them."""
-    found = []
+    vectors = []
     for part, known in zip(rung.parts, states, strict=True):
-        there = {name: value for name, value in known.items() if name in simulator.states}
-        found.append(simulator.x0({**there, **part.known}))
-    return found
+        shared = {name: value for name, value in known.items() if name in simulator.states}
+        vectors.append(simulator.x0({**shared, **part.known}))
+    return vectors
 
 
 def _steps_needed(simulator: Simulator, rung: Rung, X0: FloatArray) -> list[int]:
@@ -137,14 +137,14 @@ def fitted(
     Without `substeps`: a stop or a valve that the first run never reaches is stiff where it is met, so where what was found asks
     for many more integration steps a sample, it is sought again with those.
     """
-    here = at_start(model, rung, states, scale, substeps)
-    if here is None:
+    start = at_start(model, rung, states, scale, substeps)
+    if start is None:
         return None
-    found = descended(here, steps=steps, tolerance=tolerance)
-    needed = _steps_needed(Simulator(found.model), rung, found.X0) if substeps is None else found.substeps
-    if not any(n > COARSE * have for n, have in zip(needed, found.substeps, strict=True)):
-        return found
-    finer = replace(here.problem, substeps=np.maximum(needed, found.substeps)).at(here.theta, here.X0)
+    fit = descended(start, steps=steps, tolerance=tolerance)
+    needed = _steps_needed(Simulator(fit.model), rung, fit.X0) if substeps is None else fit.substeps
+    if not any(n > COARSE * have for n, have in zip(needed, fit.substeps, strict=True)):
+        return fit
+    finer = replace(start.problem, substeps=np.maximum(needed, fit.substeps)).at(start.theta, start.X0)
     return None if finer.cost == np.inf else finer.descended(steps, tolerance)
 
 

@@ -43,54 +43,56 @@ class Search:
     proposed: set[Key] = field(default_factory=set)
 
 
-def with_only(found: Search, keys: Iterable[Key], whole: Judged | None = None) -> Judged | None:
+def with_only(search: Search, keys: Iterable[Key], whole: Judged | None = None) -> Judged | None:
     """A structure, by default the best one, with these of its effects alone; None where that diverges."""
-    names, whole = tuple(sorted(keys)), whole or found.best
-    if names not in found.every:
+    names, whole = tuple(sorted(keys)), whole or search.best
+    if names not in search.every:
         model = whole.model
         for use in whole.model.effects:
             if use.key in whole.keys and use.key not in names:
                 model = model.without_effect(use.label)
-        one = found.court.judge(Structure(names, model, whole.structure.states, whole.structure.steps), steps=15, tolerance=1e-5)
-        if one is None:
+        fit = search.court.judge(Structure(names, model, whole.structure.states, whole.structure.steps), steps=15, tolerance=1e-5)
+        if fit is None:
             return None
-        found.every[names] = one
-    return found.every[names]
+        search.every[names] = fit
+    return search.every[names]
 
 
 # The best structure taken apart: in which order its effects take away what, and what does the
 # same in the place of each.
 
 
-def chain(found: Search, keys: Iterable[Key]) -> list[tuple[Key, Judged, Judged]]:
+def chain(search: Search, keys: Iterable[Key]) -> list[tuple[Key, Judged, Judged]]:
     """The effects `keys` of the best structure in the order in which each takes away most, with what was before and after it."""
-    rest, before, order = list(keys), found.base, []
-    while rest:
-        each = [(key, with_only(found, (*before.keys, key))) for key in rest]
-        known = [(key, one) for key, one in each if one is not None]
+    remaining, before, order = list(keys), search.base, []
+    while remaining:
+        trials = [(key, with_only(search, (*before.keys, key))) for key in remaining]
+        known = [(key, trial) for key, trial in trials if trial is not None]
         if not known:
             break
-        key, after = min(known, key=lambda one: one[1].cost)
+        key, after = min(known, key=lambda trial: trial[1].cost)
         order.append((key, before, after))
-        rest.remove(key)
+        remaining.remove(key)
         before = after
     return order
 
 
-def in_place_of(found: Search, key: Key, rest: Sequence[Key]) -> list[Judged]:
-    """What does the same in the place of one of the best structure's effects, the others kept; each as it is beside `rest`."""
-    best, kept, scale = found.best, set(found.best.keys) - {key}, found.court.scale
-    without = found.every.get(tuple(sorted(kept)))
-    there = [o for o in found.every.values() if o.keys != best.keys and len(o.keys) == len(best.keys) and set(o.keys) > kept]
+def in_place_of(search: Search, key: Key, context: Sequence[Key]) -> list[Judged]:
+    """What does the same in the place of one of the best structure's effects, the others kept; each as it is beside the others."""
+    best, retained, scale = search.best, set(search.best.keys) - {key}, search.court.scale
+    without = search.every.get(tuple(sorted(retained)))
+    rivals = [
+        o for o in search.every.values() if o.keys != best.keys and len(o.keys) == len(best.keys) and set(o.keys) > retained
+    ]
     same = []
-    for one in there:
-        other = next(iter(set(one.keys) - kept))
-        if is_alike(one, best, without, scale) or (not scale.nats and _are_one_physics(one, best, without, (other, key))):
-            same.append(with_only(found, (*rest, other), one))
-    return [one for one in same if one is not None]
+    for rival in rivals:
+        stand_in = next(iter(set(rival.keys) - retained))
+        if is_alike(rival, best, without, scale) or (not scale.nats and _are_one_physics(rival, best, without, (stand_in, key))):
+            same.append(with_only(search, (*context, stand_in), rival))
+    return [rival for rival in same if rival is not None]
 
 
-def _are_one_physics(one: Judged, best: Judged, without: Judged | None, keys: tuple[Key, Key]) -> bool:
+def _are_one_physics(rival: Judged, best: Judged, without: Judged | None, keys: tuple[Key, Key]) -> bool:
     """Whether of two effects one generalises the other, and the one in the other's place takes away nearly as much."""
     related = special_of(keys[0]) == keys[1] or special_of(keys[1]) == keys[0]
-    return related and without is not None and without.cost - one.cost > ONE_PHYSICS * (without.cost - best.cost)
+    return related and without is not None and without.cost - rival.cost > ONE_PHYSICS * (without.cost - best.cost)

@@ -101,47 +101,47 @@ class Verdict:
     unknown: float
 
 
-def steps_of(found: Search) -> list[Step]:
+def steps_of(search: Search) -> list[Step]:
     """The effects that joined, in the order in which each takes away most."""
     steps = []
-    for key, before, after in chain(found, found.best.keys):
-        rest = set(before.keys)
-        there = [
-            o for o in found.every.values() if set(o.keys) > rest and len(o.keys) == len(after.keys) and o.keys != after.keys
+    for key, before, after in chain(search, search.best.keys):
+        earlier = set(before.keys)
+        rivals = [
+            o for o in search.every.values() if set(o.keys) > earlier and len(o.keys) == len(after.keys) and o.keys != after.keys
         ]
-        there.sort(key=lambda one: one.cost)
-        alike = [o for o in there if is_alike(o, after, before, found.court.scale)]
-        if after.keys == found.best.keys:
-            alike += [o for o in found.group if o.keys not in {a.keys for a in alike} and set(o.keys) > rest]
-        alike += [o for o in in_place_of(found, key, before.keys) if o.keys not in {a.keys for a in alike}]
+        rivals.sort(key=lambda rival: rival.cost)
+        alike = [o for o in rivals if is_alike(o, after, before, search.court.scale)]
+        if after.keys == search.best.keys:
+            alike += [o for o in search.group if o.keys not in {a.keys for a in alike} and set(o.keys) > earlier]
+        alike += [o for o in in_place_of(search, key, before.keys) if o.keys not in {a.keys for a in alike}]
         # What does not lower the error beyond its price has no probability to share, however near it lies.
         alike = [o for o in alike if o.cost < before.cost]
-        steps.append(Step(key, before, after, tuple(alike), tuple(o for o in there if o not in alike)))
+        steps.append(Step(key, before, after, tuple(alike), tuple(o for o in rivals if o not in alike)))
     return steps
 
 
-def counted(found: Search, free: Sequence[BlockTerm], *, adequate: bool) -> dict[tuple[Key, ...] | str, float]:
+def counted(search: Search, free: Sequence[BlockTerm], *, adequate: bool) -> dict[tuple[Key, ...] | str, float]:
     """How often each structure wins when blocks are drawn again. Where none is worth its place, "none" wins if the model is
     `adequate`, else "unknown". "unknown" wins also where a free term does plainly more of what is structured. What fits all
     blocks no better than the model as it is wins nowhere: where one block tells a value alone, deletion is ahead in every draw
     that has that block.
     """
-    scale = found.court.scale
+    scale = search.court.scale
     free = [] if adequate else free
-    fitting = [one for one in found.every.values() if not one.keys or one.seen < found.base.seen]
-    tried = sorted(fitting, key=lambda one: one.cost)[:MOST_RIVALS]
-    powers = [scale.by_block(one.power) for one in tried] + [scale.by_block(term.power) for term in free]
-    names: list[tuple[Key, ...] | str] = [one.keys or NONE for one in tried] + [UNKNOWN] * len(free)
-    sizes = np.array([one.parameters for one in tried] + [term.parameters for term in free])
-    by_block, base = np.array(powers), scale.by_block(found.base.power)
+    fitting = [rival for rival in search.every.values() if not rival.keys or rival.seen < search.base.seen]
+    tried = sorted(fitting, key=lambda rival: rival.cost)[:MOST_RIVALS]
+    powers = [scale.by_block(rival.power) for rival in tried] + [scale.by_block(term.power) for term in free]
+    names: list[tuple[Key, ...] | str] = [rival.keys or NONE for rival in tried] + [UNKNOWN] * len(free)
+    sizes = np.array([rival.parameters for rival in tried] + [term.parameters for term in free])
+    by_block, base = np.array(powers), scale.by_block(search.base.power)
     pick = np.random.default_rng(0).integers(0, by_block.shape[1], (DRAWS, by_block.shape[1]))
     costs = by_block[:, pick].sum(axis=2) + (scale.price * sizes[:, None] if scale.nats else 0.0)
-    nothing = base[pick].sum(axis=1) + (scale.price * found.base.parameters if scale.nats else 0.0)
+    nothing = base[pick].sum(axis=1) + (scale.price * search.base.parameters if scale.nats else 0.0)
     lead = costs.min(axis=0)
     near = costs < (lead + TIE if scale.nats else 1.1 * lead)
     winner = np.argmin(np.where(near, sizes[:, None] + 1e-9 * costs / np.maximum(lead, 1e-300), np.inf), axis=0)
     gain = nothing - costs[winner, np.arange(DRAWS)]
-    asked = np.log(max(found.tried, 1)) + TIE if scale.nats else np.maximum(WORTH * (nothing - scale.floor), SMALL)
+    asked = np.log(max(search.tried, 1)) + TIE if scale.nats else np.maximum(WORTH * (nothing - scale.floor), SMALL)
     wins: dict[tuple[Key, ...] | str, float] = {}
     for k, worth in zip(winner.tolist(), gain > asked, strict=True):
         name = names[k] if worth and names[k] != NONE else (NONE if adequate else UNKNOWN)
@@ -150,21 +150,23 @@ def counted(found: Search, free: Sequence[BlockTerm], *, adequate: bool) -> dict
 
 
 def verdict_on(
-    found: Search, joined: Sequence[Step], free: Sequence[BlockTerm], stds: Mapping[str, float], *, adequate: bool
+    search: Search, joined: Sequence[Step], free: Sequence[BlockTerm], stds: Mapping[str, float], *, adequate: bool
 ) -> Verdict:
     """The verdict on the steps that `joined`; `adequate`: whether nothing is structured in what the best structure leaves."""
-    timing = {step.key for step in joined if is_timing(step.key, found)}
+    timing = {step.key for step in joined if is_timing(step.key, search)}
     if not joined:  # what was tried, and is a shift by less than a sample, is no physics either
-        timing = {one.keys[0] for one in found.every.values() if len(one.keys) == 1 and is_timing(one.keys[0], found, one.model)}
-    wins = _named(counted(found, free, adequate=adequate), timing, NONE if adequate else UNKNOWN)
+        timing = {
+            fit.keys[0] for fit in search.every.values() if len(fit.keys) == 1 and is_timing(fit.keys[0], search, fit.model)
+        }
+    wins = _named(counted(search, free, adequate=adequate), timing, NONE if adequate else UNKNOWN)
     steps = [step for step in joined if step.key not in timing]
-    if steps and (not _recorded(steps) or (not adequate and _took_a_part(found))):
+    if steps and (not _recorded(steps) or (not adequate and _took_a_part(search))):
         wins = _doubted(wins)
     listed: list[Candidate] = []
     for number, step in enumerate(step for step in steps if step.key.effect != HELD):
-        listed += _candidates(step, number, wins, stds, found)
+        listed += _candidates(step, number, wins, stds, search)
     if not steps:
-        listed = _undecided(found, wins, stds, timing)
+        listed = _undecided(search, wins, stds, timing)
     unknown, none = wins.get(UNKNOWN, 0.0), wins.get(NONE, 0.0)
     named = sum(c.probability for c in listed if c.step == 0)
     excess = max(named + none + unknown, 1.0)
@@ -176,8 +178,8 @@ def verdict_on(
         says = "missing-effect"
     else:
         says = "adequate" if adequate else "unknown-effect"
-    rest = max(0.0, 1.0 - named / excess - none / excess)
-    return Verdict(says, tuple(listed), none / excess, rest)
+    remainder = max(0.0, 1.0 - named / excess - none / excess)
+    return Verdict(says, tuple(listed), none / excess, remainder)
 
 
 def _named(wins: Mapping[tuple[Key, ...] | str, float], timing: set[Key], nothing: str) -> dict[tuple[Key, ...] | str, float]:
@@ -197,10 +199,10 @@ def _recorded(steps: Sequence[Step]) -> bool:
     return all(step.key.effect == HELD or step.after.model.records(step.key) for step in steps)
 
 
-def _took_a_part(found: Search) -> bool:
+def _took_a_part(search: Search) -> bool:
     """Whether plainly more than noise is left of the error: the nearest shape in the catalogue to something else does that."""
-    scale, base = found.court.scale, found.base
-    return not scale.nats and base.cost - found.best.cost < PLAINLY_A_PART * (base.cost - scale.floor)
+    scale, base = search.court.scale, search.base
+    return not scale.nats and base.cost - search.best.cost < PLAINLY_A_PART * (base.cost - scale.floor)
 
 
 def _doubted(wins: Mapping[tuple[Key, ...] | str, float]) -> dict[tuple[Key, ...] | str, float]:
@@ -214,78 +216,78 @@ def _scaled(candidate: Candidate, factor: float) -> Candidate:
     return replace(candidate, probability=candidate.probability * factor)
 
 
-def is_timing(key: Key, found: Search, model: PhysicalModel | None = None) -> bool:
+def is_timing(key: Key, search: Search, model: PhysicalModel | None = None) -> bool:
     """Whether an effect of the best model, or of this one, shifts time by less than a sample: how the record was taken, not
     physics.
     """
     shift = "" if key.effect == HELD else find_effect(key.effect).shifts
     if not shift:
         return False
-    use = next(use for use in (model or found.best.model).effects if use.key == key)
-    return abs(use.parameters[shift].value) < max(e.sample_time for e in found.court.data.experiments)
+    use = next(use for use in (model or search.best.model).effects if use.key == key)
+    return abs(use.parameters[shift].value) < max(e.sample_time for e in search.court.data.experiments)
 
 
 def _candidates(
-    step: Step, number: int, wins: Mapping[tuple[Key, ...] | str, float], stds: Mapping[str, float], found: Search
+    step: Step, number: int, wins: Mapping[tuple[Key, ...] | str, float], stds: Mapping[str, float], search: Search
 ) -> list[Candidate]:
     """The accepted effect, its group, and what else won draws in its place; a group shares what it wins.
 
     What won beside the group won nothing in its place.
     """
-    rest = set(step.before.keys)
-    group = {step.key: step.after} | {_added(one, rest): one for one in step.group if _is_one(one, rest)}
-    others = {_added(one, rest): one for one in step.others if _is_one(one, rest)}
+    earlier = set(step.before.keys)
+    group = {step.key: step.after} | {_added(rival, earlier): rival for rival in step.group if _is_one(rival, earlier)}
+    rivals = {_added(rival, earlier): rival for rival in step.others if _is_one(rival, earlier)}
     won = [(set(keys), w) for keys, w in wins.items() if not isinstance(keys, str)]
     together = sum(w for keys, w in won if keys & group.keys())
-    shares = {key: sum(w for keys, w in won if key in keys and not keys & group.keys()) for key in others}
+    shares = {key: sum(w for keys, w in won if key in keys and not keys & group.keys()) for key in rivals}
     named = [key for key in group if key.effect != HELD]
     listed = [
-        _candidate(key, group[key], step, number, together / len(named), [k for k in named if k != key], stds, found)
+        _candidate(key, group[key], step, number, together / len(named), [k for k in named if k != key], stds, search)
         for key in named
     ]
-    told = sorted((k for k in others if k.effect != HELD), key=lambda k: (-shares[k], others[k].cost))[
+    leading = sorted((k for k in rivals if k.effect != HELD), key=lambda k: (-shares[k], rivals[k].cost))[
         : LISTED if number == 0 else 0
     ]
-    listed += [_candidate(key, others[key], step, number, 0.0 if rest else shares[key], [], stds, found) for key in told]
+    listed += [_candidate(key, rivals[key], step, number, 0.0 if earlier else shares[key], [], stds, search) for key in leading]
     return listed
 
 
-def _is_one(one: Judged, rest: set[Key]) -> bool:
-    return len(set(one.keys) - rest) == 1
+def _is_one(rival: Judged, earlier: set[Key]) -> bool:
+    return len(set(rival.keys) - earlier) == 1
 
 
-def _added(one: Judged, rest: set[Key]) -> Key:
-    return next(iter(set(one.keys) - rest))
+def _added(rival: Judged, earlier: set[Key]) -> Key:
+    return next(iter(set(rival.keys) - earlier))
 
 
 def _undecided(
-    found: Search, wins: Mapping[tuple[Key, ...] | str, float], stds: Mapping[str, float], timing: set[Key]
+    search: Search, wins: Mapping[tuple[Key, ...] | str, float], stds: Mapping[str, float], timing: set[Key]
 ) -> list[Candidate]:
     """Nothing is real: those that took away most are told with what they win."""
-    alone = sorted((one for one in found.every.values() if len(one.keys) == 1), key=lambda one: one.cost)[:LISTED]
-    step = Step(Key("", ""), found.base, found.base, (), ())
-    told = [one for one in alone if one.keys[0].effect != HELD and one.keys[0] not in timing and one.cost < found.base.cost]
-    return [_candidate(one.keys[0], one, step, 0, wins.get(one.keys, 0.0), [], stds, found) for one in told]
+    alone = sorted((fit for fit in search.every.values() if len(fit.keys) == 1), key=lambda fit: fit.cost)[:LISTED]
+    step = Step(Key("", ""), search.base, search.base, (), ())
+    listed = [fit for fit in alone if fit.keys[0].effect != HELD and fit.keys[0] not in timing and fit.cost < search.base.cost]
+    return [_candidate(fit.keys[0], fit, step, 0, wins.get(fit.keys, 0.0), [], stds, search) for fit in listed]
 
 
 def _candidate(
     key: Key,
-    one: Judged,
+    judged: Judged,
     step: Step,
     number: int,
     probability: float,
     alike: Sequence[Key],
     stds: Mapping[str, float],
-    found: Search,
+    search: Search,
 ) -> Candidate:
-    use = next(use for use in one.model.effects if use.key == key)
-    accepted = key in found.best.keys
-    values = next(u for u in found.best.model.effects if u.key == key).parameters if accepted else use.parameters
+    use = next(use for use in judged.model.effects if use.key == key)
+    accepted = key in search.best.keys
+    values = next(u for u in search.best.model.effects if u.key == key).parameters if accepted else use.parameters
     doubts = {n: float(stds.get(f"{use.label}.{n}", 0.0)) if accepted and not p.fixed else 0.0 for n, p in values.items()}
-    before, after = step.before.rms, one.rms
+    before, after = step.before.rms, judged.rms
     with np.errstate(invalid="ignore", divide="ignore"):
         o = int(np.nanargmin(after / before))
-    output = list(one.model.outputs.values())[o]
+    output = list(judged.model.outputs.values())[o]
     natural = find_effect(key.effect).natural_bounds
     bounds = [n for n, p in values.items() if not p.fixed and n not in natural and p.value in (p.lower, p.upper)]
     return Candidate(
@@ -299,9 +301,9 @@ def _candidate(
         error_unit=output.unit,
         output=output.name,
         within_bounds=not bounds,
-        evidence=evidence(one, step.before, found.court.scale),
+        evidence=evidence(judged, step.before, search.court.scale),
         held_out=True,
-        share=share_of(step.before, one),
+        share=share_of(step.before, judged),
         step=number,
     )
 
@@ -376,12 +378,12 @@ def block_errors(
     candidates: Mapping[Key, FloatArray],
 ) -> BlockErrors:
     """From sums of squares and how many samples they are of, arrays of shape (blocks, outputs); see BlockErrors."""
-    seen = count.sum(axis=0) > 0.0
-    outputs = [output for output, measured in zip(model.outputs.values(), seen, strict=True) if measured]
+    observed = count.sum(axis=0) > 0.0
+    outputs = [output for output, measured in zip(model.outputs.values(), observed, strict=True) if measured]
 
     def rms(squares: FloatArray) -> FloatArray:
-        n = count[:, seen]
-        return np.sqrt(np.divide(squares[:, seen], n, out=np.full(n.shape, np.nan), where=n > 0.0))
+        n = count[:, observed]
+        return np.sqrt(np.divide(squares[:, observed], n, out=np.full(n.shape, np.nan), where=n > 0.0))
 
     return BlockErrors(
         outputs=tuple(output.name for output in outputs),

@@ -116,10 +116,10 @@ def _structured(comparison: Comparison) -> str:
         return f"structured error: no ({chance(comparison.p_value)}; noise alone explains the error)"
     percent = 100 * comparison.share
     share = f"{percent:.0f}" if percent >= 1.0 else f"{percent:.1g}"
-    said = f"structured error: yes ({chance(comparison.p_value)}, {share} % of the error's power)"
+    says = f"structured error: yes ({chance(comparison.p_value)}, {share} % of the error's power)"
     present = [name for name, test in comparison.structured.items() if test.present]
     times = max(comparison.times_noise(name) for name in present)
-    return said if times > 1.0 else f"{said}; it is within the noise, {times:.2g} times as large"
+    return says if times > 1.0 else f"{says}; it is within the noise, {times:.2g} times as large"
 
 
 def _parts(comparison: Comparison) -> list[str]:

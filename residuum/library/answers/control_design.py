@@ -16,30 +16,30 @@ from residuum.robust_control.loop import weighted_loop
 
 
 def design_json(
-    found: Solution, names: tuple[str, str], figures: Sequence[StepResponse], problem: ControlProblem
+    solution: Solution, names: tuple[str, str], figures: Sequence[StepResponse], problem: ControlProblem
 ) -> dict[str, Any]:
     """The `control design` object of a feasible design, without its question."""
-    chosen, W_T = found.chosen, problem.W_T
-    made = chosen.design
+    chosen, W_T = solution.chosen, problem.W_T
+    design = chosen.design
     return {
         "feasible": True,
-        "parameters": dict(zip(made.structure.names, made.rho.tolist(), strict=True)),
-        "equation": made.structure.equation,
+        "parameters": dict(zip(design.structure.names, design.rho.tolist(), strict=True)),
+        "equation": design.structure.equation,
         "controller": {
-            "numerator": made.controller.num,
-            "denominator": made.controller.den,
-            "sample_time": made.controller.sample_time,
+            "numerator": design.controller.num,
+            "denominator": design.controller.den,
+            "sample_time": design.controller.sample_time,
         },
-        "cost": made.cost,
-        "certified_cost": made.certified,
-        "worst_frequency_rad_s": made.worst_frequency,
-        "stable": made.stable,
-        "robust_stability_norm": h_infinity_norm(weighted_loop(problem.plant, made.controller, W_T=W_T))[0]
-        if made.stable
+        "cost": design.cost,
+        "certified_cost": design.certified,
+        "worst_frequency_rad_s": design.worst_frequency,
+        "stable": design.stable,
+        "robust_stability_norm": h_infinity_norm(weighted_loop(problem.plant, design.controller, W_T=W_T))[0]
+        if design.stable
         else None,
-        "disk_margin": _margin(problem, made.controller) if made.stable else None,
+        "disk_margin": _margin(problem, design.controller) if design.stable else None,
         "chosen": {names[0]: chosen.first, names[1]: chosen.second},
-        "pareto_front": [{names[0]: point.first, names[1]: point.second} for point in found.front],
+        "pareto_front": [{names[0]: point.first, names[1]: point.second} for point in solution.front],
         "uncertainty_weight": {"numerator": W_T.num, "denominator": W_T.den, "critical_frequency_rad_s": problem.crossing},
         "largest_uncertainty": float(problem.largest.max()),
         "random_plants": {
@@ -73,13 +73,13 @@ def _margin_text(margin: dict[str, float | None] | None) -> list[str]:
 
 
 def _about(result: dict[str, Any]) -> list[str]:
-    about, told = result["largest_uncertainty_about"], []
+    about, lines = result["largest_uncertainty_about"], []
     if result["computation_samples"]:
-        told = ["  the plant acts within its sample: the loop is closed one sample later, as a controller can answer"]
+        lines = ["  the plant acts within its sample: the loop is closed one sample later, as a controller can answer"]
     if about["joined"] is None:
-        return told
+        return lines
     return [
-        *told,
+        *lines,
         f"  largest uncertainty about the joined model {about['joined']:.4g}, about the models' mean {about['mean']:.4g}",
     ]
 

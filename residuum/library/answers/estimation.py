@@ -53,10 +53,10 @@ def _fit_percent(result: Estimate) -> list[float]:
     residuals, predicted = np.concatenate(result.residuals), np.concatenate(result.predicted)
     fits = []
     for r, y_hat in zip(residuals.T, predicted.T, strict=True):
-        there = np.isfinite(r)
-        y = (r + y_hat)[there]
-        spread = float(np.linalg.norm(y - y.mean())) if there.any() else 0.0
-        fits.append(100.0 * (1.0 - float(np.linalg.norm(r[there])) / spread) if spread > 0 else float("nan"))
+        finite = np.isfinite(r)
+        y = (r + y_hat)[finite]
+        spread = float(np.linalg.norm(y - y.mean())) if finite.any() else 0.0
+        fits.append(100.0 * (1.0 - float(np.linalg.norm(r[finite])) / spread) if spread > 0 else float("nan"))
     return fits
 
 
@@ -71,14 +71,18 @@ def _percent(fit: float | None) -> str:
     return "unknown" if fit is None or np.isnan(fit) else f"{fit:.2f} %" if fit >= 0 else "below 0 %"
 
 
-def estimate_text(found: dict[str, Any]) -> str:
+def estimate_text(estimate: dict[str, Any]) -> str:
     """The short human report of the `estimate` object."""
-    settled = found["converged"]
-    lines = [*warning_lines(found["warnings"]), *(_parameter_text(name, p, settled) for name, p in found["parameters"].items())]
-    lines += [
-        f"{name}: RMS error {o['rmse']:.4g} {o['unit']}, fit {_percent(o['fit_percent'])}" for name, o in found["outputs"].items()
+    settled = estimate["converged"]
+    lines = [
+        *warning_lines(estimate["warnings"]),
+        *(_parameter_text(name, p, settled) for name, p in estimate["parameters"].items()),
     ]
-    lines += [f"the data cannot tell apart: {', '.join(flat['parameters'])}" for flat in found["flat_directions"]]
+    lines += [
+        f"{name}: RMS error {o['rmse']:.4g} {o['unit']}, fit {_percent(o['fit_percent'])}"
+        for name, o in estimate["outputs"].items()
+    ]
+    lines += [f"the data cannot tell apart: {', '.join(flat['parameters'])}" for flat in estimate["flat_directions"]]
     if not settled:
-        lines.append(f"the estimation has not converged: {'; '.join(found['unsettled'])}")
-    return "\n".join([*lines, f"written to {found['model_file']}"] if found["model_file"] else lines)
+        lines.append(f"the estimation has not converged: {'; '.join(estimate['unsettled'])}")
+    return "\n".join([*lines, f"written to {estimate['model_file']}"] if estimate["model_file"] else lines)

@@ -103,8 +103,8 @@ def work_text(work: Work) -> list[str]:
     if not work.not_tried:
         return []
     why = "the seconds given were over" if work.timed_out else "the work that a search may take was done"
-    told, more = work.not_tried[:_TOLD], len(work.not_tried) - _TOLD
-    return [f"  not tried, for {why}: {', '.join(told)}" + (f" and {more} more (--json names them)" if more > 0 else "")]
+    shown, more = work.not_tried[:_TOLD], len(work.not_tried) - _TOLD
+    return [f"  not tried, for {why}: {', '.join(shown)}" + (f" and {more} more (--json names them)" if more > 0 else "")]
 
 
 def free_term_json(free: BlockTerm) -> dict[str, Any]:
@@ -167,8 +167,8 @@ def _candidate_text(candidate: Candidate) -> str:
         f"{candidate.error_before:.4g} → {candidate.error_after:.4g} {candidate.error_unit}"
     )
     bounds = "" if candidate.within_bounds else "; at a physical bound"
-    others = f"; not to be told from {', '.join(candidate.indistinguishable_from)}" if candidate.indistinguishable_from else ""
-    return text + bounds + others
+    rivals = f"; not to be told from {', '.join(candidate.indistinguishable_from)}" if candidate.indistinguishable_from else ""
+    return text + bounds + rivals
 
 
 def held_text(held: HeldValue) -> str:
@@ -183,8 +183,8 @@ def held_text(held: HeldValue) -> str:
 
 def _values_text(values: Sequence[EstimatedValue]) -> list[str]:
     """One line for the values that the records contradict."""
-    told = [f"{v.name} = {value_text(v.value, v.std, v.unit)} (file: {v.file:.4g})" for v in values if v.differs]
-    return [f"  estimated from the records: {', '.join(told)}"] if told else []
+    estimates = [f"{v.name} = {value_text(v.value, v.std, v.unit)} (file: {v.file:.4g})" for v in values if v.differs]
+    return [f"  estimated from the records: {', '.join(estimates)}"] if estimates else []
 
 
 def _free_term_text(explanation: Explanation) -> list[str]:

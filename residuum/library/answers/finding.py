@@ -8,11 +8,11 @@ from typing import Any
 def finding_text(finding: dict[str, Any]) -> str:
     """The verdict with its reason, and a line an indicator; `record` names the window."""
     kind = f" ({finding['class']})" if finding["class"] else ""
-    said = f"{finding.get('record', finding['diagnoser'])}: {finding['verdict']}{kind}" + (
+    headline = f"{finding.get('record', finding['diagnoser'])}: {finding['verdict']}{kind}" + (
         f": {finding['reason']}" if finding["reason"] else ""
     )
     numbers = [_indicator(finding, name, value) for name, value in finding["indicators"].items() if value is not None]
-    return "\n  ".join([said, *numbers])
+    return "\n  ".join([headline, *numbers])
 
 
 def _indicator(finding: dict[str, Any], name: str, value: Any) -> str:

@@ -69,8 +69,8 @@ def identification_text(model: IdentifiedModel, result: dict[str, Any]) -> str:
         f"  fit               {_fits(result['fit_percent'])} of the estimation data{_shown(model)}",
     ]
     if assumed.get("kept_aside") and not result["held_out_fit_percent"]:
-        kept = _fits([part["fit_percent"] for part in assumed["kept_aside"]])
-        lines.append(f"  fit kept aside    {kept} of the last 30 %, by the first 70 %")
+        aside_fits = _fits([part["fit_percent"] for part in assumed["kept_aside"]])
+        lines.append(f"  fit kept aside    {aside_fits} of the last 30 %, by the first 70 %")
     if result["held_out_fit_percent"]:
         lines.append(f"  held-out fit      {_fits(result['held_out_fit_percent'])}")
     if result["std_says"] is not None:

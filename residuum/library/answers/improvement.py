@@ -71,5 +71,5 @@ def _effect_text(use: EffectUse, improvement: Improvement) -> str:
     text = f"{use.id} in {use.target}: {sizes}"
     if judged is None:
         return text
-    others = f", not to be told from {', '.join(judged.indistinguishable_from)}" if judged.indistinguishable_from else ""
-    return f"{text} (probability {judged.probability:.2f}{others})"
+    rivals = f", not to be told from {', '.join(judged.indistinguishable_from)}" if judged.indistinguishable_from else ""
+    return f"{text} (probability {judged.probability:.2f}{rivals})"

@@ -18,10 +18,10 @@ from residuum.robust_control.multivariable_control import (
 )
 
 
-def design_json(problem: MultivariableProblem, found: MultivariableDesign) -> dict[str, Any]:
+def design_json(problem: MultivariableProblem, design: MultivariableDesign) -> dict[str, Any]:
     """Decoupler, loops with promise and measurement beside each other, and whether all loops together are certified."""
-    seen = problem.measured(found)
-    unstable = np.any([[not math.isfinite(s.integral_absolute_error) for s in one.own.drawn] for one in seen], axis=0)
+    measured = problem.measured(design)
+    unstable = np.any([[not math.isfinite(s.integral_absolute_error) for s in loop.own.drawn] for loop in measured], axis=0)
     return {
         "feasible": True,
         "inputs": list(problem.model.inputs),
@@ -29,36 +29,36 @@ def design_json(problem: MultivariableProblem, found: MultivariableDesign) -> di
         "sample_time": problem.sample_time,
         "static_gain": problem.gains,
         "relative_gains": problem.relative_gains,
-        "decoupler": found.decoupler,
-        "loops": [_loop(found, k, one) for k, one in enumerate(seen)],
-        "certified": found.certified,
+        "decoupler": design.decoupler,
+        "loops": [_loop(design, k, loop) for k, loop in enumerate(measured)],
+        "certified": design.certified,
         "samples": problem.choice.samples,
         "random_plants": {"count": len(unstable), "unstable": int(unstable.sum())},
     }
 
 
-def _loop(found: MultivariableDesign, k: int, seen: MeasuredLoop) -> dict[str, Any]:
-    point, bound = found.points[k], found.bounds[k]
-    made = point.design
-    overshoot, settling_time = seen.own.reached_by(SHARE)
-    kept, share = seen.own.kept(point.first, point.second)
+def _loop(design: MultivariableDesign, k: int, measured: MeasuredLoop) -> dict[str, Any]:
+    point, bound = design.points[k], design.bounds[k]
+    tuned = point.design
+    overshoot, settling_time = measured.own.reached_by(SHARE)
+    promise_kept, share = measured.own.kept(point.first, point.second)
     return {
-        "output": found.loops[k].output,
-        "parameters": dict(zip(made.structure.names, made.rho.tolist(), strict=True)),
-        "equation": made.structure.equation,
-        "controller": {"numerator": made.controller.num, "denominator": made.controller.den},
-        "certified_cost": made.certified,
+        "output": design.loops[k].output,
+        "parameters": dict(zip(tuned.structure.names, tuned.rho.tolist(), strict=True)),
+        "equation": tuned.structure.equation,
+        "controller": {"numerator": tuned.controller.num, "denominator": tuned.controller.den},
+        "certified_cost": tuned.certified,
         "stability_bound": bound,
-        "critical_frequency_rad_s": found.loops[k].crossing,
+        "critical_frequency_rad_s": design.loops[k].crossing,
         "promised": {"overshoot": point.first, "settling_time_s": point.second},
         "measured": {
-            "nominal": _figures(seen.own.nominal) | {"coupling": finite(seen.coupling)},
+            "nominal": _figures(measured.own.nominal) | {"coupling": finite(measured.coupling)},
             "reached_by_95_percent": {
                 "overshoot": finite(overshoot),
                 "settling_time_s": finite(settling_time),
-                "coupling": finite(reached(seen.drawn_coupling)),
+                "coupling": finite(reached(measured.drawn_coupling)),
             },
-            "kept": kept,
+            "kept": promise_kept,
             "share_kept": share,
         },
     }

@@ -8,20 +8,20 @@ from residuum.diagnosis.residuals.multivariable import Hypothesis, IsolatedFault
 from residuum.identification.record import Record
 
 
-def design_json(made: MultivariableResidual, *, identified: str, file: str) -> dict[str, Any]:
+def design_json(design: MultivariableResidual, *, identified: str, file: str) -> dict[str, Any]:
     """The `residual design` object."""
-    first, rows, noise = made.model.models[0], made.model.models, made.whitener
+    first, rows, noise = design.model.models[0], design.model.models, design.whitener
     return {
         "identified": identified,
         "file": file,
-        "method": made.method,
+        "method": design.method,
         "inputs": [{"name": path.input_name, "unit": path.input_unit} for path in first],
-        "unknown_inputs": list(made.unknown),
+        "unknown_inputs": list(design.unknown),
         "outputs": [{"name": row[0].output_name, "unit": row[0].output_unit} for row in rows],
-        "residuals": made.Q.D.shape[0],
-        "filter_order": made.Q.order,
-        "sample_time": made.sample_time,
-        "warm_up_samples": made.warm_up,
+        "residuals": design.Q.D.shape[0],
+        "filter_order": design.Q.order,
+        "sample_time": design.sample_time,
+        "warm_up_samples": design.warm_up,
         "noise": {"innovation_std": noise.innovation_std, "order": len(noise.past)},
         "healthy_samples": noise.n,
     }
@@ -29,7 +29,7 @@ def design_json(made: MultivariableResidual, *, identified: str, file: str) -> d
 
 def design_text(result: dict[str, Any]) -> str:
     """The short human report of a design."""
-    inputs, outputs = (", ".join(each["name"] for each in result[name]) for name in ("inputs", "outputs"))
+    inputs, outputs = (", ".join(channel["name"] for channel in result[name]) for name in ("inputs", "outputs"))
     blind = f", blind to {', '.join(result['unknown_inputs'])}" if result["unknown_inputs"] else ""
     spread = ", ".join(f"{value:.4g}" for value in result["noise"]["innovation_std"])
     order = result["noise"]["order"]
@@ -42,11 +42,11 @@ def design_text(result: dict[str, Any]) -> str:
     )
 
 
-def run_json(record: Record, found: MultivariableDetection, false_alarms_per_day: float) -> dict[str, Any]:
+def run_json(record: Record, detection: MultivariableDetection, false_alarms_per_day: float) -> dict[str, Any]:
     """The `residual run` object of a record."""
-    first = found.first_alarm
+    first = detection.first_alarm
     return {
-        "threshold": found.threshold,
+        "threshold": detection.threshold,
         "threshold_unit": "",
         "threshold_kind": "posterior",
         "evaluation": "glr",
@@ -55,10 +55,10 @@ def run_json(record: Record, found: MultivariableDetection, false_alarms_per_day
         "first_alarm_time": None if first is None else float(record.time[first]),
         "false_alarm_rate": false_alarms_per_day,
         "false_alarm_rate_unit": "1/day",
-        "fault_estimate": None if found.fault is None else _fault_json(record, found.fault),
-        "exceedances": int(found.alarm.sum()),
-        "judged_samples": int(found.residual.valid.sum()),
-        "largest": float(found.statistic.max()),
+        "fault_estimate": None if detection.fault is None else _fault_json(record, detection.fault),
+        "exceedances": int(detection.alarm.sum()),
+        "judged_samples": int(detection.residual.valid.sum()),
+        "largest": float(detection.statistic.max()),
     }
 
 
@@ -72,7 +72,7 @@ def _fault_json(record: Record, fault: IsolatedFault) -> dict[str, Any]:
         "band_95": [fault.value - 1.96 * fault.std, fault.value + 1.96 * fault.std],
         "onset_time": record.t0 + fault.onset * record.sample_time,
         "probability": fault.probability,
-        "indistinguishable_from": [_named(other) for other in fault.indistinguishable_from],
+        "indistinguishable_from": [_named(rival) for rival in fault.indistinguishable_from],
     }
 
 
@@ -90,5 +90,5 @@ def run_text(result: dict[str, Any]) -> str:
     return "\n".join([*lines, judged])
 
 
-def _named(one: Hypothesis) -> str:
-    return f"{one.kind}-offset@{one.name}"
+def _named(hypothesis: Hypothesis) -> str:
+    return f"{hypothesis.kind}-offset@{hypothesis.name}"

@@ -15,15 +15,15 @@ from residuum.identification.record import Record
 from residuum.library.answers.chance import chance
 
 
-def design_json(made: ResidualDesign, records: Sequence[Record], *, identified: str | None, file: str | None) -> dict[str, Any]:
+def design_json(design: ResidualDesign, records: Sequence[Record], *, identified: str | None, file: str | None) -> dict[str, Any]:
     """The `residual design` object; `identified` and `file` are the files of the model and of the design."""
-    post_filter, noise = made.post_filter, made.noise
+    post_filter, noise = design.post_filter, design.noise
     return {
         "identified": identified,
         "file": file,
-        "fault": made.fault,
-        "method": made.method,
-        "gamma": made.gamma,
+        "fault": design.fault,
+        "method": design.method,
+        "gamma": design.gamma,
         "gamma_verified": post_filter.gamma,
         "gamma_on_grid": post_filter.gamma_grid,
         "beta": post_filter.beta,
@@ -32,43 +32,43 @@ def design_json(made: ResidualDesign, records: Sequence[Record], *, identified: 
         "full_order": post_filter.full_order,
         "reduction_error": post_filter.reduction_error,
         "stable": post_filter.Q.is_stable,
-        "W_T": None if made.W_T is None else {"numerator": made.W_T.num, "denominator": made.W_T.den},
-        "sample_time": made.model.sample_time,
-        "warm_up_samples": made.generator.warm_up,
+        "W_T": None if design.W_T is None else {"numerator": design.W_T.num, "denominator": design.W_T.den},
+        "sample_time": design.model.sample_time,
+        "warm_up_samples": design.generator.warm_up,
         "noise": {
             "sigma": noise.sigma,
-            "unit": made.model.output_unit,
+            "unit": design.model.output_unit,
             "ar_order": len(noise.ar) - 1,
             "tail_dof": noise.dof,
             "shape": noise.shape,
-            "tails": _tails(noise, made.model.output_unit),
+            "tails": _tails(noise, design.model.output_unit),
             "degrees_of_freedom": noise.freedom,
         },
         "healthy_samples": sum(record.n for record in records),
-        "structured_error": {"present": made.has_structured_error, "p_value": made.structured_p},
+        "structured_error": {"present": design.has_structured_error, "p_value": design.structured_p},
     }
 
 
-def design_text(made: ResidualDesign, file: str | None = None) -> str:
+def design_text(design: ResidualDesign, file: str | None = None) -> str:
     """The short human report of a design that was perhaps written to `file`."""
-    f = made.post_filter
+    f = design.post_filter
     lines = [
-        f"{made.method} residual for {made.fault} faults of {made.model.output_name!r}: γ = {f.gamma:.4g} (verified), "
+        f"{design.method} residual for {design.fault} faults of {design.model.output_name!r}: γ = {f.gamma:.4g} (verified), "
         f"β = {f.beta:.4g}, β/γ = {f.decoupling:.3g}",
         f"post-filter of order {f.Q.order} (optimum: {f.full_order}, reduced with an error ≤ {f.reduction_error:.2g})"
         + (f" → {file}" if file else ""),
-        f"healthy noise: {_size(made)}, {_colour(made.noise)}, tails {_tails(made.noise, made.model.output_unit)}",
+        f"healthy noise: {_size(design)}, {_colour(design.noise)}, tails {_tails(design.noise, design.model.output_unit)}",
     ]
-    if made.has_structured_error:
+    if design.has_structured_error:
         lines.append(
-            f"the healthy record carries structured error ({chance(made.structured_p)}): part of the plant is missing "
+            f"the healthy record carries structured error ({chance(design.structured_p)}): part of the plant is missing "
             "in the model; find it with `residuum explain` before trusting small residuals"
         )
     return "\n".join(lines)
 
 
-def _size(made: ResidualDesign) -> str:
-    return f"σ = {made.noise.innovation_std:.4g} {made.model.output_unit}".rstrip()
+def _size(design: ResidualDesign) -> str:
+    return f"σ = {design.noise.innovation_std:.4g} {design.model.output_unit}".rstrip()
 
 
 def _tails(noise: NoiseModel, unit: str) -> str:
@@ -86,31 +86,31 @@ def _colour(noise: NoiseModel) -> str:
     return f"coloured (autoregression of order {order})" if order else "white"
 
 
-def run_json(made: ResidualDesign, record: Record, found: Detection) -> dict[str, Any]:
+def run_json(design: ResidualDesign, record: Record, detection: Detection) -> dict[str, Any]:
     """The `residual run` object of a record."""
-    first = found.first_alarm
+    first = detection.first_alarm
     return {
-        "threshold": found.threshold.typical,
-        "threshold_unit": found.threshold.unit,
-        "threshold_kind": found.threshold.kind,
-        "evaluation": found.threshold.evaluation,
-        "guarantee": found.threshold.guarantee,
+        "threshold": detection.threshold.typical,
+        "threshold_unit": detection.threshold.unit,
+        "threshold_kind": detection.threshold.kind,
+        "evaluation": detection.threshold.evaluation,
+        "guarantee": detection.threshold.guarantee,
         "alarm": first is not None,
         "first_alarm_time": None if first is None else float(record.time[first]),
-        "false_alarm_rate": found.threshold.false_alarms_per_day,
+        "false_alarm_rate": detection.threshold.false_alarms_per_day,
         "false_alarm_rate_unit": "1/day",
-        "false_alarm_rate_factor_95": found.threshold.rate_factor,
-        "fault_estimate": _estimate_json(record, found),
-        "exceedances": int(found.alarm.sum()),
-        "judged_samples": int(found.signals.valid.sum()),
-        "gaps": found.gaps,
-        "largest": float(np.max(found.statistic)),
-        "structured_error": {"present": made.has_structured_error, "p_value": made.structured_p},
+        "false_alarm_rate_factor_95": detection.threshold.rate_factor,
+        "fault_estimate": _estimate_json(record, detection),
+        "exceedances": int(detection.alarm.sum()),
+        "judged_samples": int(detection.signals.valid.sum()),
+        "gaps": detection.gaps,
+        "largest": float(np.max(detection.statistic)),
+        "structured_error": {"present": design.has_structured_error, "p_value": design.structured_p},
     }
 
 
-def _estimate_json(record: Record, found: Detection) -> dict[str, Any] | None:
-    estimate = found.estimate
+def _estimate_json(record: Record, detection: Detection) -> dict[str, Any] | None:
+    estimate = detection.estimate
     if estimate is None:
         return None
     return {
@@ -125,20 +125,20 @@ def _estimate_json(record: Record, found: Detection) -> dict[str, Any] | None:
     }
 
 
-def run_text(made: ResidualDesign, record: Record, found: Detection) -> str:
+def run_text(design: ResidualDesign, record: Record, detection: Detection) -> str:
     """The short human report of a run."""
-    limit = found.threshold
-    first = found.first_alarm
-    judged = f"{int(found.signals.valid.sum())} samples judged, {limit.evaluation} against the {limit.kind} threshold"
+    limit = detection.threshold
+    first = detection.first_alarm
+    judged = f"{int(detection.signals.valid.sum())} samples judged, {limit.evaluation} against the {limit.kind} threshold"
     lines = [f"{judged} {limit.typical:.4g} {limit.unit}".rstrip(), f"guarantee: {limit.guarantee}"]
-    if found.gaps:
-        lines.append(f"{found.gaps} gaps: the residual started anew after each")
+    if detection.gaps:
+        lines.append(f"{detection.gaps} gaps: the residual started anew after each")
     if first is None:
-        return "\n".join([f"no alarm (largest {float(np.max(found.statistic)):.4g})", *lines])
-    lines.insert(0, f"alarm at {float(record.time[first]):.6g} s, {int(found.alarm.sum())} exceedances")
-    if (estimate := found.estimate) is not None:
-        lines.insert(1, f"{_fault_text(estimate)}, {_since(made, record, estimate.onset)}{_alike(estimate)}")
-    if made.has_structured_error:
+        return "\n".join([f"no alarm (largest {float(np.max(detection.statistic)):.4g})", *lines])
+    lines.insert(0, f"alarm at {float(record.time[first]):.6g} s, {int(detection.alarm.sum())} exceedances")
+    if (estimate := detection.estimate) is not None:
+        lines.insert(1, f"{_fault_text(estimate)}, {_since(design, record, estimate.onset)}{_alike(estimate)}")
+    if design.has_structured_error:
         lines.append("the healthy records already carried structured error: this may be missing physics, see `residuum explain`")
     return "\n".join(lines)
 
@@ -152,9 +152,9 @@ def _fault_text(estimate: FaultEstimate) -> str:
     return f"{estimate.kind} ({estimate.shape}): {estimate.value:.4g} (95 %: {low:.4g} … {high:.4g}) {estimate.unit}".rstrip()
 
 
-def _since(made: ResidualDesign, record: Record, onset: int) -> str:
+def _since(design: ResidualDesign, record: Record, onset: int) -> str:
     """When the fault began, or that it was there before the first sample that could be judged."""
-    judged_from = made.generator.warm_up
+    judged_from = design.generator.warm_up
     if onset <= judged_from:
         return f"since before {record.t0 + judged_from * record.sample_time:.6g} s, the first that is judged"
     return f"since {record.t0 + onset * record.sample_time:.6g} s"

@@ -49,9 +49,9 @@ def _curve(parameters: Mapping[str, Quantity]) -> dict[str, Any]:
 
 def _formula(signal: str, parameters: Mapping[str, Quantity]) -> str | None:
     curve = _curve(parameters)
-    found = nearest_formula(np.array(curve["at"]), np.array(curve["value"]))
+    nearest = nearest_formula(np.array(curve["at"]), np.array(curve["value"]))
     return (
         None
-        if found is None
-        else f"{found.formula} {curve['unit']}, z = {signal} / {found.largest:.3g} {curve['at_unit']}".rstrip()
+        if nearest is None
+        else f"{nearest.formula} {curve['unit']}, z = {signal} / {nearest.largest:.3g} {curve['at_unit']}".rstrip()
     )

@@ -14,15 +14,15 @@ def validated(how: str, fit: Fit, records: Sequence[Record], labels: Sequence[st
     """The `validation` object: `object-wise` with its confusion, or the `bootstrap` with its parts."""
     if how == "bootstrap":
         return {"how": how, "objects": len(set(objects)), **asdict(bootstrap_632_plus(fit, records, labels, objects))}
-    found = validate_object_wise(fit, records, labels, objects)
-    classes = sorted({*found.truth.tolist(), *found.predicted.tolist()})
+    validation = validate_object_wise(fit, records, labels, objects)
+    classes = sorted({*validation.truth.tolist(), *validation.predicted.tolist()})
     return {
         "how": how,
         "objects": len(set(objects)),
-        "accuracy": found.accuracy,
-        "balanced_accuracy": found.balanced_accuracy,
+        "accuracy": validation.accuracy,
+        "balanced_accuracy": validation.balanced_accuracy,
         "classes": classes,
-        "confusion": found.confusion(classes).tolist(),
+        "confusion": validation.confusion(classes).tolist(),
     }
 
 

@@ -198,12 +198,12 @@ def asks(question: type[Question]) -> Callable[[Function], Function]:
 
     def told(function: Function) -> Function:
         signature = inspect.signature(function)
-        own = [each for each in signature.parameters.values() if each.kind is not each.VAR_KEYWORD]
-        parameters = sorted([*own, *_keywords(question)], key=lambda each: (each.kind, each.name == "progress"))
+        own = [arg for arg in signature.parameters.values() if arg.kind is not arg.VAR_KEYWORD]
+        parameters = sorted([*own, *_keywords(question)], key=lambda arg: (arg.kind, arg.name == "progress"))
         function.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
         fields = "\n".join(
-            f"{each.name} : {each.annotation.replace(' | ', ' or ')}\n{_LINES.fill(help_of(question.model_fields[each.name]))}"
-            for each in _keywords(question)
+            f"{arg.name} : {arg.annotation.replace(' | ', ' or ')}\n{_LINES.fill(help_of(question.model_fields[arg.name]))}"
+            for arg in _keywords(question)
         )
         before, ending, after = _LAST.split(inspect.cleandoc(function.__doc__ or ""), maxsplit=1)
         function.__doc__ = f"{before}\n{fields}{ending}{after}"
@@ -225,4 +225,4 @@ def kinds(hint: Any) -> tuple[Any, ...]:
 
 
 def _kind(hint: Any) -> str:
-    return " | ".join(_SHOWN.get(each) or inspect.formatannotation(each) for each in kinds(hint))
+    return " | ".join(_SHOWN.get(kind) or inspect.formatannotation(kind) for kind in kinds(hint))

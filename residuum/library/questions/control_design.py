@@ -95,8 +95,8 @@ class DesignController(WeightQuestion):
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
         if self.only is not None and self.only not in WISHES[self.aim]:
-            other = next(aim for aim, wishes in WISHES.items() if self.only in wishes)
-            raise BadInput(repr(self.only), "only", f"is a wish of the aim {other}", way_on=[("aim", other)])
+            right_aim = next(aim for aim, wishes in WISHES.items() if self.only in wishes)
+            raise BadInput(repr(self.only), "only", f"is a wish of the aim {right_aim}", way_on=[("aim", right_aim)])
         if self.in_time and (self.aim != "nominal" or self.only is not None):
             raise BadInput("", "in_time", "needs the aim nominal, and holds both wishes; leave only out")
         low, high = self.limits or (None, None)

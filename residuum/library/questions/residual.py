@@ -63,7 +63,7 @@ def residual_for(model: IdentifiedModel, healthy: Sequence[Record], asked: Desig
     """
     if asked.unknown_input or asked.method == UNKNOWN_INPUT:
         where = "method" if asked.method == UNKNOWN_INPUT else "unknown_input"
-        what = repr(asked.method if where == "method" else asked.unknown_input)
-        raise BadInput(what, where, "needs a model with several outputs, by `residuum identify` with --output repeated")
+        setting = repr(asked.method if where == "method" else asked.unknown_input)
+        raise BadInput(setting, where, "needs a model with several outputs, by `residuum identify` with --output repeated")
     chosen = asked.model_dump(include={"fault", "gamma", "method"})
     return design_residual(model, weight_for(model, asked).weight, healthy, **chosen)

@@ -146,12 +146,12 @@ class PIDN(ControllerStructure):
         """
         filters = max(0.1 * time_constant, self.sample_time)
         pairs = PI(self.sample_time).starts(gain, time_constant)
-        found = [np.r_[pair, d * abs(filters / gain), filters] for pair in pairs for d in (0.0, 0.1)]
-        found += [np.array([loop / gain, loop / gain / time_constant, 0.0, filters]) for loop in (2.0, 10.0)]
+        candidates = [np.r_[pair, d * abs(filters / gain), filters] for pair in pairs for d in (0.0, 0.1)]
+        candidates += [np.array([loop / gain, loop / gain / time_constant, 0.0, filters]) for loop in (2.0, 10.0)]
         for _, ki in pairs:
             lag = max(0.3 / abs(ki * gain), self.sample_time)
-            found.append(np.array([-ki * lag, ki, ki * lag**2, lag]))
-        return found
+            candidates.append(np.array([-ki * lag, ki, ki * lag**2, lag]))
+        return candidates
 
 
 class LeadLag(ControllerStructure):
@@ -225,13 +225,13 @@ class Rational(ControllerStructure):
 
     def starts(self, gain: float, time_constant: float) -> list[FloatArray]:
         """PI controllers written in this form, the other poles at zero; integrators alone when the numerator is a constant."""
-        found = []
+        candidates = []
         for kp, ki in PI(self.sample_time).starts(gain, time_constant):
             leading = (kp, ki * self.sample_time - kp) if self.integrator else (kp + ki * time_constant, 0.0)
             rho = np.zeros(len(self.names))
             rho[: min(2, self.above)] = leading if self.above > 1 else sum(leading)
-            found.append(rho)
-        return found
+            candidates.append(rho)
+        return candidates
 
     def sizes(self, gain: float, time_constant: float) -> FloatArray:
         """The largest numerator coefficient of the starts for all of them, 1 for the denominator's."""
@@ -267,7 +267,7 @@ def bisected_front(
     >>> [(point.first, point.second) for point in found]
     [(1, 4), (2, 2), (3, 1)]
     """
-    found: list[tuple[int, Point[Design]]] = []
+    front: list[tuple[int, Point[Design]]] = []
     warm: Design | None = None
     for first in firsts:
         low, high = 0, len(seconds) - 1
@@ -281,8 +281,8 @@ def bisected_front(
                 best, warm = (middle, design), design
                 low = middle + 1
         if best is not None:
-            found.append((best[0], Point(first, seconds[best[0]], best[1])))
-    return [point for k, (rank, point) in enumerate(found) if all(later < rank for later, _ in found[k + 1 :])]
+            front.append((best[0], Point(first, seconds[best[0]], best[1])))
+    return [point for k, (rank, point) in enumerate(front) if all(later < rank for later, _ in front[k + 1 :])]
 
 
 def preferred(

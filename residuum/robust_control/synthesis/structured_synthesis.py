@@ -164,30 +164,30 @@ class Descent:
             self._step()
 
     def _step(self) -> None:
-        here, at = self.here, np.nonzero(self.working)
+        current, at = self.here, np.nonzero(self.working)
         values, slopes = self._slopes(at)
         if self.last is not None:
             step, before = self.last
             self.curvature = _updated(self.curvature, step, self.multipliers[at] @ slopes - before)
             self.last = None
-        reach = self.radius * np.maximum(1.0, np.abs(here.rho) / self.scale)
+        reach = self.radius * np.maximum(1.0, np.abs(current.rho) / self.scale)
         low, high = self._box(reach)
-        d, multipliers, predicted = minimax_step(values - here.peak, slopes, self.curvature, low, high)
+        d, multipliers, predicted = minimax_step(values - current.peak, slopes, self.curvature, low, high)
         if predicted > -_SAME:
             self.finished = True
             return
-        there, gained = self._try(d, predicted)
+        trial, gained = self._try(d, predicted)
         if gained < 0.5:  # bend the models to what was found at the end of the step, and solve again
-            bent = there.log_cost[at] - slopes @ d - here.peak
+            bent = trial.log_cost[at] - slopes @ d - current.peak
             again, weights, _ = minimax_step(bent - bent.max(), slopes, self.curvature, low, high)
             second, improved = self._try(again, predicted)
             if improved > gained:
-                d, multipliers, there, gained = again, weights, second, improved
+                d, multipliers, trial, gained = again, weights, second, improved
         if gained > 0.01:
             self.multipliers[at] = multipliers
             self.last = (d, multipliers @ slopes)
-            self.here = there
-            self.working &= (there.log_cost > there.peak - _IDLE) | (self.multipliers > 0.0)
+            self.here = trial
+            self.working &= (trial.log_cost > trial.peak - _IDLE) | (self.multipliers > 0.0)
             self.radius = min(1.0, 2.5 * self.radius) if gained > 0.6 else self.radius * (0.5 if gained < 0.2 else 1.0)
             return
         self.radius = 0.5 * min(self.radius, float(np.abs(d / reach).max()))
@@ -195,12 +195,12 @@ class Descent:
 
     def _try(self, d: FloatArray, predicted: float) -> tuple[_Trial, float]:
         """(what stands at the end of a step, gain relative to the predicted one); minus infinity where a loop is unstable."""
-        there = _trial(self.loop, self.weights, self.structure, self.here.rho + self.scale * d)
-        self.working |= _peaks(there.log_cost, there.peak)
-        gained = (self.here.peak - there.peak) / -predicted
-        if gained > 0.0 and not self.loop.stabilised_by(*self.structure.polynomials(there.rho)):
-            return there, -np.inf
-        return there, gained
+        trial = _trial(self.loop, self.weights, self.structure, self.here.rho + self.scale * d)
+        self.working |= _peaks(trial.log_cost, trial.peak)
+        gained = (self.here.peak - trial.peak) / -predicted
+        if gained > 0.0 and not self.loop.stabilised_by(*self.structure.polynomials(trial.rho)):
+            return trial, -np.inf
+        return trial, gained
 
     def _slopes(self, at: tuple[npt.NDArray[np.intp], ...]) -> tuple[FloatArray, FloatArray]:
         """(ln cost, its slopes by the scaled parameters) at chosen (plant, frequency) pairs."""
@@ -229,8 +229,8 @@ def _trial(loop: Loop, weights: Weights, structure: ControllerStructure, rho: Fl
 def _updated(curvature: FloatArray, step: FloatArray, change: FloatArray) -> FloatArray:
     """Powell's damped BFGS update, which stays positive definite."""
     bent = curvature @ step
-    along, seen = float(step @ bent), float(step @ change)
-    share = 1.0 if seen >= 0.2 * along else 0.8 * along / (along - seen)
+    along, s_y = float(step @ bent), float(step @ change)
+    share = 1.0 if s_y >= 0.2 * along else 0.8 * along / (along - s_y)
     change = share * change + (1.0 - share) * bent
     updated = curvature - np.outer(bent, bent) / along + np.outer(change, change) / float(step @ change)
     return np.asarray(updated + 1e-6 * np.eye(len(step)))
@@ -276,8 +276,8 @@ def stabilising_starts(loop: Loop, structure: ControllerStructure) -> list[tuple
     low, high = _box(structure)
     scaled = [(np.clip(rho, low, high), sizes) for k in _crossings(loop) for rho, sizes in _scaled(loop, structure, k)]
     ranked = sorted((radius(rho), n) for n, (rho, _) in enumerate(scaled))
-    if found := [scaled[n] for modulus, n in ranked if modulus < _INSIDE]:
-        return found
+    if stable := [scaled[n] for modulus, n in ranked if modulus < _INSIDE]:
+        return stable
     lowered = [_lowered(radius, *scaled[n], low, high) for _, n in ranked[:_DESCENTS]]
     return [start for start in lowered if start is not None]
 
@@ -418,11 +418,11 @@ def synthesise(
     descents = [Descent(loop, weights, structure, rho, sizes) for rho, sizes in usable]
     best = _search(_valleys(descents), target)
     for _ in range(_EXCHANGES):
-        found = _fine_cost(loop, weights, structure, best.here.rho)
+        fine_cost = _fine_cost(loop, weights, structure, best.here.rho)
         enough = np.exp(best.here.peak) * (1.0 + _GAP) if target is None else max(target, np.exp(best.here.peak) * (1.0 + _GAP))
-        if found.max() <= enough:
+        if fine_cost.max() <= enough:
             break
-        loop, weights = _with_peaks(loop, weights, found)
+        loop, weights = _with_peaks(loop, weights, fine_cost)
         best = _search([Descent(loop, weights, structure, best.here.rho, best.sizes)], target)
     return _result(loop, weights, structure, best)
 
@@ -442,7 +442,7 @@ def _search(descents: list[Descent], target: float | None) -> Descent:
     for descent in descents:
         if descent is best or descent.here.peak < best.here.peak + _LEFT_BEHIND:
             descent.advance(_STEPS, goal)
-            best = min(best, descent, key=lambda one: one.here.peak)
+            best = min(best, descent, key=lambda candidate: candidate.here.peak)
     return best
 
 
@@ -481,5 +481,5 @@ def _with_peaks(loop: Loop, weights: Weights, fine_cost: FloatArray) -> tuple[Lo
     inner = fine_cost[1:-1]
     peaks = 1 + np.flatnonzero((inner >= fine_cost[:-2]) & (inner >= fine_cost[2:]) & (inner > 0.9 * fine_cost.max()))
     position = loop.finer[1]
-    kept = np.union1d(np.searchsorted(position, np.arange(len(loop.omega))), peaks)
-    return loop.part_of_finer(kept), weights.between(position[kept])
+    points = np.union1d(np.searchsorted(position, np.arange(len(loop.omega))), peaks)
+    return loop.part_of_finer(points), weights.between(position[points])

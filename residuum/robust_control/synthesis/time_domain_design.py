@@ -58,7 +58,7 @@ class TimeDesign:
 def design_in_time(
     loop: Loop,
     plants: Sequence[TransferFunction],
-    others: Sequence[TransferFunction],
+    held_out: Sequence[TransferFunction],
     W_T: FloatArray,
     structure: ControllerStructure,
     aim: TimeAim,
@@ -88,11 +88,11 @@ def design_in_time(
         search = _Search(loop, plants, W_T, structure, aim, margin)
         best = search.best(starts or search.from_weights(critical_frequency))
         norm = search.norm(best)
-        seen = measured(search.nominal, others, structure.transfer_function(best), search.duration)
-        settling_time = _promised(seen, aim)
+        steps = measured(search.nominal, held_out, structure.transfer_function(best), search.duration)
+        settling_time = _promised(steps, aim)
         if settling_time <= aim.settling_time and norm < 1.0:
-            made = Synthesis(structure, best, structure.transfer_function(best), norm, norm, search.worst_frequency(best), loop)
-            return TimeDesign(made, settling_time)
+            design = Synthesis(structure, best, structure.transfer_function(best), norm, norm, search.worst_frequency(best), loop)
+            return TimeDesign(design, settling_time)
         starts, nearest = [best], min(nearest, (*search.reached(best), norm))
     raise Infeasible(
         f"aim in time: none was found that overshoots by at most {100 * aim.overshoot:.3g} % and settles within "
@@ -101,14 +101,14 @@ def design_in_time(
     )
 
 
-def _promised(seen: Measured, aim: TimeAim) -> float:
+def _promised(steps: Measured, aim: TimeAim) -> float:
     """The settling time within which the nominal loop and enough of the plants settle, overshooting no more than asked."""
 
     def within(step: StepResponse) -> float:
         return step.settling_time if step.overshoot <= aim.overshoot else math.inf
 
     share = 1.0 - _CAUTION * (1.0 - aim.share)
-    return max(within(seen.nominal), float(np.quantile([within(step) for step in seen.drawn], share, method="higher")))
+    return max(within(steps.nominal), float(np.quantile([within(step) for step in steps.drawn], share, method="higher")))
 
 
 class _Search:
@@ -133,18 +133,18 @@ class _Search:
 
     def from_weights(self, critical_frequency: float) -> list[FloatArray]:
         """Controllers by mixed sensitivity for reference models of several bandwidths and dampings."""
-        found: list[FloatArray] = []
+        rhos: list[FloatArray] = []
         for scale in _DAMPINGS:
             overshoot = scale * self.aim.overshoot
             fastest = min(shortest_settling_time(overshoot, critical_frequency), 0.5 * self.aim.settling_time)
             for settling_time in np.geomspace(fastest, 2.0 * self.aim.settling_time, _BANDWIDTHS):
                 W_S = ReferenceModel(overshoot, float(settling_time)).weight_magnitude(self.loop.omega)
-                starts = found[-1:] or None
+                starts = rhos[-1:] or None
                 try:
-                    found.append(synthesise(self.loop, Weights(W_S, self.W_T), self.structure, starts=starts).rho)
+                    rhos.append(synthesise(self.loop, Weights(W_S, self.W_T), self.structure, starts=starts).rho)
                 except NoStabilisingStart:
                     break
-        return found
+        return rhos
 
     def best(self, candidates: Sequence[FloatArray]) -> FloatArray:
         """The parameters of least merit, from the best of the candidates.
@@ -154,8 +154,8 @@ class _Search:
         if not candidates:
             raise Infeasible(f"aim in time: no controller {self.structure.name!r} that stabilises the plant was found")
         ranked = sorted(candidates, key=lambda rho: self.merit(rho, _FEW))
-        found = [nelder_mead(self.merit, self.simplex(rho), _EVALUATIONS) for rho in ranked[:_SEARCHES]]
-        return self.clipped(min(found, key=self.merit))
+        minima = [nelder_mead(self.merit, self.simplex(rho), _EVALUATIONS) for rho in ranked[:_SEARCHES]]
+        return self.clipped(min(minima, key=self.merit))
 
     def simplex(self, rho: FloatArray) -> FloatArray:
         """Corners about a controller: each parameter by a fifth of itself, at least by a fiftieth of its usual size."""
@@ -179,9 +179,9 @@ class _Search:
 
     def reached(self, rho: FloatArray, plants: int | None = None) -> tuple[float, float]:
         """(overshoot, settling time) that the nominal loop and nearly all plants of the search stay below."""
-        seen = self._measured(rho, plants)
-        overshoot, settling_time = seen.reached_by(max(_SHARE_IN_DESIGN, self.aim.share))
-        return max(overshoot, seen.nominal.overshoot), max(settling_time, seen.nominal.settling_time)
+        steps = self._measured(rho, plants)
+        overshoot, settling_time = steps.reached_by(max(_SHARE_IN_DESIGN, self.aim.share))
+        return max(overshoot, steps.nominal.overshoot), max(settling_time, steps.nominal.settling_time)
 
     def norm(self, rho: FloatArray) -> float:
         """‖W_T T‖ on the finer grid."""

@@ -175,9 +175,9 @@ def design_for_nominal_performance(
 
     def meets(overshoot: float, settling_time: float, warm: Synthesis | None) -> Synthesis | None:
         W_S = ReferenceModel(overshoot, settling_time).weight_magnitude(loop.omega)
-        found = _best(loop, Weights(W_S, W_T), structure, warm, limit)
-        worst.append(found)
-        return found if found.certified < limit and found.stable else None
+        design = _best(loop, Weights(W_S, W_T), structure, warm, limit)
+        worst.append(design)
+        return design if design.certified < limit and design.stable else None
 
     front = bisected_front([float(o) for o in overshoots], [float(t) for t in times], meets)
     if not front:
@@ -209,29 +209,29 @@ def _sharpened(point: Point[Synthesis], times: FloatArray, meets: _Meets, halvin
 
 def refined(loop: Loop, weights: Weights, chosen: Point[Synthesis]) -> Point[Synthesis]:
     """The chosen point with its cost minimised to the end; the search for the front stops as soon as a pair is feasible."""
-    found = synthesise(loop, weights, chosen.design.structure, starts=[chosen.design.rho])
-    better = found.stable and found.certified < chosen.design.certified
-    return replace(chosen, design=found) if better else chosen
+    polished = synthesise(loop, weights, chosen.design.structure, starts=[chosen.design.rho])
+    better = polished.stable and polished.certified < chosen.design.certified
+    return replace(chosen, design=polished) if better else chosen
 
 
 def _best(loop: Loop, weights: Weights, structure: ControllerStructure, warm: Synthesis | None, limit: float) -> Synthesis:
     """From a neighbour's controller when there is one, from scratch when that does not suffice."""
     if warm is not None:
-        found = synthesise(loop, weights, structure, starts=[warm.rho], target=0.995 * limit)
-        if found.certified < limit:
-            return found
+        design = synthesise(loop, weights, structure, starts=[warm.rho], target=0.995 * limit)
+        if design.certified < limit:
+            return design
     return synthesise(loop, weights, structure, target=0.995 * limit)
 
 
-def _reason(loop: Loop, W_T: FloatArray, found: Synthesis, limit: float) -> str:
-    at = float(found.worst_frequency)
+def _reason(loop: Loop, W_T: FloatArray, nearest: Synthesis, limit: float) -> str:
+    at = float(nearest.worst_frequency)
     k = int(np.argmin(np.abs(loop.omega - at)))
-    K = found.controller.frequency_response(loop.omega[k : k + 1])
+    K = nearest.controller.frequency_response(loop.omega[k : k + 1])
     T = loop.G[0, k] * K / (1.0 + loop.G[0, k] * K)
-    which = "robust stability |W_T T|" if abs(W_T[k] * T[0]) > 0.7 * found.certified else "performance |W_S S|"
+    limiting = "robust stability |W_T T|" if abs(W_T[k] * T[0]) > 0.7 * nearest.certified else "performance |W_S S|"
     return (
-        f"aim: no controller {found.structure.name!r} meets it; at best the cost is {found.certified:.4g} "
-        f"where {limit:.4g} is allowed, at {at:.4g} rad/s, by {which}"
+        f"aim: no controller {nearest.structure.name!r} meets it; at best the cost is {nearest.certified:.4g} "
+        f"where {limit:.4g} is allowed, at {at:.4g} rad/s, by {limiting}"
     )
 
 

@@ -211,7 +211,7 @@ def next_state(state: AlarmState, event: AlarmEvent, *, condition: bool = False,
     raise IllegalTransition(f"alarm: cannot {event.value} in state {state.value!r}{standing}")
 
 
-def follow(status: AlarmStatus, seen: bool, rule: AlarmRule, now: datetime) -> tuple[AlarmStatus, AlarmEvent | None]:
+def follow(status: AlarmStatus, faulty: bool, rule: AlarmRule, now: datetime) -> tuple[AlarmStatus, AlarmEvent | None]:
     """The status after the machine was seen with or without the fault, and the event that this was, None for none.
 
     What is seen becomes the condition once it has been seen for the rule's delay. Only time between two windows in a row that
@@ -227,20 +227,20 @@ def follow(status: AlarmStatus, seen: bool, rule: AlarmRule, now: datetime) -> t
     now : datetime
         Of the window that shows it.
     """
-    delay = rule.on_delay if seen else rule.off_delay
+    delay = rule.on_delay if faulty else rule.off_delay
     pause = None if status.judged_at is None else max((now - status.judged_at).total_seconds(), 0.0)
     gap = pause is not None and pause > max(delay, _GAP * (status.judged_every or 0.0))
     judged = replace(status, judged_at=now, judged_every=status.judged_every if pause is None else pause)
-    if seen == status.condition:
+    if faulty == status.condition:
         return replace(judged, pending_since=None, pending_seconds=0.0), None
     begins = status.pending_since is None or gap
     since = now if begins or status.pending_since is None else status.pending_since
     seconds = 0.0 if begins else status.pending_seconds + (pause or 0.0)
     if seconds < delay:
         return replace(judged, pending_since=since, pending_seconds=seconds), None
-    event = AlarmEvent.RAISE if seen else AlarmEvent.CLEAR
+    event = AlarmEvent.RAISE if faulty else AlarmEvent.CLEAR
     state = next_state(status.state, event, latch=rule.latch)
-    return replace(judged, state=state, condition=seen, pending_since=None, pending_seconds=0.0), event
+    return replace(judged, state=state, condition=faulty, pending_since=None, pending_seconds=0.0), event
 
 
 def unjudged(status: AlarmStatus) -> AlarmStatus:

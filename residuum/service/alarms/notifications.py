@@ -103,14 +103,14 @@ class Receiver:
     def _tell_of_findings(self) -> bool:
         """Tell a batch of what waits; False when more may wait."""
         batch = self._outbox.findings(self._id)
-        until, told = time.monotonic() + _PATIENCE, []
+        until, sent = time.monotonic() + _PATIENCE, []
         for finding in batch.findings:
             if self._stopped.is_set() or time.monotonic() > until or not self._attempt("finding", finding.to_json()):
                 break
-            told.append(finding.id)
-        if told or batch.lost:
+            sent.append(finding.id)
+        if sent or batch.lost:
             self._lost("finding", batch.lost)
-            self._outbox.told_findings(self._id, told, batch.lost)
+            self._outbox.told_findings(self._id, sent, batch.lost)
         return not batch.findings
 
     def _lost(self, kind: str, count: int) -> None:
@@ -205,9 +205,9 @@ class Broker:
         try:
             if self._client is None or not self._client.is_connected():
                 self._connect()
-            told = self._client.publish(topic, orjson.dumps(payload, option=orjson.OPT_SERIALIZE_NUMPY), qos=1)
-            told.wait_for_publish(_PATIENCE)
-            if not told.is_published():
+            message = self._client.publish(topic, orjson.dumps(payload, option=orjson.OPT_SERIALIZE_NUMPY), qos=1)
+            message.wait_for_publish(_PATIENCE)
+            if not message.is_published():
                 raise TimeoutError("the broker gave no receipt")
         except (RuntimeError, ValueError) as error:
             raise ConnectionError(str(error)) from error

@@ -68,8 +68,8 @@ async def alarm_history(
 @router.get("/{alarm}", response_model=AlarmAnswer)
 def get_alarm(request: Request, running: Running, alarm: AlarmId) -> Response:
     """One alarm with its journal."""
-    found = _visible(request, running, alarm).to_json()
-    return Json({**found, "journal": [entry.to_json() for entry in running.store.alarm_journal(alarm)]})
+    fields = _visible(request, running, alarm).to_json()
+    return Json({**fields, "journal": [entry.to_json() for entry in running.store.alarm_journal(alarm)]})
 
 
 @router.post("/{alarm}/acknowledge", response_model=AlarmAnswer)
@@ -132,7 +132,7 @@ def _operate(
 
 def _visible(request: Request, running: Services, alarm: int) -> Alarm:
     """The alarm; NotFound also when it is of a site that is not the caller's."""
-    found = running.store.alarm(alarm)
-    if not caller_of(request).may_see(found.asset):
+    stored = running.store.alarm(alarm)
+    if not caller_of(request).may_see(stored.asset):
         raise NotFound(f"alarm {alarm}: there is none of this number")
-    return found
+    return stored

@@ -147,14 +147,14 @@ def improve(request: Request, running: Running, model: ModelName, asked: Improve
     by = caller_of(request).name
 
     def keep(outcome: Mapping[str, Any]) -> Mapping[str, Any]:
-        found = {**outcome["result"], "model_file": None, "file": outcome["file"].decode()}
-        if asked.save_as is None or (found["refused"] and len(found["history"]) == 1):  # nothing that would not make it worse
-            return found
-        added = [step["added"] for step in found["history"] if step["added"]]
+        answer = {**outcome["result"], "model_file": None, "file": outcome["file"].decode()}
+        if asked.save_as is None or (answer["refused"] and len(answer["history"]) == 1):  # nothing that would not make it worse
+            return answer
+        added = [step["added"] for step in answer["history"] if step["added"]]
         note = f"improved: {', '.join(added)}" if added else "improved: parameters estimated, no effect added"
         stored = running.store.add_model_version(asked.save_as, "physical", outcome["file"], note, by)
         address = f"/api/v1/models/{stored.model}/versions/{stored.number}"
-        return {**found, "model_file": address, "stored": {"model": stored.model, "version": stored.number}}
+        return {**answer, "model_file": address, "stored": {"model": stored.model, "version": stored.number}}
 
     return accepted(running.jobs.submit("improve", analyses.improve, work, question, then=keep))
 
@@ -184,7 +184,7 @@ def residuals(running: Running, asked: Residuals) -> Response:
 
     def named(outcome: Mapping[str, Any]) -> Mapping[str, Any]:
         runs = zip(outcome["runs"], asked.records, strict=True)
-        return {"design": outcome["design"], "runs": [found | {"record": number} for found, number in runs]}
+        return {"design": outcome["design"], "runs": [run | {"record": number} for run, number in runs]}
 
     work = (content, healthy, records, *questions)
     return accepted(running.jobs.submit("residuals", analyses.residuals, *work, then=named))
@@ -193,14 +193,14 @@ def residuals(running: Running, asked: Residuals) -> Response:
 @router.post("/control-designs", status_code=202, response_model=JobAnswer)
 def design_controller(running: Running, asked: ControlDesign) -> Response:
     """Design a controller from identified models, one an operating point; the result holds the controller."""
-    names = [each.model for each in asked.models]
+    names = [ref.model for ref in asked.models]
     work = (names, *models_of(running, asked), part_of(asked, DesignController), asked.export)
     return accepted(running.jobs.submit("control-designs", analyses.design_controller, *work, then=_with_file))
 
 
 def models_of(running: Services, asked: ControlDesign) -> tuple[list[bytes], bytes | None]:
     """The files of the models that a controller is designed for, and that of the nominal plant."""
-    contents = [_content(running, each.model, "identified", each.version) for each in asked.models]
+    contents = [_content(running, ref.model, "identified", ref.version) for ref in asked.models]
     joined = asked.joined
     return contents, None if joined is None else _content(running, joined.model, "identified", joined.version)
 
@@ -216,8 +216,8 @@ def _result(outcome: Mapping[str, Any]) -> Mapping[str, Any]:
 
 def _with_file(outcome: Mapping[str, Any]) -> Mapping[str, Any]:
     """The design, with itself as the file that holds the controller; an infeasible one has none."""
-    found = outcome["result"]
-    return {**found, "file": found if found.get("feasible", False) else None}
+    design = outcome["result"]
+    return {**design, "file": design if design.get("feasible", False) else None}
 
 
 def _keep(request: Request, running: Services, name: str | None, kind: str) -> Keep:
@@ -258,7 +258,7 @@ def _records(running: Services, numbers: Sequence[int]) -> list[RecordParts]:
 
 
 def _content(running: Services, model: str, kind: str, version: int | None) -> bytes:
-    found = running.store.model_versions(model)[0].kind
-    if found != kind:
-        raise Conflict(f"model {model!r}: is a {found} model; this needs {'an' if kind == 'identified' else 'a'} {kind} one")
+    actual = running.store.model_versions(model)[0].kind
+    if actual != kind:
+        raise Conflict(f"model {model!r}: is a {actual} model; this needs {'an' if kind == 'identified' else 'a'} {kind} one")
     return running.store.model_content(model, version)

@@ -91,13 +91,13 @@ def accept_model(request: Request, running: Running, asset: AssetName, asked: Ac
     running.store.asset(asset)
     name, text = stored_model(running.store, asked.model, asked.version)
     content = write_model(model_of(name, None)).encode() if text is None else text
-    by, said = caller_of(request).name, f"{_said(asked)}{f': {asked.note}' if asked.note else ''}"
+    by, remark = caller_of(request).name, f"{_said(asked)}{f': {asked.note}' if asked.note else ''}"
     if asked.proposal is not None:
         baseline = running.store.model_content(_named(asset, "proposed"), asked.proposal)
         note = f"accepted with {_said(asked)}, proposal {asked.proposal}"
         running.store.add_model_version(baseline_name(running.store, asset), "baseline", baseline, note, by)
-        said += f" (thresholds of proposal {asked.proposal})"
-    running.store.add_model_version(_active(asset), "physical", content, said, by)
+        remark += f" (thresholds of proposal {asked.proposal})"
+    running.store.add_model_version(_active(asset), "physical", content, remark, by)
     running.events.publish("model-accepted", {"asset": asset, "model": asked.model, "by": by})
     return Json(_accepted(running, asset), 201, {"Location": f"/api/v1/assets/{asset}/model"})
 

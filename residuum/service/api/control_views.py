@@ -36,8 +36,8 @@ class ControlView(ControlDesign):
         if not (isinstance(given, dict) and given.keys() & {"lower", "upper"}):
             return given
         OLD_SPELLINGS.get()("lower, upper: will not be read much longer; say limits")
-        others = {name: value for name, value in given.items() if name not in ("lower", "upper")}
-        return {"limits": [given.get("lower"), given.get("upper")]} | others
+        fields = {name: value for name, value in given.items() if name not in ("lower", "upper")}
+        return {"limits": [given.get("lower"), given.get("upper")]} | fields
 
 
 @router.post("/control-designs/views", status_code=202, response_model=JobAnswer)

@@ -79,10 +79,10 @@ def list_signatures() -> Response:
 def list_uses(running: Running) -> Response:
     """In which models each effect is: those that come with the product, and the newest versions of the stored ones."""
     stored = running.store.models("physical", None, _MOST_MODELS).items
-    found = [use for name in BUILT_IN for use in _uses(name, None, load_model(name))]
-    for each in stored:
-        found += _uses(each.model, each.number, model_of(each.model, running.store.model_content(each.model, each.number)))
-    return Json({"items": found, "next_cursor": None})
+    uses = [use for name in BUILT_IN for use in _uses(name, None, load_model(name))]
+    for entry in stored:
+        uses += _uses(entry.model, entry.number, model_of(entry.model, running.store.model_content(entry.model, entry.number)))
+    return Json({"items": uses, "next_cursor": None})
 
 
 def _uses(name: str, version: int | None, model: PhysicalModel) -> Iterator[dict[str, Any]]:

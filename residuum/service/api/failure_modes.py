@@ -28,8 +28,8 @@ def list_failure_modes() -> Response:
     modes = load_fmeca()
     covered = coverage(modes, {name: diagnoser.classes for name, diagnoser in DIAGNOSERS.items()})
     cells = [
-        {"probability": p, "severity": s, "risk": risk(p, s).value, "modes": [mode.id for mode in there]}
-        for (p, s), there in criticality_matrix(modes).items()
+        {"probability": p, "severity": s, "risk": risk(p, s).value, "modes": [mode.id for mode in in_cell]}
+        for (p, s), in_cell in criticality_matrix(modes).items()
     ]
     items = [_mode(mode, covered.get(mode.id, [])) for mode in modes]
     return Json(

@@ -65,8 +65,8 @@ def get_poles_and_zeros(
     version: Annotated[int | None, Query(description="Version (default: the newest).", ge=1, le=10**9)] = None,
 ) -> Response:
     """Poles and zeros of G(z), those that its dead time puts at the origin among them."""
-    found = _identified(running, model, version)
-    return Json({"poles": _roots(found.denominator), "zeros": _roots(found.numerator)})
+    identified = _identified(running, model, version)
+    return Json({"poles": _roots(identified.denominator), "zeros": _roots(identified.numerator)})
 
 
 def _roots(polynomial: FloatArray | None) -> list[dict[str, float]] | None:
@@ -77,9 +77,9 @@ def _roots(polynomial: FloatArray | None) -> list[dict[str, float]] | None:
 
 def _identified(running: Services, model: str, version: int | None) -> IdentifiedModel:
     """The stored model of this name; Conflict for one of another kind."""
-    found = running.store.model_versions(model)[0].kind
-    if found != "identified":
-        raise Conflict(f"model {model!r}: is a {found} model; this needs an identified one")
+    actual = running.store.model_versions(model)[0].kind
+    if actual != "identified":
+        raise Conflict(f"model {model!r}: is a {actual} model; this needs an identified one")
     return read_identified(running.store.model_content(model, version))
 
 

@@ -31,13 +31,13 @@ def ready(running: Running, request: Request) -> Response:
     visible = {name: state for name, state in states.items() if caller_of(request).may_see(name)}
     named = troubled(visible)
     storing = running.store.troubles()
-    told = {
+    answer = {
         "status": "degraded" if named or storing else "ready",
         "version": version("residuum"),
         "states": counted(visible),
     }
     stranger = running.keys.needed and not hasattr(request.state, "caller")
-    return Json(told if stranger else {**told, "machines": named, "storage": dict(storing)})
+    return Json(answer if stranger else {**answer, "machines": named, "storage": dict(storing)})
 
 
 @router.get("/metrics", response_class=Response)

@@ -36,7 +36,7 @@ class Json(JSONResponse):
 def finding_json(finding: Finding) -> Response:
     """A finding as `Json(finding.to_json())` gives it, without the plain copy that this makes first."""
     beside = {name: finding.evidence[name] for name in TOLD_BESIDE if name in finding.evidence}
-    said = beside | {
+    document = beside | {
         "diagnoser": finding.diagnoser,
         "verdict": finding.verdict.value,
         "class": finding.fault_class,
@@ -46,7 +46,7 @@ def finding_json(finding: Finding) -> Response:
         "evidence": finding.evidence,
         "reason": finding.reason,
     }
-    return Response(orjson.dumps(said, _plain, _OPTIONS), media_type="application/json")
+    return Response(orjson.dumps(document, _plain, _OPTIONS), media_type="application/json")
 
 
 def _plain(value: Any) -> Any:
@@ -82,10 +82,10 @@ class _StrictRequest(Request):
     async def body(self) -> bytes:
         """The body, refused as soon as it is longer than such a body may be."""
         if not hasattr(self, "_body"):
-            pieces, came = [], 0
+            pieces, received = [], 0
             async for piece in self.stream():
-                came += len(piece)
-                if came > _LARGEST:
+                received += len(piece)
+                if received > _LARGEST:
                     raise HTTPException(413, f"body: more than {_LARGEST} bytes; no more are read here", _CLOSE)
                 pieces.append(piece)
             self._body = b"".join(pieces)

@@ -115,8 +115,8 @@ async def put_machine(request: Request, running: Running, machine: MachineName, 
     document_name(machine)
     running.pipeline.refuse_fixed(machine)
     watched = running.pipeline.status()["machines"]
-    kept = running.pipeline.machine(machine).sources if machine in watched else []
-    asked = asked.model_copy(update={"sources": with_kept_passwords(asked.sources, kept)})
+    old_sources = running.pipeline.machine(machine).sources if machine in watched else []
+    asked = asked.model_copy(update={"sources": with_kept_passwords(asked.sources, old_sources)})
     try:
         settings = asked.settings(machine)
     except ValidationError as error:
@@ -208,8 +208,8 @@ def train(request: Request, running: Running, machine: MachineName, asked: Train
         if model is not None:
             text = model[1] if model[1] is not None else write_model(model_of(*model)).encode()
             running.store.add_model_version(f"{machine}.model", "physical", text, f"{model[0]}: {note}", by)
-        told = {name: value for name, value in outcome.items() if name != "baseline"}
-        return {**told, "passed_over": holes, "stored": {"model": baseline, "version": version.number}}
+        summary = {name: value for name, value in outcome.items() if name != "baseline"}
+        return {**summary, "passed_over": holes, "stored": {"model": baseline, "version": version.number}}
 
     present = running.store.model_content(baseline) if has_baseline(running.store, baseline) else None
     arguments = (trained.diagnoser, [parts_of(w) for w in windows], dict(settings.channels), model, own, present)

@@ -115,7 +115,7 @@ def view(running: Running, model: ModelName, asked: Comparison) -> Response:
 @router.post("/{model}/effect-curves", status_code=202, response_model=JobAnswer)
 def curves(running: Running, model: ModelName, asked: Curves) -> Response:
     """What each of these effects would add to its balance, along every axis."""
-    effects = [(each.effect, each.balance, each.parameters) for each in asked.effects]
+    effects = [(use.effect, use.balance, use.parameters) for use in asked.effects]
     text, records = _text(running, model, asked.version), _records(running, asked.records)
     return accepted(running.jobs.submit("effect-curves", effect_curves, model, text, records, asked.map, effects))
 
@@ -129,21 +129,21 @@ def add(request: Request, running: Running, model: ModelName, asked: Addition) -
     def keep(outcome: Mapping[str, Any]) -> Mapping[str, Any]:
         note = f"{added.effect} added to {added.balance}"
         stored = running.store.add_model_version(asked.save_as, "physical", outcome["file"], note, by)
-        found = {key: value for key, value in outcome.items() if key != "file"}
-        return {**found, "stored": {"model": asked.save_as, "version": stored.number}}
+        answer = {key: value for key, value in outcome.items() if key != "file"}
+        return {**answer, "stored": {"model": asked.save_as, "version": stored.number}}
 
     arguments = (_text(running, model, asked.version), _records(running, asked.records), asked.map)
-    what = (added.effect, added.balance, added.parameters)
-    return accepted(running.jobs.submit("add-effect", add_effect, model, *arguments, *what, then=keep))
+    addition = (added.effect, added.balance, added.parameters)
+    return accepted(running.jobs.submit("add-effect", add_effect, model, *arguments, *addition, then=keep))
 
 
 def _text(running: Services, model: str, version: int | None) -> bytes | None:
     """The stored model's text; None for a built-in model."""
     if version is None and model in BUILT_IN:
         return None
-    found = running.store.model_versions(model)[0].kind
-    if found != "physical":
-        raise Conflict(f"model {model!r}: is a {found} model; this needs a physical one")
+    actual = running.store.model_versions(model)[0].kind
+    if actual != "physical":
+        raise Conflict(f"model {model!r}: is a {actual} model; this needs a physical one")
     return running.store.model_content(model, version)
 
 

@@ -45,16 +45,16 @@ class Reading(NamedTuple):
 
 def reading_of(query: QueryParams) -> Reading:
     """What a query says of reading; BadInput names the key that is malformed."""
-    said: dict[str, Any] = {key: query[key] for key in ("decimal", "time_form", "duplicates", "reordered") if key in query}
+    options: dict[str, Any] = {key: query[key] for key in ("decimal", "time_form", "duplicates", "reordered") if key in query}
     if "missing" in query:
-        said["missing"] = query.getlist("missing")
+        options["missing"] = query.getlist("missing")
     if "names" in query:
-        said["names"] = query["names"].split(",")
+        options["names"] = query["names"].split(",")
     if "time" in query:
-        said["time_column"] = query["time"]
+        options["time_column"] = query["time"]
     if "resample" in query:
-        said["resample"] = _truth(query["resample"])
-    return reading(said, query.getlist("map"), query.getlist("unit"))
+        options["resample"] = _truth(query["resample"])
+    return reading(options, query.getlist("map"), query.getlist("unit"))
 
 
 def reading(said: Mapping[str, Any], maps: Sequence[str], units: Sequence[str]) -> Reading:
@@ -65,8 +65,8 @@ def reading(said: Mapping[str, Any], maps: Sequence[str], units: Sequence[str]) 
         if options.get("time_column") is not None:
             raise BadBody("query: time=COLUMN and map=time=COLUMN are one option; give one of them")
         options["time_column"] = columns.pop("time")
-    if told := {columns.get(name, name): unit for name, unit in _pairs("unit", units).items()}:
-        options["units"] = told
+    if by_column := {columns.get(name, name): unit for name, unit in _pairs("unit", units).items()}:
+        options["units"] = by_column
     return Reading(options, {column: name for name, column in columns.items()})
 
 
@@ -87,13 +87,13 @@ def only_of_files(query: QueryParams, kind: str) -> None:
 
 
 def _pairs(key: str, texts: Sequence[str]) -> dict[str, str]:
-    found = {}
+    pairs = {}
     for text in texts:
         name, equals, value = text.partition("=")
         if not (name and equals and value):
             raise BadInput(f"query, {key} {text[:60]!r}: must be {'NAME=COLUMN' if key == 'map' else 'CHANNEL=UNIT'}")
-        found[name] = value
-    return found
+        pairs[name] = value
+    return pairs
 
 
 def _truth(text: str) -> bool:

@@ -84,15 +84,15 @@ async def add_record(
     """
     if time is not None and time_column is not None:
         raise BadBody("query: time and time_column are one option, the name of the column of times; give one of them")
-    said: dict[str, object] = {
+    options: dict[str, object] = {
         "resample": resample,
         "decimal": decimal,
         "time_form": time_form,
         "time_column": time_column or time,
     }
-    said |= {"names": names.split(",") if names else [], "duplicates": duplicates, "reordered": reordered}
+    options |= {"names": names.split(",") if names else [], "duplicates": duplicates, "reordered": reordered}
     with remedies_in_query():
-        how = reading(said | {"sample_time": sample_time, "missing": missing or []}, map or (), unit or ())
+        how = reading(options | {"sample_time": sample_time, "missing": missing or []}, map or (), unit or ())
         content = await body_of(request)
         bus = None if dbc is None else await run_in_threadpool(known_dbc, running.settings, running.store, dbc)
         record = await running.reading(_read, filename, content, running.settings, how.options, bus)
@@ -143,7 +143,7 @@ async def get_record_signal(
     return await running.listing(view)
 
 
-def _read(filename: str, content: bytes, settings: Settings, said: Mapping[str, object], bus: Path | None) -> Record:
+def _read(filename: str, content: bytes, settings: Settings, options: Mapping[str, object], bus: Path | None) -> Record:
     """The record of an uploaded file, whose name on disk is ours (its ending one of the known)."""
     endings = [*READERS, *OLDER, *LOGGERS, *CAN_LOGS]
     ending = next((known for known in endings if filename.lower().endswith(known)), None)
@@ -154,4 +154,4 @@ def _read(filename: str, content: bytes, settings: Settings, said: Mapping[str, 
             f"filename {filename[:60]!r}: CAN logs ({', '.join(CAN_LOGS)}) and the DBC file of their bus (dbc) go together"
         )
     limits = {"memory": settings.upload_memory, "seconds": settings.upload_seconds}
-    return read_upload(content, ending, filename, **limits, options=said, dbc=bus)
+    return read_upload(content, ending, filename, **limits, options=options, dbc=bus)

@@ -199,15 +199,15 @@ async def _off_the_loop(body: bytes, read: Callable[..., Record], *arguments: An
 def _from_npy(body: bytes, query: bytes, expected: Sequence[Channel]) -> Record:
     array = read_npy(body)
     rows = array.reshape(1, -1) if array.ndim == 1 else array
-    said = _description(query)
-    names = said.names or tuple((channel.name, channel.unit) for channel in expected if channel.required)
+    header = _description(query)
+    names = header.names or tuple((channel.name, channel.unit) for channel in expected if channel.required)
     if len(names) != rows.shape[0]:
         shown = ", ".join(f"{name} [{unit}]" for name, unit in names) or "none"
         raise BadBody(f"body: the array has {rows.shape[0]} rows, and these channels are named: {shown}; shape is (channels, n)")
     if len({name for name, _ in names}) != len(names):
         raise BadBody("query: a channel is named twice")
     channels = {name: row for (name, _), row in zip(names, rows, strict=True)}
-    return Record(few(channels), dict(names), said.sample_time, said.t0, source="http")
+    return Record(few(channels), dict(names), header.sample_time, header.t0, source="http")
 
 
 class _Description(NamedTuple):

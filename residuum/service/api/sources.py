@@ -34,10 +34,10 @@ def get_status(running: Running, request: Request) -> Response:
     `compiled`: whether all is compiled that explanations need; until then the first one waits for it. `set_aside`: how many
     messages of the broker were set aside, and the newest with their reasons; not told to a key of some sites.
     """
-    told = {**_status(running, caller_of(request)), "compiled": is_compiled()}
+    answer = {**_status(running, caller_of(request)), "compiled": is_compiled()}
     if caller_of(request).sites is None:
-        told["set_aside"] = SetAside(running.settings.data).to_json()
-    return Json(told)
+        answer["set_aside"] = SetAside(running.settings.data).to_json()
+    return Json(answer)
 
 
 @router.get("/sources")

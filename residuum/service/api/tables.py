@@ -36,7 +36,7 @@ _MOST_ROWS, _FEWEST = 50_000, 10
 @router.get("/findings")
 def get_findings_table(running: Running, asset: AssetName, begin: Begin, end: End) -> Response:
     """The newest 5000 findings of a span of time: when, window, verdict, class, reason."""
-    newest = deque((_finding_row(found) for found in findings_in(running.store, asset, span_of(begin, end))), _MOST_FINDINGS)
+    newest = deque((_finding_row(stored) for stored in findings_in(running.store, asset, span_of(begin, end))), _MOST_FINDINGS)
     return _rows(list(newest))
 
 
@@ -44,16 +44,16 @@ def get_findings_table(running: Running, asset: AssetName, begin: Begin, end: En
 def get_indicators_table(running: Running, asset: AssetName, begin: Begin, end: End, points: Points = 1000) -> Response:
     """Indicators of a span of time with their limits: a row a moment and indicator, some 50 000 rows at most over all of them."""
     followed: dict[str, Followed] = {}
-    for found in findings_in(running.store, asset, span_of(begin, end)):
-        for name, value in found.finding.indicators.items():
-            each = followed.setdefault(name, Followed(found.finding.units.get(name, "")))
-            each.append(found.at, value, None, found.finding.thresholds.get(name))
+    for stored in findings_in(running.store, asset, span_of(begin, end)):
+        for name, value in stored.finding.indicators.items():
+            curve = followed.setdefault(name, Followed(stored.finding.units.get(name, "")))
+            curve.append(stored.at, value, None, stored.finding.thresholds.get(name))
     share = min(points, max(_FEWEST, _MOST_ROWS // max(1, len(followed))))
     answer = _rows(
         [
-            {"at": each.at[k], "name": name, "value": each.value[k], "threshold": each.high[k], "unit": each.unit}
-            for name, each in followed.items()
-            for k in _kept(each.value, share)
+            {"at": curve.at[k], "name": name, "value": curve.value[k], "threshold": curve.high[k], "unit": curve.unit}
+            for name, curve in followed.items()
+            for k in _kept(curve.value, share)
         ]
     )
     return in_pieces(bytes(answer.body), "application/json", {})
@@ -81,9 +81,9 @@ async def get_spectrum_table(
 
     def rows(known: StoredWindow, name: str) -> Response:
         record = running.store.window_record(asset, known.id, [name])
-        found, unit = amplitude_spectrum(record[name], record.sample_time), record.units[name]
-        kept = _kept(found.amplitude, points)
-        return _rows([{"frequency": k * found.step, "amplitude": found.amplitude[k], "unit": unit} for k in kept])
+        spectrum, unit = amplitude_spectrum(record[name], record.sample_time), record.units[name]
+        shown = _kept(spectrum.amplitude, points)
+        return _rows([{"frequency": k * spectrum.step, "amplitude": spectrum.amplitude[k], "unit": unit} for k in shown])
 
     return await of_one_channel(running, asset, await _window(running, asset, window), channel, rows)
 
@@ -98,11 +98,11 @@ async def _window(running: Services, asset: str, window: int | None) -> int:
     return newest[0].id
 
 
-def _finding_row(found: StoredFinding) -> dict[str, Any]:
+def _finding_row(stored: StoredFinding) -> dict[str, Any]:
     """The columns alone: a finding's evidence may be long."""
-    finding = found.finding
-    told = {"verdict": finding.verdict, "class": finding.fault_class, "reason": finding.reason}
-    return {"at": found.at, "window": found.window, **told}
+    finding = stored.finding
+    columns = {"verdict": finding.verdict, "class": finding.fault_class, "reason": finding.reason}
+    return {"at": stored.at, "window": stored.window, **columns}
 
 
 def _kept(values: Any, points: int) -> list[int]:

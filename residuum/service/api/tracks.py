@@ -64,8 +64,8 @@ def follow_parameters(running: Running, asset: AssetName, asked: Following) -> R
 
     The result has an item a parameter, with its healthy band, its windows and its track.
     """
-    told = told_parameters(running.store, asset)
-    return accepted(running.jobs.submit("tracks", follow, told, limits_of(running.store, asset), asked.moves_with))
+    parameters = told_parameters(running.store, asset)
+    return accepted(running.jobs.submit("tracks", follow, parameters, limits_of(running.store, asset), asked.moves_with))
 
 
 @router.post("/missing-terms", status_code=202, response_model=JobAnswer)
@@ -80,16 +80,16 @@ def picture_of_missing_terms(running: Running, asset: AssetName, asked: Picture)
 def _healthy(running: Services, asset: str, but: int) -> list[Any]:
     """The newest healthy windows, or recorded ones where none has been judged; Conflict when there are none."""
     judged = [f.window for f in running.store.findings(asset, limit=50, verdict="healthy").items]
-    found: list[Any] = []
+    healthy: list[Any] = []
     for number in judged or list(running.store.recorded_windows(asset))[::-1]:
-        if number != but and len(found) < _HEALTHY:
+        if number != but and len(healthy) < _HEALTHY:
             try:
-                found.append(parts_of(running.store.window_record(asset, number)))
+                healthy.append(parts_of(running.store.window_record(asset, number)))
             except SignalLetGo:
                 continue
-    if not found:
+    if not healthy:
         raise Conflict(f"asset {asset!r}: no healthy window is kept to compare with")
-    return found
+    return healthy
 
 
 def _model(running: Services, asset: str) -> tuple[dict[str, str], Any]:

@@ -70,25 +70,25 @@ def get_uncertainty(
 ) -> Response:
     """The uncertainty weight of an identified model, above the models that its posterior allows."""
     identified = read_identified(_content(running, model, asked.version))
-    made = weight_for(identified, asked, asked.form, asked.seed)
+    uncertainty = weight_for(identified, asked, asked.form, asked.seed)
     omega = 2 * np.pi * np.geomspace(_LOWEST, 1.0, _POINTS) * 0.5 / identified.sample_time
     turn = np.exp(-1j * np.outer(omega * identified.sample_time, np.arange(identified.reach)))
     drawn = identified.sample_longer(asked.samples, 0) @ turn.T
     centre = turn[:, : identified.order] @ identified.impulse_response
     below = {"multiplicative": centre, "additive": np.ones(1), "inverse-multiplicative": drawn}[asked.form]
     errors = np.abs(drawn - centre) / np.maximum(np.abs(below), 1e-300)
-    critical = made.critical_frequency
+    critical = uncertainty.critical_frequency
     answer = {
         "frequency": (omega / (2 * np.pi)).tolist(),
         "samples": errors.tolist(),
         "form": asked.form,
-        "sampled_frequency": (made.omega / (2 * np.pi)).tolist(),
-        "largest": made.magnitude.tolist(),
-        "weight": np.abs(made.weight.frequency_response(omega)).tolist(),
+        "sampled_frequency": (uncertainty.omega / (2 * np.pi)).tolist(),
+        "largest": uncertainty.magnitude.tolist(),
+        "weight": np.abs(uncertainty.weight.frequency_response(omega)).tolist(),
         "critical_frequency": None if critical is None else critical / (2 * np.pi),
-        "n_samples": made.n_samples,
-        "promise": made.promise,
-        "certified": made.certified,
+        "n_samples": uncertainty.n_samples,
+        "promise": uncertainty.promise,
+        "certified": uncertainty.certified,
     }
     return Json(answer)
 
@@ -104,7 +104,7 @@ def view(running: Running, model: ModelName, asked: ResidualView) -> Response:
 
 
 def _content(running: Services, model: str, version: int | None) -> bytes:
-    found = running.store.model_versions(model)[0].kind
-    if found != "identified":
-        raise Conflict(f"model {model!r}: is a {found} model; this needs an identified one")
+    actual = running.store.model_versions(model)[0].kind
+    if actual != "identified":
+        raise Conflict(f"model {model!r}: is a {actual} model; this needs an identified one")
     return running.store.model_content(model, version)

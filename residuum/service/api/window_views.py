@@ -84,9 +84,9 @@ async def get_kurtogram(running: Running, asset: AssetName, window: WindowId, ch
 
 def _kurtogram(running: Services, window: StoredWindow, name: str) -> Response:
     record = _channel(running, window, name)
-    found = kurtogram(record[name], record.sampling_rate, _levels(record.n), method="fft")
-    level, frequency, kurtosis = found.as_map()
-    best = {"centre": found.best.centre, "width": found.best.width, "kurtosis": found.best.kurtosis}
+    bands = kurtogram(record[name], record.sampling_rate, _levels(record.n), method="fft")
+    level, frequency, kurtosis = bands.as_map()
+    best = {"centre": bands.best.centre, "width": bands.best.width, "kurtosis": bands.best.kurtosis}
     return Json(
         {"channel": name, "level": level, "frequency": frequency, "kurtosis": np.ascontiguousarray(kurtosis), "best": best}
     )
@@ -165,24 +165,24 @@ def get_decision_regions(
     features = plane_features(judge.baseline)
     if x is None or y is None or not features:
         return Json({"features": features, "x": [], "y": [], "classes": [], "region": []})
-    here = running.store.finding_of(window).finding.indicators
-    ends = [2 * here.get(name, 0.5) if end is None else end for name, end in ((x, x_to), (y, y_to))]
-    found = classifier_plane(judge.baseline, here, x, y, [[0.0, 0.0], ends])
-    return Json({"features": features, "x": found.x, "y": found.y, "classes": found.classes, "region": found.region.tolist()})
+    point = running.store.finding_of(window).finding.indicators
+    ends = [2 * point.get(name, 0.5) if end is None else end for name, end in ((x, x_to), (y, y_to))]
+    plane = classifier_plane(judge.baseline, point, x, y, [[0.0, 0.0], ends])
+    return Json({"features": features, "x": plane.x, "y": plane.y, "classes": plane.classes, "region": plane.region.tolist()})
 
 
 def _residual_judge(running: Services, asset: str) -> RobustResidual:
     return _trained_judge(running, asset, RobustResidual, "residual")
 
 
-def _trained_judge(running: Services, asset: str, kind: type[Judge], what: str) -> Judge:
+def _trained_judge(running: Services, asset: str, kind: type[Judge], view: str) -> Judge:
     diagnoser = running.store.asset(asset).diagnoser
     if diagnoser != kind.name:
-        raise Conflict(f"asset {asset!r}: is judged by {diagnoser}, which has no {what}")
+        raise Conflict(f"asset {asset!r}: is judged by {diagnoser}, which has no {view}")
     try:
         judge = running.judges.trained(diagnoser, asset)
     except NotFound:
-        raise Conflict(f"asset {asset!r}: has no baseline yet, so there is no {what}") from None
+        raise Conflict(f"asset {asset!r}: has no baseline yet, so there is no {view}") from None
     if not isinstance(judge, kind):
         raise Conflict(f"asset {asset!r}: its baseline is one of {judge.name}")
     return judge

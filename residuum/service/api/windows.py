@@ -180,8 +180,8 @@ def signal_view(record: ReadInPieces, points: int, begin: float, end: float | No
 def _values(pieces: Iterator[Any], n: int, points: int, reduced: bool) -> dict[str, Any]:
     if not reduced:
         return {"values": np.concatenate(list(pieces))}
-    kept = extremes_of_pieces(pieces, n, points)
-    return {"minimum": kept.minimum, "maximum": kept.maximum}
+    envelope = extremes_of_pieces(pieces, n, points)
+    return {"minimum": envelope.minimum, "maximum": envelope.maximum}
 
 
 def known_channels(channels: list[str] | None, units: Any) -> list[str] | None:

@@ -44,13 +44,13 @@ def asks(without: Container[str] = ()) -> Callable[[Callable[..., Any]], Callabl
         name, question = parameter_of(function, Question)
         options = {field: _option(question, field) for field in question.model_fields if field not in without}
 
-        def made(said: dict[str, Any]) -> Question:
-            with warnings.catch_warnings(record=True) as told:
+        def made(texts: dict[str, Any]) -> Question:
+            with warnings.catch_warnings(record=True) as caught:
                 warnings.simplefilter("always")
                 asked = question.of(
-                    {field: _read(question, field, value) for field, value in said.items() if value not in (None, [])}
+                    {field: _read(question, field, value) for field, value in texts.items() if value not in (None, [])}
                 )
-            for warning in told:
+            for warning in caught:
                 progress(f"--{warning.message}")
             return asked
 
@@ -78,7 +78,7 @@ def _read(question: type[Question], name: str, value: Any) -> Any:
 
 def _taken(question: type[Question], name: str) -> Any:
     """What a field takes, as it is shown in the help."""
-    return next(each for each in _METAVARS if each in kinds(get_type_hints(question)[name]))
+    return next(kind for kind in _METAVARS if kind in kinds(get_type_hints(question)[name]))
 
 
 def _option(question: type[Question], name: str) -> inspect.Parameter:
@@ -88,6 +88,6 @@ def _option(question: type[Question], name: str) -> inspect.Parameter:
     form: Any = _FORMS.get(taken, _FORMS.get(get_origin(taken), str))
     if taken is bool:
         option, default, form = option if not field.default else f"{option}/--no-{option[2:]}", field.default, bool
-    told = help_of(field).replace("[", "\\[") + (" Repeat it for several." if form == list[str] else "")
-    annotation = Annotated[form | None, typer.Option(option, help=told, metavar=_METAVARS[taken])]
+    text = help_of(field).replace("[", "\\[") + (" Repeat it for several." if form == list[str] else "")
+    annotation = Annotated[form | None, typer.Option(option, help=text, metavar=_METAVARS[taken])]
     return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)

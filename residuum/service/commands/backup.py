@@ -58,8 +58,8 @@ def _files_of(settings: Settings) -> dict[str, bytes]:
         wanted += [source.map_file for source in machine.sources]
         wanted += [Path(model) for model in (machine.model, machine.second and machine.second.model) if model]
     places = {f"{number:03}-{_plain(place.name)}": place for number, place in enumerate(dict.fromkeys(wanted)) if place.is_file()}
-    told = orjson.dumps({name: str(place.resolve()) for name, place in places.items()}, option=orjson.OPT_INDENT_2)
-    return {name: place.read_bytes() for name, place in places.items()} | {"places.json": told}
+    listing = orjson.dumps({name: str(place.resolve()) for name, place in places.items()}, option=orjson.OPT_INDENT_2)
+    return {name: place.read_bytes() for name, place in places.items()} | {"places.json": listing}
 
 
 def _plain(name: str) -> str:

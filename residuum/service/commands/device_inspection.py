@@ -23,10 +23,10 @@ def inspect_device(address: str, map_path: Path) -> tuple[dict[str, Any], str]:
         readings, refusals = read_device(host, int(port), registers)
     except OSError as error:
         raise BadInput(f"{address}: cannot be read: {error}; look at host, port and unit_id ({registers.unit_id})") from None
-    plain = {"device": address, "map": str(map_path), "channels": [as_plain(each) for each in readings], "refused": refusals}
+    plain = {"device": address, "map": str(map_path), "channels": [as_plain(entry) for entry in readings], "refused": refusals}
     lines = [f"{address} by {map_path}: {len(readings)} channels read"]
     lines += [line for reading in readings for line in _lines(reading)]
-    return plain, "\n".join(lines + [f"  refused: {each}" for each in refusals])
+    return plain, "\n".join(lines + [f"  refused: {entry}" for entry in refusals])
 
 
 def _lines(reading: ChannelReading) -> list[str]:

@@ -55,8 +55,8 @@ def new_diagnoser(name: str, settings: dict[str, Any]) -> Diagnoser:
         if name != owner and setting != "method":
             raise BadInput(f"option --{setting.replace('_', '-')}: only the {owner} diagnoser has it, not {name!r}")
     of_class = {setting: value for setting, value in settings.items() if setting in _OF_MODELS}
-    others = {setting: value for setting, value in settings.items() if setting not in _OF_MODELS}
-    return diagnoser_class(name)(**of_class).with_settings(**others)
+    tuning = {setting: value for setting, value in settings.items() if setting not in _OF_MODELS}
+    return diagnoser_class(name)(**of_class).with_settings(**tuning)
 
 
 _OF_MODELS = ("model", "fix_undetermined", "false_alarms_per_day")
@@ -65,11 +65,11 @@ _OF_MODELS = ("model", "fix_undetermined", "false_alarms_per_day")
 def _frequencies(option: str, text: str | None) -> dict[str, float] | None:
     if text is None:
         return None
-    found: dict[str, float] = {}
+    frequencies: dict[str, float] = {}
     for item in text.split(","):
         name, _, number = item.partition("=")
         try:
-            found[name.strip().lower()] = float(number)
+            frequencies[name.strip().lower()] = float(number)
         except ValueError:
             raise BadInput(f"option {option} {item!r}: must be name=number") from None
-    return found
+    return frequencies

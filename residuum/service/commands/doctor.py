@@ -128,8 +128,8 @@ def _sweep(settings: Settings) -> None:
 def _check(name: str, look: Callable[[], str | tuple[str, str]]) -> Check:
     """What a look says, with or without a remark; wrong is what it raises."""
     try:
-        found = look()
-        return Check(name, True, found) if isinstance(found, str) else Check(name, True, *found)
+        says = look()
+        return Check(name, True, says) if isinstance(says, str) else Check(name, True, *says)
     except (Wrong, BadInput, StorageUnavailable, BrokenBlock, BrokenAudit, OSError, can.CanError) as error:
         return Check(name, False, " ".join(str(error).split()))
 
@@ -164,14 +164,14 @@ def _database(settings: Settings) -> str:
     if database is None:
         return "is not there yet; the first start makes it"
     try:
-        found, newest = database.revision(), newest_revision()
-        if found != newest:
-            raise Wrong(f"its schema is at revision {found}, this program needs {newest}; a start of the service migrates it")
+        revision, newest = database.revision(), newest_revision()
+        if revision != newest:
+            raise Wrong(f"its schema is at revision {revision}, this program needs {newest}; a start of the service migrates it")
         with database.write():
             """It can be written."""
         if (damage := database.damage()) is not None:
             raise Wrong(f"is damaged: {damage}; restore a backup")
-        return f"{database.url.get_backend_name()}, can be written, schema at revision {found}"
+        return f"{database.url.get_backend_name()}, can be written, schema at revision {revision}"
     finally:
         database.close()
 
@@ -198,15 +198,15 @@ def _rows(settings: Settings) -> str:
         if database.revision() != newest_revision():
             return "are looked at once the schema is the newest"
         with database.snapshot() as connection:
-            found = check_rows(connection)
+            checked = check_rows(connection)
     except (ValueError, TypeError) as error:  # a moment that is none
         raise Wrong(f"one cannot be read: {error}; restore a backup") from None
     finally:
         database.close()
-    if found.wrong:
-        more = f" ({len(found.wrong)} such in all)" if len(found.wrong) > 1 else ""
-        raise Wrong(f"{found.wrong[0]}{more}; restore a backup")
-    return f"{found.rows} looked at, all agree"
+    if checked.wrong:
+        more = f" ({len(checked.wrong)} such in all)" if len(checked.wrong) > 1 else ""
+        raise Wrong(f"{checked.wrong[0]}{more}; restore a backup")
+    return f"{checked.rows} looked at, all agree"
 
 
 def _existing(settings: Settings) -> Database | None:
@@ -273,8 +273,8 @@ def _bus(source: SourceSettings) -> str | tuple[str, str]:
         open_bus(source.channel).close()
         remarks = [f"{layout.name}: {layout.remark}" for layout in read if layout.remark] + list(messages.unusable.values())
         says = f"{source.channel} can be opened; {source.map} streams {', '.join(layout.name for layout in read)}"
-        others = [f"{layout.name} {layout.why_no_stream}" for layout in messages.values() if layout.why_no_stream]
-        left = f"; of {len(others)} not streamed the first: {others[0]}" if others else ""
+        silent = [f"{layout.name} {layout.why_no_stream}" for layout in messages.values() if layout.why_no_stream]
+        left = f"; of {len(silent)} not streamed the first: {silent[0]}" if silent else ""
         return says + left, "; ".join(remarks)
     if source.kind == "sparkplug":
         metrics = read_metric_map(source.map_file)
@@ -305,7 +305,7 @@ def _modbus(source: SourceSettings) -> str | tuple[str, str]:
         return f"{address} accepts connections", f"but gives no reply that fits: {error}; look at unit_id ({registers.unit_id})"
     if refusals:
         raise Wrong(f"{address}: {'; '.join(refusals)}")
-    remarks = [f"{each.stream}.{each.channel}: {each.remark}" for each in readings if each.remark not in ("", "missing")]
+    remarks = [f"{entry.stream}.{entry.channel}: {entry.remark}" for entry in readings if entry.remark not in ("", "missing")]
     return f"{address} answers; {source.map}: {len(readings)} channels read", "; ".join(remarks)
 
 

@@ -40,7 +40,7 @@ def estimate_command(
     written = asked.anyway or not estimation.unsettled
     if written:
         estimation.model.save(out)
-    found = estimation.to_dict() | {"model_file": str(out) if written else None}
-    report(found, estimate_text(found) + ("" if written else f"\n{_NOT_WRITTEN}"), as_json=as_json)
+    answer = estimation.to_dict() | {"model_file": str(out) if written else None}
+    report(answer, estimate_text(answer) + ("" if written else f"\n{_NOT_WRITTEN}"), as_json=as_json)
     if not estimation.converged:
         raise typer.Exit(ANSWER_IS_NO)

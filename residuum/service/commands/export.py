@@ -31,27 +31,27 @@ def export_command(
     from residuum.identification.physics import load_model  # noqa: PLC0415  SymPy is imported for this command alone
     from residuum.identification.physics.export import EXPORTS, explicit  # noqa: PLC0415
 
-    made = explicit(load_model(model))
-    content, binary = _fmu(made) if to == "fmu" else (EXPORTS[to](made), {})
+    explicit_model = explicit(load_model(model))
+    content, binary = _fmu(explicit_model) if to == "fmu" else (EXPORTS[to](explicit_model), {})
     write_whole(out, content)
     result = {
         "model": model,
         "to": to,
         "file": str(out),
-        "states": list(made.states),
-        "inputs": list(made.inputs),
-        "outputs": list(made.outputs),
-        "parameters": dict(made.values),
-        "components": {key: part.title for key, part in made.components.items()},
+        "states": list(explicit_model.states),
+        "inputs": list(explicit_model.inputs),
+        "outputs": list(explicit_model.outputs),
+        "parameters": dict(explicit_model.values),
+        "components": {key: part.title for key, part in explicit_model.components.items()},
         **binary,
     }
-    told = f" ({binary.get('library') or binary['without_library']})" if binary else ""
-    report(result, f"{model} written as {to}: {out}{told}", as_json=as_json)
+    remark = f" ({binary.get('library') or binary['without_library']})" if binary else ""
+    report(result, f"{model} written as {to}: {out}{remark}", as_json=as_json)
 
 
-def _fmu(made: Any) -> tuple[bytes, dict[str, str | None]]:
+def _fmu(explicit_model: Any) -> tuple[bytes, dict[str, str | None]]:
     """The FMU's bytes, and the folder of its library or why there is none."""
     from residuum.identification.physics.export.fmu_file import fmu  # noqa: PLC0415  as above
 
-    found = fmu(made)
-    return found.content, {"library": found.library, "without_library": found.why or None}
+    packed = fmu(explicit_model)
+    return packed.content, {"library": packed.library, "without_library": packed.why or None}

@@ -28,13 +28,13 @@ def fault(
     """
     order = _order(fault, clear)
     answer = ask(url, f"/demo/machines/{urllib.parse.quote(machine, safe='')}/fault", order)
-    said = (
+    outcome = (
         f"{machine}: {order['fault']} switched {'off' if order.get('size') == 0 or order['fault'] == 'none' else 'on'}"
         if order
         else ""
     )
     lines = [f"  {entry['id']:<16} {_size(entry)}  {entry.get('meaning', '')}" for entry in answer["faults"]]
-    report(answer, said or "\n".join([f"{machine} has", *lines]), as_json=as_json)
+    report(answer, outcome or "\n".join([f"{machine} has", *lines]), as_json=as_json)
 
 
 def _order(fault: str | None, clear: bool) -> dict[str, Any] | None:

@@ -51,9 +51,9 @@ def run_over_fleet(
             progress(f"{done} of {all_files} files")
 
     with open_executor(many, scheduler) as executor:
-        found = run_fleet(files, work, executor, results, workers=many, tell=tell)
-    summary = {"files": len(found), "refused": sum("refused" in each for each in found)}
-    summary |= {name: sum(_at(each, *place.split("=")) for each in found) for name, place in counts.items()}
+        answers = run_fleet(files, work, executor, results, workers=many, tell=tell)
+    summary = {"files": len(answers), "refused": sum("refused" in answer for answer in answers)}
+    summary |= {name: sum(_at(answer, *place.split("=")) for answer in answers) for name, place in counts.items()}
     says = ", ".join(f"{count} {name}" for name, count in summary.items())
     report(summary | {"results": str(results)}, f"{says}; written to {results}", as_json=as_json)
 

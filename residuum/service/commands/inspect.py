@@ -61,7 +61,7 @@ def inspect_command(
         options = ReadOptions(resample=resample, sample_time=sample_time, units=pairs("--unit", units))
         report(*of_record_file(Path(file), options), as_json=as_json)
     else:
-        said = {
+        given = {
             "decimal": decimal,
             "time_form": time,
             "time_column": time_column,
@@ -70,17 +70,17 @@ def inspect_command(
             "sample_time": sample_time,
             "heads": [] if names is None else names.split(","),
         }
-        _logger_file(Path(file), out, said, resample=resample, as_json=as_json)
+        _logger_file(Path(file), out, given, resample=resample, as_json=as_json)
 
 
 def _device(address: str, register_map: Path | None) -> tuple[dict[str, Any], str]:
     """The libraries of buses are imported for a device only: they take a second."""
     if register_map is None:
         raise BadRecord(f"{address}: name the register map of the device with --map FILE")
-    found: tuple[dict[str, Any], str] = import_module("residuum.service.commands.device_inspection").inspect_device(
+    inspected: tuple[dict[str, Any], str] = import_module("residuum.service.commands.device_inspection").inspect_device(
         address, register_map
     )
-    return found
+    return inspected
 
 
 def _says_itself(file: Path) -> bool:
@@ -101,19 +101,19 @@ def _start(file: Path) -> bytes:
 def _log(file: Path, dbc: Path | None) -> tuple[dict[str, Any], str]:
     if dbc is None or not is_can_log(file):
         raise BadRecord(f"{file}: a CAN log ({', '.join(CAN_LOGS)}) and the DBC file of its bus (--dbc FILE) go together")
-    found: tuple[dict[str, Any], str] = import_module("residuum.service.commands.log_inspection").inspect_log(file, dbc)
-    return found
+    inspected: tuple[dict[str, Any], str] = import_module("residuum.service.commands.log_inspection").inspect_log(file, dbc)
+    return inspected
 
 
-def _logger_file(file: Path, out: Path | None, said: dict[str, Any], *, resample: bool, as_json: bool) -> None:
+def _logger_file(file: Path, out: Path | None, given: dict[str, Any], *, resample: bool, as_json: bool) -> None:
     if out is not None:
         check_output_file(out)
     try:
         content = file.read_bytes()
     except OSError as error:
         raise BadRecord(f"{file}: cannot be read: {error.strerror}") from None
-    found = understand(content, str(file), **said)
+    understood = understand(content, str(file), **given)
     if out is not None:
-        out.write_text(found.mapping.to_yaml(), encoding="utf-8")
-    resampled = parse_logger(content, str(file), found.mapping, ReadOptions(resample=True)) if resample else None
-    report(*of_logger_file(file, found, resampled), as_json=as_json)
+        out.write_text(understood.mapping.to_yaml(), encoding="utf-8")
+    resampled = parse_logger(content, str(file), understood.mapping, ReadOptions(resample=True)) if resample else None
+    report(*of_logger_file(file, understood, resampled), as_json=as_json)

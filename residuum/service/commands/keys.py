@@ -33,10 +33,10 @@ def keys(
     files |= {"broker_password": str(folder / BROKER_PASSWORD), "broker_users": str(folder / BROKER_USERS)}
 
     def show(key: str) -> None:
-        said = f"API key of 'engineer', shown this once (the page asks for it):\n\n    {key}\n"
-        report({"made": True, "key": key} | files, said, as_json=as_json)
+        message = f"API key of 'engineer', shown this once (the page asks for it):\n\n    {key}\n"
+        report({"made": True, "key": key} | files, message, as_json=as_json)
 
-    made = make_first_keys(folder, show)
+    are_new = make_first_keys(folder, show)
     make_broker_user(folder)
-    if not made:
+    if not are_new:
         report({"made": False, "key": None} | files, f"Keys are in {files['api_keys']}; none was made.", as_json=as_json)

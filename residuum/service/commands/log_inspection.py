@@ -16,16 +16,16 @@ from residuum.service.fieldbus.settings import map_file
 def inspect_log(file: Path, dbc: Path) -> tuple[dict[str, Any], str]:
     """What is found, as plain values and as text; BadBusDescription when the log or the DBC file cannot be read."""
     log, messages = read_can_log(file), read_dbc(map_file(str(dbc)))
-    found, others = logged_messages(log, messages)
+    logged, unknown = logged_messages(log, messages)
     plain = {
         "file": str(file),
         "dbc": str(dbc),
         "frames": len(log.frames),
-        "messages": [_message(message) for message in found],
-        "absent": [name for name in messages if name not in {message.layout.name for message in found}],
+        "messages": [_message(message) for message in logged],
+        "absent": [name for name in messages if name not in {message.layout.name for message in logged}],
         "unusable": dict(messages.unusable),
-        "unknown": others,
-        "remarks": [*log.remarks, *(remark for message in found for remark in message.remarks)],
+        "unknown": unknown,
+        "remarks": [*log.remarks, *(remark for message in logged for remark in message.remarks)],
     }
     return plain, _text(plain)
 

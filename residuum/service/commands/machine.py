@@ -41,7 +41,7 @@ def machine(
     """
     wiring = wiring_of(name)
     buses = (("--can", wiring.dbc, can), ("--modbus", wiring.registers, modbus), ("--opcua", wiring.registers, opcua))
-    if not any(has and told for _, has, told in buses):
+    if not any(has and given for _, has, given in buses):
         needed = " or ".join(option for option, has, _ in buses if has)
         raise BadInput(f"machine {name!r}: needs a bus; give {needed}")
     device_machine = MACHINES[wiring.machine](seed=seed, exemplar=exemplar)

@@ -72,8 +72,8 @@ def _model_lacks(machine: MachineSettings, bus: Mapping[str, str]) -> list[str]:
 def _state(machine: MachineSettings, baseline: tuple[bool, int] | None) -> str:
     if baseline is None:
         return "the service has not run yet"
-    there, count = baseline
-    if there:
+    trained, count = baseline
+    if trained:
         return "has a baseline"
     then = f"train with: residuum watch train {machine.asset}" if count >= ENOUGH else f"let it run until there are {ENOUGH}"
     return f"has no baseline yet, {count} windows recorded; {then}"

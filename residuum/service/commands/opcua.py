@@ -33,25 +33,25 @@ def browse(
     """Write a node map of the variables that hold numbers; units are taken where the server says them."""
     check_output_file(out)
     nodes = None if entered is None else read_node_map(entered)
-    found = asyncio.run(_answered(url, _library().numeric_variables(url, nodes, under, _TIMEOUT)))
-    if not found:
+    variables = asyncio.run(_answered(url, _library().numeric_variables(url, nodes, under, _TIMEOUT)))
+    if not variables:
         raise BadInput(f"{url}: no variable with a number{f' whose id begins with {under!r}' if under else ''}")
-    channels = {name: ChannelNode(**_said(each)) for name, each in found.items()}
+    channels = {name: ChannelNode(**_said(node)) for name, node in variables.items()}
     out.write_text(node_map_text({"signals": (every, channels)}), encoding="utf-8")
-    lines = [f"{out}: {len(found)} channels, a sample every {every:g} s"]
-    lines += [f"  {name} [{each.unit or '1'}]  {each.node}{_what(each)}" for name, each in found.items()]
-    plain = {name: {**_said(each), "kind": each.kind, "names": list(each.names)} for name, each in found.items()}
+    lines = [f"{out}: {len(variables)} channels, a sample every {every:g} s"]
+    lines += [f"  {name} [{node.unit or '1'}]  {node.node}{_what(node)}" for name, node in variables.items()]
+    plain = {name: {**_said(node), "kind": node.kind, "names": list(node.names)} for name, node in variables.items()}
     report({"file": str(out), "channels": plain}, "\n".join(lines), as_json=as_json)
 
 
-def _said(found: Any) -> dict[str, Any]:
+def _said(node: Any) -> dict[str, Any]:
     """What the map says of a variable: that it holds, too, of one that takes few values."""
-    return {"node": found.node, "unit": found.unit} | ({"held": True} if found.held else {})
+    return {"node": node.node, "unit": node.unit} | ({"held": True} if node.held else {})
 
 
-def _what(found: Any) -> str:
-    names = f" ({', '.join(found.names)})" if found.names else ""
-    return f"  {found.kind}{names}, held until it changes" if found.held else ""
+def _what(node: Any) -> str:
+    names = f" ({', '.join(node.names)})" if node.names else ""
+    return f"  {node.kind}{names}, held until it changes" if node.held else ""
 
 
 @app.command()

@@ -20,22 +20,22 @@ def expanded(
     function: Callable[..., Any],
     name: str,
     options: Mapping[str, inspect.Parameter],
-    made: Callable[[dict[str, Any]], Any],
+    question_of: Callable[[dict[str, Any]], Any],
 ) -> Callable[..., Any]:
-    """A command with these options in the place of the parameter `name`, which is `made` of what they say."""
+    """A command with these options in the place of the parameter `name`, which is `question_of` of what they say."""
     hints = get_type_hints(function, include_extras=True)
 
     def command(**given: Any) -> Any:
-        said = {option: given.pop(option) for option in options}
-        return function(**given, **{name: made(said)})
+        texts = {option: given.pop(option) for option in options}
+        return function(**given, **{name: question_of(texts)})
 
     own = {
-        each: [parameter.replace(kind=parameter.KEYWORD_ONLY, annotation=hints[each])]
-        for each, parameter in inspect.signature(function).parameters.items()
+        part: [parameter.replace(kind=parameter.KEYWORD_ONLY, annotation=hints[part])]
+        for part, parameter in inspect.signature(function).parameters.items()
     }
     own[name] = list(options.values())
-    signature = inspect.Signature([each for listed in own.values() for each in listed])
+    signature = inspect.Signature([part for listed in own.values() for part in listed])
     command.__name__, command.__doc__ = function.__name__, function.__doc__
     command.__signature__ = signature  # type: ignore[attr-defined]
-    command.__annotations__ = {each.name: each.annotation for each in signature.parameters.values()}
+    command.__annotations__ = {part.name: part.annotation for part in signature.parameters.values()}
     return command

@@ -36,16 +36,16 @@ def _of_record(file: Path, record: Record) -> dict[str, Any]:
     return shown
 
 
-def of_logger_file(file: Path, found: LoggerFile, resampled: Record | None = None) -> tuple[dict[str, Any], str]:
+def of_logger_file(file: Path, logger_file: LoggerFile, resampled: Record | None = None) -> tuple[dict[str, Any], str]:
     """(JSON object, text for people) of a logger's text file, as it is understood, or as it is `resampled` by that."""
-    shown = _understood(file, found) if resampled is None else _of_record(file, resampled)
-    shown["guesses"] = [{"what": what, "value": value, "reason": why} for what, (value, why) in found.guesses.items()]
-    shown["mapping"] = found.mapping.to_yaml()
+    shown = _understood(file, logger_file) if resampled is None else _of_record(file, resampled)
+    shown["guesses"] = [{"what": guess, "value": value, "reason": why} for guess, (value, why) in logger_file.guesses.items()]
+    shown["mapping"] = logger_file.mapping.to_yaml()
     return shown, _text(shown)
 
 
-def _understood(file: Path, found: LoggerFile) -> dict[str, Any]:
-    mapping, samples = found.mapping, dict(found.samples)
+def _understood(file: Path, logger_file: LoggerFile) -> dict[str, Any]:
+    mapping, samples = logger_file.mapping, dict(logger_file.samples)
     missing, rows, notes = samples.pop("missing"), samples.pop("first_rows"), samples.pop("notes")
     signals = samples.pop("signals")
     columns = [(k, name, mapping.units.get(k, ""), missing[name]) for k, name in mapping.names.items()]

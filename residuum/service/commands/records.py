@@ -60,13 +60,13 @@ _TOLD = (RESAMPLED, MEASURED_AT, NOT_READ, NO_VALUE)
 
 def pairs(option: str, texts: Sequence[str] | None) -> dict[str, str]:
     """`NAME=VALUE` texts of an option as a mapping; BadRecord names the one that is malformed."""
-    found = {}
+    mapping = {}
     for text in texts or ():
         name, equals, value = text.partition("=")
         if not (name and equals and value):
             raise BadRecord(f"option {option} {text!r}: must be NAME=VALUE")
-        found[name] = value
-    return found
+        mapping[name] = value
+    return mapping
 
 
 @dataclass(frozen=True)
@@ -90,9 +90,9 @@ class Reading:
         if self.dbc is not None and not any(is_can_log(file) for file in files):
             raise BadRecord(f"--dbc {self.dbc}: no record is a CAN log; these end in {', '.join(CAN_LOGS)}")
         # a unit is said of a column, or of the name that it gets
-        told = {self._columns.get(name, name): unit for name, unit in pairs("--unit", self.unit).items()}
+        units = {self._columns.get(name, name): unit for name, unit in pairs("--unit", self.unit).items()}
         time = self._columns.get("time")
-        options = ReadOptions(resample=self.resample, sample_time=self.sample_time, units=told, time_column=time)
+        options = ReadOptions(resample=self.resample, sample_time=self.sample_time, units=units, time_column=time)
         return [_read(file, options, self.mapping, self.dbc) for file in files]
 
     def named(self, files: Sequence[Path]) -> list[Record]:
@@ -116,7 +116,7 @@ def reads(without: Container[str] = ()) -> Callable[[Callable[..., Any]], Callab
             for field in fields(kind)
             if field.name not in without
         }
-        return expanded(function, name, options, lambda said: kind(**said))
+        return expanded(function, name, options, lambda texts: kind(**texts))
 
     return command
 
@@ -132,8 +132,8 @@ def _can_record(file: Path, options: ReadOptions, dbc: Path | None) -> Record:
         raise BadRecord(f"{file}: is a CAN log; name the DBC file of its bus with --dbc FILE")
     if not file.is_file():
         raise BadRecord(f"{file}: no such file")
-    made: Record = import_module("residuum.service.fieldbus.can.can_record").read_can_record(file, dbc, options)
-    return made
+    record: Record = import_module("residuum.service.fieldbus.can.can_record").read_can_record(file, dbc, options)
+    return record
 
 
 def _read(file: Path, options: ReadOptions, mapping: Path | None, dbc: Path | None) -> Record:

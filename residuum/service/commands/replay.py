@@ -56,9 +56,9 @@ def replay(
         sent = _serve(registers, pages, address, speed, linger)
     else:
         raise BadInput(f"--to {to!r}: must be can:INTERFACE:CHANNEL or modbus:HOST:PORT")
-    what = "frames" if kind == "can" else "pages"
+    unit = "frames" if kind == "can" else "pages"
     report(
-        {"file": str(file), "to": to, "sent": sent, "kind": what}, f"{file.name}: {sent} {what} replayed to {to}", as_json=as_json
+        {"file": str(file), "to": to, "sent": sent, "kind": unit}, f"{file.name}: {sent} {unit} replayed to {to}", as_json=as_json
     )
 
 

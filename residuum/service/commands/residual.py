@@ -48,10 +48,10 @@ def design(
         return report(answer, several.design_text(answer), as_json=as_json)
     model = load_identified(identified)
     records = Reading(channel_map).named(healthy) if healthy else _own_records(model.provenance.get("records", ()))
-    made = residual_for(model, records, asked)
-    made.save(out)
-    answer = design_json(made, records, identified=str(identified), file=str(out))
-    report(answer, design_text(made, str(out)), as_json=as_json)
+    designed = residual_for(model, records, asked)
+    designed.save(out)
+    answer = design_json(designed, records, identified=str(identified), file=str(out))
+    report(answer, design_text(designed, str(out)), as_json=as_json)
 
 
 def _design_several(
@@ -60,9 +60,9 @@ def _design_several(
     model = load_multivariable(identified)
     own = model.models[0][0].provenance.get("records", ())
     records = Reading(channel_map).named(healthy) if healthy else _own_records(own)
-    made = design_multivariable_residual(model, records, method=asked.method, unknown=asked.unknown_input or [])
-    made.save(out)
-    return several.design_json(made, identified=str(identified), file=str(out))
+    designed = design_multivariable_residual(model, records, method=asked.method, unknown=asked.unknown_input or [])
+    designed.save(out)
+    return several.design_json(designed, identified=str(identified), file=str(out))
 
 
 def _own_records(names: Any) -> list[Record]:
@@ -88,11 +88,11 @@ def run(
     loaded = reading.named([record])[0]
     if stored_kind(design) == KIND:
         _only_posterior(asked)
-        seen = detect_multivariable(MultivariableResidual.load(design), loaded, false_alarms_per_day=asked.false_alarms_per_day)
-        answer = several.run_json(loaded, seen, asked.false_alarms_per_day)
+        joint = detect_multivariable(MultivariableResidual.load(design), loaded, false_alarms_per_day=asked.false_alarms_per_day)
+        answer = several.run_json(loaded, joint, asked.false_alarms_per_day)
         return report(answer, several.run_text(answer), as_json=as_json)
-    found = judged(ResidualDesign.load(design), loaded, asked)
-    report(found.to_dict(), str(found), as_json=as_json)
+    outcome = judged(ResidualDesign.load(design), loaded, asked)
+    report(outcome.to_dict(), str(outcome), as_json=as_json)
 
 
 def _only_posterior(asked: RunResidual) -> None:

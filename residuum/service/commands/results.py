@@ -51,8 +51,8 @@ def parquet(
         rows = {"findings": write_findings(store, asset, span, files["findings"])}
         if windows:
             rows["windows"] = write_windows(store, asset, span, files["windows"])
-    told = {name: {"file": str(files[name]), "rows": number} for name, number in rows.items()}
-    tell(told, "\n".join(f"{each['file']}: {each['rows']} rows" for each in told.values()), as_json=as_json)
+    written = {name: {"file": str(files[name]), "rows": number} for name, number in rows.items()}
+    tell(written, "\n".join(f"{entry['file']}: {entry['rows']} rows" for entry in written.values()), as_json=as_json)
 
 
 @app.command("report")
@@ -68,11 +68,11 @@ def month(
     """Write what happened at a machine in a month, as one page that opens offline."""
     check_output_file(out)
     with _store(settings_file, data, database) as store:
-        made = month_report(store, asset, of_month)
-    out.write_text(report_page(made), encoding="utf-8")
-    verdicts = dict(made.verdicts)
+        report = month_report(store, asset, of_month)
+    out.write_text(report_page(report), encoding="utf-8")
+    verdicts = dict(report.verdicts)
     says = ", ".join(f"{number} {name}" for name, number in verdicts.items()) or "no window"
-    tell({"file": str(out), "windows": verdicts, "faults": list(made.faults)}, f"{out}: {says}", as_json=as_json)
+    tell({"file": str(out), "windows": verdicts, "faults": list(report.faults)}, f"{out}: {says}", as_json=as_json)
 
 
 @contextmanager
@@ -81,11 +81,11 @@ def _store(settings_file: Path | None, data: Path | None, database: str | None) 
     source = sqlite_file(settings.database_url)
     if source is not None and not source.is_file():
         raise BadInput(f"database {source}: is not there; nothing was stored yet")
-    there = Database(settings.database_url)
+    existing = Database(settings.database_url)
     try:
-        there.refuse_other_revision()
+        existing.refuse_other_revision()
     finally:
-        there.close()
+        existing.close()
     store = DiskStore(settings.data, settings.database_url)
     try:
         yield store

@@ -36,8 +36,8 @@ def set_aside(
         raise BadInput("setting mqtt: is empty; --again needs the broker that the messages came from")
     refused = {message.name: why for message, why in send_again(settings.broker, aside, chosen)} if again and chosen else {}
     lines = [_line(message, refused) for message in chosen]
-    told = {"messages": [asdict(each) for each in chosen], "stored": [each for each, why in refused.items() if why is None]}
-    report(told, "\n".join(lines) or "Nothing is set aside.", as_json=as_json)
+    answer = {"messages": [asdict(entry) for entry in chosen], "stored": [entry for entry, why in refused.items() if why is None]}
+    report(answer, "\n".join(lines) or "Nothing is set aside.", as_json=as_json)
 
 
 def _line(message: Poisoned, refused: dict[str, str | None]) -> str:

@@ -56,10 +56,10 @@ def _setting(text: str) -> tuple[str, str]:
 
 def _effect(text: str) -> tuple[str, dict[str, float] | str]:
     """`id`, `id:large` or `id:par=value,…`."""
-    id, _, rest = text.partition(":")
-    if rest in SIZES:
-        return id, rest
-    parts = [part.partition("=") for part in rest.split(",")] if rest else []
+    id, _, sizes = text.partition(":")
+    if sizes in SIZES:
+        return id, sizes
+    parts = [part.partition("=") for part in sizes.split(",")] if sizes else []
     if wrong := [name for name, equals, _ in parts if not equals]:
         raise BadInput(f"--effect {text!r}: {wrong[0]!r} must be par=value, or {known_names(wrong[0], SIZES, 'one of')}")
     return id, {name: _number(value, f"--effect {text!r}, {name!r}") for name, _, value in parts}
@@ -71,11 +71,11 @@ def _fault(text: str) -> tuple[str, float | None]:
     return id, _number(size, f"{text!r}") if colon else None
 
 
-def _number(text: Any, what: str) -> float:
+def _number(text: Any, where: str) -> float:
     try:
         return float(text)
     except ValueError:
-        raise BadInput(f"{what}: {text!r} is not a number") from None
+        raise BadInput(f"{where}: {text!r} is not a number") from None
 
 
 def _human(result: dict[str, Any], truth: dict[str, Any]) -> str:

@@ -47,17 +47,17 @@ def browse(
     except ModuleNotFoundError:
         raise BadInput("Sparkplug needs the extra `sparkplug`: pip install 'residuum[sparkplug]'") from None
     try:
-        found = numeric_metrics(address, node, _TIMEOUT)
+        devices = numeric_metrics(address, node, _TIMEOUT)
     except OSError as error:
         raise BadInput(f"{address.host}:{address.port}: {error}") from None
-    if not found:
+    if not devices:
         raise BadInput(f"{node}: no birth with a number came within {_TIMEOUT:g} s; is the node connected to this broker?")
-    out.write_text(metric_map_text(node, every, found), encoding="utf-8")
-    lines = [f"{out}: {sum(map(len, found.values()))} channels of {node}, a sample every {every:g} s"]
+    out.write_text(metric_map_text(node, every, devices), encoding="utf-8")
+    lines = [f"{out}: {sum(map(len, devices.values()))} channels of {node}, a sample every {every:g} s"]
     lines += [
         f"  {device or 'the node'}: {name} [{unit or '1'}]  {metric}"
-        for device, channels in found.items()
+        for device, channels in devices.items()
         for name, (metric, unit) in channels.items()
     ]
-    plain = {device: {n: {"metric": m, "unit": u} for n, (m, u) in channels.items()} for device, channels in found.items()}
+    plain = {device: {n: {"metric": m, "unit": u} for n, (m, u) in channels.items()} for device, channels in devices.items()}
     report({"file": str(out), "devices": plain}, "\n".join(lines), as_json=as_json)

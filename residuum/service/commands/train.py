@@ -70,11 +70,11 @@ def train(
         )
     settings = diagnoser_settings(speed_rpm, orders, hertz, method) | of_model
 
-    def fit(judge: Diagnoser, kept: Sequence[int]) -> Diagnoser:
-        chosen = [loaded[k] for k in kept]
-        named = None if names is None else [names[k] for k in kept]
+    def fit(judge: Diagnoser, indices: Sequence[int]) -> Diagnoser:
+        chosen = [loaded[k] for k in indices]
+        named = None if names is None else [names[k] for k in indices]
         if isinstance(judge, GateActuator) and exemplars is not None:
-            return judge.fit(chosen, named, [exemplars[k] for k in kept])
+            return judge.fit(chosen, named, [exemplars[k] for k in indices])
         return judge.fit(chosen, named)
 
     fit(untrained, range(len(loaded))).save(out)
@@ -82,7 +82,7 @@ def train(
     if validate is not None:
         truth = names or ["healthy"] * len(loaded)
         objects = exemplars or [str(k) for k in range(len(loaded))]
-        validation = validated(validate, lambda kept: fit(new_diagnoser(diagnoser, settings), kept), loaded, truth, objects)
+        validation = validated(validate, lambda indices: fit(new_diagnoser(diagnoser, settings), indices), loaded, truth, objects)
     seconds = sum(record.duration for record in loaded)
     result = {
         "diagnoser": diagnoser,

@@ -76,8 +76,8 @@ def make_map(
     except (OSError, UnicodeDecodeError) as error:
         raise BadInput(f"{table}: cannot be read: {error}") from None
     check_output_file(out)
-    made = register_map_of(text, every, table.name, unit_id)
-    out.write_text(register_map_text(made), encoding="utf-8")
+    registers = register_map_of(text, every, table.name, unit_id)
+    out.write_text(register_map_text(registers), encoding="utf-8")
     stream = read_register_map(out).streams["signals"].format("signals")
     lines = [f"{out}: {len(stream.units)} signals, read every {every:g} s"]
     lines += [f"  {name} [{unit or '1'}]" for name, unit in stream.units.items()]
@@ -93,16 +93,16 @@ def signals(
 ) -> None:
     """Show the present values of a machine's signals. No service needs to run."""
     settings = load_settings(settings_file)
-    watched = next((each for each in settings.machines if each.asset == machine), None)
+    watched = next((entry for entry in settings.machines if entry.asset == machine), None)
     if watched is None:
-        known = known_names(machine, [each.asset for each in settings.machines], "there are")
+        known = known_names(machine, [entry.asset for entry in settings.machines], "there are")
         raise BadInput(f"machine {machine!r}: is not in the settings; {known}")
     live, silent = _listened(watched, seconds)
     units = bus_signals(watched)
     lines = [f"  {bus:<20} {value['value']:>12.6g} {units[bus]:<8} {_alias(bus, value['name'])}" for bus, value in live.items()]
     lines += [f"  nothing came from {name}: {trouble or 'the bus is silent'}" for name, trouble in silent.items()]
-    told = {bus: {"name": value["name"], "value": value["value"], "unit": units[bus]} for bus, value in live.items()}
-    report({"machine": machine, "signals": told, "silent": silent}, "\n".join([f"{machine} reads", *lines]), as_json=as_json)
+    present = {bus: {"name": value["name"], "value": value["value"], "unit": units[bus]} for bus, value in live.items()}
+    report({"machine": machine, "signals": present, "silent": silent}, "\n".join([f"{machine} reads", *lines]), as_json=as_json)
     if silent:
         raise typer.Exit(1)
 
@@ -110,14 +110,14 @@ def signals(
 @app.command()
 def status(machine: MachineArgument, url: ServiceUrl = HERE, as_json: AsJson = False) -> None:
     """Say how a machine is watched and what it needs next."""
-    found = ask(url, f"/assets/{_quoted(machine)}/machine")
+    answer = ask(url, f"/assets/{_quoted(machine)}/machine")
     asset = ask(url, f"/assets/{_quoted(machine)}")
-    doing = found["status"]["doing"] if found["status"] else "not watched"
+    doing = answer["status"]["doing"] if answer["status"] else "not watched"
     lines = [
         f"{machine}: {asset['state']}; {doing}",
-        f"  windows kept: {asset['windows']}; recorded without a judge: {len(found['recorded_windows'])}",
+        f"  windows kept: {asset['windows']}; recorded without a judge: {len(answer['recorded_windows'])}",
     ]
-    report(found | {"state": asset["state"]}, "\n".join(lines), as_json=as_json)
+    report(answer | {"state": asset["state"]}, "\n".join(lines), as_json=as_json)
 
 
 @app.command()
@@ -169,10 +169,10 @@ def train(
 
 def _machine(asset: str, buses: Mapping[str, str | None], bus_map: str | None) -> MachineSettings | None:
     """The machine with the source that was told (kind → where it is); None when none was."""
-    told = [(kind, where) for kind, where in buses.items() if where is not None]
-    if not told:
+    given = [(kind, where) for kind, where in buses.items() if where is not None]
+    if not given:
         return None
-    kind, where = told[0]
+    kind, where = given[0]
     if bus_map is None:
         makers = "residuum watch map makes one, residuum opcua browse a node map, residuum sparkplug browse a metric map"
         raise BadInput(f"--map: is missing; a source needs its DBC file, register map, node map or metric map ({makers})")

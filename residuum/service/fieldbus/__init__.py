@@ -24,10 +24,10 @@ def _opcua(settings: SourceSettings, sink: Sink) -> Source:
     """Imported when it is opened: the library is an extra."""
     nodes = read_node_map(settings.map_file)
     try:
-        made: Source = import_module("residuum.service.fieldbus.opcua.opcua_source").OpcuaSource(settings.channel, nodes, sink)
+        source: Source = import_module("residuum.service.fieldbus.opcua.opcua_source").OpcuaSource(settings.channel, nodes, sink)
     except ModuleNotFoundError:
         raise BadBusDescription("an OPC UA source needs the extra `opcua`: pip install 'residuum[opcua]'") from None
-    return made
+    return source
 
 
 def _sparkplug(settings: SourceSettings, sink: Sink) -> Source:
@@ -37,8 +37,8 @@ def _sparkplug(settings: SourceSettings, sink: Sink) -> Source:
         module = import_module("residuum.service.fieldbus.sparkplug.sparkplug_source")
     except ModuleNotFoundError:
         raise BadBusDescription("a Sparkplug source needs the extra `sparkplug`: pip install 'residuum[sparkplug]'") from None
-    made: Source = module.SparkplugSource(metrics.entered(settings.channel), metrics, sink)
-    return made
+    source: Source = module.SparkplugSource(metrics.entered(settings.channel), metrics, sink)
+    return source
 
 
 SOURCES: dict[str, Open] = {

@@ -19,14 +19,14 @@ class _EachNameOnce(PlainNumbers):
     """YAML itself would let the later of two equal names win, without a word."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
-        seen: set[Hashable] = set()
+        names: set[Hashable] = set()
         for key, _ in node.value:
             name = self.construct_object(key, deep=True)
-            if name in seen:
+            if name in names:
                 raise yaml.constructor.ConstructorError(
                     None, None, f"{name!r} is named twice in one place; rename or remove one", key.start_mark
                 )
-            seen.add(name)
+            names.add(name)
         return super().construct_mapping(node, deep)
 
 

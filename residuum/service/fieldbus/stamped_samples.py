@@ -172,9 +172,9 @@ class StampedSamples:
 
     def _holding(self, channel: str) -> bool:
         """Whether a channel's last value holds where none is reported."""
-        said = None if self._held is None else self._held.get(channel)
-        if said is not None or self._held is None:
-            return bool(said)
+        declared = None if self._held is None else self._held.get(channel)
+        if declared is not None or self._held is None:
+            return bool(declared)
         reports = self._reports[channel]
         return len(reports) < _FEWEST_REPORTS or 2 * sum(reports) < len(reports)
 

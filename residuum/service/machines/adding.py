@@ -79,7 +79,7 @@ def _of_dbc(file: Path) -> tuple[list[StreamFormat], list[str]]:
     messages = read_dbc(file)
     read = streamed(messages)
     remarks = [f"message {layout.name}: {layout.remark}" for layout in read if layout.remark]
-    left_out = [f"message {name} is not read: it {each.why_no_stream}" for name, each in messages.items() if each.why_no_stream]
+    left_out = [f"message {name} is not read: it {msg.why_no_stream}" for name, msg in messages.items() if msg.why_no_stream]
     return [layout.format for layout in read], [*remarks, *left_out, *messages.unusable.values()]
 
 
@@ -111,14 +111,14 @@ def guessed_channels(model: PhysicalModel, bus: Mapping[str, str]) -> dict[str, 
     """
     wanted = {name: unit for name, (unit, _, _) in model_signals(model).items()}
     lower = {name.lower(): name for name in bus}
-    found = {name: lower[name.lower()] for name in wanted if name.lower() in lower}
-    open_names = [name for name in wanted if name not in found]
+    channels = {name: lower[name.lower()] for name in wanted if name.lower() in lower}
+    open_names = [name for name in wanted if name not in channels]
     for name in open_names:
-        left = _fitting({channel: unit for channel, unit in bus.items() if channel not in found.values()}, wanted[name])
-        rivals = [other for other in open_names if other not in found and _fitting(left, wanted[other])]
+        left = _fitting({channel: unit for channel, unit in bus.items() if channel not in channels.values()}, wanted[name])
+        rivals = [rival for rival in open_names if rival not in channels and _fitting(left, wanted[rival])]
         if len(left) == 1 and rivals == [name]:
-            found[name] = next(iter(left))
-    return found
+            channels[name] = next(iter(left))
+    return channels
 
 
 def _fitting(bus: Mapping[str, str], unit: str) -> dict[str, str]:
@@ -137,8 +137,8 @@ def named(record: Record, channels: Mapping[str, str]) -> Record:
     """
     renamed = {bus: name for name, bus in channels.items() if bus in record.names and bus != name}
     taken = set(renamed.values())
-    kept = record.select([name for name in record.names if name in renamed or name not in taken])
-    return kept.rename(renamed) if renamed else record
+    chosen = record.select([name for name in record.names if name in renamed or name not in taken])
+    return chosen.rename(renamed) if renamed else record
 
 
 # Machines that were added while the service ran: kept in the store, each with the bus
@@ -188,7 +188,7 @@ def kept_maps(store: DiskStore, asset: str) -> Mapping[str, str]:
 
 def kept_machines(store: DiskStore, data: Path) -> Sequence[MachineSettings]:
     """All machines that are kept, their bus descriptions as files below the data folder."""
-    found: list[MachineSettings] = []
+    machines: list[MachineSettings] = []
     cursor = None
     while True:
         page = store.models(KIND, cursor)
@@ -198,12 +198,12 @@ def kept_machines(store: DiskStore, data: Path) -> Sequence[MachineSettings]:
             try:
                 document = orjson.loads(store.model_content(version.model))
                 if document["machine"] is not None:
-                    found.append(with_map_files(MachineSettings(**document["machine"]), document["maps"], data))
+                    machines.append(with_map_files(MachineSettings(**document["machine"]), document["maps"], data))
             except (ValidationError, BadInput, KeyError, TypeError, orjson.JSONDecodeError) as error:
                 log.error("a kept machine cannot be read", document=version.model, reason=str(error))
         cursor = page.next_cursor
         if cursor is None:
-            return found
+            return machines
 
 
 def with_map_files(machine: MachineSettings, maps: Mapping[str, str], data: Path) -> MachineSettings:
@@ -234,18 +234,18 @@ def _file(name: str, maps: Mapping[str, Any], data: Path) -> str:
 # comes back.
 
 
-def with_kept_passwords(asked: Sequence[SourceSettings], kept: Sequence[SourceSettings]) -> list[SourceSettings]:
+def with_kept_passwords(asked: Sequence[SourceSettings], stored: Sequence[SourceSettings]) -> list[SourceSettings]:
     """The sources that are asked for, with a kept password wherever one is hidden.
 
     A password goes to no other address, user or kind of source than those it was given for: BadInput when none was.
     """
-    return [_with_password(place, source, kept) for place, source in enumerate(asked)]
+    return [_with_password(place, source, stored) for place, source in enumerate(asked)]
 
 
-def _with_password(place: int, source: SourceSettings, kept: Sequence[SourceSettings]) -> SourceSettings:
+def _with_password(place: int, source: SourceSettings, stored: Sequence[SourceSettings]) -> SourceSettings:
     if not is_hidden(source.channel):
         return source
-    same = {each.channel for each in kept if (each.kind, with_hidden_password(each.channel)) == (source.kind, source.channel)}
+    same = {old.channel for old in stored if (old.kind, with_hidden_password(old.channel)) == (source.kind, source.channel)}
     if len(same) != 1:
         raise BadInput(f"sources[{place}].channel: its password is hidden, and not one alone is kept for this address; give it")
     return source.model_copy(update={"channel": same.pop()})
@@ -274,9 +274,9 @@ def stored_model(store: DiskStore, name: str, version: int | None = None) -> Mod
     """Name and text of a built-in or stored model; NotFound, or Conflict when it is not a physical one."""
     if version is None and name in BUILT_IN:
         return name, None
-    found = store.model_versions(name)[0].kind
-    if found != "physical":
-        raise Conflict(f"model {name!r}: is a {found} model; this needs a physical one")
+    actual = store.model_versions(name)[0].kind
+    if actual != "physical":
+        raise Conflict(f"model {name!r}: is a {actual} model; this needs a physical one")
     return name, store.model_content(name, version)
 
 

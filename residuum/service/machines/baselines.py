@@ -79,7 +79,7 @@ def propose(
     """
     progress(0.05, f"learning the limits of {diagnoser} from {len(learned)} healthy records")
     kind = DIAGNOSERS[diagnoser]
-    records, windows = ([Record(*parts) for parts in each] for each in (learned, checked))
+    records, windows = ([Record(*parts) for parts in group] for group in (learned, checked))
     old = None if baseline is None else diagnoser_of_content(kind, baseline)
     new = _relearned(old or kind(), records, models[1])
     progress(0.6, f"judging {len(windows)} healthy windows with both")
@@ -115,11 +115,11 @@ def _thresholds(before: Sequence[Finding], after: Sequence[Finding]) -> dict[str
 
 
 def _middle(findings: Sequence[Finding]) -> dict[str, float]:
-    found: dict[str, list[float]] = {}
+    thresholds: dict[str, list[float]] = {}
     for finding in findings:
         for name, value in finding.thresholds.items():
-            found.setdefault(name, []).append(value)
-    return {name: float(np.median(values)) for name, values in found.items()}
+            thresholds.setdefault(name, []).append(value)
+    return {name: float(np.median(values)) for name, values in thresholds.items()}
 
 
 def _model_errors(
@@ -281,16 +281,16 @@ def healthy_windows(store: DiskStore, asset: str) -> list[Record]:
 
     Conflict when there are fewer than 8.
     """
-    found: list[Record] = []
+    records: list[Record] = []
     judged = store.findings(asset, limit=_MOST, verdict="healthy").items
     for _, record in kept_windows(store, asset, (finding.window for finding in judged)):
-        if not found or _alike(found[0], record):
-            found.append(record)
-    if len(found) < FEWEST_HEALTHY_WINDOWS:
+        if not records or _alike(records[0], record):
+            records.append(record)
+    if len(records) < FEWEST_HEALTHY_WINDOWS:
         raise Conflict(
-            f"asset {asset!r}: {len(found)} healthy windows with their signals; at least {FEWEST_HEALTHY_WINDOWS} are needed"
+            f"asset {asset!r}: {len(records)} healthy windows with their signals; at least {FEWEST_HEALTHY_WINDOWS} are needed"
         )
-    return found[::-1]
+    return records[::-1]
 
 
 def parted(windows: Sequence[Record]) -> tuple[list[Record], list[Record]]:
@@ -326,8 +326,8 @@ def _same(last: Record, window: Record, shared: int) -> bool:
     return shared > 0 and all(np.array_equal(last[c][-shared:], window[c][:shared], equal_nan=True) for c in last.channels)
 
 
-def _alike(one: Record, other: Record) -> bool:
-    return one.units == other.units and abs(one.sample_time / other.sample_time - 1) < 1e-6
+def _alike(first: Record, second: Record) -> bool:
+    return first.units == second.units and abs(first.sample_time / second.sample_time - 1) < 1e-6
 
 
 # Under which name a machine's baseline is stored, and its newest version.
@@ -388,15 +388,15 @@ def training_windows(
     """
     if judged:
         return healthy_windows(store, asset), 0
-    found, holes = [], 0
+    records, holes = [], 0
     chosen = (window for window in store.recorded_windows(asset, MOST) if window not in leave_out)
     for _, record in kept_windows(store, asset, chosen):
         if holed(named(record, channels), used):
             holes += 1
         else:
-            found.append(record)
-    if len(found) < FEWEST_NEW_WINDOWS:
+            records.append(record)
+    if len(records) < FEWEST_NEW_WINDOWS:
         lacking = f"; {holes} more have holes, {REMEDY}" if holes else ""
         needed = f"at least {FEWEST_NEW_WINDOWS} are needed, 20 are good"
-        raise Conflict(f"asset {asset!r}: {len(found)} windows are recorded; {needed}{lacking}")
-    return found, holes
+        raise Conflict(f"asset {asset!r}: {len(records)} windows are recorded; {needed}{lacking}")
+    return records, holes

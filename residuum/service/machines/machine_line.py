@@ -130,9 +130,9 @@ class MachineLine:
 
         Of a machine that is `running`, `state` tells besides whether its windows are being judged now.
         """
-        told = MachineState(state, doing, way_on)
-        if (told, round(progress, 2)) != (self._state, round(self._progress, 2)):
-            self._state, self._progress = told, progress
+        machine_state = MachineState(state, doing, way_on)
+        if (machine_state, round(progress, 2)) != (self._state, round(self._progress, 2)):
+            self._state, self._progress = machine_state, progress
             self._changed(self.settings.asset)
 
     def state(self) -> MachineState:
@@ -160,8 +160,8 @@ class MachineLine:
 
     def _silent(self) -> list[str]:
         """The sources that give nothing, each with its last trouble; none unless all of the windows wait for it."""
-        told = [(source.name, source.health.silence()) for source in self.sources]
-        return [f"{name} {silence}" for name, silence in told if silence]
+        silences = [(source.name, source.health.silence()) for source in self.sources]
+        return [f"{name} {silence}" for name, silence in silences if silence]
 
     def status(self) -> dict[str, Any]:
         """State, progress, and what became of the windows."""
@@ -287,9 +287,9 @@ def unreadable(settings: MachineSettings, reason: str) -> dict[str, Any]:
     }
 
 
-def _refuse_unknown(settings: MachineSettings, there: Collection[str]) -> None:
+def _refuse_unknown(settings: MachineSettings, bus_signals: Collection[str]) -> None:
     """BadInput for a name in `channels` that the bus has not."""
     for name, bus in settings.channels.items():
-        if bus not in there:
-            known = known_names(bus, sorted(there), "it has")
+        if bus not in bus_signals:
+            known = known_names(bus, sorted(bus_signals), "it has")
             raise BadInput(f"machine {settings.asset!r}, channels, {name}: the bus has no signal {bus!r}; {known}")

@@ -65,7 +65,7 @@ class LiveValues:
                     "age": now - (self._seen if self._seen is not None else now),
                     "history": {
                         "seconds": [at - now for at, _ in self._history.get(bus, ())],
-                        "values": [each for _, each in self._history.get(bus, ())],
+                        "values": [sample for _, sample in self._history.get(bus, ())],
                     },
                 }
                 for bus, value in self._newest.items()
@@ -122,14 +122,14 @@ def state_of_judging(cut: str, silent: Sequence[str], waiting: int, *, judged: b
 
 def counted(states: Mapping[str, Mapping[str, object]]) -> dict[str, int]:
     """How many machines are in each state, from what each of them tells."""
-    told = [state.get("state") for state in states.values()]
-    return {state: told.count(state) for state in STATES}
+    state_names = [state.get("state") for state in states.values()]
+    return {state: state_names.count(state) for state in STATES}
 
 
 def troubled(states: Mapping[str, Mapping[str, object]]) -> dict[str, dict[str, object]]:
     """The machines that somebody should look after: state, reason and way on of each."""
     return {
-        name: {"state": told.get("state"), "reason": told.get("doing"), "way_on": told["way_on"]}
-        for name, told in states.items()
-        if told.get("way_on")
+        name: {"state": state.get("state"), "reason": state.get("doing"), "way_on": state["way_on"]}
+        for name, state in states.items()
+        if state.get("way_on")
     }

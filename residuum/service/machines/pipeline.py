@@ -93,8 +93,8 @@ class JudgeAndStore:
         second = self.second_baselines.get(machine.asset)
         if machine.second is None or second is None:
             return first
-        other = self._pool.begin(score_window, machine.second.diagnoser, second, plain, None)
-        return lambda: with_second_opinion(first(), other())
+        opinion = self._pool.begin(score_window, machine.second.diagnoser, second, plain, None)
+        return lambda: with_second_opinion(first(), opinion())
 
 
 _LOOK_FOR_BASELINE = 2.0
@@ -179,8 +179,8 @@ class Pipeline:
                     continue
                 if state.way_on:
                     troubled.add(asset)
-                    told = {"machine": asset, "state": state.state, "reason": state.doing, "way_on": state.way_on}
-                    log.error("a machine is not judged", **told)
+                    details = {"machine": asset, "state": state.state, "reason": state.doing, "way_on": state.way_on}
+                    log.error("a machine is not judged", **details)
                 elif state.state == "running" and asset in troubled:
                     troubled.discard(asset)
                     log.info("a machine is judged again", machine=asset)

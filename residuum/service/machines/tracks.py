@@ -45,23 +45,23 @@ _SHORTEST = 1e-3
 
 def told_parameters(store: DiskStore, asset: str) -> list[dict[str, Any]]:
     """What the newest windows told of every parameter, oldest first: `at` [s since 1970], `parameters`, `conditions`."""
-    found: list[dict[str, Any]] = []
+    rows: list[dict[str, Any]] = []
     cursor = None
-    while len(found) < _MOST:
+    while len(rows) < _MOST:
         page = store.findings(asset, cursor, _PAGE)
-        for each in page.items:
-            evidence = each.finding.evidence
+        for stored in page.items:
+            evidence = stored.finding.evidence
             if evidence.get("parameters"):
-                told = {"at": each.at.timestamp(), "window": each.window, "verdict": each.finding.verdict.value}
-                found.append({**told, "parameters": evidence["parameters"], "conditions": evidence.get("conditions", {})})
+                header = {"at": stored.at.timestamp(), "window": stored.window, "verdict": stored.finding.verdict.value}
+                rows.append({**header, "parameters": evidence["parameters"], "conditions": evidence.get("conditions", {})})
         cursor = page.next_cursor
         if cursor is None:
             break
-    return found[::-1]
+    return rows[::-1]
 
 
 def follow(
-    progress: Progress, told: Sequence[Mapping[str, Any]], limits: Mapping[str, float], moves_with: Sequence[str] | None
+    progress: Progress, rows: Sequence[Mapping[str, Any]], limits: Mapping[str, float], moves_with: Sequence[str] | None
 ) -> Mapping[str, Any]:
     """Follow every parameter over the windows.
 
@@ -80,18 +80,18 @@ def follow(
         `items`: by parameter its `unit`, `healthy` band, the windows' `time`, `window`, `verdict`, `value` and `std`, the
         `limit`, and `track`, or None with the `reason`.
     """
-    names = sorted({name for each in told for name in each["parameters"]})
+    names = sorted({name for row in rows for name in row["parameters"]})
     items = []
     for number, name in enumerate(names):
         progress(number / max(len(names), 1), name)
-        items.append(_followed(name, told, limits.get(name), moves_with))
+        items.append(_followed(name, rows, limits.get(name), moves_with))
     return {"items": items}
 
 
 def _followed(
-    name: str, told: Sequence[Mapping[str, Any]], limit: float | None, moves_with: Sequence[str] | None
+    name: str, all_rows: Sequence[Mapping[str, Any]], limit: float | None, moves_with: Sequence[str] | None
 ) -> dict[str, Any]:
-    rows = [each for each in told if name in each["parameters"] and each["parameters"][name]["value"] is not None]
+    rows = [entry for entry in all_rows if name in entry["parameters"] and entry["parameters"][name]["value"] is not None]
     newest = rows[-1]["parameters"][name]
     healthy = newest.get("healthy") or {}
     values = [row["parameters"][name]["value"] for row in rows]
@@ -114,10 +114,10 @@ def _followed(
     try:
         if len(rows) < FEWEST_WINDOWS_OF_A_TRACK:
             raise BadInput(f"{len(rows)} windows tell it; at least {FEWEST_WINDOWS_OF_A_TRACK} are needed")
-        found = track(t, values, deviations, moves_with=x if chosen else None, healthy=band, limit=limit)
+        trend = track(t, values, deviations, moves_with=x if chosen else None, healthy=band, limit=limit)
     except BadInput as error:
         return {**item, "moves_with": chosen, "track": None, "reason": str(error)}
-    return {**item, "moves_with": chosen, "track": found.to_json(), "reason": None}
+    return {**item, "moves_with": chosen, "track": trend.to_json(), "reason": None}
 
 
 def _moves_with(rows: Sequence[Mapping[str, Any]], wanted: Sequence[str] | None) -> list[str]:

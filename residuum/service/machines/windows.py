@@ -48,16 +48,16 @@ def complete_windows(
     used : collection of str
         Signals that the model uses, by its names.
     """
-    found: dict[int, Record] = {}
-    for window, kept in kept_windows(store, asset, sorted(set(windows), reverse=True)):
-        record = named(kept, channels)
+    complete: dict[int, Record] = {}
+    for window, stored in kept_windows(store, asset, sorted(set(windows), reverse=True)):
+        record = named(stored, channels)
         if not holed(record, used):
-            found[window] = record
-        if len(found) == most:
+            complete[window] = record
+        if len(complete) == most:
             break
-    if not found:
+    if not complete:
         raise Conflict(f"asset {asset!r}: none of {len(windows)} windows is complete; {REMEDY}")
-    return dict(sorted(found.items()))
+    return dict(sorted(complete.items()))
 
 
 REMEDY = "samples of a signal that the model uses are missing: read less often (seconds between two reads), or record longer"
@@ -117,9 +117,9 @@ class StreamBuffer:
             self._make_room(highest + 1)
             self._values[:, self.end - self.first : highest + 1 - self.first] = np.nan
             self.end = highest + 1
-        kept = number >= self.first
+        held = number >= self.first
         for row, name in enumerate(self._names):
-            self._values[row, number[kept] - self.first] = block.channels[name][piece][kept]
+            self._values[row, number[held] - self.first] = block.channels[name][piece][held]
         return began_anew
 
     def _make_room(self, end: int) -> None:
@@ -281,8 +281,8 @@ class RoundCutter:
         if self._machine.end == self._machine.first or self._vibration.end == self._vibration.first:
             return
         reference = self._vibration.end * self._vibration.format.sample_time
-        other = self._machine.end * self._machine.format.sample_time
-        self._rough.append((reference, reference - other))
+        machine_time = self._machine.end * self._machine.format.sample_time
+        self._rough.append((reference, reference - machine_time))
         while self._rough[0][0] < reference - _ROUGH_KEPT:
             self._rough.popleft()
 
@@ -345,10 +345,10 @@ class RoundCutter:
         if expected is None or rough is None:
             return None
         since, until = stop - _ALIGN_OVER, stop + 1.0
-        other = [t for t in self._machine_sync.rising if since <= t <= until]
+        machine_pulses = [t for t in self._machine_sync.rising if since <= t <= until]
         reference = [t for t in self._vibration_sync.rising if since - 1.0 <= t - expected <= until + 1.0]
         try:
-            self._alignment = align_clocks(reference, other, expected)
+            self._alignment = align_clocks(reference, machine_pulses, expected)
         except BadRecord:
             self._alignment = None
             return None

@@ -82,44 +82,44 @@ def month_report(store: DiskStore, asset: str, month: str) -> MonthReport:
         if span.begin <= hour.hour < span.end:
             days[(hour.hour - span.begin).days].update(hour.verdicts)
             _add_hour(indicators, hour.hour, hour.indicators)
-    for found in findings_in(store, asset, span):
-        verdict = found.finding.verdict.value
-        days[(found.at - span.begin).days][verdict] += 1
-        _add_finding(indicators, parameters, found)
+    for stored in findings_in(store, asset, span):
+        verdict = stored.finding.verdict.value
+        days[(stored.at - span.begin).days][verdict] += 1
+        _add_finding(indicators, parameters, stored)
         if verdict == "faulty":
-            _add_fault(faults, found)
+            _add_fault(faults, stored)
         elif verdict == "not-assessable":
-            reasons[found.finding.reason or "no reason given"] += 1
+            reasons[stored.finding.reason or "no reason given"] += 1
     alarms = list(_alarms_in(store, asset, span))
     return MonthReport(known, month, span, days, faults, reasons.most_common(5), alarms, indicators, parameters)
 
 
 def _add_hour(indicators: dict[str, Followed], hour: datetime, means: Mapping[str, Mapping[str, Any]]) -> None:
-    for name, told in means.items():
+    for name, entry in means.items():
         followed = indicators.setdefault(name, Followed(""))
-        followed.unit = followed.unit or str(told.get("unit") or "")
-        followed.append(hour + timedelta(minutes=30), told.get("mean"), None, told.get("threshold"))
+        followed.unit = followed.unit or str(entry.get("unit") or "")
+        followed.append(hour + timedelta(minutes=30), entry.get("mean"), None, entry.get("threshold"))
 
 
-def _add_finding(indicators: dict[str, Followed], parameters: dict[str, Followed], found: StoredFinding) -> None:
-    finding = found.finding
+def _add_finding(indicators: dict[str, Followed], parameters: dict[str, Followed], stored: StoredFinding) -> None:
+    finding = stored.finding
     for name, value in finding.indicators.items():
         unit = finding.units.get(name, "")
         followed = indicators.setdefault(name, Followed(unit))
         followed.unit = followed.unit or unit
-        followed.append(found.at, value, None, finding.thresholds.get(name))
-    for name, told in dict(finding.evidence.get("parameters") or {}).items():
-        band = told.get("healthy") or {}
-        followed = parameters.setdefault(name, Followed(str(told.get("unit") or "")))
-        followed.append(found.at, told.get("value"), band.get("low"), band.get("high"))
+        followed.append(stored.at, value, None, finding.thresholds.get(name))
+    for name, estimate in dict(finding.evidence.get("parameters") or {}).items():
+        band = estimate.get("healthy") or {}
+        followed = parameters.setdefault(name, Followed(str(estimate.get("unit") or "")))
+        followed.append(stored.at, estimate.get("value"), band.get("low"), band.get("high"))
 
 
-def _add_fault(faults: dict[str, Fault], found: StoredFinding) -> None:
-    causes = found.finding.evidence.get("causes") or []
-    name = f"{causes[0]['name']} of {causes[0]['place']}" if causes else found.finding.fault_class or "faulty"
-    says = str(causes[0]["says"]) if causes else found.finding.reason or ""
+def _add_fault(faults: dict[str, Fault], stored: StoredFinding) -> None:
+    causes = stored.finding.evidence.get("causes") or []
+    name = f"{causes[0]['name']} of {causes[0]['place']}" if causes else stored.finding.fault_class or "faulty"
+    says = str(causes[0]["says"]) if causes else stored.finding.reason or ""
     before = faults.get(name)
-    faults[name] = Fault(says, (before.windows if before else 0) + 1, before.first if before else found.at, found.at)
+    faults[name] = Fault(says, (before.windows if before else 0) + 1, before.first if before else stored.at, stored.at)
 
 
 def _alarms_in(store: DiskStore, asset: str, span: Span) -> Iterable[tuple[Alarm, Sequence[AlarmEntry]]]:

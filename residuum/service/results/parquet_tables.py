@@ -70,17 +70,17 @@ def month_of(text: str) -> Span:
 def findings_in(store: DiskStore, asset: str, span: Span) -> Iterator[StoredFinding]:
     """All findings of an asset in a span, oldest first."""
     after = 0
-    while found := store.findings_between(asset, *span, after=after, limit=_MANY):
-        yield from found
-        after = found[-1].id
+    while batch := store.findings_between(asset, *span, after=after, limit=_MANY):
+        yield from batch
+        after = batch[-1].id
 
 
 def windows_in(store: DiskStore, asset: str, span: Span) -> Iterator[StoredWindow]:
     """All windows of an asset in a span, oldest first."""
     after = 0
-    while found := store.windows_between(asset, *span, after=after, limit=_MANY):
-        yield from found
-        after = found[-1].id
+    while batch := store.windows_between(asset, *span, after=after, limit=_MANY):
+        yield from batch
+        after = batch[-1].id
 
 
 def _moment(name: str, text: str) -> datetime:
@@ -121,11 +121,11 @@ def write_findings(store: DiskStore, asset: str, span: Span, path: Path) -> int:
     )
 
     def rows() -> Iterator[tuple[dict[str, Any], int]]:
-        for found in findings_in(store, asset, span):
-            plain = found.to_json()
+        for stored in findings_in(store, asset, span):
+            plain = stored.to_json()
             evidence = orjson.dumps(plain["evidence"], option=orjson.OPT_SERIALIZE_NUMPY).decode()
-            kept = {name: plain[name] for name in ("id", "asset", "window", "at", "diagnoser", "verdict", "class", "reason")}
-            yield kept | {name: _pairs(plain[name]) for name in ("indicators", "thresholds", "units")} | {"evidence": evidence}, 0
+            row = {name: plain[name] for name in ("id", "asset", "window", "at", "diagnoser", "verdict", "class", "reason")}
+            yield row | {name: _pairs(plain[name]) for name in ("indicators", "thresholds", "units")} | {"evidence": evidence}, 0
 
     return _write(path, schema, rows())
 
@@ -166,9 +166,9 @@ def write_windows(store: DiskStore, asset: str, span: Span, path: Path, most_byt
                 )
             for channel, unit in window.units.items():
                 values = signals.get(channel)
-                kept = {"window": window.id, "asset": asset, "received_at": window.received_at, "channel": channel, "unit": unit}
-                kept |= {"t0": window.t0, "sample_time": window.sample_time, "values": values}
-                yield kept, 0 if values is None else values.nbytes
+                row = {"window": window.id, "asset": asset, "received_at": window.received_at, "channel": channel, "unit": unit}
+                row |= {"t0": window.t0, "sample_time": window.sample_time, "values": values}
+                yield row, 0 if values is None else values.nbytes
 
     return _write(path, schema, rows())
 

@@ -29,8 +29,8 @@ POLICY = "default-src 'none'; style-src 'unsafe-inline'; frame-ancestors 'none'"
 _MOST_CURVES = 24
 
 
-def report_page(report: MonthReport, made: datetime | None = None) -> str:
-    """The page's text; `made` is when (now)."""
+def report_page(report: MonthReport, written_at: datetime | None = None) -> str:
+    """The page's text; `written_at` is when (now)."""
     title = report.asset.title
     parts = [
         f"<h1>{escape(title)}: {escape(report.month)}</h1>",
@@ -41,7 +41,7 @@ def report_page(report: MonthReport, made: datetime | None = None) -> str:
         section("Windows that could not be judged", _reasons(report)),
         section("Parameters", _curves(report.parameters, report, "healthy band")),
         section("Indicators", _curves(report.indicators, report, "limit")),
-        written_by(made),
+        written_by(written_at),
     ]
     return whole_page(f"{title} {report.month}", parts)
 
@@ -56,9 +56,11 @@ def whole_page(title: str, parts: Sequence[str]) -> str:
     return f'<!doctype html>\n<html lang="en"><head>{head}</head><body><main>{"".join(parts)}</main></body></html>\n'
 
 
-def written_by(made: datetime | None = None) -> str:
+def written_by(written_at: datetime | None = None) -> str:
     """Who wrote a page, and when (now)."""
-    return f'<p class="muted small">Residuum {escape(version("residuum"))}, written {_moment(made or datetime.now(UTC))}.</p>'
+    return (
+        f'<p class="muted small">Residuum {escape(version("residuum"))}, written {_moment(written_at or datetime.now(UTC))}.</p>'
+    )
 
 
 def _summary(report: MonthReport) -> str:
@@ -76,7 +78,7 @@ def _summary(report: MonthReport) -> str:
 def _faults(report: MonthReport) -> str:
     if not report.faults:
         return "<p>No window was judged faulty.</p>"
-    ranked = sorted(report.faults.items(), key=lambda each: -each[1].windows)
+    ranked = sorted(report.faults.items(), key=lambda entry: -entry[1].windows)
     rows = [(name, str(f.windows), _moment(f.first), _moment(f.last), f.says) for name, f in ranked]
     return _table(("What", "Windows", "First", "Last", "The last one said"), rows, numbers=(1,))
 
@@ -103,7 +105,7 @@ def _reasons(report: MonthReport) -> str:
 
 
 def _curves(followed: Mapping[str, Followed], report: MonthReport, limits: str) -> str:
-    panels = [_panel(name, each, report, limits) for name, each in list(followed.items())[:_MOST_CURVES]]
+    panels = [_panel(name, series, report, limits) for name, series in list(followed.items())[:_MOST_CURVES]]
     if not panels:
         return "<p>None.</p>"
     left_out = list(followed)[_MOST_CURVES:]
@@ -111,14 +113,14 @@ def _curves(followed: Mapping[str, Followed], report: MonthReport, limits: str) 
     return svg(Picture(panels), len(panels)) + more
 
 
-def _panel(name: str, each: Followed, report: MonthReport, limits: str) -> Panel:
-    order = np.argsort(np.array([at.timestamp() for at in each.at]), kind="stable")
-    day = np.array([(at - report.span.begin).total_seconds() / 86400 + 1 for at in each.at])[order]
-    value, low, high = (np.array(numbers)[order] for numbers in (each.value, each.low, each.high))
+def _panel(name: str, series: Followed, report: MonthReport, limits: str) -> Panel:
+    order = np.argsort(np.array([at.timestamp() for at in series.at]), kind="stable")
+    day = np.array([(at - report.span.begin).total_seconds() / 86400 + 1 for at in series.at])[order]
+    value, low, high = (np.array(numbers)[order] for numbers in (series.value, series.low, series.high))
     curves = [Curve(name, day, value)]
     edges = [edge for edge in (low, high) if np.isfinite(edge).any()]
     curves += [Curve(limits if edge is edges[-1] else "", day, edge) for edge in edges]
-    return Panel(f"{name} [{each.unit}]" if each.unit else name, "day of the month", each.unit, curves)
+    return Panel(f"{name} [{series.unit}]" if series.unit else name, "day of the month", series.unit, curves)
 
 
 def section(title: str, content: str) -> str:

@@ -136,10 +136,10 @@ def _ended(key: _Key) -> bool:
 def _version(path: Path) -> tuple[int, int, int] | None:
     """What changes when a file is written or replaced; None where there is none."""
     try:
-        found = path.stat()
+        status = path.stat()
     except OSError:
         return None
-    return found.st_ino, found.st_mtime_ns, found.st_size
+    return status.st_ino, status.st_mtime_ns, status.st_size
 
 
 def _read(path: Path) -> dict[str, _Key]:
@@ -168,15 +168,15 @@ def _read(path: Path) -> dict[str, _Key]:
 
 def _without_end(words: list[str], where: str) -> tuple[list[str], datetime | None]:
     """The words of a line without the one that says when its key ends, and that moment."""
-    told = [word for word in words if word.startswith(_UNTIL)]
-    if not told:
+    endings = [word for word in words if word.startswith(_UNTIL)]
+    if not endings:
         return words, None
     try:
-        until = datetime.fromisoformat(told[-1].removeprefix(_UNTIL))
+        until = datetime.fromisoformat(endings[-1].removeprefix(_UNTIL))
     except ValueError:
-        says = f"{told[-1][:60]!r}: must be until=2027-01-31, or with a time, until=2027-01-31T18:00+01:00"
+        says = f"{endings[-1][:60]!r}: must be until=2027-01-31, or with a time, until=2027-01-31T18:00+01:00"
         raise BadSettings(f"setting api_keys: {where}: {says}") from None
-    return [word for word in words if word not in told], until if until.tzinfo else until.replace(tzinfo=UTC)
+    return [word for word in words if word not in endings], until if until.tzinfo else until.replace(tzinfo=UTC)
 
 
 def _sites(words: list[str], where: str) -> frozenset[str] | None:

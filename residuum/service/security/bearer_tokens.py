@@ -115,7 +115,7 @@ class BearerTokens:
         try:
             place = _get(f"{self._issuer}/.well-known/openid-configuration")["jwks_uri"]
             published = self._jwt.PyJWKClient(str(place), timeout=_PATIENCE).get_jwk_set().keys
-            self._keys = {each.key_id or "": each for each in published if each.public_key_use in (None, "sig")}
+            self._keys = {key.key_id or "": key for key in published if key.public_key_use in (None, "sig")}
         except (OSError, ValueError, KeyError, TypeError, AttributeError, self._jwt.PyJWTError) as error:
             log.error("the issuer's keys cannot be had; those known are used", reason=f"{type(error).__name__}: {error}"[:200])
 

@@ -30,7 +30,7 @@ class TrustedProxies:
     """
 
     def __init__(self, networks: Sequence[str]) -> None:
-        self._networks = tuple(ipaddress.ip_network(each, strict=False) for each in networks)
+        self._networks = tuple(ipaddress.ip_network(network, strict=False) for network in networks)
         self._is_one = lru_cache(maxsize=1024)(self._looked_up)
 
     def seen(self, peer: str, scheme: str, forwarded_for: bytes, forwarded_proto: bytes) -> Seen:
@@ -38,11 +38,11 @@ class TrustedProxies:
         if not self.trusts(peer):
             return Seen(peer, scheme)
         address = peer
-        for said in reversed(forwarded_for.decode("latin-1").split(",")):
-            if not _is_address(said := said.strip()):
+        for hop in reversed(forwarded_for.decode("latin-1").split(",")):
+            if not _is_address(hop := hop.strip()):
                 break
-            address = said
-            if not self._is_one(said):
+            address = hop
+            if not self._is_one(hop):
                 break
         proto = forwarded_proto.decode("latin-1").rsplit(",", 1)[-1].strip().lower()
         return Seen(address, proto if proto in ("http", "https") else scheme)

@@ -121,7 +121,7 @@ class Refusals:
 
     def note(self, address: str, by: str | None, method: str, path: str, status: int, reason: str) -> None:
         """Log a refusal, and count it for the trail."""
-        shown = "".join(each if each.isprintable() else "?" for each in path[:_LONGEST])
+        shown = "".join(char if char.isprintable() else "?" for char in path[:_LONGEST])
         refusal = Refusal(address[:64], by, method[:10], shown, status)
         log.warning(
             "refused", address=refusal.address, key=by, method=refusal.method, path=refusal.path, status=status, reason=reason
@@ -246,8 +246,8 @@ class Gate:
             refusal = self._refusal_of_caller(scope, key, caller)
             if key and caller is None and refusal is not None:
                 refusal = await self._slowed_down(scope, refusal)
-        if refusal is not None and (told := getattr(refusal, "status_code", 0)) in (401, 403):
-            self.refusals.note(_address(scope), by, scope["method"], scope["path"], told, "key" if told == 401 else "not allowed")
+        if refusal is not None and (code := getattr(refusal, "status_code", 0)) in (401, 403):
+            self.refusals.note(_address(scope), by, scope["method"], scope["path"], code, "key" if code == 401 else "not allowed")
         try:
             if refusal is not None:
                 await refusal(scope, receive, send_with_headers)
@@ -293,10 +293,10 @@ class Gate:
     def _look_behind_the_proxy(self, scope: Scope, headers: dict[bytes, bytes]) -> None:
         """Let the rest of the service see the client of a trusted proxy, and the scheme by which it came."""
         peer, port = scope.get("client") or ("unknown", 0)
-        seen = self.proxies.seen(
+        client = self.proxies.seen(
             peer, scope["scheme"], headers.get(b"x-forwarded-for", b""), headers.get(b"x-forwarded-proto", b"")
         )
-        scope["client"], scope["scheme"] = (seen.address, port if seen.address == peer else 0), seen.scheme
+        scope["client"], scope["scheme"] = (client.address, port if client.address == peer else 0), client.scheme
 
     async def _owner_of_token(self, tokens: BearerTokens, token: str | None) -> Caller | None:
         """Who has this token of the issuer."""

@@ -82,7 +82,7 @@ class Places:
             next(iter(neighbours)).give_up()
         elif len(self._strangers) > self._strangers_most or self._count > self._most:
             oldest = next(iter(self._strangers))
-            next((each for each, of in self._strangers.items() if of not in self._acquainted), oldest).give_up()
+            next((stranger for stranger, of in self._strangers.items() if of not in self._acquainted), oldest).give_up()
 
     def know(self, connection: BoundedConnection) -> None:
         """It has shown a key, and is no stranger any more."""
@@ -264,7 +264,7 @@ class BoundedConnection(H11Protocol):
         if connected is None or connected.fileno() < 0:
             return 0
         queued: int = struct.unpack("i", fcntl.ioctl(connected.fileno(), termios.TIOCOUTQ, bytes(4)))[0]
-        return queued + sum(each.get_write_buffer_size() for each in {self._raw, self.transport})
+        return queued + sum(link.get_write_buffer_size() for link in {self._raw, self.transport})
 
 
 def _network(address: str) -> str:

@@ -77,9 +77,9 @@ class Demo:
 
     def wait_until_ready(self, machine: str) -> None:
         """Return when a machine is on its buses (its process then says so), or has ended before."""
-        said = self._processes[machine].stdout
-        if said is not None:
-            said.readline()
+        output = self._processes[machine].stdout
+        if output is not None:
+            output.readline()
 
     def stop(self) -> None:
         """End the machines' processes."""

@@ -38,7 +38,7 @@ def rates(connection: Connection, now: datetime) -> AlarmRates:
     for row, time in zip(rows, times.tolist(), strict=True):
         moments[row.alarm_id].append(time)
     named = {row.alarm_id: {"alarm": row.alarm_id, "asset": row.asset_id, "kind": row.kind} for row in rows}
-    often = Counter({alarm: len(found) for alarm, found in moments.items()}).most_common(_MOST_NAMED)
+    often = Counter({alarm: len(raises) for alarm, raises in moments.items()}).most_common(_MOST_NAMED)
     last = [int((times > -span.total_seconds()).sum()) for span in (_TEN_MINUTES, _HOUR, _DAY)]
     return AlarmRates(
         last_10_minutes=last[0],
@@ -49,7 +49,7 @@ def rates(connection: Connection, now: datetime) -> AlarmRates:
         flood_share=_flood_share(times),
         standing=_standing(connection),
         stale=_stale(connection, now),
-        chattering=[alarm for alarm, found in moments.items() if _chatters(found)],
+        chattering=[alarm for alarm, raises in moments.items() if _chatters(raises)],
         most_frequent=[named[alarm] | {"raised": count} for alarm, count in often],
     )
 

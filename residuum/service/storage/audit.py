@@ -41,10 +41,10 @@ def append(
 ) -> None:
     """Add an entry in the transaction of what it tells of."""
     head = connection.execute(select(audit_head).with_for_update()).one()
-    told = orjson.dumps(dict(detail or {}), option=orjson.OPT_SORT_KEYS).decode()
+    detail_json = orjson.dumps(dict(detail or {}), option=orjson.OPT_SORT_KEYS).decode()
     number = head.entries + 1
-    digest = _digest(head.digest, number, now, by, action, subject, told)
-    entry = {"number": number, "at": now, "by": by, "action": action, "subject": subject, "detail": told, "digest": digest}
+    digest = _digest(head.digest, number, now, by, action, subject, detail_json)
+    entry = {"number": number, "at": now, "by": by, "action": action, "subject": subject, "detail": detail_json, "digest": digest}
     connection.execute(insert(audit).values(entry))
     connection.execute(update(audit_head).values(entries=number, digest=digest))
 
@@ -85,7 +85,7 @@ def page(connection: Connection, cursor: str | None = None, limit: int = 100) ->
     if cursor:
         query = query.where(audit.c.number < paging.decode_number(cursor))
     rows = connection.execute(query).all()
-    before = [each.digest for each in rows[1:]] + ([_BEGIN] if len(rows) <= limit else [])
+    before = [entry.digest for entry in rows[1:]] + ([_BEGIN] if len(rows) <= limit else [])
     for row, before_it in zip(rows, before, strict=False):
         if _digest(before_it, row.number, row.at, row.by, row.action, row.subject, row.detail) != row.digest:
             raise StorageUnavailable(
@@ -95,8 +95,8 @@ def page(connection: Connection, cursor: str | None = None, limit: int = 100) ->
 
 
 def _digest(before: str, number: int, at: datetime, by: str | None, action: str, subject: str, detail: str) -> str:
-    told = orjson.dumps([number, at.isoformat(), by, action, subject, detail])
-    return hashlib.sha256(before.encode() + told).hexdigest()
+    content = orjson.dumps([number, at.isoformat(), by, action, subject, detail])
+    return hashlib.sha256(before.encode() + content).hexdigest()
 
 
 def _entry(row: Row[Any]) -> AuditEntry:

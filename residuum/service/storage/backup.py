@@ -74,7 +74,7 @@ class BackupReader:
 
         Raises BadBackup with one line that says what is wrong and where.
         """
-        seen = _Seen()
+        tally = _Seen()
         try:
             with tarfile.open(file, "r:") as archive:
                 for member in archive:
@@ -82,21 +82,21 @@ class BackupReader:
                     if stream is None:
                         raise BadBackup(f"{file}: member {member.name[:80]!r} is no plain file")
                     if member.name == END:
-                        return seen.verified(file, orjson.loads(stream.read()))
-                    self._take(file, member.name, stream, seen)
+                        return tally.verified(file, orjson.loads(stream.read()))
+                    self._take(file, member.name, stream, tally)
         except (tarfile.TarError, EOFError, OSError, ValueError, KeyError, TypeError) as error:
             raise BadBackup(f"{file}: is not a whole backup: {error}") from None
         raise BadBackup(f"{file}: is not a whole backup: its end is missing")
 
-    def _take(self, file: Path, name: str, stream: IO[bytes], seen: _Seen) -> None:
+    def _take(self, file: Path, name: str, stream: IO[bytes], tally: _Seen) -> None:
         if match := _BLOCK.fullmatch(name):
-            self.take_block(match[1], seen.block(match[1], stream))
+            self.take_block(match[1], tally.block(match[1], stream))
         elif match := _ROWS.fullmatch(name):
-            self.take_rows(match[1], seen.rows(match[1], stream))
+            self.take_rows(match[1], tally.rows(match[1], stream))
         elif match := _SETTINGS.fullmatch(name):
-            self.take_settings(match[1], seen.settings_file(match[1], stream))
+            self.take_settings(match[1], tally.settings_file(match[1], stream))
         elif name == BEGIN:
-            seen.begin(file, orjson.loads(stream.read()))
+            tally.begin(file, orjson.loads(stream.read()))
         else:
             raise BadBackup(f"{file}: member {name[:80]!r} does not belong into a backup")
 
@@ -154,7 +154,7 @@ class _Seen:
                 )
         if surplus := self.blocks.keys() - self.referred.keys():
             raise BadBackup(f"{file}: no row points to signal block {min(surplus)}")
-        counts = {table: int(found["count"]) for table, found in self.tables.items()}
+        counts = {table: int(summary["count"]) for table, summary in self.tables.items()}
         return Contents(
             datetime.fromisoformat(self.created_at),
             self.revision,
@@ -212,12 +212,12 @@ def _write_members(
     _add_json(archive, BEGIN, {"format": FORMAT, "created_at": datetime.now(UTC), "revision": database.revision()})
     for name, content in settings.items():
         archive.addfile(_member(f"settings/{name}", len(content)), io.BytesIO(content))
-    gone = {block.path for block in block_rows.references(connection) if not _add_block(archive, blocks, block)}
-    _refuse_lost(database, gone)
+    missing = {block.path for block in block_rows.references(connection) if not _add_block(archive, blocks, block)}
+    _refuse_lost(database, missing)
     described = {}
     for table in plain_rows.tables_of(connection):
-        found = plain_rows.lines(connection, table)
-        marked = _let_go(found, gone) if gone and table.name == "windows" else found
+        row_lines = plain_rows.lines(connection, table)
+        marked = _let_go(row_lines, missing) if missing and table.name == "windows" else row_lines
         described[str(table.name)] = _add_rows(archive, table, marked)
     digests = {name: hashlib.sha256(content).hexdigest() for name, content in settings.items()}
     _add_json(archive, END, {"rows": described, "settings": digests})
@@ -232,27 +232,27 @@ def _add_block(archive: tarfile.TarFile, blocks: Path, block: BlockReference) ->
     return True
 
 
-def _refuse_lost(database: Database, gone: set[str]) -> None:
+def _refuse_lost(database: Database, missing: set[str]) -> None:
     """BadBackup when a block has gone that a row still points to."""
-    if not gone:
+    if not missing:
         return
     with database.read() as connection:
-        lost = sorted(gone & {block.path for block in block_rows.references(connection)})
+        lost = sorted(missing & {block.path for block in block_rows.references(connection)})
     if lost:
         raise BadBackup(f"signal block {lost[0]}: is missing ({len(lost)} in all); nothing was backed up")
 
 
-def _let_go(found: Iterator[bytes], gone: set[str]) -> Iterator[bytes]:
+def _let_go(row_lines: Iterator[bytes], missing: set[str]) -> Iterator[bytes]:
     now = datetime.now(UTC).replace(tzinfo=None)
-    for line in found:
+    for line in row_lines:
         row = orjson.loads(line)
-        yield orjson.dumps(row | {"signal_let_go_at": now}) + b"\n" if row["block_path"] in gone else line
+        yield orjson.dumps(row | {"signal_let_go_at": now}) + b"\n" if row["block_path"] in missing else line
 
 
-def _add_rows(archive: tarfile.TarFile, table: Table, found: Iterator[bytes]) -> dict[str, Any]:
+def _add_rows(archive: tarfile.TarFile, table: Table, row_lines: Iterator[bytes]) -> dict[str, Any]:
     digest, count = hashlib.sha256(), 0
     with tempfile.TemporaryFile() as spooled:
-        for line in found:
+        for line in row_lines:
             spooled.write(line)
             digest.update(line)
             count += 1

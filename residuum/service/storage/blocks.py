@@ -124,10 +124,10 @@ class Blocks:
         """Raise BrokenBlock when the file differs from what was written."""
         try:
             with open(self.folder / reference.path, "rb") as file:
-                found = hashlib.file_digest(file, "sha256").hexdigest()
+                checksum = hashlib.file_digest(file, "sha256").hexdigest()
         except OSError as error:
             raise BrokenBlock(f"signal block {reference.path}: {error.strerror}") from error
-        if found != reference.checksum:
+        if checksum != reference.checksum:
             raise BrokenBlock(f"signal block {reference.path}: content differs from its checksum")
 
     def remove(self, path: str) -> None:
@@ -206,9 +206,9 @@ def _write_all(descriptor: int, parts: Sequence[bytes | memoryview]) -> str:
     digest = hashlib.sha256()
     for part in parts:
         digest.update(part)
-        rest = memoryview(part)
-        while rest:
-            rest = rest[os.write(descriptor, rest) :]
+        unwritten = memoryview(part)
+        while unwritten:
+            unwritten = unwritten[os.write(descriptor, unwritten) :]
     return digest.hexdigest()
 
 
@@ -235,8 +235,8 @@ def _begins_with(file: Path, magic: bytes) -> bool:
 def _entry(header: dict[str, Any], name: str) -> dict[str, Any]:
     for entry in header["channels"]:
         if entry["name"] == name:
-            found: dict[str, Any] = entry
-            return found
+            channel: dict[str, Any] = entry
+            return channel
     raise KeyError(f"no channel {name!r}")
 
 

@@ -141,11 +141,11 @@ class Database:
 
     def migrate(self, revision: str = "head") -> None:
         """Bring the schema to a revision, up or down; BadInput for the schema of a newer program."""
-        found = self.revision()
-        if found is not None and found not in known_revisions():
+        current = self.revision()
+        if current is not None and current not in known_revisions():
             url = self.url.render_as_string(hide_password=True)
             raise BadInput(
-                f"database {url}: its schema, revision {found}, is newer than this program, which knows {newest_revision()}; "
+                f"database {url}: its schema, revision {current}, is newer than this program, which knows {newest_revision()}; "
                 "start the program that wrote it, or restore a backup into a new folder"
             )
         with self.patiently(), self.write() as connection:
@@ -153,8 +153,8 @@ class Database:
             config.attributes["connection"] = connection
             down = revision == "base" or (revision.startswith("-") and revision[1:].isdecimal())
             (command.downgrade if down else command.upgrade)(config, revision)
-            if revision == "head" and found is not None:
-                seal_rows_of_old(connection, found)
+            if revision == "head" and current is not None:
+                seal_rows_of_old(connection, current)
 
     def revision(self) -> str | None:
         """The schema's revision; None when there are no tables yet."""
@@ -383,7 +383,7 @@ class SamePlace:
 
 def _identity(place: Path) -> tuple[int, int] | None:
     try:
-        found = place.stat()
+        status = place.stat()
     except OSError:
         return None
-    return found.st_dev, found.st_ino
+    return status.st_dev, status.st_ino

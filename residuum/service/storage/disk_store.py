@@ -294,8 +294,8 @@ class DiskStore:
         with self._database.read() as connection:
             row = window_rows.row_of(connection, asset, window)
         if row.signal_let_go_at is not None:
-            gone = row.signal_let_go_at.isoformat(" ", "seconds")
-            raise SignalLetGo(f"asset {asset!r}, window {window}: its signal was let go at {gone} by the retention rule")
+            let_go_at = row.signal_let_go_at.isoformat(" ", "seconds")
+            raise SignalLetGo(f"asset {asset!r}, window {window}: its signal was let go at {let_go_at} by the retention rule")
         return row
 
     def operate_alarm(
@@ -339,26 +339,26 @@ class DiskStore:
         """Note in the trail what was refused: address, name of the key, method, path and status of each, and how often."""
         now = _now()
         with self._database.write() as connection:
-            for told, times in refusals:
-                subject = f"{told['method']} {told['path']}"
-                detail = {"address": told["address"], "status": told["status"], "times": times}
-                audit_trail.append(connection, "refused", subject, by=told["by"], now=now, detail=detail)
+            for refusal, times in refusals:
+                subject = f"{refusal['method']} {refusal['path']}"
+                detail = {"address": refusal["address"], "status": refusal["status"], "times": times}
+                audit_trail.append(connection, "refused", subject, by=refusal["by"], now=now, detail=detail)
 
     def remove_record(self, record: int, by: str | None = None) -> None:
         """Delete an uploaded record for good: its row first, so that a crash leaves at most an orphan for `sweep`."""
         with self._database.write() as connection:
             row = record_rows.row_of(connection, record)
             path = record_rows.remove(connection, record)
-            told = {"name": row.name, "checksum": row.block_checksum}
-            audit_trail.append(connection, "record removed", f"record {record}", by=by, now=_now(), detail=told)
+            detail = {"name": row.name, "checksum": row.block_checksum}
+            audit_trail.append(connection, "record removed", f"record {record}", by=by, now=_now(), detail=detail)
         self._blocks.remove(path)
 
     def add_model_version(self, model: str, kind: str, content: bytes, note: str = "", by: str | None = None) -> ModelVersion:
         """Keep a new version of a model; the first makes the model."""
         with self._database.write() as connection:
             version = model_rows.add_version(connection, model, kind, content, note=note, by=by, now=_now())
-            told = {"kind": kind, "number": version.number, "checksum": version.checksum}
-            audit_trail.append(connection, "model version", f"model {model}", by=by, now=version.created_at, detail=told)
+            detail = {"kind": kind, "number": version.number, "checksum": version.checksum}
+            audit_trail.append(connection, "model version", f"model {model}", by=by, now=version.created_at, detail=detail)
         self._announce("model", version.to_json())
         return version
 
@@ -393,8 +393,8 @@ class DiskStore:
 
     def troubles(self) -> Mapping[str, str]:
         """What storing suffers from although windows are taken, by its subject."""
-        told = {"retention": self._clock.doubt, "database": self.damage}
-        return {subject: says for subject, says in told.items() if says is not None}
+        doubts = {"retention": self._clock.doubt, "database": self.damage}
+        return {subject: says for subject, says in doubts.items() if says is not None}
 
     def look_for_damage(self) -> str | None:
         """Read what a start has not of a SQLite database for damage, which may take minutes; what is found is kept in `damage`.
@@ -420,9 +420,9 @@ class DiskStore:
 
         While something else may be writing, `settled` must exceed the time from a block to its row.
         """
-        found = set(self._blocks.paths(settled))
+        paths = set(self._blocks.paths(settled))
         with self._database.read() as connection:
-            return found - {block.path for block in block_rows.references(connection)}
+            return paths - {block.path for block in block_rows.references(connection)}
 
     def sweep(self, settled: float = 0.0) -> int:
         """Remove the orphans, for good; returns how many. Only when somebody asks: beside another database all would be."""
@@ -431,8 +431,8 @@ class DiskStore:
             self._blocks.remove(path)
         if orphans:
             with self._database.write() as connection:
-                told = {"blocks": len(orphans)}
-                audit_trail.append(connection, "blocks swept", "signal blocks", by=None, now=_now(), detail=told)
+                detail = {"blocks": len(orphans)}
+                audit_trail.append(connection, "blocks swept", "signal blocks", by=None, now=_now(), detail=detail)
         return len(orphans)
 
 

@@ -56,14 +56,14 @@ def add(connection: Connection, alarm: Alarm) -> None:
     connection.execute(delete(alarm_notices).where(alarm_notices.c.number <= number - MOST_NOTICES))
 
 
-def after(connection: Connection, told: int) -> Notice | None:
+def after(connection: Connection, last_number: int) -> Notice | None:
     """The notice that follows one that was told."""
-    query = select(alarm_notices).where(alarm_notices.c.number > told).order_by(alarm_notices.c.number).limit(1)
+    query = select(alarm_notices).where(alarm_notices.c.number > last_number).order_by(alarm_notices.c.number).limit(1)
     row = connection.execute(query).first()
     if row is None:
         return None
     alarm = None if row_checks.differs(alarm_notices, row._mapping) else row.alarm
-    return Notice(row.number, alarm, row.number - told - 1)
+    return Notice(row.number, alarm, row.number - last_number - 1)
 
 
 class Outbox:
@@ -92,21 +92,21 @@ class Outbox:
 
     def next(self, receiver: str) -> Notice | None:
         """What the receiver is to be told now by this process, if anything."""
-        here = receivers.c.id == receiver
+        is_receiver = receivers.c.id == receiver
         with self._database.read() as connection:
-            row = connection.execute(select(receivers).where(here)).one()
+            row = connection.execute(select(receivers).where(is_receiver)).one()
             first = after(connection, row.told)
         if first is None:
             return None
         with self._database.write() as connection:
-            taken = self._take(connection, here, receivers.c.told == row.told)
+            taken = self._take(connection, is_receiver, receivers.c.told == row.told)
         return first if taken else None
 
-    def _take(self, connection: Connection, *which: ColumnElement[bool]) -> bool:
+    def _take(self, connection: Connection, *conditions: ColumnElement[bool]) -> bool:
         """Whether this process may tell a receiver now; it then holds it for a while."""
         now = datetime.now(UTC)
         free = or_(receivers.c.holder.is_(None), receivers.c.holder == self._holder, receivers.c.held_until < now)
-        mine = update(receivers).where(*which, free).values(holder=self._holder, held_until=now + HELD)
+        mine = update(receivers).where(*conditions, free).values(holder=self._holder, held_until=now + HELD)
         return bool(connection.execute(mine).rowcount)
 
     def told(self, receiver: str, notice: Notice) -> None:
@@ -126,12 +126,12 @@ class Outbox:
             lost = connection.scalar(select(receivers.c.findings_lost).where(receivers.c.id == receiver)) or 0
             return WaitingFindings(finding_notices.waiting(connection, receiver, HANDED_OUT_AT_ONCE), lost)
 
-    def told_findings(self, receiver: str, told: Collection[int], lost: int = 0) -> None:
+    def told_findings(self, receiver: str, finding_ids: Collection[int], lost: int = 0) -> None:
         """Note that the receiver knows these findings, and that it was noticed how many were let go before them."""
         with self._database.write() as connection:
             less = {"findings_lost": receivers.c.findings_lost - lost}  # its row first, as where notices are let go
             connection.execute(update(receivers).where(receivers.c.id == receiver).values(less))
-            finding_notices.told(connection, receiver, told)
+            finding_notices.told(connection, receiver, finding_ids)
 
     def release(self) -> None:
         """Let others tell the receivers of this process at once."""

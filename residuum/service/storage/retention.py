@@ -55,40 +55,40 @@ class Clock:
         """How many signals may go for their age now."""
         held = connection.execute(select(func.count()).select_from(windows).where(_HELD)).scalar_one()
         lately = windows.c.signal_let_go_at > now - timedelta(days=1)
-        gone = connection.execute(select(func.count()).select_from(windows).where(lately)).scalar_one()
-        return self._may_go(connection, held, max(gone, self._lately("signals")), days, now)
+        recent = connection.execute(select(func.count()).select_from(windows).where(lately)).scalar_one()
+        return self._may_go(connection, held, max(recent, self._lately("signals")), days, now)
 
     def rows(self, connection: Connection, days: float, now: datetime) -> int:
         """How many rows may go for their age now."""
-        there = connection.execute(select(func.count()).select_from(windows)).scalar_one()
-        return self._may_go(connection, there, self._lately("rows"), days, now)
+        total = connection.execute(select(func.count()).select_from(windows)).scalar_one()
+        return self._may_go(connection, total, self._lately("rows"), days, now)
 
-    def went(self, what: str, count: int) -> None:
+    def went(self, kind: str, count: int) -> None:
         """Note that so many `signals` or `rows` went for their age."""
         if count > 0:
-            self._gone[what].append((monotonic(), count))
+            self._gone[kind].append((monotonic(), count))
 
-    def _lately(self, what: str) -> int:
-        gone = self._gone[what]
-        while gone and gone[0][0] < monotonic() - _DAY:
-            gone.popleft()
-        return sum(count for _, count in gone)
+    def _lately(self, kind: str) -> int:
+        departures = self._gone[kind]
+        while departures and departures[0][0] < monotonic() - _DAY:
+            departures.popleft()
+        return sum(count for _, count in departures)
 
-    def _may_go(self, connection: Connection, there: int, gone: int, days: float, now: datetime) -> int:
+    def _may_go(self, connection: Connection, total: int, past: int, days: float, now: datetime) -> int:
         newest = connection.execute(select(windows.c.received_at).order_by(windows.c.id.desc()).limit(1)).scalar_one_or_none()
         self._far = newest if newest is not None and now - newest > _FARTHEST else None
         if self._far is not None:
             return 0
         share = math.inf if days <= 0 else max(_SHARE, 2.0 / days)
-        return sys.maxsize if share >= 1 else max(_LEAST, math.ceil(share * (there + gone))) - gone
+        return sys.maxsize if share >= 1 else max(_LEAST, math.ceil(share * (total + past))) - past
 
     def kept_back(self, days: float, now: datetime) -> None:
         """Note that more is old than may go."""
         if self._far is not None:
-            seen = f"the newest window is of {self._far:%Y-%m-%d}, the clock says {now:%Y-%m-%d}: none goes until newer ones come"
+            says = f"the newest window is of {self._far:%Y-%m-%d}, the clock says {now:%Y-%m-%d}: none goes until newer ones come"
         else:
-            seen = f"more is older than {days:g} days than the {100 * max(_SHARE, 2.0 / days):.0f} % that go within a day"
-        self.doubt = f"{seen}; set the clock right if it is wrong"
+            says = f"more is older than {days:g} days than the {100 * max(_SHARE, 2.0 / days):.0f} % that go within a day"
+        self.doubt = f"{says}; set the clock right if it is wrong"
 
 
 def let_go(connection: Connection, retention: Retention, now: datetime, clock: Clock) -> list[str]:
@@ -102,7 +102,7 @@ def let_go(connection: Connection, retention: Retention, now: datetime, clock: C
     rows = connection.execute(select(func.count()).select_from(windows).where(_HELD)).scalar_one() - retention.rows
     days = min(retention.days, retention.row_days)
     aged = may_go = clock.signals(connection, days, now)
-    gone: list[Row[Any]] = []
+    freed: list[Row[Any]] = []
     for row in connection.execute(_may_go(_HELD)):
         if surplus <= 0 and rows <= 0:
             if (now - row.received_at).total_seconds() <= days * _DAY:
@@ -113,11 +113,11 @@ def let_go(connection: Connection, retention: Retention, now: datetime, clock: C
             aged -= 1
         surplus -= row.size_bytes
         rows -= 1
-        gone.append(row)
+        freed.append(row)
     clock.went("signals", may_go - aged)
-    ids = [row.id for row in gone]
+    ids = [row.id for row in freed]
     connection.execute(update(windows).where(windows.c.id.in_(ids)).values(signal_let_go_at=now))
-    return [row.block_path for row in gone]
+    return [row.block_path for row in freed]
 
 
 def forget(connection: Connection, retention: Retention, now: datetime, clock: Clock) -> int:
@@ -126,33 +126,33 @@ def forget(connection: Connection, retention: Retention, now: datetime, clock: C
     A batch at most; returns how many. Only windows whose signal is gone; kept is what `let_go` keeps, and what any alarm names.
     """
     surplus = connection.execute(select(func.count()).select_from(windows)).scalar_one() - retention.rows
-    aged, gone = clock.rows(connection, retention.row_days, now), list[int]()
+    aged, forgotten = clock.rows(connection, retention.row_days, now), list[int]()
     for row in connection.execute(_may_go(windows.c.signal_let_go_at.is_not(None), alarming=alarms.c.window_id.is_not(None))):
-        if len(gone) >= surplus:
+        if len(forgotten) >= surplus:
             if (now - row.received_at).total_seconds() <= retention.row_days * _DAY:
                 break
-            if len(gone) - max(0, surplus) >= aged:
+            if len(forgotten) - max(0, surplus) >= aged:
                 clock.kept_back(retention.row_days, now)
                 break
-        gone.append(row.id)
-    if gone:
-        clock.went("rows", len(gone) - max(0, surplus))
-        theirs = findings.c.window_id.in_(gone)
+        forgotten.append(row.id)
+    if forgotten:
+        clock.went("rows", len(forgotten) - max(0, surplus))
+        theirs = findings.c.window_id.in_(forgotten)
         finding_notices.forget(connection, theirs)
         finding_hours.add(connection, connection.execute(select(findings).where(theirs).order_by(findings.c.id)).all())
         connection.execute(delete(findings).where(theirs))
-        connection.execute(delete(windows).where(windows.c.id.in_(gone)))
-    return len(gone)
+        connection.execute(delete(windows).where(windows.c.id.in_(forgotten)))
+    return len(forgotten)
 
 
 _HELD = windows.c.signal_let_go_at.is_(None)
 _ALARMING = (alarms.c.state != AlarmState.NORMAL.value) & alarms.c.window_id.is_not(None)
 
 
-def _may_go(which: ColumnElement[bool], alarming: ColumnElement[bool] = _ALARMING) -> Select[Any]:
+def _may_go(where: ColumnElement[bool], alarming: ColumnElement[bool] = _ALARMING) -> Select[Any]:
     newest = select(func.max(windows.c.id)).where(windows.c.asset_id == assets.c.id).correlate(assets).scalar_subquery()
     query = select(windows.c.id, windows.c.block_path, windows.c.size_bytes, windows.c.received_at).where(
-        which,
+        where,
         windows.c.id.not_in(select(newest).select_from(assets).where(newest.is_not(None))),
         windows.c.id.not_in(select(alarms.c.window_id).where(alarming)),
     )

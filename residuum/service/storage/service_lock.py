@@ -48,8 +48,8 @@ def folder_lock(folder: Path) -> Iterator[None]:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             holder = os.read(descriptor, 32).decode("ascii", "replace").strip()
-            who = f"process {holder}" if holder.isdecimal() else "another process"
-            raise ServiceRuns(f"data folder {folder}: a service runs on it already ({who}); {_WAYS_ON}") from None
+            holder_name = f"process {holder}" if holder.isdecimal() else "another process"
+            raise ServiceRuns(f"data folder {folder}: a service runs on it already ({holder_name}); {_WAYS_ON}") from None
         os.truncate(descriptor, 0)
         os.pwrite(descriptor, f"{os.getpid()}\n".encode(), 0)
         yield

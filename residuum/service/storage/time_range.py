@@ -18,8 +18,8 @@ def findings_between(
     """The first findings of an asset in [begin, end) with a number larger than `after`."""
     assets.require(connection, asset)
     c = t.findings.c
-    there = (c.asset_id == asset) & (c.id > after) & (c.at >= begin) & (c.at < end)
-    rows, _ = paging.by_bytes(connection, select(t.findings).where(there).order_by(c.id), c.id, assets.DOCUMENTS, limit)
+    condition = (c.asset_id == asset) & (c.id > after) & (c.at >= begin) & (c.at < end)
+    rows, _ = paging.by_bytes(connection, select(t.findings).where(condition).order_by(c.id), c.id, assets.DOCUMENTS, limit)
     return [assets.stored_finding(row) for row in rows]
 
 
@@ -29,6 +29,6 @@ def windows_between(
     """The first windows of an asset received in [begin, end) with a number larger than `after`."""
     assets.require(connection, asset)
     c = t.windows.c
-    there = (c.asset_id == asset) & (c.id > after) & (c.received_at >= begin) & (c.received_at < end)
-    rows, _ = paging.by_bytes(connection, select(t.windows).where(there).order_by(c.id), c.id, (c.units, c.source), limit)
+    condition = (c.asset_id == asset) & (c.id > after) & (c.received_at >= begin) & (c.received_at < end)
+    rows, _ = paging.by_bytes(connection, select(t.windows).where(condition).order_by(c.id), c.id, (c.units, c.source), limit)
     return [windows.stored_window(row) for row in rows]

@@ -81,12 +81,12 @@ def view_control_design(
     }
     described |= {"sample_time": problem.loop.sample_time, "uncertainty": _uncertainty(problem), **_signals(problem)}
     try:
-        found = problem.solve(structure, wanted)
+        solution = problem.solve(structure, wanted)
     except Infeasible as no:
         return described | {"feasible": False, "reason": str(no)}
-    points, chosen = _with_chosen(problem, wanted, found.front, found.chosen)
+    points, chosen = _with_chosen(problem, wanted, solution.front, solution.chosen)
     plants = problem.random_plants()
-    seen = problem.measured(found, wanted)
+    measured = problem.measured(solution, wanted)
     figures = []
     for index, point in enumerate(points):
         progress(0.5 + 0.4 * index / len(points), f"following {len(plants)} drawn plants, point {index + 1} of {len(points)}")
@@ -96,14 +96,14 @@ def view_control_design(
     drawn = [
         {
             **_promises(problem, point),
-            **picture.of(wanted, point, each),
+            **picture.of(wanted, point, responses),
             **_exports(point, asked.actuator),
-            "figures": _figures(each),
+            "figures": _figures(responses),
         }
-        for point, each in zip(points, figures, strict=True)
+        for point, responses in zip(points, figures, strict=True)
     ]
     common: dict[str, Any] = {"frequency": _plain(picture.frequency), "drawn_plants": len(plants)}
-    common |= promise_and_measurement(found, wanted, seen)
+    common |= promise_and_measurement(solution, wanted, measured)
     return described | {"feasible": True, **common, "points": drawn, "chosen": chosen}
 
 
@@ -126,11 +126,11 @@ def _signals(problem: ControlProblem) -> dict[str, Any]:
 
 
 def _uncertainty(problem: ControlProblem) -> dict[str, Any]:
-    kept = _spread(len(problem.loop.omega), _FREQUENCIES)
+    shown = _spread(len(problem.loop.omega), _FREQUENCIES)
     return {
-        "frequency": _plain(problem.loop.omega[kept] / (2 * np.pi)),
-        "weight": _plain(problem.magnitude[kept]),
-        "largest": _plain(problem.largest[kept]),
+        "frequency": _plain(problem.loop.omega[shown] / (2 * np.pi)),
+        "weight": _plain(problem.magnitude[shown]),
+        "largest": _plain(problem.largest[shown]),
         "critical_frequency": problem.crossing / (2 * np.pi),
         "samples": problem.choice.samples,
         "order": len(problem.W_T.den) - 1,
@@ -138,20 +138,20 @@ def _uncertainty(problem: ControlProblem) -> dict[str, Any]:
 
 
 def _promises(problem: ControlProblem, point: Point[Synthesis]) -> dict[str, Any]:
-    made = point.design
-    norm = h_infinity_norm(weighted_loop(problem.plant, made.controller, W_T=problem.W_T))[0] if made.stable else None
+    design = point.design
+    norm = h_infinity_norm(weighted_loop(problem.plant, design.controller, W_T=problem.W_T))[0] if design.stable else None
     return {
         "first": point.first,
         "second": point.second,
-        "parameters": dict(zip(made.structure.names, made.rho.tolist(), strict=True)),
+        "parameters": dict(zip(design.structure.names, design.rho.tolist(), strict=True)),
         "controller": {
-            "numerator": made.controller.num.tolist(),
-            "denominator": made.controller.den.tolist(),
-            "sample_time": made.controller.sample_time,
+            "numerator": design.controller.num.tolist(),
+            "denominator": design.controller.den.tolist(),
+            "sample_time": design.controller.sample_time,
         },
-        "cost": made.certified,
-        "worst_frequency": made.worst_frequency / (2 * np.pi),
-        "stable": made.stable,
+        "cost": design.certified,
+        "worst_frequency": design.worst_frequency / (2 * np.pi),
+        "stable": design.stable,
         "robust_stability_norm": norm,
     }
 
@@ -223,13 +223,13 @@ class _Picture:
         sample_time = self._problem.loop.sample_time
         settling = float(np.median([step.settling_time for step in figures]))
         end = max(min(_SHOWN_SETTLING_TIMES * settling, self._problem.horizon), _FEWEST_SAMPLES * sample_time)
-        kept = _spread(max(2, round(end / sample_time)), _TIMES)
+        shown = _spread(max(2, round(end / sample_time)), _TIMES)
 
         def responses(follow: Follow) -> dict[str, Any]:
-            nominal, *drawn = [_plain(follow(plant, controller, end)[kept]) for plant in (self._problem.plant, *self._plants)]
+            nominal, *drawn = [_plain(follow(plant, controller, end)[shown]) for plant in (self._problem.plant, *self._plants)]
             return {"nominal": nominal, "drawn": drawn}
 
-        time = _plain(np.asarray(kept * sample_time, dtype=float))
+        time = _plain(np.asarray(shown * sample_time, dtype=float))
         return {"time": time, **responses(step_response), "control": responses(control_response)}
 
 

@@ -94,13 +94,13 @@ def effect_curves(
     effects: Sequence[tuple[str, str, Mapping[str, float]]],
 ) -> Mapping[str, Any]:
     """What each effect (id, balance, values) would add to its balance, along every axis of the model's simulation."""
-    loaded, found = [Record(*parts) for parts in records], []
+    loaded, curves = [Record(*parts) for parts in records], []
     model, experiments = match(model_of(name, text), loaded, mapping)
     for index, (id, balance, values) in enumerate(effects):
         progress(index / len(effects), id)
         for axis, curve in term_curves.effect_curves(model, experiments, Key(id, balance), values, loaded):
-            found.append({"effect": id, "balance": balance, "axis": axis.name, "at": curve.at, "value": curve.mean})
-    return {"curves": found}
+            curves.append({"effect": id, "balance": balance, "axis": axis.name, "at": curve.at, "value": curve.mean})
+    return {"curves": curves}
 
 
 def _terms(comparison: Comparison) -> list[dict[str, Any]]:
@@ -122,9 +122,9 @@ def _phases(comparison: Comparison, terms: Sequence[Mapping[str, Any]]) -> Itera
     ends = np.cumsum([experiment.n for experiment in comparison.experiments])[:-1]
     sample_times = [experiment.sample_time for experiment in comparison.experiments]
     for term in terms:
-        found = phase_cells(comparison.axes, sample_times, np.split(term["value"], ends))
-        if found is not None:
-            yield {"of": term["of"], "unit": term["unit"], **found}
+        cells = phase_cells(comparison.axes, sample_times, np.split(term["value"], ends))
+        if cells is not None:
+            yield {"of": term["of"], "unit": term["unit"], **cells}
 
 
 def _signals(comparison: Comparison, number: int) -> RecordParts:
@@ -135,21 +135,21 @@ def _signals(comparison: Comparison, number: int) -> RecordParts:
         shown = {"simulated": comparison.simulation.predicted[number][:, k]}
         if experiment.measured[k]:
             shown |= {"measured": experiment.Y[:, k], "residual": comparison.simulation.residuals[number][:, k]}
-        channels |= {f"{output.name} {what}": np.ascontiguousarray(values) for what, values in shown.items()}
-        units |= {f"{output.name} {what}": output.unit for what in shown}
+        channels |= {f"{output.name} {kind}": np.ascontiguousarray(values) for kind, values in shown.items()}
+        units |= {f"{output.name} {kind}": output.unit for kind in shown}
     return channels, units, experiment.sample_time, experiment.t0, (), experiment.source
 
 
 def _points(comparison: Comparison, axes: Sequence[Axis], terms: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     sizes = [experiment.n for experiment in comparison.experiments]
-    kept = slice(None, None, max(1, -(-sum(sizes) // SHOWN_POINTS)))
+    shown = slice(None, None, max(1, -(-sum(sizes) // SHOWN_POINTS)))
     time = np.concatenate([e.sample_time * np.arange(e.n) for e in comparison.experiments])
     record = np.repeat(np.arange(len(sizes)), sizes)
     return {
-        "record": record[kept].tolist(),
-        "time": time[kept].tolist(),
-        "axes": [{"name": a.name, "unit": a.unit, "kind": a.kind, "values": a.values[kept].tolist()} for a in axes],
-        "terms": [{**t, "value": t["value"][kept].tolist(), "std": None} for t in terms],
+        "record": record[shown].tolist(),
+        "time": time[shown].tolist(),
+        "axes": [{"name": a.name, "unit": a.unit, "kind": a.kind, "values": a.values[shown].tolist()} for a in axes],
+        "terms": [{**t, "value": t["value"][shown].tolist(), "std": None} for t in terms],
     }
 
 
@@ -224,7 +224,7 @@ def add_effect(
         "with_effect": _errors(after.model, checked),
     }
     label = after.model.effects[-1].label
-    found = {
+    answer = {
         "effect": effect,
         "target": target,
         "errors": errors,
@@ -239,7 +239,7 @@ def add_effect(
         "held_out": held_out is not None,
         **errors,
     }
-    return {**found, "file": write_model(after.model.with_provenance(label, provenance)).encode()}
+    return {**answer, "file": write_model(after.model.with_provenance(label, provenance)).encode()}
 
 
 def _parts(experiments: Sequence[Experiment]) -> tuple[list[Experiment], list[Experiment] | None]:

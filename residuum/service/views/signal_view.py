@@ -47,9 +47,9 @@ def extremes(signal: npt.NDArray[Any], most: int) -> Extremes:
     whole = n // samples
     body = signal[: whole * samples].reshape(whole, samples)
     lowest, highest = np.fmin.reduce(body, axis=1), np.fmax.reduce(body, axis=1)
-    if rest := n - whole * samples:
-        lowest = np.append(lowest, np.fmin.reduce(signal[-rest:]))
-        highest = np.append(highest, np.fmax.reduce(signal[-rest:]))
+    if remainder := n - whole * samples:
+        lowest = np.append(lowest, np.fmin.reduce(signal[-remainder:]))
+        highest = np.append(highest, np.fmax.reduce(signal[-remainder:]))
     return Extremes(samples, lowest.astype(np.float64), highest.astype(np.float64))
 
 
@@ -60,23 +60,23 @@ def extremes_of_pieces(pieces: Iterator[npt.NDArray[Any]], n: int, most: int) ->
     [5.0, 2.0, nan]
     """
     samples = max(1, -(-n // most))
-    found, held = list[Extremes](), np.empty(0)
+    reduced, held = list[Extremes](), np.empty(0)
     for piece in pieces:
         held = np.concatenate([held, piece]) if len(held) else piece
         if whole := len(held) // samples:
-            found.append(extremes(held[: whole * samples], whole))
+            reduced.append(extremes(held[: whole * samples], whole))
             held = held[whole * samples :]
     if len(held):
-        found.append(extremes(held, 1))
-    return Extremes(samples, *(np.concatenate([getattr(each, end) for each in found]) for end in ("minimum", "maximum")))
+        reduced.append(extremes(held, 1))
+    return Extremes(samples, *(np.concatenate([getattr(part, end) for part in reduced]) for end in ("minimum", "maximum")))
 
 
 def stretch(pieces: Iterator[npt.NDArray[Any]], first: int, last: int) -> Iterator[npt.NDArray[Any]]:
     """The samples first … last − 1 of a signal that comes piece by piece; it is taken to its end, where damage shows."""
     begin = 0
     for piece in pieces:
-        if len(here := piece[max(0, first - begin) : max(0, last - begin)]):
-            yield here
+        if len(inside := piece[max(0, first - begin) : max(0, last - begin)]):
+            yield inside
         begin += len(piece)
 
 
@@ -132,16 +132,16 @@ def view_residual(
     progress(0.1, "designing the residual generator")
     design = residual_for(model, good, asked)
     progress(0.7, "running it")
-    found = detect(design, looked_at, **judged.model_dump())
+    run = detect(design, looked_at, **judged.model_dump())
     size = 2 * design.noise.sigma if offset is None else offset
-    return {**_over_time(design, looked_at, found), "roc": {"offset": size, **_characteristic(design, good, size)}}
+    return {**_over_time(design, looked_at, run), "roc": {"offset": size, **_characteristic(design, good, size)}}
 
 
-def _over_time(design: ResidualDesign, record: Record, found: Detection) -> dict[str, Any]:
-    residual, statistic = (np.where(found.signals.valid, values, np.nan) for values in (found.signals.robust, found.statistic))
+def _over_time(design: ResidualDesign, record: Record, run: Detection) -> dict[str, Any]:
+    residual, statistic = (np.where(run.signals.valid, values, np.nan) for values in (run.signals.robust, run.statistic))
     reduced = extremes(residual, _POINTS)
-    level = np.broadcast_to(np.asarray(found.threshold.level, dtype=float), (record.n,))
-    first = found.first_alarm
+    level = np.broadcast_to(np.asarray(run.threshold.level, dtype=float), (record.n,))
+    first = run.first_alarm
     return {
         "unit": design.model.output_unit,
         "time": (np.arange(len(reduced.minimum)) * reduced.samples * record.sample_time).tolist(),
@@ -149,10 +149,10 @@ def _over_time(design: ResidualDesign, record: Record, found: Detection) -> dict
         "highest": reduced.maximum.tolist(),
         "statistic": extremes(statistic, _POINTS).maximum.tolist(),
         "threshold": extremes(level, _POINTS).minimum.tolist(),
-        "threshold_unit": found.threshold.unit,
-        "guarantee": found.threshold.guarantee,
+        "threshold_unit": run.threshold.unit,
+        "guarantee": run.threshold.guarantee,
         "alarm_time": None if first is None else first * record.sample_time,
-        "false_alarms_per_day": found.threshold.false_alarms_per_day,
+        "false_alarms_per_day": run.threshold.false_alarms_per_day,
         "decoupling": design.post_filter.decoupling,
         "filter_order": design.post_filter.Q.order,
     }
@@ -170,5 +170,5 @@ def _characteristic(design: ResidualDesign, healthy: Sequence[Record], offset: f
 
 
 def _statistics(design: ResidualDesign, records: Sequence[Record]) -> FloatArray:
-    found = [detect(design, record, threshold="posterior", evaluation="rms") for record in records]
-    return np.concatenate([each.statistic[each.signals.valid] for each in found])
+    runs = [detect(design, record, threshold="posterior", evaluation="rms") for record in records]
+    return np.concatenate([run.statistic[run.signals.valid] for run in runs])

@@ -42,8 +42,8 @@ class _Assets(StaticFiles):
         response.headers["Cache-Control"] = "no-cache"
         if not isinstance(response, FileResponse) or "gzip" not in Headers(scope=scope).get("accept-encoding", ""):
             return response
-        kept = {name: response.headers[name] for name in ("etag", "last-modified", "cache-control")}
-        headers = {**kept, "Content-Encoding": "gzip", "Vary": "Accept-Encoding"}
+        tags = {name: response.headers[name] for name in ("etag", "last-modified", "cache-control")}
+        headers = {**tags, "Content-Encoding": "gzip", "Vary": "Accept-Encoding"}
         return Response(_packed(str(full_path), stat_result.st_mtime_ns), status_code, headers, response.media_type)
 
 

@@ -51,10 +51,10 @@ class Spool:
         self._machine_of: dict[str, str] = {}
         self._keys_of: dict[str, dict[str, None]] = {}
         for file in files:
-            _, *told = file.name.removesuffix(_ENDING).split("-", maxsplit=2)
-            if len(told) != 2:
+            _, *name_parts = file.name.removesuffix(_ENDING).split("-", maxsplit=2)
+            if len(name_parts) != 2:
                 raise BadInput(f"{file}: its name does not say of which machine it is; move it out of the spool")
-            self._list(told[0], told[1], file)
+            self._list(name_parts[0], name_parts[1], file)
         self._sizes = {key: file.stat().st_size for key, file in self._files.items()}
         self._bytes = sum(self._sizes.values())
         self._next = int(files[-1].name.split("-", maxsplit=1)[0]) + 1 if files else 0
@@ -229,10 +229,10 @@ class Gateway:
 
     def _follow(self, machine: _Machine, waiting: list[str]) -> None:
         """Note what has been stored since, or send all again when that takes too long."""
-        if gone := [key for key in machine.under_way if key not in waiting]:
-            machine.heard |= not self._answered.isdisjoint(gone)  # else the spool let them go
+        if settled := [key for key in machine.under_way if key not in waiting]:
+            machine.heard |= not self._answered.isdisjoint(settled)  # else the spool let them go
             machine.patience, machine.progress = self._resend_after, time.monotonic()
-            self._answered.difference_update(gone)
+            self._answered.difference_update(settled)
             machine.under_way = {key: None for key in machine.under_way if key in waiting}
         elif machine.under_way and time.monotonic() - machine.progress > machine.patience:
             machine.patience = min(2 * machine.patience, _LONGEST_RESEND)

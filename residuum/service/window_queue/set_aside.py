@@ -74,23 +74,23 @@ class SetAside:
         make_folder(self._folder)
         name = f"{datetime.now(UTC):%Y%m%dT%H%M%S%f}-{_SAFE.sub('_', key)[:64]}"
         now, why = datetime.now(UTC).isoformat(), reason[:_LONGEST_REASON]
-        told = Poisoned(key[:200], gateway[:200], now, why, len(payload), topic, name)
+        poisoned = Poisoned(key[:200], gateway[:200], now, why, len(payload), topic, name)
         (self._folder / f"{name}.message").write_bytes(payload)
-        (self._folder / f"{name}.json").write_bytes(orjson.dumps(asdict(told)))
+        (self._folder / f"{name}.json").write_bytes(orjson.dumps(asdict(poisoned)))
         (self._folder / "count").write_text(str(self.count + 1), encoding="ascii")
         self._let_the_oldest_go()
 
     def newest(self, limit: int | None = 20) -> list[Poisoned]:
         """The messages that were set aside last (None: all), the newest first."""
-        told = sorted(self._folder.glob("*.json"), reverse=True)[:limit]
-        return [Poisoned(**{"name": file.stem, **orjson.loads(file.read_bytes())}) for file in told if file.is_file()]
+        descriptions = sorted(self._folder.glob("*.json"), reverse=True)[:limit]
+        return [Poisoned(**{"name": file.stem, **orjson.loads(file.read_bytes())}) for file in descriptions if file.is_file()]
 
     def get(self, name: str) -> Poisoned:
         """The message of a name; BadInput where none has it."""
-        kept = {each.name: each for each in self.newest(limit=None)}
-        if name not in kept:
-            raise BadInput(f"message {name[:80]!r}: none of this name is set aside; {known_names(name, kept, 'there are')}")
-        return kept[name]
+        by_name = {message.name: message for message in self.newest(limit=None)}
+        if name not in by_name:
+            raise BadInput(f"message {name[:80]!r}: none of this name is set aside; {known_names(name, by_name, 'there are')}")
+        return by_name[name]
 
     def payload(self, name: str) -> bytes:
         """A message as it came."""
@@ -103,15 +103,15 @@ class SetAside:
 
     def to_json(self) -> dict[str, Any]:
         """How many there were, and the newest."""
-        return {"count": self.count, "newest": [asdict(each) for each in self.newest()]}
+        return {"count": self.count, "newest": [asdict(message) for message in self.newest()]}
 
     def _let_the_oldest_go(self) -> None:
-        kept = sorted(self._folder.glob("*.message"))
-        size = sum(file.stat().st_size for file in kept)
-        while kept and (len(kept) > _MOST or size > _MOST_BYTES):
-            size -= kept[0].stat().st_size
-            kept[0].with_suffix(".json").unlink(missing_ok=True)
-            kept.pop(0).unlink(missing_ok=True)
+        messages = sorted(self._folder.glob("*.message"))
+        size = sum(file.stat().st_size for file in messages)
+        while messages and (len(messages) > _MOST or size > _MOST_BYTES):
+            size -= messages[0].stat().st_size
+            messages[0].with_suffix(".json").unlink(missing_ok=True)
+            messages.pop(0).unlink(missing_ok=True)
 
 
 class Attempts:
@@ -130,8 +130,8 @@ class Attempts:
         self._file = data / FOLDER / f"begun-{_SAFE.sub('_', scorer)}"
         make_folder(self._file.parent)
         try:
-            found = orjson.loads(self._file.read_bytes())
-            self._begun = {str(key): int(times) for key, times in found.items()}
+            attempts = orjson.loads(self._file.read_bytes())
+            self._begun = {str(key): int(times) for key, times in attempts.items()}
         except (OSError, ValueError, AttributeError, TypeError):
             self._begun = {}
 
@@ -178,7 +178,7 @@ def send_again(
     client = broker_client(address, gateway, topics, take, lambda: None, kept=False, subscribed=lambda: ready.put(None))
     try:
         _waited(ready, patience, f"broker {address.host}:{address.port}: does not let us in; nothing was sent")
-        for message in sorted(messages, key=lambda each: each.name):
+        for message in sorted(messages, key=lambda poisoned: poisoned.name):
             beginning, _, key = message.topic.rsplit("/", 2)
             client.publish(f"{beginning}/{gateway}/{key}", aside.payload(message.name), qos=1)
             receipt = _waited(receipts, patience, f"{message.name}: no scorer says that it has it, so it stays; is one running?")

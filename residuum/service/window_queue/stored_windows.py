@@ -197,15 +197,15 @@ class StoredWindows:
 
     def _tell_of(self, asset: str) -> None:
         """Tell what the store has of a machine that was not told yet."""
-        found = self._store.findings_after(asset, self._seen.get(asset, self._since), _AT_ONCE + 1)
-        if not found:
+        findings = self._store.findings_after(asset, self._seen.get(asset, self._since), _AT_ONCE + 1)
+        if not findings:
             return
-        if len(found) > _AT_ONCE:
+        if len(findings) > _AT_ONCE:
             self._begin_anew()
             return
-        changed = self._store.alarms_changed(asset, [finding.at for finding in found])
-        self._seen[asset] = found[-1].id
-        new = [finding for finding in found if self._told.first(finding.id)]
+        changed = self._store.alarms_changed(asset, [finding.at for finding in findings])
+        self._seen[asset] = findings[-1].id
+        new = [finding for finding in findings if self._told.first(finding.id)]
         for finding in new:
             self._tell("finding", finding.to_json())
         for alarm in changed if new else []:

@@ -78,16 +78,16 @@ def explain(progress: Progress, asked: Asked, question: Explain) -> Mapping[str,
 def improve(progress: Progress, asked: Asked, question: Improve) -> Mapping[str, Any]:
     """`result`: the `improve` object; `file`: the larger model's text."""
     model, records = asked.opened(progress, "improve")
-    found = model.improve(records, map=asked.mapping, progress=progress, **question.model_dump())
-    return {"result": found.to_dict(), "file": found.model.text.encode()}
+    improved = model.improve(records, map=asked.mapping, progress=progress, **question.model_dump())
+    return {"result": improved.to_dict(), "file": improved.model.text.encode()}
 
 
 def estimate(progress: Progress, asked: Asked, question: Estimate) -> Mapping[str, Any]:
     """`result`: the `estimate` object; `file`: the model's text, where its values have not settled only with `anyway`."""
     model, records = asked.opened(progress, "estimate")
-    found = model.estimate(records, map=asked.mapping, **question.model_dump())
-    written = question.anyway or not found.unsettled
-    return {"result": found.to_dict(), "file": None if not written else found.model.text.encode()}
+    fitted = model.estimate(records, map=asked.mapping, **question.model_dump())
+    written = question.anyway or not fitted.unsettled
+    return {"result": fitted.to_dict(), "file": None if not written else fitted.model.text.encode()}
 
 
 def identify(progress: Progress, records: Sequence[RecordParts], asked: Identify) -> Mapping[str, Any]:
@@ -109,12 +109,12 @@ def residuals(
     steps = 1 + len(records)
     progress(0.0, "residual")
     known = _records(healthy)
-    made = Residual(residual_for(read_identified(model), known, asked), tuple(known))
+    design = Residual(residual_for(read_identified(model), known, asked), tuple(known))
     runs = []
     for number, record in enumerate(_records(records), start=1):
         progress(number / steps, "residual")
-        runs.append(run_of(made.design, record, judged).to_dict())
-    return {"design": made.to_dict() | {"identified": "model.json", "file": "design.json"}, "runs": runs}
+        runs.append(run_of(design.design, record, judged).to_dict())
+    return {"design": design.to_dict() | {"identified": "model.json", "file": "design.json"}, "runs": runs}
 
 
 def design_controller(
@@ -133,10 +133,10 @@ def design_controller(
     except Infeasible as no:
         described = {"aim": asked.aim, "structure": asked.structure, "models": list(names)}
         return {"result": described | {"feasible": False, "reason": str(no)}}
-    found = controller.to_dict() | {"file": "controller.json"}
+    answer = controller.to_dict() | {"file": "controller.json"}
     if export is not None:
-        found["exported"] = LANGUAGES[export](controller.difference_equation())
-    return {"result": json.loads(json.dumps(found))}
+        answer["exported"] = LANGUAGES[export](controller.difference_equation())
+    return {"result": json.loads(json.dumps(answer))}
 
 
 def _records(records: Sequence[RecordParts]) -> list[Record]:

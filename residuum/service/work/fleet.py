@@ -69,10 +69,10 @@ class Folder:
 
     def items(self) -> list[str]:
         """Paths of the files, sorted; BadInput for one that no line of results could name."""
-        found = sorted(str(file) for file in Path(self.folder).rglob("*") if file.suffix.lower() in _ENDINGS)
-        if nameless := next((file for file in found if _is_no_text(file)), None):
+        files = sorted(str(file) for file in Path(self.folder).rglob("*") if file.suffix.lower() in _ENDINGS)
+        if nameless := next((file for file in files if _is_no_text(file)), None):
             raise BadInput(f"{os.fsencode(nameless)!r}: is a file name that is not UTF-8; rename the file")
-        return found
+        return files
 
     def read(self, item: str) -> Record:
         """The record of a file."""
@@ -95,24 +95,24 @@ class Bucket:
         """Keys of the files, sorted."""
         try:
             files, root = _file_system(self.url)
-            found = files.find(root)
+            keys = files.find(root)
         except BadInput:
             raise
         except Exception as error:  # a protocol's library has errors of its own
             raise BadInput(f"{self.url}: cannot be listed: {type(error).__name__} {error}") from None
-        return sorted(str(key) for key in found if PurePosixPath(key).suffix.lower() in _ENDINGS)
+        return sorted(str(key) for key in keys if PurePosixPath(key).suffix.lower() in _ENDINGS)
 
     def read(self, item: str) -> Record:
         """The record of a file, copied here first because readers want files."""
         files, _ = _file_system(self.url)
         with tempfile.TemporaryDirectory() as folder:
-            here = Path(folder) / PurePosixPath(item).name
+            local = Path(folder) / PurePosixPath(item).name
             try:
-                with files.open(item, "rb") as there, here.open("wb") as copy:
-                    shutil.copyfileobj(there, copy)
-                return _named(read_safely(here), item)
+                with files.open(item, "rb") as remote, local.open("wb") as copy:
+                    shutil.copyfileobj(remote, copy)
+                return _named(read_safely(local), item)
             except BadInput as error:
-                raise BadInput(str(error).replace(str(here), item)) from None
+                raise BadInput(str(error).replace(str(local), item)) from None
             except OSError as error:
                 raise BadInput(f"{item}: cannot be read: {error}") from None
             except Exception as error:  # a protocol's library has errors of its own, which cannot always leave the worker
@@ -249,7 +249,7 @@ class Reidentify:
             model = identified_by([self.source.read(file)], self.asked)
         except BadInput as error:
             return {"by": self.mark, "refused": str(error)}
-        told = {
+        fields = {
             "method": model.method,
             "order": model.order,
             "delay": model.delay,
@@ -261,7 +261,7 @@ class Reidentify:
             "denominator": model.denominator,
             "warnings": list(model.warnings),
         }
-        return {"by": self.mark, "model": to_plain(told)}
+        return {"by": self.mark, "model": to_plain(fields)}
 
 
 @lru_cache(maxsize=4)
@@ -331,12 +331,12 @@ def run_fleet(
                 running[executor.submit(_work_all, work, task.files)] = task
             for future in wait(running, return_when=FIRST_COMPLETED).done:
                 task = running.pop(future)
-                found = _found(future, task, mark)
-                if found is None:
+                answers = _found(future, task, mark)
+                if answers is None:
                     (waiting if task.attempts < _ATTEMPTS else alone).extend(_again(task))
                     continue
-                known |= {each["file"]: each for each in found}
-                out.writelines(orjson.dumps(each) + b"\n" for each in found)
+                known |= {answer["file"]: answer for answer in answers}
+                out.writelines(orjson.dumps(answer) + b"\n" for answer in answers)
                 out.flush()
                 tell(len(known), len(files))
     ordered = [known[file] for file in files]
@@ -403,7 +403,7 @@ def _read(results: Path, wanted: set[str], mark: str | None) -> dict[str, dict[s
 def _write(results: Path, ordered: list[dict[str, Any]]) -> None:
     part = results.with_name(f"{results.name}.part")
     with part.open("wb") as file:
-        file.writelines(orjson.dumps(each) + b"\n" for each in ordered)
+        file.writelines(orjson.dumps(answer) + b"\n" for answer in ordered)
         file.flush()
         os.fsync(file.fileno())
     part.replace(results)

@@ -67,12 +67,12 @@ class CompilingBehind:
 
     def _wait(self, process: subprocess.Popen[bytes]) -> None:
         assert process.stderr is not None
-        said = process.stderr.read()
+        output = process.stderr.read()
         process.wait()
         if process.returncode == 0:
             log.info("compiled what the first explanation needs")
         elif not self._stopped:
-            reason = said.decode("utf-8", "replace").strip().rpartition("\n")[-1] or f"exit status {process.returncode}"
+            reason = output.decode("utf-8", "replace").strip().rpartition("\n")[-1] or f"exit status {process.returncode}"
             log.error("compiling behind failed; the first explanation compiles", reason=reason)
 
 
@@ -147,7 +147,7 @@ class Jobs:
         """Queue a job; `then` makes its result of what the work returned, in this process. TooManyJobs when the queue is full."""
         job = Job(secrets.token_hex(8), kind, JobState.QUEUED, 0.0, "waiting", datetime.now(UTC))
         with self._lock:
-            if sum(other.state not in OVER for other in self._jobs.values()) >= self._most:
+            if sum(listed.state not in OVER for listed in self._jobs.values()) >= self._most:
                 raise TooManyJobs(f"job {kind!r}: {self._most} are waiting or running; try again later")
             self._forget_oldest()
             self._jobs[job.id] = job
@@ -207,10 +207,10 @@ class Jobs:
         try:
             worker.channel.send(order)
             while True:
-                said, *rest = worker.channel.recv()
-                if said != "progress":
-                    return JobState(said), rest[0]
-                self._update(job, progress=min(1.0, max(0.0, float(rest[0]))), doing=str(rest[1]))
+                kind, *parts = worker.channel.recv()
+                if kind != "progress":
+                    return JobState(kind), parts[0]
+                self._update(job, progress=min(1.0, max(0.0, float(parts[0]))), doing=str(parts[1]))
         except (EOFError, OSError):  # the process is gone: cancelled, or it died
             worker.kill()
             return JobState.FAILED, "the worker process ended unexpectedly (out of memory?)"
@@ -230,8 +230,8 @@ class Jobs:
 
     def _finish(self, job: str, state: JobState, outcome: Any) -> None:
         done = state is JobState.DONE
-        told = outcome if done else (str(outcome).strip().splitlines() or [state.value])[-1]
-        fields = {"result": told, "progress": 1.0} if done else {"error": told}
+        answer = outcome if done else (str(outcome).strip().splitlines() or [state.value])[-1]
+        fields = {"result": answer, "progress": 1.0} if done else {"error": answer}
         ended = self._update(job, state=state, doing=state.value, finished_at=datetime.now(UTC), **fields)
         if ended.state is JobState.FAILED:  # said last: a log that cannot be written must not leave the job running
             log.error("job failed", job=job, reason=outcome)

@@ -37,11 +37,11 @@ def run_limited(
     """
     threads = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
     names = ("PATH", "PYTHONPATH", "LANG", "HOME", "NUMBA_CACHE_DIR", "RESIDUUM_CACHE")
-    kept = {name: os.environ[name] for name in names if name in os.environ}
+    inherited = {name: os.environ[name] for name in names if name in os.environ}
     try:
         done = subprocess.run(
             [sys.executable, "-P", "-m", module, str(memory), str(seconds), *arguments],
-            env=kept | threads | {"TMPDIR": str(folder)},  # libraries leave files there when they fail
+            env=inherited | threads | {"TMPDIR": str(folder)},  # libraries leave files there when they fail
             cwd=folder,
             stdin=subprocess.DEVNULL,
             capture_output=True,

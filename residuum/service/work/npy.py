@@ -11,7 +11,7 @@ from residuum.identification.npy_header import LongHeader, NotNpy, NpyHeader, np
 from residuum.service.problems import BadBody, TooLarge
 
 
-def read_npy(body: bytes | memoryview, what: str = "body") -> npt.NDArray[Any]:
+def read_npy(body: bytes | memoryview, subject: str = "body") -> npt.NDArray[Any]:
     """The array of an .npy body (format versions 1 and 2), without a copy.
 
     Plain integer and floating types only, one or two dimensions. The shape that the header declares must be that of the
@@ -31,14 +31,16 @@ def read_npy(body: bytes | memoryview, what: str = "body") -> npt.NDArray[Any]:
     >>> read_npy(file.getvalue()).tolist()
     [0.0, 1.0, 2.0]
     """
-    header = read_header(body, what)
-    dtype, shape, came = header.dtype, header.shape, len(body) - header.start
+    header = read_header(body, subject)
+    dtype, shape, received = header.dtype, header.shape, len(body) - header.start
     if dtype.kind not in "fiu" or dtype.itemsize > 8:
-        raise BadBody(f"{what}: .npy type {str(dtype)[:80]}: only plain integer and floating arrays are read; {_way_on(dtype)}")
+        raise BadBody(
+            f"{subject}: .npy type {str(dtype)[:80]}: only plain integer and floating arrays are read; {_way_on(dtype)}"
+        )
     if not 1 <= len(shape) <= 2 or not header.size:
-        raise BadBody(f"{what}: .npy shape {shape}: must have one or two dimensions and hold samples")
-    if header.size != came:
-        raise BadBody(f"{what}: .npy shape {shape} of {dtype.str} needs {header.size} bytes; {came} came")
+        raise BadBody(f"{subject}: .npy shape {shape}: must have one or two dimensions and hold samples")
+    if header.size != received:
+        raise BadBody(f"{subject}: .npy shape {shape} of {dtype.str} needs {header.size} bytes; {received} came")
     return np.frombuffer(body, dtype=dtype, offset=header.start).reshape(shape, order="F" if header.fortran_order else "C")
 
 
@@ -46,11 +48,11 @@ def _way_on(dtype: np.dtype[Any]) -> str:
     return "send its real part, array.real" if dtype.kind == "c" else "send array.astype('f8')"
 
 
-def read_header(data: bytes | memoryview, what: str) -> NpyHeader:
-    """The header at the begin of `data`; BadBody or TooLarge as of `what`."""
+def read_header(data: bytes | memoryview, subject: str) -> NpyHeader:
+    """The header at the begin of `data`; BadBody or TooLarge as of `subject`."""
     try:
         return npy_header(data)
     except LongHeader as error:
-        raise TooLarge(f"{what}: {error}") from None
+        raise TooLarge(f"{subject}: {error}") from None
     except NotNpy as error:
-        raise BadBody(f"{what}: {error}") from None
+        raise BadBody(f"{subject}: {error}") from None

@@ -68,7 +68,7 @@ def rescore_own(source: StoredWindows) -> RescoreOwn:
 
 
 def _own(store: DiskStore) -> Sequence[OwnJudge]:
-    found: list[OwnJudge] = []
+    judges: list[OwnJudge] = []
     cursor: str | None = None
     while True:
         page = store.assets(cursor)
@@ -76,10 +76,10 @@ def _own(store: DiskStore) -> Sequence[OwnJudge]:
             baseline = _baseline(store, asset.id)
             key = None if baseline is None else (baseline.model, baseline.number, baseline.checksum)
             method = None if asset.diagnoser not in DIAGNOSERS else deciding_method(store, asset.id, asset.diagnoser)
-            found.append(OwnJudge(asset.id, asset.diagnoser, key, method))
+            judges.append(OwnJudge(asset.id, asset.diagnoser, key, method))
         cursor = page.next_cursor
         if cursor is None:
-            return found
+            return judges
 
 
 def _baseline(store: DiskStore, asset: str) -> ModelVersion | None:

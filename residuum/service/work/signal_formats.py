@@ -70,8 +70,8 @@ def _other_text(body: bytes) -> bool:
 
 def _no_number(body: bytes, at: int) -> str:
     """What to write instead of the words that some programs write for numbers JSON does not have."""
-    found = _NO_NUMBER.match(body.decode("utf-8", "replace"), at)
-    return "; JSON has neither NaN nor Infinity, a missing sample is null" if found else ""
+    match = _NO_NUMBER.match(body.decode("utf-8", "replace"), at)
+    return "; JSON has neither NaN nor Infinity, a missing sample is null" if match else ""
 
 
 def from_csv(body: bytes, _unpacked: int) -> Record:
@@ -109,31 +109,31 @@ def unpacked_size(body: bytes) -> int:
         return 0
 
 
-def check_npz(file: IO[bytes], unpacked: int, what: str = "body") -> None:
+def check_npz(file: IO[bytes], unpacked: int, subject: str = "body") -> None:
     """Refuse an NPZ that holds more than `unpacked` bytes in all, or whose arrays differ from what their headers declare."""
     try:
         with zipfile.ZipFile(file) as archive:
             members = archive.infolist()
             if len(members) > MOST_CHANNELS or sum(member.file_size for member in members) > unpacked:
                 raise TooLarge(
-                    f"{what}: an NPZ of more than {MOST_CHANNELS} arrays or {unpacked} bytes unpacked; no more are read"
+                    f"{subject}: an NPZ of more than {MOST_CHANNELS} arrays or {unpacked} bytes unpacked; no more are read"
                 )
             for member in members:
-                _check_member(archive, member, what)
+                _check_member(archive, member, subject)
     except (BadBody, TooLarge):
         raise
     except _DAMAGED as error:
-        raise BadBody(f"{what}: is not an NPZ file: {in_one_line(error)}") from None
+        raise BadBody(f"{subject}: is not an NPZ file: {in_one_line(error)}") from None
 
 
 def _check_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo, file: str) -> None:
-    what = f"{file}: NPZ member {member.filename[:60]!r}"
+    where = f"{file}: NPZ member {member.filename[:60]!r}"
     with archive.open(member) as stream:
-        header = read_header(stream.read(2 * LONGEST_HEADER), what)
+        header = read_header(stream.read(2 * LONGEST_HEADER), where)
     if header.dtype.kind not in "fiubU":
-        raise BadBody(f"{what}: is not a plain array")
+        raise BadBody(f"{where}: is not a plain array")
     if header.start + header.size > member.file_size:
-        raise BadBody(f"{what}: declares {header.size} bytes and holds {member.file_size - header.start}")
+        raise BadBody(f"{where}: declares {header.size} bytes and holds {member.file_size - header.start}")
 
 
 def few(channels: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -153,15 +153,15 @@ def _samples(name: str, values: Any) -> np.ndarray[Any, Any]:
     return np.array(values, dtype=np.float64)
 
 
-def _texts(content: Any, what: str) -> dict[str, str]:
+def _texts(content: Any, field: str) -> dict[str, str]:
     if not isinstance(content, dict) or not all(isinstance(value, str) for value in content.values()):
-        raise BadBody(f'body, {what}: must be an object of channel name to text, as {{"speed": "rpm"}}')
+        raise BadBody(f'body, {field}: must be an object of channel name to text, as {{"speed": "rpm"}}')
     return content
 
 
-def _number(content: Any, what: str) -> float:
+def _number(content: Any, field: str) -> float:
     if type(content) not in (int, float):
-        raise BadBody(f"body, {what}: must be a number")
+        raise BadBody(f"body, {field}: must be a number")
     return float(content)
 
 

@@ -86,30 +86,30 @@ def without_knocks(x: npt.ArrayLike, sampling_rate: float, slowest: float | None
 
 def _energy(x: AnyArray, length: int, frames: int) -> AnyArray:
     """The larger of the energies of x and of its first difference a frame, each in its median, shape (frames,)."""
-    found = np.zeros(frames)
+    largest = np.zeros(frames)
     for signal in (x - x.mean(dtype=np.float64).astype(x.dtype), np.diff(x, prepend=x[:1])):
         parts = signal[: frames * length].reshape(frames, length)
         energy = np.einsum("ij,ij->i", parts, parts, dtype=np.float64)
         median = float(np.median(energy))
         if not median > 0:
             return np.ones(frames)
-        found = np.maximum(found, energy / median)
-    return found
+        largest = np.maximum(largest, energy / median)
+    return largest
 
 
 def _events(energy: AnyArray, most: int, reach: int) -> list[slice]:
     """The strongest events, strongest first: frames from a peak outwards until it has rung down."""
     left = energy.copy()
-    found: list[slice] = []
-    while len(found) < most and left.max() > _RINGS_DOWN:
+    events: list[slice] = []
+    while len(events) < most and left.max() > _RINGS_DOWN:
         peak = int(left.argmax())
         calm = energy <= _RINGS_DOWN
         before, after = calm[max(0, peak - reach) : peak][::-1], calm[peak + 1 : peak + 1 + reach]
         start = peak - int(before.argmax() if before.any() else before.size)
         stop = peak + 1 + int(after.argmax() if after.any() else after.size)
-        found.append(slice(start, stop))
+        events.append(slice(start, stop))
         left[start:stop] = 0.0
-    return found
+    return events
 
 
 # Vibration of a bearing with a localised fault, by formula: the signal that envelope analysis
@@ -284,7 +284,7 @@ def _slow(envelope: Envelope, fastest: float) -> tuple[AnyArray, float]:
 
 def _look(envelopes: list[tuple[AnyArray, float]], length: float, slowest: float, fastest: float) -> _Followed | None:
     """The best lines over all bands in stretches of `length` [s]; None where they are too few, or too short for a floor."""
-    found = []
+    looks = []
     for values, rate in envelopes:
         m = int(length * rate)
         if m < _FLOOR or 2 * values.shape[0] < (_FEWEST_STRETCHES + 1) * m:
@@ -295,11 +295,11 @@ def _look(envelopes: list[tuple[AnyArray, float]], length: float, slowest: float
         followed, way = _follow(scores[:, begin:end])
         around = scores[:, max(0, begin - _LEAKS) : end + _LEAKS]
         steady = float(maximum_filter1d(around, 3, axis=1).mean(axis=0).max())
-        found.append(_Followed(followed, steady, (begin + way) * f_step, (m // 2) / rate, int(np.ptp(way))))
-    if not found:
+        looks.append(_Followed(followed, steady, (begin + way) * f_step, (m // 2) / rate, int(np.ptp(way))))
+    if not looks:
         return None
-    best = max(found, key=lambda look: look.followed)
-    return replace(best, steady=max(look.steady for look in found))
+    best = max(looks, key=lambda look: look.followed)
+    return replace(best, steady=max(look.steady for look in looks))
 
 
 def _scores(values: AnyArray, m: int) -> AnyArray:
@@ -321,17 +321,17 @@ def _follow(scores: AnyArray) -> tuple[float, AnyArray]:
     """The largest mean score of a way through the stretches, and that way, shape (stretches,)."""
     count, width = scores.shape
     steps = np.arange(-_FASTEST, _FASTEST + 1)
-    came = np.zeros((count, width), dtype=int)
+    backtrack = np.zeros((count, width), dtype=int)
     best = scores[0].astype(np.float64)
     for k in range(1, count):
         beside = np.pad(best, _FASTEST, constant_values=-np.inf)
         reached = np.stack([beside[_FASTEST + step : _FASTEST + step + width] for step in steps])
         chosen = reached.argmax(axis=0)
-        came[k] = steps[chosen]
+        backtrack[k] = steps[chosen]
         best = reached[chosen, np.arange(width)] + scores[k]
     way = [int(best.argmax())]
     for k in range(count - 1, 0, -1):
-        way.append(way[-1] + int(came[k][way[-1]]))
+        way.append(way[-1] + int(backtrack[k][way[-1]]))
     return float(best.max() / count), np.array(way[::-1])
 
 

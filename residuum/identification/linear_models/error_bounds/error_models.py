@@ -97,11 +97,11 @@ def refined_grid(
         if not len(left) or len(omega) + len(left) > _MOST:
             break
         middle = np.sqrt(np.maximum(omega[left], 0.1 * omega[left + 1]) * omega[left + 1])  # from ω = 0: a tenth
-        seen = envelope(middle)
+        inner = envelope(middle)
         line = np.sqrt(values[left] * values[left + 1])  # the middle of a straight line in (ln ω, ln Ω)
-        doubtful[left] = above = seen > line * (1.0 + OFF_THE_LINE)
+        doubtful[left] = above = inner > line * (1.0 + OFF_THE_LINE)
         order = np.argsort(np.concatenate([omega, middle]))
-        omega, values, doubtful = (np.concatenate(pair)[order] for pair in ((omega, middle), (values, seen), (doubtful, above)))
+        omega, values, doubtful = (np.concatenate(pair)[order] for pair in ((omega, middle), (values, inner), (doubtful, above)))
     return omega, values
 
 
@@ -375,10 +375,10 @@ def with_model_error(model: IdentifiedModel, records: Sequence[Record], noise_bo
         raise BadInput("uncertainty model-error: takes no noise bound; that belongs to set-membership")
     shortest = min(record.n for record in records)
     lags = max(_LEAST_LAGS, min(_LAGS, shortest // 4))
-    found = model_error_model(model, records, order=lags)
-    verdict = "falsified" if found.falsified else "not falsified"
-    said = f"model error model: {verdict}, at {len(found.falsified_at)} of {len(found.omega)} frequencies"
-    return _with_error(model, found.error.impulse_response, found.error.covariance, "model-error", said)
+    error_model = model_error_model(model, records, order=lags)
+    verdict = "falsified" if error_model.falsified else "not falsified"
+    warning = f"model error model: {verdict}, at {len(error_model.falsified_at)} of {len(error_model.omega)} frequencies"
+    return _with_error(model, error_model.error.impulse_response, error_model.error.covariance, "model-error", warning)
 
 
 def with_set_membership(model: IdentifiedModel, records: Sequence[Record], noise_bound: float | None = None) -> IdentifiedModel:
@@ -399,15 +399,15 @@ def with_set_membership(model: IdentifiedModel, records: Sequence[Record], noise
     Phi, residual = _regression(model, records)
     smallest = feasible_set(Phi, residual, 1e-12 * float(np.abs(residual).max() or 1.0)).smallest_bound
     bound = _ROOM * smallest if noise_bound is None else noise_bound
-    found = feasible_set(Phi, residual, bound)
-    if found.empty:
+    feasible = feasible_set(Phi, residual, bound)
+    if feasible.empty:
         raise NotIdentifiable(
             f"uncertainty set-membership: with noise of at most {bound:.4g} {model.output_unit} no error response agrees with "
             f"the records; the smallest bound that leaves one is {smallest:.4g}".replace("  ", " ")
         )
-    said = f"set membership: noise at most {bound:.4g} {model.output_unit}".rstrip()
-    said += f", smallest possible {smallest:.4g}"
-    return _with_error(model, found.centre, np.diag(found.radius**2 / 3.0), "set-membership", said)
+    warning = f"set membership: noise at most {bound:.4g} {model.output_unit}".rstrip()
+    warning += f", smallest possible {smallest:.4g}"
+    return _with_error(model, feasible.centre, np.diag(feasible.radius**2 / 3.0), "set-membership", warning)
 
 
 def with_stochastic_embedding(
@@ -449,9 +449,9 @@ def likeliest_embedding(
         ).nominal
         for pole in _POLES
     ]
-    best = int(np.argmin([one.negative_log_likelihood for one in tried]))
-    said = f"stochastic embedding: {functions} Laguerre functions of pole {_POLES[best]:g}; the nominal model is theirs"
-    return replace(tried[best], warnings=(*tried[best].warnings, said))
+    best = int(np.argmin([model.negative_log_likelihood for model in tried]))
+    warning = f"stochastic embedding: {functions} Laguerre functions of pole {_POLES[best]:g}; the nominal model is theirs"
+    return replace(tried[best], warnings=(*tried[best].warnings, warning))
 
 
 ERROR_MODELS: dict[str, Callable[[IdentifiedModel, Sequence[Record], float | None], IdentifiedModel]] = {
@@ -480,7 +480,7 @@ def _regression(model: IdentifiedModel, records: Sequence[Record]) -> tuple[Floa
     return np.asarray(Phi, dtype=float), np.asarray(target, dtype=float)
 
 
-def _with_error(model: IdentifiedModel, error: FloatArray, covariance: FloatArray, name: str, said: str) -> IdentifiedModel:
+def _with_error(model: IdentifiedModel, error: FloatArray, covariance: FloatArray, name: str, warning: str) -> IdentifiedModel:
     """The nominal impulse response, with the second moment of the error about it as its covariance."""
     m = max(model.order, len(error))
     g, e, spread = np.zeros(m), np.zeros(m), np.zeros((m, m))
@@ -499,6 +499,6 @@ def _with_error(model: IdentifiedModel, error: FloatArray, covariance: FloatArra
         delay=model.delay,
         offset=model.offset,
         hyper_parameters=model.hyper_parameters,
-        warnings=(*model.warnings, said),
+        warnings=(*model.warnings, warning),
         provenance=model.provenance,
     )

@@ -255,11 +255,11 @@ def _in_conjugate_pairs(x: ComplexArray) -> ComplexArray:
     On the axis both would give a z of the same half of the unit circle, and the factor would not be real.
     """
     dips = np.sort(x[(x.imag == 0.0) & (np.abs(x.real) < 1.0)].real)
-    rest = x[(x.imag != 0.0) | (np.abs(x.real) >= 1.0)]
+    unmoved = x[(x.imag != 0.0) | (np.abs(x.real) >= 1.0)]
     first, second = dips[: len(dips) // 2 * 2 : 2], dips[1::2]
     middle, half = 0.5 * (first + second), np.maximum(0.5 * (second - first), np.finfo(float).tiny)
     alone = np.where(dips[len(second) * 2 :] < 0.0, -1.0, 1.0)  # one without a partner lies at an end
-    return np.concatenate([rest, middle + 1j * half, middle - 1j * half, alone])
+    return np.concatenate([unmoved, middle + 1j * half, middle - 1j * half, alone])
 
 
 def _unwarp(roots: ComplexArray, samples: _Samples, sample_time: float | None) -> ComplexArray:

@@ -172,8 +172,8 @@ def _inverse(gram: FloatArray) -> FloatArray:
     size = np.diag(gram)
     scale = np.sqrt(np.maximum(size, 1e-30 * max(float(size.max(initial=0.0)), 1e-270)))
     eigenvalues, axes = np.linalg.eigh(gram / np.outer(scale, scale))
-    told = np.maximum(eigenvalues, 1e-13 * max(float(eigenvalues[-1]), 1e-300))
-    return np.asarray((axes / told) @ axes.T / np.outer(scale, scale))
+    floored = np.maximum(eigenvalues, 1e-13 * max(float(eigenvalues[-1]), 1e-300))
+    return np.asarray((axes / floored) @ axes.T / np.outer(scale, scale))
 
 
 def _check_excitation(data: Signals, needed: int, input: str | None) -> None:

@@ -17,8 +17,8 @@ from residuum.identification.linear_models.prediction_error.starts import FirstV
 def best_fit(structure: Structure, data: Signals, orders: Orders, first: FirstValues, *, offset: bool) -> Minimum:
     """The best of the searches from every start; NotIdentifiable when no start has a stable predictor."""
     criterion = Criterion(data, orders, level=offset)
-    found = [minimise(criterion, x, iterations=100) for x in _starts(structure, criterion, orders, first)]
-    return min(found, key=lambda minimum: minimum.normal.cost)
+    minima = [minimise(criterion, x, iterations=100) for x in _starts(structure, criterion, orders, first)]
+    return min(minima, key=lambda minimum: minimum.normal.cost)
 
 
 def rough_fit(structure: Structure, data: Signals, orders: Orders, first: FirstValues, *, offset: bool) -> Minimum:

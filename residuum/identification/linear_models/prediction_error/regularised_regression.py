@@ -184,13 +184,13 @@ def _ridge(
     if strength is None:
         search = RidgeCV(_STRENGTHS["ridge"], fit_intercept=offset, cv=splits, scoring="neg_mean_squared_error")
         strength = float(search.fit(phi, target).alpha_)
-    found = Ridge(strength, fit_intercept=offset).fit(phi, target)
+    ridge = Ridge(strength, fit_intercept=offset).fit(phi, target)
     centred = phi - phi.mean(axis=0) if offset else phi
     _, singular, axes = np.linalg.svd(centred, full_matrices=False)
     unseen = np.eye(phi.shape[1]) - axes.T @ axes
     covariance = (axes.T / (singular**2 + strength)) @ axes + unseen / strength
     freedom = float(np.sum(singular**2 / (singular**2 + strength)))
-    return _Fit(np.asarray(found.coef_), float(found.intercept_), strength, covariance, freedom, _at_edge("ridge", strength))
+    return _Fit(np.asarray(ridge.coef_), float(ridge.intercept_), strength, covariance, freedom, _at_edge("ridge", strength))
 
 
 def _lasso(
@@ -204,16 +204,16 @@ def _lasso(
             search = LassoCV(alphas=_STRENGTHS["lasso"], fit_intercept=offset, cv=splits, max_iter=_SWEEPS)
             strength = float(search.fit(phi, target).alpha_)
         raised.clear()  # a weak penalty that did not converge while searching is of no consequence unless it is the one chosen
-        found = Lasso(strength, fit_intercept=offset, max_iter=_SWEEPS).fit(phi, target)
+        lasso = Lasso(strength, fit_intercept=offset, max_iter=_SWEEPS).fit(phi, target)
     if any(issubclass(warning.category, ConvergenceWarning) for warning in raised):
         says.append("the lasso did not converge; its coefficients are not to be trusted")
-    theta = np.asarray(found.coef_)
-    kept = np.flatnonzero(theta)
-    centred = (phi - phi.mean(axis=0) if offset else phi)[:, kept]
+    theta = np.asarray(lasso.coef_)
+    active = np.flatnonzero(theta)
+    centred = (phi - phi.mean(axis=0) if offset else phi)[:, active]
     covariance = np.zeros((len(theta), len(theta)))
-    covariance[np.ix_(kept, kept)] = np.linalg.pinv(centred.T @ centred, hermitian=True)
+    covariance[np.ix_(active, active)] = np.linalg.pinv(centred.T @ centred, hermitian=True)
     says += _at_edge("lasso", strength)
-    return _Fit(theta, float(found.intercept_), strength, covariance, float(len(kept)), tuple(says))
+    return _Fit(theta, float(lasso.intercept_), strength, covariance, float(len(active)), tuple(says))
 
 
 def _elastic_net(
@@ -239,18 +239,18 @@ def _elastic_net(
             strength, mix = float(search.alpha_), float(search.l1_ratio_)
         mix = 0.5 if mix is None else mix
         raised.clear()
-        found = ElasticNet(strength, l1_ratio=mix, fit_intercept=offset, max_iter=_SWEEPS).fit(phi, target)
+        net = ElasticNet(strength, l1_ratio=mix, fit_intercept=offset, max_iter=_SWEEPS).fit(phi, target)
     if any(issubclass(warning.category, ConvergenceWarning) for warning in raised):
         says.append("the elastic net did not converge; its coefficients are not to be trusted")
-    theta = np.asarray(found.coef_)
-    kept = np.flatnonzero(theta)
-    centred = (phi - phi.mean(axis=0) if offset else phi)[:, kept]
+    theta = np.asarray(net.coef_)
+    active = np.flatnonzero(theta)
+    centred = (phi - phi.mean(axis=0) if offset else phi)[:, active]
     gram = centred.T @ centred
-    inverse = np.linalg.pinv(gram + len(target) * strength * (1 - mix) * np.eye(len(kept)), hermitian=True)
+    inverse = np.linalg.pinv(gram + len(target) * strength * (1 - mix) * np.eye(len(active)), hermitian=True)
     covariance = np.zeros((len(theta), len(theta)))
-    covariance[np.ix_(kept, kept)] = inverse
+    covariance[np.ix_(active, active)] = inverse
     says += _at_edge("elastic-net", strength)
-    return _Fit(theta, float(found.intercept_), strength, covariance, float(np.sum(inverse * gram)), tuple(says), mix)
+    return _Fit(theta, float(net.intercept_), strength, covariance, float(np.sum(inverse * gram)), tuple(says), mix)
 
 
 def _at_edge(penalty: str, strength: float) -> tuple[str, ...]:

@@ -162,10 +162,10 @@ def _plant(p: Polynomials) -> tuple[FloatArray, FloatArray, FloatArray]:
     jacobian = np.zeros((len(num) + size, o.count))
     for k in range(o.nb):
         jacobian[k, o.na + k] = 1.0
-    for first, count, other in ((0, o.na, p.f), (o.na + o.nb, o.nf, p.a)):
+    for first, count, factor in ((0, o.na, p.f), (o.na + o.nb, o.nf, p.a)):
         for k in range(count):
             at = len(num) + k
-            jacobian[at : at + len(other), first + k] += other[: len(jacobian) - at]
+            jacobian[at : at + len(factor), first + k] += factor[: len(jacobian) - at]
     return num, den, jacobian
 
 

@@ -26,8 +26,8 @@ def minimise(criterion: Criterion, start: FloatArray, *, iterations: int = 60, t
     Stops when the predicted relative fall of the cost is below `tolerance`.
     """
     walk = _Walk(criterion, tolerance)
-    there, _, end = descend(walk, walk.point(start), steps=iterations)
-    return Minimum(there.x, there.normal, converged=end is End.SETTLED)
+    point, _, end = descend(walk, walk.point(start), steps=iterations)
+    return Minimum(point.x, point.normal, converged=end is End.SETTLED)
 
 
 @dataclass(frozen=True, eq=False)

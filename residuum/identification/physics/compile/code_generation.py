@@ -91,7 +91,7 @@ def _functions(eq: Equations) -> list[_Function]:
     start = {list(eq.x).index(name): expression for name, expression in eq.initial.items()}
     outputs, signals = dict(enumerate(eq.outputs.values())), dict(enumerate(eq.signals.values()))
     given: list[tuple[Rows, Rows]] = [(rates, {}), (rates, rates), (start, start), (outputs, {}), ({}, outputs), (signals, {})]
-    return [_Function(name, eq, *each) for name, each in zip(FUNCTIONS, given, strict=True)]
+    return [_Function(name, eq, *pair) for name, pair in zip(FUNCTIONS, given, strict=True)]
 
 
 def _loads(eq: Equations) -> dict[sp.Symbol, Slot]:
@@ -117,8 +117,8 @@ class _Function:
         matrices = ("r1", "r2") if rows else ("r0", "r1")
         for i, e in sloping.items():
             for matrix, by, width in zip(matrices, (eq.x, eq.p), (len(eq.x), len(eq.p) + len(eq.x)), strict=True):
-                found = {(matrix, i * width + j): self.slope(sp.sympify(e), v) for j, v in enumerate(by.values())}
-                self.stores |= {slot: slope for slot, slope in found.items() if slope is not None}
+                slopes = {(matrix, i * width + j): self.slope(sp.sympify(e), v) for j, v in enumerate(by.values())}
+                self.stores |= {slot: slope for slot, slope in slopes.items() if slope is not None}
 
     def _begin(self, name: str, loads: Mapping[sp.Symbol, Slot], moved: Mapping[Any, tuple[Any, Any]]) -> None:
         self.name, self.loads, self.moved = name, loads, moved
@@ -323,8 +323,8 @@ class _Function:
         return self._extreme("olt", choices)
 
     def _extreme(self, comparison: str, choices: Iterable[sp.Expr]) -> str:
-        def better(best: str, other: str) -> str:
-            return self._select(self._new(f"fcmp {comparison} double {other}, {best}"), other, best)
+        def better(best: str, candidate: str) -> str:
+            return self._select(self._new(f"fcmp {comparison} double {candidate}, {best}"), candidate, best)
 
         return reduce(better, map(self.value, choices))
 

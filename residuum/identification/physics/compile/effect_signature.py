@@ -79,11 +79,11 @@ def signature(effect: Effect, kind: str | None = None) -> Signature:
     known = {name: values for name, values in motion.items() if name in scenario.site.units or name in ("signal", "measured")}
     last = float(motion["t"][-1])
     conditions = Conditions(scenario.period / 200, last, scenario.magnitude, scenario.storage, known)
-    parameters = {each.name: each for each in effect.parameters(scenario.site)}
+    parameters = {parameter.name: parameter for parameter in effect.parameters(scenario.site)}
     drawn = [_Drawing(effect, scenario, motion, {**_defaults(parameters), **start}) for start in effect.starts(conditions)]
-    best = max(enumerate(drawn), key=lambda one: (one[1].conspicuous, one[0]))[1]
+    best = max(enumerate(drawn), key=lambda numbered: (numbered[1].conspicuous, numbered[0]))[1]
     axis = best.axis
-    values = tuple(replace(each, value=float(best.values[name])) for name, each in parameters.items())
+    values = tuple(replace(parameter, value=float(best.values[name])) for name, parameter in parameters.items())
     units = {"t": "s", "signal": scenario.site.unit, **scenario.site.units}
     name = {"t": "time"}.get(axis, axis)
     shown = slice(0 if axis == "t" else _SAMPLES, None, _EVERY)
@@ -93,7 +93,7 @@ def signature(effect: Effect, kind: str | None = None) -> Signature:
 
 
 def _defaults(parameters: Mapping[str, Parameter]) -> dict[str, float]:
-    return {name: each.value for name, each in parameters.items()}
+    return {name: parameter.value for name, parameter in parameters.items()}
 
 
 def _motion(scenario: Scenario) -> dict[str, Array]:
@@ -146,8 +146,8 @@ class _Drawing:
         return round(float(np.mean(np.abs(self.value) > 0.05 * np.abs(self.value).max())), 2)
 
     def _evaluated(self, expression: sp.Expr) -> Array:
-        made = self._function([expression])
-        row = made(self._inputs(), self._states)[0]
+        function = self._function([expression])
+        row = function(self._inputs(), self._states)[0]
         return np.asarray(np.broadcast_to(row, self._motion["t"].shape), dtype=float)
 
     def _inputs(self) -> list[Array]:
@@ -161,8 +161,8 @@ class _Drawing:
     def _function(self, expressions: Sequence[sp.Expr]) -> Callable[[Sequence[Array], Sequence[Array]], list[Array]]:
         values = {symbol: self.values[name] for name, symbol in self._p.items()}
         fixed = [sp.sympify(expression).subs(values) for expression in expressions]
-        made: Callable[..., list[Array]] = sp.lambdify([self._symbols, list(self._x.values())], fixed, modules=_MODULES)
-        return made
+        function: Callable[..., list[Array]] = sp.lambdify([self._symbols, list(self._x.values())], fixed, modules=_MODULES)
+        return function
 
     def _integrated(self, added: Contribution) -> list[Array]:
         """The effect's own states, a row each; inputs between two samples are their mean."""

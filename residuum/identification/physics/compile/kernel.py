@@ -74,11 +74,11 @@ class _Deferred:
 def _kernel(structure: str, deferred: _Deferred) -> Kernel:
     path = _place("kernel", structure)
     with _MAKING:  # what several threads ask for at once is made once
-        told = _told(path) or _made(path, deferred.model)
-    code = [(path.parent / part).read_bytes() for part in told["parts"]]
+        manifest = _told(path) or _made(path, deferred.model)
+    code = [(path.parent / part).read_bytes() for part in manifest["parts"]]
     functions: Mapping[str, Any] = dict(zip(_LOADED, machine_code.loaded(code, _LOADED), strict=True))
-    numbers: Mapping[str, Any] = {key: np.array(told[key], dtype=np.int64) for key in _COUNTED}
-    names = {key: tuple(told[key]) for key in ("states", "parameters", "outputs", "signals", "deviating")}
+    numbers: Mapping[str, Any] = {key: np.array(manifest[key], dtype=np.int64) for key in _COUNTED}
+    names = {key: tuple(manifest[key]) for key in ("states", "parameters", "outputs", "signals", "deviating")}
     return Kernel(**names, system=System(**functions, **numbers))
 
 
@@ -92,8 +92,8 @@ def _told(path: Path) -> dict[str, Any] | None:
     """What a kernel's file says; None where it, or code that it names, is not on disk."""
     if not path.exists():
         return None
-    told: dict[str, Any] = json.loads(path.read_bytes())
-    return told if all((path.parent / part).exists() for part in told["parts"]) else None
+    manifest: dict[str, Any] = json.loads(path.read_bytes())
+    return manifest if all((path.parent / part).exists() for part in manifest["parts"]) else None
 
 
 def _made(path: Path, model: PhysicalModel) -> dict[str, Any]:
@@ -102,9 +102,9 @@ def _made(path: Path, model: PhysicalModel) -> dict[str, Any]:
     from residuum.identification.physics.compile.composition import compose  # noqa: PLC0415
 
     equations = compose(model)
-    told = names_of(equations) | {"parts": [_compiled(text) for text in generate(equations)]}
-    _write(path, json.dumps(told).encode())
-    return told
+    manifest = names_of(equations) | {"parts": [_compiled(text) for text in generate(equations)]}
+    _write(path, json.dumps(manifest).encode())
+    return manifest
 
 
 def _compiled(assembly: str) -> str:

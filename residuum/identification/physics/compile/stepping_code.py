@@ -200,17 +200,17 @@ def _column_step(
 ) -> None:
     h, half, sixth, third = map(column.all, lengths)
     S0 = [column.load("%S", i) for i in range(nx)]
-    S, found = S0, []
+    S, stages = S0, []
     for r, (A, B) in enumerate(zip(*matrices, strict=True)):
         d = []
         for i in range(nx):
             terms = [column.pick(B, begins[i])] if i in begins else []
             terms += [t.times(column.all(t.load(A, i * nx + j)), S[j]) for j in range(nx) if (i, j) in places]
             d.append(reduce(t.add, terms) if terms else column.all("0.0"))
-        found.append(d)
+        stages.append(d)
         S = [t.add(S0[i], t.times(h if r == 2 else half, d[i])) for i in range(nx)]
     for i in range(nx):
-        column.store(_weighted(t, S0[i], [d[i] for d in found], sixth, third), "%S", i)
+        column.store(_weighted(t, S0[i], [d[i] for d in stages], sixth, third), "%S", i)
 
 
 def _columns_loop(t: _Lines, body: Callable[[_Column], None]) -> None:

@@ -28,8 +28,8 @@ class EffectCatalogue(Mapping[str, Effect]):
     def __getitem__(self, id: str) -> Effect:
         if id in self._listed:
             return self._listed[id]
-        here = self._here.get()
-        return here[id] if id in here else self._added[id]
+        local = self._here.get()
+        return local[id] if id in local else self._added[id]
 
     def __iter__(self) -> Iterator[str]:
         yield from self._listed
@@ -76,8 +76,8 @@ class EffectCatalogue(Mapping[str, Effect]):
 
     def fingerprint(self, id: str) -> str:
         """What tells added effects of one id apart in kernels that are kept on disk; empty for those of the list."""
-        here = self._here.get()
-        return _digest(here[id]) if id in here else self._fingerprints.get(id, "")
+        local = self._here.get()
+        return _digest(local[id]) if id in local else self._fingerprints.get(id, "")
 
 
 def _digest(effect: Effect) -> str:

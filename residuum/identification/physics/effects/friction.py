@@ -288,8 +288,8 @@ class PlaceFriction(Friction):
 
     def contribution(self, scene: Scene) -> Contribution:
         p = scene.p
-        there = sp.exp(-(((scene["position"] - p["q_0"]) / p["w"]) ** 2))
-        return Contribution(term=-p["tau"] * there * scene.direction)
+        gaussian = sp.exp(-(((scene["position"] - p["q_0"]) / p["w"]) ** 2))
+        return Contribution(term=-p["tau"] * gaussian * scene.direction)
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
         size, travel = 0.1 * conditions.magnitude, conditions.span("position")

@@ -114,7 +114,7 @@ def strongest_wave_numbers(position: Array, signal: Array, count: int = 3, fewes
     wave_numbers: list[float] = []
     for index in np.argsort(spectrum[first:])[::-1] + first:
         wave_number = 2.0 * np.pi * index / (4.0 * travel)
-        if all(abs(wave_number - other) > 4.0 * np.pi / travel for other in wave_numbers):
+        if all(abs(wave_number - peak) > 4.0 * np.pi / travel for peak in wave_numbers):
             wave_numbers.append(float(wave_number))
         if len(wave_numbers) == count:
             break

@@ -74,8 +74,8 @@ class Coupling(Effect):
         return (Parameter("k", 0.0, site.per(ACROSS[site.kind]), lower=0.0, meaning="exchange per difference"),)
 
     def contribution(self, scene: Scene) -> Contribution:
-        mine, other = ACROSS[scene.site.kind], f"other:{ACROSS[scene.site.kind]}"
-        exchange = scene.p["k"] * (scene[mine] - scene[other])
+        mine, partner = ACROSS[scene.site.kind], f"other:{ACROSS[scene.site.kind]}"
+        exchange = scene.p["k"] * (scene[mine] - scene[partner])
         return Contribution(term=-exchange, elsewhere={scene.site.signals[0]: exchange})
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:

@@ -207,11 +207,11 @@ class SecondHeatStore(Effect):
         )
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
-        found = []
+        first_values = []
         for share, fraction in ((0.3, 0.01), (1.0, 0.05), (1.0, 0.3)):
             C_2 = share * conditions.storage
-            found.append({"C_2": C_2, "G": C_2 / (fraction * conditions.duration)})
-        return found
+            first_values.append({"C_2": C_2, "G": C_2 / (fraction * conditions.duration)})
+        return first_values
 
     def shows(self, values: Mapping[str, float], conditions: Conditions) -> bool:
         """Whether the second store fills within the record. One that does not is a loss to where its temperature began."""

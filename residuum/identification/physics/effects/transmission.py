@@ -89,12 +89,12 @@ class ElasticTransmission(TwoBodies):
         return p["k"] * twist + p["d"] * slip
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
-        found = []
+        first_values = []
         for frequency, share, damping in _shapes(conditions):
             omega = 2.0 * np.pi * frequency / conditions.sample_time
             k = omega**2 * share * (1.0 - share) * conditions.storage
-            found.append({"k": k, "d": damping * k / omega, "share": share})
-        return found
+            first_values.append({"k": k, "d": damping * k / omega, "share": share})
+        return first_values
 
 
 def _shapes(conditions: Conditions) -> list[tuple[float, float, float]]:
@@ -146,19 +146,19 @@ class Backlash(TwoBodies):
         )
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
-        found, travelled = [], conditions.largest("velocity") * conditions.sample_time
+        first_values, travelled = [], conditions.largest("velocity") * conditions.sample_time
         crossed = 0.5 * conditions.magnitude / conditions.storage * conditions.sample_time**2
         omega = 0.4 * np.pi / conditions.sample_time / 4.0
         plays = [(2.0 * travelled, 0.5), (10.0 * travelled, 0.5), (50.0 * travelled, 0.3)]
         plays += [(samples**2 * crossed / 0.5, 0.5) for samples in _CROSSINGS]
         for gap, share in plays:
             k = omega**2 * share * (1.0 - share) * conditions.storage
-            found.append({"gap": gap, "k": k, "d": 0.3 * k / omega, "share": share})
+            first_values.append({"gap": gap, "k": k, "d": 0.3 * k / omega, "share": share})
         for samples in _SOFT if travelled > 0.0 else ():
             gap = samples * travelled
             k = 2.0 * conditions.magnitude / gap
-            found.append({"gap": gap, "k": k, "d": 0.5 * float(np.sqrt(k * conditions.storage)), "share": 0.5})
-        return found
+            first_values.append({"gap": gap, "k": k, "d": 0.5 * float(np.sqrt(k * conditions.storage)), "share": 0.5})
+        return first_values
 
     def specialised(self, general: Mapping[str, float], conditions: Conditions) -> dict[str, float]:
         """The contact without play."""
@@ -171,11 +171,11 @@ class Backlash(TwoBodies):
     def grown(self, special: Mapping[str, float], conditions: Conditions) -> list[dict[str, float]]:
         """A spring that is soft because part of its travel is play."""
         travel = 2.0 * float(np.max(np.abs(conditions.variables["twist"])))
-        found = []
+        first_values = []
         for share in (0.3, 0.8):
             stiffer = {"k": special["k"] / (1.0 - share), "d": special["d"], "share": special["share"]}
-            found.append({"gap": share * travel, **stiffer})
-        return found
+            first_values.append({"gap": share * travel, **stiffer})
+        return first_values
 
 
 _DEPTHS = np.array([0.001, 0.005, 0.03])
@@ -191,7 +191,7 @@ def _bend(position: Array, force: Array) -> float:
     if middle == end:
         return end
     q = np.linspace(middle, end, 60, endpoint=False)
-    beyond = [np.maximum(position - each, 0.0) for each in q]
+    beyond = [np.maximum(position - knee, 0.0) for knee in q]
     explained = [min(float(force @ b), 0.0) ** 2 / max(float(b @ b), 1e-300) for b in beyond]  # a travel of 1e-160 m squares to 0
     return float(q[int(np.argmax(explained))])
 
@@ -239,13 +239,13 @@ class EndStop(Effect):
         if conditions.missing is not None and np.any(conditions.missing):
             above, below = _bend(q, conditions.missing), _bend(-q, -conditions.missing)
             ends += [(above, low - span), (high + span, -below), (above, -below)]
-        found = []
+        first_values = []
         for q_max, q_min in ends:
             if not q_min < q_max:  # both bends at the middle of the travel: a spring
                 continue
             k = conditions.magnitude / max(high - q_max, q_min - low, 1e-6 * span)
-            found.append({"k": k, "d": 2.0 * float(np.sqrt(k * conditions.storage)), "q_max": q_max, "q_min": q_min})
-        return found
+            first_values.append({"k": k, "d": 2.0 * float(np.sqrt(k * conditions.storage)), "q_max": q_max, "q_min": q_min})
+        return first_values
 
     def grown(self, special: Mapping[str, float], conditions: Conditions) -> list[dict[str, float]]:
         """The stops moved by parts of what the machine travels in a sample: each moment of contact is a small summit."""

@@ -241,19 +241,19 @@ class _Problem:
         def run(x: Array, slopes: Sequence[str]) -> Runs:
             return self.simulator.run_each([self.experiments[number]], [x], p, slopes=slopes, substeps=[self.substeps[number]])
 
-        here = run(x0, self.slopes[len(self.names) :])
-        if not here.bounded:
+        before = run(x0, self.slopes[len(self.names) :])
+        if not before.bounded:
             return x0
-        ((r, J),) = self._weighted(here)
+        ((r, J),) = self._weighted(before)
         if J is None:
             return x0
         step = solve_scaled(J.T @ J, (J.T @ r)[:, None])[:, 0]
         trial = x0.copy()
         trial[self.state_index] += step
-        there = run(trial, ())
-        if not there.bounded:
+        after = run(trial, ())
+        if not after.bounded:
             return x0
-        ((r_there, _),) = self._weighted(there)
+        ((r_there, _),) = self._weighted(after)
         return trial if r_there @ r_there < r @ r else x0
 
     def _scales(self) -> Array:
@@ -392,29 +392,29 @@ class _Problem:
         """Weighted, filtered residuals of each experiment, those of all outputs in one, and their Jacobian; 0 where missing."""
         blocks = runs.in_blocks if self.settings.blocks else lambda values: (values, runs.starts)
         errors, starts = blocks(runs.errors)
-        there = np.isfinite(errors)
-        there[:, ~self.measured] = False
-        r = np.where(there, errors, 0.0) * self.weights
+        known = np.isfinite(errors)
+        known[:, ~self.measured] = False
+        r = np.where(known, errors, 0.0) * self.weights
         J = None if runs.dY is None else blocks(runs.dY)[0] * self.weights[:, None]
         if not self.slopes:  # nothing is estimated: a model without states and free parameters
             J = np.zeros((*r.shape, 0))
-        if J is not None and not there.all():
-            J[~there] = 0.0
-        found: list[tuple[Array, Array | None]] = []
+        if J is not None and not known.all():
+            J[~known] = 0.0
+        weighted: list[tuple[Array, Array | None]] = []
         for a, b in pairwise(starts.tolist()):
-            kept = there[a:b]
-            errors = self._filtered(r[a:b], kept).ravel()
-            found.append((errors, None if J is None else self._filtered(J[a:b], kept).reshape(errors.size, J.shape[-1])))
-        return found
+            valid = known[a:b]
+            errors = self._filtered(r[a:b], valid).ravel()
+            weighted.append((errors, None if J is None else self._filtered(J[a:b], valid).reshape(errors.size, J.shape[-1])))
+        return weighted
 
-    def _filtered(self, signals: Array, there: npt.NDArray[np.bool_]) -> Array:
+    def _filtered(self, signals: Array, known: npt.NDArray[np.bool_]) -> Array:
         """Signals (n, outputs, …), each output through its filter."""
         if self.settings.filters is None:
             return signals
         filtered = np.zeros_like(signals)
         for o in map(int, np.flatnonzero(self.measured)):
             filtered[:, o] = scipy.signal.lfilter(self.settings.filters[o], [1.0], signals[:, o], axis=0)
-        filtered[~there] = 0.0
+        filtered[~known] = 0.0
         return filtered
 
     def _result(self, point: _Point, iterations: int, converged: bool) -> Estimate:
@@ -440,7 +440,7 @@ class _Problem:
             cost=point.cost,
             samples=samples,
             flat=flat,
-            at_bound=tuple(name for name, there in zip(self.names, bound, strict=True) if there),
+            at_bound=tuple(name for name, is_at_bound in zip(self.names, bound, strict=True) if is_at_bound),
             converged=converged,
             iterations=iterations,
             substeps=tuple(self.substeps),

@@ -129,9 +129,9 @@ class Problem:
     @cached_property
     def filters(self) -> Array:
         """Those of the outputs, filled up with zeros, shape (outputs, order + 1)."""
-        each = self.unit.filters
-        out = np.zeros((self.cells.Y.shape[1], 1 if each is None else max(map(len, each))))
-        for o, a in enumerate(each or ()):
+        coefficients = self.unit.filters
+        out = np.zeros((self.cells.Y.shape[1], 1 if coefficients is None else max(map(len, coefficients))))
+        for o, a in enumerate(coefficients or ()):
             out[o, : len(a)] = a
         return out
 
@@ -274,14 +274,14 @@ class Fit:
         fitted no worse. Parameters that the others leave nearly undetermined are held by the `ridge`; first states stay fitted
         to all rows.
         """
-        use, here = np.where(out, 0.0, 1.0), self
+        use, fit = np.where(out, 0.0, 1.0), self
         for _ in range(steps if len(self.theta) else 0):
             for damping in SHORTENED:
-                there = self.problem.at(*here.moved(*here.step(use, damping, ridge)))
-                if there.cost < np.inf and there._cost_of(use) <= here._cost_of(use):
-                    here = there
+                trial = self.problem.at(*fit.moved(*fit.step(use, damping, ridge)))
+                if trial.cost < np.inf and trial._cost_of(use) <= fit._cost_of(use):
+                    fit = trial
                     break
-        return here.with_states_refitted()
+        return fit.with_states_refitted()
 
     def _cost_of(self, use: Array) -> float:
         """Of cells weighed so, and of the priors."""
@@ -290,8 +290,8 @@ class Fit:
     def with_states_refitted(self) -> Fit:
         """First states once more fitted to all rows of their window, parameters held, where that helps."""
         held = replace(self, problem=replace(self.problem, lower=self.theta, upper=self.theta))
-        there = self.problem.at(*held.moved(*held.step()), slopes=False)
-        return there if there.cost < self.cost else self
+        refitted = self.problem.at(*held.moved(*held.step()), slopes=False)
+        return refitted if refitted.cost < self.cost else self
 
 
 @dataclass(frozen=True, eq=False)

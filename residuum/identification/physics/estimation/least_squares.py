@@ -63,7 +63,7 @@ def solve_scaled(H: Array, right: Array, ridge: float = NOTHING_ALONG) -> Array:
 @njit(error_model="numpy")
 def solved(H, right, ridge):  # type: ignore[no-untyped-def]
     """`solve_scaled` of several, for compiled code."""
-    found = np.zeros(right.shape)
+    solution = np.zeros(right.shape)
     for k in range(H.shape[0]):
         if not (np.isfinite(H[k]).all() and np.isfinite(right[k]).all()):
             continue
@@ -77,8 +77,8 @@ def solved(H, right, ridge):  # type: ignore[no-untyped-def]
             if values[i] > ridge * max(values[-1], 1e-300):
                 direction = vectors[:, i] / scale
                 for c in range(right.shape[2]):
-                    found[k, :, c] += np.sum(direction * right[k, :, c]) / values[i] * direction
-    return found
+                    solution[k, :, c] += np.sum(direction * right[k, :, c]) / values[i] * direction
+    return solution
 
 
 def covariance_of(H: Array, variance: float, names: tuple[str, ...], theta: Array) -> tuple[Array, tuple[FlatDirection, ...]]:

@@ -54,8 +54,8 @@ def estimate_by_likelihood(
     converged, iterations = False, 0
     for _ in range(ROUNDS):
         likelihood.tune(theta)
-        there, used, end = descend(likelihood, likelihood.point(theta), steps=STEPS, fall=_ENOUGH)
-        moved, converged = there.theta, end in (End.SETTLED, End.STUCK)
+        reached, used, end = descend(likelihood, likelihood.point(theta), steps=STEPS, fall=_ENOUGH)
+        moved, converged = reached.theta, end in (End.SETTLED, End.STUCK)
         iterations += used
         settled = bool(np.all(np.abs(moved - theta) <= 1e-4 * np.maximum(np.abs(moved), 1e-12)))
         theta = moved
@@ -73,7 +73,7 @@ def estimate_by_likelihood(
         theta=theta,
         covariance=covariance,
         flat=flat,
-        at_bound=tuple(name for name, there in zip(names, bound, strict=True) if there),
+        at_bound=tuple(name for name, reached in zip(names, bound, strict=True) if reached),
         priors=likelihood.priors,
         converged=converged,
         iterations=iterations,
@@ -125,21 +125,21 @@ class _Likelihood:
             cost -= run.log_likelihood
         return np.concatenate(parts), cost
 
-    def slopes(self, theta: Array, here: Array) -> Array:
+    def slopes(self, theta: Array, innovations: Array) -> Array:
         """Jacobian of the innovations by forward differences (backward at an upper bound)."""
-        J = np.zeros((here.size, theta.size))
+        J = np.zeros((innovations.size, theta.size))
         for k in range(theta.size):
             step = 1e-5 * max(abs(theta[k]), 1e-6)
             step = -step if theta[k] + step > self.upper[k] else step
-            there, cost = self.innovations(theta + step * (np.arange(theta.size) == k))
-            J[:, k] = (there - here) / step if np.isfinite(cost) else 0.0
+            moved, cost = self.innovations(theta + step * (np.arange(theta.size) == k))
+            J[:, k] = (moved - innovations) / step if np.isfinite(cost) else 0.0
         return J
 
     def point(self, trial: Array) -> _Point:
         """−log L there, and the Gauss–Newton matrix and gradient of the innovations."""
-        here, cost = self.innovations(trial)
-        J = self.slopes(trial, here) if np.isfinite(cost) else np.zeros((0, trial.size))
-        curvature, descent = J.T @ J + np.diag(self.priors.precisions), self.priors.pull(trial) - J.T @ here
+        innovations, cost = self.innovations(trial)
+        J = self.slopes(trial, innovations) if np.isfinite(cost) else np.zeros((0, trial.size))
+        curvature, descent = J.T @ J + np.diag(self.priors.precisions), self.priors.pull(trial) - J.T @ innovations
         return _Point(trial, cost + 0.5 * self.priors.cost(trial), curvature, descent)
 
     def cost(self, trial: Array) -> float:

@@ -18,7 +18,7 @@ _RISEN = 1e-3
 """Part by which a mean logarithm of the errors may exceed that of the start: searches round."""
 
 
-def unsettled(found: Estimate, start: Estimate | None = None) -> tuple[str, ...]:
+def unsettled(estimated: Estimate, start: Estimate | None = None) -> tuple[str, ...]:
     """What is wrong with the search, in words; empty where it came to rest.
 
     It rests at a bound as well: the least error within what the model allows, whose values `at_bounds` names.
@@ -31,27 +31,29 @@ def unsettled(found: Estimate, start: Estimate | None = None) -> tuple[str, ...]
         The model as it was before on the same pieces, nothing but first states fitted; None where residuals are not what fell.
     """
     says = []
-    if not found.converged:
-        says.append(f"the search stopped after {found.iterations} steps, short of a minimum")
-    elif found.promised > PROMISED and not found.at_bound:
-        moved = "did not move from its start" if start is not None and _unmoved(found, start) else "is stuck"
-        says.append(f"the search {moved}: no step lowers the error, though the slopes promise {100 * found.promised:.2g} % of it")
-    if start is not None and _logarithm(found) > _logarithm(start) + _RISEN:
+    if not estimated.converged:
+        says.append(f"the search stopped after {estimated.iterations} steps, short of a minimum")
+    elif estimated.promised > PROMISED and not estimated.at_bound:
+        moved = "did not move from its start" if start is not None and _unmoved(estimated, start) else "is stuck"
+        says.append(
+            f"the search {moved}: no step lowers the error, though the slopes promise {100 * estimated.promised:.2g} % of it"
+        )
+    if start is not None and _logarithm(estimated) > _logarithm(start) + _RISEN:
         says.append("the error is larger than at the start: the search walked away")
     return tuple(says)
 
 
-def at_bounds(found: Estimate) -> tuple[str, ...]:
+def at_bounds(estimated: Estimate) -> tuple[str, ...]:
     """What the data do not tell, since the model's bounds do, in words."""
-    return tuple(f"{name} sits at its bound: widen it, or fix the value" for name in found.at_bound)
+    return tuple(f"{name} sits at its bound: widen it, or fix the value" for name in estimated.at_bound)
 
 
-def _unmoved(found: Estimate, start: Estimate) -> bool:
-    return all(found.model.values[name] == start.model.values[name] for name in found.parameters)
+def _unmoved(estimated: Estimate, start: Estimate) -> bool:
+    return all(estimated.model.values[name] == start.model.values[name] for name in estimated.parameters)
 
 
-def _logarithm(found: Estimate) -> float:
+def _logarithm(estimated: Estimate) -> float:
     """Mean logarithm of the outputs' errors, each as often as it was measured: what falls when outputs are weighed by them."""
-    count = np.sum(np.isfinite(np.concatenate(found.residuals)), axis=0)
-    there = count > 0
-    return float(count[there] @ np.log(np.maximum(found.rmse[there], 1e-300)) / count.sum())
+    count = np.sum(np.isfinite(np.concatenate(estimated.residuals)), axis=0)
+    measured = count > 0
+    return float(count[measured] @ np.log(np.maximum(estimated.rmse[measured], 1e-300)) / count.sum())

@@ -143,21 +143,21 @@ def explicit(model: PhysicalModel) -> ExplicitModel:
 
 def _owners(model: PhysicalModel, equations: Equations) -> dict[str, str]:
     """The state whose derivative each balance gives."""
-    found = {b.name: next(iter(owners_of(b)), b.defines) for b in model.balances.values()}
-    return {balance: state for balance, state in found.items() if state is not None and state in equations.x}
+    owners = {b.name: next(iter(owners_of(b)), b.defines) for b in model.balances.values()}
+    return {balance: state for balance, state in owners.items() if state is not None and state in equations.x}
 
 
 def _effect_terms(model: PhysicalModel, equations: Equations) -> dict[str, tuple[str, str, str]]:
     """Signal `balance.term` → (title, effect's label, balance) of the terms of effects in balances that have a state."""
     terms = {term_name(use): use for use in model.effects if use.effect.place == "balance"}
-    found = {}
+    by_signal = {}
     for balance in _owners(model, equations):
         for term, use in terms.items():
             signal = f"{balance}.{term}"
             if signal in equations.signals:
                 title = use.label if balance == use.place else f"{use.label} in {balance}"
-                found[signal] = (title, use.label, balance)
-    return found
+                by_signal[signal] = (title, use.label, balance)
+    return by_signal
 
 
 def _directions(equations: Equations, states: Mapping[str, str], taken: set[str]) -> dict[str, Any]:
@@ -199,15 +199,15 @@ def _units(model: PhysicalModel, *families: Mapping[str, str]) -> dict[str, str]
 
 def _identifiers(names: Iterable[str], taken: set[str]) -> dict[str, str]:
     """Name → an identifier that no other name has."""
-    found = {}
+    identifiers = {}
     for name in names:
         plain = new = _identifier(name)
         count = 2
         while new in taken:
             new, count = f"{plain}_{count}", count + 1
         taken.add(new)
-        found[name] = new
-    return found
+        identifiers[name] = new
+    return identifiers
 
 
 def _identifier(name: str) -> str:

@@ -61,7 +61,7 @@ def _compiled(name: str, sources: dict[str, str]) -> tuple[bytes | None, str | N
     """(library, its folder, why there is none)."""
     if _here() not in PLATFORMS:
         return None, None, f"no library is made on {' '.join(_here())}: sources only"
-    compiler = next((found for name in ("cc", "gcc", "clang") if (found := shutil.which(name))), None)
+    compiler = next((program for name in ("cc", "gcc", "clang") if (program := shutil.which(name))), None)
     if compiler is None:
         return None, None, "no C compiler (cc, gcc, clang) was found: sources only"
     folder, ending = PLATFORMS[_here()]
@@ -73,8 +73,8 @@ def _compiled(name: str, sources: dict[str, str]) -> tuple[bytes | None, str | N
         try:
             subprocess.run([compiler, *flags], check=True, capture_output=True, timeout=_TIMEOUT)
         except (subprocess.SubprocessError, OSError) as error:
-            said = (getattr(error, "stderr", b"") or b"").decode(errors="replace").split("\n", 1)[0]
-            return None, None, f"{compiler} failed ({said or type(error).__name__}): sources only"
+            message = (getattr(error, "stderr", b"") or b"").decode(errors="replace").split("\n", 1)[0]
+            return None, None, f"{compiler} failed ({message or type(error).__name__}): sources only"
         return out.read_bytes(), folder, ""
 
 
@@ -100,8 +100,8 @@ def _description(model: ExplicitModel, guid: str) -> bytes:
     ET.SubElement(root, "DefaultExperiment", startTime="0", tolerance="1e-9")
     listed = ET.SubElement(root, "ModelVariables")
     for reference, (name, title, attributes, unit, real) in enumerate(variables):
-        told = {"name": name, "valueReference": str(reference), "description": title}
-        entry = ET.SubElement(listed, "ScalarVariable", told | attributes)
+        identity = {"name": name, "valueReference": str(reference), "description": title}
+        entry = ET.SubElement(listed, "ScalarVariable", identity | attributes)
         ET.SubElement(entry, "Real", real | ({"unit": unit} if unit else {}))
     structure = ET.SubElement(root, "ModelStructure")
     n, m = len(model.states), len(model.inputs)

@@ -51,10 +51,10 @@ def _code(expression: Any) -> str:
     if isinstance(expression, sp.Not):
         return f"not ({_code(expression.args[0])})"
     if isinstance(expression, sp.Min | sp.Max):
-        name, (first, *rest) = expression.func.__name__.lower(), expression.args
+        name, (first, *operands) = expression.func.__name__.lower(), expression.args
         text = _code(first)
-        for other in rest:
-            text = f"{name}({text}, {_code(other)})"
+        for operand in operands:
+            text = f"{name}({text}, {_code(operand)})"
         return text
     names = {part: sp.Symbol(f"residuum_part_{k}", real=True) for k, part in enumerate(dict.fromkeys(_chosen_parts(expression)))}
     texts = {symbol.name: _code(part) for part, symbol in names.items()}

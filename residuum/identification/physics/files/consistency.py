@@ -47,12 +47,12 @@ def expressions_of(model: PhysicalModel) -> list[Expression]:
 
 
 def _unique_names(tree: Table) -> None:
-    seen: dict[str, str] = {}
+    declared: dict[str, str] = {}
     for section in ("inputs", "states", "parameters", "constants", "let"):
         for name, place in tree.table(section, "model file").keys.items():
-            if name in seen:
-                raise place.refuse(f"{name!r} is declared in {seen[name]} already")
-            seen[name] = section
+            if name in declared:
+                raise place.refuse(f"{name!r} is declared in {declared[name]} already")
+            declared[name] = section
 
 
 def _known_names(model: PhysicalModel) -> None:
@@ -164,8 +164,8 @@ def _derivatives(expression: Expression) -> list[Call]:
 
 def owners_of(balance: Balance) -> list[str]:
     """The states whose derivative stands in the storage of a balance."""
-    found = _derivatives(balance.storage)
-    return [node.operands[0].name for node in found if isinstance(node.operands[0], Name)]
+    derivatives = _derivatives(balance.storage)
+    return [node.operands[0].name for node in derivatives if isinstance(node.operands[0], Name)]
 
 
 def _check_der(node: Call, balance: Balance, model: PhysicalModel, owners: dict[str, str]) -> None:
@@ -207,11 +207,11 @@ def _with_roles(model: PhysicalModel) -> PhysicalModel:
     for name, balance in model.balances.items():
         (own,) = owners_of(balance)[:1] or ("",)
         places = [state.name for state in model.states.values() if own and state.rate == own]
-        there = dict.fromkeys(("velocity", "current", "temperature", "level"), own) | {"position": (*places, "")[0]}
+        roles = dict.fromkeys(("velocity", "current", "temperature", "level"), own) | {"position": (*places, "")[0]}
         inferred = {
-            role: there[role]
+            role: roles[role]
             for role in BALANCE_KINDS[balance.kind][1]
-            if role not in balance.variables and there.get(role) and _is_in(model.states[there[role]].unit, role, balance.kind)
+            if role not in balance.variables and roles.get(role) and _is_in(model.states[roles[role]].unit, role, balance.kind)
         }
         balances[name] = replace(balance, variables=MappingProxyType({**balance.variables, **inferred}))
     return replace(model, balances=MappingProxyType(balances))
@@ -269,13 +269,13 @@ def _defined_variables_can_be_solved(model: PhysicalModel) -> None:
 
 
 def _reaches(needs: Mapping[str, set[str]], start: str, goal: str) -> bool:
-    seen, open_ = set(), set(needs[start])
+    visited, open_ = set(), set(needs[start])
     while open_:
         name = open_.pop()
         if name == goal:
             return True
-        seen.add(name)
-        open_ |= needs[name] - seen
+        visited.add(name)
+        open_ |= needs[name] - visited
     return False
 
 
@@ -318,13 +318,13 @@ def _with_unit(balance: Balance, names: Mapping[str, Dimension], units: Iterable
     """
     scale: Dimension | None = None
     sides = [("storage", balance.storage), *((f"term {name!r}", term) for name, term in balance.terms.items())]
-    for what, expression in sides:
+    for side, expression in sides:
         dimension = dimension_of(expression.tree, names)
         if dimension.literal:
             continue
         if scale is not None and not dimension.agrees(scale) and not plain & set(expression.names):
             raise expression.place.refuse(
-                f"unit clash: {what} of {balance.kind} balance {balance.name!r} is in {dimension}; the balance is in {scale}"
+                f"unit clash: {side} of {balance.kind} balance {balance.name!r} is in {dimension}; the balance is in {scale}"
             )
         scale = scale or dimension
     if scale is None or balance.kind == "signal":

@@ -49,9 +49,9 @@ class Dimension:
         """
         if self.literal or other.literal:
             return True
-        mine, others = dict(self.exponents), dict(other.exponents)
-        odd = {base for base in {*mine, *others} if mine.get(base) != others.get(base)}
-        counted = not odd or (all(map(is_own, odd)) and not (odd & {*mine} and odd & {*others}))
+        mine, theirs = dict(self.exponents), dict(other.exponents)
+        odd = {base for base in {*mine, *theirs} if mine.get(base) != theirs.get(base)}
+        counted = not odd or (all(map(is_own, odd)) and not (odd & {*mine} and odd & {*theirs}))
         return counted and math.isclose(self.scale, other.scale, rel_tol=1e-9)
 
     def __str__(self) -> str:
@@ -132,10 +132,10 @@ def _of_call(tree: Call, operands: list[Dimension]) -> Dimension:
 
 def _alike(tree: Operation | Call, operands: list[Dimension]) -> Dimension:
     known = [operand for operand in operands if not operand.literal]
-    for other in known[1:]:
-        if not known[0].agrees(other):
-            what = tree.operator if isinstance(tree, Operation) else f"{tree.function}()"
-            raise tree.place.refuse(f"unit clash: {what!r} of {known[0]} and {other}")
+    for dimension in known[1:]:
+        if not known[0].agrees(dimension):
+            operator = tree.operator if isinstance(tree, Operation) else f"{tree.function}()"
+            raise tree.place.refuse(f"unit clash: {operator!r} of {known[0]} and {dimension}")
     return known[0] if known else LITERAL
 
 

@@ -99,8 +99,8 @@ class WrittenEffect(Effect):
         open_ = [name for name in self.sizes if values[name] == 0.0]
         if not open_:
             return [values]
-        ones = values | dict.fromkeys(open_, 1.0)
-        largest = self._largest(ones, conditions)
+        unit_sizes = values | dict.fromkeys(open_, 1.0)
+        largest = self._largest(unit_sizes, conditions)
         known = {p.name: p for p in self._own}
         size = _FIRST * conditions.magnitude / largest
         signs = (1.0, -1.0) if any(known[n].lower < 0.0 for n in open_) else (1.0,)
@@ -153,103 +153,103 @@ def effects_of(listing: Scalar | Listing | Table | None, tree: Table) -> list[Wr
     """The effects of a list of definitions."""
     if not isinstance(listing, Listing):
         raise tree.place.refuse("effects must be a list of definitions")
-    found = []
+    effects = []
     for item in listing.items:
         if not isinstance(item, Table):
             raise item.place.refuse("effects: each entry is a mapping with 'id'")
-        found.append(_effect(item))
-    return found
+        effects.append(_effect(item))
+    return effects
 
 
 def _effect(item: Table) -> WrittenEffect:
     item.only(DEFINITION_KEYS, "effect")
     id = item.scalar("id", "effect")
-    what = f"effect {id.text!r}"
+    label = f"effect {id.text!r}"
     if not re.fullmatch(OWN_ID, id.text):
-        raise id.place.refuse(f"{what}: an id is of small letters, digits and '-'")
-    acts_on = _acts_on(item, what)
+        raise id.place.refuse(f"{label}: an id is of small letters, digits and '-'")
+    acts_on = _acts_on(item, label)
     on_path = acts_on[0] in ("input", "output")
     if ("signal" in item.entries) != on_path or ("term" in item.entries) == on_path:
-        raise item.place.refuse(f"{what}: a balance gets a 'term', an input or output a 'signal'")
-    text = item.scalar("signal" if on_path else "term", what)
+        raise item.place.refuse(f"{label}: a balance gets a 'term', an input or output a 'signal'")
+    text = item.scalar("signal" if on_path else "term", label)
     definition: dict[str, Any] = {"id": id.text, "acts_on": acts_on, "signal" if on_path else "term": text.text}
-    definition |= {key: item.scalar(key, what).text for key in ("title", "reference") if key in item.entries}
-    definition["parameters"] = _parameters(item.table("parameters", what), what)
-    states = _states(item.table("states", what), what)
+    definition |= {key: item.scalar(key, label).text for key in ("title", "reference") if key in item.entries}
+    definition["parameters"] = _parameters(item.table("parameters", label), label)
+    states = _states(item.table("states", label), label)
     if states:
         definition["states"] = {n: {"unit": s.unit, "rate": s.rate.text, "start": s.start.text} for n, s in states.items()}
     equation = parse(text.text, text.place)
-    _check(what, equation, states, definition, on_path)
+    _check(label, equation, states, definition, on_path)
     return WrittenEffect(definition, equation, states)
 
 
-def _acts_on(item: Table, what: str) -> list[str]:
+def _acts_on(item: Table, label: str) -> list[str]:
     listing = item.entries.get("acts_on")
     if not isinstance(listing, Listing) or not listing.items:
-        raise item.place.refuse(f"{what}: acts_on is a list of {', '.join(PLACES)}")
+        raise item.place.refuse(f"{label}: acts_on is a list of {', '.join(PLACES)}")
     kinds = []
     for kind in listing.items:
         if not isinstance(kind, Scalar) or kind.text not in PLACES:
-            raise kind.place.refuse(f"{what}: acts_on is a list of {', '.join(PLACES)}")
+            raise kind.place.refuse(f"{label}: acts_on is a list of {', '.join(PLACES)}")
         kinds.append(kind.text)
     if len(kinds) > 1 and {"input", "output"} & set(kinds):
-        raise listing.place.refuse(f"{what}: acts on balances, on an input or on an output, not on several of these")
+        raise listing.place.refuse(f"{label}: acts on balances, on an input or on an output, not on several of these")
     return kinds
 
 
-def _parameters(table: Table, what: str) -> dict[str, dict[str, Any]]:
-    found = {}
+def _parameters(table: Table, label: str) -> dict[str, dict[str, Any]]:
+    parameters = {}
     for name in table:
-        each, entry = f"{what}, parameter {name!r}", table.table(name, what)
-        entry.only(("value", "unit", "lower", "upper", "fixed", "size", "meaning"), each)
-        given = {key: entry.scalar(key, each) for key in entry}
-        numbers = {key: text.number(f"{each}: {key}") for key, text in given.items() if key in ("value", "lower", "upper")}
-        flags = {key: text.truth(f"{each}: {key}") for key, text in given.items() if key in ("fixed", "size")}
+        part, entry = f"{label}, parameter {name!r}", table.table(name, label)
+        entry.only(("value", "unit", "lower", "upper", "fixed", "size", "meaning"), part)
+        given = {key: entry.scalar(key, part) for key in entry}
+        numbers = {key: text.number(f"{part}: {key}") for key, text in given.items() if key in ("value", "lower", "upper")}
+        flags = {key: text.truth(f"{part}: {key}") for key, text in given.items() if key in ("fixed", "size")}
         texts = {key: text.text for key, text in given.items() if key in ("unit", "meaning")}
-        found[name] = {"value": 0.0, "unit": "", "meaning": name, **texts, **numbers, **flags}
+        parameters[name] = {"value": 0.0, "unit": "", "meaning": name, **texts, **numbers, **flags}
         if not numbers.get("lower", -np.inf) <= numbers.get("value", 0.0) <= numbers.get("upper", np.inf):
-            raise entry.place.refuse(f"{each}: value is outside its bounds")
-    return found
+            raise entry.place.refuse(f"{part}: value is outside its bounds")
+    return parameters
 
 
-def _states(table: Table, what: str) -> dict[str, OwnState]:
-    found = {}
+def _states(table: Table, label: str) -> dict[str, OwnState]:
+    states = {}
     for name in table:
-        each, entry = f"{what}, state {name!r}", table.table(name, what)
-        entry.only(("unit", "rate", "start"), each)
-        unit, start = entry.optional("unit", each), entry.optional("start", each)
-        rate = entry.scalar("rate", each)
+        part, entry = f"{label}, state {name!r}", table.table(name, label)
+        entry.only(("unit", "rate", "start"), part)
+        unit, start = entry.optional("unit", part), entry.optional("start", part)
+        rate = entry.scalar("rate", part)
         begin = parse("0") if start is None else parse(start.text, start.place)
-        found[name] = OwnState(unit.text if unit else "", parse(rate.text, rate.place), begin)
-    return found
+        states[name] = OwnState(unit.text if unit else "", parse(rate.text, rate.place), begin)
+    return states
 
 
-def _check(what: str, equation: Expression, states: Mapping[str, OwnState], definition: Mapping[str, Any], on_path: bool) -> None:
+def _check(tag: str, equation: Expression, states: Mapping[str, OwnState], definition: Mapping[str, Any], on_path: bool) -> None:
     """Names are known, units agree in the first kind of balance, and nothing is left of the effect without its sizes."""
     own = {*definition["parameters"], *states}
     allowed = own | ({"signal"} if on_path else {*ROLE_UNITS, "supply"})
     for expression in (equation, *(e for s in states.values() for e in (s.rate, s.start))):
         if unknown := sorted(expression.names - allowed):
             raise expression.place.refuse(
-                f"{what}: {unknown[0]!r} is not known here; {known_names(unknown[0], sorted(allowed), 'there are')}"
+                f"{tag}: {unknown[0]!r} is not known here; {known_names(unknown[0], sorted(allowed), 'there are')}"
             )
     sizes = [name for name, entry in definition["parameters"].items() if entry.get("size")]
     if not sizes or states:
         return
-    _check_vanishes(what, equation, allowed, sizes, on_path)
+    _check_vanishes(tag, equation, allowed, sizes, on_path)
     if not on_path and "supply" not in equation.names:
-        _check_units(what, equation, definition)
+        _check_units(tag, equation, definition)
 
 
-def _check_vanishes(what: str, equation: Expression, allowed: Iterable[str], sizes: list[str], on_path: bool) -> None:
+def _check_vanishes(label: str, equation: Expression, allowed: Iterable[str], sizes: list[str], on_path: bool) -> None:
     """Where its sizes are zero an effect adds nothing, or leaves the signal as it is."""
     names = {n: sp.Symbol(n, real=True) for n in allowed} | dict.fromkeys(sizes, sp.S.Zero)
     nothing = symbolic(equation.tree, names, {}) - (names["signal"] if on_path else 0)
     if sp.simplify(nothing) != 0:
-        raise equation.place.refuse(f"{what}: does not vanish where its sizes ({', '.join(sizes)}) are zero")
+        raise equation.place.refuse(f"{label}: does not vanish where its sizes ({', '.join(sizes)}) are zero")
 
 
-def _check_units(what: str, equation: Expression, definition: Mapping[str, Any]) -> None:
+def _check_units(label: str, equation: Expression, definition: Mapping[str, Any]) -> None:
     kind = definition["acts_on"][0]
     units = {role: by_kind[kind] for role, by_kind in ROLE_UNITS.items() if kind in by_kind}
     units |= {name: entry["unit"] for name, entry in definition["parameters"].items()}
@@ -259,7 +259,7 @@ def _check_units(what: str, equation: Expression, definition: Mapping[str, Any])
         return
     expected = dimension_of_unit(BALANCE_KINDS[kind][0])
     if kind != "signal" and not dimension.agrees(expected):
-        raise equation.place.refuse(f"{what}: the term is in {dimension}; a {kind} balance is in {expected}")
+        raise equation.place.refuse(f"{label}: the term is in {dimension}; a {kind} balance is in {expected}")
 
 
 def _in_si(role: str, value: sp.Expr, site: Site) -> sp.Expr:
@@ -267,8 +267,8 @@ def _in_si(role: str, value: sp.Expr, site: Site) -> sp.Expr:
     unit, own = site.units.get(role, ""), ROLE_UNITS.get(role, {}).get(site.kind, "")
     if not (unit and own) or not compatible(unit, own):
         return value
-    zero, one = convert([0.0, 1.0], unit, own)
-    return value if (zero, one) == (0.0, 1.0) else float(zero) + float(one - zero) * value
+    zero, unity = convert([0.0, 1.0], unit, own)
+    return value if (zero, unity) == (0.0, 1.0) else float(zero) + float(unity - zero) * value
 
 
 def _of_si(site: Site) -> float:

@@ -426,8 +426,8 @@ class _Parser:
             tree = self._sum()
             self._expect(")")
             return tree
-        what = repr(token.text) if token.text else "the end"
-        raise token.place.refuse(f"a number, a name or '(' is expected, not {what}")
+        text = repr(token.text) if token.text else "the end"
+        raise token.place.refuse(f"a number, a name or '(' is expected, not {text}")
 
     def _call(self, function: _Token) -> Node:
         if function.text not in FUNCTIONS:

@@ -72,17 +72,17 @@ def read_linear_file(path: Path) -> str:
         Not such a file, or numbers that are no proper linear model.
     """
     try:
-        found: Any = json.loads(path.read_text(encoding="utf-8")) if path.suffix.lower() == ".json" else _of_matlab(path)
+        content: Any = json.loads(path.read_text(encoding="utf-8")) if path.suffix.lower() == ".json" else _of_matlab(path)
     except (OSError, ValueError, NotImplementedError, TypeError) as error:
         raise BadModel(f"model {str(path)!r}: cannot be read ({' '.join(str(error).split())[:150]})") from None
-    if not isinstance(found, dict):
+    if not isinstance(content, dict):
         raise BadModel(f"model {str(path)!r}: holds no transfer function and no state space")
-    if unknown := [key for key in found if key not in _KEYS and path.suffix.lower() == ".json"]:
+    if unknown := [key for key in content if key not in _KEYS and path.suffix.lower() == ".json"]:
         raise BadModel(f"model {str(path)!r}: {unknown[0]!r} is not part of a linear model; {known_names(unknown[0], _KEYS)}")
-    signals = LinearSignals(_names(found.get("inputs")), _names(found.get("outputs")), found.get("units"))
-    step = next((found[key] for key in ("sample_time", "dt", "Ts") if key in found), None)
-    name = str(found.get("name", path.stem))
-    return linear_text(name, _system(found, str(path)), signals, None if step is None else float(np.squeeze(step)))
+    signals = LinearSignals(_names(content.get("inputs")), _names(content.get("outputs")), content.get("units"))
+    step = next((content[key] for key in ("sample_time", "dt", "Ts") if key in content), None)
+    name = str(content.get("name", path.stem))
+    return linear_text(name, _system(content, str(path)), signals, None if step is None else float(np.squeeze(step)))
 
 
 def _names(given: Any) -> list[str]:
@@ -95,28 +95,28 @@ def _of_matlab(path: Path) -> dict[str, Any]:
     return structs[0] if structs and not {"A", "num"} & set(held) else held
 
 
-def _system(found: Mapping[str, Any], where: str) -> tuple[Array, ...]:
+def _system(content: Mapping[str, Any], where: str) -> tuple[Array, ...]:
     """(numerator, denominator) or (A, B, C, D)."""
     for top, below in (("numerator", "denominator"), ("num", "den")):
-        if top in found and below in found:
-            return tuple(_array(found[key], 1, f"{where}, {key}") for key in (top, below))
-    if all(key in found for key in "ABC"):
-        A, B, C = (_array(found[key], 2, f"{where}, {key}") for key in "ABC")
+        if top in content and below in content:
+            return tuple(_array(content[key], 1, f"{where}, {key}") for key in (top, below))
+    if all(key in content for key in "ABC"):
+        A, B, C = (_array(content[key], 2, f"{where}, {key}") for key in "ABC")
         B = B.reshape(len(A), -1) if B.shape[0] != len(A) and B.size == len(A) else B
-        D = _array(found["D"], 2, f"{where}, D") if "D" in found else np.zeros((C.shape[0], B.shape[1]))
+        D = _array(content["D"], 2, f"{where}, D") if "D" in content else np.zeros((C.shape[0], B.shape[1]))
         return A, B, C, D.reshape(C.shape[0], B.shape[1]) if D.size == C.shape[0] * B.shape[1] else D
     raise BadModel(f"model {where!r}: needs numerator and denominator, or A, B, C and D")
 
 
 def _array(value: Any, dimensions: int, where: str) -> Array:
     try:
-        made = np.atleast_1d(np.asarray(value, dtype=float))
+        array = np.atleast_1d(np.asarray(value, dtype=float))
     except (TypeError, ValueError):
         raise BadModel(f"{where}: does not hold numbers") from None
-    made = made.ravel() if dimensions == 1 else np.atleast_2d(made)
-    if made.ndim != dimensions or not made.size or not np.isfinite(made).all():
+    array = array.ravel() if dimensions == 1 else np.atleast_2d(array)
+    if array.ndim != dimensions or not array.size or not np.isfinite(array).all():
         raise BadModel(f"{where}: must be a {'list' if dimensions == 1 else 'matrix'} of finite numbers")
-    return made
+    return array
 
 
 def of_object(system: Any) -> tuple[tuple[Array, ...], float | None]:
@@ -165,8 +165,8 @@ def _continuous(name: str, A: Array, B: Array, step: float) -> tuple[Array, Arra
         raise BadModel(f"model {name!r}: has a pole at or left of zero, which no model in continuous time has")
     n, m = B.shape
     whole = np.block([[A, B], [np.zeros((m, n)), np.eye(m)]])
-    made = np.real(logm(whole)) / step
-    return made[:n, :n], made[:n, n:]
+    generator = np.real(logm(whole)) / step
+    return generator[:n, :n], generator[:n, n:]
 
 
 def _transfer_function_text(name: str, top: Array, below: Array, signals: LinearSignals) -> str:

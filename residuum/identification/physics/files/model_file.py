@@ -214,26 +214,26 @@ def _state(name: str, section: Table) -> State:
 
 
 def _parameter(name: str, section: Table) -> Parameter:
-    what = f"parameter {name!r}"
+    label = f"parameter {name!r}"
     table = section.table(name, "parameters")
-    table.only(PARAMETER_KEYS, what)
-    unit = table.optional("unit", what)
-    fixed, meaning = table.optional("fixed", what), table.optional("meaning", what)
-    lower = _bound(table.optional("lower", what), f"{what}: lower", -1)
-    upper = _bound(table.optional("upper", what), f"{what}: upper", 1)
-    value = table.scalar("value", what)
-    number, prior = _value_and_prior(table, what)
+    table.only(PARAMETER_KEYS, label)
+    unit = table.optional("unit", label)
+    fixed, meaning = table.optional("fixed", label), table.optional("meaning", label)
+    lower = _bound(table.optional("lower", label), f"{label}: lower", -1)
+    upper = _bound(table.optional("upper", label), f"{label}: upper", 1)
+    value = table.scalar("value", label)
+    number, prior = _value_and_prior(table, label)
     if lower >= upper:
-        raise table.place.refuse(f"{what}: lower is {lower:g} and upper is {upper:g}; lower must be below upper")
+        raise table.place.refuse(f"{label}: lower is {lower:g} and upper is {upper:g}; lower must be below upper")
     if not lower <= number <= upper:
-        raise value.place.refuse(f"{what}: value is {number:g}; must be within {lower:g} to {upper:g}")
+        raise value.place.refuse(f"{label}: value is {number:g}; must be within {lower:g} to {upper:g}")
     return Parameter(
         name,
         number,
         _unit(unit) if unit else "",
         lower,
         upper,
-        fixed=fixed.truth(f"{what}: fixed") if fixed else False,
+        fixed=fixed.truth(f"{label}: fixed") if fixed else False,
         meaning=meaning.text if meaning else "",
         prior=prior,
     )
@@ -264,8 +264,8 @@ def _uncertain(text: Scalar, what: str) -> tuple[float, Prior | None]:
     return mean, Prior(mean, std)
 
 
-def _bound(text: Scalar | None, what: str, infinite: int) -> float:
-    return infinite * math.inf if text is None else text.number(what)
+def _bound(text: Scalar | None, label: str, infinite: int) -> float:
+    return infinite * math.inf if text is None else text.number(label)
 
 
 def _constant(name: str, section: Table) -> Parameter:
@@ -280,13 +280,13 @@ def _constant(name: str, section: Table) -> Parameter:
 
 def _definitions(tree: Table) -> Mapping[str, Expression]:
     """The names under `let`, each with those before it put in."""
-    table, found = tree.table("let", "model file"), dict[str, Expression]()
+    table, definitions = tree.table("let", "model file"), dict[str, Expression]()
     for name in _names(tree, "let"):
-        defined = _expression(table.scalar(name, "let"), found)
+        defined = _expression(table.scalar(name, "let"), definitions)
         if name in defined.names:
             raise defined.place.refuse(f"let: {name!r} is defined by itself")
-        found[name] = defined
-    return found
+        definitions[name] = defined
+    return definitions
 
 
 def _expression(text: Scalar, let: Mapping[str, Expression]) -> Expression:
@@ -294,23 +294,23 @@ def _expression(text: Scalar, let: Mapping[str, Expression]) -> Expression:
 
 
 def _balance(name: str, section: Table, let: Mapping[str, Expression]) -> Balance:
-    what = f"balance {name!r}"
+    label = f"balance {name!r}"
     table = section.table(name, "balances")
-    kind = table.scalar("kind", what)
+    kind = table.scalar("kind", label)
     if kind.text not in BALANCE_KINDS:
-        raise kind.place.refuse(f"{what}: kind {kind.text!r} is not known; {known_names(kind.text, BALANCE_KINDS, 'there are')}")
+        raise kind.place.refuse(f"{label}: kind {kind.text!r} is not known; {known_names(kind.text, BALANCE_KINDS, 'there are')}")
     roles = BALANCE_KINDS[kind.text][1]
-    table.only(("kind", "storage", "terms", "start", *roles), what)
-    start = table.optional("start", what)
-    terms = table.table("terms", what, required=True)
+    table.only(("kind", "storage", "terms", "start", *roles), label)
+    start = table.optional("start", label)
+    terms = table.table("terms", label, required=True)
     return Balance(
         name,
         kind.text,
-        _expression(table.scalar("storage", what), let),
-        MappingProxyType({term: _expression(terms.scalar(term, f"{what}, terms"), let) for term in terms}),
-        MappingProxyType({role: table.scalar(role, what).text for role in roles if role in table.entries}),
+        _expression(table.scalar("storage", label), let),
+        MappingProxyType({term: _expression(terms.scalar(term, f"{label}, terms"), let) for term in terms}),
+        MappingProxyType({role: table.scalar(role, label).text for role in roles if role in table.entries}),
         BALANCE_KINDS[kind.text][0],
-        None if start is None else start.number(f"{what}: start"),
+        None if start is None else start.number(f"{label}: start"),
     )
 
 
@@ -345,28 +345,28 @@ def _with_effects(model: PhysicalModel, tree: Table) -> PhysicalModel:
 
 
 def _with_effect(model: PhysicalModel, item: Table) -> PhysicalModel:
-    what = "effect"
-    item.only(EFFECT_KEYS, what)
+    label = "effect"
+    item.only(EFFECT_KEYS, label)
     targets = [key for key in ("balance", "input", "output") if key in item.entries]
     if len(targets) != 1:
         raise item.place.refuse("effect: exactly one of 'balance', 'input', 'output' says where it is")
-    target = item.scalar(targets[0], what)
-    table = item.table("parameters", what)
+    target = item.scalar(targets[0], label)
+    table = item.table("parameters", label)
     values: dict[str, float] = {}
     priors: dict[str, Prior | None] = {}
     fixed: list[str] = []
     for name in table:
         entry, named = table.entries[name], f"effect parameter {name!r}"
         values[name], priors[name] = (
-            _uncertain(entry, named) if isinstance(entry, Scalar) else _value_and_prior(table.table(name, what), named)
+            _uncertain(entry, named) if isinstance(entry, Scalar) else _value_and_prior(table.table(name, label), named)
         )
         if isinstance(entry, Table):
             entry.only(PARAMETER_KEYS, named)
-            flag = entry.optional("fixed", what)
-            fixed += [name] if flag and flag.truth(what) else []
-    provenance = {key: _plain(tree) for key, tree in item.table("provenance", what).entries.items()}
+            flag = entry.optional("fixed", label)
+            fixed += [name] if flag and flag.truth(label) else []
+    provenance = {key: _plain(tree) for key, tree in item.table("provenance", label).entries.items()}
     try:
-        id = item.scalar("id", what).text
+        id = item.scalar("id", label).text
         return model.with_effect(id, target.text, values, fixed=fixed, priors=priors, provenance=provenance)
     except BadInput as error:
         raise item.place.refuse(str(error)) from None

@@ -66,13 +66,13 @@ def model_schema() -> dict[str, Any]:
 
 def _balances() -> list[dict[str, Any]]:
     terms = {"type": "object", "additionalProperties": _EXPRESSION}
-    found = []
+    schemas = []
     for kind, (_, roles) in BALANCE_KINDS.items():
         properties = {"kind": {"const": kind}, "storage": _EXPRESSION, "terms": terms, "start": _NUMBER}
         properties |= dict.fromkeys(roles, _TEXT)
         required = ["kind", "storage", "terms"]
-        found.append({"type": "object", "required": required, "additionalProperties": False, "properties": properties})
-    return found
+        schemas.append({"type": "object", "required": required, "additionalProperties": False, "properties": properties})
+    return schemas
 
 
 def _effect(parameter: dict[str, Any]) -> dict[str, Any]:
@@ -90,7 +90,7 @@ def _own_effect() -> dict[str, Any]:
     types = {"value": _NUMBER, "lower": _NUMBER, "upper": _NUMBER, "fixed": {"type": "boolean"}, "size": {"type": "boolean"}}
     parameter = {"type": "object", "additionalProperties": False, "properties": types | {"unit": _TEXT, "meaning": _TEXT}}
     state = {"unit": _TEXT, "rate": _EXPRESSION, "start": _EXPRESSION}
-    each: dict[str, dict[str, Any]] = {
+    properties: dict[str, dict[str, Any]] = {
         **dict.fromkeys(DEFINITION_KEYS, _TEXT),
         "id": {"type": "string", "pattern": OWN_ID},
         "acts_on": {"type": "array", "minItems": 1, "items": {"enum": list(PLACES)}},
@@ -99,11 +99,11 @@ def _own_effect() -> dict[str, Any]:
         "parameters": _named(parameter),
         "states": _named({"type": "object", "required": ["rate"], "additionalProperties": False, "properties": state}),
     }
-    return {"type": "object", "required": ["id", "acts_on"], "additionalProperties": False, "properties": each}
+    return {"type": "object", "required": ["id", "acts_on"], "additionalProperties": False, "properties": properties}
 
 
-def _object(keys: tuple[str, ...], required: list[str], **other: dict[str, Any]) -> dict[str, Any]:
-    properties = {key: other.get(key, _TYPES[key]) for key in keys}
+def _object(keys: tuple[str, ...], required: list[str], **own_types: dict[str, Any]) -> dict[str, Any]:
+    properties = {key: own_types.get(key, _TYPES[key]) for key in keys}
     return {"type": "object", "required": required, "additionalProperties": False, "properties": properties}
 
 

@@ -84,7 +84,7 @@ def model_table(
     printer = _Text()
     text = {state: printer.doprint(sp.sympify(rate)) for state, rate in rates.items()}
     positions = {state: rate for state, rate in text.items() if rate in states}
-    made: dict[str, Any] = {
+    table: dict[str, Any] = {
         "name": name,
         "inputs": dict(inputs),
         "states": {
@@ -99,8 +99,8 @@ def model_table(
     }
     for state in states:
         if state not in positions:
-            made["balances"][state] = _balance(state, text[state], states[state], kinds, positions)
-    return made
+            table["balances"][state] = _balance(state, text[state], states[state], kinds, positions)
+    return table
 
 
 def _balance(state: str, rate: str, unit: str, kinds: Mapping[str, str], positions: Mapping[str, str]) -> dict[str, Any]:
@@ -110,7 +110,7 @@ def _balance(state: str, rate: str, unit: str, kinds: Mapping[str, str], positio
     balance: dict[str, Any] = {"kind": kind, "storage": f"der({state})", "terms": {"rate": rate}}
     if kind in _ROLES:
         balance[_ROLES[kind]] = state
-    position = next((each for each, rate_of in positions.items() if rate_of == state), None)
+    position = next((name for name, rate_of in positions.items() if rate_of == state), None)
     if position is not None and _ROLES.get(kind) == "velocity":
         balance["position"] = position
     return balance

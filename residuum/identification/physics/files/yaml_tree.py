@@ -27,20 +27,20 @@ class Scalar:
     text: str
     place: Place
 
-    def number(self, what: str) -> float:
+    def number(self, label: str) -> float:
         """The scalar as a finite number."""
         try:
             value = float(self.text)
         except ValueError:
             value = math.nan
         if not math.isfinite(value):
-            raise self.place.refuse(f"{what} is {self.text!r}; must be a finite number")
+            raise self.place.refuse(f"{label} is {self.text!r}; must be a finite number")
         return value
 
-    def truth(self, what: str) -> bool:
+    def truth(self, label: str) -> bool:
         """The scalar as true or false."""
         if self.text.lower() not in ("true", "false"):
-            raise self.place.refuse(f"{what} is {self.text!r}; must be true or false")
+            raise self.place.refuse(f"{label} is {self.text!r}; must be true or false")
         return self.text.lower() == "true"
 
 
@@ -60,33 +60,33 @@ class Table:
     keys: Mapping[str, Place]
     place: Place
 
-    def only(self, allowed: Sequence[str], what: str) -> None:
+    def only(self, allowed: Sequence[str], label: str) -> None:
         """Refuse a key that is not allowed."""
         for key, place in self.keys.items():
             if key not in allowed:
                 raise place.refuse(
-                    f"{what}: key {key!r} is not known; {known_names(key, allowed, 'there are')}{self._remedy(key)}"
+                    f"{label}: key {key!r} is not known; {known_names(key, allowed, 'there are')}{self._remedy(key)}"
                 )
 
-    def table(self, key: str, what: str, *, required: bool = False) -> Table:
+    def table(self, key: str, label: str, *, required: bool = False) -> Table:
         """The mapping under `key` (empty when absent and not required)."""
-        tree = self._get(key, what, required)
+        tree = self._get(key, label, required)
         if tree is None:
             return Table({}, {}, self.place)
         if not isinstance(tree, Table):
-            raise tree.place.refuse(f"{what}: {key!r} must be a mapping")
+            raise tree.place.refuse(f"{label}: {key!r} must be a mapping")
         return tree
 
-    def scalar(self, key: str, what: str) -> Scalar:
+    def scalar(self, key: str, label: str) -> Scalar:
         """The scalar under `key`."""
-        tree = self._get(key, what, True)
+        tree = self._get(key, label, True)
         if not isinstance(tree, Scalar):
-            raise (tree or self).place.refuse(f"{what}: {key!r} must be a single value")
+            raise (tree or self).place.refuse(f"{label}: {key!r} must be a single value")
         return tree
 
-    def optional(self, key: str, what: str) -> Scalar | None:
+    def optional(self, key: str, label: str) -> Scalar | None:
         """The scalar under `key`, or None."""
-        return self.scalar(key, what) if key in self.entries else None
+        return self.scalar(key, label) if key in self.entries else None
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.entries)
@@ -97,9 +97,9 @@ class Table:
         cut = isinstance(value, Scalar) and not value.text
         return "; a text with a comma stands in quotation marks" if cut else ""
 
-    def _get(self, key: str, what: str, required: bool) -> Tree | None:
+    def _get(self, key: str, label: str, required: bool) -> Tree | None:
         if key not in self.entries and required:
-            raise self.place.refuse(f"{what}: {key!r} is missing")
+            raise self.place.refuse(f"{label}: {key!r} is missing")
         return self.entries.get(key)
 
 

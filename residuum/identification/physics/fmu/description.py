@@ -83,22 +83,22 @@ def describe(path: str | Path) -> Description:
     if version not in (2, 3):
         raise BadModel(f"model {path!r}: is of FMI {read.fmiVersion}; 2.0 and 3.0 are run")
     _check_platform(path, version, held)
-    made = _description(path, version, read)
-    if not made.outputs:
+    described = _description(path, version, read)
+    if not described.outputs:
         raise BadModel(f"model {path!r}: has no real output; there is nothing to compare")
-    return made
+    return described
 
 
 def _check_platform(path: str, version: int, held: Iterable[str]) -> None:
-    here, machine = platform.system(), _ARCHITECTURE.get(platform.machine(), platform.machine())
-    of_three, of_two = _SYSTEM.get(here, (here.lower(), here.lower()))
+    system, machine = platform.system(), _ARCHITECTURE.get(platform.machine(), platform.machine())
+    of_three, of_two = _SYSTEM.get(system, (system.lower(), system.lower()))
     folder = f"{machine}-{of_three}" if version == 3 else f"{of_two}64"
-    there = sorted(
+    platforms = sorted(
         {name.split("/")[1] for name in held if name.startswith("binaries/") and name.count("/") > 1 and name[-1] != "/"}
     )
-    if folder in there and (version == 3 or machine == "x86_64"):
+    if folder in platforms and (version == 3 or machine == "x86_64"):
         return
-    has = f"libraries for {', '.join(there)}" if there else "sources only" if _has_sources(held) else "no library"
+    has = f"libraries for {', '.join(platforms)}" if platforms else "sources only" if _has_sources(held) else "no library"
     remedy = "compile it with its sources, or export it" if _has_sources(held) else "export it"
     raise BadModel(f"model {path!r}: has {has}, none for {folder}, which this platform needs; {remedy} for {folder}")
 

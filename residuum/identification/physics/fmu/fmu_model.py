@@ -57,7 +57,7 @@ def exchange_model(library: LoadedLibrary) -> PhysicalModel:
             continue
         kind, roles = _kind(name, unit, next((states[q] for q, v in rates.items() if v == k), None))
         balances[name] = Balance(name, kind, parse(f"der({name})"), {"fmu": external(k)}, roles, f"{unit or '1'}/s")
-    made: dict[str, dict[str, Any]] = {
+    sections: dict[str, dict[str, Any]] = {
         "inputs": {name: Input(name, unit_of(v)) for name, v in zip(inputs, described.inputs, strict=True)},
         "states": {name: State(name, units[k], states[rates[k]] if k in rates else None) for k, name in enumerate(states)},
         "balances": balances,
@@ -66,7 +66,7 @@ def exchange_model(library: LoadedLibrary) -> PhysicalModel:
             for k, (name, v) in enumerate(zip(outputs, described.outputs, strict=True))
         },
     }
-    held: dict[str, Any] = {key: MappingProxyType(value) for key, value in made.items()}
+    held: dict[str, Any] = {key: MappingProxyType(value) for key, value in sections.items()}
     return PhysicalModel(described.name, parameters=MappingProxyType({}), **held)
 
 
@@ -77,12 +77,12 @@ def _rates(library: LoadedLibrary) -> dict[int, int]:
     points = [np.concatenate([[0.0], library.start + rng.normal(size=library.start.size)]) for _ in range(_POINTS)]
     values = np.array([library.value(point)[:n] for point in points])
     x = np.array(points)[:, 1 : 1 + n]
-    found: dict[int, int] = {}
+    rates: dict[int, int] = {}
     for q in range(n):
         near = [v for v in range(n) if v != q and np.all(np.abs(values[:, q] - x[:, v]) <= _ALIKE * (1 + np.abs(x[:, v])))]
-        if near and near[0] not in found:
-            found[q] = near[0]
-    return found
+        if near and near[0] not in rates:
+            rates[q] = near[0]
+    return rates
 
 
 def _kind(name: str, unit: str, position: str | None) -> tuple[str, dict[str, str]]:
@@ -103,10 +103,10 @@ _KINDS = (
 )
 
 
-def _like(unit: str, other: str) -> bool:
+def _like(unit: str, reference: str) -> bool:
     """Whether a unit is of the dimension of another; 1/s is not rad/s unless it says so."""
     try:
-        return bool(unit) and parse_unit(unit).base == parse_unit(other).base
+        return bool(unit) and parse_unit(unit).base == parse_unit(reference).base
     except BadUnit:
         return False
 
@@ -130,14 +130,14 @@ def names_of(described: Description) -> tuple[list[str], list[str], list[str]]:
 
 def _given(variables: tuple[Variable, ...], taken: set[str]) -> list[str]:
     """Identifiers of variables, all of them others than those that are taken."""
-    found: list[str] = []
+    identifiers: list[str] = []
     for variable in variables:
         plain = re.sub(r"[^A-Za-z0-9_]+", "_", variable.name).strip("_")
         name = plain if plain and not plain[0].isdigit() else f"v_{plain}"
-        while name in taken or name in found:
+        while name in taken or name in identifiers:
             name += "_"
-        found.append(name)
-    return found
+        identifiers.append(name)
+    return identifiers
 
 
 def _without_prefix(variable: Variable) -> Variable:

@@ -144,11 +144,11 @@ def _functions(dll: Any, version: int) -> dict[str, Any]:
         "set": ("SetReal" if version == 2 else "SetFloat64", by_reference),
         "get": ("GetReal" if version == 2 else "GetFloat64", by_reference),
     }
-    made = {key: ctypes.CFUNCTYPE(status, *types_)((f"fmi{version}{name}", dll)) for key, (name, types_) in names.items()}
+    functions = {key: ctypes.CFUNCTYPE(status, *types_)((f"fmi{version}{name}", dll)) for key, (name, types_) in names.items()}
     process = ctypes.CDLL(None)
     for name in ("lock", "unlock"):
-        made[name] = ctypes.CFUNCTYPE(status, pointer)((f"pthread_mutex_{name}", process))
-    return made | {"version": version}
+        functions[name] = ctypes.CFUNCTYPE(status, pointer)((f"pthread_mutex_{name}", process))
+    return functions | {"version": version}
 
 
 def _by_reference(f: dict[str, Any], component: int, inputs: tuple[int, int], outputs: tuple[int, int]) -> tuple[Any, Any]:
@@ -204,38 +204,38 @@ def _compiled(  # noqa: C901  compiled functions that share what they close over
 
     @cfunc("float64(int64, CPointer(float64))", nopython=True)
     def value(k, given):
-        a, kept = carray(given, n), carray(_doubles(at), room)
+        a, cache = carray(given, n), carray(_doubles(at), room)
         lock(guard)
-        if not same(a, kept):
+        if not same(a, cache):
             for i in range(n):
-                kept[i] = a[i]
+                cache[i] = a[i]
             ask(at, at + 8 * n)
-        found = kept[n + k]
+        entry = cache[n + k]
         unlock(guard)
-        return found
+        return entry
 
     @cfunc("float64(int64, int64, CPointer(float64))", nopython=True)
     def slope(k, j, given):
-        a, kept = carray(given, n), carray(_doubles(at), room)
+        a, cache = carray(given, n), carray(_doubles(at), room)
         first, table = n + m, n + m + n
         high, low = table + m * n, table + m * n + m
         moved = low + m
         lock(guard)
-        if not same(a, kept[first:]):
+        if not same(a, cache[first:]):
             for i in range(n):
-                kept[first + i] = a[i]
-                kept[moved + i] = a[i]
+                cache[first + i] = a[i]
+                cache[moved + i] = a[i]
             for i in range(n):
                 h = _STEP * (1.0 + abs(a[i]))
-                kept[moved + i] = a[i] + h
+                cache[moved + i] = a[i] + h
                 ask(at + 8 * moved, at + 8 * high)
-                kept[moved + i] = a[i] - h
+                cache[moved + i] = a[i] - h
                 ask(at + 8 * moved, at + 8 * low)
-                kept[moved + i] = a[i]
+                cache[moved + i] = a[i]
                 for r in range(m):
-                    kept[table + r * n + i] = (kept[high + r] - kept[low + r]) / (2.0 * h)
-        found = kept[table + k * n + j]
+                    cache[table + r * n + i] = (cache[high + r] - cache[low + r]) / (2.0 * h)
+        entry = cache[table + k * n + j]
         unlock(guard)
-        return found
+        return entry
 
     return value, slope

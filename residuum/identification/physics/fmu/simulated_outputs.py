@@ -26,11 +26,11 @@ def simulated_model(described: Description) -> PhysicalModel:
     _, inputs, outputs = names_of(described)
     units = [unit_of(v) for v in described.outputs]
     idle = {name: Input(name, unit_of(v)) for name, v in zip(inputs, described.inputs, strict=True)}
-    made = {_MADE + name: Input(_MADE + name, unit) for name, unit in zip(outputs, units, strict=True)}
+    simulated = {_MADE + name: Input(_MADE + name, unit) for name, unit in zip(outputs, units, strict=True)}
     empty: Mapping[str, object] = MappingProxyType({})
     return PhysicalModel(
         described.name,
-        MappingProxyType(idle | made),
+        MappingProxyType(idle | simulated),
         empty,  # type: ignore[arg-type]
         empty,  # type: ignore[arg-type]
         empty,  # type: ignore[arg-type]
@@ -56,7 +56,7 @@ def with_simulation(described: Description, model: PhysicalModel, record: Record
     for variable, values in zip(described.inputs, signals, strict=True):
         held[variable.name][::2], held[variable.name][1::2] = values, values[:-1]
     try:
-        found = fmpy().simulate_fmu(
+        trajectory = fmpy().simulate_fmu(
             described.path,
             fmi_type="CoSimulation" if described.simulation else "ModelExchange",
             start_time=0.0,
@@ -68,11 +68,11 @@ def with_simulation(described: Description, model: PhysicalModel, record: Record
         )
     except Exception as error:
         raise BadModel(f"model {described.path!r}: its simulation along {record.source!r} fails ({in_one_line(error)})") from None
-    at = np.clip(np.searchsorted(found["time"], time + 1e-3 * record.sample_time) - 1, 0, None)
-    made = {_MADE + name: np.asarray(found[v.name])[at] for name, v in zip(outputs, described.outputs, strict=True)}
-    units = {name: model.inputs[name].unit for name in made}
+    at = np.clip(np.searchsorted(trajectory["time"], time + 1e-3 * record.sample_time) - 1, 0, None)
+    simulated = {_MADE + name: np.asarray(trajectory[v.name])[at] for name, v in zip(outputs, described.outputs, strict=True)}
+    units = {name: model.inputs[name].unit for name in simulated}
     return Record(
-        {**record.channels, **made},
+        {**record.channels, **simulated},
         {**record.units, **units},
         record.sample_time,
         t0=record.t0,

@@ -25,11 +25,11 @@ def means_in_blocks(values: Array, starts: Integers, blocks: Sequence[int]) -> t
     if all(block == 1 for block in blocks):
         return values, starts
     sizes = np.array(blocks, dtype=np.int64)
-    found = np.concatenate([[0], np.cumsum(np.diff(starts) // sizes)])
+    block_starts = np.concatenate([[0], np.cumsum(np.diff(starts) // sizes)])
     rows = np.ascontiguousarray(values).reshape(len(values), -1)
-    means = np.zeros((found[-1], rows.shape[1]))
-    _add_means(rows, starts, sizes, found, means)
-    return means.reshape(-1, *values.shape[1:]), found
+    means = np.zeros((block_starts[-1], rows.shape[1]))
+    _add_means(rows, starts, sizes, block_starts, means)
+    return means.reshape(-1, *values.shape[1:]), block_starts
 
 
 @njit(error_model="numpy")

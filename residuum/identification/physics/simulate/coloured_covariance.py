@@ -68,12 +68,12 @@ def _reduced_slopes(result: Estimate | Fit, number: int, experiment: Experiment)
     x0, steps = result.initial[number], result.substeps[number]
     run = simulator.run_vectors(experiment, x0, simulator.p(), slopes=names, substeps=steps)
     dY = np.zeros((*experiment.Y.shape, len(names))) if run.dY is None else run.dY
-    there = np.isfinite(experiment.Y)
-    J = np.where(there[:, :, None], dY * result.weights[:, None], 0.0)
+    known = np.isfinite(experiment.Y)
+    J = np.where(known[:, :, None], dY * result.weights[:, None], 0.0)
     flat = J.reshape(-1, len(names))
     own, wanted = flat[:, len(result.parameters) :], flat[:, : len(result.parameters)]
-    rest = wanted - own @ solve_scaled(own.T @ own, own.T @ wanted)
-    return np.asarray(rest.reshape(*experiment.Y.shape, -1))
+    projected = wanted - own @ solve_scaled(own.T @ own, own.T @ wanted)
+    return np.asarray(projected.reshape(*experiment.Y.shape, -1))
 
 
 def _colour(residuals: Sequence[Array]) -> tuple[Array, float]:

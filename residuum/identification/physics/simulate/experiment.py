@@ -176,14 +176,14 @@ def _experiment(model: PhysicalModel, record: Record, columns: Mapping[str, str]
     for k, output in enumerate(model.outputs.values()):
         column = columns[output.name]
         if column not in (output.name, *record.names):
-            there = known_names(column, record.names, "the columns are")
-            raise BadRecord(f"{_named(record)}: output {output.name!r} is mapped to {column!r}, which is not there; {there}")
+            hint = known_names(column, record.names, "the columns are")
+            raise BadRecord(f"{_named(record)}: output {output.name!r} is mapped to {column!r}, which is not there; {hint}")
         if column in record.names:
             Y[:, k] = record.in_unit(column, output.unit)
     if np.all(np.isnan(Y)):
-        there = f"outputs are {', '.join(model.outputs)}; columns are {', '.join(record.names)}"
+        hint = f"outputs are {', '.join(model.outputs)}; columns are {', '.join(record.names)}"
         way = ("map", {"OUTPUT": "COLUMN"})
-        raise BadRecord(f"record {record.source!r}: has no output of model {model.name!r} ({there})", way_on=[way])
+        raise BadRecord(f"record {record.source!r}: has no output of model {model.name!r} ({hint})", way_on=[way])
     wanted = [hold if isinstance(hold, str) else hold.get(name, "auto") for name in model.inputs]
     linear = np.array([clocks[k] or _is_linear(how, U[:, k]) for k, how in enumerate(wanted)], dtype=float)
     spare = _spare(record, set(columns.values()))
@@ -192,19 +192,19 @@ def _experiment(model: PhysicalModel, record: Record, columns: Mapping[str, str]
 
 def _spare(record: Record, used: set[str]) -> dict[str, Spare]:
     """Complete columns that change and that the model does not use."""
-    found = {}
+    spare = {}
     for name in record.names:
         values = np.asarray(record.channels[name], dtype=float)
         if name not in used and name.isidentifier() and np.all(np.isfinite(values)) and np.ptp(values) > 0:
-            found[name] = Spare(values, record.units.get(name, ""))
-    return found
+            spare[name] = Spare(values, record.units.get(name, ""))
+    return spare
 
 
 def _input(record: Record, column: str, name: str, unit: str) -> Array:
     if column not in record.names:
-        there = known_names(column, record.names, "the columns are")
+        hint = known_names(column, record.names, "the columns are")
         lacking = "is missing" if column == name else f"is mapped to {column!r}, which is not there"
-        raise BadRecord(f"{_named(record)}: input {name!r} {lacking}; {there}", way_on=[("map", {name: "COLUMN"})])
+        raise BadRecord(f"{_named(record)}: input {name!r} {lacking}; {hint}", way_on=[("map", {name: "COLUMN"})])
     gaps = np.flatnonzero(record.missing(column))
     if gaps.size:
         where = f"{_named(record)}: input {column!r} has no value at sample {int(gaps[0])}; inputs must be complete"

@@ -149,13 +149,13 @@ def set_inputs(delays, u, ur, U, k, c, sample_time, hold, p):
 @njit(error_model="numpy")
 def lags_of(delays, sample_time, p):
     """Delay of each input in samples; none where one is not delayed, −1 of each that is not where others are."""
-    found = np.full(delays.shape[0], -1.0)
+    lags = np.full(delays.shape[0], -1.0)
     some = False
     for j in range(delays.shape[0]):
         if delays[j] >= 0:
-            found[j] = p[delays[j]] / sample_time
+            lags[j] = p[delays[j]] / sample_time
             some = True
-    return found if some else found[:0]
+    return lags if some else lags[:0]
 
 
 @njit(error_model="numpy", inline="always")
@@ -230,10 +230,10 @@ def set_directions(x, surfaces, s, m):
 @njit(error_model="numpy", inline="always")
 def crossed(x, surfaces, s, m):
     """Whether a step has left the side of a surface that it was computed for."""
-    found = False
+    has_crossed = False
     for j in range(surfaces.shape[0]):
-        found = found or (m[j] > 0.0 and s[j] * x[surfaces[j]] < 0.0)
-    return found
+        has_crossed = has_crossed or (m[j] > 0.0 and s[j] * x[surfaces[j]] < 0.0)
+    return has_crossed
 
 
 @njit(error_model="numpy")
@@ -259,15 +259,15 @@ def land(q, w, p, columns):
             continue
         w.x[i] = 0.0
         forward, backward = resolve_standstill(q, w, p, j)
-        left, there = (forward, backward) if side > 0.0 else (backward, forward)
+        left, entered = (forward, backward) if side > 0.0 else (backward, forward)
         if w.m[j] == 0.0:
             w.S[i, :] = 0.0
-        elif left * there > 0.0:
+        elif left * entered > 0.0:
             there_side = w.s[j]
-            w.S[i, :] *= there / left
-            add_rate_slopes(q, w, p, columns, j, side, -reached * there / left**2)
+            w.S[i, :] *= entered / left
+            add_rate_slopes(q, w, p, columns, j, side, -reached * entered / left**2)
             add_rate_slopes(q, w, p, columns, j, there_side, reached / left)
-            w.x[i] = reached * there / left
+            w.x[i] = reached * entered / left
         else:
             w.x[i] = reached
 
@@ -280,9 +280,9 @@ def add_rate_slopes(q, w, p, columns, j, side, factor):
     q.slopes(w.x.ctypes, w.u.ctypes, w.ur.ctypes, p.ctypes, w.s.ctypes, w.m.ctypes, w.k.ctypes, w.A.ctypes, w.B.ctypes)
     for c in range(columns.shape[0]):
         slope = w.B[i, columns[c]]
-        for other in range(w.x.shape[0]):
-            if other != i:
-                slope += w.A[i, other] * w.S[other, c]
+        for state in range(w.x.shape[0]):
+            if state != i:
+                slope += w.A[i, state] * w.S[state, c]
         w.S[i, c] += factor * slope
 
 
@@ -301,12 +301,12 @@ def integrate(  # noqa: PLR0912
     at_0, at_1, at_2 = inputs[0].ctypes, inputs[1].ctypes, inputs[2].ctypes
     at_1r, at_k, at_A, at_B = inputs[1, U.shape[1] + 1 :].ctypes, w.k.ctypes, w.A.ctypes, w.B.ctypes
     at_S, at_columns, at_step, at_work, at_seen = S.ctypes, columns.ctypes, w.step.ctypes, w.work.ctypes, w.seen.ctypes
-    kept, ch, lags = X.shape[0] > 0, 1.0 / substeps, lags_of(q.delays, sample_time, p)
+    recording, ch, lags = X.shape[0] > 0, 1.0 / substeps, lags_of(q.delays, sample_time, p)
     delayed = lags.shape[0] > 0
     w.step[0] = sample_time / substeps
     inputs[:] = 0.0
     for k in range(first, last + 1):
-        if kept:
+        if recording:
             if not keep(x, X[k - first]):
                 return
             if delayed:

@@ -185,7 +185,7 @@ def tune(model: PhysicalModel, experiments: Sequence[Experiment], initial: Seque
     simulator = Simulator(model)
     steps = simulator.substeps_each(parts, initial, simulator.p())
     balances, known = list(start.walk), list(zip(parts, initial, steps, strict=True))
-    scales = [state_scales(simulator, *each) for each in known]
+    scales = [state_scales(simulator, *run) for run in known]
 
     def noise(exponents: Array) -> Noise:
         walk = {b: start.walk[b] * float(np.exp(v)) for b, v in zip(balances, exponents, strict=False)}

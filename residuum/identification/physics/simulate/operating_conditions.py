@@ -45,8 +45,8 @@ def conditions_at(
 def _tied(simulator: Simulator, effect: Effect, target: str, experiment: Experiment, X: Array) -> dict[str, Array]:
     """What an effect is tied to: signals by name (last), the other balance's variables as `other:role`."""
     if effect.joins(target):
-        others = balance_variables(simulator, simulator.model.balances[tied_to(target)[0]], experiment, X)
-        return {f"other:{role}": values for role, values in others.items()}
+        variables = balance_variables(simulator, simulator.model.balances[tied_to(target)[0]], experiment, X)
+        return {f"other:{role}": values for role, values in variables.items()}
     known = {name: X[:, k] for k, name in enumerate(simulator.states)}
     known |= {name: experiment.U[:, k] for k, name in enumerate(simulator.model.inputs)}
     look = simulator.look(experiment, X) if any(name not in known for name in tied_to(target)) else {}
@@ -59,13 +59,13 @@ def balance_variables(simulator: Simulator, balance: Balance, experiment: Experi
     states = {name: X[:, k] for k, name in enumerate(simulator.states)}
     inputs = {name: experiment.U[:, k] for k, name in enumerate(model.inputs)}
     known = states | {n: look[n] for n in look if "." not in n} | inputs
-    found = {role: _value(model, name, known, experiment.n) for role, name in balance.variables.items()}
+    by_role = {role: _value(model, name, known, experiment.n) for role, name in balance.variables.items()}
     for use in model.effects:
         if use.effect.place == "balance" and use.place == balance.name:
-            found |= _inside(states, f"{use.label}.")
-    found |= _of_supply(model, balance, inputs, look)
-    found |= {f"term:{name}": z for name, z in _inside(look, f"{balance.name}.").items()}
-    return found | {name: inputs[name] for name in ("conveyor", "door") if name in inputs}
+            by_role |= _inside(states, f"{use.label}.")
+    by_role |= _of_supply(model, balance, inputs, look)
+    by_role |= {f"term:{name}": z for name, z in _inside(look, f"{balance.name}.").items()}
+    return by_role | {name: inputs[name] for name in ("conveyor", "door") if name in inputs}
 
 
 def _of_supply(

@@ -91,8 +91,8 @@ class Runs(Sequence[Simulation]):
     @cached_property
     def bounded(self) -> bool:
         """Outputs and sensitivities are finite, and so far from overflow that sums of squares are finite too."""
-        kept = [values for values in (self.Y, self.dY) if values is not None and values.size]
-        return all(bool(values.max() < _DIVERGED and values.min() > -_DIVERGED) for values in kept)
+        arrays = [values for values in (self.Y, self.dY) if values is not None and values.size]
+        return all(bool(values.max() < _DIVERGED and values.min() > -_DIVERGED) for values in arrays)
 
     @cached_property
     def errors(self) -> Array:
@@ -180,9 +180,9 @@ class Simulator:
         """First states: what is known, the first measured value of states that are themselves outputs, zero elsewhere."""
         x0 = self.x0(experiment.known)
         for o, output in enumerate(self.model.outputs.values()):
-            name, seen = output.value.text, experiment.Y[np.isfinite(experiment.Y[:, o]), o]
-            if name in self.free_states and name not in experiment.known and seen.size:
-                x0[self._state[name]] = seen[0]
+            name, readings = output.value.text, experiment.Y[np.isfinite(experiment.Y[:, o]), o]
+            if name in self.free_states and name not in experiment.known and readings.size:
+                x0[self._state[name]] = readings[0]
         return x0
 
     def columns(self, names: Sequence[str]) -> npt.NDArray[np.int64]:
@@ -301,9 +301,9 @@ class Simulator:
         parts = [e.window(0, min(e.n, _CHECKED)) for e in experiments]
         none = self.columns(())
 
-        def outputs(which: Integers, substeps: Integers) -> list[Array]:
-            joined = Joined.of([parts[k] for k in which])
-            return joined.cut(self._simulated(joined, X0[which], p, substeps, none)[1])
+        def outputs(indices: Integers, substeps: Integers) -> list[Array]:
+            joined = Joined.of([parts[k] for k in indices])
+            return joined.cut(self._simulated(joined, X0[indices], p, substeps, none)[1])
 
         runs = dict(zip(open_.tolist(), outputs(open_, steps), strict=True))
         tolerances = [_EXACT * _noise(e.Y, runs[k]) + _LEAST * _spread(e.Y) for k, e in enumerate(parts)]
@@ -397,10 +397,10 @@ class Joined:
 
 def _visible(finer: Array, Y: Array, tolerance: Array) -> float:
     """RMS change of the outputs over what may be, at the output where it is most."""
-    seen = tolerance > 0.0
+    tolerated = tolerance > 0.0
     with np.errstate(over="ignore", invalid="ignore"):  # of a run that diverges
         change = np.sqrt(np.mean((finer - Y) ** 2, axis=0))
-    return float(np.max(change[seen] / tolerance[seen], initial=0.0))
+    return float(np.max(change[tolerated] / tolerance[tolerated], initial=0.0))
 
 
 def _noise(measured: Array, simulated: Array) -> Array:

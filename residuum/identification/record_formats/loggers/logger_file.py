@@ -134,9 +134,9 @@ def _without_units(rows: list[list[str]]) -> tuple[list[list[str]], dict[int, st
     some = rows[:: max(1, len(rows) // _LOOKED_AT)]
     for column in sorted({k for row in some for k, cell in enumerate(row) if with_unit(cell) is not None}):
         cells = [row[column] for row in rows if len(row) > column and row[column].lower() not in MISSING]
-        found = Counter(pair[1] for cell in cells if (pair := with_unit(cell)) is not None)
-        if found and found.total() >= _MOSTLY * len(cells) and found.total() > 1:
-            suffixes[column + 1] = found.most_common(1)[0][0]
+        counts = Counter(pair[1] for cell in cells if (pair := with_unit(cell)) is not None)
+        if counts and counts.total() >= _MOSTLY * len(cells) and counts.total() > 1:
+            suffixes[column + 1] = counts.most_common(1)[0][0]
     if not suffixes:
         return rows, suffixes
     return [[_bare(cell, suffixes.get(k, "")) for k, cell in enumerate(row, start=1)] for row in rows], suffixes
@@ -172,9 +172,9 @@ def _said_heads(
     """Names and units of columns as they were said."""
     if len(heads) != width:
         raise BadRecord(f"of {len(heads)} columns", "names", f"{source} has {width}")
-    found = [unit_of_head(head.strip()) for head in heads]
+    named = [unit_of_head(head.strip()) for head in heads]
     guesses["header"] = (", ".join(heads), "said with --names")
-    return _distinct([name or f"column {k}" for k, (name, _) in enumerate(found, start=1)], "names"), [u for _, u in found]
+    return _distinct([name or f"column {k}" for k, (name, _) in enumerate(named, start=1)], "names"), [u for _, u in named]
 
 
 def _heads(
@@ -253,50 +253,50 @@ def _time(
     names: list[str],
     units: list[str],
     decimal: str,
-    told: tuple[str | None, str | None],
+    given: tuple[str | None, str | None],
     guesses: dict[str, tuple[str, str]],
     source: str,
 ) -> tuple[tuple[int, ...], str]:
-    """(time columns, form); `told` is the form and the column that the caller says."""
-    said, column = told
+    """(time columns, form); `given` is the form and the column that the caller says."""
+    given_form, column = given
     stamped = {column: form for column in range(len(names)) if (form := _stamps(_column(body, column)))}
     if column is not None:
         chosen: tuple[int, ...] = (_index(column, names, source),)
-    elif _axis_of_time(body, names, units, stamped, decimal, said):
+    elif _axis_of_time(body, names, units, stamped, decimal, given_form):
         chosen = (0,)
         guesses["time column"] = (repr(names[0]), "an axis that rises evenly; its form is said with --time")
     else:
         chosen = _time_columns(names, units, stamped, source)
     where = "+".join(repr(names[k]) for k in chosen)
-    found = (
+    guess = (
         stamped[chosen[0]]
         if chosen[0] in stamped
         else number_form(
             names[chosen[0]], units[chosen[0]], _numbers(body, chosen[0], decimal, f"{source}, row", int(guesses["first row"][0]))
         )
     )
-    if said:
-        found = (said, "said with --time")
-    if found is None:
+    if given_form:
+        guess = (given_form, "said with --time")
+    if guess is None:
         raise BadRecord(
             f"{source}: time column {where} has no unit; write it into the head, or",
             way_on=[("units", {names[chosen[0]]: "s"}, "(ms, min …)"), ("time", "excel", "for dates of a spreadsheet")],
         )
-    if found[0] not in FORMS:
-        forms = _EITHER.get(found[0], ("day first", "month first"))
-        raise BadRecord(f"{source}, time column {where}: {found[1]}", way_on=[("time", form) for form in forms])
-    guesses["time"] = (f"{where}: {found[0]}", found[1])
-    return tuple(k + 1 for k in chosen), found[0]
+    if guess[0] not in FORMS:
+        forms = _EITHER.get(guess[0], ("day first", "month first"))
+        raise BadRecord(f"{source}, time column {where}: {guess[1]}", way_on=[("time", form) for form in forms])
+    guesses["time"] = (f"{where}: {guess[0]}", guess[1])
+    return tuple(k + 1 for k in chosen), guess[0]
 
 
 def _axis_of_time(
-    body: list[list[str]], names: list[str], units: list[str], stamped: dict[int, tuple[str, str]], decimal: str, said: str | None
+    body: list[list[str]], names: list[str], units: list[str], stamped: dict[int, tuple[str, str]], decimal: str, form: str | None
 ) -> bool:
-    """Whether the first column is the time because it is called as an axis (`X`), rises evenly, and its form is `said`.
+    """Whether the first column is the time because it is called as an axis (`X`), rises evenly, and its form is said.
 
     Without a unit it may count samples: nothing else makes it a time.
     """
-    if stamped or units[0] or said not in SINCE_START or any(_is_named_time(k, name, units) for k, name in enumerate(names)):
+    if stamped or units[0] or form not in SINCE_START or any(_is_named_time(k, name, units) for k, name in enumerate(names)):
         return False
     return bool(_AXIS.fullmatch(names[0])) and _rises_evenly(body, 0, decimal)
 
@@ -354,9 +354,9 @@ def _refuse_long_form(body: list[list[str]], names: list[str], source: str) -> N
             continue
         kinds = list(dict.fromkeys(cell for cell in _column(body, column) if not is_value(cell)))
         if len(kinds) > 1:
-            there = ", ".join(kinds[:4])
+            shown = ", ".join(kinds[:4])
             raise BadRecord(
-                f"{source}: column {name!r} names the signal of each row ({len(kinds)}: {there}): the long form, a row a value; "
+                f"{source}: column {name!r} names the signal of each row ({len(kinds)}: {shown}): the long form, a row a value; "
                 f"write one column a signal, in pandas `pivot(columns={name!r}, …).ffill()` with the times as index"
             )
 
@@ -373,15 +373,15 @@ def _column(body: list[list[str]], column: int) -> list[str]:
 
 
 def _numbers(body: list[list[str]], column: int, decimal: str, where: str, first: int) -> np.ndarray[Any, np.dtype[np.float64]]:
-    found = []
+    numbers = []
     for row, cells in enumerate(body, start=first):
         if len(cells) <= column or cells[column].lower() in MISSING:
             continue
         try:
-            found.append(number(cells[column], decimal))
+            numbers.append(number(cells[column], decimal))
         except ValueError:
             raise BadRecord(f"{where} {row}, time column {column + 1}: {cells[column][:40]!r} is no time; cut the row") from None
-    return np.array(found or [0.0])
+    return np.array(numbers or [0.0])
 
 
 def _channels(
@@ -453,8 +453,8 @@ def _with_samples(text: str, mapping: LoggerMapping, guesses: dict[str, tuple[st
             "since the start into a column 'time [s]'"
         )
     step, even = usual_step(np.unique(stamps - stamps.min()) / 1e9)
-    told = [without_overload(name, column) for name, column in zip(mapping.names.values(), values, strict=True)]
-    values = np.stack([column for column, _ in told])
+    cleaned = [without_overload(name, column) for name, column in zip(mapping.names.values(), values, strict=True)]
+    values = np.stack([column for column, _ in cleaned])
     gaps = np.flatnonzero(steps / 1e9 > 1.5 * step)
     samples = {
         "rows": len(rows),
@@ -468,7 +468,7 @@ def _with_samples(text: str, mapping: LoggerMapping, guesses: dict[str, tuple[st
         "reordered": int(back.sum()),
         "duplicates": len(pairs),
         "signals": dict(zip(mapping.names.values(), values, strict=True)),
-        "notes": [note for _, notes in told for note in notes],
+        "notes": [note for _, notes in cleaned for note in notes],
         "first_rows": first_rows(stamps / 1e9, values),
         "missing": {name: int(np.isnan(column).sum()) for name, column in zip(mapping.names.values(), values, strict=True)},
     }

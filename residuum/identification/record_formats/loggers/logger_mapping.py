@@ -43,9 +43,9 @@ _TOLD = {
 """What may be said beside a mapping: how it is called, and its values."""
 
 
-def check_told(said: Mapping[str, str | None]) -> None:
+def check_told(choices: Mapping[str, str | None]) -> None:
     """Refuse a value that there is not, with those there are."""
-    for name, value in said.items():
+    for name, value in choices.items():
         option, known = _TOLD[name]
         if value is not None and value not in known:
             raise BadRecord(repr(value), option, known_names(value, known, "must be one of"))
@@ -130,10 +130,10 @@ class LoggerMapping:
         """The mapping with what is said beside it; BadRecord where that is another column of times."""
         if options.time_column is not None and options.time_column in self.names.values():
             raise BadRecord(f"time={options.time_column}", "map", "the mapping says another column; change its `time`")
-        said = {name: getattr(options, name) for name in _TOLD}
-        check_told(said)
+        choices = {name: getattr(options, name) for name in _TOLD}
+        check_told(choices)
         missing = (*self.missing, *(cell.strip().lower() for cell in options.missing))
-        return replace(self, missing=missing, **{name: value for name, value in said.items() if value is not None})
+        return replace(self, missing=missing, **{name: value for name, value in choices.items() if value is not None})
 
     def to_yaml(self) -> str:
         """The mapping as YAML."""
@@ -151,20 +151,20 @@ def _is_positive(value: object) -> bool:
 
 def read_mapping(path: Path) -> LoggerMapping:
     """The mapping of a YAML file; BadRecord names the file and the field."""
-    found = read_yaml(path, BadRecord)
+    content = read_yaml(path, BadRecord)
     known = [part.name for part in fields(LoggerMapping)]
-    if not isinstance(found, dict):
+    if not isinstance(content, dict):
         raise BadRecord(f"{path}: is no table, as a mapping is; known are {', '.join(known)}")
-    if unknown := [key for key in found if key not in known]:
+    if unknown := [key for key in content if key not in known]:
         raise BadRecord(f"{path}: {unknown[0]!r} is not part of a mapping; {known_names(unknown[0], known)}")
-    if lacking := [name for name in known[:9] if name not in found]:
+    if lacking := [name for name in known[:9] if name not in content]:
         raise BadRecord(f"{path}: lacks {lacking[0]!r}; `residuum inspect` writes it")
     try:
         for name in ("time", "missing"):
-            if name in found:
-                found[name] = tuple(found[name])
-        found["names"], found["units"] = dict(found["names"]), dict(found["units"])
-        return LoggerMapping(**found)
+            if name in content:
+                content[name] = tuple(content[name])
+        content["names"], content["units"] = dict(content["names"]), dict(content["units"])
+        return LoggerMapping(**content)
     except (TypeError, ValueError, AttributeError) as error:
         raise BadRecord(f"{path}: {error}") from None
 
@@ -200,10 +200,10 @@ def _stamp(cells: list[str], mapping: LoggerMapping, number_of_row: int, where: 
     try:
         return nanoseconds(stamp, mapping.time_form, mapping.decimal)
     except (ValueError, OverflowError):
-        what = f"{stamp[:40]!r} is no time of the form {mapping.time_form!r}"
+        fault = f"{stamp[:40]!r} is no time of the form {mapping.time_form!r}"
         if _ZONE.fullmatch(stamp):
-            raise BadRecord(f"{where}: {what}: names of time zones are not read; write the offset, as +02:00") from None
-        raise BadRecord(f"{where}: {what}; cut or mend the row") from None
+            raise BadRecord(f"{where}: {fault}: names of time zones are not read; write the offset, as +02:00") from None
+        raise BadRecord(f"{where}: {fault}; cut or mend the row") from None
 
 
 def no_number(cell: str, where: str) -> BadRecord:
@@ -224,12 +224,12 @@ def _value(cell: str, mapping: LoggerMapping, column: int, where: str) -> float:
 @lru_cache(maxsize=16)
 def _marks(missing: tuple[str, ...], decimal: str) -> frozenset[float]:
     """The numbers among the cells that mean no value: a file may write -999.90 for -999.9."""
-    found = set()
+    marks = set()
     for cell in missing:
         for sign in (decimal, "."):
             with suppress(ValueError):
-                found.add(number(cell, sign))
-    return frozenset(found)
+                marks.add(number(cell, sign))
+    return frozenset(marks)
 
 
 def read_logger_file(path: Path, mapping: LoggerMapping, options: ReadOptions = ReadOptions()) -> Record:
@@ -317,19 +317,19 @@ def _spread(stamps: npt.NDArray[np.int64], starts: npt.NDArray[np.intp], rows: l
         even: npt.NDArray[np.int64] = np.rint(np.linspace(stamps[0], stamps[-1], len(stamps))).astype(np.int64)
         return even
     counts = np.diff(np.append(starts, len(stamps)))
-    each, between = int(np.median(counts)), np.diff(stamps[starts])
+    usual_count, between = int(np.median(counts)), np.diff(stamps[starts])
     inner = counts[1:-1]
-    if len(starts) < 3 or (inner != each).any() or counts[0] > each or counts[-1] > each:
-        wrong = 1 + int(np.argmax(inner != each)) if len(inner) else 0
+    if len(starts) < 3 or (inner != usual_count).any() or counts[0] > usual_count or counts[-1] > usual_count:
+        wrong = 1 + int(np.argmax(inner != usual_count)) if len(inner) else 0
         raise BadRecord(
-            f"{source}, row {rows[starts[wrong]]}: a stamp stands {counts[wrong]} times, others {each} times; "
+            f"{source}, row {rows[starts[wrong]]}: a stamp stands {counts[wrong]} times, others {usual_count} times; "
             "they cannot be spread evenly, cut the file there"
         )
-    step = int(np.median(between)) // each
+    step = int(np.median(between)) // usual_count
     place = np.concatenate([np.arange(count) for count in counts])
-    place[: counts[0]] += each - counts[0]
-    found: npt.NDArray[np.int64] = np.repeat(stamps[starts], counts) + step * place
-    return found
+    place[: counts[0]] += usual_count - counts[0]
+    evened: npt.NDArray[np.int64] = np.repeat(stamps[starts], counts) + step * place
+    return evened
 
 
 def clock_steps(stamps: npt.NDArray[np.int64]) -> list[int]:
@@ -348,14 +348,14 @@ def clock_steps(stamps: npt.NDArray[np.int64]) -> list[int]:
     usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
     if _sorting_mends(stamps, steps, usual):
         return []
-    found = []
+    set_back = []
     for place in map(int, back):
         first, last = max(0, place - _AROUND), min(len(stamps) - 1, place + _AROUND)
         short = usual * (last - first) - float(stamps[last] - stamps[first])
         lacks = usual - float(steps[place - 1])
         if abs(short - lacks) < 0.5 * lacks:
-            found.append(place)
-    return found
+            set_back.append(place)
+    return set_back
 
 
 def _hours_ahead(stamps: npt.NDArray[np.int64]) -> list[int]:
@@ -378,8 +378,8 @@ def _bridged(stamps: npt.NDArray[np.int64], was_set: list[int]) -> npt.NDArray[n
     """The stamps as if the clock had never been set: the usual step between the rows on both sides."""
     steps = np.diff(stamps)
     steps[np.array(was_set) - 1] = int(np.median(steps[steps > 0]))
-    found: npt.NDArray[np.int64] = stamps[0] + np.concatenate([[0], np.cumsum(steps)])
-    return found
+    bridged: npt.NDArray[np.int64] = stamps[0] + np.concatenate([[0], np.cumsum(steps)])
+    return bridged
 
 
 def went_back(stamps: npt.NDArray[np.int64], was_set: list[int]) -> str:

@@ -135,7 +135,7 @@ def find_delimiter(text: str, source: str, missing: Collection[str] = ()) -> tup
 
 def find_decimal(rows: list[list[str]], source: str, first_row: int) -> tuple[str, str]:
     """(decimal sign, reason); BadRecord where `1,234` may be either, or where both signs are used."""
-    seen: dict[str, tuple[int, str]] = {}
+    by_sign: dict[str, tuple[int, str]] = {}
     unsure: tuple[int, str] | None = None
     for row, cells in enumerate(rows, start=first_row):
         for cell in map(ungrouped, cells):
@@ -143,14 +143,14 @@ def find_decimal(rows: list[list[str]], source: str, first_row: int) -> tuple[st
                 continue
             signs = [sign for sign, pattern in _SURE.items() if pattern.fullmatch(cell)]
             if len(signs) == 1:
-                seen.setdefault(signs[0], (row, cell))
+                by_sign.setdefault(signs[0], (row, cell))
             elif "," in cell and unsure is None:
                 unsure = (row, cell)
-    if len(seen) == 2:
-        says = " and ".join(f"{cell!r} in row {row}" for row, cell in seen.values())
+    if len(by_sign) == 2:
+        says = " and ".join(f"{cell!r} in row {row}" for row, cell in by_sign.values())
         raise BadRecord(f"{source}: both decimal signs are used, {says}", way_on=[_SIGN])
-    if seen:
-        sign, (row, cell) = next(iter(seen.items()))
+    if by_sign:
+        sign, (row, cell) = next(iter(by_sign.items()))
         return sign, f"{cell!r} in row {row} reads only so"
     if unsure is not None:
         row, cell = unsure

@@ -23,8 +23,8 @@ def without_overloads(record: Record) -> Record:
     """The record with overloads missing; the notes tell how many, and which numbers may be marks for no value."""
     channels, notes = dict(record.channels), list(record.notes)
     for name, signal in record.channels.items():
-        channels[name], told = without_overload(name, signal)
-        notes += told
+        channels[name], remarks = without_overload(name, signal)
+        notes += remarks
     return record if notes == list(record.notes) else replace(record, channels=channels, notes=tuple(notes))
 
 
@@ -65,5 +65,5 @@ def _marks(signal: Signal) -> list[tuple[float, int]]:
 def _is_mark(value: float, known: npt.NDArray[np.floating]) -> bool:
     if not _MARK.fullmatch(f"{value:.10g}"):
         return False
-    rest = known[known != value]
-    return bool(rest.size) and bool(np.abs(rest - value).min() > _APART * np.ptp(rest))
+    readings = known[known != value]
+    return bool(readings.size) and bool(np.abs(readings - value).min() > _APART * np.ptp(readings))

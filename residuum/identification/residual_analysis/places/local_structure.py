@@ -101,7 +101,7 @@ def local_structure(residuals: Sequence[FloatArray], axes: Sequence[Sequence[Axi
     Fails where noise itself depends on the place (a reading that gets coarser with speed); blind to what is spread evenly.
     """
     known = [np.isfinite(r) for r in residuals]
-    r = np.concatenate([residual[there] for residual, there in zip(residuals, known, strict=True)])
+    r = np.concatenate([residual[finite] for residual, finite in zip(residuals, known, strict=True)])
     if r.size < FEWEST_FOR_A_PLACE:
         return None
     quiet = max(1.4826 * float(np.median(np.abs(r - np.median(r)))), step / np.sqrt(12.0))
@@ -114,10 +114,10 @@ def local_structure(residuals: Sequence[FloatArray], axes: Sequence[Sequence[Axi
     best: LocalStructure | None = None
     names = [axis.name for axis in axes[0]]
     for k, name in enumerate(names):
-        values = np.concatenate([each[k].values[there] for each, there in zip(axes, known, strict=True)])
-        found = _loudest_place(power, error, values, BINS_OF_AN_AXIS * len(names))
-        if found is not None:
-            low, high, p_value, mean = found
+        values = np.concatenate([record_axes[k].values[finite] for record_axes, finite in zip(axes, known, strict=True)])
+        loudest = _loudest_place(power, error, values, BINS_OF_AN_AXIS * len(names))
+        if loudest is not None:
+            low, high, p_value, mean = loudest
             place = LocalStructure(name, low, high, float(np.sqrt(mean)) / quiet, p_value)
             best = place if best is None else max(best, place, key=_telling)
     return best
@@ -150,10 +150,10 @@ def _loudest_place(
 
 def _innovations(residuals: Sequence[FloatArray], known: Sequence[npt.NDArray[np.bool_]]) -> FloatArray:
     """What each sample's past does not predict of it, sample by sample of those that are there; 0 where nothing went before."""
-    parts = [residual[part] for residual, there in zip(residuals, known, strict=True) for part in stretches(there)]
+    parts = [residual[part] for residual, finite in zip(residuals, known, strict=True) for part in stretches(finite)]
     noise = fit_coloured_noise(parts, min(NOISE_ORDER, max(map(len, parts)) // 20))
-    found = []
+    padded = []
     for part in parts:
         e = noise.whiten(part)
-        found.append(np.concatenate([np.zeros(len(part) - len(e)), e]))
-    return np.concatenate(found)
+        padded.append(np.concatenate([np.zeros(len(part) - len(e)), e]))
+    return np.concatenate(padded)

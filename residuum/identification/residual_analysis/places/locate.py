@@ -113,12 +113,12 @@ def locate(
     M. Kulldorff, *A spatial scan statistic*, Commun. Stat. 26 (1997).
     """
     total = float(np.nansum(error**2))
-    found = []
+    candidates = []
     for axis in axes:
         interval = _scan(error, axis, correlation_samples)
         if interval is not None:
-            found.append(_region(error, axis, interval, noise_rms, of, direction, total))
-    return sorted((region for region in found if region.times_noise > 1.0), key=lambda region: -region.score)
+            candidates.append(_region(error, axis, interval, noise_rms, of, direction, total))
+    return sorted((region for region in candidates if region.times_noise > 1.0), key=lambda region: -region.score)
 
 
 @dataclass(frozen=True)
@@ -201,14 +201,14 @@ def _bin_edges(values: FloatArray) -> FloatArray:
         return np.array([low])
     quantiles = np.quantile(values, np.linspace(0, 1, LOCATION_BINS // 2 + 1))
     edges = np.unique(np.concatenate([quantiles, np.linspace(low, high, LOCATION_BINS // 2 + 1)]))
-    kept = [edges[0]]
+    merged = [edges[0]]
     position = np.searchsorted(values, edges)
     start = 0
     for edge, place in zip(edges[1:-1], position[1:-1], strict=True):
         if place - start >= FEWEST_IN_A_BIN and len(values) - place >= FEWEST_IN_A_BIN:
-            kept.append(edge)
+            merged.append(edge)
             start = place
-    return np.array([*kept, edges[-1]])
+    return np.array([*merged, edges[-1]])
 
 
 def _best_interval(count: FloatArray, power: FloatArray, correlation: float) -> tuple[int, int, float]:
@@ -301,8 +301,8 @@ def _unit_of_output(model: PhysicalModel, variable: str) -> str:
 
 
 def _recorded_temperatures(record: Record, known: set[str]) -> list[Axis]:
-    found = [name for name in record.names if name not in known and record.units[name] and compatible(record.units[name], "K")]
-    return [Axis(name, record.units[name], "temperature", np.asarray(record[name], dtype=float)) for name in found]
+    columns = [name for name in record.names if name not in known and record.units[name] and compatible(record.units[name], "K")]
+    return [Axis(name, record.units[name], "temperature", np.asarray(record[name], dtype=float)) for name in columns]
 
 
 # Where structured outputs and their balances' missing terms are large.
@@ -326,20 +326,20 @@ def regions(
         return ()
     joined = [replace(axis, values=np.concatenate([a[k].values for a in axes])) for k, axis in enumerate(axes[0])]
     direction = direction_of_movement(joined)
-    found: list[Region] = []
+    located: list[Region] = []
     for name in present:
         errors = [residual[:, list(model.outputs).index(name)] for residual in residuals]
         memory = max(structured[name].noise.time_constant, 1.0)
         error = np.concatenate(errors)
-        found += locate(error, joined, noise_rms=floors[name], of=name, direction=direction, correlation_samples=memory)
+        located += locate(error, joined, noise_rms=floors[name], of=name, direction=direction, correlation_samples=memory)
         amplitude, frequency = _spectrum(errors, experiments)
-        found += locate(amplitude, [frequency], noise_rms=floors[name], of=name)
+        located += locate(amplitude, [frequency], noise_rms=floors[name], of=name)
     for balance in smoothed[0].missing:
         term = np.concatenate([s.missing[balance].value for s in smoothed])
         band = float(np.median(np.concatenate([s.missing[balance].std for s in smoothed])))
         memory = _correlation_samples(term)
-        found += locate(term, joined, noise_rms=band, of=balance, direction=direction, correlation_samples=memory)
-    return tuple(sorted(found, key=lambda region: -region.score)[:MOST_REGIONS])
+        located += locate(term, joined, noise_rms=band, of=balance, direction=direction, correlation_samples=memory)
+    return tuple(sorted(located, key=lambda region: -region.score)[:MOST_REGIONS])
 
 
 def _spectrum(errors: Sequence[FloatArray], experiments: Sequence[Experiment]) -> tuple[FloatArray, Axis]:

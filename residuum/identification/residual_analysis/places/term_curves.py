@@ -48,8 +48,8 @@ def binned(x: FloatArray, y: FloatArray, bins: int) -> Binned:
 
 def joined(axes: Sequence[Sequence[Axis]]) -> list[Axis]:
     """The axes of several records, one record after the other."""
-    each = zip(*axes, strict=True)
-    return [Axis(same[0].name, same[0].unit, same[0].kind, np.concatenate([axis.values for axis in same])) for same in each]
+    by_signal = zip(*axes, strict=True)
+    return [Axis(same[0].name, same[0].unit, same[0].kind, np.concatenate([axis.values for axis in same])) for same in by_signal]
 
 
 def telling(axes: Sequence[Axis], term: FloatArray, bins: int) -> Axis:
@@ -62,12 +62,12 @@ def _told(curve: Binned, x: FloatArray, term: FloatArray) -> float:
     if len(curve.at) < 2:
         return 0.0
     rows = np.flatnonzero(np.isfinite(x) & np.isfinite(term))
-    drawn, kept = rows[::2], rows[1::2]
+    drawn, held_out = rows[::2], rows[1::2]
     half = binned(x[drawn], term[drawn], len(curve.at))
-    power = float(np.sum((term[kept] - term[kept].mean()) ** 2))
+    power = float(np.sum((term[held_out] - term[held_out].mean()) ** 2))
     if len(half.at) < 2 or not power > 0.0:
         return 0.0
-    return 1.0 - float(np.sum((term[kept] - np.interp(x[kept], half.at, half.mean)) ** 2)) / power
+    return 1.0 - float(np.sum((term[held_out] - np.interp(x[held_out], half.at, half.mean)) ** 2)) / power
 
 
 def effect_curves(

@@ -34,12 +34,12 @@ def bus_arguments(channel: str) -> dict[str, Any]:
     >>> bus_arguments("udp_multicast:239.1.2.3:5000/1")
     {'interface': 'udp_multicast', 'channel': '239.1.2.3', 'port': 5000, 'hop_limit': 1}
     """
-    interface, colon, rest = channel.partition(":")
-    if not (interface and colon and rest):
+    interface, colon, address = channel.partition(":")
+    if not (interface and colon and address):
         raise BadInput(f"CAN channel {channel!r}: must be interface:channel, for example socketcan:can0")
     if interface != "udp_multicast":
-        return {"interface": interface, "channel": rest}
-    group, port, hops = multicast_address(rest)
+        return {"interface": interface, "channel": address}
+    group, port, hops = multicast_address(address)
     return {"interface": interface, "channel": group, "port": port, "hop_limit": hops}
 
 
@@ -153,7 +153,7 @@ class FrameSender:
 
     def frames(self, channels: Mapping[str, npt.NDArray[np.float64]]) -> Bytes:
         """The frames that these samples complete, shape (n, length)."""
-        waiting = {name: np.concatenate([kept, channels[name]]) for name, kept in self._waiting.items()}
+        waiting = {name: np.concatenate([held, channels[name]]) for name, held in self._waiting.items()}
         n = len(next(iter(waiting.values()))) // self.layout.samples
         whole = n * self.layout.samples
         self._waiting = {name: values[whole:] for name, values in waiting.items()}

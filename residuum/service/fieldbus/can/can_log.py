@@ -68,24 +68,24 @@ class _Candump:
 
 
 def _candump_message(line: str, number: int) -> can.Message:
-    found = _CANDUMP.match(line)
-    if found is None:
+    fields = _CANDUMP.match(line)
+    if fields is None:
         raise ValueError(f"line {number} is none of candump's (`(stamp) bus id#bytes`); record with `candump -l` or `-L`")
-    if found["stamp"] is None:
+    if fields["stamp"] is None:
         raise ValueError(f"line {number} has no time stamp; record with `candump -l` or `-L`, or print with -ta")
-    identifier, classic, rest = int(found["id"], 16), found["classic"] or "", found["rest"] or ""
-    data = bytes.fromhex(found["fd"] or found["bytes"] or classic.split("_")[0] * (not classic.startswith("R")))
-    length = int(found["length"]) if found["length"] else len(data)
+    identifier, classic, mark = int(fields["id"], 16), fields["classic"] or "", fields["rest"] or ""
+    data = bytes.fromhex(fields["fd"] or fields["bytes"] or classic.split("_")[0] * (not classic.startswith("R")))
+    length = int(fields["length"]) if fields["length"] else len(data)
     return can.Message(
-        timestamp=_stamp(found["stamp"].strip(), number),
+        timestamp=_stamp(fields["stamp"].strip(), number),
         arbitration_id=identifier & _EXTENDED_MASK,
-        is_extended_id=len(found["id"]) > 3,
-        is_error_frame=len(found["id"]) > 3 and bool(identifier & _ERROR_FRAME),
-        is_remote_frame=classic.startswith("R") or rest.startswith("remote request"),
-        is_fd=found["fd"] is not None or length > 8,
+        is_extended_id=len(fields["id"]) > 3,
+        is_error_frame=len(fields["id"]) > 3 and bool(identifier & _ERROR_FRAME),
+        is_remote_frame=classic.startswith("R") or mark.startswith("remote request"),
+        is_fd=fields["fd"] is not None or length > 8,
         dlc=length,
         data=data,
-        channel=found["bus"],
+        channel=fields["bus"],
     )
 
 

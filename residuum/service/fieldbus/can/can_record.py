@@ -42,10 +42,10 @@ def read_can_record(path: str | Path, dbc: str | Path, options: ReadOptions = Re
         No message of the DBC file is in the log; uneven frames without a counter where resampling is not allowed.
     """
     log, messages = read_can_log(path), read_dbc(map_file(str(dbc)))
-    found, others = logged_messages(log, messages)
-    if not found:
-        raise BadRecord(f"{log.name}: {_none_known(messages, others)}")
-    signals, step = _on_own_clocks(log.name, found, options)
+    heard, unused = logged_messages(log, messages)
+    if not heard:
+        raise BadRecord(f"{log.name}: {_none_known(messages, unused)}")
+    signals, step = _on_own_clocks(log.name, heard, options)
     begin = min(first for first, _, _ in signals.values())
     n = 1 + max(round((first - begin) / step + (len(values) - 1) * own / step) for first, own, values in signals.values())
     if n < 1:
@@ -53,14 +53,14 @@ def read_can_record(path: str | Path, dbc: str | Path, options: ReadOptions = Re
     if n * len(signals) > _MOST_SAMPLES:
         raise BadRecord(f"{log.name}: {n} instants of {len(signals)} channels are more than 1e8 samples; cut the log at its gaps")
     channels = {name: _placed(*signal, begin, step, n) for name, signal in signals.items()}
-    notes = _notes(log.remarks, messages, found, others, options.resample)
+    notes = _notes(log.remarks, messages, heard, unused, options.resample)
     if options.resample:
         channels, filled = _interpolated(channels, step, log.name)
         begin, channels, cut = _trimmed(begin, channels, step)
         notes += filled + cut
     else:
         notes += _missing(channels)
-    units = _units(found)
+    units = _units(heard)
     return Record(
         channels,
         {name: options.unit_of(name, units[name]) for name in channels},
@@ -72,12 +72,12 @@ def read_can_record(path: str | Path, dbc: str | Path, options: ReadOptions = Re
 
 
 def _on_own_clocks(
-    source: str, found: list[LoggedMessage], options: ReadOptions
+    source: str, heard: list[LoggedMessage], options: ReadOptions
 ) -> tuple[dict[str, tuple[float, float, Samples]], float]:
     """Each channel as the time of its first sample, its own sample time and its samples; and the shortest of these times."""
     signals: dict[str, tuple[float, float, Samples]] = {}
-    names = _names(found)
-    for message in found:
+    names = _names(heard)
+    for message in heard:
         _, channels = message.layout.decode(message.frames)
         for name, values in channels.items():
             own = names[message.layout.name, name]
@@ -117,15 +117,15 @@ def _interpolated(channels: dict[str, Samples], step: float, source: str) -> tup
     """Channels with straight lines between their own samples, longer holes missing; and what was done to each."""
     n = len(next(iter(channels.values())))
     _, filled, done = resampled(step * np.arange(n, dtype=np.float64), np.stack(list(channels.values())), source)
-    told = [f"{name}: {resampling(step, *each)}" for name, each in zip(channels, done, strict=True)]
-    return dict(zip(channels, filled, strict=True)), told
+    notes = [f"{name}: {resampling(step, *fill)}" for name, fill in zip(channels, done, strict=True)]
+    return dict(zip(channels, filled, strict=True)), notes
 
 
 def _trimmed(begin: float, channels: dict[str, Samples], step: float) -> tuple[float, dict[str, Samples], list[str]]:
     """Without the first and last few instants that come before a page's first frame, or after its last; and what was cut."""
     held = [np.flatnonzero(~np.isnan(values)) for values in channels.values() if not np.isnan(values).all()]
     n = len(next(iter(channels.values())))
-    first, last = max((each[0] for each in held), default=0), min((each[-1] for each in held), default=n - 1)
+    first, last = max((known[0] for known in held), default=0), min((known[-1] for known in held), default=n - 1)
     if not 0 < first + n - 1 - last <= _MOST_TRIMMED * n or last <= first:
         return begin, channels, []
     cut = f"the first {first} and the last {n - 1 - last} instants are left out: not every channel has a value there"
@@ -138,49 +138,49 @@ def _missing(channels: dict[str, Samples]) -> list[str]:
     return [f"{name}: {lacking} of {len(channels[name])} samples are missing" for name, lacking in lacks.items() if lacking]
 
 
-def _names(found: list[LoggedMessage]) -> dict[tuple[str, str], str]:
+def _names(heard: list[LoggedMessage]) -> dict[tuple[str, str], str]:
     """Message and signal → name of the channel: the signal's, with its message's before it where two messages have it."""
-    times = Counter(name for message in found for name in message.layout.units)
+    times = Counter(name for message in heard for name in message.layout.units)
     return {
         (message.layout.name, name): name if times[name] == 1 else f"{message.layout.name}.{name}"
-        for message in found
+        for message in heard
         for name in message.layout.units
     }
 
 
-def _units(found: list[LoggedMessage]) -> dict[str, str]:
-    names = _names(found)
-    return {names[each.layout.name, name]: unit for each in found for name, unit in each.layout.units.items()}
+def _units(heard: list[LoggedMessage]) -> dict[str, str]:
+    names = _names(heard)
+    return {names[message.layout.name, name]: unit for message in heard for name, unit in message.layout.units.items()}
 
 
 def _notes(
-    remarks: Iterable[str], messages: BusMessages, found: list[LoggedMessage], others: dict[str, int], resample: bool
+    remarks: Iterable[str], messages: BusMessages, heard: list[LoggedMessage], unused: dict[str, int], resample: bool
 ) -> list[str]:
-    notes = [*remarks, *(remark for message in found for remark in message.remarks)]
-    if len(found) > 1:
-        fastest = min(found, key=lambda message: message.sample_time)
+    notes = [*remarks, *(remark for message in heard for remark in message.remarks)]
+    if len(heard) > 1:
+        fastest = min(heard, key=lambda message: message.sample_time)
         notes.append(
-            f"{len(found)} messages on the clock of {fastest.layout.name} ({fastest.sample_time:.6g} s); samples of others stand "
+            f"{len(heard)} messages on the clock of {fastest.layout.name} ({fastest.sample_time:.6g} s); samples of others stand "
             f"at its nearest instants and are {'interpolated' if resample else 'missing'} between"
         )
-    names = _names(found)
-    for message in found:
+    names = _names(heard)
+    for message in heard:
         for name, count in message.layout.codes(message.frames).items():
             many = f"{count} frame{'s say' if count > 1 else ' says'}"
             notes.append(
                 f"{names[message.layout.name, name]}: {many} that there is no value (not available, error); missing there"
             )
     notes += [f"not read: {why}" for why in messages.unusable.values()]
-    if others:
-        notes.append(f"{sum(others.values())} frames of {len(others)} identifiers are not used: {_some(others)}")
+    if unused:
+        notes.append(f"{sum(unused.values())} frames of {len(unused)} identifiers are not used: {_some(unused)}")
     return notes
 
 
-def _none_known(messages: BusMessages, others: dict[str, int]) -> str:
+def _none_known(messages: BusMessages, unused: dict[str, int]) -> str:
     unusable = f"; not usable: {'; '.join(messages.unusable.values())}" if messages.unusable else ""
-    return f"no message of {messages.where} is in it; it holds {_some(others)}{unusable}"
+    return f"no message of {messages.where} is in it; it holds {_some(unused)}{unusable}"
 
 
-def _some(others: dict[str, int]) -> str:
-    most = sorted(others.items(), key=lambda other: -other[1])
+def _some(unused: dict[str, int]) -> str:
+    most = sorted(unused.items(), key=lambda entry: -entry[1])
     return ", ".join(f"{name} ({count} frames)" for name, count in most[:8]) + (", …" if len(most) > 8 else "")

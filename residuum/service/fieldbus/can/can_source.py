@@ -23,14 +23,14 @@ COMMAND, STATE = "FAULT_COMMAND", "FAULT_STATE"
 
 def streamed(layouts: Mapping[str, FrameLayout]) -> list[FrameLayout]:
     """The messages that carry streams of samples, those with a counter first; BadBusDescription when there are none."""
-    found = [layout for layout in layouts.values() if not layout.why_no_stream and layout.name not in (COMMAND, STATE)]
-    if not found:
+    streams = [layout for layout in layouts.values() if not layout.why_no_stream and layout.name not in (COMMAND, STATE)]
+    if not streams:
         why = [f"message {layout.name} {layout.why_no_stream}" for layout in layouts.values() if layout.why_no_stream]
         where = "bus"
         if isinstance(layouts, BusMessages):
             where, why = layouts.where, [*why, *layouts.unusable.values()]
         raise BadBusDescription(f"{where}: has nothing to stream: {'; '.join(why) or 'no message has signals'}")
-    return sorted(found, key=lambda layout: layout.counter_bits == 0)
+    return sorted(streams, key=lambda layout: layout.counter_bits == 0)
 
 
 class CanSource(Source):

@@ -44,16 +44,16 @@ class NoValueCodes:
 
     def there(self, raw: npt.NDArray[np.uint64]) -> npt.NDArray[np.bool_]:
         """Where a raw number, shape (n, signals), is one of them."""
-        found = np.zeros(raw.shape, bool)
+        is_code = np.zeros(raw.shape, bool)
         for k, first, last in self._spans:
-            found[:, k] |= (raw[:, k] >= first) & (raw[:, k] <= last)
-        return found
+            is_code[:, k] |= (raw[:, k] >= first) & (raw[:, k] <= last)
+        return is_code
 
 
 def _named(signal: Any) -> list[tuple[int, int]]:
-    ones = (1 << signal.length) - 1
+    mask = (1 << signal.length) - 1
     return [
-        (int(raw) & ones, int(raw) & ones)
+        (int(raw) & mask, int(raw) & mask)
         for raw, text in (signal.choices or {}).items()
         if _NAMED.search(str(text).replace("_", " "))
     ]
@@ -62,15 +62,15 @@ def _named(signal: Any) -> list[tuple[int, int]]:
 def _reserved(signal: Any, j1939: bool, extended: bool) -> Sequence[tuple[int, int]]:
     """(first, last) raw numbers, as bits, at the ends of a signal's range."""
     bits = signal.length
-    ones, sign = (1 << bits) - 1, 1 << (bits - 1)
+    all_ones, sign = (1 << bits) - 1, 1 << (bits - 1)
     if signal.is_signed:
         ends = [(sign, -sign), (sign - 1, sign - 1)] if bits >= 8 else []
         return [(raw, raw) for raw, number in ends if _declared(signal, number) is False]
-    first = _first_reserved(bits) if extended else ones if bits >= 8 else None
+    first = _first_reserved(bits) if extended else all_ones if bits >= 8 else None
     if first is None:
         return []
     within = _declared(signal, first)
-    return [(first, ones)] if within is False or (j1939 and within is None) else []
+    return [(first, all_ones)] if within is False or (j1939 and within is None) else []
 
 
 def _first_reserved(bits: int) -> int | None:
@@ -107,17 +107,17 @@ def usable_text(text: str) -> tuple[str, dict[str, str]]:
     >>> text, why["late"][:45]
     ('\\n\\nBO_ 7 kept: 8 A\\n', 'identifier 2048 is longer than 11 bits and is')
     """
-    found = list(_MESSAGE.finditer(text))
+    messages = list(_MESSAGE.finditer(text))
     why = {
-        message["name"]: said
-        for message in found
-        if (said := _impossible(int(message["id"]), message["name"]) or _unnamed_page(message["signals"]))
+        message["name"]: reason
+        for message in messages
+        if (reason := _impossible(int(message["id"]), message["name"]) or _unnamed_page(message["signals"]))
     }
-    there = {(m["id"], name) for m in found if m["name"] not in why for name in _SIGNAL.findall(m["signals"])}
-    if not why and all((choices["id"], choices["signal"]) in there for choices in _CHOICES.finditer(text)):
+    signals = {(m["id"], name) for m in messages if m["name"] not in why for name in _SIGNAL.findall(m["signals"])}
+    if not why and all((choices["id"], choices["signal"]) in signals for choices in _CHOICES.finditer(text)):
         return text, {}
     text = _CHOICES.sub(
-        lambda choices: choices[0] if (choices["id"], choices["signal"]) in there else _lines_of(choices[0]), text
+        lambda choices: choices[0] if (choices["id"], choices["signal"]) in signals else _lines_of(choices[0]), text
     )
     return _MESSAGE.sub(lambda message: _lines_of(message[0]) if message["name"] in why else message[0], text), why
 
@@ -168,10 +168,10 @@ def read_text(text: str) -> tuple[Database, dict[str, str]]:
         left_out = why | messages
         try:
             content = usable if usable.strip() else 'VERSION ""'
-            found = cast(Database, load_string(content, database_format="dbc", strict=False))
+            database = cast(Database, load_string(content, database_format="dbc", strict=False))
         except DatabaseError as error:
-            first, told = first or error, str(error)
-            unread = _unread(usable, told) if len(left_out) < _MOST_LEFT_OUT else ()
+            first, complaint = first or error, str(error)
+            unread = _unread(usable, complaint) if len(left_out) < _MOST_LEFT_OUT else ()
             if not unread:
                 raise first from None
             for start, after in unread:
@@ -180,9 +180,9 @@ def read_text(text: str) -> tuple[Database, dict[str, str]]:
                 text = usable = usable[:start] + _lines_of(usable[start:end]) + usable[end:]
             why |= messages
         else:
-            if first is not None and not (found.messages or messages):  # what is left is no DBC file
+            if first is not None and not (database.messages or messages):  # what is left is no DBC file
                 raise first
-            return found, left_out
+            return database, left_out
 
 
 def _lines_of(text: str) -> str:
@@ -190,25 +190,25 @@ def _lines_of(text: str) -> str:
     return "\n" * text.count("\n")
 
 
-def _unread(text: str, told: str) -> list[tuple[int, int]]:
+def _unread(text: str, complaint: str) -> list[tuple[int, int]]:
     """Where the statements begin and end for which a text is refused."""
-    begins = [found.start() for found in _BEGIN.finditer(text)]
+    begins = [match.start() for match in _BEGIN.finditer(text)]
     statements = list(pairwise([*begins, len(text)]))
-    if at := _AT.search(told):
+    if at := _AT.search(complaint):
         return _about(text, statements, int(at[1]), int(at[2]))
-    if attribute := _NO_ATTRIBUTE.search(told):
+    if attribute := _NO_ATTRIBUTE.search(complaint):
         named = f'"{attribute[1]}"'
         return [(a, b) for a, b in statements if text.startswith("BA_", a) and named in text[a:b]][:1]
-    if number := _FLOAT_OF_NONE.search(told):
+    if number := _FLOAT_OF_NONE.search(complaint):
         return [(a, b) for a, b in statements if " ".join(text[a:b].split()).startswith(number[1])]
     return []
 
 
 def _about(text: str, statements: list[tuple[int, int]], line: int, column: int) -> list[tuple[int, int]]:
     """The statement at fault for what cannot be read there: one that does not close its quotes, or does not end, before it."""
-    place = sum(len(each) for each in text.splitlines(keepends=True)[: line - 1])
-    before = [each for each in statements if each[0] <= place]
-    if unclosed := [each for each in before if text[slice(*each)].replace('\\"', "").count('"') % 2]:
+    place = sum(len(part) for part in text.splitlines(keepends=True)[: line - 1])
+    before = [part for part in statements if part[0] <= place]
+    if unclosed := [part for part in before if text[slice(*part)].replace('\\"', "").count('"') % 2]:
         return unclosed[:1]
     if column == 1 and len(before) > 1 and _does_not_end(text[slice(*before[-2])]):
         return before[-2:-1]
@@ -232,14 +232,14 @@ def _told(text: str, start: int, end: int) -> dict[str, str]:
     """What is left out with a statement, and why: a message that it says how to read, too."""
     statement = text[start:end].strip().partition("\n SG_")[0]
     line = text.count("\n", 0, start) + 1
-    what = f"{' '.join(statement.split())[:60]!r} cannot be read: correct the line"
+    reason = f"{' '.join(statement.split())[:60]!r} cannot be read: correct the line"
     signals = (
         "the signals below it" if not statement.startswith("SG_") and re.search(r"^[ \t]+SG_", text[start:end], re.M) else ""
     )
-    found = {f"line {line}": f"{what}; it is left out{f', and {signals}' if signals else ''}"}
-    if told := _CHANGES_VALUES.match(statement):
-        identifier = told[1] or told[2]
+    left_out = {f"line {line}": f"{reason}; it is left out{f', and {signals}' if signals else ''}"}
+    if match := _CHANGES_VALUES.match(statement):
+        identifier = match[1] or match[2]
         of = re.search(rf"^BO_ +{identifier} +(\w+)", text, re.MULTILINE)
         if of:
-            found[of[1]] = f"line {line} says how it is read, and cannot be read itself"
-    return found
+            left_out[of[1]] = f"line {line} says how it is read, and cannot be read itself"
+    return left_out

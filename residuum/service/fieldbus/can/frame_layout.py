@@ -241,8 +241,8 @@ class FrameLayout:
     def codes(self, frames: Bytes) -> dict[str, int]:
         """How many samples of each channel are codes for no value, of those that have some."""
         raw = self._bits.raw(frames)
-        found = self._codes.there(raw) & self._multiplexing.carried(self._bits.values(raw))
-        many = {name: int(found[:, members].sum()) for name, members in self._channels.items()}
+        is_code = self._codes.there(raw) & self._multiplexing.carried(self._bits.values(raw))
+        many = {name: int(is_code[:, members].sum()) for name, members in self._channels.items()}
         return {name: count for name, count in many.items() if count}
 
     def encode(self, counter: npt.ArrayLike, channels: Mapping[str, npt.ArrayLike]) -> Bytes:
@@ -297,8 +297,8 @@ def _attribute(message: Any, name: str) -> float | None:
 
 def _frame_time(message: Any) -> float:
     """Seconds from one frame to the next; 0 where the file does not say it."""
-    told = ((_attribute(message, name) or 0.0) * unit for name, unit in _FRAME_TIMES)
-    return next((seconds for seconds in told if seconds > 0), 0.0)
+    times = ((_attribute(message, name) or 0.0) * unit for name, unit in _FRAME_TIMES)
+    return next((seconds for seconds in times if seconds > 0), 0.0)
 
 
 class BusMessages(dict[str, FrameLayout]):
@@ -320,11 +320,11 @@ class BusMessages(dict[str, FrameLayout]):
         except BadBusDescription as error:
             self.unusable[message.name] = str(error)
             return
-        other = self._names.get(layout.bus_id, message.name if message.name in self else None)
-        if other is None:
+        owner = self._names.get(layout.bus_id, message.name if message.name in self else None)
+        if owner is None:
             self[message.name], self._names[layout.bus_id] = layout, message.name
         else:
-            self.unusable[message.name] = f"{self.where}, message {message.name}: has the name or identifier of {other}; keep one"
+            self.unusable[message.name] = f"{self.where}, message {message.name}: has the name or identifier of {owner}; keep one"
 
 
 def read_dbc(path: str | Path) -> BusMessages:

@@ -75,18 +75,18 @@ def logged_messages(log: CanLog, messages: BusMessages) -> tuple[list[LoggedMess
     known = {layout.bus_id: layout for layout in messages.values()}
     time, set_clock = on_one_clock(log.name, log.frames, known)
     by_identifier: dict[int, list[TimedFrame]] = {}
-    for frame, seen in zip(log.frames, time, strict=True):
-        by_identifier.setdefault(frame.frame_id, []).append(frame._replace(time=float(seen)))
-    found, others = [], {}
+    for frame, instant in zip(log.frames, time, strict=True):
+        by_identifier.setdefault(frame.frame_id, []).append(frame._replace(time=float(instant)))
+    logged, unused = [], {}
     for identifier, frames in by_identifier.items():
         fitting = [frame for frame in frames if identifier in known and known[identifier].fits(len(frame.data))]
         if len(fitting) > 1:
-            found.append(_logged(log.name, known[identifier], fitting, len(frames) - len(fitting)))
+            logged.append(_logged(log.name, known[identifier], fitting, len(frames) - len(fitting)))
         else:
-            others[f"0x{identifier & ~EXTENDED:X}{'x' if identifier & EXTENDED else ''}"] = len(frames)
-    if found and set_clock:
-        found[0] = replace(found[0], remarks=[*set_clock, *found[0].remarks])
-    return found, others
+            unused[f"0x{identifier & ~EXTENDED:X}{'x' if identifier & EXTENDED else ''}"] = len(frames)
+    if logged and set_clock:
+        logged[0] = replace(logged[0], remarks=[*set_clock, *logged[0].remarks])
+    return logged, unused
 
 
 def _logged(name: str, layout: FrameLayout, frames: Sequence[TimedFrame], misfits: int) -> LoggedMessage:
@@ -110,9 +110,9 @@ def _logged(name: str, layout: FrameLayout, frames: Sequence[TimedFrame], misfit
     if len(order) < len(number):
         remarks.append(f"{where}: {len(number) - len(order)} frames came twice, used once")
     number, time, data = number[order] - number[order[0]], time[order], data[order]
-    frame_time, said = _settled(layout, frame_time)
+    frame_time, notes = _settled(layout, frame_time)
     off = (time - frame_time * number) / frame_time
-    remarks += [where + one for one in said]
+    remarks += [where + note for note in notes]
     if layout.counter_bits and (lost := int(number[-1]) + 1 - len(number)):
         remarks.append(f"{where}: {lost} frames lost, their samples are missing")
     jitter = float(np.ptp(off) / 2)
@@ -141,13 +141,13 @@ def _spread(layout: FrameLayout, time: Samples) -> tuple[Numbers, float] | None:
     A logger that stamps by transfers, or whose clock is coarse, gives equal stamps to frames that are not the same. A place is
     left free only where the stamps are further on than that can explain.
     """
-    told, steps = layout.sample_time * layout.samples, np.diff(time)
-    if not told or np.count_nonzero(steps == 0) < _SHARED * len(steps) or not (steps > 0).any():
+    due, steps = layout.sample_time * layout.samples, np.diff(time)
+    if not due or np.count_nonzero(steps == 0) < _SHARED * len(steps) or not (steps > 0).any():
         return None
-    slack = float(np.ceil(np.median(steps[steps > 0]) / told - 0.01))
-    least = np.rint((time - time[0]) / told - slack).astype(np.int64)
+    slack = float(np.ceil(np.median(steps[steps > 0]) / due - 0.01))
+    least = np.rint((time - time[0]) / due - slack).astype(np.int64)
     places = np.arange(len(time))
-    return np.maximum.accumulate(least - places).clip(0) + places, told
+    return np.maximum.accumulate(least - places).clip(0) + places, due
 
 
 def _by_time(time: Samples, data: Bytes) -> tuple[Numbers, float]:
@@ -174,12 +174,12 @@ def _slope(time: Samples, number: Numbers, otherwise: float) -> float:
     return float((time[-1] - time[0]) / span) if span > 0 and time[-1] > time[0] else otherwise
 
 
-def _settled(layout: FrameLayout, found: float) -> tuple[float, list[str]]:
+def _settled(layout: FrameLayout, period: float) -> tuple[float, list[str]]:
     """The time between frames: what the DBC file says where the log agrees to 1 %, else what the log shows."""
-    told = layout.sample_time * layout.samples
-    if told and abs(found - told) <= _SAME_TIME * told:
-        return told, []
-    return found, [f": a frame every {found:.6g} s, the DBC file says {told:.6g} s"] if told else []
+    due = layout.sample_time * layout.samples
+    if due and abs(period - due) <= _SAME_TIME * due:
+        return due, []
+    return period, [f": a frame every {period:.6g} s, the DBC file says {due:.6g} s"] if due else []
 
 
 # The clock of a CAN log: where it was set while frames went on coming, and by how much.
@@ -243,7 +243,7 @@ def _streams(frames: Sequence[TimedFrame], time: Samples, known: Mapping[int, Fr
     for place, frame in enumerate(frames):
         if frame.frame_id in known and known[frame.frame_id].fits(len(frame.data)):
             places.setdefault(frame.frame_id, []).append(place)
-    found = []
+    streams = []
     for identifier, where in places.items():
         steps = np.diff(time[where])
         if len(where) < 3 or not (steps > 0).any():
@@ -254,8 +254,8 @@ def _streams(frames: Sequence[TimedFrame], time: Samples, known: Mapping[int, Fr
             data = np.frombuffer(b"".join(rows), np.uint8).reshape(len(rows), layout.length)
             counter = layout.decode(data)[0]
         period = layout.sample_time * layout.samples or float(np.median(steps[steps > 0]))
-        found.append(_Stream(layout.name, np.array(where), period, counter, 1 << layout.counter_bits))
-    return found
+        streams.append(_Stream(layout.name, np.array(where), period, counter, 1 << layout.counter_bits))
+    return streams
 
 
 def _suspects(time: Samples, period: float) -> list[int]:

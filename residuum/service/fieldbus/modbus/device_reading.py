@@ -182,7 +182,7 @@ async def _stream(
         return []
     polled = PolledStream(stream, stream.poll, base)
     read, refused = await read_blocks(client, polled.blocks())
-    refusals += [f"{name}: {each}" for each in refused]
+    refusals += [f"{name}: {refusal}" for refusal in refused]
     return readings_of(name, stream, polled, read, polled.samples(read))
 
 
@@ -234,12 +234,12 @@ def _reading(
     stream: str, channel: str, where: ChannelRegisters, place: tuple[str, int], words: tuple[int, ...], value: float
 ) -> ChannelReading:
     orders = _orders(where, words)
-    told = order_name(where.word_order, where.byte_order, where.width)
-    plausible = _plausible(orders, told) if orders and not math.isnan(value) else None
+    mapped = order_name(where.word_order, where.byte_order, where.width)
+    plausible = _plausible(orders, mapped) if orders and not math.isnan(value) else None
     function, address = place
     remark = _remark(where, words, value)
-    if plausible not in (None, told) and not remark:
-        remark = f"{plausible} looks more like a measured value than {told}, which the map says"
+    if plausible not in (None, mapped) and not remark:
+        remark = f"{plausible} looks more like a measured value than {mapped}, which the map says"
     return ChannelReading(
         stream, channel, where.unit, function, address, words, finite(value),
         {name: finite(number) for name, number in orders.items()}, plausible, remark,
@@ -262,24 +262,24 @@ def _orders(where: ChannelRegisters, words: tuple[int, ...]) -> dict[str, float]
     """What each order makes of the words, scaled as the map says."""
     if where.type == "bit" or where.width < 2:
         return {}
-    table, found = np.array([words], np.uint16), {}
+    table, values = np.array([words], np.uint16), {}
     for order in _ORDERS:
         raw = ordered(table, *order).view(NUMBERS[where.type][0])[:, 0]
         with np.errstate(invalid="ignore"):
-            found[order_name(*order, where.width)] = float(raw.astype(float)[0]) * where.scale + where.offset
-    return found
+            values[order_name(*order, where.width)] = float(raw.astype(float)[0]) * where.scale + where.offset
+    return values
 
 
-def _plausible(orders: dict[str, float], told: str) -> str | None:
+def _plausible(orders: dict[str, float], mapped: str) -> str | None:
     """The order whose value is nearest to what is mostly measured; the map's where others are no better; None when none is."""
 
     def distance(name: str) -> float:
         value = abs(orders[name])
         far = _USUAL if value == 0 else abs(math.log10(value) - _USUAL) if math.isfinite(value) else math.inf
-        return far if name == told or "AB" in name else far + _RARE
+        return far if name == mapped or "AB" in name else far + _RARE
 
-    best = min(orders, key=lambda name: (distance(name), name != told))
-    best = told if distance(told) <= distance(best) else best
+    best = min(orders, key=lambda name: (distance(name), name != mapped))
+    best = mapped if distance(mapped) <= distance(best) else best
     return best if distance(best) <= _FURTHEST else None
 
 

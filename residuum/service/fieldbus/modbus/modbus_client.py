@@ -104,10 +104,10 @@ class CheckedModbusClient:
     async def read(self, address: int, count: int, function: Function = "holding") -> Registers:
         """`count` registers, or coils as 0 and 1, from an address on the wire; BadReply, DeviceRefused."""
         reply = await self._ask(_READS[function](address=address, count=count, dev_id=self._unit), function)
-        came, due = (reply.bits, -(-count // 8) * 8) if function in OF_BITS else (reply.registers, count)
-        if len(came) != due:
-            raise BadReply("short_replies", f"{function} {address}…: {len(came)} came, {due} were due")
-        return np.array(came[:count], np.uint16)
+        received, due = (reply.bits, -(-count // 8) * 8) if function in OF_BITS else (reply.registers, count)
+        if len(received) != due:
+            raise BadReply("short_replies", f"{function} {address}…: {len(received)} came, {due} were due")
+        return np.array(received[:count], np.uint16)
 
     async def write(self, address: int, registers: list[int]) -> None:
         """Write holding registers; BadReply, DeviceRefused."""

@@ -80,9 +80,9 @@ class ModbusSource(Source):
             raise FaultsUnavailable(f"{self.name}: cannot switch fault {fault!r}")
         command = [faults.ids.index(fault) + 1, *float_registers(size)]
         end = time.monotonic() + _SWITCH_TIMEOUT
-        while (said := self._write(faults.command, command)) is not None:
+        while (refusal := self._write(faults.command, command)) is not None:
             if time.monotonic() > end or self._stopped.wait(_SWITCH_AGAIN):
-                raise FaultsUnavailable(f"{self.name}: cannot switch fault {fault!r}: {said}")
+                raise FaultsUnavailable(f"{self.name}: cannot switch fault {fault!r}: {refusal}")
 
     def _write(self, address: int, registers: list[int]) -> str | None:
         """Write registers from any thread; what went wrong, None when nothing did."""
@@ -321,7 +321,7 @@ class DoubtfulChannels:
         for (channel, sentence), _ in self._remarks.most_common():
             if self._wrong[channel] >= _OFTEN * _JUDGED:
                 now.setdefault(channel, (sentence, self._samples + _OUTLASTS * _JUDGED))
-        lately = {channel: said for channel, said in self._says.items() if said[1] > self._samples}
+        lately = {channel: doubt for channel, doubt in self._says.items() if doubt[1] > self._samples}
         self._says = lately | now
         self.sentences = [sentence for sentence, _ in self._says.values()]
         self._wrong, self._remarks = Counter(), Counter()

@@ -96,7 +96,7 @@ class StreamRegisters(StrictModel):
                 channel.refuse_other_than_bits(channel.function or self.poll.function)
             return self
         if paged := [
-            name for name, each in self.channels.items() if each.function not in (None, "holding") or each.scale_register
+            name for name, spec in self.channels.items() if spec.function not in (None, "holding") or spec.scale_register
         ]:
             raise ValueError(f"channels.{paged[0]}: pages lie in holding registers, without scale registers; poll it instead")
         if self.page_registers > MOST_REGISTERS:
@@ -145,17 +145,17 @@ def _refuse_shared(channels: Mapping[str, ChannelRegisters], default: Function) 
     owners: dict[tuple[Function, int], list[tuple[str, ChannelRegisters]]] = {}
     for name, channel in channels.items():
         for register in range(channel.register_, channel.register_ + channel.width):
-            for other, its in owners.setdefault((channel.function or default, register), []):
+            for owner, its in owners.setdefault((channel.function or default, register), []):
                 if not _bits_apart(channel, its):
                     raise ValueError(
-                        f"channels.{name}: register {register} belongs to {other} already ({its.type} at {its.register_}, "
+                        f"channels.{name}: register {register} belongs to {owner} already ({its.type} at {its.register_}, "
                         f"{its.width} registers); correct register or type of one of them"
                     )
             owners[channel.function or default, register].append((name, channel))
 
 
-def _bits_apart(one: ChannelRegisters, other: ChannelRegisters) -> bool:
-    return one.type == other.type == "bit" and (one.bit + one.bits <= other.bit or other.bit + other.bits <= one.bit)
+def _bits_apart(first: ChannelRegisters, second: ChannelRegisters) -> bool:
+    return first.type == second.type == "bit" and (first.bit + first.bits <= second.bit or second.bit + second.bits <= first.bit)
 
 
 class FaultRegisters(StrictModel):
@@ -308,7 +308,7 @@ class PolledStream:
     def blocks(self) -> list[RegisterBlock]:
         """The reads of one sample; a value is never parted between two of them."""
         values = {
-            tuple(places) for each in self._channels.values() for places in (self.places(each), self._scale_place(each)) if places
+            tuple(places) for spec in self._channels.values() for places in (self.places(spec), self._scale_place(spec)) if places
         }
         blocks: list[RegisterBlock] = []
         for places in sorted(values):

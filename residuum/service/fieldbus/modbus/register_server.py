@@ -93,17 +93,17 @@ def register_map_of(text: str, sample_time: float, where: str = "table", unit_id
             raise BadBusDescription(f"{where}, row {number}: the name {name!r} is empty or stands in two rows")
         channels[name] = {"register": register - lowest, **_channel(row, f"{where}, row {number}")}
     stream = {"sample_time": sample_time, "poll": {"address": lowest - shift, **function}, "channels": channels}
-    made = {"unit_id": unit_id, "streams": {"signals": stream}}
+    register_map = {"unit_id": unit_id, "streams": {"signals": stream}}
     try:
-        RegisterMap.model_validate(made)
+        RegisterMap.model_validate(register_map)
     except ValidationError as error:
         raise BadBusDescription(f"{where}: {first_error(error)}") from None
-    return made
+    return register_map
 
 
-def register_map_text(made: dict[str, Any]) -> str:
+def register_map_text(register_map: dict[str, Any]) -> str:
     """The YAML file of a register map."""
-    return yaml.safe_dump(made, sort_keys=False, allow_unicode=True)
+    return yaml.safe_dump(register_map, sort_keys=False, allow_unicode=True)
 
 
 def _rows(text: str, where: str) -> list[tuple[int, dict[str, str]]]:
@@ -117,13 +117,13 @@ def _rows(text: str, where: str) -> list[tuple[int, dict[str, str]]]:
     for needed in ("name", "register"):
         if needed not in heads:
             raise BadBusDescription(f"{where}: has no column {needed!r}; {known_names(needed, table[0], 'the columns are')}")
-    found = []
+    rows = []
     for number, row in enumerate(table[1:], start=2):
         if len(row) > len(heads):
             raise BadBusDescription(f"{where}, row {number}: has {len(row)} cells, the headings are {len(heads)}")
         cells = dict.fromkeys(HEADINGS, "") | {head: cell.strip() for head, cell in zip(heads, row, strict=False) if head}
-        found.append((number, cells))
-    return found
+        rows.append((number, cells))
+    return rows
 
 
 def _heading(cell: str) -> str | None:
@@ -146,7 +146,7 @@ def _channel(row: dict[str, str], where: str) -> dict[str, Any]:
         if row[column]:
             channel[column] = row[column].lower()
     if row["missing"]:
-        channel["missing"] = [_sentinel(each, where) for each in row["missing"].split()]
+        channel["missing"] = [_sentinel(sentinel, where) for sentinel in row["missing"].split()]
     for column in ("scale", "offset"):
         if row[column]:
             channel[column] = _figure(row[column], column, where)

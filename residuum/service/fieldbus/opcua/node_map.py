@@ -49,7 +49,7 @@ class StreamNodes(StrictModel):
 
     def format(self, name: str) -> StreamFormat:
         """What the stream carries."""
-        return StreamFormat(name, self.sample_time, {channel: each.unit for channel, each in self.channels.items()})
+        return StreamFormat(name, self.sample_time, {channel: spec.unit for channel, spec in self.channels.items()})
 
 
 class Security(StrictModel):
@@ -85,21 +85,21 @@ class NodeMap(StrictModel):
 def read_node_map(path: Path) -> NodeMap:
     """The node map of a file; BadBusDescription names file and field."""
     trust = "; `residuum opcua trust URL --out FILE` writes the server's certificate"
-    made = read_map(path, NodeMap, lambda field: trust if field.endswith("trusted") else "")
-    for file in _files(made):
+    nodes = read_map(path, NodeMap, lambda field: trust if field.endswith("trusted") else "")
+    for file in _files(nodes):
         if not file.is_file():
             hint = (
                 "; `residuum opcua trust URL --out FILE` writes a server's"
-                if made.security and file == made.security.trusted
+                if nodes.security and file == nodes.security.trusted
                 else ""
             )
             raise BadBusDescription(f"{path}: file {str(file)!r} is not there{hint}")
-    return made
+    return nodes
 
 
-def _files(made: NodeMap) -> list[Path]:
-    secured = [made.security.certificate, made.security.key, made.security.trusted] if made.security else []
-    return [*secured, *([made.user.password_file] if made.user else [])]
+def _files(nodes: NodeMap) -> list[Path]:
+    secured = [nodes.security.certificate, nodes.security.key, nodes.security.trusted] if nodes.security else []
+    return [*secured, *([nodes.user.password_file] if nodes.user else [])]
 
 
 def node_map_text(streams: Mapping[str, tuple[float, Mapping[str, ChannelNode]]]) -> str:
@@ -107,7 +107,7 @@ def node_map_text(streams: Mapping[str, tuple[float, Mapping[str, ChannelNode]]]
     plain = {
         name: {
             "sample_time": every,
-            "channels": {c: {"unit": "", **each.model_dump(exclude_unset=True)} for c, each in channels.items()},
+            "channels": {c: {"unit": "", **spec.model_dump(exclude_unset=True)} for c, spec in channels.items()},
         }
         for name, (every, channels) in streams.items()
     }

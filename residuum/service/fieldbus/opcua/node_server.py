@@ -109,8 +109,8 @@ class NodeServer:
         """A value of a node at a time [s since 1970]."""
         node = await self._node(folder, name, value)
         at = datetime.fromtimestamp(stamp, UTC)
-        told = ua.DataValue(_variant(value), StatusCode=ua.StatusCode(status), SourceTimestamp=at, ServerTimestamp=at)
-        await node.write_value(told)
+        datum = ua.DataValue(_variant(value), StatusCode=ua.StatusCode(status), SourceTimestamp=at, ServerTimestamp=at)
+        await node.write_value(datum)
 
     async def _node(self, folder: str, name: str, value: Any) -> Any:
         if (folder, name) not in self._nodes:

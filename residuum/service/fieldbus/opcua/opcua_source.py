@@ -71,7 +71,7 @@ class OpcuaSource(Source):
         self._url, self._map, self._timeout = url, nodes, timeout
         self._samples = {
             name: StampedSamples(
-                stream.format(name), self.health, held={channel: each.held for channel, each in stream.channels.items()}
+                stream.format(name), self.health, held={channel: spec.held for channel, spec in stream.channels.items()}
             )
             for name, stream in nodes.streams.items()
         }
@@ -133,9 +133,9 @@ class OpcuaSource(Source):
 
     async def _revive(self, client: Client) -> None:
         """No value for long: a server that answers, and whose values change, has let the subscription go."""
-        values = [client.get_node(each.node) for _, _, each, _ in self._channels()]
-        found = await asyncio.wait_for(asyncio.gather(*(n.read_data_value(False) for n in values)), self._timeout)
-        newest = max((v.SourceTimestamp for v in found if v.SourceTimestamp), default=None)
+        values = [client.get_node(spec.node) for _, _, spec, _ in self._channels()]
+        readings = await asyncio.wait_for(asyncio.gather(*(n.read_data_value(False) for n in values)), self._timeout)
+        newest = max((v.SourceTimestamp for v in readings if v.SourceTimestamp), default=None)
         before, self._asked = self._asked, newest
         if before is not None and newest is not None and newest != before:
             raise _Refused("values change and the subscription is silent")
@@ -144,43 +144,43 @@ class OpcuaSource(Source):
         self._places = {}
         await self._refuse_other_kinds(client)
         requests = []
-        for handle, (stream, name, each, every) in enumerate(self._channels(), start=1):
-            self._places[handle] = (stream, name, each)
-            requests.append(_request(client.get_node(each.node).nodeid, handle, 1e3 * every))
+        for handle, (stream, name, spec, every) in enumerate(self._channels(), start=1):
+            self._places[handle] = (stream, name, spec)
+            requests.append(_request(client.get_node(spec.node).nodeid, handle, 1e3 * every))
         results = await subscription.create_monitored_items(requests)
-        for result, (_, name, each) in zip(results, self._places.values(), strict=True):
+        for result, (_, name, spec) in zip(results, self._places.values(), strict=True):
             if isinstance(result, ua.StatusCode):
-                raise _Refused(await self._lacking(client, name, each, result))
+                raise _Refused(await self._lacking(client, name, spec, result))
 
     async def _refuse_other_kinds(self, client: Client) -> None:
         """What no number can be made of is refused before it is missing for ever; whole numbers beyond 2^53 are told."""
-        channels = [(name, each) for _, name, each, _ in self._channels()]
-        values = [client.get_node(each.node).read_data_value(False) for _, each in channels]
-        found = await asyncio.wait_for(asyncio.gather(*values), self._timeout)
-        others, large = [], []
-        for (name, each), told in zip(channels, found, strict=True):
-            if told.Value is None or told.Value.Value is None:
+        channels = [(name, spec) for _, name, spec, _ in self._channels()]
+        values = [client.get_node(spec.node).read_data_value(False) for _, spec in channels]
+        readings = await asyncio.wait_for(asyncio.gather(*values), self._timeout)
+        unfit, large = [], []
+        for (name, spec), datum in zip(channels, readings, strict=True):
+            if datum.Value is None or datum.Value.Value is None:
                 continue  # there is no value yet, or no such node
-            kind, value = told.Value.VariantType, told.Value.Value
+            kind, value = datum.Value.VariantType, datum.Value.Value
             if kind not in _NUMERIC or isinstance(value, list):
-                others.append(f"channel {name!r}, node {each.node!r}: {kind.name}{'[]' * isinstance(value, list)}, no number")
+                unfit.append(f"channel {name!r}, node {spec.node!r}: {kind.name}{'[]' * isinstance(value, list)}, no number")
             elif isinstance(value, int) and abs(value) >= _WHOLE_UNTIL:
                 large.append(f"channel {name!r}: whole numbers beyond 2^53 are rounded; neighbours look alike")
         self.health.remarks = large
-        if others:
-            raise _Refused(f"{'; '.join(others)}; take {'them' if len(others) > 1 else 'it'} out of the map")
+        if unfit:
+            raise _Refused(f"{'; '.join(unfit)}; take {'them' if len(unfit) > 1 else 'it'} out of the map")
 
     def _channels(self) -> Iterable[tuple[str, str, ChannelNode, float]]:
         for stream, nodes in self._map.streams.items():
-            for name, each in nodes.channels.items():
-                yield stream, name, each, nodes.sample_time
+            for name, spec in nodes.channels.items():
+                yield stream, name, spec, nodes.sample_time
 
-    async def _lacking(self, client: Client, name: str, each: ChannelNode, status: ua.StatusCode) -> str:
+    async def _lacking(self, client: Client, name: str, spec: ChannelNode, status: ua.StatusCode) -> str:
         if status.value != ua.StatusCodes.BadNodeIdUnknown:
-            return f"channel {name!r}, node {each.node!r}: {status.name}"
-        there = [node async for node, _ in variables(client, _MOST_BROWSED)]
-        near = nearest_names(each.node, there, 3, like=0.0)
-        return f"channel {name!r}: the server has no node {each.node!r}; the nearest are {', '.join(near) or 'none'}"
+            return f"channel {name!r}, node {spec.node!r}: {status.name}"
+        node_ids = [node async for node, _ in variables(client, _MOST_BROWSED)]
+        near = nearest_names(spec.node, node_ids, 3, like=0.0)
+        return f"channel {name!r}: the server has no node {spec.node!r}; the nearest are {', '.join(near) or 'none'}"
 
     def datachange_notification(self, node: Any, value: Any, data: Any) -> None:
         """Take a value (called by the client)."""
@@ -188,16 +188,16 @@ class OpcuaSource(Source):
         place = self._places.get(item.ClientHandle)
         if place is None:
             return
-        now, told = time.monotonic(), item.Value
+        now, datum = time.monotonic(), item.Value
         self._heard = now
-        stream, name, each = place
-        if told.SourceTimestamp is None:
+        stream, name, spec = place
+        if datum.SourceTimestamp is None:
             self.health.count("unstamped", 1, f"channel {name!r}: a value without a source time stamp")
             return
-        number = _number(told.Value.Value if told.Value is not None else None) if told.StatusCode.is_good() else math.nan
+        number = _number(datum.Value.Value if datum.Value is not None else None) if datum.StatusCode.is_good() else math.nan
         if math.isnan(number):
-            self.health.count("bad_status", 1, f"channel {name!r}: status {told.StatusCode.name}, missing until it is good")
-        self._samples[stream].add(name, _seconds(told.SourceTimestamp), number * each.scale + each.offset, now)
+            self.health.count("bad_status", 1, f"channel {name!r}: status {datum.StatusCode.name}, missing until it is good")
+        self._samples[stream].add(name, _seconds(datum.SourceTimestamp), number * spec.scale + spec.offset, now)
 
     def status_change_notification(self, status: Any) -> None:
         """The server lets the subscription go."""
@@ -291,10 +291,10 @@ def said(error: Exception) -> str:
 
 async def variables(client: Client, most: int) -> AsyncIterator[tuple[str, Any]]:
     """(node id, node) of the variables below the server's objects, at most so many references looked at."""
-    waiting, seen, known = [client.nodes.objects], 0, set()
-    while waiting and seen < most:
+    waiting, looked_at, known = [client.nodes.objects], 0, set()
+    while waiting and looked_at < most:
         for reference in await waiting.pop().get_references(ua.ObjectIds.HierarchicalReferences, ua.BrowseDirection.Forward):
-            seen += 1
+            looked_at += 1
             if reference.NodeId.NamespaceIndex == 0 or reference.NodeId in known:
                 continue
             known.add(reference.NodeId)
@@ -321,15 +321,15 @@ class Variable(NamedTuple):
 async def numeric_variables(url: str, nodes: NodeMap | None, under: str, timeout: float) -> dict[str, Variable]:
     """Channel → variable of a server's variables that hold numbers and whose id begins with `under`."""
     client = make_client(url, nodes, timeout)
-    found: dict[str, Variable] = {}
+    by_channel: dict[str, Variable] = {}
     await enter(client, url, nodes, timeout)
     try:
         async for node_id, node in variables(client, _MOST_BROWSED):
             if node_id.startswith(under) and await _is_numeric(node):
-                found[_channel_name(node_id, found)] = Variable(node_id, await _unit(node), *await _kind(node))
+                by_channel[_channel_name(node_id, by_channel)] = Variable(node_id, await _unit(node), *await _kind(node))
     finally:
         await client.disconnect()
-    return found
+    return by_channel
 
 
 async def _is_numeric(node: Any) -> bool:

@@ -50,16 +50,16 @@ class ReportedChanges:
         """Nothing is known any more."""
         self._holds, self._origin = {}, None
 
-    def stated(self, told: Iterable[Told]) -> None:
+    def stated(self, states: Iterable[Told]) -> None:
         """A birth states what holds; it is no sample, since it says when it was sent, not when the value began to hold."""
-        self._holds |= {channel: value for _, channel, value in told}
+        self._holds |= {channel: value for _, channel, value in states}
 
-    def samples(self, told: Iterable[Told]) -> Iterator[Told]:
-        """The samples before these changes that were not given yet; `told` in the order of stamps.
+    def samples(self, changes: Iterable[Told]) -> Iterator[Told]:
+        """The samples before these changes that were not given yet; `changes` in the order of stamps.
 
         They come one by one, and the changes are noted as they do: take them all.
         """
-        for stamp, channel, value in told:
+        for stamp, channel, value in changes:
             yield from self._until(stamp)
             self._holds[channel] = value
 

@@ -63,10 +63,10 @@ class EdgeNode:
         """Tell the death and leave."""
         with self._lock:
             if self._born:
-                told = self._client.publish(self._topic("NDEATH"), self._death(), qos=1)
+                death = self._client.publish(self._topic("NDEATH"), self._death(), qos=1)
                 self._born = False
                 with suppress(RuntimeError, ValueError):
-                    told.wait_for_publish(_PATIENCE)
+                    death.wait_for_publish(_PATIENCE)
         self._client.disconnect()
         self._client.loop_stop()
 

@@ -51,7 +51,7 @@ class StreamMetrics(StrictModel):
 
     def format(self, name: str) -> StreamFormat:
         """What the stream carries."""
-        return StreamFormat(name, self.sample_time, {channel: each.unit for channel, each in self.channels.items()})
+        return StreamFormat(name, self.sample_time, {channel: spec.unit for channel, spec in self.channels.items()})
 
 
 class MetricMap(StrictModel):

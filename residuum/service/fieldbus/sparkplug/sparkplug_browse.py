@@ -41,15 +41,15 @@ def numeric_metrics(address: BrokerAddress, node: str, timeout: float) -> dict[s
     client.connect(address.host, address.port)
     client.loop_start()
     try:
-        found = _heard(heard, refused, timeout)
+        devices = _heard(heard, refused, timeout)
     finally:
         client.disconnect()
         client.loop_stop()
-    return found
+    return devices
 
 
 def _heard(heard: queue.Queue[Any], refused: list[str], timeout: float) -> dict[str, dict[str, tuple[str, str]]]:
-    found: dict[str, dict[str, tuple[str, str]]] = {}
+    devices: dict[str, dict[str, tuple[str, str]]] = {}
     end = time.monotonic() + timeout
     while time.monotonic() < end:
         if refused:
@@ -61,9 +61,9 @@ def _heard(heard: queue.Queue[Any], refused: list[str], timeout: float) -> dict[
         kind, device = kind_and_device(message.topic)
         if kind in ("NBIRTH", "DBIRTH"):
             metrics = _numbers(message.payload)
-            found |= {device: metrics} if metrics else {}
+            devices |= {device: metrics} if metrics else {}
             end = min(end, time.monotonic() + _QUIET)
-    return found
+    return devices
 
 
 def _numbers(content: bytes) -> dict[str, tuple[str, str]]:
@@ -71,8 +71,8 @@ def _numbers(content: bytes) -> dict[str, tuple[str, str]]:
         metrics = unpack(content).metrics
     except BadPayload:
         return {}
-    numeric = [each for each in metrics if 1 <= each.datatype <= BOOLEAN and each.name != "bdSeq" and "Control/" not in each.name]
-    return channels_of({each.name: each.unit for each in numeric})
+    numeric = [m for m in metrics if 1 <= m.datatype <= BOOLEAN and m.name != "bdSeq" and "Control/" not in m.name]
+    return channels_of({m.name: m.unit for m in numeric})
 
 
 def channels_of(units: Mapping[str, str]) -> dict[str, tuple[str, str]]:
@@ -81,9 +81,9 @@ def channels_of(units: Mapping[str, str]) -> dict[str, tuple[str, str]]:
     >>> channels_of({"Motor/Speed": "rpm", "Motor.Speed": "1/s"})
     {'Motor.Speed': ('Motor/Speed', 'rpm'), 'Motor.Speed-2': ('Motor.Speed', '1/s')}
     """
-    found: dict[str, tuple[str, str]] = {}
+    channels: dict[str, tuple[str, str]] = {}
     for metric, unit in units.items():
         plain = metric.replace("/", ".").replace(" ", "-")
         names = chain([plain], (f"{plain}-{number}" for number in count(2)))
-        found[next(name for name in names if name not in found)] = metric, unit
-    return found
+        channels[next(name for name in names if name not in channels)] = metric, unit
+    return channels

@@ -103,62 +103,62 @@ def unpack(content: bytes) -> Payload:
         read.ParseFromString(content)
     except message.DecodeError as error:
         raise BadPayload(str(error)) from None
-    metrics = [_metric(each) for each in read.metrics]
+    metrics = [_metric(metric) for metric in read.metrics]
     return Payload(metrics, read.timestamp, read.seq if read.HasField("seq") else None)
 
 
 def pack(payload: Payload) -> bytes:
     """The bytes of a payload."""
-    made: Any = _PAYLOAD()
-    made.timestamp = payload.stamp
+    encoded: Any = _PAYLOAD()
+    encoded.timestamp = payload.stamp
     if payload.seq is not None:
-        made.seq = payload.seq
+        encoded.seq = payload.seq
     for metric in payload.metrics:
-        _put(made.metrics.add(), metric)
-    return bytes(made.SerializeToString())
+        _put(encoded.metrics.add(), metric)
+    return bytes(encoded.SerializeToString())
 
 
-def _put(each: Any, metric: Metric) -> None:
+def _put(encoded: Any, metric: Metric) -> None:
     if metric.name:
-        each.name = metric.name
+        encoded.name = metric.name
     if metric.alias is not None:
-        each.alias = metric.alias
+        encoded.alias = metric.alias
     if metric.stamp is not None:
-        each.timestamp = metric.stamp
+        encoded.timestamp = metric.stamp
     if metric.datatype:
-        each.datatype = metric.datatype
+        encoded.datatype = metric.datatype
     if metric.historical:
-        each.is_historical = True
+        encoded.is_historical = True
     if not metric.good:
-        each.properties.keys.append(_QUALITY)
-        each.properties.values.add(type=3, int_value=0)
+        encoded.properties.keys.append(_QUALITY)
+        encoded.properties.values.add(type=3, int_value=0)
     if metric.unit:
-        each.properties.keys.append(_UNITS[0])
-        each.properties.values.add(type=STRING, string_value=metric.unit)
+        encoded.properties.keys.append(_UNITS[0])
+        encoded.properties.values.add(type=STRING, string_value=metric.unit)
     if metric.value is None:
-        each.is_null = True
+        encoded.is_null = True
     elif isinstance(metric.value, bool):
-        each.boolean_value = metric.value
+        encoded.boolean_value = metric.value
     elif isinstance(metric.value, str):
-        each.string_value = metric.value
+        encoded.string_value = metric.value
     elif isinstance(metric.value, int):
-        each.long_value = metric.value % (1 << 64)
+        encoded.long_value = metric.value % (1 << 64)
     else:
-        each.double_value = metric.value
+        encoded.double_value = metric.value
 
 
-def _metric(each: Any) -> Metric:
-    held = each.WhichOneof("value")
-    properties = dict(zip(each.properties.keys, each.properties.values, strict=False))
+def _metric(encoded: Any) -> Metric:
+    held = encoded.WhichOneof("value")
+    properties = dict(zip(encoded.properties.keys, encoded.properties.values, strict=False))
     return Metric(
-        name=each.name,
-        value=getattr(each, held) if held in _VALUES and not each.is_null else None,
-        datatype=each.datatype,
-        alias=each.alias if each.HasField("alias") else None,
-        stamp=each.timestamp if each.HasField("timestamp") else None,
+        name=encoded.name,
+        value=getattr(encoded, held) if held in _VALUES and not encoded.is_null else None,
+        datatype=encoded.datatype,
+        alias=encoded.alias if encoded.HasField("alias") else None,
+        stamp=encoded.timestamp if encoded.HasField("timestamp") else None,
         good=_QUALITY not in properties or properties[_QUALITY].int_value == _GOOD,
         unit=next((properties[name].string_value for name in _UNITS if name in properties), ""),
-        historical=each.is_historical,
+        historical=encoded.is_historical,
     )
 
 
@@ -193,10 +193,10 @@ def _one_of(to: Any, first: int, fields: Iterable[tuple[str, Any]]) -> None:
 
 
 def _add(to: Any, name: str, number: int, kind: Any, label: Any = _ONE, type_name: str = "") -> Any:
-    made = to.field.add(name=name, number=number, type=kind, label=label)
+    field = to.field.add(name=name, number=number, type=kind, label=label)
     if type_name:
-        made.type_name = type_name
-    return made
+        field.type_name = type_name
+    return field
 
 
 _PAYLOAD: Any = _payload_type()

@@ -133,16 +133,16 @@ class NodeSession:
 
     def ready(self, now: float) -> Sequence[NodeMessage]:
         """The messages that can be believed now, in order."""
-        until = max((sent for sent, came, _ in self._arrived if now - came >= self._settle), default=None)
+        until = max((sent for sent, since, _ in self._arrived if now - since >= self._settle), default=None)
         if until is None:
             return []
-        due = sorted((each for each in self._arrived if each[0] <= until), key=lambda each: each[0])
-        self._arrived = [each for each in self._arrived if each[0] > until]
+        due = sorted((entry for entry in self._arrived if entry[0] <= until), key=lambda entry: entry[0])
+        self._arrived = [entry for entry in self._arrived if entry[0] > until]
         return [taken for _, _, message in due for taken in self._take(message, now)]
 
     def gap(self, now: float) -> bool:
         """Whether there is a gap by now that there was not before."""
-        waiting = [came for came, _ in self._held[:1]] + ([self._doubt] if self._doubt is not None else [])
+        waiting = [since for since, _ in self._held[:1]] + ([self._doubt] if self._doubt is not None else [])
         if self._session is None or not waiting:
             return False
         if now - min(waiting) < self._patience and len(self._held) < _HALF:
@@ -200,16 +200,16 @@ class NodeSession:
 
     def _those_in_turn(self, session: _Session) -> list[NodeMessage]:
         """Held messages whose turn has come; those whose turn is over go."""
-        found: list[NodeMessage] = []
-        while following := [each for _, each in self._held if each.payload.seq == session.expected]:
-            first = min(following, key=lambda each: each.payload.stamp)
+        in_turn: list[NodeMessage] = []
+        while following := [held for _, held in self._held if held.payload.seq == session.expected]:
+            first = min(following, key=lambda held: held.payload.stamp)
             session.accept(session.expected, first.payload.stamp)
-            found.append(first)
-            self._held = [(came, each) for came, each in self._held if each is not first]
+            in_turn.append(first)
+            self._held = [(since, held) for since, held in self._held if held is not first]
         before = len(self._held)
-        self._held = [(came, each) for came, each in self._held if not session.is_behind(each.payload.seq or 0)]
+        self._held = [(since, held) for since, held in self._held if not session.is_behind(held.payload.seq or 0)]
         self._health.count("duplicated", before - len(self._held))
-        return found
+        return in_turn
 
     def _let_go(self) -> None:
         self._health.count("unborn", len(self._held))
@@ -242,11 +242,11 @@ class SparkplugSource(Source):
     def __init__(self, address: BrokerAddress, metrics: MetricMap, sink: Sink, patience: float = 1.0) -> None:
         super().__init__(f"sparkplug:{address.host}:{address.port}/{metrics.node}", sink)
         self._address, self._map = address, metrics
-        self._samples = {name: StampedSamples(each.format(name), self.health) for name, each in metrics.streams.items()}
+        self._samples = {name: StampedSamples(spec.format(name), self.health) for name, spec in metrics.streams.items()}
         self._changes = {
-            name: ReportedChanges(list(each.channels), each.sample_time)
-            for name, each in metrics.streams.items()
-            if each.reports == "changes"
+            name: ReportedChanges(list(spec.channels), spec.sample_time)
+            for name, spec in metrics.streams.items()
+            if spec.reports == "changes"
         }
         self._session = NodeSession(self.health, patience)
         self._arrived: queue.Queue[tuple[str, bytes, float]] = queue.Queue(_MOST_WAITING)
@@ -372,10 +372,10 @@ class SparkplugSource(Source):
                 known[metric.alias] = known[metric.name]
         self._known[message.device] = known
         names = [metric.name for metric in message.payload.metrics]
-        for stream, each in self._map.streams.items():
-            if each.device != message.device:
+        for stream, spec in self._map.streams.items():
+            if spec.device != message.device:
                 continue
-            for channel, wanted in each.channels.items():
+            for channel, wanted in spec.channels.items():
                 if wanted.metric not in known:
                     near = ", ".join(nearest_names(wanted.metric, names, 3, like=0.0)) or "none"
                     lacks = f"channel {channel!r}: the birth has no metric {wanted.metric!r}; the nearest are {near}"
@@ -391,18 +391,18 @@ class SparkplugSource(Source):
             self._session.break_off()
             self._forget()
             return
-        for stream, each in self._map.streams.items():
-            if each.device != message.device:
+        for stream, spec in self._map.streams.items():
+            if spec.device != message.device:
                 continue
-            told = self._told(stream, message)
-            for stamp, channel, value in self._changes[stream].samples(told) if stream in self._changes else told:
+            reports = self._told(stream, message)
+            for stamp, channel, value in self._changes[stream].samples(reports) if stream in self._changes else reports:
                 self._samples[stream].add(channel, stamp, value, now)
 
     def _told(self, stream: str, message: NodeMessage) -> list[tuple[float, str, float]]:
         """(stamp [s], channel, value) of what a message says of a stream, in the order of the stamps."""
         known = self._known.get(message.device, {})
         channels = {wanted.metric: (name, wanted) for name, wanted in self._map.streams[stream].channels.items()}
-        found = []
+        reports = []
         for metric in message.payload.metrics:
             name, datatype = known.get(metric.alias if not metric.name and metric.alias is not None else metric.name, ("", 0))
             if not name:
@@ -417,8 +417,8 @@ class SparkplugSource(Source):
             if math.isnan(number):
                 self.health.count("bad_status", 1, f"channel {channel!r}: not good, or no number")
             stamp = metric.stamp if metric.stamp is not None else message.payload.stamp
-            found.append((stamp / 1e3, channel, number * wanted.scale + wanted.offset))
-        return sorted(found, key=lambda each: each[0])
+            reports.append((stamp / 1e3, channel, number * wanted.scale + wanted.offset))
+        return sorted(reports, key=lambda report: report[0])
 
     def _forget(self, device: str | None = None) -> None:
         """What was said is not known any more: of a device, or of the node and all of them."""

@@ -14,7 +14,7 @@ from residuum.service.storage.disk_store import DiskStore
 
 def with_second_opinion(finding: Finding, second: Finding) -> Finding:
     """The first finding with the second as evidence: verdict and alarms are the first one's."""
-    told = {
+    opinion = {
         "diagnoser": second.diagnoser,
         "verdict": second.verdict.value,
         "class": second.fault_class,
@@ -24,7 +24,7 @@ def with_second_opinion(finding: Finding, second: Finding) -> Finding:
         "causes": second.evidence.get("causes", []),
         "agrees": second.verdict is finding.verdict,
     }
-    return replace(finding, evidence={**finding.evidence, "second_opinion": told})
+    return replace(finding, evidence={**finding.evidence, "second_opinion": opinion})
 
 
 def second_name(store: DiskStore, asset: str, wanted: str | None) -> str:

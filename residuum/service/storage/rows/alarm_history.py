@@ -70,14 +70,14 @@ def _findings_that_raised(connection: Connection, raised: Sequence[Row[Any]]) ->
     if not raised:
         return {}
     c = findings.c
-    there = c.asset_id.in_({row.asset_id for row in raised}) & c.at.in_({row.at for row in raised})
-    told: tuple[Any, ...] = (*(c[name] for name in row_checks.SHORT_OF_FINDING), c.reason, c.checksum)
-    return {(row.asset_id, row.at): row for row in connection.execute(select(*told).where(there))}
+    where = c.asset_id.in_({row.asset_id for row in raised}) & c.at.in_({row.at for row in raised})
+    columns: tuple[Any, ...] = (*(c[name] for name in row_checks.SHORT_OF_FINDING), c.reason, c.checksum)
+    return {(row.asset_id, row.at): row for row in connection.execute(select(*columns).where(where))}
 
 
 def _occurrence(row: Row[Any], entries: Sequence[Row[Any]], cause: Row[Any] | None) -> AlarmOccurrence:
-    damaged = any(row_checks.differs(alarm_journal, each._mapping) for each in (row, *entries))
-    first = {event: next((each for each in entries if each.event == event.value), None) for event in AlarmEvent}
+    damaged = any(row_checks.differs(alarm_journal, change._mapping) for change in (row, *entries))
+    first = {event: next((change for change in entries if change.event == event.value), None) for event in AlarmEvent}
     cleared, acknowledged = first[AlarmEvent.CLEAR], first[AlarmEvent.ACKNOWLEDGE]
     return AlarmOccurrence(
         id=row.id,

@@ -44,8 +44,8 @@ def follow(
     """
     if finding.only_recorded:
         return []
-    found = connection.execute(select(alarms).where(alarms.c.asset_id == asset)).all()
-    rows = {row.kind: _begun_anew(connection, row, now) if _differs(row) else row for row in found}
+    stored = connection.execute(select(alarms).where(alarms.c.asset_id == asset)).all()
+    rows = {row.kind: _begun_anew(connection, row, now) if _differs(row) else row for row in stored}
     changed = []
     # Without a baseline an absolute limit raised the alarm: where all of them hold again, nothing keeps it.
     for kind, faulty in _SHOWN[Verdict.HEALTHY if finding.within_absolute_limits else finding.verdict]:
@@ -165,8 +165,8 @@ def _begun_anew(connection: Connection, row: Row[Any], now: datetime) -> Row[Any
 
     Nobody can tell any more whether it was acknowledged or shelved, and a window must not be lost for that.
     """
-    kept = ("id", "asset_id", "kind", "checksum")
-    values = {column.name: None for column in alarms.c if column.name not in kept} | _NEVER_RAISED
+    stays = ("id", "asset_id", "kind", "checksum")
+    values = {column.name: None for column in alarms.c if column.name not in stays} | _NEVER_RAISED
     values["checksum"] = row_checks.of_row(alarms, {"asset_id": row.asset_id, "kind": row.kind, **values})
     connection.execute(update(alarms).where(alarms.c.id == row.id).values(values))
     comment = "its row differed from its checksum: it begins anew"
@@ -185,15 +185,15 @@ def _follow_one(
     now: datetime,
 ) -> Followed | None:
     changes: dict[str, Any] = asdict(after) | {"state": after.state.value}
-    told = {}
+    worse = {}
     if after.condition and finding is not None and row.kind == MACHINE:
         before = json.loads(row.raised_by) if row.raised_by and event is not AlarmEvent.RAISE else []
         changes["raised_by"] = json.dumps(sorted({*before, *beyond(finding.indicators, finding.thresholds)}))
     if after.condition and finding is not None:
         worst = severity(finding.indicators, finding.thresholds)
         if event is AlarmEvent.RAISE or row.worst is None or worst >= row.worst:
-            told = {"message": _message(finding), "window_id": window, "worst": worst, "worst_at": now}
-    changes |= told
+            worse = {"message": _message(finding), "window_id": window, "worst": worst, "worst_at": now}
+    changes |= worse
     if event is AlarmEvent.RAISE:
         changes |= {"raised_at": now, "cleared_at": None, "occurrences": row.occurrences + 1}
         if after.state is AlarmState.UNACKNOWLEDGED:
@@ -203,7 +203,7 @@ def _follow_one(
     if event is not None:
         return Followed(_change(connection, row.id, changes, event, by=None, comment=None, now=now))
     changed = _put(connection, row.id, changes)
-    return Followed(_alarm(changed), text_alone=True) if told and changed.message != row.message else None
+    return Followed(_alarm(changed), text_alone=True) if worse and changed.message != row.message else None
 
 
 def _status(row: Row[Any]) -> AlarmStatus:
@@ -225,8 +225,8 @@ def _change(
     row = _put(connection, alarm, changes)
     entry = {"alarm_id": alarm, "at": now, "event": event.value, "state": row.state, "by": by, "comment": comment}
     connection.execute(insert(alarm_journal).values(row_checks.sealed(alarm_journal, entry)))
-    told = {"asset": row.asset_id, "kind": row.kind, "state": row.state, "comment": comment}
-    audit.append(connection, f"alarm {event.value}", f"alarm {alarm}", by=by, now=now, detail=told)
+    detail = {"asset": row.asset_id, "kind": row.kind, "state": row.state, "comment": comment}
+    audit.append(connection, f"alarm {event.value}", f"alarm {alarm}", by=by, now=now, detail=detail)
     changed = _alarm(row)
     outbox.add(connection, changed)
     return changed

@@ -75,7 +75,7 @@ def findings_page(
     if cursor:
         query = query.where(findings.c.id < paging.decode_number(cursor))
     if verdict:  # one that is none was damaged, and is told of
-        query = query.where((findings.c.verdict == verdict) | findings.c.verdict.not_in([each.value for each in Verdict]))
+        query = query.where((findings.c.verdict == verdict) | findings.c.verdict.not_in([member.value for member in Verdict]))
     return paging.page_by_bytes(connection, query, findings.c.id, DOCUMENTS, limit, "id", stored_finding)
 
 
@@ -118,8 +118,8 @@ def indicators(
     columns = (*(findings.c[name] for name in row_checks.SHORT_OF_FINDING), findings.c.checksum)
     newest = select(*columns).where(findings.c.asset_id == asset).order_by(findings.c.id.desc())
     query = newest if span is None else newest.where(findings.c.id.in_(_spread(connection, asset, span, limit)))
-    found = paging.by_bytes(connection, query, findings.c.id, documents, limit, _HISTORY)[0][::-1]
-    rows = [row for row in found if not row_checks.differs(findings, row._mapping)]  # a list of findings tells of them
+    stored = paging.by_bytes(connection, query, findings.c.id, documents, limit, _HISTORY)[0][::-1]
+    rows = [row for row in stored if not row_checks.differs(findings, row._mapping)]  # a list of findings tells of them
     units: dict[str, str] = {}
     for row in rows:
         units |= row.units
@@ -170,12 +170,12 @@ def _asset(row: Row[Any]) -> Asset:
     if not row_checks.differs(assets, known):
         return Asset(known["id"], known["title"], known["diagnoser"], known["created_at"], known["windows"], last)
     damaged = _damaged(f"asset {known['id']}", str(known["diagnoser"]))
-    told = StoredFinding(known["last_finding_id"] or 0, known["id"], 0, known["created_at"], damaged)
-    return Asset(known["id"], known["id"], None, known["created_at"], known["windows"], told)
+    stand_in = StoredFinding(known["last_finding_id"] or 0, known["id"], 0, known["created_at"], damaged)
+    return Asset(known["id"], known["id"], None, known["created_at"], known["windows"], stand_in)
 
 
-def _damaged(what: str, diagnoser: str) -> Finding:
-    return Finding.not_assessable(diagnoser, f"{what}: {row_checks.TELLS}")
+def _damaged(subject: str, diagnoser: str) -> Finding:
+    return Finding.not_assessable(diagnoser, f"{subject}: {row_checks.TELLS}")
 
 
 def stored_finding(row: Row[Any]) -> StoredFinding:

@@ -23,9 +23,9 @@ def references(connection: Connection) -> list[BlockReference]:
 def _queries() -> list[Select[Any]]:
     """The blocks of windows and of records, newest first."""
     queries = []
-    for table, kept in ((windows, windows.c.signal_let_go_at.is_(None)), (records, records.c.id.is_not(None))):
+    for table, has_block in ((windows, windows.c.signal_let_go_at.is_(None)), (records, records.c.id.is_not(None))):
         columns = select(table.c.block_path, table.c.block_checksum, table.c.size_bytes)
-        queries.append(columns.where(kept).order_by(table.c.id.desc()))
+        queries.append(columns.where(has_block).order_by(table.c.id.desc()))
     return queries
 
 

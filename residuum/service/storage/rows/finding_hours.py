@@ -16,14 +16,14 @@ from residuum.service.storage.tables import finding_hours, findings
 from residuum.service.store import FindingHour
 
 
-def add(connection: Connection, gone: Iterable[Row[Any]]) -> None:
+def add(connection: Connection, forgotten: Iterable[Row[Any]]) -> None:
     """Fold findings whose rows go into their hours; what an hour holds already is counted with them."""
     together: dict[tuple[str, datetime], list[Row[Any]]] = defaultdict(list)
-    for row in gone:
+    for row in forgotten:
         together[row.asset_id, row.at.replace(minute=0, second=0, microsecond=0)].append(row)
     for (asset, hour), rows in together.items():
-        here = (finding_hours.c.asset_id == asset) & (finding_hours.c.hour == hour)
-        known = connection.execute(select(finding_hours).where(here)).first()
+        of_hour = (finding_hours.c.asset_id == asset) & (finding_hours.c.hour == hour)
+        known = connection.execute(select(finding_hours).where(of_hour)).first()
         verdicts = dict(known.verdicts) if known else {}
         indicators = dict(known.indicators) if known else {}
         for row in rows:
@@ -39,7 +39,7 @@ def add(connection: Connection, gone: Iterable[Row[Any]]) -> None:
             values = row_checks.sealed(finding_hours, values)
         else:  # it goes on to differ
             values["checksum"] = known.checksum
-        connection.execute(delete(finding_hours).where(here))
+        connection.execute(delete(finding_hours).where(of_hour))
         connection.execute(insert(finding_hours).values(values))
 
 

@@ -21,9 +21,9 @@ def add(connection: Connection, finding: int) -> None:
     _let_go(connection, finding_notices.c.finding_id <= finding - MOST_NOTICES_OF_FINDINGS)
 
 
-def forget(connection: Connection, which: ColumnElement[bool]) -> None:
+def forget(connection: Connection, condition: ColumnElement[bool]) -> None:
     """Let go what waits of findings whose rows are about to go."""
-    _let_go(connection, finding_notices.c.finding_id.in_(select(findings.c.id).where(which)))
+    _let_go(connection, finding_notices.c.finding_id.in_(select(findings.c.id).where(condition)))
 
 
 def waiting(connection: Connection, receiver: str, limit: int) -> Sequence[StoredFinding]:
@@ -33,16 +33,16 @@ def waiting(connection: Connection, receiver: str, limit: int) -> Sequence[Store
     return [stored_finding(row) for row in connection.execute(query)]
 
 
-def told(connection: Connection, receiver: str, which: Collection[int]) -> None:
+def told(connection: Connection, receiver: str, finding_ids: Collection[int]) -> None:
     """The receiver knows these findings."""
     theirs = finding_notices.c.receiver_id == receiver
-    connection.execute(delete(finding_notices).where(theirs, finding_notices.c.finding_id.in_(which)))
+    connection.execute(delete(finding_notices).where(theirs, finding_notices.c.finding_id.in_(finding_ids)))
 
 
-def _let_go(connection: Connection, which: ColumnElement[bool]) -> None:
-    if connection.execute(select(finding_notices.c.finding_id).where(which).limit(1)).first() is None:
+def _let_go(connection: Connection, condition: ColumnElement[bool]) -> None:
+    if connection.execute(select(finding_notices.c.finding_id).where(condition).limit(1)).first() is None:
         return
-    lost = select(func.count()).select_from(finding_notices).where(which, finding_notices.c.receiver_id == receivers.c.id)
+    lost = select(func.count()).select_from(finding_notices).where(condition, finding_notices.c.receiver_id == receivers.c.id)
     total = receivers.c.findings_lost + lost.scalar_subquery()
     connection.execute(update(receivers).where(receivers.c.findings).values(findings_lost=total))
-    connection.execute(delete(finding_notices).where(which))
+    connection.execute(delete(finding_notices).where(condition))

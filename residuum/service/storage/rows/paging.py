@@ -56,17 +56,17 @@ def by_bytes(
 
     The sizes are asked for first: a row's documents as values of Python take ten times their bytes. One row is always given.
     """
-    size: ColumnElement[int] = sum((func.coalesce(func.length(cast(each, Text)), 0) for each in documents), literal(0))
+    size: ColumnElement[int] = sum((func.coalesce(func.length(cast(part, Text)), 0) for part in documents), literal(0))
     sizes = connection.execute(query.with_only_columns(key, size, maintain_column_froms=True).limit(limit + 1)).all()
-    kept: list[Any] = []
+    keys: list[Any] = []
     held = 0
-    for number, each in sizes[:limit]:
-        held += each
-        if kept and held > most:
+    for number, part in sizes[:limit]:
+        held += part
+        if keys and held > most:
             break
-        kept.append(number)
-    rows = connection.execute(query.where(key.in_(kept))).all() if kept else []
-    return rows, len(sizes) > len(kept)
+        keys.append(number)
+    rows = connection.execute(query.where(key.in_(keys))).all() if keys else []
+    return rows, len(sizes) > len(keys)
 
 
 def page_by_bytes(

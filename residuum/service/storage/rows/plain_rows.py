@@ -16,9 +16,9 @@ _AT_ONCE = 500
 
 def tables_of(connection: Connection) -> list[Table]:
     """The tables there are, those that others point to first; without the one that keeps the schema's revision."""
-    there = MetaData()
-    there.reflect(connection)
-    return [table for table in there.sorted_tables if table.name != _VERSION_TABLE]
+    metadata = MetaData()
+    metadata.reflect(connection)
+    return [table for table in metadata.sorted_tables if table.name != _VERSION_TABLE]
 
 
 def lines(connection: Connection, table: Table) -> Iterator[bytes]:
@@ -28,11 +28,11 @@ def lines(connection: Connection, table: Table) -> Iterator[bytes]:
         yield orjson.dumps({str(name): _plain(value) for name, value in row.items()}) + b"\n"
 
 
-def insert_lines(connection: Connection, table: Table, found: Iterable[bytes]) -> None:
+def insert_lines(connection: Connection, table: Table, row_lines: Iterable[bytes]) -> None:
     """Insert rows that `lines` gave, and let the database count its numbers on from there."""
     kinds = {column.name: column.type.python_type for column in table.columns}
     batch = []
-    for line in found:
+    for line in row_lines:
         batch.append({name: _back(value, kinds[name]) for name, value in orjson.loads(line).items()})
         if len(batch) == _AT_ONCE:
             connection.execute(insert(table), batch)

@@ -92,12 +92,12 @@ def change(connection: Connection, table: Table, key: Any, changes: Callable[[Ma
 
     The row is held from before it is read until the transaction ends: nobody changes it between its values and their checksum.
     """
-    here = table.c.id == key
-    before = connection.execute(select(table).where(here).with_for_update()).one()._mapping
+    of_key = table.c.id == key
+    before = connection.execute(select(table).where(of_key).with_for_update()).one()._mapping
     new = changes(before)
     if not differs(table, before):
         new[_own(table)] = of_row(table, {**before, **new})
-    return connection.execute(update(table).where(here).values(new).returning(table)).one()
+    return connection.execute(update(table).where(of_key).values(new).returning(table)).one()
 
 
 def labelled(table: Table) -> list[Label[Any]]:
@@ -110,9 +110,9 @@ def of_labelled(table: Table, row: Row[Any]) -> dict[str, Any]:
     return {column.name: row._mapping[f"{table.name}_{column.name}"] for column in table.columns}
 
 
-def refuse(what: str) -> StorageUnavailable:
+def refuse(subject: str) -> StorageUnavailable:
     """That something cannot be answered with."""
-    return StorageUnavailable(f"database: {what}: {TELLS}")
+    return StorageUnavailable(f"database: {subject}: {TELLS}")
 
 
 def _own(table: Table) -> str:
@@ -137,9 +137,9 @@ def seal_rows_of_old(connection: Connection, revision: str) -> None:
     for table in (table for table, (since, _) in SEALED.items() if revision < since):
         own, numbers = table.c[_own(table)], list(table.primary_key)
         for key in connection.execute(select(*numbers).where(own.is_(None))).all():
-            here = [column == value for column, value in zip(numbers, key, strict=True)]
-            row = connection.execute(select(table).where(*here)).one()
-            connection.execute(update(table).where(*here).values({own: of_row(table, row._mapping)}))
+            of_key = [column == value for column, value in zip(numbers, key, strict=True)]
+            row = connection.execute(select(table).where(*of_key)).one()
+            connection.execute(update(table).where(*of_key).values({own: of_row(table, row._mapping)}))
 
 
 def plain(value: Any) -> Any:
@@ -149,9 +149,9 @@ def plain(value: Any) -> Any:
     if isinstance(value, int | float) and not isinstance(value, bool):
         return repr(float(value) + 0.0) if abs(value) < 1e300 else str(value)
     if isinstance(value, Mapping):
-        return {str(name): plain(each) for name, each in value.items()}
+        return {str(name): plain(entry) for name, entry in value.items()}
     if isinstance(value, list | tuple):
-        return [plain(each) for each in value]
+        return [plain(entry) for entry in value]
     return value
 
 
@@ -192,7 +192,7 @@ def check_rows(connection: Connection, pause: float = 0.0) -> RowCheck:
             says = list(ask(row)) if ask else []
             if differs(table, row._mapping):
                 says.append("its row differs from its checksum")
-            wrong += (f"{name.format_map(row._mapping)}: {each}" for each in says)
+            wrong += (f"{name.format_map(row._mapping)}: {remark}" for remark in says)
     return RowCheck(rows, wrong)
 
 
@@ -241,9 +241,9 @@ def _version(row: Row[Any]) -> Says:
         yield "its content differs from its checksum"
 
 
-def _of_each(row: Table, says: ColumnElement[Any], which: ColumnElement[bool]) -> ScalarSelect[Any]:
+def _of_each(row: Table, says: ColumnElement[Any], where: ColumnElement[bool]) -> ScalarSelect[Any]:
     """What the rows of another table come to that belong to a row."""
-    return select(says).where(which).correlate(row).scalar_subquery()
+    return select(says).where(where).correlate(row).scalar_subquery()
 
 
 _judged = _of_each(windows, func.count(findings.c.id), findings.c.window_id == windows.c.id)
