@@ -24,7 +24,10 @@ class BuildWithPages(build_py):
             from mkdocs.commands.build import build  # noqa: PLC0415
             from mkdocs.config import load_config  # noqa: PLC0415
         except ModuleNotFoundError:
-            self.announce("mkdocs-material is not installed: the package is built without the pages of docs/", level=3)
+            self.announce(
+                "mkdocs-material is not installed: the package is built without the pages of docs/",
+                level=3,
+            )
             return
         config = load_config(str(PAGES))
         config.plugins.run_event("startup", command="build", dirty=False)

@@ -27,7 +27,9 @@ BENCHMARKS: dict[str, str] = {
 def main() -> None:
     names = sys.argv[1:] or list(BENCHMARKS)
     if unknown := [name for name in names if name not in BENCHMARKS]:
-        sys.exit(f"benchmark {unknown[0]!r}: there is none of this name; known are {', '.join(BENCHMARKS)}")
+        sys.exit(
+            f"benchmark {unknown[0]!r}: there is none of this name; known are {', '.join(BENCHMARKS)}"
+        )
     for name in names:
         import_module(f"benchmarks.{name}").main()
 

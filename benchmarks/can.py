@@ -53,10 +53,15 @@ PATIENCE = 60.0
 def healthy_gate() -> tuple[Diagnoser, dict[str, npt.NDArray[np.float64]]]:
     """A trained diagnoser, and one healthy movement with its pause, at the stream's rate."""
     example = DIAGNOSERS["gate-actuator"].examples()[0]
-    judge = DIAGNOSERS["gate-actuator"]().fit([_at_bus_rate(record) for record in example.training], example.labels)
+    judge = DIAGNOSERS["gate-actuator"]().fit(
+        [_at_bus_rate(record) for record in example.training], example.labels
+    )
     movement = _at_bus_rate(example.healthy[0])
     still = {"speed": 0.0, "current": 0.0, "voltage": 0.0, "phase": 0.0}
-    return judge, {name: np.concatenate([np.full(PAUSE, value), movement[name]]) for name, value in still.items()}
+    return judge, {
+        name: np.concatenate([np.full(PAUSE, value), movement[name]])
+        for name, value in still.items()
+    }
 
 
 def _at_bus_rate(record: Record) -> Record:
@@ -81,9 +86,13 @@ class Bus:
         self.eras: list[int] = [0]
         self._offset = self._next = self._frames = 0
         self.blocks: list[Block] = []
-        settings = SourceSettings(kind="can", channel=f"virtual:{uuid.uuid4()}", map="gate_actuator.dbc")
+        settings = SourceSettings(
+            kind="can", channel=f"virtual:{uuid.uuid4()}", map="gate_actuator.dbc"
+        )
         self.source = SOURCES["can"](settings, self._take)
-        self.source._clock = lambda: 0.0  # frames come faster than they would be made; a pause here is no silent sender
+        self.source._clock = lambda: (
+            0.0
+        )  # frames come faster than they would be made; a pause here is no silent sender
         self.source.start()
         self._bus = open_bus(settings.channel)
         self._wait(lambda: self.source._bus is not None)
@@ -127,7 +136,11 @@ class Bus:
             waiting.append(np.arange(at, slot))
             if of_bus:
                 self.send(np.concatenate(waiting))
-                waiting, at = [], slot + self._bus_fault(str(rng.choice(BUS_FAULTS, p=[0.45, 0.45, 0.1])), slot, rng)
+                waiting, at = (
+                    [],
+                    slot
+                    + self._bus_fault(str(rng.choice(BUS_FAULTS, p=[0.45, 0.45, 0.1])), slot, rng),
+                )
             else:
                 piece, at = self._sample_fault(str(rng.choice(SAMPLE_FAULTS)), slot, rng)
                 waiting.append(piece)
@@ -190,7 +203,13 @@ class Places:
 
     def eras(self, start: int, stop: int) -> int:
         """Eras between two numbers."""
-        return int(np.searchsorted(self._begin, stop - 1, side="right") - np.searchsorted(self._begin, start, side="right")) + 1
+        return (
+            int(
+                np.searchsorted(self._begin, stop - 1, side="right")
+                - np.searchsorted(self._begin, start, side="right")
+            )
+            + 1
+        )
 
 
 def campaign(faults: int, seed: int = 0) -> dict[str, Any]:
@@ -207,7 +226,9 @@ def campaign(faults: int, seed: int = 0) -> dict[str, Any]:
         bus.settle()
     finally:
         bus.stop()
-    counted = {name: times for name, times in bus.source.health.snapshot()["counters"].items() if times}
+    counted = {
+        name: times for name, times in bus.source.health.snapshot()["counters"].items() if times
+    }
     places = Places(bus)
     wrong = sum(_wrong_samples(bus, places, block) for block in bus.blocks)
     sent = np.concatenate(bus.sent)
@@ -216,8 +237,13 @@ def campaign(faults: int, seed: int = 0) -> dict[str, Any]:
         "of each kind": dict(bus.done),
         "frames": bus._frames,
         "counted": counted,
-        "counted wrongly": sum(abs(counted.get(name, 0) - bus.expected[name]) for name in {*counted, *bus.expected}),
-        "wrong samples": wrong + len(places.came) - len(np.unique(places.came)) + abs(len(places.came) - len(sent)),
+        "counted wrongly": sum(
+            abs(counted.get(name, 0) - bus.expected[name]) for name in {*counted, *bus.expected}
+        ),
+        "wrong samples": wrong
+        + len(places.came)
+        - len(np.unique(places.came))
+        + abs(len(places.came) - len(sent)),
         **_windows(bus, places, judge),
     }
 
@@ -232,11 +258,15 @@ def _windows(bus: Bus, places: Places, judge: Diagnoser) -> dict[str, int]:
     """Cut and judge what came; a window that does not hold exactly what came is counted as wrong."""
     cutter = make_cutter(WindowSettings(cut="movement"), bus.source.streams[:1], "gate")
     cut: Sequence[Record] = [window for block in bus.blocks for window in cutter.push(block)]
-    found = Counter({"windows wrong": 0, "windows across a jump": 0, "windows with a hole, healthy": 0})
+    found = Counter(
+        {"windows wrong": 0, "windows across a jump": 0, "windows with a hole, healthy": 0}
+    )
     for window in cut:
         start = round(window.t0 / window.sample_time)
         number = np.arange(start, start + window.n)
-        came = np.isin(number, places.came[slice(*np.searchsorted(places.came, [start, start + window.n]))])
+        came = np.isin(
+            number, places.came[slice(*np.searchsorted(places.came, [start, start + window.n]))]
+        )
         found["windows wrong"] += not np.array_equal(came, ~window.missing("speed"))
         found["windows across a jump"] += places.eras(start, start + window.n) > 1
         healthy = judge.score(window).verdict == "healthy"
@@ -254,7 +284,13 @@ def main() -> None:
     found = campaign(given.faults, given.seed)
     for what, figure in found.items():
         print(f"{what:<30}{figure}")
-    bad = ("counted wrongly", "wrong samples", "windows wrong", "windows across a jump", "windows with a hole, healthy")
+    bad = (
+        "counted wrongly",
+        "wrong samples",
+        "windows wrong",
+        "windows across a jump",
+        "windows with a hole, healthy",
+    )
     if any(found[what] for what in bad):
         sys.exit(1)
 

@@ -6,10 +6,22 @@ import subprocess
 from pathlib import Path
 
 OPENSSL = "openssl"
-_NEW = ["req", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes", "-days", "2", "-subj"]
+_NEW = [
+    "req",
+    "-newkey",
+    "ec",
+    "-pkeyopt",
+    "ec_paramgen_curve:prime256v1",
+    "-nodes",
+    "-days",
+    "2",
+    "-subj",
+]
 
 
-def certificate_and_key(folder: Path, name: str = "localhost", *, by: tuple[Path, Path] | None = None) -> tuple[Path, Path]:
+def certificate_and_key(
+    folder: Path, name: str = "localhost", *, by: tuple[Path, Path] | None = None
+) -> tuple[Path, Path]:
     """PEM files of a certificate for a name and this computer, and its key; signed `by` an authority's, or by itself.
 
     Raises FileNotFoundError where OpenSSL is not installed.

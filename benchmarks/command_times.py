@@ -13,7 +13,18 @@ from pathlib import Path
 
 TURNS = 7
 RECORD = "drive.csv"
-MADE = ["simulate", "gate-drive", "--profile", "rich", "--effect", "coulomb-friction", "--duration", "30", "--seed", "4"]
+MADE = [
+    "simulate",
+    "gate-drive",
+    "--profile",
+    "rich",
+    "--effect",
+    "coulomb-friction",
+    "--duration",
+    "30",
+    "--seed",
+    "4",
+]
 JOBS = {
     "import residuum": ["-c", "import residuum"],
     "residuum effects": ["-m", "residuum", "effects"],
@@ -26,7 +37,13 @@ def seconds(tree: Path, arguments: list[str], folder: str) -> float:
     """Processor time of one run, its threads included."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     environment = {**os.environ, "PYTHONPATH": str(tree)}
-    subprocess.run([sys.executable, *arguments], cwd=folder, env=environment, stdout=subprocess.DEVNULL, check=True)
+    subprocess.run(
+        [sys.executable, *arguments],
+        cwd=folder,
+        env=environment,
+        stdout=subprocess.DEVNULL,
+        check=True,
+    )
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
@@ -39,9 +56,15 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         seconds(trees[0], ["-m", "residuum", *MADE, "--out", RECORD], folder)
         for job, arguments in JOBS.items():
-            runs = [[seconds(tree, arguments, folder) for tree in trees] for _ in range(TURNS + 1)][1:]
+            runs = [[seconds(tree, arguments, folder) for tree in trees] for _ in range(TURNS + 1)][
+                1:
+            ]
             medians = [statistics.median(column) for column in zip(*runs, strict=True)]
-            print(f"| `{job}` |", " | ".join(f"{m:.2f}" for m in medians), f"| {medians[0] / medians[-1]:.1f} |")
+            print(
+                f"| `{job}` |",
+                " | ".join(f"{m:.2f}" for m in medians),
+                f"| {medians[0] / medians[-1]:.1f} |",
+            )
 
 
 if __name__ == "__main__":

@@ -26,7 +26,13 @@ import numpy.typing as npt
 import residuum as rs
 from benchmarks import drawn_answers
 from residuum.identification.errors import BadInput
-from residuum.identification.physics import Experiment, PhysicalModel, Simulator, candidates, read_model
+from residuum.identification.physics import (
+    Experiment,
+    PhysicalModel,
+    Simulator,
+    candidates,
+    read_model,
+)
 from residuum.identification.record import Record
 from residuum.identification.record_formats.loggers.logger_file import understand
 from residuum.identification.record_formats.loggers.logger_mapping import parse_logger
@@ -39,7 +45,9 @@ NOISE = (0.002, 0.02, 0.1)
 CODES = (-127.0, 85.0, -999.9, 850.0)
 
 
-def drawn(seed: int, parts: int, samples: int) -> tuple[str, PhysicalModel, dict[str, Array], dict[str, str], float]:
+def drawn(
+    seed: int, parts: int, samples: int
+) -> tuple[str, PhysicalModel, dict[str, Array], dict[str, str], float]:
     """A model file's text, the machine, its channels, their units and the sample time."""
     rng = np.random.default_rng(seed)
     while True:
@@ -47,9 +55,16 @@ def drawn(seed: int, parts: int, samples: int) -> tuple[str, PhysicalModel, dict
         model = read_model(text)
         machine = drawn_answers._perturbed(rng, model)
         n = int(rng.integers(FEWEST_SAMPLES, samples))
-        U = np.column_stack([np.zeros((n, 0)), *(drawn_answers._profile(rng, n, drive[name]) for name in machine.inputs)])
+        U = np.column_stack(
+            [
+                np.zeros((n, 0)),
+                *(drawn_answers._profile(rng, n, drive[name]) for name in machine.inputs),
+            ]
+        )
         run = Simulator(machine).run(
-            Experiment(U, np.full((n, len(machine.outputs)), np.nan), np.zeros(len(machine.inputs)), step)
+            Experiment(
+                U, np.full((n, len(machine.outputs)), np.nan), np.zeros(len(machine.inputs)), step
+            )
         )
         if (
             not run.finite
@@ -60,12 +75,20 @@ def drawn(seed: int, parts: int, samples: int) -> tuple[str, PhysicalModel, dict
         size = np.std(run.Y, axis=0)
         Y = run.Y + float(rng.choice(NOISE)) * size * rng.normal(size=run.Y.shape)
         signals = [*machine.inputs.items(), *machine.outputs.items()]
-        channels = {name: np.column_stack([U, Y])[:, k].copy() for k, (name, _) in enumerate(signals)}
+        channels = {
+            name: np.column_stack([U, Y])[:, k].copy() for k, (name, _) in enumerate(signals)
+        }
         return text, machine, channels, {name: signal.unit for name, signal in signals}, step
 
 
 def recorded(
-    seed: int, fault: str, machine: PhysicalModel, channels: dict[str, Array], units: dict[str, str], step: float, folder: Path
+    seed: int,
+    fault: str,
+    machine: PhysicalModel,
+    channels: dict[str, Array],
+    units: dict[str, str],
+    step: float,
+    folder: Path,
 ) -> Sequence[Record]:
     """The record with its fault, as a user gets it: through a file where time is at fault."""
     rng = np.random.default_rng([seed, 1])
@@ -74,7 +97,9 @@ def recorded(
     if fault == "outliers":
         rows = rng.choice(n, 12, replace=False)
         far = 30.0 * np.std(channels[name]) * rng.choice([-1.0, 1.0], 12)
-        channels[name][rows] = channels[name][rows] + far if rng.random() < 0.5 else float(rng.choice(CODES))
+        channels[name][rows] = (
+            channels[name][rows] + far if rng.random() < 0.5 else float(rng.choice(CODES))
+        )
     if fault == "held":
         begin, length = int(rng.integers(n // 10, n // 2)), int(rng.integers(n // 20, n // 6))
         channels[name][begin : begin + length] = channels[name][begin]
@@ -84,26 +109,42 @@ def recorded(
     if fault == "clock":
         stamps = [f"{x:.9g}" for x in t * 1.0002 + 0.02 * step * rng.normal(size=n)]
         return [rs.read(_written(folder, stamps, "time [s]", channels, units), resample=True)]
-    change = datetime.datetime(2024, 3, 31, 2) if fault == "summer time begins" else datetime.datetime(2024, 10, 27, 3)
+    change = (
+        datetime.datetime(2024, 3, 31, 2)
+        if fault == "summer time begins"
+        else datetime.datetime(2024, 10, 27, 3)
+    )
     middle = t[int(rng.integers(n // 4, 3 * n // 4))]
     hour = datetime.timedelta(hours=1 if fault == "summer time begins" else -1)
-    local = [change + datetime.timedelta(seconds=x - middle) + (hour if x >= middle else 0 * hour) for x in t]
+    local = [
+        change + datetime.timedelta(seconds=x - middle) + (hour if x >= middle else 0 * hour)
+        for x in t
+    ]
     path = _written(folder, [f"{at:%Y-%m-%d %H:%M:%S.%f}" for at in local], "time", channels, units)
     content = path.read_bytes()
     mapping = understand(content, str(path)).mapping
     return [parse_logger(content, str(path), replace(mapping, reordered="bridge"))]
 
 
-def _written(folder: Path, stamps: list[str], head: str, channels: dict[str, Array], units: dict[str, str]) -> Path:
+def _written(
+    folder: Path, stamps: list[str], head: str, channels: dict[str, Array], units: dict[str, str]
+) -> Path:
     names = [f"{name} [{units[name]}]" if units[name] else name for name in channels]
-    rows = zip(stamps, *([f"{x:.12g}" for x in values] for values in channels.values()), strict=True)
+    rows = zip(
+        stamps, *([f"{x:.12g}" for x in values] for values in channels.values()), strict=True
+    )
     path = folder / "record.csv"
-    path.write_text("\n".join([",".join([head, *names]), *(",".join(row) for row in rows)]) + "\n", encoding="utf-8")
+    path.write_text(
+        "\n".join([",".join([head, *names]), *(",".join(row) for row in rows)]) + "\n",
+        encoding="utf-8",
+    )
     return path
 
 
 def main() -> None:
-    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    arguments = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     arguments.add_argument("--first", type=int, default=0)
     arguments.add_argument("--count", type=int, default=100)
     arguments.add_argument("--effects", type=int, default=0)
@@ -125,7 +166,11 @@ def judged(seed: int, fault: str, effects: int, samples: int, parts: int) -> str
     """`none` where nothing is said to be missing, `unknown`, `blamed` with the effects, or `refused` with the reason."""
     text, machine, channels, units, step = drawn(seed, parts, samples)
     there = sorted({key.effect for key in candidates(machine)})
-    wanted = [str(id) for id in np.random.default_rng(seed).permutation(there)[:effects]] if effects else None
+    wanted = (
+        [str(id) for id in np.random.default_rng(seed).permutation(there)[:effects]]
+        if effects
+        else None
+    )
     with tempfile.TemporaryDirectory() as folder:
         records = recorded(seed, fault, machine, channels, units, step, Path(folder))
     try:
@@ -133,10 +178,18 @@ def judged(seed: int, fault: str, effects: int, samples: int, parts: int) -> str
     except BadInput as error:
         return f"refused {error}"
     said = why.to_dict()
-    named = [f"{c['effect']}@{c['balance']} {c['probability']:.2f}" for c in said["candidates"] if c["probability"] > 0.5]
+    named = [
+        f"{c['effect']}@{c['balance']} {c['probability']:.2f}"
+        for c in said["candidates"]
+        if c["probability"] > 0.5
+    ]
     if named:
         return f"blamed {named}"
-    return "none" if said["probability_nothing_missing"] > 0.5 else f"unknown {said['probability_unknown_effect']:.2f}"
+    return (
+        "none"
+        if said["probability_nothing_missing"] > 0.5
+        else f"unknown {said['probability_unknown_effect']:.2f}"
+    )
 
 
 if __name__ == "__main__":

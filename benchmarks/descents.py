@@ -13,9 +13,19 @@ from scipy.optimize import least_squares
 import residuum as rs
 from residuum.identification.physics.estimation import estimation
 
-MACHINES = {"gate-drive": 20.0, "oscillator": 20.0, "two-tanks": 600.0, "oven": 600.0, "process": 600.0}
+MACHINES = {
+    "gate-drive": 20.0,
+    "oscillator": 20.0,
+    "two-tanks": 600.0,
+    "oven": 600.0,
+    "process": 600.0,
+}
 """Machine → seconds of its record."""
-ESTIMATION: Any = next(each for each in vars(estimation).values() if isinstance(each, type) and hasattr(each, "_descend"))
+ESTIMATION: Any = next(
+    each
+    for each in vars(estimation).values()
+    if isinstance(each, type) and hasattr(each, "_descend")
+)
 
 
 class Residuals:
@@ -27,7 +37,9 @@ class Residuals:
         self._at: tuple[bytes, Any] = (b"", None)
 
     def vector(self) -> np.ndarray:
-        return np.concatenate([self._begin.theta, *(x0[self._of.state_index] for x0 in self._begin.initial)])
+        return np.concatenate(
+            [self._begin.theta, *(x0[self._of.state_index] for x0 in self._begin.initial)]
+        )
 
     def parted(self, x: np.ndarray) -> tuple[np.ndarray, list[np.ndarray]]:
         initial = [x0.copy() for x0 in self._begin.initial]
@@ -45,7 +57,10 @@ class Residuals:
                 J[:, : self._q] = slopes[:, : self._q]
                 J[:, self._q + k * self._s : self._q + (k + 1) * self._s] = slopes[:, self._q :]
                 blocks.append((-r, J))
-            self._at = x.tobytes(), (np.concatenate([r for r, _ in blocks]), np.vstack([J for _, J in blocks]))
+            self._at = (
+                x.tobytes(),
+                (np.concatenate([r for r, _ in blocks]), np.vstack([J for _, J in blocks])),
+            )
         return self._at[1]
 
 
@@ -76,7 +91,9 @@ def main() -> None:
                 model = rs.model(machine).estimate(record).model
                 took = time.process_time() - begin
             outputs = model.compare(record).to_dict()["outputs"]
-            cells.append((f"{1e3 * took:.0f}", ", ".join(f"{each['rmse']:.8g}" for each in outputs.values())))
+            cells.append(
+                (f"{1e3 * took:.0f}", ", ".join(f"{each['rmse']:.8g}" for each in outputs.values()))
+            )
         print(f"| {machine} | {cells[0][0]} | {cells[1][0]} | {cells[0][1]} | {cells[1][1]} |")
 
 

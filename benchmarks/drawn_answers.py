@@ -25,7 +25,14 @@ import numpy.typing as npt
 
 import residuum as rs
 from residuum.identification.errors import BadInput
-from residuum.identification.physics import Experiment, Key, PhysicalModel, Simulator, candidates, read_model
+from residuum.identification.physics import (
+    Experiment,
+    Key,
+    PhysicalModel,
+    Simulator,
+    candidates,
+    read_model,
+)
 from residuum.identification.record import Record
 
 Array = npt.NDArray[np.float64]
@@ -142,16 +149,23 @@ def drawn(seed: int, effects: int = 0, samples: int = MOST_SAMPLES, parts: int =
         truth = _with(_perturbed(rng, model), inside)
         hidden = next(iter(_some(rng, truth, int(rng.random() < 0.6))), None)
         machine = _with(truth, () if hidden is None else (hidden,))
-        records = [_recorded(rng, machine, drive, step, samples, k) for k in range(int(rng.choice([1, 1, 2, 3])))]
+        records = [
+            _recorded(rng, machine, drive, step, samples, k)
+            for k in range(int(rng.choice([1, 1, 2, 3])))
+        ]
         if all(record is not None for record in records):
-            there = sorted({key.effect for key in candidates(model)} | {key.effect for key in inside})
+            there = sorted(
+                {key.effect for key in candidates(model)} | {key.effect for key in inside}
+            )
             wanted = [str(id) for id in rng.permutation(there)[:effects]] if effects else None
             return Drawn(text, inside, hidden, [r for r in records if r is not None], wanted)
 
 
 def _machine(rng: np.random.Generator, parts: int) -> tuple[str, dict[str, float], float]:
     """A model file's text, how strongly each input drives, and the sample time of the fastest part."""
-    names = [str(name) for name in rng.choice(list(BALANCES), min(int(rng.choice([1, 1, 2, 3])), parts))]
+    names = [
+        str(name) for name in rng.choice(list(BALANCES), min(int(rng.choice([1, 1, 2, 3])), parts))
+    ]
     sections: dict[str, list[str]] = {name: [] for name in _SECTIONS}
     drive = {}
     for i, name in enumerate(names):
@@ -160,21 +174,31 @@ def _machine(rng: np.random.Generator, parts: int) -> tuple[str, dict[str, float
         said = {
             "inputs": [f"u{i}: {part.unit}"] if driven else [],
             "states": [f"{n}: {s}" for n, s in part.states.items()],
-            "parameters": [f"{n}: {{value: {v}, unit: {unit}, lower: 0}}" for n, (v, unit) in part.parameters.items()],
+            "parameters": [
+                f"{n}: {{value: {v}, unit: {unit}, lower: 0}}"
+                for n, (v, unit) in part.parameters.items()
+            ],
             "balances": [part.balances if driven else _DRIVE.sub("", part.balances)],
             "outputs": [f"{n}: {{value: {v}, unit: {unit}}}" for n, (v, unit) in seen],
             "initial": [f"{n}: {v}" for n, v in part.initial.items()],
         }
         for section, lines in said.items():
-            sections[section] += [line.replace("{i}", str(i)).replace("{u}", f"u{i}") for line in lines]
+            sections[section] += [
+                line.replace("{i}", str(i)).replace("{u}", f"u{i}") for line in lines
+            ]
         if driven:
             drive[f"u{i}"] = part.drive
-    text = "\n".join(f"{name}:\n  " + "\n  ".join(lines) if lines else f"{name}: {{}}" for name, lines in sections.items())
+    text = "\n".join(
+        f"{name}:\n  " + "\n  ".join(lines) if lines else f"{name}: {{}}"
+        for name, lines in sections.items()
+    )
     return f"name: drawn\n{text}\n", drive, min(BALANCES[name].sample_time for name in names)
 
 
 def _perturbed(rng: np.random.Generator, model: PhysicalModel) -> PhysicalModel:
-    return model.with_values({n: v * float(rng.uniform(0.8, 1.25)) for n, v in model.values.items() if n[0] not in "A"})
+    return model.with_values(
+        {n: v * float(rng.uniform(0.8, 1.25)) for n, v in model.values.items() if n[0] not in "A"}
+    )
 
 
 def _some(rng: np.random.Generator, model: PhysicalModel, count: int) -> list[Key]:
@@ -204,12 +228,21 @@ def _profile(rng: np.random.Generator, n: int, amplitude: float) -> Array:
 
 
 def _recorded(
-    rng: np.random.Generator, machine: PhysicalModel, drive: Mapping[str, float], step: float, samples: int, number: int
+    rng: np.random.Generator,
+    machine: PhysicalModel,
+    drive: Mapping[str, float],
+    step: float,
+    samples: int,
+    number: int,
 ) -> Record | None:
     """One record of the machine as it comes; None where the machine runs away."""
     n = int(np.exp(rng.uniform(np.log(FEWEST_SAMPLES), np.log(samples))))
-    U = np.column_stack([np.zeros((n, 0)), *(_profile(rng, n, drive[name]) for name in machine.inputs)])
-    experiment = Experiment(U, np.full((n, len(machine.outputs)), np.nan), np.zeros(len(machine.inputs)), step)
+    U = np.column_stack(
+        [np.zeros((n, 0)), *(_profile(rng, n, drive[name]) for name in machine.inputs)]
+    )
+    experiment = Experiment(
+        U, np.full((n, len(machine.outputs)), np.nan), np.zeros(len(machine.inputs)), step
+    )
     run = Simulator(machine).run(experiment)
     if not run.finite or not np.all(np.abs(run.Y) < LIMIT):
         return None
@@ -220,7 +253,9 @@ def _recorded(
         noise = rng.normal(size=n)
         coloured = noise if rng.random() < 0.7 else np.cumsum(noise) / np.sqrt(n)
         y = y + size * float(rng.choice([0.0, 0.002, 0.02, 0.1])) * coloured
-        habit = rng.choice(["plain", "plain", "plain", "holes", "still", "drift", "spikes", "rounded", "held"])
+        habit = rng.choice(
+            ["plain", "plain", "plain", "holes", "still", "drift", "spikes", "rounded", "held"]
+        )
         at = rng.integers(0, n, max(n // 30, 1))
         if habit == "holes":
             y[at] = np.nan
@@ -235,8 +270,12 @@ def _recorded(
         elif habit == "held":
             y[n // 3 : n // 2] = y[n // 3]
         channels[name] = y
-    units = {name: signal.unit for name, signal in [*machine.inputs.items(), *machine.outputs.items()]}
-    return Record({name: np.asarray(v) for name, v in channels.items()}, units, step, source=f"drawn {number}")
+    units = {
+        name: signal.unit for name, signal in [*machine.inputs.items(), *machine.outputs.items()]
+    }
+    return Record(
+        {name: np.asarray(v) for name, v in channels.items()}, units, step, source=f"drawn {number}"
+    )
 
 
 def broken(case: Drawn, answers: Mapping[str, Any]) -> Iterator[str]:
@@ -244,7 +283,11 @@ def broken(case: Drawn, answers: Mapping[str, Any]) -> Iterator[str]:
     for name, answer in answers.items():
         yield from (f"{name}: {what}" for what in _no_number(answer.to_dict()))
         text = str(answer)
-        yield from (f"{name}: prints {word}" for word in ("nan", "inf ", "1j") if word in text.lower().split())
+        yield from (
+            f"{name}: prints {word}"
+            for word in ("nan", "inf ", "1j")
+            if word in text.lower().split()
+        )
     if (why := answers.get("explain")) is not None:
         said = why.to_dict()
         total = said["probability_nothing_missing"] + said["probability_unknown_effect"]
@@ -288,7 +331,9 @@ def asked(case: Drawn) -> tuple[dict[str, Any], dict[str, str]]:
 
 
 def main() -> None:
-    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    arguments = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     arguments.add_argument("--first", type=int, default=0)
     arguments.add_argument("--count", type=int, default=100)
     arguments.add_argument("--effects", type=int, default=5)
@@ -306,7 +351,10 @@ def main() -> None:
             print(f"seed {seed}: FAULT\n{traceback.format_exc()}", flush=True)
         told += bool(wrong)
         what = f"{[r.n for r in case.records]} samples, hidden {case.hidden}, inside {[str(k) for k in case.inside]}"
-        print(f"seed {seed}: {what}, {len(answers)} answers, {time.process_time() - began:.1f} s {refused or ''}", flush=True)
+        print(
+            f"seed {seed}: {what}, {len(answers)} answers, {time.process_time() - began:.1f} s {refused or ''}",
+            flush=True,
+        )
         for line in wrong:
             print(f"  BROKEN {line}", flush=True)
     print(f"{given.count} cases: {faults} faults, {told} with a broken rule")

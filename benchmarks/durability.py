@@ -56,7 +56,9 @@ PATIENCE = 120.0
 def serve(data: str, url: str, port: int) -> None:
     """Be the service until killed; it judges these windows itself, and a server of workers would be that of this benchmark."""
     worker_pool._begin_server = threading.Event
-    app = create_app(load_settings(data=Path(data), database=url, port=port, workers=1, log_level="error"))
+    app = create_app(
+        load_settings(data=Path(data), database=url, port=port, workers=1, log_level="error")
+    )
     uvicorn.run(app, port=port, log_config=None, access_log=False)
 
 
@@ -74,7 +76,10 @@ class Client(threading.Thread):
         connection = HTTPConnection("127.0.0.1", self._port, timeout=30)
         again = False
         while not self._stopping.is_set():
-            headers = {"Content-Type": "application/octet-stream", "Idempotency-Key": f"key-{self._number}"}
+            headers = {
+                "Content-Type": "application/octet-stream",
+                "Idempotency-Key": f"key-{self._number}",
+            }
             try:
                 connection.request("POST", PATH, _npy(self._number), headers)
                 answer = connection.getresponse()
@@ -109,7 +114,9 @@ def hundred(url: str | None, kills: int, per_kill: int, seed: int) -> dict[str, 
         for client in clients:
             client.start()
         for _ in range(kills):
-            process = context.Process(target=serve, args=(name, url, port))  # no daemon: it has workers
+            process = context.Process(
+                target=serve, args=(name, url, port)
+            )  # no daemon: it has workers
             process.start()
             try:
                 _wait(process, clients, moments, per_kill)
@@ -123,7 +130,9 @@ def hundred(url: str | None, kills: int, per_kill: int, seed: int) -> dict[str, 
         return {"kills": kills} | found
 
 
-def _wait(process: BaseProcess, clients: list[Client], moments: random.Random, per_kill: int) -> None:
+def _wait(
+    process: BaseProcess, clients: list[Client], moments: random.Random, per_kill: int
+) -> None:
     """Return at the moment of the next kill."""
     if moments.random() < AT_START:
         time.sleep(moments.uniform(0.0, 0.5))
@@ -133,7 +142,9 @@ def _wait(process: BaseProcess, clients: list[Client], moments: random.Random, p
         end = time.monotonic() + PATIENCE
         while answers(clients) < enough:
             if time.monotonic() > end or not process.is_alive():
-                raise RuntimeError(f"the service does not answer: {[dict(client.outcomes) for client in clients]}")
+                raise RuntimeError(
+                    f"the service does not answer: {[dict(client.outcomes) for client in clients]}"
+                )
             time.sleep(0.001)
 
 
@@ -144,11 +155,16 @@ def answers(clients: list[Client]) -> int:
 
 def count(folder: Path, url: str, clients: list[Client]) -> dict[str, int]:
     """What became of the acknowledged windows, and of the rest on the disk."""
-    acknowledged = {number: window for client in clients for number, window in client.answered.items()}
+    acknowledged = {
+        number: window for client in clients for number, window in client.answered.items()
+    }
     outcomes = sum((client.outcomes for client in clients), Counter[str]())
     store, database, blocks = DiskStore(folder, url), Database(url), Blocks(folder / "blocks")
     with database.read() as connection:
-        kept = {row.idempotency_key: row.id for row in connection.execute(select(windows.c.id, windows.c.idempotency_key)).all()}
+        kept = {
+            row.idempotency_key: row.id
+            for row in connection.execute(select(windows.c.id, windows.c.idempotency_key)).all()
+        }
         rows = connection.scalar(select(func.count()).select_from(windows)) or 0
         judged = connection.scalar(select(func.count(func.distinct(findings.c.window_id)))) or 0
         judgements = connection.scalar(select(func.count()).select_from(findings)) or 0
@@ -157,7 +173,10 @@ def count(folder: Path, url: str, clients: list[Client]) -> dict[str, int]:
         damage = _damage(database, connection)
     lost = 0
     for number, window in acknowledged.items():
-        lost += not (kept.get(f"key-{number}") == window and np.all(store.window_record(ASSET, window)["acceleration"] == number))
+        lost += not (
+            kept.get(f"key-{number}") == window
+            and np.all(store.window_record(ASSET, window)["acceleration"] == number)
+        )
     broken = 0
     for reference in held:
         try:
@@ -165,7 +184,12 @@ def count(folder: Path, url: str, clients: list[Client]) -> dict[str, int]:
         except BrokenBlock:
             broken += 1
     orphans = store.sweep()
-    misfits = abs(rows - judged) + abs(rows - judgements) + abs(rows - counted) + abs(rows - len(blocks.paths()))
+    misfits = (
+        abs(rows - judged)
+        + abs(rows - judgements)
+        + abs(rows - counted)
+        + abs(rows - len(blocks.paths()))
+    )
     store.close()
     database.close()
     return {
@@ -176,7 +200,9 @@ def count(folder: Path, url: str, clients: list[Client]) -> dict[str, int]:
         "posted anew": outcomes["posted anew"],
         "stored without an answer": rows - len(acknowledged),
         "orphan blocks swept": orphans,
-        "other answers": sum(times for what, times in outcomes.items() if what.startswith("status")),
+        "other answers": sum(
+            times for what, times in outcomes.items() if what.startswith("status")
+        ),
     }
 
 
@@ -194,7 +220,9 @@ def _npy(number: int) -> bytes:
     return file.getvalue()
 
 
-def campaign(kills: int, per_kill: int, url: str | None, seed: int, keep: Path | None) -> dict[str, int]:
+def campaign(
+    kills: int, per_kill: int, url: str | None, seed: int, keep: Path | None
+) -> dict[str, int]:
     """All hundreds together; those in the file `keep` are not done again."""
     if url and Database(url).revision() is not None:
         raise SystemExit("--database: is not empty; give one that is")
@@ -214,10 +242,14 @@ def campaign(kills: int, per_kill: int, url: str | None, seed: int, keep: Path |
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--kills", type=int, default=100)
-    parser.add_argument("--windows", type=int, default=50, help="acknowledged windows a kill, on average")
+    parser.add_argument(
+        "--windows", type=int, default=50, help="acknowledged windows a kill, on average"
+    )
     parser.add_argument("--database", default=None, help="an empty database; default: SQLite")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--keep", type=Path, default=None, help="file of finished hundreds, to go on later")
+    parser.add_argument(
+        "--keep", type=Path, default=None, help="file of finished hundreds, to go on later"
+    )
     given = parser.parse_args()
     found = campaign(given.kills, given.windows, given.database, given.seed, given.keep)
     for what in (

@@ -10,7 +10,11 @@ import sys
 import tempfile
 import time
 
-CASES = {"nothing missing": (), "Coulomb friction": (("coulomb-friction", "medium"),), "inductance": (("inductance", "medium"),)}
+CASES = {
+    "nothing missing": (),
+    "Coulomb friction": (("coulomb-friction", "medium"),),
+    "inductance": (("inductance", "medium"),),
+}
 DURATION, RATE = 60.0, 1000.0
 
 
@@ -31,7 +35,9 @@ def once(name: str) -> None:
     begin, used = time.perf_counter(), time.process_time()
     found = explain(load_model("gate-drive"), [record])
     seconds, used = time.perf_counter() - begin, time.process_time() - used
-    says = found.verdict + (f" {found.candidates[0].effect}" if found.verdict == "missing-effect" else "")
+    says = found.verdict + (
+        f" {found.candidates[0].effect}" if found.verdict == "missing-effect" else ""
+    )
     print(f"{seconds:.1f} | {used:.1f} | {record.n} | {says}")
 
 
@@ -42,7 +48,11 @@ def main() -> None:
             for state in ("empty", "filled", "filled"):
                 command = [sys.executable, "-m", "benchmarks.explain", name]
                 done = subprocess.run(
-                    command, env=os.environ | {"RESIDUUM_CACHE": cache}, capture_output=True, text=True, check=True
+                    command,
+                    env=os.environ | {"RESIDUUM_CACHE": cache},
+                    capture_output=True,
+                    text=True,
+                    check=True,
                 )
                 print(f"| {name} | {state} | {done.stdout.strip()} |", flush=True)
 

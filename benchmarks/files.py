@@ -75,7 +75,9 @@ def _write_examples(folder: Path) -> None:
         write_record(record, folder / f"{ending[1:]}{ending}")
     with h5py.File(folder / "mat v7.3.mat", "w", userblock_size=512) as file:
         for name, values in {**channels, "time": t}.items():
-            file.create_dataset(name, data=values[None, :], compression="gzip" if name == "speed" else None)
+            file.create_dataset(
+                name, data=values[None, :], compression="gzip" if name == "speed" else None
+            )
     units = {"speed_unit": "rad/s", "current_unit": "A"}
     savemat(folder / "mat v5.mat", channels | units | {"sample_time": 1e-3}, do_compression=True)
 
@@ -91,7 +93,14 @@ def mutant(content: bytes, rng: random.Random) -> bytes:
 def _change(content: bytearray, rng: random.Random) -> None:
     # Heads and tails describe the rest: half of the changes go there.
     n = max(1, len(content))
-    at = rng.choice((rng.randrange(n), rng.randrange(n), rng.randrange(min(n, 400)), n - 1 - rng.randrange(min(n, 400))))
+    at = rng.choice(
+        (
+            rng.randrange(n),
+            rng.randrange(n),
+            rng.randrange(min(n, 400)),
+            n - 1 - rng.randrange(min(n, 400)),
+        )
+    )
     length = min(n - at, rng.choice((1, 2, 4, 8, 64, 512)))
     kind = rng.randrange(9)
     if kind == 0:
@@ -111,7 +120,10 @@ def _change(content: bytearray, rng: random.Random) -> None:
         content[at : at + len(extreme)] = extreme
     else:
         other = rng.randrange(n)
-        content[at : at + length], content[other : other + length] = content[other : other + length], content[at : at + length]
+        content[at : at + length], content[other : other + length] = (
+            content[other : other + length],
+            content[at : at + length],
+        )
 
 
 def read_apart(content: bytes, ending: str, folder: Path) -> tuple[str, int, float]:
@@ -136,7 +148,9 @@ def _read_and_exit(file: Path) -> None:
     tempfile.tempdir = str(file.parent)
     code = 1
     try:
-        code = upload_reader.main(MEMORY, SECONDS, str(file), f'{{"options": {{}}, "unpacked": {MEMORY}, "dbc": null}}')
+        code = upload_reader.main(
+            MEMORY, SECONDS, str(file), f'{{"options": {{}}, "unpacked": {MEMORY}, "dbc": null}}'
+        )
         sys.stdout.flush()
     except Exception as error:
         os.write(1, f"{type(error).__name__}: {error}".encode("utf-8", "replace"))
@@ -144,7 +158,9 @@ def _read_and_exit(file: Path) -> None:
         os._exit(code)
 
 
-def campaign(mutants: int, whole_way: int, seed: int = 0, formats: tuple[str, ...] = ()) -> dict[str, dict[str, object]]:
+def campaign(
+    mutants: int, whole_way: int, seed: int = 0, formats: tuple[str, ...] = ()
+) -> dict[str, dict[str, object]]:
     """What became of the mutants of each format."""
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     for name in LIBRARIES:
@@ -157,7 +173,9 @@ def campaign(mutants: int, whole_way: int, seed: int = 0, formats: tuple[str, ..
                 continue
             rng = random.Random(f"{seed} {kind}")
             if read_apart(content, ending, folder)[0] != "read":
-                raise RuntimeError(f"the unchanged {kind} file is not read: {(folder / 'said').read_text()}")
+                raise RuntimeError(
+                    f"the unchanged {kind} file is not read: {(folder / 'said').read_text()}"
+                )
             outcomes: Counter[str] = Counter()
             memory, seconds, lines = 0, 0.0, 0
             for _ in range(mutants):
@@ -168,10 +186,16 @@ def campaign(mutants: int, whole_way: int, seed: int = 0, formats: tuple[str, ..
                 memory, seconds = max(memory, most), max(seconds, took)
                 if outcome == "refused" and _is_no_line(folder / "said"):
                     lines += 1
-                    sys.stderr.write(f"{kind}: not one line: {(folder / 'said').read_text()[:500]!r}\n")
+                    sys.stderr.write(
+                        f"{kind}: not one line: {(folder / 'said').read_text()[:500]!r}\n"
+                    )
             for _ in range(whole_way):
                 outcomes[f"whole way: {_whole_way(mutant(content[:LARGEST], rng), ending)}"] += 1
-            found[kind] = dict(outcomes) | {"MiB": memory >> 20, "longest [s]": round(seconds, 2), "not one line": lines}
+            found[kind] = dict(outcomes) | {
+                "MiB": memory >> 20,
+                "longest [s]": round(seconds, 2),
+                "not one line": lines,
+            }
             sys.stderr.write(f"{kind}: {found[kind]}\n")
     return found
 
@@ -195,12 +219,23 @@ def main() -> None:
     parser.add_argument("--whole-way", type=int, default=10)
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
-    print("| format | read | refused | reader ended | most memory [MiB] | longest [s] | not one line |")
+    print(
+        "| format | read | refused | reader ended | most memory [MiB] | longest [s] | not one line |"
+    )
     print("|---|---|---|---|---|---|---|")
     wrong = False
     for kind, found in campaign(given.mutants, given.whole_way, given.seed).items():
-        ended = sum(int(str(times)) for what, times in found.items() if what.startswith("reader ended"))
-        row = (found.get("read", 0), found.get("refused", 0), ended, found["MiB"], found["longest [s]"], found["not one line"])
+        ended = sum(
+            int(str(times)) for what, times in found.items() if what.startswith("reader ended")
+        )
+        row = (
+            found.get("read", 0),
+            found.get("refused", 0),
+            ended,
+            found["MiB"],
+            found["longest [s]"],
+            found["not one line"],
+        )
         print(f"| {kind} | {' | '.join(map(str, row))} |")
         wrong |= bool(ended or found["not one line"] or "whole way: not one line" in found)
     if wrong:

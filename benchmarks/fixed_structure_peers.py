@@ -14,7 +14,9 @@ import numpy.core.numeric
 from scipy.optimize import differential_evolution, minimize
 
 numpy.core.numeric.Inf = np.inf  # PyGRANSO 1.2.0 takes it from there, NumPy 2 has it no more
-sys.modules["gurobipy"] = types.ModuleType("gurobipy")  # imported, but only used by another of its QP solvers
+sys.modules["gurobipy"] = types.ModuleType(
+    "gurobipy"
+)  # imported, but only used by another of its QP solvers
 sys.modules["gurobipy"].GRB = None
 
 import torch  # noqa: E402
@@ -33,12 +35,19 @@ num, den = np.array(problem["num"]), np.array(problem["den"])
 def stable(rho):
     kp, ki, kd, p = rho[0], rho[1] * ts, rho[2] / rho[3], 1.0 - ts / rho[3]
     above, below = [kp + kd, ki - kp * (1 + p) - 2 * kd, (kp - ki) * p + kd], [1.0, -1.0 - p, p]
-    return np.abs(np.roots(np.polyadd(np.convolve(den, below), np.convolve(num, above)))).max() < 1.0
+    return (
+        np.abs(np.roots(np.polyadd(np.convolve(den, below), np.convolve(num, above)))).max() < 1.0
+    )
 
 
 def grid_of(case, step):
     z = np.exp(1j * np.array(problem["omega"])[::step] * ts)
-    return z, np.polyval(num, z) / np.polyval(den, z), np.array(case["W_S"])[::step], np.array(case["W_T"])[::step]
+    return (
+        z,
+        np.polyval(num, z) / np.polyval(den, z),
+        np.array(case["W_S"])[::step],
+        np.array(case["W_T"])[::step],
+    )
 
 
 def log_costs(rho, z, G, W_S, W_T, log=np.log):
@@ -61,7 +70,10 @@ def granso(start, grid):
         return [cost if stable(rho.detach().numpy()) else cost + 20.0, limits, None]
 
     options = pygransoStruct()
-    options.torch_device, options.x0 = torch.device("cpu"), torch.tensor(np.array(start) / sizes)[:, None]
+    options.torch_device, options.x0 = (
+        torch.device("cpu"),
+        torch.tensor(np.array(start) / sizes)[:, None],
+    )
     options.print_level, options.quadprog_info_msg, options.double_precision = 0, False, True
     options.maxit, options.opt_tol, options.QPsolver = 1000, 1e-8, "osqp"
     found = pygranso(var_spec={"x": [4, 1]}, combined_fn=objective, user_opts=options)
@@ -73,7 +85,17 @@ def slsqp(start, grid):
     below = {"type": "ineq", "fun": lambda x: x[4] - log_costs(x[:4] * sizes, *grid)}
     bounds = [(None, None)] * 3 + [(0.55 * ts / sizes[3], None), (None, None)]
     options = {"maxiter": 300, "ftol": 1e-12}
-    return minimize(lambda x: x[4], first, bounds=bounds, constraints=[below], method="SLSQP", options=options).x[:4] * sizes
+    return (
+        minimize(
+            lambda x: x[4],
+            first,
+            bounds=bounds,
+            constraints=[below],
+            method="SLSQP",
+            options=options,
+        ).x[:4]
+        * sizes
+    )
 
 
 def best_of(search, case):
@@ -92,7 +114,9 @@ def evolution(case):
     """Differential evolution, then Nelder and Mead's simplex on all frequencies."""
     fine, coarse, begin = grid_of(case, 1), grid_of(case, COARSE), time.process_time()
     box = [(-1.0, 1.0), (0.0, 20.0), (-0.05, 0.05), (0.0055, 0.2)]
-    found = differential_evolution(peak, box, args=coarse, seed=1, maxiter=150, popsize=15, tol=1e-8)
+    found = differential_evolution(
+        peak, box, args=coarse, seed=1, maxiter=150, popsize=15, tol=1e-8
+    )
     spent = time.process_time() - begin
     options = {"maxiter": 4000, "xatol": 1e-10, "fatol": 1e-9}
     on = minimize(peak, found.x, args=fine, method="Nelder-Mead", options=options)
@@ -101,6 +125,10 @@ def evolution(case):
 
 answers = []
 for case in problem["cases"]:
-    methods = {"PyGRANSO": best_of(granso, case), "SLSQP": best_of(slsqp, case), "differential evolution": evolution(case)}
+    methods = {
+        "PyGRANSO": best_of(granso, case),
+        "SLSQP": best_of(slsqp, case),
+        "differential evolution": evolution(case),
+    }
     answers.append({"ours": peak(np.array(case["rho"]), *grid_of(case, 1)), **methods})
 print(json.dumps(answers))

@@ -42,7 +42,11 @@ def write_fleet(folder: Path, jobs: int, samples: int, seed: int = 0) -> list[st
         y[:: rng.integers(50, 400)] += rng.choice((0.0, 8.0))
         file = folder / f"machine-{number:06d}.npz"
         write_record(
-            Record({"acceleration": y, "speed": np.full(samples, 1500.0)}, {"acceleration": "m/s²", "speed": "rpm"}, 1 / RATE),
+            Record(
+                {"acceleration": y, "speed": np.full(samples, 1500.0)},
+                {"acceleration": "m/s²", "speed": "rpm"},
+                1 / RATE,
+            ),
             file,
         )
         if number % 500 == 3:
@@ -62,7 +66,11 @@ class Killer(threading.Thread):
     def __init__(self, pool: WorkerPool, kills: int, jobs: int, seed: int) -> None:
         super().__init__(daemon=True)
         self.killed = 0
-        self._pool, self._rng, self._moments = pool, random.Random(seed), [jobs * (k + 1) / (kills + 2) for k in range(kills)]
+        self._pool, self._rng, self._moments = (
+            pool,
+            random.Random(seed),
+            [jobs * (k + 1) / (kills + 2) for k in range(kills)],
+        )
         self._moved = threading.Condition()
         self._done = 0
 
@@ -120,11 +128,28 @@ def speed_up(jobs: int, samples: int) -> dict[str, Any]:
         files = write_fleet(Path(name), jobs, samples)
         for workers in (1, 2):
             pool = WorkerPool(workers)
-            run_fleet(files[: 40 * workers], WORK, pool, Path(name) / f"warm-{workers}", workers=workers, tell=lambda *_: None)
+            run_fleet(
+                files[: 40 * workers],
+                WORK,
+                pool,
+                Path(name) / f"warm-{workers}",
+                workers=workers,
+                tell=lambda *_: None,
+            )
             begun, cpu, cpu_here = time.perf_counter(), _processor_time(pool), time.process_time()
-            run_fleet(files, WORK, pool, Path(name) / f"results-{workers}", workers=workers, tell=lambda *_: None)
+            run_fleet(
+                files,
+                WORK,
+                pool,
+                Path(name) / f"results-{workers}",
+                workers=workers,
+                tell=lambda *_: None,
+            )
             rates[workers] = jobs / (time.perf_counter() - begun)
-            in_workers[workers], here[workers] = _processor_time(pool) - cpu, time.process_time() - cpu_here
+            in_workers[workers], here[workers] = (
+                _processor_time(pool) - cpu,
+                time.process_time() - cpu_here,
+            )
             pool.terminate()
         plain = plain_speed_up(files)
     pool = WorkerPool(1)
@@ -138,7 +163,9 @@ def speed_up(jobs: int, samples: int) -> dict[str, Any]:
         "CPU ms a file, one worker": round(1e3 * in_workers[1] / jobs, 2),
         "CPU ms a file, two workers": round(1e3 * in_workers[2] / jobs, 2),
         "CPU ms a file, handing over": round(1e3 * here[2] / jobs, 3),
-        "speed-up that CPU times allow": round(in_workers[1] / max(in_workers[2] / 2, here[2], (in_workers[2] + here[2]) / 2), 2),
+        "speed-up that CPU times allow": round(
+            in_workers[1] / max(in_workers[2] / 2, here[2], (in_workers[2] + here[2]) / 2), 2
+        ),
         "files/s, one worker": round(rates[1], 1),
         "files/s, two workers": round(rates[2], 1),
         "speed-up": round(rates[2] / rates[1], 2),
@@ -157,7 +184,10 @@ def plain_speed_up(files: list[str]) -> float:
     rates = {}
     for processes in (1, 2):
         begin = context.Barrier(processes + 1)
-        workers = [context.Process(target=_work_alone, args=(files[k::processes], begin)) for k in range(processes)]
+        workers = [
+            context.Process(target=_work_alone, args=(files[k::processes], begin))
+            for k in range(processes)
+        ]
         for worker in workers:
             worker.start()
         begin.wait()

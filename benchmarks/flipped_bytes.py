@@ -47,7 +47,11 @@ def fill(folder: Path, windows: int = 24) -> str:
     for number in range(windows):
         asset = ("press", "mill")[number % 2]
         record = Record(
-            {"y": rng.normal(size=64), "u": rng.normal(size=64)}, {"y": "m/s²", "u": "V"}, 1e-3, t0=float(number), source="bus"
+            {"y": rng.normal(size=64), "u": rng.normal(size=64)},
+            {"y": "m/s²", "u": "V"},
+            1e-3,
+            t0=float(number),
+            source="bus",
         )
         verdict = ("healthy", "faulty", "not-assessable")[number // 2 % 3]
         reason = None if verdict == "faulty" else f"because of {number}"
@@ -74,8 +78,13 @@ def fill(folder: Path, windows: int = 24) -> str:
                 with suppress(IllegalTransition):
                     operate(store, alarm.id, number)
     for number in range(3):
-        store.add_record(f"a record {number}", Record({"y": rng.normal(size=16)}, {"y": "V"}, 0.1, notes=(f"a note {number}",)))
-        store.add_model_version(f"model-{number % 2}", "physical", rng.bytes(300), f"note {number}", "engineer")
+        store.add_record(
+            f"a record {number}",
+            Record({"y": rng.normal(size=16)}, {"y": "V"}, 0.1, notes=(f"a note {number}",)),
+        )
+        store.add_model_version(
+            f"model-{number % 2}", "physical", rng.bytes(300), f"note {number}", "engineer"
+        )
     store.retain(Retention(math.inf, 2**40, math.inf, windows - 4))
     store.close()
     database = Database(url)
@@ -90,7 +99,13 @@ def operate(store: DiskStore, alarm: int, number: int) -> None:
     """What an operator may do with an alarm."""
     until = datetime.now(UTC) + timedelta(days=300)
     event = AlarmEvent.SHELVE if number % 16 == 3 else AlarmEvent.ACKNOWLEDGE
-    store.operate_alarm(alarm, event, "operator", f"a comment {number}", until if event is AlarmEvent.SHELVE else None)
+    store.operate_alarm(
+        alarm,
+        event,
+        "operator",
+        f"a comment {number}",
+        until if event is AlarmEvent.SHELVE else None,
+    )
 
 
 def questions(store: DiskStore) -> dict[str, Question]:
@@ -110,18 +125,30 @@ def questions(store: DiskStore) -> dict[str, Question]:
         asked |= {
             f"asset {asset}": lambda asset=asset: store.asset(asset).to_json(),
             f"findings {asset}": lambda asset=asset: listed(store.findings(asset, limit=500)),
-            f"faulty {asset}": lambda asset=asset: listed(store.findings(asset, limit=500, verdict="faulty")),
+            f"faulty {asset}": lambda asset=asset: listed(
+                store.findings(asset, limit=500, verdict="faulty")
+            ),
             f"windows {asset}": lambda asset=asset: listed(store.windows(asset, limit=500)),
             f"indicators {asset}": lambda asset=asset: store.indicators(asset).to_json(),
-            f"spread {asset}": lambda asset=asset: store.indicators(asset, 20, (long_ago, never)).to_json(),
-            f"hours {asset}": lambda asset=asset: [each.to_json() for each in store.finding_hours(asset)],
-            f"between {asset}": lambda asset=asset: [e.to_json() for e in store.findings_between(asset, long_ago, never)],
+            f"spread {asset}": lambda asset=asset: store.indicators(
+                asset, 20, (long_ago, never)
+            ).to_json(),
+            f"hours {asset}": lambda asset=asset: [
+                each.to_json() for each in store.finding_hours(asset)
+            ],
+            f"between {asset}": lambda asset=asset: [
+                e.to_json() for e in store.findings_between(asset, long_ago, never)
+            ],
         }
         for window in [each.id for each in store.windows(asset).items][::10]:
             asked |= {
-                f"window {window}": lambda asset=asset, window=window: store.window(asset, window).to_json(),
+                f"window {window}": lambda asset=asset, window=window: store.window(
+                    asset, window
+                ).to_json(),
                 f"finding {window}": lambda window=window: store.finding_of(window).to_json(),
-                f"signal {window}": lambda asset=asset, window=window: said(store.window_record(asset, window)),
+                f"signal {window}": lambda asset=asset, window=window: said(
+                    store.window_record(asset, window)
+                ),
                 f"key of {window}": lambda asset=asset, window=window: store.window_with_key(
                     asset, f"key-{window - 1}", "d" * 64
                 ),
@@ -132,7 +159,10 @@ def questions(store: DiskStore) -> dict[str, Question]:
             [e.to_json() for e in store.alarm_journal(alarm)],
         ]
     for record in [each.id for each in store.records().items]:
-        asked[f"record {record}"] = lambda record=record: [store.record(record).to_json(), said(store.record_samples(record))]
+        asked[f"record {record}"] = lambda record=record: [
+            store.record(record).to_json(),
+            said(store.record_samples(record)),
+        ]
     for model in [each.model for each in store.models().items]:
         asked[f"model {model}"] = lambda model=model: [
             [each.to_json() for each in store.model_versions(model)],
@@ -193,17 +223,27 @@ def compared(before: dict[str, str], asked: dict[str, Question]) -> list[str]:
     return [name for name in differ if TELLS not in after[name]] or (["told"] if differ else [])
 
 
-def readers(store: DiskStore, file: Path, before: dict[str, str], asked: dict[str, Question]) -> list[dict[str, Question]]:
+def readers(
+    store: DiskStore, file: Path, before: dict[str, str], asked: dict[str, Question]
+) -> list[dict[str, Question]]:
     """Of each page the questions that read it: all of its bytes are changed, so that it is no page, and they are not answered."""
     size, found = int.from_bytes(file.read_bytes()[16:18], "big"), []
     for place in range(0, file.stat().st_size, size):
         store._database.engine.dispose()
         with flipped(file, place, 0xFF, size):
-            found.append({name: question for name, question in asked.items() if answer(question) != before[name]})
+            found.append(
+                {
+                    name: question
+                    for name, question in asked.items()
+                    if answer(question) != before[name]
+                }
+            )
     return found
 
 
-def flip_pages(folder: Path, url: str, count: int, chance: random.Random) -> tuple[Counter[str], Counter[str]]:
+def flip_pages(
+    folder: Path, url: str, count: int, chance: random.Random
+) -> tuple[Counter[str], Counter[str]]:
     """What so many flips in the database's file come to, and which questions are answered with another value."""
     store = DiskStore(folder, url)
     asked = questions(store)
@@ -214,7 +254,9 @@ def flip_pages(folder: Path, url: str, count: int, chance: random.Random) -> tup
     for _ in range(count):
         place = chance.randrange(size)
         store._database.engine.dispose()  # what was read before is kept by a connection
-        with flipped(file, place, chance.choice([1 << chance.randrange(8), chance.randrange(1, 256)])):
+        with flipped(
+            file, place, chance.choice([1 << chance.randrange(8), chance.randrange(1, 256)])
+        ):
             wrong = compared(before, reads[place * len(reads) // size])
             noticed = bool(wrong) and wrong != ["told"] and looked_through(store)
             store._database.engine.dispose()
@@ -263,7 +305,10 @@ def campaign(pages: int, blocks: int, seed: int) -> tuple[dict[str, Counter[str]
         folder = Path(name)
         url = fill(folder)
         of_pages, where = flip_pages(folder, url, pages, chance)
-        return {"database pages": of_pages, "signal blocks": flip_blocks(folder, blocks, chance)}, where
+        return {
+            "database pages": of_pages,
+            "signal blocks": flip_blocks(folder, blocks, chance),
+        }, where
 
 
 def main() -> None:

@@ -16,12 +16,15 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 
 SECTOR = 512
-_CALLS = (
-    "openat,write,pwrite64,lseek,truncate,ftruncate,fsync,fdatasync,rename,renameat,renameat2,unlink,unlinkat,mkdir,mkdirat,rmdir"
-)
+_CALLS = "openat,write,pwrite64,lseek,truncate,ftruncate,fsync,fdatasync"
+_CALLS += ",rename,renameat,renameat2,unlink,unlinkat,mkdir,mkdirat,rmdir"
 _OF_NAMES = dict.fromkeys(("rename", "renameat", "renameat2"), "rename")
-_OF_NAMES |= dict.fromkeys(("unlink", "unlinkat", "rmdir"), "remove") | dict.fromkeys(("mkdir", "mkdirat"), "folder")
-_LINE = re.compile(r"(?P<process>\d+) +(?P<call>\w+)\((?P<given>.*)\) += (?P<result>-?\d+)(?:<(?P<place>[^>]*)>)?")
+_OF_NAMES |= dict.fromkeys(("unlink", "unlinkat", "rmdir"), "remove") | dict.fromkeys(
+    ("mkdir", "mkdirat"), "folder"
+)
+_LINE = re.compile(
+    r"(?P<process>\d+) +(?P<call>\w+)\((?P<given>.*)\) += (?P<result>-?\d+)(?:<(?P<place>[^>]*)>)?"
+)
 _TEXT = re.compile(r'"((?:\\x[0-9a-f]{2})*)"')
 _OPEN = re.compile(r"^(\d+)<((?:\\x[0-9a-f]{2})*)>")
 _FORGOTTEN_ANYWAY = "-shm"
@@ -41,8 +44,24 @@ class Operation:
 
 def recorded(program: Sequence[str], root: Path, log: Path) -> list[Operation]:
     """Run a Python program under strace; what it did below `root` and printed, in its order. RuntimeError when it fails."""
-    strace = ["strace", "-f", "-qq", "-y", "-xx", "-s", str(2**27), "-e", f"trace={_CALLS}", "-e", "signal=none", "-o", str(log)]
-    done = subprocess.run([*strace, sys.executable, *program], capture_output=True, text=True, check=False)
+    strace = [
+        "strace",
+        "-f",
+        "-qq",
+        "-y",
+        "-xx",
+        "-s",
+        str(2**27),
+        "-e",
+        f"trace={_CALLS}",
+        "-e",
+        "signal=none",
+        "-o",
+        str(log),
+    ]
+    done = subprocess.run(
+        [*strace, sys.executable, *program], capture_output=True, text=True, check=False
+    )
     if done.returncode:
         raise RuntimeError(done.stderr[-2000:])
     with log.open() as lines:
@@ -64,7 +83,9 @@ def _operations(lines: Iterator[str], root: str) -> Iterator[Operation]:
             yield from _operation(match, root, at)
 
 
-def _operation(match: re.Match[str], root: str, at: dict[tuple[str, int], int]) -> Iterator[Operation]:
+def _operation(
+    match: re.Match[str], root: str, at: dict[tuple[str, int], int]
+) -> Iterator[Operation]:
     call, given, result = match["call"], match["given"], int(match["result"])
     texts = [_bytes(text) for text in _TEXT.findall(given)]
     if opened := _OPEN.match(given):
@@ -90,7 +111,12 @@ def _operation(match: re.Match[str], root: str, at: dict[tuple[str, int], int]) 
 
 
 def _of_content(
-    call: str, given: str, path: str, data: bytes, at: dict[tuple[str, int], int], place: tuple[str, int]
+    call: str,
+    given: str,
+    path: str,
+    data: bytes,
+    at: dict[tuple[str, int], int],
+    place: tuple[str, int],
 ) -> Operation:
     if call in ("fsync", "fdatasync"):
         return Operation("sync", path)
@@ -99,7 +125,11 @@ def _of_content(
         at[place] = begin + len(data)
         return Operation("write", path, begin, data)
     last = int(given.rsplit(",", 1)[1])
-    return Operation("truncate", path, last) if call == "ftruncate" else Operation("write", path, last, data)
+    return (
+        Operation("truncate", path, last)
+        if call == "ftruncate"
+        else Operation("write", path, last, data)
+    )
 
 
 def _bytes(text: str) -> bytes:
@@ -163,7 +193,11 @@ class ForgetfulDisk:
     def begin_with(self, folder: Path) -> None:
         """Take over what is in a folder, as long since on the disk."""
         for place in sorted(folder.rglob("*")):
-            file = _File(bytearray(place.read_bytes()), place.read_bytes()) if place.is_file() else None
+            file = (
+                _File(bytearray(place.read_bytes()), place.read_bytes())
+                if place.is_file()
+                else None
+            )
             name = f"{self._root}/{place.relative_to(folder)}"
             if _inside(name, self._root):
                 self._now[name] = self._kept[name] = file
@@ -198,7 +232,11 @@ class ForgetfulDisk:
         if file is not None:
             file.kept, file.later = bytes(file.data), []
             return
-        of_it = [change for change in self._later if str(PurePosixPath(change[0] or change[2]).parent) == path]
+        of_it = [
+            change
+            for change in self._later
+            if str(PurePosixPath(change[0] or change[2]).parent) == path
+        ]
         self._later = [change for change in self._later if change not in of_it]
         _rename(self._kept, of_it)
 
@@ -216,7 +254,9 @@ class ForgetfulDisk:
                 place.write_bytes(file.after_cut(sectors, chance))
 
 
-def _rename(names: dict[str, _File | None], changes: Sequence[tuple[str, _File | None, str]]) -> None:
+def _rename(
+    names: dict[str, _File | None], changes: Sequence[tuple[str, _File | None, str]]
+) -> None:
     for new, file, old in changes:
         if old:
             names.pop(old, None)

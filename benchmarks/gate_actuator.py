@@ -27,11 +27,22 @@ from residuum.diagnosis.learning.diagnoser_validation import (
     object_wise,
     proportion_interval,
 )
-from residuum.diagnosis.residuals.fault_isolation import HEALTHY, PINION_OR_GEAR, RACK, isolation_classifier, source_classifier
+from residuum.diagnosis.residuals.fault_isolation import (
+    HEALTHY,
+    PINION_OR_GEAR,
+    RACK,
+    isolation_classifier,
+    source_classifier,
+)
 from residuum.identification.record import Record
 from residuum.simulation import MACHINES
 
-CLASS_OF = {None: HEALTHY, "gear-notch": PINION_OR_GEAR, "pinion-tooth": PINION_OR_GEAR, "rack-tooth": RACK}
+CLASS_OF = {
+    None: HEALTHY,
+    "gear-notch": PINION_OR_GEAR,
+    "pinion-tooth": PINION_OR_GEAR,
+    "rack-tooth": RACK,
+}
 CLASSES = (HEALTHY, PINION_OR_GEAR, RACK)
 TRAINED, UNSEEN = range(20), range(20, 60)
 HEALTHY_MOVEMENTS, FAULTY_MOVEMENTS = int(os.environ.get("GATE_HEALTHY", "10")), 3
@@ -52,18 +63,28 @@ class Observed:
         return CLASS_OF[self.fault]
 
 
-def movements_of(exemplar: int, fault: str | None, count: int, size: float | None = None, seed: int = 0) -> Iterator[Record]:
+def movements_of(
+    exemplar: int, fault: str | None, count: int, size: float | None = None, seed: int = 0
+) -> Iterator[Record]:
     """The first whole movements of an actuator's life, one record each."""
-    machine = MACHINES["gate-actuator"](seed=seed, exemplar=exemplar, faults={fault: size} if fault else {})
-    signals = machine.simulate((count - 1) * 19.5 + 19.0)  # a movement with its pause takes at most 19.5 s, 1 s before the first
+    machine = MACHINES["gate-actuator"](
+        seed=seed, exemplar=exemplar, faults={fault: size} if fault else {}
+    )
+    signals = machine.simulate(
+        (count - 1) * 19.5 + 19.0
+    )  # a movement with its pause takes at most 19.5 s, 1 s before the first
     record = Record(signals.channels, signals.units, signals.sample_time)
     for movement in cut_movements(record)[:count]:
         yield record.window(movement.start, movement.start + movement.n)
 
 
-def observe(exemplar: int, fault: str | None, count: int, size: float | None = None, seed: int | None = None) -> list[Observed]:
+def observe(
+    exemplar: int, fault: str | None, count: int, size: float | None = None, seed: int | None = None
+) -> list[Observed]:
     observed = []
-    for record in movements_of(exemplar, fault, count, size, seed=1000 + exemplar if seed is None else seed):
+    for record in movements_of(
+        exemplar, fault, count, size, seed=1000 + exemplar if seed is None else seed
+    ):
         movement = cut_movements(record)[0]
         features = movement_features(movement, _CONSTANTS)
         observed.append(Observed(exemplar, fault, features, float(movement.motor_angle[-1])))
@@ -80,14 +101,18 @@ def observe_all(exemplars: range) -> list[Observed]:
 
 
 def trained(observed: list[Observed]) -> GateBaseline:
-    movements = [TrainingMovement(one.features, one.label, one.exemplar, one.travel) for one in observed]
+    movements = [
+        TrainingMovement(one.features, one.label, one.exemplar, one.travel) for one in observed
+    ]
     return GateBaseline.of(movements, _CONSTANTS, 5000.0)
 
 
 def predict(baseline: GateBaseline, observed: list[Observed]) -> Validation:
     predicted = [baseline.judge(one.features).fault_class or HEALTHY for one in observed]
     return Validation(
-        np.array([one.label for one in observed]), np.array(predicted), np.array([one.exemplar for one in observed])
+        np.array([one.label for one in observed]),
+        np.array(predicted),
+        np.array([one.exemplar for one in observed]),
     )
 
 
@@ -100,7 +125,9 @@ def folds_object_wise(observed: list[Observed], folds: int = 10) -> Validation:
         baseline = trained([one for one in observed if one.exemplar not in held_out])
         parts.append(predict(baseline, [one for one in observed if one.exemplar in held_out]))
     fields = ("truth", "predicted", "objects")
-    return Validation(*(np.concatenate([getattr(part, field) for part in parts]) for field in fields))
+    return Validation(
+        *(np.concatenate([getattr(part, field) for part in parts]) for field in fields)
+    )
 
 
 def percent(value: float) -> str:
@@ -110,7 +137,9 @@ def percent(value: float) -> str:
 def report_validation(name: str, validation: Validation) -> None:
     low, high = validation.interval(balanced_accuracy)
     bounds = f"{percent(low)}–{percent(high)}"
-    print(f"| {name} | {percent(validation.accuracy)} | {percent(validation.balanced_accuracy)} | {bounds} |")
+    print(
+        f"| {name} | {percent(validation.accuracy)} | {percent(validation.balanced_accuracy)} | {bounds} |"
+    )
 
 
 def report_confusion(validation: Validation) -> None:
@@ -128,18 +157,29 @@ def accuracy(seen: list[Observed], unseen: list[Observed]) -> None:
     labels, exemplars = [one.label for one in everything], [one.exemplar for one in everything]
     source = np.array([one.features.source_vector() for one in everything])
     ours = np.array([one.features.vector() for one in everything])
-    print("\n## Accuracy\n\n| method | accuracy | balanced | 95 % (exemplars drawn) |\n|---|---|---|---|")
-    report_validation(
-        "source: F1, F2, linear SVM; 10-fold, exemplars mixed", mixed_folds(source_classifier(), source, labels, exemplars)
+    print(
+        "\n## Accuracy\n\n| method | accuracy | balanced | 95 % (exemplars drawn) |\n|---|---|---|---|"
     )
-    report_validation("source: object-wise", object_wise(source_classifier(), source, labels, exemplars))
     report_validation(
-        "logistic regression on all features; 10-fold, mixed", mixed_folds(isolation_classifier(), ours, labels, exemplars)
+        "source: F1, F2, linear SVM; 10-fold, exemplars mixed",
+        mixed_folds(source_classifier(), source, labels, exemplars),
     )
-    report_validation("logistic regression, object-wise", object_wise(isolation_classifier(), ours, labels, exemplars))
+    report_validation(
+        "source: object-wise", object_wise(source_classifier(), source, labels, exemplars)
+    )
+    report_validation(
+        "logistic regression on all features; 10-fold, mixed",
+        mixed_folds(isolation_classifier(), ours, labels, exemplars),
+    )
+    report_validation(
+        "logistic regression, object-wise",
+        object_wise(isolation_classifier(), ours, labels, exemplars),
+    )
     report_validation("diagnoser, object-wise in ten parts", folds_object_wise(everything))
     validation = predict(trained(seen), unseen)
-    report_validation(f"diagnoser trained on {len(TRAINED)}, judged on {len(UNSEEN)} others", validation)
+    report_validation(
+        f"diagnoser trained on {len(TRAINED)}, judged on {len(UNSEEN)} others", validation
+    )
     report_confusion(validation)
     for fault in ("gear-notch", "pinion-tooth", "rack-tooth"):
         chosen = np.array([one.fault == fault for one in unseen])
@@ -149,7 +189,9 @@ def accuracy(seen: list[Observed], unseen: list[Observed]) -> None:
     healthy = validation.truth == HEALTHY
     alarms = int(np.count_nonzero(validation.predicted[healthy] != HEALTHY))
     low, high = proportion_interval(alarms, int(healthy.sum()))
-    print(f"- false alarms: {alarms} of {healthy.sum()} healthy movements, 95 % {percent(low)}–{percent(high)}")
+    print(
+        f"- false alarms: {alarms} of {healthy.sum()} healthy movements, 95 % {percent(low)}–{percent(high)}"
+    )
     print("\n| exemplars trained | source, balanced | logistic, balanced |\n|---|---|---|")
     sizes = (2, 4, 8, 16, 32)
     curves = [
@@ -157,11 +199,17 @@ def accuracy(seen: list[Observed], unseen: list[Observed]) -> None:
         for make, X in ((source_classifier, source), (isolation_classifier, ours))
     ]
     for (size, *reference), (_, *better) in zip(*curves, strict=True):
-        print(f"| {size} | {percent(reference[0])} ± {percent(reference[1])} | {percent(better[0])} ± {percent(better[1])} |")
+        print(
+            f"| {size} | {percent(reference[0])} ± {percent(reference[1])} | {percent(better[0])} ± {percent(better[1])} |"
+        )
 
 
 def parts(unseen: list[Observed], baseline: GateBaseline) -> None:
-    said = Counter((one.fault, baseline.judge(one.features).likely_part) for one in unseen if one.label == PINION_OR_GEAR)
+    said = Counter(
+        (one.fault, baseline.judge(one.features).likely_part)
+        for one in unseen
+        if one.label == PINION_OR_GEAR
+    )
     print("\n## Gear or pinion (a hint, not a class)\n")
     for (fault, part), count in sorted(said.items(), key=str):
         print(f"- {fault}: {part or 'no hint'} {count}")
@@ -173,7 +221,11 @@ def growing_notch(baseline: GateBaseline) -> None:
     first = []
     for exemplar in exemplars:
         found = (
-            size for size in sizes if baseline.judge(observe(exemplar, "gear-notch", 1, float(size))[0].features).fault_class
+            size
+            for size in sizes
+            if baseline.judge(
+                observe(exemplar, "gear-notch", 1, float(size))[0].features
+            ).fault_class
         )
         first.append(next(found, None))
     late = sum(size is None for size in first)
@@ -188,14 +240,20 @@ def small_rack_damage() -> None:
     print("| movements | place right (of 10 exemplars) | contrast, median |\n|---|---|---|")
     observed = [observe(exemplar, "rack-tooth", 8, 0.2) for exemplar in UNSEEN[:10]]
     for count in (1, 2, 4, 8):
-        averages = [average_profile([one.features.profile for one in life[:count]]) for life in observed]
+        averages = [
+            average_profile([one.features.profile for one in life[:count]]) for life in observed
+        ]
         right = sum(abs(average.place - 1.2 / 2.85) < 0.02 for average in averages)
-        print(f"| {count} | {right} | {np.median([average.contrast for average in averages]):.1f} |")
+        print(
+            f"| {count} | {right} | {np.median([average.contrast for average in averages]):.1f} |"
+        )
 
 
 def speed(seen: list[Observed]) -> None:
     records = list(movements_of(0, None, 4))
-    diagnoser = Diagnoser().fit([*records, *movements_of(0, "rack-tooth", 3)], [HEALTHY] * 4 + [RACK] * 3)
+    diagnoser = Diagnoser().fit(
+        [*records, *movements_of(0, "rack-tooth", 3)], [HEALTHY] * 4 + [RACK] * 3
+    )
     short = records[0]
     machine = MACHINES["gate-actuator"](seed=5)
     machine.actuator = machine.actuator._replace(travel=7.9)  # a longer gate: a movement of 30 s
@@ -205,13 +263,17 @@ def speed(seen: list[Observed]) -> None:
     for _ in range(20):
         diagnoser.score(short)
     print("\n## Speed (processor time of one core)\n")
-    print(f"- scoring a movement of {short.duration:.1f} s: {1e3 * (time.process_time() - began) / 20:.0f} ms")
+    print(
+        f"- scoring a movement of {short.duration:.1f} s: {1e3 * (time.process_time() - began) / 20:.0f} ms"
+    )
     times = []
     for _ in range(9):
         began = time.process_time()
         movement_features(long, _CONSTANTS)
         times.append(time.process_time() - began)
-    print(f"- features of a movement of {long.duration:.1f} s: {1e3 * statistics.median(times):.0f} ms (median of 9)")
+    print(
+        f"- features of a movement of {long.duration:.1f} s: {1e3 * statistics.median(times):.0f} ms (median of 9)"
+    )
     began = time.process_time()
     trained(seen)
     fitting = time.process_time() - began

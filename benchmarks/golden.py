@@ -31,7 +31,18 @@ import yaml
 from benchmarks.free_port import free_port
 
 CASES = Path(__file__).with_name("golden_cases.yaml")
-UNTIMELY = ("seconds", "version", "elapsed", "started", "finished", "submitted", "created", "updated", "uptime", "request_id")
+UNTIMELY = (
+    "seconds",
+    "version",
+    "elapsed",
+    "started",
+    "finished",
+    "submitted",
+    "created",
+    "updated",
+    "uptime",
+    "request_id",
+)
 """Names of members whose values are times of the clock, durations, versions or drawn at random; names with these endings, too."""
 ROUNDING = 1e-6
 """Relative difference up to which a number differs by rounding."""
@@ -61,12 +72,20 @@ def run_command(tree: Path, line: str, folder: Path) -> Answer:
         cwd=folder, env=surroundings(tree, folder), capture_output=True, text=True, timeout=PATIENCE, check=False,
     )  # fmt: skip
     error = done.stderr.strip().splitlines()
-    return {"status": done.returncode, "answer": parsed(done.stdout), "error": error[-1] if done.returncode and error else ""}
+    return {
+        "status": done.returncode,
+        "answer": parsed(done.stdout),
+        "error": error[-1] if done.returncode and error else "",
+    }
 
 
 def surroundings(tree: Path, folder: Path) -> dict[str, str]:
     """Environment in which the tree's own package is imported; kernels are cached beside the inputs, for each tree."""
-    return os.environ | {"PYTHONPATH": str(tree), "RESIDUUM_CACHE": str(folder / "kernels"), "COLUMNS": "200"}
+    return os.environ | {
+        "PYTHONPATH": str(tree),
+        "RESIDUUM_CACHE": str(folder / "kernels"),
+        "COLUMNS": "200",
+    }
 
 
 def parsed(text: str) -> Any:
@@ -84,7 +103,9 @@ class Service:
         self.folder, self.port = folder, free_port()
         serve = ["serve", "--port", str(self.port), "--data", str(folder / "data")]
         environment = surroundings(tree, folder) | {"RESIDUUM_LOG_LEVEL": "error"}
-        self.process = subprocess.Popen([sys.executable, "-c", RUN, *serve], cwd=folder, env=environment)
+        self.process = subprocess.Popen(
+            [sys.executable, "-c", RUN, *serve], cwd=folder, env=environment
+        )
 
     def __enter__(self) -> Service:
         end = time.monotonic() + PATIENCE
@@ -106,7 +127,9 @@ class Service:
         query = urlencode(case.get("query", {}), doseq=True)
         body, kind = self._body(case)
         heads = ({"Content-Type": kind} if kind else {}) | case.get("heads", {})
-        answer = self.ask(case["method"], case["path"] + (f"?{query}" if query else ""), body, heads)
+        answer = self.ask(
+            case["method"], case["path"] + (f"?{query}" if query else ""), body, heads
+        )
         end = time.monotonic() + PATIENCE
         while (place := answer["place"]) and time.monotonic() < end:
             job = self.ask("GET", place)
@@ -115,21 +138,37 @@ class Service:
             time.sleep(0.1)
         return {"status": answer["status"], "answer": answer["answer"]}
 
-    def ask(self, method: str, path: str, body: bytes | None = None, heads: Mapping[str, str] | None = None) -> Answer:
+    def ask(
+        self,
+        method: str,
+        path: str,
+        body: bytes | None = None,
+        heads: Mapping[str, str] | None = None,
+    ) -> Answer:
         """Status, answer, and the place of the job that a 202 names."""
         connection = HTTPConnection("127.0.0.1", self.port, timeout=PATIENCE)
         connection.request(method, path, body, dict(heads or {}))
         answer = connection.getresponse()
         text = answer.read().decode("utf-8", "replace")
         connection.close()
-        return {"status": answer.status, "answer": parsed(text), "place": answer.status == 202 and answer.headers["location"]}
+        return {
+            "status": answer.status,
+            "answer": parsed(text),
+            "place": answer.status == 202 and answer.headers["location"],
+        }
 
     def _body(self, case: Mapping[str, Any]) -> tuple[bytes | None, str]:
         if "json" in case:
             return json.dumps(case["json"]).encode(), "application/json"
         if "file" in case:
-            return (self.folder / case["file"]).read_bytes(), case.get("kind", "application/octet-stream")
-        return (case["text"].encode(), case.get("kind", "application/json")) if "text" in case else (None, "")
+            return (self.folder / case["file"]).read_bytes(), case.get(
+                "kind", "application/octet-stream"
+            )
+        return (
+            (case["text"].encode(), case.get("kind", "application/json"))
+            if "text" in case
+            else (None, "")
+        )
 
 
 def record(tree: Path, out: Path, inputs: Path, only: str | None) -> None:
@@ -147,8 +186,17 @@ def record(tree: Path, out: Path, inputs: Path, only: str | None) -> None:
             with Service(tree, folder) as service:
                 for case in cases["calls"]:
                     found[named(case, found)] = service.call(case)
-    where = subprocess.run(["git", "-C", tree, "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False)
-    plain = json.dumps({"commit": where.stdout.strip(), "only": only, "answers": found}, indent=1, ensure_ascii=False)
+    where = subprocess.run(
+        ["git", "-C", tree, "rev-parse", "--short", "HEAD"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    plain = json.dumps(
+        {"commit": where.stdout.strip(), "only": only, "answers": found},
+        indent=1,
+        ensure_ascii=False,
+    )
     out.write_text(plain.replace(str(Path(temporary)), "FOLDER").replace(str(tree), "TREE"))
 
 
@@ -166,7 +214,9 @@ def differences(old: Any, new: Any, place: str = "") -> Iterator[tuple[str, str]
     elif isinstance(old, list) and isinstance(new, list) and len(old) == len(new):
         for k, (one, other) in enumerate(zip(old, new, strict=True)):
             yield from differences(one, other, f"{place}[{k}]")
-    elif isinstance(old, bool) is not isinstance(new, bool):  # true == 1 in Python, and in no answer
+    elif isinstance(old, bool) is not isinstance(
+        new, bool
+    ):  # true == 1 in Python, and in no answer
         yield "other", place
     elif old != new and without_times(without_places(old)) != without_times(without_places(new)):
         yield ("rounding" if alike(old, new) else "other"), place
@@ -185,7 +235,11 @@ def _of_members(old: Answer, new: Answer, place: str) -> Iterator[tuple[str, str
 
 def untimely(name: str, *values: Any) -> bool:
     """Whether a member of this name is a time, a duration or a version by its values, too; `falsified_at: [0.3]` is an answer."""
-    named_so = name in UNTIMELY or name.endswith(tuple(f"_{word}" for word in UNTIMELY)) or name.endswith("_at")
+    named_so = (
+        name in UNTIMELY
+        or name.endswith(tuple(f"_{word}" for word in UNTIMELY))
+        or name.endswith("_at")
+    )
     return named_so and not any(isinstance(value, list | dict | bool) for value in values)
 
 
@@ -201,7 +255,9 @@ def without_places(value: Any) -> Any:
 
 def alike(old: Any, new: Any) -> bool:
     """Whether two values are numbers that differ by rounding."""
-    numbers = all(isinstance(value, int | float) and not isinstance(value, bool) for value in (old, new))
+    numbers = all(
+        isinstance(value, int | float) and not isinstance(value, bool) for value in (old, new)
+    )
     return numbers and math.isclose(old, new, rel_tol=ROUNDING, abs_tol=1e-12)
 
 
@@ -237,17 +293,31 @@ def compare(old_file: Path, new_file: Path, table: Path | None, verbose: bool) -
     """
     old, new = (json.loads(path.read_text()) for path in (old_file, new_file))
     changes = yaml.safe_load(CASES.read_text())["changed_on_purpose"]
-    rows, count, unexpected = [], {"same": 0, "more": 0, "rounding": 0, "changed on purpose": 0, "unexpected": 0}, 0
+    rows, count, unexpected = (
+        [],
+        {"same": 0, "more": 0, "rounding": 0, "changed on purpose": 0, "unexpected": 0},
+        0,
+    )
     names = asked_again(old, new)
     for name in names:
         answered = name in new["answers"]
-        kind, places = judged(old["answers"][name], new["answers"][name]) if answered else ("less", ["no answer"])
-        why = on_purpose(name, kind, places, changes) if kind in ("other", "less", "rounding") else ""
-        verdict = "changed on purpose" if why else "unexpected" if kind in ("other", "less") else kind
+        kind, places = (
+            judged(old["answers"][name], new["answers"][name])
+            if answered
+            else ("less", ["no answer"])
+        )
+        why = (
+            on_purpose(name, kind, places, changes) if kind in ("other", "less", "rounding") else ""
+        )
+        verdict = (
+            "changed on purpose" if why else "unexpected" if kind in ("other", "less") else kind
+        )
         count[verdict] += 1
         unexpected += verdict == "unexpected"
         if verdict not in ("same", "more"):
-            rows.append(f"| `{name}` | {verdict} | {', '.join(places[:3])}{' …' if len(places) > 3 else ''} | {why} |")
+            rows.append(
+                f"| `{name}` | {verdict} | {', '.join(places[:3])}{' …' if len(places) > 3 else ''} | {why} |"
+            )
         if verbose and kind != "same":
             for place in places:
                 print(f"{verdict:20} {name} {place}")

@@ -24,7 +24,9 @@ _RATES = (0.2, 0.02, 0.002)
 
 def counted(watched: Watched, seed: int, days: float, most: int) -> str:
     """A machine's line of the table."""
-    judge = ModelBased(model=watched.model(), fix_undetermined=True).fit(windows(watched, seed, 0, TRAINED_ON))
+    judge = ModelBased(model=watched.model(), fix_undetermined=True).fit(
+        windows(watched, seed, 0, TRAINED_ON)
+    )
     a_day = _SECONDS_A_DAY / watched.seconds
     machine = watched.make(seed)
     for k in range(TRAINED_ON):
@@ -33,7 +35,9 @@ def counted(watched: Watched, seed: int, days: float, most: int) -> str:
     begun = time.process_time()
     deviations = np.array(
         [
-            judge.score(machine_window(watched, machine, seed, TRAINED_ON + k, {})).indicators.get("deviation", 0.0)
+            judge.score(machine_window(watched, machine, seed, TRAINED_ON + k, {})).indicators.get(
+                "deviation", 0.0
+            )
             for k in range(number)
         ]
     )

@@ -64,7 +64,15 @@ class Case:
 
     @property
     def key(self) -> str:
-        parts = (self.family, self.machine, self.hidden, self.seed, self.duration, self.settings, self.channels)
+        parts = (
+            self.family,
+            self.machine,
+            self.hidden,
+            self.seed,
+            self.duration,
+            self.settings,
+            self.channels,
+        )
         return orjson.dumps(parts).decode()
 
     def records(self) -> Iterator[Record]:
@@ -73,7 +81,11 @@ class Case:
         while True:
             signals = machine.simulate(self.duration)
             kept = self.channels or tuple(signals.channels)
-            yield Record({c: signals.channels[c] for c in kept}, {c: signals.units[c] for c in kept}, signals.sample_time)
+            yield Record(
+                {c: signals.channels[c] for c in kept},
+                {c: signals.units[c] for c in kept},
+                signals.sample_time,
+            )
 
 
 def cases() -> Iterator[Case]:
@@ -86,7 +98,9 @@ def cases() -> Iterator[Case]:
 def _nothing(seed: int) -> Iterator[Case]:
     for rho in (0.0, 0.5, 0.9, 0.99):
         for profile in ("duty-cycle", "rich"):
-            yield Case("none", "gate-drive", (), seed, 30.0, {"profile": profile, "noise_color": rho})
+            yield Case(
+                "none", "gate-drive", (), seed, 30.0, {"profile": profile, "noise_color": rho}
+            )
     walk = (("x-random-walk-load", "medium"),)
     yield Case("none", "gate-drive", walk, seed, 30.0, {"profile": "duty-cycle"})
     yield Case("none", "gate-drive", walk, seed, 30.0, {"profile": "rich"})
@@ -98,41 +112,77 @@ def _drive(seed: int) -> Iterator[Case]:
             for profile in ("duty-cycle", "rich"):
                 for channels in ((), ("voltage", "speed")):
                     if not effect.startswith("x-"):
-                        yield Case("drive", "gate-drive", ((effect, size),), seed, 30.0, {"profile": profile}, channels)
+                        yield Case(
+                            "drive",
+                            "gate-drive",
+                            ((effect, size),),
+                            seed,
+                            30.0,
+                            {"profile": profile},
+                            channels,
+                        )
 
 
 def _outside(seed: int) -> Iterator[Case]:
     for effect in ("x-speed-resonance", "x-random-position-profile"):
         for size in SIZES:
             for profile in ("duty-cycle", "rich"):
-                yield Case("outside", "gate-drive", ((effect, size),), seed, 30.0, {"profile": profile})
+                yield Case(
+                    "outside", "gate-drive", ((effect, size),), seed, 30.0, {"profile": profile}
+                )
 
 
 def _two(seed: int) -> Iterator[Case]:
     for first, second in PAIRS:
-        yield Case("two", "gate-drive", ((first, "medium"), (second, "medium")), seed, 30.0, {"profile": "rich"})
+        yield Case(
+            "two",
+            "gate-drive",
+            ((first, "medium"), (second, "medium")),
+            seed,
+            30.0,
+            {"profile": "rich"},
+        )
 
 
 def _oven(seed: int) -> Iterator[Case]:
     for size in SIZES:
         for effect in MACHINES["oven"].effects:
             if not effect.startswith("x-"):
-                yield Case("oven", "oven", ((effect, size),), seed, MACHINES["oven"].record_duration, {"configuration": "lumped"})
-    yield Case("none", "oven", (), seed, MACHINES["oven"].record_duration, {"configuration": "lumped"})
+                yield Case(
+                    "oven",
+                    "oven",
+                    ((effect, size),),
+                    seed,
+                    MACHINES["oven"].record_duration,
+                    {"configuration": "lumped"},
+                )
+    yield Case(
+        "none", "oven", (), seed, MACHINES["oven"].record_duration, {"configuration": "lumped"}
+    )
 
 
 def _tanks(seed: int) -> Iterator[Case]:
     for size in SIZES:
         for effect in MACHINES["two-tanks"].effects:
             if not effect.startswith("x-"):
-                yield Case("tanks", "two-tanks", ((effect, size),), seed, MACHINES["two-tanks"].record_duration)
+                yield Case(
+                    "tanks",
+                    "two-tanks",
+                    ((effect, size),),
+                    seed,
+                    MACHINES["two-tanks"].record_duration,
+                )
     yield Case("none", "two-tanks", (), seed, MACHINES["two-tanks"].record_duration)
 
 
 def _improve(seed: int) -> Iterator[Case]:
     """Drive (speed and current), oven, tanks and pairs, each as above."""
     for family in ("drive", "oven", "tanks", "two"):
-        yield from (replace(case, family="improve") for case in _FAMILIES[family](seed) if case.hidden and not case.channels)
+        yield from (
+            replace(case, family="improve")
+            for case in _FAMILIES[family](seed)
+            if case.hidden and not case.channels
+        )
 
 
 _FAMILIES = {
@@ -170,7 +220,9 @@ def _improved(case: Case) -> dict[str, Any]:
 
 def _true_structure(nominal: PhysicalModel, record: Record, case: Case) -> Improvement:
     """The nominal model with what is hidden, refitted; an effect that fits several places where it leaves the least error."""
-    places = product(*([f"{id}@{at}" for id, at in candidates(nominal, [hidden])] for hidden, _ in case.hidden))
+    places = product(
+        *([f"{id}@{at}" for id, at in candidates(nominal, [hidden])] for hidden, _ in case.hidden)
+    )
     found = [improve(nominal, [record], add=list(place)) for place in places]
     return min(found, key=lambda improved: improved.history[-1].error)
 
@@ -203,7 +255,9 @@ def chi_square(case: Case, explanation: Explanation) -> float | None:
     if not found.court.scale.nats:
         return None
     tried = [one for one in found.every.values() if len(one.keys) == 1 and one.keys[0].effect == id]
-    best = min((one.cost - found.court.scale.price * one.parameters for one in tried), default=np.inf)
+    best = min(
+        (one.cost - found.court.scale.price * one.parameters for one in tried), default=np.inf
+    )
     return max(2.0 * (found.base.cost - best), 0.0) if tried else 0.0
 
 
@@ -213,14 +267,22 @@ def group_probability(explanation: Explanation) -> float:
         return 0.0
     first = explanation.candidates[0]
     names = {first.effect, *first.indistinguishable_from}
-    return float(sum(c.probability for c in explanation.candidates if c.effect in names and c.step == first.step))
+    return float(
+        sum(
+            c.probability
+            for c in explanation.candidates
+            if c.effect in names and c.step == first.step
+        )
+    )
 
 
 def campaign(chosen: Iterable[Case]) -> list[tuple[Case, dict[str, Any]]]:
     """The cases with their outcomes, from the file of results where they are there already; those that the time allowed."""
     known = {}
     if RESULTS.exists():
-        known = {line["case"]: line for line in map(orjson.loads, RESULTS.read_bytes().splitlines())}
+        known = {
+            line["case"]: line for line in map(orjson.loads, RESULTS.read_bytes().splitlines())
+        }
     RESULTS.parent.mkdir(parents=True, exist_ok=True)
     asked, began = list(chosen), time.monotonic()
     for k in np.random.default_rng(0).permutation(len(asked)):
@@ -246,10 +308,19 @@ def report(outcomes: list[tuple[Case, dict[str, Any]]]) -> None:
         if case.family == "two":
             print(f"| {' + '.join(id for id, _ in case.hidden)} | {' + '.join(out['accepted'])} |")
     _report_calibration([(case, out) for case, out in outcomes if case.family in SINGLE])
-    _report_said([s for case, out in outcomes if "none" in out for s in statements([id for id, _ in case.hidden], out)])
+    _report_said(
+        [
+            s
+            for case, out in outcomes
+            if "none" in out
+            for s in statements([id for id, _ in case.hidden], out)
+        ]
+    )
     _report_improved(outcomes)
     seconds = [out["seconds"] for _, out in outcomes]
-    print(f"\nCases: {len(outcomes)}; seconds a case: median {np.median(seconds):.1f}, largest {np.max(seconds):.1f}")
+    print(
+        f"\nCases: {len(outcomes)}; seconds a case: median {np.median(seconds):.1f}, largest {np.max(seconds):.1f}"
+    )
 
 
 def _report_single(outcomes: list[tuple[Case, dict[str, Any]]]) -> None:
@@ -261,7 +332,9 @@ def _report_single(outcomes: list[tuple[Case, dict[str, Any]]]) -> None:
             rows[case.machine, *case.hidden[0]].append((case, out))
     for (machine, effect, size), found in rows.items():
         hits = [_hits(case, out) for case, out in found]
-        misses = ", ".join(_says(case, out) for (case, out), hit in zip(found, hits, strict=True) if not hit)
+        misses = ", ".join(
+            _says(case, out) for (case, out), hit in zip(found, hits, strict=True) if not hit
+        )
         print(f"| {machine} | {effect} | {size} | {sum(hits)} / {len(hits)} | {misses} |")
 
 
@@ -270,22 +343,38 @@ def _report_nothing_missing(outcomes: list[tuple[Case, dict[str, Any]]]) -> None
     quiet: dict[str, list[dict[str, Any]]] = defaultdict(list)
     for case, out in outcomes:
         if case.family == "none":
-            what = case.hidden[0][0] if case.hidden else f"noise ρ = {case.settings.get('noise_color', 0)}"
+            what = (
+                case.hidden[0][0]
+                if case.hidden
+                else f"noise ρ = {case.settings.get('noise_color', 0)}"
+            )
             quiet[f"{case.machine}, {what}"].append(out)
     for what, found in quiet.items():
-        blamed = [f"{out['first']} ({out['probability']:.2f})" for out in found if out["verdict"] == "missing-effect"]
+        blamed = [
+            f"{out['first']} ({out['probability']:.2f})"
+            for out in found
+            if out["verdict"] == "missing-effect"
+        ]
         print(f"| {what} | {len(found) - len(blamed)} / {len(found)} | {', '.join(blamed)} |")
 
 
 def _report_outside(outcomes: list[tuple[Case, dict[str, Any]]]) -> None:
-    print("\n### Outside the catalogue\n\n| effect | size | not claimed with probability above .9 | claimed |\n|---|---|---|---|")
+    print(
+        "\n### Outside the catalogue\n\n| effect | size | not claimed with probability above .9 | claimed |\n|---|---|---|---|"
+    )
     outside: dict[tuple[str, str], list[dict[str, Any]]] = defaultdict(list)
     for case, out in outcomes:
         if case.family == "outside":
             outside[case.hidden[0]].append(out)
     for (effect, size), found in outside.items():
-        claimed = [f"{o['first']} ({o['probability']:.2f})" for o in found if o["probability"] > 0.9 and _blames(o)]
-        print(f"| {effect} | {size} | {len(found) - len(claimed)} / {len(found)} | {', '.join(claimed)} |")
+        claimed = [
+            f"{o['first']} ({o['probability']:.2f})"
+            for o in found
+            if o["probability"] > 0.9 and _blames(o)
+        ]
+        print(
+            f"| {effect} | {size} | {len(found) - len(claimed)} / {len(found)} | {', '.join(claimed)} |"
+        )
 
 
 def _report_calibration(single: list[tuple[Case, dict[str, Any]]]) -> None:
@@ -293,12 +382,15 @@ def _report_calibration(single: list[tuple[Case, dict[str, Any]]]) -> None:
         visible = [
             _hits(case, out)
             for case, out in single
-            if (out.get("chi_square") or 0.0) >= least and (channels is None or case.channels == channels)
+            if (out.get("chi_square") or 0.0) >= least
+            and (channels is None or case.channels == channels)
         ]
         print(f"\nNamed first where χ² ≥ {least:g} ({what}): {sum(visible)} / {len(visible)}")
     sure = [(case, out) for case, out in single if out["probability"] >= 0.9]
     right = sum(case.hidden[0][0] in out["group"] for case, out in sure if _blames(out))
-    print(f"\nVerdicts with p ≥ .9 that name the right group: {right} / {sum(_blames(out) for _, out in sure)}")
+    print(
+        f"\nVerdicts with p ≥ .9 that name the right group: {right} / {sum(_blames(out) for _, out in sure)}"
+    )
 
 
 def _report_said(made: list[Statement]) -> None:
@@ -306,20 +398,28 @@ def _report_said(made: list[Statement]) -> None:
         print(told(made))
         PICTURE.parent.mkdir(parents=True, exist_ok=True)
         series = {what: lines_of([s for s in made if s.what == what]) for what in KINDS}
-        PICTURE.write_text(reliability_svg(series, [(s.said, s.true) for s in real_names()]), encoding="utf-8")
+        PICTURE.write_text(
+            reliability_svg(series, [(s.said, s.true) for s in real_names()]), encoding="utf-8"
+        )
 
 
 def _report_improved(outcomes: list[tuple[Case, dict[str, Any]]]) -> None:
     ratios = {case.key: max(out["ratios"]) for case, out in outcomes if case.family == "improve"}
     if not ratios:
         return
-    print("\n### Improved, beside the true structure refitted\n\n| hidden | kept | error ÷ error, worst output |\n|---|---|---|")
+    print(
+        "\n### Improved, beside the true structure refitted\n\n| hidden | kept | error ÷ error, worst output |\n|---|---|---|"
+    )
     for case, out in outcomes:
         if case.key in ratios:
             hidden = " + ".join(f"{id} ({size})" for id, size in case.hidden)
             kept = " + ".join(out["accepted"]) or out["verdict"]
-            print(f"| {case.machine}, {case.settings.get('profile', '')}: {hidden} | {kept} | {ratios[case.key]:.3f} |")
-    print(f"\nMedian {np.median([*ratios.values()]):.3f}, largest {max(ratios.values()):.3f} of {len(ratios)}")
+            print(
+                f"| {case.machine}, {case.settings.get('profile', '')}: {hidden} | {kept} | {ratios[case.key]:.3f} |"
+            )
+    print(
+        f"\nMedian {np.median([*ratios.values()]):.3f}, largest {max(ratios.values()):.3f} of {len(ratios)}"
+    )
 
 
 def _hits(case: Case, out: dict[str, Any]) -> bool:

@@ -83,7 +83,9 @@ def service(data: str) -> FastAPI:
 def serve(make: Callable[..., FastAPI], *arguments: str) -> tuple[int, int]:
     """Run an app in a process of its own; gives its port and process number."""
     port = free_port()
-    process = multiprocessing.get_context("spawn").Process(target=_run, args=(make, arguments, port))
+    process = multiprocessing.get_context("spawn").Process(
+        target=_run, args=(make, arguments, port)
+    )
     process.start()
     atexit.register(process.kill)
     for _ in range(3000):
@@ -118,7 +120,9 @@ def processor_seconds(process: int) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def measure(jobs: dict[str, tuple[Callable[[], object], int]], rounds: int) -> dict[str, tuple[float, float]]:
+def measure(
+    jobs: dict[str, tuple[Callable[[], object], int]], rounds: int
+) -> dict[str, tuple[float, float]]:
     """(median seconds, mean processor seconds of its process) of each job; blocks of the jobs take turns."""
     waited: dict[str, list[float]] = {name: [] for name in jobs}
     spent = dict.fromkeys(jobs, 0.0)
@@ -130,7 +134,9 @@ def measure(jobs: dict[str, tuple[Callable[[], object], int]], rounds: int) -> d
                 job()
                 waited[name].append(time.perf_counter() - begun)
             spent[name] += processor_seconds(process) - before
-    return {name: (float(np.median(times)), spent[name] / len(times)) for name, times in waited.items()}
+    return {
+        name: (float(np.median(times)), spent[name] / len(times)) for name, times in waited.items()
+    }
 
 
 def main(rounds: int = ROUNDS) -> None:
@@ -140,7 +146,11 @@ def main(rounds: int = ROUNDS) -> None:
     np.save(file, signal)
     npy = file.getvalue()
     as_json = orjson.dumps(
-        {"sample_time": 1 / RATE, "channels": {"acceleration": signal.tolist()}, "units": {"acceleration": "m/s²"}}
+        {
+            "sample_time": 1 / RATE,
+            "channels": {"acceleration": signal.tolist()},
+            "units": {"acceleration": "m/s²"},
+        }
     )
     judge = DIAGNOSERS["bearing"](speed_rpm=1500.0)
     record = Record({"acceleration": signal}, {"acceleration": "m/s²"}, 1 / RATE)
@@ -151,15 +161,29 @@ def main(rounds: int = ROUNDS) -> None:
         jobs: dict[str, tuple[Callable[[], object], int]] = {
             "the diagnoser itself": (lambda: judge.score(record), os.getpid()),
             "framework, octets": (poster(theirs, "/octets", npy, octet), their_process),
-            "framework, JSON by pydantic": (poster(theirs, "/pydantic", as_json, text), their_process),
-            "score, octets, diagnoser for free": (poster(ours, f"/api/v1/score/free?{FREE}", npy, octet), our_process),
-            "score, octets": (poster(ours, f"/api/v1/score/bearing?{HEADS}", npy, octet), our_process),
-            "score, JSON": (poster(ours, "/api/v1/score/bearing?speed_rpm=1500", as_json, text), our_process),
+            "framework, JSON by pydantic": (
+                poster(theirs, "/pydantic", as_json, text),
+                their_process,
+            ),
+            "score, octets, diagnoser for free": (
+                poster(ours, f"/api/v1/score/free?{FREE}", npy, octet),
+                our_process,
+            ),
+            "score, octets": (
+                poster(ours, f"/api/v1/score/bearing?{HEADS}", npy, octet),
+                our_process,
+            ),
+            "score, JSON": (
+                poster(ours, "/api/v1/score/bearing?speed_rpm=1500", as_json, text),
+                our_process,
+            ),
         }
         measure(jobs, 2 * BLOCK)  # warm
         found = measure(jobs, rounds)
     octets = found["framework, octets"][1]
-    print("| 4096 samples, one connection | waited [ms] | processor [ms] | overhead ÷ octet route |")
+    print(
+        "| 4096 samples, one connection | waited [ms] | processor [ms] | overhead ÷ octet route |"
+    )
     print("|---|---|---|---|")
     for name, (waited, spent) in found.items():
         overhead = f"{spent / octets:.2f}" if name.endswith("for free") else ""

@@ -72,7 +72,11 @@ SLOW = ("/records", "/identify", "/events")
 def handmade() -> list[bytes]:
     """Bodies of a window with one odd value in each place, and odd ones in place of the whole."""
     bodies = [odd.encode("utf-8", "surrogatepass") for odd in ODD_JSON]
-    bodies += [_with(place).replace('""', odd).encode("utf-8", "surrogatepass") for place in PLACES for odd in ODD_JSON]
+    bodies += [
+        _with(place).replace('""', odd).encode("utf-8", "surrogatepass")
+        for place in PLACES
+        for odd in ODD_JSON
+    ]
     bodies += [
         b"\xff\xfe" + json.dumps(GOOD).encode("utf-16-le"),
         b"\xef\xbb\xbf" + json.dumps(GOOD).encode(),
@@ -116,17 +120,21 @@ class Cases:
         for parameter in operation.get("parameters", []):
             value = self._value(parameter["name"], parameter.get("schema", {}))
             if parameter["in"] == "path":
-                path = path.replace(f"{{{parameter['name']}}}", quote(value, safe="", errors="replace"))
+                path = path.replace(
+                    f"{{{parameter['name']}}}", quote(value, safe="", errors="replace")
+                )
             elif parameter["in"] == "query" and rng.random() < 0.5:
                 query += [(parameter["name"], value)] * rng.choice((1, 1, 1, 3))
         body, kind = self._body(operation) if method in ("POST", "PUT", "PATCH") else (None, None)
         headers = {"Content-Type": kind} if kind is not None else {}
         if rng.random() < 0.1:
-            headers["Idempotency-Key"] = rng.choice(("", "k", "k" * 300, "é".encode().decode("latin-1")))
-        if rng.random() < 0.05:
-            headers[rng.choice(("Range", "Accept", "Content-Encoding", "Expect", "Last-Event-ID"))] = rng.choice(
-                ("x", "gzip", "*/*;q=9")
+            headers["Idempotency-Key"] = rng.choice(
+                ("", "k", "k" * 300, "é".encode().decode("latin-1"))
             )
+        if rng.random() < 0.05:
+            headers[
+                rng.choice(("Range", "Accept", "Content-Encoding", "Expect", "Last-Event-ID"))
+            ] = rng.choice(("x", "gzip", "*/*;q=9"))
         if rng.random() < 0.03:
             method = rng.choice(("DELETE", "PATCH", "PUT", "HEAD", "OPTIONS", "TRACE"))
         target = path + (f"?{urlencode(query, errors='replace')}" if query else "")
@@ -144,7 +152,9 @@ class Cases:
                 return str(rng.choice((0.0, 0.001, 1.0, 1e9, -1.0)))
             if "enum" in schema:
                 return str(rng.choice(schema["enum"]))
-            return rng.choice(("press", "bearing", "gate-drive", "oven", "robust-residual", "a-1.b_2"))
+            return rng.choice(
+                ("press", "bearing", "gate-drive", "oven", "robust-residual", "a-1.b_2")
+            )
         return rng.choice(ODD_TEXTS)
 
     def _body(self, operation: dict[str, Any]) -> tuple[bytes, str]:
@@ -152,7 +162,12 @@ class Cases:
         kinds = list(operation.get("requestBody", {}).get("content", {})) or ["application/json"]
         kind = rng.choice(kinds) if rng.random() < 0.85 else rng.choice(TYPES)
         if "json" in kind:
-            schema = operation.get("requestBody", {}).get("content", {}).get("application/json", {}).get("schema", {})
+            schema = (
+                operation.get("requestBody", {})
+                .get("content", {})
+                .get("application/json", {})
+                .get("schema", {})
+            )
             made = rng.random()
             if made < 0.1:
                 return json.dumps(GOOD).encode(), kind
@@ -160,9 +175,10 @@ class Cases:
                 return rng.choice(self._handmade), kind
             body = json.dumps(self._filled(schema, 0)).encode()
             return body if made < 0.8 else _mutated(body, rng), kind
-        content = {"text/csv": b"time [s],acceleration [m/s\xc2\xb2]\n0,1\n0.001,2\n0.002,3\n", "application/zip": _npz()}.get(
-            kind, _npy()
-        )
+        content = {
+            "text/csv": b"time [s],acceleration [m/s\xc2\xb2]\n0,1\n0.001,2\n0.002,3\n",
+            "application/zip": _npz(),
+        }.get(kind, _npy())
         return content if rng.random() < 0.3 else _mutated(content, rng), kind
 
     def _filled(self, schema: dict[str, Any], depth: int) -> Any:
@@ -175,13 +191,18 @@ class Cases:
         kind = schema.get("type")
         if kind == "object" or "properties" in schema:
             named = {
-                name: self._filled(each, depth + 1) for name, each in schema.get("properties", {}).items() if rng.random() < 0.8
+                name: self._filled(each, depth + 1)
+                for name, each in schema.get("properties", {}).items()
+                if rng.random() < 0.8
             }
             if isinstance(more := schema.get("additionalProperties"), dict):
                 named |= {rng.choice(("acceleration", "y", "", "é")): self._filled(more, depth + 1)}
             return named
         if kind == "array":
-            return [self._filled(schema.get("items", {}), depth + 1) for _ in range(rng.choice((0, 1, 2, 5)))]
+            return [
+                self._filled(schema.get("items", {}), depth + 1)
+                for _ in range(rng.choice((0, 1, 2, 5)))
+            ]
         if kind in ("number", "integer"):
             return rng.choice((0, 1, -1, 0.001, 1e308, 1e-308, 10**12, 3))
         if kind == "boolean":
@@ -205,7 +226,12 @@ def _npy() -> bytes:
 
 def _npz() -> bytes:
     file = io.BytesIO()
-    np.savez(file, acceleration=np.arange(16.0), sample_time=1e-3, units=json.dumps({"acceleration": "m/s²"}))
+    np.savez(
+        file,
+        acceleration=np.arange(16.0),
+        sample_time=1e-3,
+        units=json.dumps({"acceleration": "m/s²"}),
+    )
     return file.getvalue()
 
 
@@ -218,7 +244,11 @@ def wrong_about(status: int, kind: str, content: bytes, method: str) -> str | No
     if kind != "application/problem+json":
         return f"{status} as {kind!r}"
     problem = json.loads(content)
-    if problem.get("status") != status or not problem.get("title") or "\n" in problem.get("detail", "\n"):
+    if (
+        problem.get("status") != status
+        or not problem.get("title")
+        or "\n" in problem.get("detail", "\n")
+    ):
         return f"{status}: not a problem of one line: {content[:100]!r}"
     return None
 
@@ -238,9 +268,14 @@ def campaign(cases: int, seed: int = 0) -> dict[str, Any]:
             process.join()
 
 
-def _ask(port: int, pid: int, document: dict[str, Any], cases: int, rng: random.Random) -> dict[str, Any]:
+def _ask(
+    port: int, pid: int, document: dict[str, Any], cases: int, rng: random.Random
+) -> dict[str, Any]:
     draw, statuses, wrong = Cases(document, rng), Counter[int](), Counter[str]()
-    by_hand = [("POST", "/api/v1/score/bearing", {"Content-Type": "application/json"}, body) for body in handmade()]
+    by_hand = [
+        ("POST", "/api/v1/score/bearing", {"Content-Type": "application/json"}, body)
+        for body in handmade()
+    ]
     connection = HTTPConnection("127.0.0.1", port, timeout=60)
     grown: list[int] = []
     for number in range(cases + len(by_hand)):
@@ -255,7 +290,9 @@ def _ask(port: int, pid: int, document: dict[str, Any], cases: int, rng: random.
             connection.close()
             continue
         statuses[answer.status] += 1
-        if says := wrong_about(answer.status, answer.headers.get("content-type", ""), content, method):
+        if says := wrong_about(
+            answer.status, answer.headers.get("content-type", ""), content, method
+        ):
             wrong[says] += 1
             sys.stderr.write(f"{method} {target} {headers} {body!r:.300}: {says}\n")
         if number % 1000 == 999:

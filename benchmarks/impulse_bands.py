@@ -29,7 +29,9 @@ def held(kernel: str, ratio: float, seed: int) -> np.ndarray:
     y += rng.standard_normal(len(y)) * math.sqrt(y.var() / ratio)
     record = Record({"u": u[SAMPLES:], "y": y[SAMPLES:]}, {"u": "", "y": ""}, 1.0)
     model = identify_impulse_response(record, "u", "y", kernel=kernel, order=ORDER)
-    error = np.abs(model.impulse_response - signal.lfilter(numerator, denominator, np.eye(1, ORDER + 1)[0])[1:])
+    error = np.abs(
+        model.impulse_response - signal.lfilter(numerator, denominator, np.eye(1, ORDER + 1)[0])[1:]
+    )
     return np.stack([error < 1.96 * model.std, error < 1.96 * model.conditional_std])
 
 
@@ -52,7 +54,10 @@ def main() -> None:
                     continue
             share = 100 * np.mean(found, axis=0)
             lags = " | ".join(f"{share[0, k - 1]:.0f} %" for k in SHOWN)
-            print(f"| {kernel} | {ratio:g} | {share[0].mean():.1f} % | {share[1].mean():.1f} % | {lags} |", flush=True)
+            print(
+                f"| {kernel} | {ratio:g} | {share[0].mean():.1f} % | {share[1].mean():.1f} % | {lags} |",
+                flush=True,
+            )
 
 
 if __name__ == "__main__":

@@ -21,7 +21,9 @@ from residuum.service.simulated.demo import Demo
 def residuum_share(seconds: float, speed: float) -> dict[str, object]:
     """Share of one core, losses and rates of our sources and cutters."""
     demo = Demo(speed)
-    lines = [MachineLine(machine, lambda *_: lambda: None, lambda _: None) for machine in demo.machines]
+    lines = [
+        MachineLine(machine, lambda *_: lambda: None, lambda _: None) for machine in demo.machines
+    ]
     demo.start()
     for line in lines:
         line.start()
@@ -31,7 +33,9 @@ def residuum_share(seconds: float, speed: float) -> dict[str, object]:
         cpu, begun, machines = time.process_time(), time.monotonic(), _machines_cpu(demo)
         time.sleep(seconds)
         share, wall = time.process_time() - cpu, time.monotonic() - begun
-        machines_share = {name: (used - machines[name]) / wall for name, used in _machines_cpu(demo).items()}
+        machines_share = {
+            name: (used - machines[name]) / wall for name, used in _machines_cpu(demo).items()
+        }
         states = {name: state for line in lines for name, state in line.source_status().items()}
         memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     finally:
@@ -70,7 +74,9 @@ def _machines_cpu(demo: Demo) -> dict[str, float]:
 def _wait_until_all_are_good(lines: list[MachineLine]) -> None:
     end = time.monotonic() + 120
     while time.monotonic() < end:
-        if all(state["quality"] == "good" for line in lines for state in line.source_status().values()):
+        if all(
+            state["quality"] == "good" for line in lines for state in line.source_status().values()
+        ):
             return
         time.sleep(0.2)
     raise SystemExit("the machines did not come up")

@@ -68,7 +68,9 @@ def fill(data: Path, rows: int, kilobytes: int) -> None:
     store = DiskStore(data, f"sqlite:///{data / 'residuum.db'}")
     for asset, channels in (("long", CHANNELS), ("longest", 1)):
         long = {f"y{k}": rng.normal(size=LONG * 2**20 // 8 // channels) for k in range(channels)}
-        store.add_window(asset, Record(long, dict.fromkeys(long, "m/s²"), 1e-4), Finding("bearing", "healthy"))
+        store.add_window(
+            asset, Record(long, dict.fromkeys(long, "m/s²"), 1e-4), Finding("bearing", "healthy")
+        )
     del long
     numbers = rng.normal(size=1024 * kilobytes // 20).tolist()
     wide = {f"a rather long name of a channel, number {k}": rng.normal(size=16) for k in range(256)}
@@ -76,7 +78,14 @@ def fill(data: Path, rows: int, kilobytes: int) -> None:
     for number in range(rows):
         values = {f"indicator {k}": float(k) for k in range(50)}
         finding = Finding(
-            "bearing", "faulty", None, values, values, dict.fromkeys(values, "m/s²"), {"spectrum": numbers}, "r" * 500
+            "bearing",
+            "faulty",
+            None,
+            values,
+            values,
+            dict.fromkeys(values, "m/s²"),
+            {"spectrum": numbers},
+            "r" * 500,
         )
         store.add_window("press" if number % 2 else f"press-{number}", record, finding)
         if number % 5 == 0:
@@ -87,7 +96,10 @@ def fill(data: Path, rows: int, kilobytes: int) -> None:
 def peak(pid: int) -> int:
     """The largest resident memory since it was reset [MiB]."""
     status = Path(f"/proc/{pid}/status").read_text()
-    return int(next(line for line in status.splitlines() if line.startswith("VmHWM")).split()[1]) // 1024
+    return (
+        int(next(line for line in status.splitlines() if line.startswith("VmHWM")).split()[1])
+        // 1024
+    )
 
 
 def reset(pid: int) -> int:
@@ -143,12 +155,18 @@ def campaign(rows: int, kilobytes: int) -> dict[str, Any]:
                 found[question] = {"added": peak(pid) - before, "status, MiB": dict(seen)}
             seen = Counter()
             before = reset(pid)
-            threads = [threading.Thread(target=ask, args=(port, QUESTIONS[k % len(QUESTIONS)], seen)) for k in range(100)]
+            threads = [
+                threading.Thread(target=ask, args=(port, QUESTIONS[k % len(QUESTIONS)], seen))
+                for k in range(100)
+            ]
             for thread in threads:
                 thread.start()
             for thread in threads:
                 thread.join()
-            found["a hundred at once"] = {"added": peak(pid) - before, "status": dict(Counter(key[0] for key in seen.elements()))}
+            found["a hundred at once"] = {
+                "added": peak(pid) - before,
+                "status": dict(Counter(key[0] for key in seen.elements())),
+            }
             found["items"] = {
                 "findings of press": listed(port, "assets/press/findings?limit=500") == rows // 2,
                 "assets": listed(port, "assets?limit=500") == rows - rows // 2 + 3,
@@ -168,7 +186,9 @@ def main() -> None:
     for what, figures in found.items():
         print(f"{what:<60}{figures}")
     too_large = [
-        name for name, each in found.items() if each.get("added", 0) > (HUNDRED if name.startswith("a hundred") else ONE)
+        name
+        for name, each in found.items()
+        if each.get("added", 0) > (HUNDRED if name.startswith("a hundred") else ONE)
     ]
     if too_large or not all(found["items"].values()):
         sys.exit(1)

@@ -70,9 +70,18 @@ class Plant:
         """Of its database."""
         return f"sqlite:///{self.file}"
 
-    def begin(self, days: int = 0, data: Path | None = None, file: Path | None = None) -> BaseProcess:
+    def begin(
+        self, days: int = 0, data: Path | None = None, file: Path | None = None
+    ) -> BaseProcess:
         """The service, on these or on its own."""
-        arguments = ["--data", data or self.data, "--database", f"sqlite:///{file or self.file}", "--port", self.port]
+        arguments = [
+            "--data",
+            data or self.data,
+            "--database",
+            f"sqlite:///{file or self.file}",
+            "--port",
+            self.port,
+        ]
         process = _context.Process(target=be, args=([*map(str, arguments)], days, str(self._told)))
         process.start()
         return process
@@ -105,7 +114,9 @@ class Plant:
     def refused(self) -> Counter[str]:
         """How often the clients were refused, by status."""
         outcomes = sum((client.outcomes for client in self.clients), Counter[str]())
-        return Counter({what: times for what, times in outcomes.items() if what.startswith("status")})
+        return Counter(
+            {what: times for what, times in outcomes.items() if what.startswith("status")}
+        )
 
     def ready(self) -> tuple[int, str]:
         """What the service says of itself."""
@@ -125,7 +136,12 @@ class Plant:
         process.kill()
         process.join()
         lines = self._told.read_text().splitlines()
-        return ended and len(lines) == 1 and lines[0].startswith("residuum: ") and blocks(self.data) == before
+        return (
+            ended
+            and len(lines) == 1
+            and lines[0].startswith("residuum: ")
+            and blocks(self.data) == before
+        )
 
     def lost(self) -> int:
         """Windows that were acknowledged and are not there, or twice, or with other samples."""
@@ -169,7 +185,9 @@ def clock(days: int) -> Callable[[Plant, random.Random], bool]:
         try:
             wait_for(lambda: answers_at(plant.port), "the service does not start")
             time.sleep(3.0)
-            return set(before) <= set(blocks(plant.data)) and (days < 0 or "clock says" in status(plant.port))
+            return set(before) <= set(blocks(plant.data)) and (
+                days < 0 or "clock says" in status(plant.port)
+            )
         finally:
             process.terminate()
             process.join(60)
@@ -177,7 +195,9 @@ def clock(days: int) -> Callable[[Plant, random.Random], bool]:
     return wrong
 
 
-def while_running(harm: Callable[[Plant], None], mend: Callable[[Plant], None]) -> Callable[[Plant, random.Random], bool]:
+def while_running(
+    harm: Callable[[Plant], None], mend: Callable[[Plant], None]
+) -> Callable[[Plant, random.Random], bool]:
     """Something happens while clients post, and passes."""
 
     def happens(plant: Plant, _chance: random.Random) -> bool:
@@ -190,7 +210,12 @@ def while_running(harm: Callable[[Plant], None], mend: Callable[[Plant], None]) 
             code, says = plant.ready()
             mend(plant)
             plant.wait_for_more(5)
-        return code in (503, 507) and bool(says) and "\n" not in says and set(plant.refused()) <= {"status 503", "status 507"}
+        return (
+            code in (503, 507)
+            and bool(says)
+            and "\n" not in says
+            and set(plant.refused()) <= {"status 503", "status 507"}
+        )
 
     return happens
 
@@ -210,7 +235,10 @@ def remount(below: str, how: str) -> Callable[[Plant], None]:
 
     def changed(plant: Plant) -> None:
         command = ["mount", "-o", f"remount,{how}", str(plant.data / below)]
-        wait_for(lambda: not subprocess.run(command, capture_output=True, check=False).returncode, f"cannot be done: {command}")
+        wait_for(
+            lambda: not subprocess.run(command, capture_output=True, check=False).returncode,
+            f"cannot be done: {command}",
+        )
 
     return changed
 
@@ -228,11 +256,15 @@ CASES: dict[str, tuple[str | None, Callable[[Plant, random.Random], bool]]] = {
     "an empty data folder": (None, empty_folder),
     "data folder moved while it runs": (
         None,
-        while_running(move(lambda plant: plant.data, back=False), move(lambda plant: plant.data, back=True)),
+        while_running(
+            move(lambda plant: plant.data, back=False), move(lambda plant: plant.data, back=True)
+        ),
     ),
     "database file moved while it runs": (
         None,
-        while_running(move(lambda plant: plant.file, back=False), move(lambda plant: plant.file, back=True)),
+        while_running(
+            move(lambda plant: plant.file, back=False), move(lambda plant: plant.file, back=True)
+        ),
     ),
     "clock two years ahead": (None, clock(TWO_YEARS)),
     "clock two years behind": (None, clock(-TWO_YEARS)),
@@ -278,7 +310,9 @@ def status(port: int) -> str:
 
 def campaign(cases: list[str], runs: int, seed: int) -> dict[str, Counter[str]]:
     """Of each case: runs, windows that were acknowledged, those lost, and runs in which it was said in one line."""
-    _context.set_forkserver_preload(["residuum.service.app", "residuum.service.commands.serve", "uvicorn"])
+    _context.set_forkserver_preload(
+        ["residuum.service.app", "residuum.service.commands.serve", "uvicorn"]
+    )
     chance = random.Random(seed)
     found: dict[str, Counter[str]] = {}
     for case in cases:
@@ -288,7 +322,9 @@ def campaign(cases: list[str], runs: int, seed: int) -> dict[str, Counter[str]]:
             with tempfile.TemporaryDirectory() as name, disk(Path(name), below) as place:
                 plant = Plant(Path(name), chance, place)
                 said = happens(plant, chance)
-                found[case].update(runs=1, acknowledged=answers(plant.clients), lost=plant.lost(), said=said)
+                found[case].update(
+                    runs=1, acknowledged=answers(plant.clients), lost=plant.lost(), said=said
+                )
         print(f"{case:<36}{dict(found[case])}", flush=True)
     return found
 

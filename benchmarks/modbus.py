@@ -55,11 +55,15 @@ class Device:
         self.last = -1
         self.came: list[float] = []
         registers = read_register_map(MAPS / "process_plant.yaml")
-        self.source = ModbusSource("127.0.0.1", self.server.port, registers, self._take, timeout=timeout)
+        self.source = ModbusSource(
+            "127.0.0.1", self.server.port, registers, self._take, timeout=timeout
+        )
 
     def _take(self, block: Block) -> bool:
         self.came.append(time.monotonic())
-        for number, u, y in zip(block.number.tolist(), block.channels["u"], block.channels["y"], strict=True):
+        for number, u, y in zip(
+            block.number.tolist(), block.channels["u"], block.channels["y"], strict=True
+        ):
             expected = self._truth(number % BREAK)
             self.wrong += (u, y) != (expected["u"], expected["y"]) or number <= self.last
             self.last = number
@@ -72,7 +76,10 @@ class Device:
 
     def recoveries(self) -> list[float]:
         """Seconds from the end of the last fault before it to each good data that came after one."""
-        came, ended = np.array(self.came), np.array(sorted(moment for _, moment in self.server.ended))
+        came, ended = (
+            np.array(self.came),
+            np.array(sorted(moment for _, moment in self.server.ended)),
+        )
         after = np.searchsorted(came, ended, side="right")
         last = np.flatnonzero(np.diff(after, append=-1))
         return [float(came[after[k]] - ended[k]) if after[k] < len(came) else np.inf for k in last]
@@ -90,10 +97,16 @@ def campaign(faults: int, devices: int, seed: int = 0) -> dict[str, Any]:
 
     def draw(rng: random.Random) -> Any:
         for _ in itertools.count():
-            yield rng.choice(faulty_modbus.KINDS) if not over.is_set() and rng.random() < SHARE else None
+            yield (
+                rng.choice(faulty_modbus.KINDS)
+                if not over.is_set() and rng.random() < SHARE
+                else None
+            )
 
     faulty = [Device(faulty_modbus, draw(random.Random(seed + k))) for k in range(devices)]
-    sound = Device(faulty_modbus, iter(()), IN_TIME)  # it may be slow with this machine; it may lose nothing
+    sound = Device(
+        faulty_modbus, iter(()), IN_TIME
+    )  # it may be slow with this machine; it may lose nothing
     everyone = [*faulty, sound]
     for device in everyone:
         device.source.start()
@@ -114,7 +127,9 @@ def campaign(faults: int, devices: int, seed: int = 0) -> dict[str, Any]:
 
 def _counted(faulty: list[Device], sound: Device) -> dict[str, Any]:
     recoveries = [wait for device in faulty for wait in device.recoveries()]
-    counters = sum((Counter(device.source.health.snapshot()["counters"]) for device in faulty), Counter[str]())
+    counters = sum(
+        (Counter(device.source.health.snapshot()["counters"]) for device in faulty), Counter[str]()
+    )
     sound_losses = sum(sound.source.health.snapshot()["counters"].values())
     kinds = Counter(kind for device in faulty for kind, _ in device.server.ended)
     return {
@@ -144,7 +159,15 @@ def main() -> None:
     found = campaign(given.faults, given.devices, given.seed)
     for what, figure in found.items():
         print(f"{what:<36}{figure}")
-    if any(found[what] for what in ("wrong values", "unaccounted", "recoveries over 5 s", "sound device: lost, late or wrong")):
+    if any(
+        found[what]
+        for what in (
+            "wrong values",
+            "unaccounted",
+            "recoveries over 5 s",
+            "sound device: lost, late or wrong",
+        )
+    ):
         sys.exit(1)
 
 

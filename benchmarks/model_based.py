@@ -57,7 +57,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--faulty", type=int, default=2)
     asked = parser.parse_args(arguments if arguments is not None else [])
     above = " | ".join(f"above {rate:g}" for rate in RATES)
-    print(f"| machine | windows | {above} | alarms | found | in group | first | sensor ↔ physics | in band | CPU | training |")
+    print(
+        f"| machine | windows | {above} | alarms | found | in group | first | sensor ↔ physics | in band | CPU | training |"
+    )
     print("|" + "---|" * 13)
     details: list[str] = []
     for name in asked.machines or list(WATCHED):
@@ -70,12 +72,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def untrained(model: PhysicalModel, seconds: float) -> ModelBased:
     """The diagnoser of a machine with windows of so many seconds, at the rate of false alarms at which faults are found."""
-    return ModelBased(model=model, fix_undetermined=True, false_alarms_per_day=DECIDED * 86400.0 / seconds)
+    return ModelBased(
+        model=model, fix_undetermined=True, false_alarms_per_day=DECIDED * 86400.0 / seconds
+    )
 
 
 def measured(watched: Watched, seed: int, asked: Any, tally: Tally) -> list[str]:
     """One machine: counts into the tally, and a line a fault."""
-    trained_on, healthy = windows(watched, seed, 0, TRAINED_ON), windows(watched, seed, TRAINED_ON, 150)[: asked.healthy]
+    trained_on, healthy = (
+        windows(watched, seed, 0, TRAINED_ON),
+        windows(watched, seed, TRAINED_ON, 150)[: asked.healthy],
+    )
     begun = time.process_time()
     trained = untrained(watched.model(), watched.seconds).fit(trained_on)
     tally.trained.append(time.process_time() - begun)
@@ -93,14 +100,30 @@ def measured(watched: Watched, seed: int, asked: Any, tally: Tally) -> list[str]
             finding = trained.score(record)
             tally.seconds.append(time.process_time() - begun)
             causes = finding.evidence.get("causes") or []
-            tally.answers.append(judged(trained, watched, seed, fault, finding.verdict is Verdict.FAULTY, causes, record))
-            told.append(f"{label(causes[0])} {causes[0]['probability']:.2f}" if causes else finding.verdict.value)
-        lines.append(f"{watched.name} {seed}, {fault.id} ({' or '.join(fault.causes)}): {', '.join(told)}")
+            tally.answers.append(
+                judged(
+                    trained, watched, seed, fault, finding.verdict is Verdict.FAULTY, causes, record
+                )
+            )
+            told.append(
+                f"{label(causes[0])} {causes[0]['probability']:.2f}"
+                if causes
+                else finding.verdict.value
+            )
+        lines.append(
+            f"{watched.name} {seed}, {fault.id} ({' or '.join(fault.causes)}): {', '.join(told)}"
+        )
     return lines
 
 
 def judged(
-    trained: ModelBased, watched: Watched, seed: int, fault: Fault, faulty: bool, causes: list[dict[str, Any]], record: Record
+    trained: ModelBased,
+    watched: Watched,
+    seed: int,
+    fault: Fault,
+    faulty: bool,
+    causes: list[dict[str, Any]],
+    record: Record,
 ) -> Answer:
     """What was right in the answer on one faulty window."""
     if not causes:
@@ -108,7 +131,13 @@ def judged(
     first, told = label(causes[0]), causes[0]["kind"]
     named = bool({first, *causes[0]["indistinguishable_from"]} & set(fault.causes))
     confused = not named and (told == "sensor") != (fault.kind == "sensor") and told != "unknown"
-    return Answer(faulty, first in fault.causes, named, confused, _covered(trained, watched, seed, causes, fault, record))
+    return Answer(
+        faulty,
+        first in fault.causes,
+        named,
+        confused,
+        _covered(trained, watched, seed, causes, fault, record),
+    )
 
 
 def label(cause: dict[str, Any]) -> str:
@@ -117,7 +146,12 @@ def label(cause: dict[str, Any]) -> str:
 
 
 def _covered(
-    trained: ModelBased, watched: Watched, seed: int, causes: Sequence[dict[str, Any]], fault: Fault, record: Record
+    trained: ModelBased,
+    watched: Watched,
+    seed: int,
+    causes: Sequence[dict[str, Any]],
+    fault: Fault,
+    record: Record,
 ) -> bool | None:
     """Whether the 95 % band of the size holds the truth; None where the cause was not named or has no such size."""
     if fault.size is None:
@@ -132,7 +166,9 @@ def _covered(
     return bool(low <= true <= high)
 
 
-def truth(trained: ModelBased, watched: Watched, seed: int, fault: Fault, record: Record) -> float | None:
+def truth(
+    trained: ModelBased, watched: Watched, seed: int, fault: Fault, record: Record
+) -> float | None:
     """The true size in the model's terms: of a value the usual one for such a run, changed as the machine's own constant was."""
     assert fault.size is not None
     name, size = fault.size
@@ -150,10 +186,16 @@ def truth(trained: ModelBased, watched: Watched, seed: int, fault: Fault, record
 
 def row(name: str, tally: Tally) -> str:
     """A machine's line of the table."""
-    above = " | ".join(f"{tally.above[p]} ({p * tally.healthy:.0f}; {_band(tally.above[p])})" for p in RATES)
+    above = " | ".join(
+        f"{tally.above[p]} ({p * tally.healthy:.0f}; {_band(tally.above[p])})" for p in RATES
+    )
     answers, many = tally.answers, len(tally.answers)
     covered = [a.covered for a in answers if a.covered is not None]
-    counts = (sum(a.found for a in answers), sum(a.named for a in answers), sum(a.first for a in answers))
+    counts = (
+        sum(a.found for a in answers),
+        sum(a.named for a in answers),
+        sum(a.first for a in answers),
+    )
     shares = " | ".join(f"{count}/{many}" for count in (*counts, sum(a.confused for a in answers)))
     return (
         f"| {name} | {tally.healthy} | {above} | {tally.alarms} | {shares} | {sum(covered)}/{len(covered)} | "

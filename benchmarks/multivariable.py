@@ -15,9 +15,16 @@ import numpy as np
 from scipy.signal import lfilter
 
 from benchmarks.identification import random_system
-from residuum.diagnosis.residuals.multivariable import MultivariableDetection, design_multivariable_residual, detect_multivariable
+from residuum.diagnosis.residuals.multivariable import (
+    MultivariableDetection,
+    design_multivariable_residual,
+    detect_multivariable,
+)
 from residuum.identification.errors import BadInput
-from residuum.identification.kernel_based.multivariable import MultivariableModel, identify_multivariable
+from residuum.identification.kernel_based.multivariable import (
+    MultivariableModel,
+    identify_multivariable,
+)
 from residuum.identification.record import Record
 from residuum.robust_control.control_problem import Wishes
 from residuum.robust_control.multivariable_control import MultivariableProblem, closed_loop_steps
@@ -40,7 +47,12 @@ class Plant:
     paths: tuple[tuple[Path, Path], tuple[Path, Path]]
     noise: tuple[float, float]
 
-    def record(self, stream: int, sensor: tuple[int, float] | None = None, actuator: tuple[int, float] | None = None) -> Record:
+    def record(
+        self,
+        stream: int,
+        sensor: tuple[int, float] | None = None,
+        actuator: tuple[int, float] | None = None,
+    ) -> Record:
         """White inputs; a fault begins in the middle."""
         rng = np.random.default_rng([self.seed, stream])
         u = rng.standard_normal((2, 2 * SAMPLES))
@@ -72,7 +84,9 @@ def plants(first: int, ratio: float) -> Iterator[Plant]:
     while True:
         rng = np.random.default_rng(seed)
         systems = [random_system(rng) for _ in range(4)]
-        scale = rng.uniform(0.4, 1.0, 4) * np.array([1.0, rng.choice([-1, 1]) * 0.6, rng.choice([-1, 1]) * 0.6, 1.0])
+        scale = rng.uniform(0.4, 1.0, 4) * np.array(
+            [1.0, rng.choice([-1, 1]) * 0.6, rng.choice([-1, 1]) * 0.6, 1.0]
+        )
         made = []
         for (b, a), factor in zip(systems, scale, strict=True):
             gain = float(np.sum(b) / np.sum(a))
@@ -102,7 +116,9 @@ def _named(found: MultivariableDetection, kind: str, place: str, size: float) ->
 def _residuals(plant: Plant, model: MultivariableModel, tally: Counter[str]) -> None:
     design = design_multivariable_residual(model, [plant.record(0)])
     for k in range(HEALTHY):
-        found = detect_multivariable(design, plant.record(10 + k), false_alarms_per_day=RATE * 86400)
+        found = detect_multivariable(
+            design, plant.record(10 + k), false_alarms_per_day=RATE * 86400
+        )
         tally["healthy"] += 1
         tally["alarmed"] += found.alarm.any()
         tally["expected"] += 1 - np.exp(-RATE * found.residual.valid.sum())
@@ -110,12 +126,22 @@ def _residuals(plant: Plant, model: MultivariableModel, tally: Counter[str]) -> 
         size = 0.5 * plant.noise[i]
         tally.update(
             f"sensor {what}"
-            for what in _named(detect_multivariable(design, plant.record(20 + i, sensor=(i, size))), "sensor", name, size)
+            for what in _named(
+                detect_multivariable(design, plant.record(20 + i, sensor=(i, size))),
+                "sensor",
+                name,
+                size,
+            )
         )
     for j, name in enumerate(INPUTS):
         tally.update(
             f"actuator {what}"
-            for what in _named(detect_multivariable(design, plant.record(30 + j, actuator=(j, 0.3))), "actuator", name, 0.3)
+            for what in _named(
+                detect_multivariable(design, plant.record(30 + j, actuator=(j, 0.3))),
+                "actuator",
+                name,
+                0.3,
+            )
         )
 
 
@@ -129,15 +155,30 @@ def _control(plant: Plant, model: MultivariableModel, tally: Counter[str]) -> st
     tally["designed"] += 1
     tally["certified"] += found.certified
     fresh = problem.drawn(FRESH, 77)
-    ends = [closed_loop_steps(fresh, found.decoupler, found.controllers, i, FOLLOWED)[:, -1] for i in (0, 1)]
+    ends = [
+        closed_loop_steps(fresh, found.decoupler, found.controllers, i, FOLLOWED)[:, -1]
+        for i in (0, 1)
+    ]
     goals = np.eye(2)
     tally["fresh"] += FRESH
-    tally["fresh unstable"] += int(np.sum([np.abs(end - goal).max(axis=1) > 0.05 for end, goal in zip(ends, goals, strict=True)]))
-    truth = [closed_loop_steps(plant.taps(400), found.decoupler, found.controllers, i, FOLLOWED)[0] for i in (0, 1)]
-    tally["truth stable"] += all(np.abs(y[-1] - goal).max() < 0.05 for y, goal in zip(truth, goals, strict=True))
+    tally["fresh unstable"] += int(
+        np.sum(
+            [np.abs(end - goal).max(axis=1) > 0.05 for end, goal in zip(ends, goals, strict=True)]
+        )
+    )
+    truth = [
+        closed_loop_steps(plant.taps(400), found.decoupler, found.controllers, i, FOLLOWED)[0]
+        for i in (0, 1)
+    ]
+    tally["truth stable"] += all(
+        np.abs(y[-1] - goal).max() < 0.05 for y, goal in zip(truth, goals, strict=True)
+    )
     seen = problem.measured(found)
     tally["loops"] += 2
-    tally["kept"] += sum(one.own.kept(point.first, point.second)[0] for one, point in zip(seen, found.points, strict=True))
+    tally["kept"] += sum(
+        one.own.kept(point.first, point.second)[0]
+        for one, point in zip(seen, found.points, strict=True)
+    )
     coupling = [float(np.abs(truth[i][:, 1 - i]).max()) for i in (0, 1)]
     reach = [float(np.quantile(one.drawn_coupling, 0.95)) for one in seen]
     tally["coupling held"] += sum(c < 1.1 * r + 0.02 for c, r in zip(coupling, reach, strict=True))
@@ -150,7 +191,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--plants", type=int, default=20)
     parser.add_argument("--first", type=int, default=9000)
-    parser.add_argument("--ratio", type=float, default=10.0, help="variance of the outputs over that of their noise")
+    parser.add_argument(
+        "--ratio", type=float, default=10.0, help="variance of the outputs over that of their noise"
+    )
     given = parser.parse_args()
     tally: Counter[str] = Counter()
     print("| plant | relative gain | control | CPU [s] |\n|---|---|---|---|")
@@ -160,7 +203,10 @@ def main() -> None:
         _residuals(plant, model, tally)
         told = _control(plant, model, tally)
         gain = MultivariableProblem(model).relative_gains[0, 0]
-        print(f"| {plant.seed} | {gain:.2f} | {told} | {time.process_time() - begun:.0f} |", flush=True)
+        print(
+            f"| {plant.seed} | {gain:.2f} | {told} | {time.process_time() - begun:.0f} |",
+            flush=True,
+        )
     print("\n| what | of how many |\n|---|---|")
     print(
         f"| healthy records alarmed | {tally['alarmed']} of {tally['healthy']} ({tally['expected']:.1f} by the rate asked for) |"
@@ -170,11 +216,19 @@ def main() -> None:
         print(f"| {kind} offsets found | {found} of {found + tally[f'{kind} missed']} |")
         print(f"| … of these named | {named} of {found}; told as alike {tally[f'{kind} alike']} |")
         print(f"| … size in its 95 % band | {tally[f'{kind} in its band']} of {named} |")
-    print(f"| designs (refused {tally['refused']}) certified | {tally['certified']} of {tally['designed']} |")
-    print(f"| steps of fresh plants that do not end where they should | {tally['fresh unstable']} of {2 * tally['fresh']} |")
+    print(
+        f"| designs (refused {tally['refused']}) certified | {tally['certified']} of {tally['designed']} |"
+    )
+    print(
+        f"| steps of fresh plants that do not end where they should | {tally['fresh unstable']} of {2 * tally['fresh']} |"
+    )
     print(f"| true plants stable | {tally['truth stable']} of {tally['designed']} |")
-    print(f"| promises of overshoot and settling kept by the nominal whole | {tally['kept']} of {tally['loops']} |")
-    print(f"| true interaction within what 95 % of plants reach | {tally['coupling held']} of {tally['loops']} |")
+    print(
+        f"| promises of overshoot and settling kept by the nominal whole | {tally['kept']} of {tally['loops']} |"
+    )
+    print(
+        f"| true interaction within what 95 % of plants reach | {tally['coupling held']} of {tally['loops']} |"
+    )
 
 
 if __name__ == "__main__":

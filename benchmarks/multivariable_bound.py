@@ -27,9 +27,18 @@ def record(seed: int) -> Record:
     """White inputs; white noise on each output."""
     rng = np.random.default_rng(seed)
     u = rng.standard_normal((2, SAMPLES))
-    y = np.stack([sum(lfilter([0.0, b], [1.0, -a], one) for (b, a), one in zip(row, u, strict=True)) for row in PATHS])
+    y = np.stack(
+        [
+            sum(lfilter([0.0, b], [1.0, -a], one) for (b, a), one in zip(row, u, strict=True))
+            for row in PATHS
+        ]
+    )
     y += rng.standard_normal(y.shape) * y.std(axis=1, keepdims=True) / np.sqrt(RATIO)
-    return Record({"u0": u[0], "u1": u[1], "y0": y[0], "y1": y[1]}, dict.fromkeys(("u0", "u1", "y0", "y1"), ""), 1.0)
+    return Record(
+        {"u0": u[0], "u1": u[1], "y0": y[0], "y1": y[1]},
+        dict.fromkeys(("u0", "u1", "y0", "y1"), ""),
+        1.0,
+    )
 
 
 def ratios(problem: MultivariableProblem) -> npt.NDArray[np.float64]:
@@ -49,7 +58,9 @@ def ratios(problem: MultivariableProblem) -> npt.NDArray[np.float64]:
 
 def true_error_over_weight(data: Record, *, cover_cut: bool) -> tuple[float, list[int]]:
     """The largest over elements and frequencies, and the lengths of the responses that models were drawn from."""
-    model = identify_multivariable(data, ["u0", "u1"], ["y0", "y1"], order=ORDER, cover_cut=cover_cut)
+    model = identify_multivariable(
+        data, ["u0", "u1"], ["y0", "y1"], order=ORDER, cover_cut=cover_cut
+    )
     worst = float(ratios(MultivariableProblem(model)).max())
     lengths = [ORDER if one is None else len(one.mean) // 2 for one in model.longer or (None, None)]
     return worst, lengths
@@ -65,7 +76,9 @@ def main() -> None:
         data = record(seed)
         alone, _ = true_error_over_weight(data, cover_cut=False)
         covered, lengths = true_error_over_weight(data, cover_cut=True)
-        print(f"| {seed} | {alone:.2f} | {covered:.2f} | {', '.join(map(str, lengths))} |", flush=True)
+        print(
+            f"| {seed} | {alone:.2f} | {covered:.2f} | {', '.join(map(str, lengths))} |", flush=True
+        )
 
 
 if __name__ == "__main__":

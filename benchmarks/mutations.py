@@ -39,7 +39,9 @@ class Mutation:
         file = folder / self.file
         text = file.read_text(encoding="utf-8")
         if text.count(self.right) != 1:
-            raise ValueError(f"mutation {self.name!r}: {self.file} has {text.count(self.right)} times {self.right!r}; needs one")
+            raise ValueError(
+                f"mutation {self.name!r}: {self.file} has {text.count(self.right)} times {self.right!r}; needs one"
+            )
         file.write_text(text.replace(self.right, self.wrong), encoding="utf-8")
 
 
@@ -200,11 +202,17 @@ MUTATIONS = (
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the mutations asked for; 0 when the tests of each were green before and red after."""
-    parser = argparse.ArgumentParser(description="Make the code wrong on purpose and see whether its tests turn red.")
+    parser = argparse.ArgumentParser(
+        description="Make the code wrong on purpose and see whether its tests turn red."
+    )
     parser.add_argument("--from", dest="first", type=int, default=1, help="the first one's number")
-    parser.add_argument("--to", dest="last", type=int, default=len(MUTATIONS), help="the last one's number")
+    parser.add_argument(
+        "--to", dest="last", type=int, default=len(MUTATIONS), help="the last one's number"
+    )
     chosen = parser.parse_args(arguments)
-    print("| | mutation | tests | before | after | seconds |\n|---:|---|---|---|---|---:|", flush=True)
+    print(
+        "| | mutation | tests | before | after | seconds |\n|---:|---|---|---|---|---:|", flush=True
+    )
     well = True
     with tempfile.TemporaryDirectory(prefix="residuum-mutations-") as name:
         folder = Path(name)
@@ -217,7 +225,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
             shutil.copy2(ROOT / mutation.file, folder / mutation.file)
             tests = f"`{mutation.tests}`" + (f" -k '{mutation.chosen}'" if mutation.chosen else "")
             seconds = time.perf_counter() - begin
-            print(f"| {number} | {mutation.name} | {tests} | {before} | {after} | {seconds:.0f} |", flush=True)
+            print(
+                f"| {number} | {mutation.name} | {tests} | {before} | {after} | {seconds:.0f} |",
+                flush=True,
+            )
             well &= (before, after) == ("green", "red")
     return 0 if well else 1
 
@@ -225,7 +236,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _copy_sources(folder: Path) -> None:
     """What git knows or would take, as it lies in the work tree."""
     listed = subprocess.run(
-        ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"], cwd=ROOT, check=True, capture_output=True
+        ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
+        cwd=ROOT,
+        check=True,
+        capture_output=True,
     )
     for name in filter(None, listed.stdout.decode().split("\0")):
         if (ROOT / name).is_file():
@@ -238,7 +252,12 @@ def _colour(mutation: Mutation, folder: Path) -> str:
     command = [sys.executable, "-m", "pytest", "-x", "-p", "no:cacheprovider", mutation.tests]
     command += ["-k", mutation.chosen] if mutation.chosen else []
     done = subprocess.run(
-        command, cwd=folder, env=os.environ | {"PYTHONPATH": str(folder)}, capture_output=True, text=True, check=False
+        command,
+        cwd=folder,
+        env=os.environ | {"PYTHONPATH": str(folder)},
+        capture_output=True,
+        text=True,
+        check=False,
     )
     colours = {pytest.ExitCode.OK: "green", pytest.ExitCode.TESTS_FAILED: "red"}
     if done.returncode not in colours:

@@ -25,7 +25,11 @@ from residuum.service.fieldbus.opcua.opcua_source import OpcuaSource
 from residuum.service.fieldbus.sequence import BREAK
 
 KINDS = ("kill", "kill", "drop", "bad", "uncertain", "jump", "faster", "kill-and-set")
-MAP = {"streams": {"s": {"sample_time": STEP, "channels": {n: {"node": f"ns=2;s=m.{n}"} for n in ("u", "y")}}}}
+MAP = {
+    "streams": {
+        "s": {"sample_time": STEP, "channels": {n: {"node": f"ns=2;s=m.{n}"} for n in ("u", "y")}}
+    }
+}
 RETURN = 5.0
 
 
@@ -38,7 +42,9 @@ class Server:
 
     def start(self):
         command = [sys.executable, "-m", "benchmarks.opcua_server", str(self.port), str(self.shift)]
-        self.process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        self.process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
         self.up = float(self.process.stdout.readline().split()[1])
 
     def kill(self):
@@ -63,7 +69,9 @@ class Judge:
             segment = number // BREAK
             self.numbers.setdefault(segment, []).append(number)
             for i in [i for i in (a, (b - 1) / 2) if not math.isnan(i)]:
-                self.wrong += i != int(i) or self.offsets.setdefault(segment, number - i) != number - i
+                self.wrong += (
+                    i != int(i) or self.offsets.setdefault(segment, number - i) != number - i
+                )
             if not (math.isnan(a) or math.isnan(b)):
                 self.good += 1
                 self.last_good = time.monotonic()
@@ -107,7 +115,11 @@ def provoke(kind, server, rng):
         time.sleep(rng.uniform(0.2, 0.6))
         server.tell("every 1")
         return time.monotonic()
-    status = ua.StatusCodes.BadSensorFailure if kind == "bad" else ua.StatusCodes.UncertainLastUsableValue
+    status = (
+        ua.StatusCodes.BadSensorFailure
+        if kind == "bad"
+        else ua.StatusCodes.UncertainLastUsableValue
+    )
     server.tell(f"status {status}")
     time.sleep(rng.uniform(0.2, 0.6))
     server.tell("status 0")
@@ -142,14 +154,20 @@ def main():
     options.add_argument("--faults", type=int, default=200)
     options.add_argument("--seed", type=int, default=1)
     options.add_argument("--kinds", default=",".join(KINDS), help="Only these faults.")
-    options.add_argument("--seconds", type=float, default=math.inf, help="No new fault after so long.")
+    options.add_argument(
+        "--seconds", type=float, default=math.inf, help="No new fault after so long."
+    )
     given = options.parse_args()
-    judge, returns, counts, counters = run(given.faults, given.seed, given.kinds.split(","), given.seconds)
+    judge, returns, counts, counters = run(
+        given.faults, given.seed, given.kinds.split(","), given.seconds
+    )
     lost, counted = judge.uncounted(), counters.get("lost", 0)
     print(f"faults: {counts}")
     print(f"samples: {judge.good} good, {judge.wrong} wrong, {judge.twice()} twice")
     print(f"{lost} missing inside segments, {counted} counted lost")
-    print(f"good data after return [s]: median {np.median(returns):.2f}, longest {max(returns):.2f}")
+    print(
+        f"good data after return [s]: median {np.median(returns):.2f}, longest {max(returns):.2f}"
+    )
     print(f"counters: {counters}")
     return int(judge.wrong > 0 or judge.twice() > 0 or counted < lost or max(returns) > RETURN)
 

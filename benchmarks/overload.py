@@ -35,18 +35,30 @@ PATH = "/api/v1/assets/press/windows?diagnoser=bearing&channel=acceleration%20%5
 def serve(data: str, port: int, keys: str) -> None:
     """The service as other machines reach it."""
     settings = load_settings(
-        data=Path(data), host="0.0.0.0", port=port, api_keys=Path(keys), rate_limit=RATE, workers=1, log_level="error"
+        data=Path(data),
+        host="0.0.0.0",
+        port=port,
+        api_keys=Path(keys),
+        rate_limit=RATE,
+        workers=1,
+        log_level="error",
     )
-    uvicorn.run(create_app(settings), host="127.0.0.1", port=port, log_config=None, access_log=False)
+    uvicorn.run(
+        create_app(settings), host="127.0.0.1", port=port, log_config=None, access_log=False
+    )
 
 
 def campaign(seconds: float) -> dict[str, Any]:
     """Overload one key from several connections; what was answered, and how the service grew."""
     (key, digest), (monitor, monitor_digest) = new_key(), new_key()
     with tempfile.TemporaryDirectory() as data:
-        (Path(data) / "keys").write_text(f"gateway engineer {digest}\nlooker monitor {monitor_digest}\n")
+        (Path(data) / "keys").write_text(
+            f"gateway engineer {digest}\nlooker monitor {monitor_digest}\n"
+        )
         port = free_port()
-        process = multiprocessing.get_context("spawn").Process(target=serve, args=(data, port, str(Path(data) / "keys")))
+        process = multiprocessing.get_context("spawn").Process(
+            target=serve, args=(data, port, str(Path(data) / "keys"))
+        )
         process.start()
         try:
             _wait(port)
@@ -88,7 +100,9 @@ def _ask(port: int, key: str, seconds: float) -> Counter[str]:
             answer = connection.getresponse()
             answer.read()
             mine[str(answer.status)] += 1
-            mine["429 without Retry-After"] += answer.status == 429 and int(answer.headers.get("Retry-After", 0)) < 1
+            mine["429 without Retry-After"] += (
+                answer.status == 429 and int(answer.headers.get("Retry-After", 0)) < 1
+            )
         with lock:
             answers.update(mine)
 
@@ -104,7 +118,9 @@ def _counted(port: int, key: str) -> int:
     connection = HTTPConnection("127.0.0.1", port, timeout=60)
     connection.request("GET", "/metrics", headers={"X-API-Key": key})
     text = connection.getresponse().read().decode()
-    found = re.findall(r'^residuum_http_requests_total\{[^}]*status="429"[^}]*\} ([0-9.e+]+)$', text, re.M)
+    found = re.findall(
+        r'^residuum_http_requests_total\{[^}]*status="429"[^}]*\} ([0-9.e+]+)$', text, re.M
+    )
     return int(sum(map(float, found)))
 
 

@@ -52,12 +52,24 @@ class Source(threading.Thread):
         """Send until told to stop."""
         number = 0
         while not self._stopping.is_set():
-            body = {"sample_time": 1e-3, "t0": float(number), "channels": {"acceleration": [0.0, 1.0] * 200}}
+            body = {
+                "sample_time": 1e-3,
+                "t0": float(number),
+                "channels": {"acceleration": [0.0, 1.0] * 200},
+            }
             content = json.dumps(body | {"units": {"acceleration": "m/s²"}}).encode()
-            headers = {"Content-Type": "application/json", "Idempotency-Key": f"{self._asset}-{number}"}
+            headers = {
+                "Content-Type": "application/json",
+                "Idempotency-Key": f"{self._asset}-{number}",
+            }
             connection = HTTPConnection("127.0.0.1", self._port, timeout=60)
             try:
-                connection.request("POST", f"/api/v1/assets/{self._asset}/windows?diagnoser=bearing", content, headers)
+                connection.request(
+                    "POST",
+                    f"/api/v1/assets/{self._asset}/windows?diagnoser=bearing",
+                    content,
+                    headers,
+                )
                 taken = connection.getresponse().status in (200, 201)
             except (OSError, HTTPException):
                 taken = False
@@ -79,7 +91,9 @@ class Source(threading.Thread):
 def machine(asset: str) -> MachineSettings:
     """A machine whose windows are only recorded."""
     source = SourceSettings(kind="modbus", port=1, map="process_plant.yaml")
-    return MachineSettings(asset=asset, diagnoser="bearing", window=WindowSettings(cut="sliding"), sources=[source])
+    return MachineSettings(
+        asset=asset, diagnoser="bearing", window=WindowSettings(cut="sliding"), sources=[source]
+    )
 
 
 def from_the_bus(store: DiskStore, asset: str, stopped: threading.Event) -> int:
@@ -87,7 +101,12 @@ def from_the_bus(store: DiskStore, asset: str, stopped: threading.Event) -> int:
     handle, number = JudgeAndStore(None, store), 0  # type: ignore[arg-type]  # nothing is judged without a baseline
     never = threading.Event()
     while not stopped.is_set():
-        handle(machine(asset), Record({"y": np.arange(8.0)}, {"y": "V"}, 1.0, t0=float(number)), None, never)()
+        handle(
+            machine(asset),
+            Record({"y": np.arange(8.0)}, {"y": "V"}, 1.0, t0=float(number)),
+            None,
+            never,
+        )()
         number += 1
         stopped.wait(0.05)
     return number
@@ -115,13 +134,18 @@ def wait_for(condition: Any, what: str) -> None:
 def silence(proxy: SilentProxy, sources: list[Source], seconds: float) -> float:
     """Be silent once the sources are under way; gives the seconds from its end until each has had a window taken."""
     for source in sources:
-        wait_for(lambda source=source: len(source.answered) > 3, "nothing is taken before the silence")
+        wait_for(
+            lambda source=source: len(source.answered) > 3, "nothing is taken before the silence"
+        )
     proxy.fall_silent()
     time.sleep(seconds)
     proxy.speak()
     ended = time.monotonic()
     for source in sources:
-        wait_for(lambda source=source: source.answered[-1][1] > ended, "nothing is taken after the silence")
+        wait_for(
+            lambda source=source: source.answered[-1][1] > ended,
+            "nothing is taken after the silence",
+        )
     return max(min(at for _, at in source.answered if at > ended) for source in sources) - ended
 
 
@@ -140,7 +164,10 @@ def campaign(url: str, seconds: float, *, keeps: bool) -> dict[str, Any]:
             store = DiskStore(Path(folder), behind)
             name = f"{'kept' if keeps else 'thrown'}-{seconds:g}"
             sources = [Source(port, f"{name}-{k}") for k in range(3)]
-            bus = threading.Thread(target=lambda: counted.append(from_the_bus(store, f"{name}-bus", stopped)), daemon=True)
+            bus = threading.Thread(
+                target=lambda: counted.append(from_the_bus(store, f"{name}-bus", stopped)),
+                daemon=True,
+            )
             for thread in (*sources, bus):
                 thread.start()
             took = silence(proxy, sources, seconds)
@@ -149,12 +176,26 @@ def campaign(url: str, seconds: float, *, keeps: bool) -> dict[str, Any]:
             stopped.set()
             bus.join(PATIENCE)
             kept = {source: stored(store, source._asset) for source in sources}
-            wrong = [source._asset for source in sources if kept[source] != [float(n) for n, _ in source.answered]]
-            wrong += [] if stored(store, f"{name}-bus") == [float(n) for n in range(counted[0])] else [f"{name}-bus"]
+            wrong = [
+                source._asset
+                for source in sources
+                if kept[source] != [float(n) for n, _ in source.answered]
+            ]
+            wrong += (
+                []
+                if stored(store, f"{name}-bus") == [float(n) for n in range(counted[0])]
+                else [f"{name}-bus"]
+            )
             answered = sum(len(source.answered) for source in sources)
             refused = sum(source.refused for source in sources)
             store.close()
-            return {"answered": answered, "refused": refused, "from the bus": counted[0], "wrong": wrong, "recovered [s]": took}
+            return {
+                "answered": answered,
+                "refused": refused,
+                "from the bus": counted[0],
+                "wrong": wrong,
+                "recovered [s]": took,
+            }
         finally:
             proxy.close()
             service.kill()
@@ -170,7 +211,10 @@ def main() -> None:
     for seconds in given.seconds:
         for keeps in (True, False):
             found = campaign(given.database, seconds, keeps=keeps)
-            print(f"{seconds:g} s, what is said is {'kept' if keeps else 'thrown away'}: {found}", flush=True)
+            print(
+                f"{seconds:g} s, what is said is {'kept' if keeps else 'thrown away'}: {found}",
+                flush=True,
+            )
             failed |= bool(found["wrong"]) or found["recovered [s]"] > RECOVERED_WITHIN
     sys.exit(int(failed))
 

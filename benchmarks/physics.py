@@ -20,7 +20,14 @@ import casadi as ca
 import numpy as np
 from scipy.io import loadmat
 
-from residuum.identification.physics import Experiment, PhysicalModel, Simulator, estimate, load_model, match
+from residuum.identification.physics import (
+    Experiment,
+    PhysicalModel,
+    Simulator,
+    estimate,
+    load_model,
+    match,
+)
 from residuum.identification.record import Record
 
 SILVERBOX = Path(__file__).parents[2] / "shared/data/silverbox/SNLS80mV.mat"
@@ -47,7 +54,9 @@ def casadi_drive(u: np.ndarray) -> Callable[[], object]:
     x, v = ca.SX.sym("x", 2), ca.SX.sym("v")
 
     def f(x: ca.SX) -> ca.SX:
-        return ca.vertcat(x[1], (K * (v - K * x[1]) / R - tau_c * ca.tanh(x[1] / 0.5) - d * x[1]) / J)
+        return ca.vertcat(
+            x[1], (K * (v - K * x[1]) / R - tau_c * ca.tanh(x[1] / 0.5) - d * x[1]) / J
+        )
 
     k1 = f(x)
     k2 = f(x + h / 2 * k1)
@@ -62,11 +71,17 @@ def cold_compile() -> float:
     with tempfile.TemporaryDirectory() as folder:
         before, os.environ["RESIDUUM_CACHE"] = os.environ.get("RESIDUUM_CACHE"), folder
         begin = time.process_time()
-        model = drive().with_effect("hysteresis", "shaft", {"f_c": 0.01, "x_0": 0.1}).with_effect("cubic-spring", "shaft")
+        model = (
+            drive()
+            .with_effect("hysteresis", "shaft", {"f_c": 0.01, "x_0": 0.1})
+            .with_effect("cubic-spring", "shaft")
+        )
         e = Experiment(np.zeros((10, 1)), np.full((10, 2), np.nan), np.zeros(1), TS)
         Simulator(model).run(e, slopes=["R"])
         seconds = time.process_time() - begin
-        os.environ.pop("RESIDUUM_CACHE") if before is None else os.environ.update(RESIDUUM_CACHE=before)
+        os.environ.pop("RESIDUUM_CACHE") if before is None else os.environ.update(
+            RESIDUUM_CACHE=before
+        )
     return seconds
 
 
@@ -78,7 +93,9 @@ def speed() -> None:
     plain = cpu_milliseconds(lambda: simulator.run(experiment, substeps=1))
     slopes = cpu_milliseconds(lambda: simulator.run(experiment, substeps=1, slopes=columns))
     peer = cpu_milliseconds(casadi_drive(u))
-    print(f"50 000 steps: {plain:.1f} ms, with {len(columns)} sensitivities {slopes:.1f} ms; CasADi {peer:.1f} ms without")
+    print(
+        f"50 000 steps: {plain:.1f} ms, with {len(columns)} sensitivities {slopes:.1f} ms; CasADi {peer:.1f} ms without"
+    )
     print(f"a structure never compiled before: {cold_compile():.2f} s to its first sensitivities")
 
 
@@ -91,7 +108,9 @@ def silverbox() -> None:
     units = {"force": "V", "position": "V"}
 
     def record(start: int, stop: int) -> Record:
-        return Record({"force": u[start:stop], "position": y[start:stop]}, units, sample_time=1 / 610.35)
+        return Record(
+            {"force": u[start:stop], "position": y[start:stop]}, units, sample_time=1 / 610.35
+        )
 
     split = 40650 + int(0.75 * (127400 - 40650))
     parts = {

@@ -73,8 +73,21 @@ def feedback_plant(seed: int) -> Case:
     n = int(rng.integers(1500, 4000))
     num, den = _lags(rng, 20)
     delay = int(rng.integers(1, 5))
-    case = _in_loop(num, den, delay, n, 0.5 / float(np.sum(num)) * float(np.sum(den)), 2 * (delay + 15), 0.1, rng)
-    return case if np.isfinite(case.y).all() and np.abs(case.y).max() < 10 else feedback_plant(seed + 1000)
+    case = _in_loop(
+        num,
+        den,
+        delay,
+        n,
+        0.5 / float(np.sum(num)) * float(np.sum(den)),
+        2 * (delay + 15),
+        0.1,
+        rng,
+    )
+    return (
+        case
+        if np.isfinite(case.y).all() and np.abs(case.y).max() < 10
+        else feedback_plant(seed + 1000)
+    )
 
 
 def _input(seed: int, n: int, rng: np.random.Generator) -> FloatArray:
@@ -88,7 +101,9 @@ def _input(seed: int, n: int, rng: np.random.Generator) -> FloatArray:
 
 
 def _lags(rng: np.random.Generator, slowest: float) -> tuple[FloatArray, FloatArray]:
-    poles = np.exp(-1 / np.exp(rng.uniform(np.log(1.5), np.log(slowest), rng.integers(1, 4)))).astype(complex)
+    poles = np.exp(
+        -1 / np.exp(rng.uniform(np.log(1.5), np.log(slowest), rng.integers(1, 4)))
+    ).astype(complex)
     if rng.random() < 0.4:
         pole = np.exp(-1 / rng.uniform(5, 25) + 1j * rng.uniform(0.1, 1.2))
         poles = np.r_[poles[:1], pole, pole.conj()]
@@ -102,13 +117,27 @@ def _noise(n: int, rng: np.random.Generator) -> FloatArray:
     return np.asarray(e / np.std(e))
 
 
-def _noisy(u: FloatArray, num: FloatArray, den: FloatArray, delay: int, ratio: float, rng: np.random.Generator) -> Case:
+def _noisy(
+    u: FloatArray,
+    num: FloatArray,
+    den: FloatArray,
+    delay: int,
+    ratio: float,
+    rng: np.random.Generator,
+) -> Case:
     z = signal.lfilter(np.r_[np.zeros(delay), num], den, u)
     return Case(u, z + np.std(z) / np.sqrt(ratio) * _noise(len(u), rng), num, den, delay)
 
 
 def _in_loop(
-    num: FloatArray, den: FloatArray, delay: int, n: int, gain: float, time: float, noise: float, rng: np.random.Generator
+    num: FloatArray,
+    den: FloatArray,
+    delay: int,
+    n: int,
+    gain: float,
+    time: float,
+    noise: float,
+    rng: np.random.Generator,
 ) -> Case:
     """The plant under a PI controller that measures its noise."""
     set_point = np.repeat(rng.uniform(-1, 1, n // 60 + 1), rng.integers(60, 300, n // 60 + 1))[:n]
@@ -133,9 +162,19 @@ class Kind:
 
 
 KINDS = {
-    "integrating": Kind(integrating_plant, "kernel", "the plant integrates", {"method": "bj", "integrator": True, "delay": None}),
+    "integrating": Kind(
+        integrating_plant,
+        "kernel",
+        "the plant integrates",
+        {"method": "bj", "integrator": True, "delay": None},
+    ),
     "feedback": Kind(feedback_plant, "kernel", "feedback", {"method": "bj", "delay": None}),
-    "dead time": Kind(dead_time_plant, "arx", "later than the model's last input lag", {"method": "bj", "delay": None}),
+    "dead time": Kind(
+        dead_time_plant,
+        "arx",
+        "later than the model's last input lag",
+        {"method": "bj", "delay": None},
+    ),
 }
 
 
@@ -155,18 +194,29 @@ def identified(case: Case, **options: object) -> Plant:
 
 def main() -> None:
     """Print the table."""
-    print("| plants | flagged | step response within 10 % after the remedy | largest error |\n|---|---|---|---|")
+    print(
+        "| plants | flagged | step response within 10 % after the remedy | largest error |\n|---|---|---|---|"
+    )
     for name, kind in KINDS.items():
         flagged, errors = 0, []
         for seed in range(20):
             case = kind.make(seed)
-            seen = any(kind.says in text for text in identified(case, method=kind.method).identified.unfit)
+            seen = any(
+                kind.says in text for text in identified(case, method=kind.method).identified.unfit
+            )
             flagged += seen
             if seen:
                 errors.append(step_error(case, identified(case, **kind.remedy)))
-        print(f"| {name} | {flagged} of 20 | {sum(e < 0.1 for e in errors)} of {len(errors)} | {max(errors):.3f} |", flush=True)
+        print(
+            f"| {name} | {flagged} of 20 | {sum(e < 0.1 for e in errors)} of {len(errors)} | {max(errors):.3f} |",
+            flush=True,
+        )
     for method in ("kernel", "arx"):
-        false = [text for seed in range(60) for text in identified(plain_plant(seed), method=method).identified.unfit]
+        false = [
+            text
+            for seed in range(60)
+            for text in identified(plain_plant(seed), method=method).identified.unfit
+        ]
         print(f"| plain, {method} | {len(false)} of 60 (false) | | |", flush=True)
         print(*(f"  {text}" for text in false), sep="\n")
 

@@ -45,14 +45,20 @@ def _times(value: float, factor: float) -> float:
 
 def variants(only: set[str]) -> Iterator[tuple[str, float]]:
     """Names and factors, in the policy's order for each factor."""
-    yield from ((name, factor) for factor in FACTORS for name in numbers() if not only or name in only)
+    yield from (
+        (name, factor) for factor in FACTORS for name in numbers() if not only or name in only
+    )
 
 
 def answers(name: str = "", factor: float = 1.0) -> dict[str, str]:
     """What is said of each quick record with one number changed, by the record's name."""
     command = [sys.executable, "-m", "benchmarks.policy_halves", "--answer", f"{name}:{factor}"]
     done = subprocess.run(command, capture_output=True, check=False)
-    return orjson.loads(done.stdout) if done.returncode == 0 else {"all": done.stderr.decode().strip().splitlines()[-1]}
+    return (
+        orjson.loads(done.stdout)
+        if done.returncode == 0
+        else {"all": done.stderr.decode().strip().splitlines()[-1]}
+    )
 
 
 def answer_each(name: str, factor: float) -> None:
@@ -68,7 +74,9 @@ def answer_each(name: str, factor: float) -> None:
             said[quick.name] = f"{type(error).__name__}: {error}"
         else:
             first = f" {found.candidates[0].probability:.2f}" if found.accepted else ""
-            said[quick.name] = " + ".join([found.verdict, *(key.effect for key in found.accepted)]) + first
+            said[quick.name] = (
+                " + ".join([found.verdict, *(key.effect for key in found.accepted)]) + first
+            )
     sys.stdout.buffer.write(orjson.dumps(said))
 
 
@@ -98,16 +106,29 @@ def main() -> None:
         if time.monotonic() - began > given.seconds:
             break
         found = answers(name, factor)
-        differ = [f"{record}: {answer}" for record, answer in found.items() if _named(answer) != _named(usual.get(record, ""))]
+        differ = [
+            f"{record}: {answer}"
+            for record, answer in found.items()
+            if _named(answer) != _named(usual.get(record, ""))
+        ]
         asked += 1
         changed |= {name} if differ else set()
-        print(f"| {name} | {_short(getattr(policy, name))} | {_short(scaled(name, factor))} | {'; '.join(differ)} |", flush=True)
+        print(
+            f"| {name} | {_short(getattr(policy, name))} | {_short(scaled(name, factor))} | {'; '.join(differ)} |",
+            flush=True,
+        )
     minutes = (time.monotonic() - began) / 60.0
-    print(f"\n{asked} variants of {len(numbers())} numbers; {len(changed)} change an answer; {minutes:.0f} minutes")
+    print(
+        f"\n{asked} variants of {len(numbers())} numbers; {len(changed)} change an answer; {minutes:.0f} minutes"
+    )
 
 
 def _short(value: Any) -> str:
-    return ", ".join(f"{key} {number}" for key, number in value.items()) if isinstance(value, Mapping) else str(value)
+    return (
+        ", ".join(f"{key} {number}" for key, number in value.items())
+        if isinstance(value, Mapping)
+        else str(value)
+    )
 
 
 if __name__ == "__main__":

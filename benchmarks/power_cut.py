@@ -64,14 +64,21 @@ def store_windows(data: Path, count: int) -> None:
     for number in range(count):
         verdict = ("healthy", "faulty")[number // 5 % 2]
         finding = Finding("bearing", verdict, reason="-")
-        window = store.add_window(f"press-{number % 3}", record(number), finding, f"key-{number}", "-")
+        window = store.add_window(
+            f"press-{number % 3}", record(number), finding, f"key-{number}", "-"
+        )
         say(window=window, value=number)
         if number % 10 == 3:
             say(record=store.add_record("r.csv", record(number)), value=number)
         if number % 10 == 5:
-            say(model=store.add_model_version("drive", "physical", b"%d" % number).number, content=str(number))
+            say(
+                model=store.add_model_version("drive", "physical", b"%d" % number).number,
+                content=str(number),
+            )
         if number % 10 == 7 and (page := store.alarms().items):
-            alarm = store.operate_alarm(page[0].id, AlarmEvent.SUPPRESS if number % 20 == 7 else AlarmEvent.RELEASE)
+            alarm = store.operate_alarm(
+                page[0].id, AlarmEvent.SUPPRESS if number % 20 == 7 else AlarmEvent.RELEASE
+            )
             say(alarm=alarm.id, entries=len(store.alarm_journal(alarm.id, 10**6)))
     store.close()
 
@@ -141,7 +148,13 @@ def store_windows_silently(folder: Path, count: int) -> None:
     """Windows that were there before."""
     store = DiskStore(folder, database_of(folder))
     for number in range(count):
-        store.add_window("press-0", record(number), Finding("bearing", "faulty", reason="-"), f"key-{number}", "-")
+        store.add_window(
+            "press-0",
+            record(number),
+            Finding("bearing", "faulty", reason="-"),
+            f"key-{number}",
+            "-",
+        )
     store.close()
 
 
@@ -157,7 +170,9 @@ def trouble(name: str, folder: Path, told: Sequence[dict[str, Any]], *, wholly: 
     if name == "spool":
         return _trouble_of_spool(folder / "spool", told)
     if name == "backup":
-        return _trouble_of_backup(folder / "saved", told) or _trouble_of_store(folder, [], wholly=wholly)
+        return _trouble_of_backup(folder / "saved", told) or _trouble_of_store(
+            folder, [], wholly=wholly
+        )
     if name == "restore":
         return _trouble_of_restore(folder / "new", told, wholly=wholly)
     found = _trouble_of_store(folder, told, wholly=wholly)
@@ -184,12 +199,20 @@ def _trouble_of_store(folder: Path, told: Sequence[dict[str, Any]], *, wholly: b
             if connection.execute("PRAGMA foreign_key_check").fetchone():
                 return "broken: a row points to none"
             tables = {row[0] for row in connection.execute("SELECT name FROM sqlite_master")}
-            return _lost(connection, folder / "blocks", told) if "windows" in tables else f"lost: {told[0]}" if told else None
+            return (
+                _lost(connection, folder / "blocks", told)
+                if "windows" in tables
+                else f"lost: {told[0]}"
+                if told
+                else None
+            )
         except sqlite3.DatabaseError as error:
             return f"broken: {error}"
 
 
-def _lost(connection: sqlite3.Connection, blocks: Path, told: Sequence[dict[str, Any]]) -> str | None:
+def _lost(
+    connection: sqlite3.Connection, blocks: Path, told: Sequence[dict[str, Any]]
+) -> str | None:
     kept = Blocks(blocks)
     values: dict[str, dict[int, float]] = {}
     for table in ("windows", "records"):
@@ -199,7 +222,11 @@ def _lost(connection: sqlite3.Connection, blocks: Path, told: Sequence[dict[str,
         except Exception as error:
             return f"broken: a row of {table} without its block: {error}"
     models = dict(connection.execute("SELECT number, content FROM model_versions").fetchall())
-    journal = dict(connection.execute("SELECT alarm_id, count(*) FROM alarm_journal GROUP BY alarm_id").fetchall())
+    journal = dict(
+        connection.execute(
+            "SELECT alarm_id, count(*) FROM alarm_journal GROUP BY alarm_id"
+        ).fetchall()
+    )
     for each in told:
         there = (
             values["windows"].get(each["window"]) == each["value"]
@@ -227,7 +254,9 @@ def _trouble_of_backup(file: Path, told: Sequence[dict[str, Any]]) -> str | None
     return None
 
 
-def _trouble_of_restore(folder: Path, told: Sequence[dict[str, Any]], *, wholly: bool) -> str | None:
+def _trouble_of_restore(
+    folder: Path, told: Sequence[dict[str, Any]], *, wholly: bool
+) -> str | None:
     if (found := _trouble_of_store(folder, [], wholly=wholly)) is not None or not folder.exists():
         return found or ("lost: the restored" if told else None)
     if not (folder / "residuum.db").exists():
@@ -257,7 +286,11 @@ def _trouble_of_spool(folder: Path, told: Sequence[dict[str, Any]]) -> str | Non
         return f"broken: {error}"
     gone = {each["gone"] for each in told if "gone" in each}
     for each in told:
-        if "put" in each and each["put"] not in gone and kept.read(each["put"]) != b"%d" % each["value"]:
+        if (
+            "put" in each
+            and each["put"] not in gone
+            and kept.read(each["put"]) != b"%d" % each["value"]
+        ):
             return f"lost: {each}"
     return None
 
@@ -271,7 +304,16 @@ def campaign(name: str, count: int, cuts: int, seed: int = 0) -> Counter[str]:
         root.mkdir()
         prepared(name, root)
         shutil.copytree(root, before)
-        module = ["-m", "benchmarks.power_cut", "--be", name, "--windows", str(count), "--data", str(root)]
+        module = [
+            "-m",
+            "benchmarks.power_cut",
+            "--be",
+            name,
+            "--windows",
+            str(count),
+            "--data",
+            str(root),
+        ]
         operations = recorded(module, root, log)
         log.unlink()
         disk, told = ForgetfulDisk(root), []
@@ -290,33 +332,60 @@ def campaign(name: str, count: int, cuts: int, seed: int = 0) -> Counter[str]:
     return outcomes
 
 
-def _cut(name: str, disk: ForgetfulDisk, told: Sequence[dict[str, Any]], way: tuple[float, float], chance: random.Random) -> str:
+def _cut(
+    name: str,
+    disk: ForgetfulDisk,
+    told: Sequence[dict[str, Any]],
+    way: tuple[float, float],
+    chance: random.Random,
+) -> str:
     with tempfile.TemporaryDirectory(prefix="residuum-power-") as left:
         disk.cut(Path(left), *way, chance)
         found = trouble(name, Path(left), told, wholly=chance.random() < 0.02)
     if found is not None:
-        sys.stderr.write(f"{name}, {way} of what was not synced, after {len(told)} acknowledged: {found}\n")
+        sys.stderr.write(
+            f"{name}, {way} of what was not synced, after {len(told)} acknowledged: {found}\n"
+        )
     return "right" if found is None else found.split(":")[0]
 
 
 def main(arguments: list[str]) -> int:
     """Run all, or be one of the programs; 1 when something was lost or broken."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--windows", type=int, default=1000)
-    parser.add_argument("--cuts", type=int, default=5000, help="of the windows; the other programs get a fifth of it each")
+    parser.add_argument(
+        "--cuts",
+        type=int,
+        default=5000,
+        help="of the windows; the other programs get a fifth of it each",
+    )
     parser.add_argument("--be", choices=PROGRAMS)
     parser.add_argument("--data", type=Path)
     chosen = parser.parse_args(arguments)
     if chosen.be is not None:
         PROGRAMS[chosen.be](chosen.data, chosen.windows)
         return 0
-    print("| program | steps | acknowledged | cuts | right | lost | broken |\n|---|---|---|---|---|---|---|")
+    print(
+        "| program | steps | acknowledged | cuts | right | lost | broken |\n|---|---|---|---|---|---|---|"
+    )
     wrong = 0
     for name in PROGRAMS:
-        found = campaign(name, chosen.windows, chosen.cuts if name == "windows" else chosen.cuts // 5)
+        found = campaign(
+            name, chosen.windows, chosen.cuts if name == "windows" else chosen.cuts // 5
+        )
         cuts = found["right"] + found["lost"] + found["broken"]
         wrong += cuts - found["right"]
-        columns = (name, found["operations"], found["acknowledged"], cuts, found["right"], found["lost"], found["broken"])
+        columns = (
+            name,
+            found["operations"],
+            found["acknowledged"],
+            cuts,
+            found["right"],
+            found["lost"],
+            found["broken"],
+        )
         print("|", " | ".join(map(str, columns)), "|", flush=True)
     return int(wrong > 0)
 

@@ -15,7 +15,12 @@ from residuum.identification.errors import NotIdentifiable
 from residuum.identification.kernel_based.delay import estimate_delay
 from residuum.identification.kernel_based.impulse_response import identify_impulse_response
 from residuum.identification.linear_models.identified_model import IdentifiedModel
-from residuum.identification.linear_models.prediction_error import STRUCTURES, Orders, identify, in_confidence_ellipsoid
+from residuum.identification.linear_models.prediction_error import (
+    STRUCTURES,
+    Orders,
+    identify,
+    in_confidence_ellipsoid,
+)
 from residuum.identification.linear_models.prediction_error.criterion import Criterion
 from residuum.identification.linear_models.prediction_error.data import signals
 from residuum.identification.linear_models.prediction_error.search import minimise
@@ -23,9 +28,14 @@ from residuum.identification.record import Record
 
 DATA = Path(__file__).parents[2] / "shared/data"
 SCRATCH = Path("/tmp/residuum-prediction-error.npz")
-NUMERATOR, DENOMINATOR = [0, 0, 0.28261, 0.50666], [1, -1.41833, 1.58939, -1.31608, 0.88642]  # (2.38) of the source
+NUMERATOR, DENOMINATOR = (
+    [0, 0, 0.28261, 0.50666],
+    [1, -1.41833, 1.58939, -1.31608, 0.88642],
+)  # (2.38) of the source
 SYSTEMS, DRAWS = 500, 20
-DELAYS = {"Silverbox, small amplitude": 1}  # its estimate, 2, is wrong: the resonance is far below the sampling rate
+DELAYS = {
+    "Silverbox, small amplitude": 1
+}  # its estimate, 2, is wrong: the resonance is far below the sampling rate
 PATIENCE = 180  # seconds for all orders of one peer
 
 # The peers simulate the whole input with each of their models; every order is tried, the best on the held-out part counts.
@@ -110,13 +120,23 @@ def coverage() -> None:
     print(
         f"{SYSTEMS} random stable systems a row of order 1, 2, 3 in turn, all of them counted: poles, and zeros of the noise, of"
     )
-    print("radius 0.3 to 0.95, random zeros of the plant, white input, variance ratio 10, right structure and order, χ² limit.")
-    print("In brackets the 95 % interval of chance. Where a pole nearly cancels a zero, first-order covariances fail: the second")
+    print(
+        "radius 0.3 to 0.95, random zeros of the plant, white input, variance ratio 10, right structure and order, χ² limit."
+    )
+    print(
+        "In brackets the 95 % interval of chance. Where a pole nearly cancels a zero, first-order covariances fail: the second"
+    )
     print("column of shares leaves out the systems that have one within 0.1 of a zero.\n")
-    print("| structure | n | covered, all systems [%] | without near cancellations [%] | CPU [s] |\n|---|---|---|---|---|")
+    print(
+        "| structure | n | covered, all systems [%] | without near cancellations [%] | CPU [s] |\n|---|---|---|---|---|"
+    )
     for n in (1000, 10_000):
         for structure in ("arx", "armax", "oe", "bj"):
-            started, inside, clear = time.process_time(), np.zeros(SYSTEMS, dtype=bool), np.zeros(SYSTEMS, dtype=bool)
+            started, inside, clear = (
+                time.process_time(),
+                np.zeros(SYSTEMS, dtype=bool),
+                np.zeros(SYSTEMS, dtype=bool),
+            )
             for seed in range(SYSTEMS):
                 order = 1 + seed % 3
                 record, theta = random_case(structure, order, seed, n)
@@ -124,7 +144,10 @@ def coverage() -> None:
                 model = identify(STRUCTURES[structure], [record], "u", "y", order=order)
                 inside[seed] = in_confidence_ellipsoid(model, theta)
             seconds = time.process_time() - started
-            print(f"| {structure} | {n} | {_share(inside)} | {_share(inside[clear])} | {seconds:.0f} |", flush=True)
+            print(
+                f"| {structure} | {n} | {_share(inside)} | {_share(inside[clear])} | {seconds:.0f} |",
+                flush=True,
+            )
     print()
 
 
@@ -147,14 +170,21 @@ def maximum_likelihood(record: Record) -> tuple[float, np.ndarray, np.ndarray]:
     data = signals([record], "u", "y", offset=True)
     criterion = Criterion(data, Orders(nb=4, nf=4))
     gain = data.y_scale / data.u_scale
-    found = minimise(criterion, criterion.start(np.r_[np.array(NUMERATOR) / gain, DENOMINATOR[1:]]), iterations=200)
+    found = minimise(
+        criterion,
+        criterion.start(np.r_[np.array(NUMERATOR) / gain, DENOMINATOR[1:]]),
+        iterations=200,
+    )
     return found.normal.cost * data.y_scale**2, gain * found.x[:4], np.r_[1.0, found.x[4:8]]
 
 
 def response_fit(numerator: np.ndarray, denominator: np.ndarray) -> float:
     """100 (1 − ‖g − g₀‖/‖g₀‖) over 300 lags [%]."""
     pulse = np.r_[0.0, 1.0, np.zeros(299)]
-    g0, g = signal.lfilter(NUMERATOR, DENOMINATOR, pulse), signal.lfilter(numerator, denominator, pulse)
+    g0, g = (
+        signal.lfilter(NUMERATOR, DENOMINATOR, pulse),
+        signal.lfilter(numerator, denominator, pulse),
+    )
     return float(100 * (1 - np.linalg.norm(g - g0) / np.linalg.norm(g0)))
 
 
@@ -167,22 +197,44 @@ def resonant_system() -> None:
         model = identify(STRUCTURES["oe"], [record], "u", "y")
         seconds = time.process_time() - started
         cost, numerator, denominator = maximum_likelihood(record)
-        ours = model.noise_variance * (record.n - 4 - 9)  # 8 coefficients, the level, 4 of the initial state
+        ours = model.noise_variance * (
+            record.n - 4 - 9
+        )  # 8 coefficients, the level, 4 of the initial state
         order = model.provenance["candidates"].index(model.provenance["orders"]) + 1
-        stable = all(identify(STRUCTURES["oe"], [record], "u", "y", order=k).transfer_function().is_stable for k in range(1, 11))
+        stable = all(
+            identify(STRUCTURES["oe"], [record], "u", "y", order=k).transfer_function().is_stable
+            for k in range(1, 11)
+        )
         fit = response_fit(model.numerator[:4], model.denominator)
-        rows.append((seconds, order, fit, response_fit(numerator, denominator), abs(ours - cost) / cost, stable))
-    seconds, order, fit, best, difference, stable = (np.array(column) for column in zip(*rows, strict=True))
+        rows.append(
+            (
+                seconds,
+                order,
+                fit,
+                response_fit(numerator, denominator),
+                abs(ours - cost) / cost,
+                stable,
+            )
+        )
+    seconds, order, fit, best, difference, stable = (
+        np.array(column) for column in zip(*rows, strict=True)
+    )
     print(f"{DRAWS} draws, n = 5000, variance ratio 25; the fit is that of the impulse response.\n")
     print("| figure | value |\n|---|---|")
     print(f"| CPU for orders 1 … 10 and the final fit, median [s] | {np.median(seconds):.2f} |")
     print(f"| order 4 chosen | {np.sum(order == 4)} of {DRAWS} |")
-    print(f"| fit [%]: least, median, largest | {fit.min():.2f}, {np.median(fit):.2f}, {fit.max():.2f} |")
-    print(f"| fit of maximum likelihood started at the truth [%] | {best.min():.2f}, {np.median(best):.2f}, {best.max():.2f} |")
+    print(
+        f"| fit [%]: least, median, largest | {fit.min():.2f}, {np.median(fit):.2f}, {fit.max():.2f} |"
+    )
+    print(
+        f"| fit of maximum likelihood started at the truth [%] | {best.min():.2f}, {np.median(best):.2f}, {best.max():.2f} |"
+    )
     four = order == 4
     print(f"| largest relative difference of Σ e² to it, order 4 | {difference[four].max():.1e} |")
     print(f"| largest difference of the fits, order 4 [%] | {np.abs(fit - best)[four].max():.1e} |")
-    print(f"| fits at or above 99.3 % | {np.sum(fit >= 99.3)} of {DRAWS} (of maximum likelihood: {np.sum(best >= 99.3)}) |")
+    print(
+        f"| fits at or above 99.3 % | {np.sum(fit >= 99.3)} of {DRAWS} (of maximum likelihood: {np.sum(best >= 99.3)}) |"
+    )
     print(f"| unstable models among {10 * DRAWS} | {10 * DRAWS if not stable.all() else 0} |\n")
 
 
@@ -193,14 +245,21 @@ def held_out_fit(y: np.ndarray, simulated: np.ndarray) -> float:
 
 def recordings() -> dict[str, Record]:
     """The dryer and the exchanger of DaISy, and the first quarter of the Silverbox's growing noise."""
-    dryer, exchanger = np.loadtxt(DATA / "daisy/dryer.dat"), np.loadtxt(DATA / "daisy/exchanger.dat")
+    dryer, exchanger = (
+        np.loadtxt(DATA / "daisy/dryer.dat"),
+        np.loadtxt(DATA / "daisy/exchanger.dat"),
+    )
     silverbox = loadmat(DATA / "silverbox/SNLS80mV.mat")
     part = slice(100, 10_100)
     return {
         "DaISy dryer": Record({"u": dryer[:, 0], "y": dryer[:, 1]}, {"u": "V", "y": "degC"}, 0.08),
-        "DaISy exchanger": Record({"u": exchanger[:, 1], "y": exchanger[:, 2]}, {"u": "", "y": "degC"}, 1.0),
+        "DaISy exchanger": Record(
+            {"u": exchanger[:, 1], "y": exchanger[:, 2]}, {"u": "", "y": "degC"}, 1.0
+        ),
         "Silverbox, small amplitude": Record(
-            {"u": silverbox["V1"].ravel()[part], "y": silverbox["V2"].ravel()[part]}, {"u": "V", "y": "V"}, 1 / 610.35
+            {"u": silverbox["V1"].ravel()[part], "y": silverbox["V2"].ravel()[part]},
+            {"u": "V", "y": "V"},
+            1 / 610.35,
         ),
     }
 
@@ -212,8 +271,12 @@ def ours(record: Record, cut: int, delay: int) -> list[tuple[str, str, float, np
         f"Residuum {name}, BIC": partial(identify, STRUCTURES[name], [part], "u", "y", delay=delay)
         for name in ("arx", "armax", "oe", "bj")
     }
-    methods["Residuum oe, 5-fold"] = partial(identify, STRUCTURES["oe"], [part], "u", "y", delay=delay, criterion="k-fold")
-    methods["Residuum kernel tc"] = partial(identify_impulse_response, part, "u", "y", order=100, delay=delay)
+    methods["Residuum oe, 5-fold"] = partial(
+        identify, STRUCTURES["oe"], [part], "u", "y", delay=delay, criterion="k-fold"
+    )
+    methods["Residuum kernel tc"] = partial(
+        identify_impulse_response, part, "u", "y", order=100, delay=delay
+    )
     for name, method in methods.items():
         started = time.process_time()
         try:
@@ -234,10 +297,15 @@ def peers(record: Record, cut: int, delay: int) -> list[tuple[str, str, float, n
     np.savez(SCRATCH, u=shifted, y=y, cut=cut)
     found = []
     for name, (environment, package, script, orders) in PEERS.items():
-        result = run_peer(environment, [package], script + PEER % (str(SCRATCH), orders), timeout=PATIENCE)
+        result = run_peer(
+            environment, [package], script + PEER % (str(SCRATCH), orders), timeout=PATIENCE
+        )
         if result is None:
             print(f"{name}: not installed, or not done within {PATIENCE} s\n")
-        found += [(name, str(order), seconds, np.array(simulated)) for order, seconds, simulated in result or []]
+        found += [
+            (name, str(order), seconds, np.array(simulated))
+            for order, seconds, simulated in result or []
+        ]
     SCRATCH.unlink()
     return found
 
@@ -258,9 +326,13 @@ def real_data() -> None:
         part = record.window(0, cut)
         estimated = estimate_delay([part], "u", "y", kernel="tc", offset=True).delay
         delay = DELAYS.get(name, estimated)
-        print(f"### {name}\n\n{cut} samples estimate, {record.n - cut} are held out; delay {delay}, estimated {estimated}.\n")
+        print(
+            f"### {name}\n\n{cut} samples estimate, {record.n - cut} are held out; delay {delay}, estimated {estimated}.\n"
+        )
         best: dict[str, tuple[float, str, float]] = {}
-        for method, order, seconds, simulated in ours(record, cut, delay) + peers(record, cut, delay):
+        for method, order, seconds, simulated in ours(record, cut, delay) + peers(
+            record, cut, delay
+        ):
             fit = held_out_fit(record["y"][cut:], simulated[cut:])
             best[method] = max(best.get(method, (-np.inf, "", 0.0)), (fit, order, seconds))
         print("| method | order | held-out fit [%] | CPU [s] |\n|---|---|---|---|")
@@ -271,7 +343,9 @@ def real_data() -> None:
 
 def main() -> None:
     print("# Prediction error methods, measured\n")
-    print("`python -m benchmarks prediction_error`. CPU: processor time of all threads of one run.\n")
+    print(
+        "`python -m benchmarks prediction_error`. CPU: processor time of all threads of one run.\n"
+    )
     resonant_system()
     real_data()
     coverage()

@@ -58,7 +58,9 @@ def cases() -> Iterator[Case]:
         y = truth.simulate(u)
         y = y + rng.standard_normal(SAMPLES) * np.std(y) / np.sqrt(RATIO)
         record = Record({"u": u, "y": y}, {"u": "", "y": ""}, 1.0, source=f"plant {seed}")
-        yield Case(seed, truth, identify_impulse_response(record, "u", "y", order=LAGS, offset=False))
+        yield Case(
+            seed, truth, identify_impulse_response(record, "u", "y", order=LAGS, offset=False)
+        )
 
 
 def step_by_recursion(plant: TransferFunction, controller: TransferFunction, n: int) -> np.ndarray:
@@ -67,7 +69,10 @@ def step_by_recursion(plant: TransferFunction, controller: TransferFunction, n: 
     lag = len(plant.den) - len(plant.num)
     b, a = np.r_[np.zeros(lag), plant.num] / plant.den[0], plant.den / plant.den[0]
     gap = len(controller.den) - len(controller.num)
-    c, d = np.r_[np.zeros(gap), controller.num] / controller.den[0], controller.den / controller.den[0]
+    c, d = (
+        np.r_[np.zeros(gap), controller.num] / controller.den[0],
+        controller.den / controller.den[0],
+    )
     for k in range(n):
         y[k] = _past(b, u, k) - _past(np.r_[0.0, a[1:]], y, k)
         e[k] = 1.0 - y[k]
@@ -95,7 +100,9 @@ def fresh_steps(case: Case, controller: TransferFunction, n: int) -> np.ndarray:
         plant = TransferFunction(g, den, 1.0)
         closed = np.polymul(plant.num, controller.num)
         characteristic = np.polyadd(np.polymul(plant.den, controller.den), closed)
-        y = lfilter(np.r_[np.zeros(len(characteristic) - len(closed)), closed], characteristic, np.ones(n))
+        y = lfilter(
+            np.r_[np.zeros(len(characteristic) - len(closed)), closed], characteristic, np.ones(n)
+        )
         found.append(figures(y) if np.isfinite(y).all() else (np.inf, np.inf))
     return np.array(found)
 
@@ -106,7 +113,10 @@ def near(reported: float | None, measured: float, least: float) -> bool:
 
 
 def _row(case: Case, in_time: bool) -> tuple[str, dict[str, bool]]:
-    problem, wishes = ControlProblem([case.model], case.seed), Wishes(in_time=in_time, overshoot=0.05 if in_time else 0.01)
+    problem, wishes = (
+        ControlProblem([case.model], case.seed),
+        Wishes(in_time=in_time, overshoot=0.05 if in_time else 0.01),
+    )
     begun = time.process_time()
     found = problem.solve(PIDN(1.0), wishes)
     seconds = time.process_time() - begun
@@ -118,13 +128,18 @@ def _row(case: Case, in_time: bool) -> tuple[str, dict[str, bool]]:
     said, measured = answer["promised"], answer["measured"]
     reported, by_most = measured["nominal"], measured["random_plants"]["reached_by_95_percent"]
     verdict = {
-        "nominal": near(reported["overshoot"], nominal[0], 0.01) and near(reported["settling_time_s"], nominal[1], 1.0),
-        "plants": near(by_most["overshoot"], reach[0], 0.01) and near(by_most["settling_time_s"], reach[1], 1.0),
-        "promise": nominal[0] <= said["overshoot"] * (1 + NEAR) and nominal[1] <= said["settling_time_s"] * (1 + NEAR),
-        "promise of most": reach[0] <= said["overshoot"] * (1 + NEAR) and reach[1] <= said["settling_time_s"] * (1 + NEAR),
+        "nominal": near(reported["overshoot"], nominal[0], 0.01)
+        and near(reported["settling_time_s"], nominal[1], 1.0),
+        "plants": near(by_most["overshoot"], reach[0], 0.01)
+        and near(by_most["settling_time_s"], reach[1], 1.0),
+        "promise": nominal[0] <= said["overshoot"] * (1 + NEAR)
+        and nominal[1] <= said["settling_time_s"] * (1 + NEAR),
+        "promise of most": reach[0] <= said["overshoot"] * (1 + NEAR)
+        and reach[1] <= said["settling_time_s"] * (1 + NEAR),
         "truth": truth[0] <= max(by_most["overshoot"] or np.inf, 0.0) * (1 + NEAR) + 0.01
         and truth[1] <= (by_most["settling_time_s"] or np.inf) * (1 + NEAR) + 1.0,
-        "said": measured["kept"] == (nominal[0] <= said["overshoot"] and nominal[1] <= said["settling_time_s"]),
+        "said": measured["kept"]
+        == (nominal[0] <= said["overshoot"] and nominal[1] <= said["settling_time_s"]),
     }
     text = (
         f"| {case.seed} | {'in time' if in_time else 'weights'} | {_both(said['overshoot'], said['settling_time_s'])} "
@@ -135,7 +150,9 @@ def _row(case: Case, in_time: bool) -> tuple[str, dict[str, bool]]:
 
 
 def _reported(most: dict[str, float | None]) -> str:
-    return _both(*(np.inf if most[name] is None else most[name] for name in ("overshoot", "settling_time_s")))
+    return _both(
+        *(np.inf if most[name] is None else most[name] for name in ("overshoot", "settling_time_s"))
+    )
 
 
 def _both(overshoot: float, settling_time: float) -> str:
@@ -163,7 +180,9 @@ def main() -> None:
                 continue
             print(text, flush=True)
             verdicts[in_time].append(verdict)
-    print("\n| within 10 % (or a sample, a hundredth of overshoot) | weights | in time |\n|---|---|---|")
+    print(
+        "\n| within 10 % (or a sample, a hundredth of overshoot) | weights | in time |\n|---|---|---|"
+    )
     told = {
         "nominal": "reported nominal figures against the simulated nominal loop",
         "plants": "reported 95 % of plants against 95 % of fresh ones",
@@ -173,9 +192,14 @@ def main() -> None:
         "said": "the answer says rightly whether the promise is kept",
     }
     for name, line in told.items():
-        counts = [f"{sum(verdict[name] for verdict in verdicts[kind])} of {len(verdicts[kind])}" for kind in (False, True)]
+        counts = [
+            f"{sum(verdict[name] for verdict in verdicts[kind])} of {len(verdicts[kind])}"
+            for kind in (False, True)
+        ]
         print(f"| {line} | {' | '.join(counts)} |")
-    print(f"\nRefused as infeasible or too uncertain: {refused[False]} by weights, {refused[True]} in time.")
+    print(
+        f"\nRefused as infeasible or too uncertain: {refused[False]} by weights, {refused[True]} in time."
+    )
 
 
 if __name__ == "__main__":

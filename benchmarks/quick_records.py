@@ -48,18 +48,34 @@ class Simulated:
     settings: Mapping[str, Any] = field(default_factory=dict)
 
     def __call__(self) -> tuple[PhysicalModel, Record]:
-        run = MACHINES[self.machine](seed=self.seed, effects=dict(self.effects), **self.settings).simulate(self.seconds)
+        run = MACHINES[self.machine](
+            seed=self.seed, effects=dict(self.effects), **self.settings
+        ).simulate(self.seconds)
         return load_model(self.machine), Record(run.channels, run.units, run.sample_time)
 
 
 def _drive(seed: int, effects: Mapping[str, str], **settings: Any) -> Simulated:
-    return Simulated("gate-drive", seed, 10.0, effects, {"rate": 100.0, "profile": "rich", **settings})
+    return Simulated(
+        "gate-drive", seed, 10.0, effects, {"rate": 100.0, "profile": "rich", **settings}
+    )
 
 
 RECORDS = (
-    Quick("tanks, leak", ("leak", "pump-nonlinearity"), Simulated("two-tanks", 3, 2000.0, {"leak": "medium"})),
-    Quick("oven, radiation", OVEN, Simulated("oven", 3, 86400.0, {"radiation": "medium"}, {"configuration": "lumped"})),
-    Quick("pendulum, friction and a lag", ARM, lambda: (PENDULUM.model(), windows(PENDULUM, 5, 0, 1)[0])),
+    Quick(
+        "tanks, leak",
+        ("leak", "pump-nonlinearity"),
+        Simulated("two-tanks", 3, 2000.0, {"leak": "medium"}),
+    ),
+    Quick(
+        "oven, radiation",
+        OVEN,
+        Simulated("oven", 3, 86400.0, {"radiation": "medium"}, {"configuration": "lumped"}),
+    ),
+    Quick(
+        "pendulum, friction and a lag",
+        ARM,
+        lambda: (PENDULUM.model(), windows(PENDULUM, 5, 0, 1)[0]),
+    ),
     Quick("drive, nothing, coloured noise", DRIVE, _drive(6, {}, noise_color=0.9)),
     Quick(
         "drive, a resonance outside the catalogue",

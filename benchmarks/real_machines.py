@@ -80,7 +80,9 @@ def read_cases(file: Path) -> list[Case]:
             settings[name] = tuple(file.parent / path for path in given[name])
         settings["accept"] = tuple(tuple(group) for group in given.get("accept") or ())
         settings["forbidden_first"] = tuple(given.get("forbidden_first") or ())
-        read.append(Case(**settings, about={key: value for key, value in given.items() if key not in own}))
+        read.append(
+            Case(**settings, about={key: value for key, value in given.items() if key not in own})
+        )
     return read
 
 
@@ -127,7 +129,9 @@ def answers(case: Case, seconds: float | None) -> dict[str, Answer]:
         first, improved = Path(name) / "first.yaml", Path(name) / "improved.yaml"
         said = {
             "explain": run("explain", case.model, *case.train, *learned, *budget),
-            "improve": run("improve", case.model, *case.train, "--auto", *learned, "--out", improved, *budget),
+            "improve": run(
+                "improve", case.model, *case.train, "--auto", *learned, "--out", improved, *budget
+            ),
             "estimate": run("estimate", case.model, *case.train, "--out", first),
         }
         said["first unseen"] = run("compare", first if first.exists() else case.model, *case.test)
@@ -140,7 +144,11 @@ def answers(case: Case, seconds: float | None) -> dict[str, Answer]:
 
 def named(explanation: dict[str, Any] | None) -> set[str]:
     """What `explain` stands by: its first candidate, what cannot be told from it, and what it names beside it."""
-    if explanation is None or explanation["verdict"] != "missing-effect" or not explanation["candidates"]:
+    if (
+        explanation is None
+        or explanation["verdict"] != "missing-effect"
+        or not explanation["candidates"]
+    ):
         return set()
     first = explanation["candidates"][0]
     found = {id for c in (first, *explanation.get("also_missing", ())) for id in _ids(c)}
@@ -153,12 +161,16 @@ def added(improvement: dict[str, Any] | None) -> list[dict[str, Any]]:
 
 
 def _ids(effect: dict[str, Any]) -> set[str]:
-    return {effect["effect"]} | ({f"{effect['effect']}:{effect['channel']}"} if effect.get("channel") else set())
+    return {effect["effect"]} | (
+        {f"{effect['effect']}:{effect['channel']}"} if effect.get("channel") else set()
+    )
 
 
 def accepted(case: Case, said: dict[str, Answer]) -> bool:
     """Whether one of each group is named or added; of a model that lacks nothing, whether nothing is."""
-    found = named(said["explain"].said) | {id for effect in added(said["improve"].said) for id in _ids(effect)}
+    found = named(said["explain"].said) | {
+        id for effect in added(said["improve"].said) for id in _ids(effect)
+    }
     return all(found.intersection(group) for group in case.accept) if case.accept else not found
 
 
@@ -175,7 +187,9 @@ def unseen(case: Case, compared: Answer | None) -> dict[str, float]:
     if compared is None or compared.said is None:
         return {}
     if case.missing_percent_max is not None:
-        percents = {name: balance["relative_percent"] for name, balance in compared.said["balances"].items()}
+        percents = {
+            name: balance["relative_percent"] for name, balance in compared.said["balances"].items()
+        }
         return {name: percent for name, percent in percents.items() if percent is not None}
     return {name: output["rmse"] for name, output in compared.said["outputs"].items()}
 
@@ -196,7 +210,10 @@ def gate(case: Case, improved: dict[str, float], found_ratio: float) -> tuple[st
 
 def contradiction(said: dict[str, Answer]) -> bool | None:
     """Whether `compare` on the same records denies what `improve` said of the model it wrote."""
-    improvement, compared = said["improve"].said, said.get("improved seen", Answer(None, None, 0.0, 0.0)).said
+    improvement, compared = (
+        said["improve"].said,
+        said.get("improved seen", Answer(None, None, 0.0, 0.0)).said,
+    )
     if improvement is None or compared is None:
         return None
     return bool((improvement["verdict"] == "adequate") == compared["structured_error"]["present"])
@@ -218,8 +235,12 @@ def judged(case: Case, said: dict[str, Answer]) -> dict[str, Any]:
         "unseen_improved": after,
         "ratio": found_ratio if math.isfinite(found_ratio) else None,
         "verdict": None if explanation is None else explanation["verdict"],
-        "candidates": [] if explanation is None else [_short(c) for c in explanation["candidates"][:3]],
-        "added": ["".join(sorted(_ids(e), key=len)[-1:]) + f"@{e['at']}" for e in added(improvement)],
+        "candidates": []
+        if explanation is None
+        else [_short(c) for c in explanation["candidates"][:3]],
+        "added": [
+            "".join(sorted(_ids(e), key=len)[-1:]) + f"@{e['at']}" for e in added(improvement)
+        ],
         "improve_verdict": None if improvement is None else improvement["verdict"],
         "contradiction": contradiction(said),
         "errors": {name: answer.error for name, answer in said.items() if answer.error},
@@ -242,7 +263,10 @@ HEAD = (
 
 def line(row: dict[str, Any], said: dict[str, Answer]) -> str:
     """One line of the table."""
-    errors = " → ".join(", ".join(f"{v:.3g}" for v in row[key].values()) or "?" for key in ("unseen_first", "unseen_improved"))
+    errors = " → ".join(
+        ", ".join(f"{v:.3g}" for v in row[key].values()) or "?"
+        for key in ("unseen_first", "unseen_improved")
+    )
     times = [f"{said[name].cpu:.1f} / {said[name].wall:.1f}" for name in ("explain", "improve")]
     cells = [
         row["case"],
@@ -259,7 +283,12 @@ def line(row: dict[str, Any], said: dict[str, Answer]) -> str:
         _yes(row["contradiction"]),
         *times,
     ]
-    return "| " + " | ".join(cells) + " |" + "".join(f"\n  - {name}: {error}" for name, error in row["errors"].items())
+    return (
+        "| "
+        + " | ".join(cells)
+        + " |"
+        + "".join(f"\n  - {name}: {error}" for name, error in row["errors"].items())
+    )
 
 
 def _yes(answer: bool | None) -> str:
@@ -270,7 +299,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("cases", type=Path)
     parser.add_argument("--only", default="", help="names of cases, with commas")
-    parser.add_argument("--seconds", type=float, default=None, help="budget of explain and of improve; theirs if not given")
+    parser.add_argument(
+        "--seconds",
+        type=float,
+        default=None,
+        help="budget of explain and of improve; theirs if not given",
+    )
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--out", type=Path, default=Path("var/real_machines.jsonl"))
     given = parser.parse_args(arguments)
@@ -282,13 +316,21 @@ def main(arguments: Sequence[str] | None = None) -> None:
     print(f"| {HEAD} |\n|{'---|' * (HEAD.count('|') + 1)}", flush=True)
     with ThreadPoolExecutor(given.jobs) as pool, given.out.open("w", encoding="utf-8") as out:
         rows = []
-        for case, said in zip(cases, pool.map(lambda case: answers(case, given.seconds), cases), strict=True):
+        for case, said in zip(
+            cases, pool.map(lambda case: answers(case, given.seconds), cases), strict=True
+        ):
             row = judged(case, said)
             print(line(row, said), flush=True)
-            out.write(json.dumps(row | {"answers": {name: vars(answer) for name, answer in said.items()}}) + "\n")
+            out.write(
+                json.dumps(row | {"answers": {name: vars(answer) for name, answer in said.items()}})
+                + "\n"
+            )
             out.flush()
             rows.append(row)
-    counts = {key: sum(bool(row[key]) for row in rows) for key in ("accept", "gate_met", "forbidden", "contradiction")}
+    counts = {
+        key: sum(bool(row[key]) for row in rows)
+        for key in ("accept", "gate_met", "forbidden", "contradiction")
+    }
     print(
         f"\n{len(rows)} cases: accept {counts['accept']}, gate met {counts['gate_met']}, forbidden first {counts['forbidden']}, "
         f"contradictions {counts['contradiction']}, with a failed command {sum(bool(row['errors']) for row in rows)}"

@@ -42,7 +42,10 @@ balances:
   plate: {kind: heat, storage: C * der(T), terms: {lamp: LAW, loss: -h * (T - T_a)}, temperature: T, ambient: T_a}
 outputs:     {temperature: {value: T, unit: °C}}
 """
-LAWS = {"power linear in the voltage": ("P * u", "W/V"), "power as the square of the voltage": ("P * u**2", "W/V**2")}
+LAWS = {
+    "power linear in the voltage": ("P * u", "W/V"),
+    "power as the square of the voltage": ("P * u**2", "W/V**2"),
+}
 
 
 def silverbox(part: slice) -> Record:
@@ -53,7 +56,12 @@ def silverbox(part: slice) -> Record:
 
 def plate() -> Record:
     t, u, y = np.loadtxt(DATA / "daisy/heating_system.dat").T
-    return Record({"u": u, "temperature": y}, {"u": "V", "temperature": "degC"}, float(t[1] - t[0]), source="DaISy heating")
+    return Record(
+        {"u": u, "temperature": y},
+        {"u": "V", "temperature": "degC"},
+        float(t[1] - t[0]),
+        source="DaISy heating",
+    )
 
 
 def tested(model: PhysicalModel, part: slice) -> float:
@@ -64,7 +72,11 @@ def tested(model: PhysicalModel, part: slice) -> float:
 
 
 def verdict(explanation: Explanation) -> str:
-    named = ", ".join(f"{c.effect} (p = {c.probability:.2f})" for c in explanation.candidates[:3] if c.probability > 0.01)
+    named = ", ".join(
+        f"{c.effect} (p = {c.probability:.2f})"
+        for c in explanation.candidates[:3]
+        if c.probability > 0.01
+    )
     return f"{explanation.verdict}; {named or 'nothing named'}; unexplained share {explanation.unexplained_share:.2f}"
 
 
@@ -75,9 +87,13 @@ def main() -> None:
     print("### Silverbox\n")
     began = time.perf_counter()
     found = explain(load_model("oscillator"), [silverbox(TRAINING)])
-    print(f"explain on the training multisines: {verdict(found)} ({time.perf_counter() - began:.1f} s)\n")
+    print(
+        f"explain on the training multisines: {verdict(found)} ({time.perf_counter() - began:.1f} s)\n"
+    )
     spring = improve(load_model("oscillator"), [silverbox(TRAINING)], add=["cubic-spring"])
-    print("| test set | linear [mV] | with the cubic spring [mV] | published for this structure [mV] |\n|---|---|---|---|")
+    print(
+        "| test set | linear [mV] | with the cubic spring [mV] | published for this structure [mV] |\n|---|---|---|---|"
+    )
     linear = estimate(*_matched(load_model("oscillator"))).model
     for name, part in TESTS.items():
         errors = [1e3 * tested(model, part) for model in (linear, spring.model)]

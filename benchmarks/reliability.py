@@ -11,7 +11,17 @@ import numpy.typing as npt
 from residuum.diagnosis.learning.diagnoser_validation import proportion_interval
 from residuum.identification.errors import BadInput
 
-EDGES = (0.0, 0.02, 0.1, 0.3, 0.5, 0.7, 0.9, 0.98, 1.0)  # narrow at the ends, where most movements lie
+EDGES = (
+    0.0,
+    0.02,
+    0.1,
+    0.3,
+    0.5,
+    0.7,
+    0.9,
+    0.98,
+    1.0,
+)  # narrow at the ends, where most movements lie
 
 
 @dataclass(frozen=True)
@@ -34,7 +44,9 @@ class ReliabilityLine:
         return self.interval[0] <= self.predicted <= self.interval[1]
 
 
-def reliability_table(said: npt.ArrayLike, true: npt.ArrayLike, edges: Sequence[float] = EDGES) -> list[ReliabilityLine]:
+def reliability_table(
+    said: npt.ArrayLike, true: npt.ArrayLike, edges: Sequence[float] = EDGES
+) -> list[ReliabilityLine]:
     """One line for each bin that is not empty.
 
     Parameters
@@ -57,24 +69,36 @@ def reliability_table(said: npt.ArrayLike, true: npt.ArrayLike, edges: Sequence[
         inside = bins == k
         n, events = int(inside.sum()), int(hit[inside].sum())
         interval = proportion_interval(events, n)
-        lines.append(ReliabilityLine(edges[k], edges[k + 1], n, float(p[inside].mean()), events / n, interval))
+        lines.append(
+            ReliabilityLine(
+                edges[k], edges[k + 1], n, float(p[inside].mean()), events / n, interval
+            )
+        )
     return lines
 
 
-def expected_calibration_error(said: npt.ArrayLike, true: npt.ArrayLike, edges: Sequence[float] = EDGES) -> float:
+def expected_calibration_error(
+    said: npt.ArrayLike, true: npt.ArrayLike, edges: Sequence[float] = EDGES
+) -> float:
     """Mean over the observations of |said − came true| of their bin (Naeini, Cooper and Hauskrecht, 2015).
 
     >>> expected_calibration_error([0.2] * 10, [True, True] + [False] * 8)
     0.0
     """
     lines = reliability_table(said, true, edges)
-    return sum(line.n * abs(line.predicted - line.observed) for line in lines) / sum(line.n for line in lines)
+    return sum(line.n * abs(line.predicted - line.observed) for line in lines) / sum(
+        line.n for line in lines
+    )
 
 
-def _checked(said: npt.ArrayLike, true: npt.ArrayLike) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_]]:
+def _checked(
+    said: npt.ArrayLike, true: npt.ArrayLike
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_]]:
     p, hit = np.asarray(said, dtype=float), np.asarray(true, dtype=bool)
     if p.shape != hit.shape or p.ndim != 1 or p.size == 0:
-        raise BadInput(f"reliability: probabilities of shape {p.shape}, outcomes {hit.shape}; must be (n,) both, n at least 1")
+        raise BadInput(
+            f"reliability: probabilities of shape {p.shape}, outcomes {hit.shape}; must be (n,) both, n at least 1"
+        )
     if not np.all((p >= 0.0) & (p <= 1.0)):
         raise BadInput(f"reliability: {p[~((p >= 0.0) & (p <= 1.0))][0]!r} is no probability")
     return p, hit

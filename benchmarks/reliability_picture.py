@@ -12,7 +12,9 @@ APART = 5
 """[px] Between the series, so that intervals of one bin do not hide each other."""
 
 
-def reliability_svg(series: Mapping[str, Sequence[ReliabilityLine]], single: Sequence[tuple[float, bool]] = ()) -> str:
+def reliability_svg(
+    series: Mapping[str, Sequence[ReliabilityLine]], single: Sequence[tuple[float, bool]] = ()
+) -> str:
     """The picture of several series of bins, by name, and of `single` statements, (said, whether true)."""
     parts = [_axes(), *(_diamond(said, true) for said, true in single)]
     for k, (name, lines) in enumerate(series.items()):
@@ -45,13 +47,19 @@ def _y(p: float) -> float:
 
 def _axes() -> str:
     text = [f'<path d="M{_x(0):g} {_y(1):g}V{_y(0):g}H{_x(1):g}" fill="none" stroke="#333"/>']
-    text.append(f'<path d="M{_x(0):g} {_y(0):g}L{_x(1):g} {_y(1):g}" stroke="#999" stroke-dasharray="4 4"/>')
+    text.append(
+        f'<path d="M{_x(0):g} {_y(0):g}L{_x(1):g} {_y(1):g}" stroke="#999" stroke-dasharray="4 4"/>'
+    )
     for tenth in range(0, 11, 2):
         p = tenth / 10
         text.append(f'<text x="{_x(p):g}" y="{_y(0) + 16:g}" text-anchor="middle">{p:g}</text>')
         text.append(f'<text x="{LEFT - 8}" y="{_y(p) + 4:g}" text-anchor="end">{p:g}</text>')
-    text.append(f'<text x="{_x(0.5):g}" y="{_y(0) + 34:g}" text-anchor="middle">probability said</text>')
-    text.append(f'<text transform="translate(16 {_y(0.5):g}) rotate(-90)" text-anchor="middle">share that was true</text>')
+    text.append(
+        f'<text x="{_x(0.5):g}" y="{_y(0) + 34:g}" text-anchor="middle">probability said</text>'
+    )
+    text.append(
+        f'<text transform="translate(16 {_y(0.5):g}) rotate(-90)" text-anchor="middle">share that was true</text>'
+    )
     return "\n".join(text)
 
 

@@ -70,8 +70,14 @@ def _covariance(factor: float) -> Change:
     def change(original: Any) -> Any:
         def changed(*args: Any, **given: Any) -> Any:
             model = original(*args, **given)
-            named = {name: getattr(model, name) for name in ("covariance", "parameter_covariance", "longer_covariance")}
-            return replace(model, **{name: factor * value for name, value in named.items() if value is not None})
+            named = {
+                name: getattr(model, name)
+                for name in ("covariance", "parameter_covariance", "longer_covariance")
+            }
+            return replace(
+                model,
+                **{name: factor * value for name, value in named.items() if value is not None},
+            )
 
         return changed
 
@@ -82,7 +88,9 @@ def _gain_lost(original: Any) -> Any:
     def changed(*args: Any, **given: Any) -> Any:
         model = original(*args, **given)
         longer = None if model.longer_response is None else 0.85 * model.longer_response
-        return replace(model, impulse_response=0.85 * model.impulse_response, longer_response=longer)
+        return replace(
+            model, impulse_response=0.85 * model.impulse_response, longer_response=longer
+        )
 
     return changed
 
@@ -118,13 +126,17 @@ def _envelope_squared(original: Any) -> Any:
 
 def _without_groups(original: Any) -> Any:
     def changed(estimator: Any, X: Any, y: Any, objects: Any) -> Any:
-        return replace(original(estimator, X, y, np.arange(len(y)) % 5), objects=np.asarray(objects))
+        return replace(
+            original(estimator, X, y, np.arange(len(y)) % 5), objects=np.asarray(objects)
+        )
 
     return changed
 
 
 def _risk_turned(original: Any) -> Any:
-    return lambda probability, severity: original(chr(ord("A") + ord("D") - ord(probability)), severity)
+    return lambda probability, severity: original(
+        chr(ord("A") + ord("D") - ord(probability)), severity
+    )
 
 
 def _band_shifted(original: Any) -> Any:
@@ -137,7 +149,10 @@ def _band_shifted(original: Any) -> Any:
 
 def _settled_by_five_percent(original: Any) -> Any:
     def changed(y: Any, sample_time: float) -> Any:
-        return replace(original(y, sample_time), settling_time=original(1.0 + 0.4 * (y - 1.0), sample_time).settling_time)
+        return replace(
+            original(y, sample_time),
+            settling_time=original(1.0 + 0.4 * (y - 1.0), sample_time).settling_time,
+        )
 
     return changed
 
@@ -155,7 +170,9 @@ def _one_further(original: Any) -> Any:
 
 
 def _of_one_degree(original: Any) -> Any:
-    return lambda model, theta, probability=0.95: original(model, theta, float(chi2(2).cdf(chi2(1).ppf(probability))))
+    return lambda model, theta, probability=0.95: original(
+        model, theta, float(chi2(2).cdf(chi2(1).ppf(probability)))
+    )
 
 
 def _mean_absolute(original: Any) -> Any:
@@ -168,7 +185,10 @@ def _wide_band(original: Any) -> Any:
 
 def _judged_on_what_was_taught(original: Any) -> Any:
     def changed(estimator: Any, X: Any, y: Any, objects: Any, *args: Any, **given: Any) -> Any:
-        return replace(original(estimator, X, y, objects, *args, **given), predicted=clone(estimator).fit(X, y).predict(X))
+        return replace(
+            original(estimator, X, y, objects, *args, **given),
+            predicted=clone(estimator).fit(X, y).predict(X),
+        )
 
     return changed
 
@@ -185,7 +205,10 @@ _LINEAR, _KERNEL = "residuum.identification.linear_models", "residuum.identifica
 _CONTROL, _DIAGNOSIS = "residuum.robust_control", "residuum.diagnosis"
 MUTATIONS = (
     Mutation(
-        "2ε² becomes ε² in the number of random plants", f"{_LINEAR}.uncertainty:chernoff_samples", _scaled(2), "sample_size"
+        "2ε² becomes ε² in the number of random plants",
+        f"{_LINEAR}.uncertainty:chernoff_samples",
+        _scaled(2),
+        "sample_size",
     ),
     Mutation(
         "the least-squares covariance is a quarter",
@@ -205,7 +228,12 @@ MUTATIONS = (
         _covariance(0.05),
         "uncertainty",
     ),
-    Mutation("Ŵ_T is half of what it must be", f"{_LINEAR}.uncertainty:weight_above", _weight_halved, "uncertainty"),
+    Mutation(
+        "Ŵ_T is half of what it must be",
+        f"{_LINEAR}.uncertainty:weight_above",
+        _weight_halved,
+        "uncertainty",
+    ),
     Mutation(
         "ω_n ℓ ξ = 3 in place of 4",
         f"{_CONTROL}.weights.reference_model:ReferenceModel.natural_frequency",
@@ -218,7 +246,12 @@ MUTATIONS = (
         _controller_detuned,
         "nominal_control",
     ),
-    Mutation("Ŵ_T of one configuration alone", f"{_CONTROL}.multi_model:overall_uncertainty", _first_model_alone, "oven"),
+    Mutation(
+        "Ŵ_T of one configuration alone",
+        f"{_CONTROL}.multi_model:overall_uncertainty",
+        _first_model_alone,
+        "oven",
+    ),
     Mutation(
         "the post-filter is 30 % too strong",
         f"{_DIAGNOSIS}.residuals.approximate_fault_detection:approximate_fault_detection",
@@ -226,9 +259,17 @@ MUTATIONS = (
         "robust_residual",
     ),
     Mutation(
-        "τ is half of (4.9)", f"{_DIAGNOSIS}.thresholds.threshold:source_threshold", _field_scaled("level"), "robust_residual"
+        "τ is half of (4.9)",
+        f"{_DIAGNOSIS}.thresholds.threshold:source_threshold",
+        _field_scaled("level"),
+        "robust_residual",
     ),
-    Mutation("the envelope is squared", f"{_DIAGNOSIS}.vibration.envelope:band_envelope", _envelope_squared, "gripping_pliers"),
+    Mutation(
+        "the envelope is squared",
+        f"{_DIAGNOSIS}.vibration.envelope:band_envelope",
+        _envelope_squared,
+        "gripping_pliers",
+    ),
     Mutation(
         "the kurtogram's best band is shifted",
         f"{_DIAGNOSIS}.vibration.kurtogram:Kurtogram.band",
@@ -241,14 +282,24 @@ MUTATIONS = (
         _scaled(44 / 47),
         "gate_actuator",
     ),
-    Mutation("F₁ and F₂ are halved", f"{_DIAGNOSIS}.gate.movement_features:fault_indicators", _both_halved, "gate_actuator"),
+    Mutation(
+        "F₁ and F₂ are halved",
+        f"{_DIAGNOSIS}.gate.movement_features:fault_indicators",
+        _both_halved,
+        "gate_actuator",
+    ),
     Mutation(
         "object-wise folds mix objects",
         f"{_DIAGNOSIS}.learning.diagnoser_validation:object_wise",
         _without_groups,
         "gate_actuator",
     ),
-    Mutation("likely failures count as unlikely", f"{_DIAGNOSIS}.gate.fmeca:risk", _risk_turned, "gate_actuator"),
+    Mutation(
+        "likely failures count as unlikely",
+        f"{_DIAGNOSIS}.gate.fmeca:risk",
+        _risk_turned,
+        "gate_actuator",
+    ),
     Mutation(
         "overshoot is reported halved",
         f"{_CONTROL}.certificates.time_domain:assess",
@@ -267,7 +318,12 @@ MUTATIONS = (
         _aic_of_half_the_parameters,
         "uncertainty",
     ),
-    Mutation("quadrants are turned by one", f"{_DIAGNOSIS}.vibration.rounds:Rounds.quadrant", _one_further, "gripping_pliers"),
+    Mutation(
+        "quadrants are turned by one",
+        f"{_DIAGNOSIS}.vibration.rounds:Rounds.quadrant",
+        _one_further,
+        "gripping_pliers",
+    ),
     Mutation(
         "the ellipsoid has χ² of one degree of freedom",
         f"{_LINEAR}.prediction_error.confidence:in_confidence_ellipsoid",
@@ -325,7 +381,9 @@ def mutate(mutation: Mutation) -> None:
     setattr(owner, name, changed)
     for other in list(sys.modules.values()):
         for alias, value in (
-            list(vars(other).items()) if getattr(other, "__name__", "").startswith(("residuum", "reproduction")) else ()
+            list(vars(other).items())
+            if getattr(other, "__name__", "").startswith(("residuum", "reproduction"))
+            else ()
         ):
             if value is original:
                 setattr(other, alias, changed)
@@ -371,7 +429,13 @@ def red(name: str | None) -> tuple[int, tuple[str, str, str] | None]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--from", dest="first", type=int, default=0, help="number of the first; 0: the report as it is")
+    parser.add_argument(
+        "--from",
+        dest="first",
+        type=int,
+        default=0,
+        help="number of the first; 0: the report as it is",
+    )
     parser.add_argument("--to", dest="last", type=int, default=len(MUTATIONS))
     given = parser.parse_args()
     asked = (None, *_by_name())[given.first : given.last + 1]
@@ -383,7 +447,8 @@ def main() -> None:
         turned += name is not None and bool(count)
         shown = "" if first is None else ", ".join(first[1:])
         print(
-            f"| {name or 'nothing'} | {'red' if count else 'green'} | {shown} | {time.perf_counter() - begun:.0f} |", flush=True
+            f"| {name or 'nothing'} | {'red' if count else 'green'} | {shown} | {time.perf_counter() - begun:.0f} |",
+            flush=True,
         )
     print(f"\n{turned} of {sum(name is not None for name in asked)} mutations turn the report red.")
 

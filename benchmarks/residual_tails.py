@@ -29,16 +29,30 @@ NOISES: dict[str, Draw] = {
 
 def main() -> None:
     """One row a noise and number of healthy samples; the law that is held against the samples is the Gaussian one."""
-    print(f"\n### Tails from healthy samples, measured / chosen, mean (5 … 95 %) of {RECORDS} records\n")
-    print("| noise | healthy samples | tail fitted | " + " | ".join(PER_SAMPLE) + " |\n" + "|---" * (3 + len(PER_SAMPLE)) + "|")
+    print(
+        f"\n### Tails from healthy samples, measured / chosen, mean (5 … 95 %) of {RECORDS} records\n"
+    )
+    print(
+        "| noise | healthy samples | tail fitted | "
+        + " | ".join(PER_SAMPLE)
+        + " |\n"
+        + "|---" * (3 + len(PER_SAMPLE))
+        + "|"
+    )
     for name, draw in NOISES.items():
         rng = np.random.default_rng(1)
         fresh = np.sort(_sizes(draw, rng, FRESH))
         for n in (4_000, 20_000, 50_000):
             fitted = [differing_tail(_sizes(draw, rng, n), _gaussian) for _ in range(RECORDS)]
             found = [tail for tail in fitted if tail is not None]
-            cells = [_cell(np.array([_exceeded(fresh, float(tail.level(p))) / p for tail in found])) for p in PER_SAMPLE.values()]
-            print(f"| {name} | {n} | {len(found)} of {RECORDS} | " + " | ".join(cells) + " |", flush=True)
+            cells = [
+                _cell(np.array([_exceeded(fresh, float(tail.level(p))) / p for tail in found]))
+                for p in PER_SAMPLE.values()
+            ]
+            print(
+                f"| {name} | {n} | {len(found)} of {RECORDS} | " + " | ".join(cells) + " |",
+                flush=True,
+            )
 
 
 def _sizes(draw: Draw, rng: np.random.Generator, n: int) -> np.ndarray:

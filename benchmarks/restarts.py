@@ -40,7 +40,16 @@ class Server:
         if self._as:
             shutil.chown(self._data, "postgres")
         self._run("initdb", "-A", "trust", "-U", "postgres", "-D")
-        self._run("pg_ctl", "-w", "-l", str(self._data / "log"), "-o", f"-p {self.port} -k ''", "start", "-D")
+        self._run(
+            "pg_ctl",
+            "-w",
+            "-l",
+            str(self._data / "log"),
+            "-o",
+            f"-p {self.port} -k ''",
+            "start",
+            "-D",
+        )
 
     @property
     def url(self) -> str:
@@ -58,7 +67,12 @@ class Server:
     def _run(self, program: str, *options: str) -> None:
         known = sorted(Path("/usr/lib/postgresql").glob(f"*/bin/{program}"))
         path = shutil.which(program) or str(known[-1])
-        subprocess.run([*self._as, path, *options, str(self._data)], check=True, stdout=subprocess.DEVNULL, cwd="/")
+        subprocess.run(
+            [*self._as, path, *options, str(self._data)],
+            check=True,
+            stdout=subprocess.DEVNULL,
+            cwd="/",
+        )
 
 
 def campaign(restarts: int, per_restart: int, seed: int) -> dict[str, int]:
@@ -75,7 +89,9 @@ def campaign(restarts: int, per_restart: int, seed: int) -> dict[str, int]:
                 client.start()
             for _ in range(restarts):
                 enough = answers(clients) + moments.uniform(0.4 * per_restart, 1.6 * per_restart)
-                wait_for(lambda enough=enough: answers(clients) >= enough, "the service does not answer")
+                wait_for(
+                    lambda enough=enough: answers(clients) >= enough, "the service does not answer"
+                )
                 server.restart("fast" if moments.random() < ORDERLY else "immediate")
             for client in clients:
                 client.stop()
@@ -90,7 +106,9 @@ def campaign(restarts: int, per_restart: int, seed: int) -> dict[str, int]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--restarts", type=int, default=100)
-    parser.add_argument("--windows", type=int, default=20, help="acknowledged windows a restart, on average")
+    parser.add_argument(
+        "--windows", type=int, default=20, help="acknowledged windows a restart, on average"
+    )
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
     found = campaign(given.restarts, given.windows, given.seed)

@@ -48,8 +48,12 @@ def routes(document: Mapping[str, Any]) -> list[tuple[str, str, Mapping[str, Any
     found = []
     for path, methods in document["paths"].items():
         for method, operation in methods.items():
-            content = operation.get("requestBody", {}).get("content", {}).get("application/json", {})
-            found.append((method.upper(), path, _without_references(content.get("schema", {}), known, 0)))
+            content = (
+                operation.get("requestBody", {}).get("content", {}).get("application/json", {})
+            )
+            found.append(
+                (method.upper(), path, _without_references(content.get("schema", {}), known, 0))
+            )
     return found
 
 
@@ -82,7 +86,9 @@ def below(role: str, all_roles: bool) -> Sequence[str]:
     return lower if all_roles else lower[-1:]
 
 
-def forbidden(document: Mapping[str, Any], *, all_roles: bool) -> Iterator[tuple[str, str, str, bytes | None]]:
+def forbidden(
+    document: Mapping[str, Any], *, all_roles: bool
+) -> Iterator[tuple[str, str, str, bytes | None]]:
     """(role, method, path, body) of requests that must all be refused with 403."""
     for method, path, schema in routes(document):
         for role in below(needed(method, path), all_roles):
@@ -110,7 +116,11 @@ def _filled(schema: Mapping[str, Any]) -> Any:
     kind = schema.get("type")
     if kind == "object" or "properties" in schema:
         wanted = schema.get("required", [])
-        return {name: _filled(each) for name, each in schema.get("properties", {}).items() if name in wanted}
+        return {
+            name: _filled(each)
+            for name, each in schema.get("properties", {}).items()
+            if name in wanted
+        }
     if kind == "array":
         return [_filled(schema.get("items", {}))] * schema.get("minItems", 0)
     return {"integer": 1, "number": 1.0, "boolean": False}.get(str(kind), "gate-drive")
@@ -165,7 +175,11 @@ def path_bodies(document: Mapping[str, Any], file: str) -> Iterator[tuple[str, s
             ):
                 yield method, named(path, "a-machine"), json.dumps(MACHINE | more).encode()
             source = MACHINE["sources"][0] | {"map": file}  # type: ignore[index, operator]
-            yield method, named(path, "a-machine"), json.dumps(MACHINE | {"sources": [source]}).encode()
+            yield (
+                method,
+                named(path, "a-machine"),
+                json.dumps(MACHINE | {"sources": [source]}).encode(),
+            )
         for body in bodies(schema, file):
             yield method, named(path, "1"), json.dumps(body).encode()
 
@@ -186,12 +200,23 @@ def campaign() -> dict[str, Any]:
             connection = HTTPConnection("127.0.0.1", port, timeout=60)
             for role, method, path, body in forbidden(document, all_roles=True):
                 connection.request(
-                    method, path, body, {"X-API-Key": keys[role][0], "Content-Type": "application/json", "Host": "plant.example"}
+                    method,
+                    path,
+                    body,
+                    {
+                        "X-API-Key": keys[role][0],
+                        "Content-Type": "application/json",
+                        "Host": "plant.example",
+                    },
                 )
                 answer = connection.getresponse()
                 answer.read()
                 statuses[answer.status] += 1
-                passed += [] if answer.status == 403 else [f"{role} {method} {path} {body!r:.60}: {answer.status}"]
+                passed += (
+                    []
+                    if answer.status == 403
+                    else [f"{role} {method} {path} {body!r:.60}: {answer.status}"]
+                )
             return {"asked": sum(statuses.values()), "answers": dict(statuses), "passed": passed}
         finally:
             service.kill()
@@ -199,7 +224,11 @@ def campaign() -> dict[str, Any]:
 
 
 def _serve(folder: str, port: int) -> None:
-    os.environ |= {"RESIDUUM_HOST": "0.0.0.0", "RESIDUUM_API_KEYS": f"{folder}/keys", "RESIDUUM_RATE_LIMIT": "1e6"}
+    os.environ |= {
+        "RESIDUUM_HOST": "0.0.0.0",
+        "RESIDUUM_API_KEYS": f"{folder}/keys",
+        "RESIDUUM_RATE_LIMIT": "1e6",
+    }
     serve(f"{folder}/data", "", port)
 
 

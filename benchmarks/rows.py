@@ -30,10 +30,16 @@ def grow(windows: int, keep: int, looks: int = 8) -> list[tuple[int, float, floa
         store = DiskStore(folder, f"sqlite:///{folder / 'residuum.db'}")
         record = Record({"y": np.zeros(16)}, {"y": "V"}, 1.0)
         for number in range(1, windows + 1):
-            indicators = {f"indicator {k}": float(value) for k, value in enumerate(rng.normal(size=12))}
+            indicators = {
+                f"indicator {k}": float(value) for k, value in enumerate(rng.normal(size=12))
+            }
             evidence = {"spectrum": rng.normal(size=EVIDENCE).tolist()}
             thresholds = dict.fromkeys(indicators, 9.0)
-            store.add_window("press", record, Finding("bearing", "healthy", None, indicators, thresholds, {}, evidence, "-"))
+            store.add_window(
+                "press",
+                record,
+                Finding("bearing", "healthy", None, indicators, thresholds, {}, evidence, "-"),
+            )
             if number % (windows // looks) == 0:
                 begun = time.perf_counter()
                 store.retain(Retention(np.inf, 2**40, np.inf, keep))

@@ -41,7 +41,11 @@ def statements(hidden: Sequence[str], outcome: Mapping[str, Any]) -> list[Statem
     known = [id for id in hidden if not id.startswith("x-")]
     made, claimed = [], outcome["verdict"] == "missing-effect"
     if outcome["first"]:
-        made.append(Statement(NAMED, outcome["probability"], bool(set(known) & set(outcome["group"])), claimed))
+        made.append(
+            Statement(
+                NAMED, outcome["probability"], bool(set(known) & set(outcome["group"])), claimed
+            )
+        )
     made.append(Statement(UNKNOWN, outcome["unknown"], len(known) < len(hidden)))
     made.append(Statement(NONE, outcome["none"], not hidden or _is_hidden_for_good(outcome)))
     return [replace(s, said=min(max(s.said, 0.0), 1.0)) for s in made]
@@ -55,7 +59,9 @@ def _is_hidden_for_good(outcome: Mapping[str, Any]) -> bool:
 def real_names() -> list[Statement]:
     """What was said of real machines of which it is known what they lack, at the latest commit that told a probability."""
     with REAL.open(encoding="utf-8", newline="") as file:
-        return [Statement(NAMED, float(row["said"]), row["true"] == "1") for row in csv.DictReader(file)]
+        return [
+            Statement(NAMED, float(row["said"]), row["true"] == "1") for row in csv.DictReader(file)
+        ]
 
 
 def lines_of(made: Sequence[Statement]) -> list[ReliabilityLine]:
@@ -78,7 +84,9 @@ def told(made: Sequence[Statement]) -> str:
     mean = f", with a mean probability of {np.mean(wrong):.2f}" if wrong else ""
     text.append(f"\nVerdicts that name an effect: {len(claims)}, wrong {len(wrong)}{mean}")
     real = real_names()
-    text.append(f"\nReal machines, first group: {', '.join(f'{s.said:.2f} {_right(s)}' for s in real)}")
+    text.append(
+        f"\nReal machines, first group: {', '.join(f'{s.said:.2f} {_right(s)}' for s in real)}"
+    )
     return "\n".join(text)
 
 

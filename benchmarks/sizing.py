@@ -59,7 +59,10 @@ def measured(channels: int, samples: int) -> tuple[Cost, float]:
         def post(count: int) -> None:
             for _ in range(count):
                 connection.request(
-                    "POST", f"/api/v1/assets/press/windows?{query}", body, {"Content-Type": "application/octet-stream"}
+                    "POST",
+                    f"/api/v1/assets/press/windows?{query}",
+                    body,
+                    {"Content-Type": "application/octet-stream"},
                 )
                 answer = connection.getresponse()
                 content = answer.read()
@@ -88,7 +91,9 @@ def _database(folder: str) -> int:
 
 def main() -> None:
     """Print the table."""
-    print("| channels × samples | CPU [ms], rule | measured | signals [kB], rule | measured | sent [kB] | database [kB] |")
+    print(
+        "| channels × samples | CPU [ms], rule | measured | signals [kB], rule | measured | sent [kB] | database [kB] |"
+    )
     print("|---|---|---|---|---|---|---|")
     for channels, samples in SIZES:
         said, (found, rows) = rule(channels, samples), measured(channels, samples)

@@ -55,7 +55,10 @@ class Strangers:
         self._context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
         self._context.check_hostname, self._context.verify_mode = False, ssl.CERT_NONE
         self._stopping = threading.Event()
-        self._threads = [threading.Thread(target=self._hold, args=(number,), daemon=True) for number in range(count)]
+        self._threads = [
+            threading.Thread(target=self._hold, args=(number,), daemon=True)
+            for number in range(count)
+        ]
 
     def start(self) -> None:
         """Begin."""
@@ -72,7 +75,10 @@ class Strangers:
         kind = list(KINDS)[number % len(KINDS)]
         source = f"127.0.0.{number // len(KINDS) % ADDRESSES + 1}"
         while not self._stopping.is_set():
-            with suppress(OSError), socket.create_connection(("127.0.0.1", self._port), 60, (source, 0)) as plain:
+            with (
+                suppress(OSError),
+                socket.create_connection(("127.0.0.1", self._port), 60, (source, 0)) as plain,
+            ):
                 plain.settimeout(1.0)
                 if kind == "handshakes that stop":
                     self._say(plain, b"\x16\x03\x01\x02\x00\x01", None)
@@ -101,9 +107,15 @@ class Strangers:
 
 KINDS: dict[str, tuple[bytes, bytes | None]] = {
     "heads": (_HEAD, b"x"),
-    "uploads": (_POST + b"200000000\r\n\r\n", b"x"),  # longer than is taken: it is thrown away before it is refused
+    "uploads": (
+        _POST + b"200000000\r\n\r\n",
+        b"x",
+    ),  # longer than is taken: it is thrown away before it is refused
     "uploads that stop": (_POST + b"100000\r\n\r\n{", None),
-    "answers not taken": (b"GET /vendor/plotly.min.js HTTP/1.1\r\nHost: plant.example\r\n\r\n", None),
+    "answers not taken": (
+        b"GET /vendor/plotly.min.js HTTP/1.1\r\nHost: plant.example\r\n\r\n",
+        None,
+    ),
     "handshakes that stop": (b"", None),
     "nothing more": (b"GET / HTTP/1.1\r\nHost: plant.example\r\n\r\n", None),
 }
@@ -128,7 +140,12 @@ class Source(threading.Thread):
         """Each until it is answered."""
         number = 0
         while not self._stopping.wait(0.1):
-            body = {"sample_time": 1e-3, "t0": float(number), "channels": {"a": [0.0, 1.0] * 100}, "units": {"a": "m/s²"}}
+            body = {
+                "sample_time": 1e-3,
+                "t0": float(number),
+                "channels": {"a": [0.0, 1.0] * 100},
+                "units": {"a": "m/s²"},
+            }
             headers = {"Content-Type": "application/json", "Idempotency-Key": f"window-{number}"}
             try:
                 path = "/api/v1/assets/press/windows?diagnoser=bearing"
@@ -158,7 +175,10 @@ def campaign(seconds: float, connections: int = CONNECTIONS, files: int = FILES)
 
         def asker(shown: str) -> Callable[..., tuple[int, bytes]]:
             def ask(
-                method: str, path: str, body: bytes | None = None, headers: dict[str, str] | None = None
+                method: str,
+                path: str,
+                body: bytes | None = None,
+                headers: dict[str, str] | None = None,
             ) -> tuple[int, bytes]:
                 connection = HTTPSConnection("127.0.0.1", port, timeout=60, context=trusted)
                 try:
@@ -178,7 +198,16 @@ def campaign(seconds: float, connections: int = CONNECTIONS, files: int = FILES)
             "RESIDUUM_LOG_LEVEL": "error",
             "RESIDUUM_WORKERS": "1",
         }
-        command = [sys.executable, "-m", "residuum", "serve", "--port", str(port), "--data", str(folder / "data")]
+        command = [
+            sys.executable,
+            "-m",
+            "residuum",
+            "serve",
+            "--port",
+            str(port),
+            "--data",
+            str(folder / "data"),
+        ]
         limits = (files, files)
         with subprocess.Popen(
             command,
@@ -195,11 +224,17 @@ def campaign(seconds: float, connections: int = CONNECTIONS, files: int = FILES)
 
 
 def _counted(
-    source_asks: Callable[..., Any], operator_asks: Callable[..., Any], port: int, count: int, seconds: float
+    source_asks: Callable[..., Any],
+    operator_asks: Callable[..., Any],
+    port: int,
+    count: int,
+    seconds: float,
 ) -> dict[str, Any]:
     context, source, times, other = get_context("spawn"), Source(source_asks), [], 0
     ended, told = context.Event(), context.Queue()
-    strangers = context.Process(target=_be_strangers, args=(port, count, ended, told))  # apart: their work is not the service's
+    strangers = context.Process(
+        target=_be_strangers, args=(port, count, ended, told)
+    )  # apart: their work is not the service's
     source.start()
     while not source.answered:
         time.sleep(0.05)
@@ -262,7 +297,13 @@ def main() -> None:
     found = campaign(given.seconds, given.connections, given.files)
     for what, figure in found.items():
         print(f"{what:<16}{figure}")
-    if found["lost"] or found["twice"] or not found["windows"] or found["other than 200"] or found["p99"] > WITHIN:
+    if (
+        found["lost"]
+        or found["twice"]
+        or not found["windows"]
+        or found["other than 200"]
+        or found["p99"] > WITHIN
+    ):
         sys.exit(1)
 
 

@@ -36,7 +36,11 @@ LAG = 1.0
 LOOK = 1.0
 ORDERS = 60
 LONGEST_STEP = 3600.0
-SPARING = {"RESIDUUM_KEEP_BYTES": str(64 * 2**20), "RESIDUUM_KEEP_ROWS": "1000", "RESIDUUM_LOG_LEVEL": "error"}
+SPARING = {
+    "RESIDUUM_KEEP_BYTES": str(64 * 2**20),
+    "RESIDUUM_KEEP_ROWS": "1000",
+    "RESIDUUM_LOG_LEVEL": "error",
+}
 FLAT = 0.05
 
 
@@ -52,7 +56,9 @@ class Service:
 
     def ask(self, path: str, body: dict[str, Any] | None = None) -> Any:
         data = None if body is None else json.dumps(body).encode()
-        request = urllib.request.Request(f"{self.url}/api/v1/{path}", data, {"Content-Type": "application/json"})
+        request = urllib.request.Request(
+            f"{self.url}/api/v1/{path}", data, {"Content-Type": "application/json"}
+        )
         with urllib.request.urlopen(request, timeout=120) as answer:
             return json.load(answer)
 
@@ -98,7 +104,9 @@ class Machine:
         if newest:
             end = newest[0]["t0"] + newest[0]["n"] * newest[0]["sample_time"]
             step = 0.0 if self.until is None else end - self.until
-            self.seconds += step if 0 < step < LONGEST_STEP else 0.0  # numbers leap where a device was lost sight of
+            self.seconds += (
+                step if 0 < step < LONGEST_STEP else 0.0
+            )  # numbers leap where a device was lost sight of
             self.until = end
 
     def _new_findings(self, service: Service) -> Iterator[dict[str, Any]]:
@@ -132,15 +140,21 @@ class Machine:
             try:
                 service.ask(f"demo/machines/{self.name}/fault", {"fault": fault or "none"})
                 break
-            except urllib.error.HTTPError as error:  # the device did not take the order: it is given again
+            except (
+                urllib.error.HTTPError
+            ) as error:  # the device did not take the order: it is given again
                 self.orders_again += 1
                 last = error
                 time.sleep(LOOK)
         else:
             raise last
         self.on, self.since = fault, 0
-        self.waiting = service.ask("status")["machines"][self.name]["windows_waiting"]  # cut before, judged after
-        self.waiting += round(LAG * self.speed * self.windows / self.seconds) if self.seconds else 0  # and not even cut
+        self.waiting = service.ask("status")["machines"][self.name][
+            "windows_waiting"
+        ]  # cut before, judged after
+        self.waiting += (
+            round(LAG * self.speed * self.windows / self.seconds) if self.seconds else 0
+        )  # and not even cut
         return True
 
 
@@ -180,7 +194,11 @@ def campaign(hours: float, speed: float, minutes: float) -> dict[str, Any]:
         try:
             _wait_until_trained(service)
             machines = [
-                Machine(name, [fault["id"] for fault in service.ask(f"demo/machines/{name}/fault")["faults"]], speed)
+                Machine(
+                    name,
+                    [fault["id"] for fault in service.ask(f"demo/machines/{name}/fault")["faults"]],
+                    speed,
+                )
                 for name in WITHIN
             ]
             begun, used = time.monotonic(), []
@@ -206,7 +224,9 @@ def _wait_until_trained(service: Service) -> None:
         time.sleep(LOOK)
 
 
-def _figures(machines: list[Machine], used: list[tuple[float, int]], took: float, status: dict[str, Any]) -> dict[str, Any]:
+def _figures(
+    machines: list[Machine], used: list[tuple[float, int]], took: float, status: dict[str, Any]
+) -> dict[str, Any]:
     fifth = max(1, len(used) // 5)
     early, late = used[fifth : 2 * fifth] or used, used[-fifth:]
     memory = [statistics.median(each[0] for each in part) for part in (early, late)]
@@ -217,7 +237,9 @@ def _figures(machines: list[Machine], used: list[tuple[float, int]], took: float
         "minutes": round(took / 60, 1),
         "hours of the machines": round(hours, 3),
         "speed reached": round(hours * 3600 / took, 1),
-        "windows dropped": {name: state["windows_dropped"] for name, state in status["machines"].items()},
+        "windows dropped": {
+            name: state["windows_dropped"] for name, state in status["machines"].items()
+        },
         **_judgements(machines, days),
         "memory [MiB], second and last fifth": [round(each) for each in memory],
         "memory grown [%]": round(100 * (memory[1] / memory[0] - 1), 1),
@@ -233,28 +255,49 @@ def _judgements(machines: list[Machine], days: float) -> dict[str, Any]:
         "not assessable": {machine.name: machine.not_assessable for machine in machines},
         "orders given again": sum(machine.orders_again for machine in machines),
         "faults found": sum(machine.found for machine in machines),
-        "faults missed": [f"{machine.name} {fault}" for machine in machines for fault in machine.missed],
-        "windows faulty without a fault": {machine.name: f"{machine.false} of {machine.healthy_windows}" for machine in machines},
-        "… a machine's day": round(sum(machine.false for machine in machines) / max(days, 1e-9) / len(machines), 1),
+        "faults missed": [
+            f"{machine.name} {fault}" for machine in machines for fault in machine.missed
+        ],
+        "windows faulty without a fault": {
+            machine.name: f"{machine.false} of {machine.healthy_windows}" for machine in machines
+        },
+        "… a machine's day": round(
+            sum(machine.false for machine in machines) / max(days, 1e-9) / len(machines), 1
+        ),
     }
 
 
 def _bus_counters(status: dict[str, Any]) -> dict[str, dict[str, int]]:
-    counted = {name: {kind: n for kind, n in source["counters"].items() if n} for name, source in status["sources"].items()}
+    counted = {
+        name: {kind: n for kind, n in source["counters"].items() if n}
+        for name, source in status["sources"].items()
+    }
     return {name: counters for name, counters in counted.items() if counters}
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--hours", type=float, default=24.0, help="of the machines' time")
-    parser.add_argument("--speed", type=float, default=5.0, help="5 is what python-can and pymodbus keep up with on two cores")
-    parser.add_argument("--minutes", type=float, default=600.0, help="end then, whatever was reached")
+    parser.add_argument(
+        "--speed",
+        type=float,
+        default=5.0,
+        help="5 is what python-can and pymodbus keep up with on two cores",
+    )
+    parser.add_argument(
+        "--minutes", type=float, default=600.0, help="end then, whatever was reached"
+    )
     given = parser.parse_args()
     found = campaign(given.hours, given.speed, given.minutes)
     for what, figure in found.items():
         print(f"{what:<38}{figure}")
     grown = found["open files, most in each"][1] > found["open files, most in each"][0]
-    if found["memory grown [%]"] > 100 * FLAT or grown or found["faults missed"] or found["hours of the machines"] < given.hours:
+    if (
+        found["memory grown [%]"] > 100 * FLAT
+        or grown
+        or found["faults missed"]
+        or found["hours of the machines"] < given.hours
+    ):
         sys.exit(1)
 
 

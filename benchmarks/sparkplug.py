@@ -20,12 +20,30 @@ from paho.mqtt.enums import CallbackAPIVersion
 from benchmarks.opcua import Judge
 from residuum.service.broker import broker_address
 from residuum.service.fieldbus.sparkplug.metric_map import MetricMap
-from residuum.service.fieldbus.sparkplug.sparkplug_payload import BOOLEAN, DOUBLE, INT64, Metric, Payload, pack, unpack
+from residuum.service.fieldbus.sparkplug.sparkplug_payload import (
+    BOOLEAN,
+    DOUBLE,
+    INT64,
+    Metric,
+    Payload,
+    pack,
+    unpack,
+)
 from residuum.service.fieldbus.sparkplug.sparkplug_source import REBIRTH, SparkplugSource
 
 STEP = 0.02
 HARMLESS = ("repeat", "old repeat", "disorder", "late death", "rebirth")
-KINDS = ("lose", "lose", "lose", "lose many", "lose 256", "lose birth", "break", "set clock", *HARMLESS)
+KINDS = (
+    "lose",
+    "lose",
+    "lose",
+    "lose many",
+    "lose 256",
+    "lose birth",
+    "break",
+    "set clock",
+    *HARMLESS,
+)
 
 
 class Node:
@@ -43,7 +61,9 @@ class Node:
         self.client.will_set("spBv1.0/G/NDEATH/N", self.death())
         up = threading.Event()
         self.client.on_subscribe = lambda *_: up.set()
-        self.client.on_message = lambda _client, _data, m: self.asked.set() if _asks(m.payload) else None
+        self.client.on_message = lambda _client, _data, m: (
+            self.asked.set() if _asks(m.payload) else None
+        )
         self.client.connect(self.address.host, self.address.port)
         self.client.loop_start()
         self.client.subscribe("spBv1.0/G/NCMD/N", 1)
@@ -60,8 +80,14 @@ class Node:
         self.asked.clear()
         self.seq = 0
         self.aliases = dict(zip(("u", "y"), self.rng.sample(range(1, 4), 2), strict=True))
-        self.send("NBIRTH", "", [Metric("bdSeq", self.number, INT64), Metric(REBIRTH, False, BOOLEAN)])
-        self.send("DBIRTH", "/D", [Metric(name, 0.5, DOUBLE, alias) for name, alias in self.aliases.items()])
+        self.send(
+            "NBIRTH", "", [Metric("bdSeq", self.number, INT64), Metric(REBIRTH, False, BOOLEAN)]
+        )
+        self.send(
+            "DBIRTH",
+            "/D",
+            [Metric(name, 0.5, DOUBLE, alias) for name, alias in self.aliases.items()],
+        )
 
     def send(self, kind, device, metrics):
         content = pack(Payload(metrics, self.now(), self.seq))
@@ -91,7 +117,11 @@ class Node:
         for i in range(self.last + 1, now + 1):
             at = round((i * STEP + self.shift) * 1e3)
             values = {"u": float(i), "y": 2.0 * i + 1}
-            self.send("DDATA", "/D", [Metric("", value, 0, self.aliases[name], at) for name, value in values.items()])
+            self.send(
+                "DDATA",
+                "/D",
+                [Metric("", value, 0, self.aliases[name], at) for name, value in values.items()],
+            )
         self.last = now
         time.sleep(STEP / 4)
 
@@ -109,7 +139,13 @@ def provoke(kind, node):
     """One fault; the node goes on by itself. Gives the number of data messages that were lost."""
     rng, lost = node.rng, 0
     if kind.startswith("lose") and kind != "lose birth":
-        lost = node.lose = 256 if kind == "lose 256" else rng.randint(100, 300) if kind == "lose many" else rng.randint(1, 40)
+        lost = node.lose = (
+            256
+            if kind == "lose 256"
+            else rng.randint(100, 300)
+            if kind == "lose many"
+            else rng.randint(1, 40)
+        )
         while node.lose:
             node.tick()
     elif kind == "lose birth":
@@ -125,12 +161,18 @@ def provoke(kind, node):
     elif kind == "set clock":
         node.shift += rng.choice((-3600.0, -20.0, -1.0, 5.0, 3600.0))
     elif kind == "repeat":
-        node.delayed += [(rng.randint(0, 9), *rng.choice(node.history[-5:])) for _ in range(rng.randint(1, 5))]
+        node.delayed += [
+            (rng.randint(0, 9), *rng.choice(node.history[-5:])) for _ in range(rng.randint(1, 5))
+        ]
     elif kind == "old repeat":
-        node.delayed += [(rng.randint(0, 9), *rng.choice(node.history)) for _ in range(rng.randint(1, 5))]
+        node.delayed += [
+            (rng.randint(0, 9), *rng.choice(node.history)) for _ in range(rng.randint(1, 5))
+        ]
     elif kind == "disorder":
         straight = node.deliver
-        node.deliver = lambda topic, content: node.delayed.append((rng.randint(1, 6), topic, content))
+        node.deliver = lambda topic, content: node.delayed.append(
+            (rng.randint(1, 6), topic, content)
+        )
         node.run(rng.choice((0.5, 1.5)) * STEP)
         node.deliver = straight
     elif kind == "late death":
@@ -155,9 +197,15 @@ def campaign(broker, messages, seed):
     """What was found, by name."""
     rng, judge = random.Random(seed), Judge()
     node = Node(broker_address(broker), rng)
-    stream = {"device": "D", "sample_time": STEP, "channels": {name: {"metric": name} for name in ("u", "y")}}
+    stream = {
+        "device": "D",
+        "sample_time": STEP,
+        "channels": {name: {"metric": name} for name in ("u", "y")},
+    }
     source = SparkplugSource(
-        broker_address(broker), MetricMap.model_validate({"node": "G/N", "streams": {"s": stream}}), judge.take
+        broker_address(broker),
+        MetricMap.model_validate({"node": "G/N", "streams": {"s": stream}}),
+        judge.take,
     )
     source.start()
     returns, kinds, unnoticed, harmed = [], dict.fromkeys(KINDS, 0), [], []
@@ -171,7 +219,10 @@ def campaign(broker, messages, seed):
             lost = provoke(kind, node)
             node.run(1.5)  # longer than a message waits for those before it
             returns.append(wait_for_good(node, judge, time.monotonic()))
-            gaps, missing = source.health["sequence_gaps"] - before[0], source.health["lost"] - before[1]
+            gaps, missing = (
+                source.health["sequence_gaps"] - before[0],
+                source.health["lost"] - before[1],
+            )
             if lost and not gaps and missing < lost:
                 unnoticed.append((kind, lost))
             if kind in HARMLESS and missing:
@@ -197,7 +248,12 @@ def campaign(broker, messages, seed):
 
 
 def failed(found):
-    wrong = found["wrong samples"] or found["twice"] or found["gaps not noticed"] or found["harmless ones that cost samples"]
+    wrong = (
+        found["wrong samples"]
+        or found["twice"]
+        or found["gaps not noticed"]
+        or found["harmless ones that cost samples"]
+    )
     return bool(wrong) or found["counted lost"] < found["missing inside segments"]
 
 

@@ -65,9 +65,18 @@ def main() -> None:
     signatures = [np.array([signature(window) for window in group]) for group in windows]
     spectra = [np.array([spectrum(window) for window in group]) for group in windows]
     methods = {
-        "sequence currents + linear SVM": (make_pipeline(StandardScaler(), SVC(kernel="linear", C=10.0)), signatures),
-        "sequence currents + shrunk LDA": (LinearDiscriminantAnalysis(solver="lsqr", shrinkage="auto"), signatures),
-        "plain FFT + linear SVM": (make_pipeline(StandardScaler(), SVC(kernel="linear", C=10.0)), spectra),
+        "sequence currents + linear SVM": (
+            make_pipeline(StandardScaler(), SVC(kernel="linear", C=10.0)),
+            signatures,
+        ),
+        "sequence currents + shrunk LDA": (
+            LinearDiscriminantAnalysis(solver="lsqr", shrinkage="auto"),
+            signatures,
+        ),
+        "plain FFT + linear SVM": (
+            make_pipeline(StandardScaler(), SVC(kernel="linear", C=10.0)),
+            spectra,
+        ),
         "plain FFT + RBF SVM": (make_pipeline(StandardScaler(), SVC(C=10.0)), spectra),
         "plain FFT + random forest": (RandomForestClassifier(300, random_state=0), spectra),
     }
@@ -76,7 +85,9 @@ def main() -> None:
         said = leave_one_repeat_out(estimator, features, labels, repeats)
         right = sum(a == b for a, b in zip(said, labels, strict=True))
         low, high = proportion_interval(right, len(labels))
-        print(f"| {name} | {right} of {len(labels)} = {100 * right / len(labels):.1f} % | {100 * low:.1f}–{100 * high:.1f} % |")
+        print(
+            f"| {name} | {right} of {len(labels)} = {100 * right / len(labels):.1f} % | {100 * low:.1f}–{100 * high:.1f} % |"
+        )
 
 
 if __name__ == "__main__":

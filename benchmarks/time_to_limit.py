@@ -41,7 +41,9 @@ class Outcome:
         """0: the band holds the truth; −1: the truth is earlier, 1: later."""
         left = self.found.remaining
         assert left is not None and left.low is not None
-        return -1 if self.truth < left.low else int(left.high is not None and self.truth > left.high)
+        return (
+            -1 if self.truth < left.low else int(left.high is not None and self.truth > left.high)
+        )
 
 
 def linear_wear(seed: int, *, later: bool) -> Outcome:
@@ -87,7 +89,9 @@ def rows(count: int) -> Iterator[str]:
         said = [each for each in told if each.said]
         sides = Counter(each.side for each in said)
         shares = [f"{100 * sides[side] / len(said):.1f} %" for side in (0, -1, 1)]
-        widths = [((e.found.remaining.high or np.inf) - e.found.remaining.low) / e.truth for e in said]  # type: ignore[union-attr, operator]
+        widths = [
+            ((e.found.remaining.high or np.inf) - e.found.remaining.low) / e.truth for e in said
+        ]  # type: ignore[union-attr, operator]
         name = "begins later" if later else "from the first window"
         seconds = np.median([each.seconds for each in told])
         yield f"| {name} | {count} | {len(said)} | {' | '.join(shares)} | {np.median(widths):.2f} | {seconds:.2f} |"

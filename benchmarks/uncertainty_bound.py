@@ -19,14 +19,19 @@ from scipy.signal import lfilter
 from residuum.identification.kernel_based.impulse_response import identify_impulse_response
 from residuum.identification.linear_models.error_bounds.error_models import magnitude
 from residuum.identification.linear_models.transfer_function import TransferFunction
-from residuum.identification.linear_models.uncertainty import design_uncertainty_weight, drawn_errors
+from residuum.identification.linear_models.uncertainty import (
+    design_uncertainty_weight,
+    drawn_errors,
+)
 from residuum.identification.record import Record
 
 SAMPLE_TIME, ORDER = 0.01, 100
 SIZES, RATIOS = (1000, 5000), (1.0, 10.0, 100.0)
 """Lengths of the records and variance ratios of signal and noise; each record is one of the six pairs."""
 UNSEEN = 20_000
-BENCHMARK = TransferFunction([0.28261, 0.50666], [1, -1.41833, 1.58939, -1.31608, 0.88642], SAMPLE_TIME)
+BENCHMARK = TransferFunction(
+    [0.28261, 0.50666], [1, -1.41833, 1.58939, -1.31608, 0.88642], SAMPLE_TIME
+)
 """(2.38) of the source: two resonances that last longer than the order."""
 
 
@@ -78,7 +83,9 @@ def judge(truth: TransferFunction, n: int, ratio: float, draws: int, seed: list[
     made = design_uncertainty_weight(model, order=2, seed=seed[0])
     seconds = time.perf_counter() - begun
     nyquist = np.pi / SAMPLE_TIME
-    omega = np.concatenate([rng.uniform(0, nyquist, UNSEEN // 2), nyquist * 10 ** rng.uniform(-5, 0, UNSEEN // 2)])
+    omega = np.concatenate(
+        [rng.uniform(0, nyquist, UNSEEN // 2), nyquist * 10 ** rng.uniform(-5, 0, UNSEEN // 2)]
+    )
     bound = np.abs(made.weight.frequency_response(omega))
     errors = drawn_errors(model, draws, seed=rng)
     above = np.zeros(draws)
@@ -87,7 +94,13 @@ def judge(truth: TransferFunction, n: int, ratio: float, draws: int, seed: list[
         error = magnitude(errors.numerators, angle) / magnitude(errors.denominators, angle)
         above = np.maximum(above, (error / bound[part]).max(axis=1))
     error = np.abs(truth.frequency_response(omega) / model.frequency_response(omega) - 1.0)
-    return Case(float(np.mean(above > 1.0)), float(above.max()), float(np.max(error / bound)), made.certified, seconds)
+    return Case(
+        float(np.mean(above > 1.0)),
+        float(above.max()),
+        float(np.max(error / bound)),
+        made.certified,
+        seconds,
+    )
 
 
 def main() -> None:

@@ -43,7 +43,17 @@ from residuum.service.window_queue.window_message import WindowMessage, window_t
 from residuum.service.work.worker_pool import WorkerPool
 
 WITHIN = 1.0
-KNOWN = ("9**9**9", "m**1e9", "((m**99)**99)**99", "m**-99999999", "9" * 80, "(" * 40 + ")" * 40, "m**(1/0)", "1/0*m", "m" * 80)
+KNOWN = (
+    "9**9**9",
+    "m**1e9",
+    "((m**99)**99)**99",
+    "m**-99999999",
+    "9" * 80,
+    "(" * 40 + ")" * 40,
+    "m**(1/0)",
+    "1/0*m",
+    "m" * 80,
+)
 _WORDS = ("m", "s", "kg", "degC", "furlong", "kilometer", "ticks", "1", "9", "µ" * 20, "zork")
 MODEL = """\
 name: bomb
@@ -69,25 +79,48 @@ def _drawn(rng: random.Random, depth: int) -> str:
         return rng.choice(_WORDS) + rng.choice(("", "", str(rng.randrange(10**6))))
     inner = _drawn(rng, depth + 1)
     if kind < 0.45:
-        power = rng.choice(("9", "99", "1e9", "-9e99", "9**9", "(9**9)", "(1/3)", "0.5", "nan", "1e-999", "10000000"))
+        power = rng.choice(
+            (
+                "9",
+                "99",
+                "1e9",
+                "-9e99",
+                "9**9",
+                "(9**9)",
+                "(1/3)",
+                "0.5",
+                "nan",
+                "1e-999",
+                "10000000",
+            )
+        )
         return f"({inner}){rng.choice(('**', '^'))}{power}"
     if kind < 0.5:
         deep = rng.choice((1, 2, 4, 40))
         return "(" * deep + inner + ")" * rng.choice((deep, deep, deep - 1))
-    return rng.choice(("*", "/", " ", "**", " per ", "//", "%", "@", "+")).join((inner, _drawn(rng, depth + 1)))
+    return rng.choice(("*", "/", " ", "**", " per ", "//", "%", "@", "+")).join(
+        (inner, _drawn(rng, depth + 1))
+    )
 
 
 def as_json(bomb: str, number: int) -> tuple[str, str, bytes]:
     """A window of which one channel, or each of a hundred with a word of its own, has the unit."""
     names = ["acceleration"] if number % 5 else [f"a{k}" for k in range(100)]
-    units = {name: bomb if len(names) == 1 else f"{bomb[:60]}*w{number}x{k}" for k, name in enumerate(names)}
+    units = {
+        name: bomb if len(names) == 1 else f"{bomb[:60]}*w{number}x{k}"
+        for k, name in enumerate(names)
+    }
     body = {"sample_time": 1e-3, "channels": {name: [0.0, 1.0] for name in names}, "units": units}
     return "/api/v1/score/bearing", "application/json", json.dumps(body).encode()
 
 
 def as_csv(bomb: str, number: int) -> tuple[str, str, bytes]:
     """A window as CSV."""
-    return "/api/v1/score/bearing", "text/csv", f"time [s],acceleration [{bomb}]\n0,0\n0.001,1\n0.002,{number}\n".encode()
+    return (
+        "/api/v1/score/bearing",
+        "text/csv",
+        f"time [s],acceleration [{bomb}]\n0,0\n0.001,1\n0.002,{number}\n".encode(),
+    )
 
 
 def as_model(bomb: str, number: int) -> tuple[str, str, bytes]:
@@ -96,12 +129,21 @@ def as_model(bomb: str, number: int) -> tuple[str, str, bytes]:
     return path, "application/octet-stream", MODEL.format(unit=bomb.replace('"', "")).encode()
 
 
-WAYS: dict[str, Callable[[str, int], tuple[str, str, bytes]]] = {"JSON": as_json, "CSV": as_csv, "YAML": as_model}
+WAYS: dict[str, Callable[[str, int], tuple[str, str, bytes]]] = {
+    "JSON": as_json,
+    "CSV": as_csv,
+    "YAML": as_model,
+}
 
 
 def ask(port: int, way: str, drawn: list[str]) -> dict[str, Any]:
     """Send all by one way; statuses, the longest time to an answer [s], and what was wrong."""
-    connection, statuses, longest, wrong = HTTPConnection("127.0.0.1", port, timeout=120), Counter[int](), 0.0, []
+    connection, statuses, longest, wrong = (
+        HTTPConnection("127.0.0.1", port, timeout=120),
+        Counter[int](),
+        0.0,
+        [],
+    )
     for number, bomb in enumerate(drawn):
         path, kind, body = WAYS[way](bomb, number)
         begun = time.perf_counter()
@@ -150,7 +192,9 @@ def by_broker(port: int, data: Path, drawn: list[str]) -> dict[str, Any]:
         payload = WindowMessage("press", "bearing", "press", window).pack()
         sent[key] = time.perf_counter()
         while key not in receipts:
-            client.publish(window_topic("plant", "press", "hall", key), payload, qos=1).wait_for_publish(60)
+            client.publish(
+                window_topic("plant", "press", "hall", key), payload, qos=1
+            ).wait_for_publish(60)
             end = time.perf_counter() + 20
             while key not in receipts and time.perf_counter() < end:
                 time.sleep(0.002)
@@ -167,7 +211,12 @@ def by_broker(port: int, data: Path, drawn: list[str]) -> dict[str, Any]:
         pool.terminate()
         store.close()
     times = [receipts[key] - sent[key] for key in sent if key.startswith("bomb")]
-    return {"refused": len(refused), "set aside": SetAside(data).count, "longest": max(times), "last": "last" not in refused}
+    return {
+        "refused": len(refused),
+        "set aside": SetAside(data).count,
+        "longest": max(times),
+        "last": "last" not in refused,
+    }
 
 
 def campaign(count: int, seed: int = 0) -> dict[str, Any]:
@@ -176,7 +225,9 @@ def campaign(count: int, seed: int = 0) -> dict[str, Any]:
     found: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as folder:
         port, stall = free_port(), multiprocessing.get_context("spawn").Value("d", 0.0)
-        service = multiprocessing.get_context("spawn").Process(target=serve, args=(f"{folder}/http", port, stall))
+        service = multiprocessing.get_context("spawn").Process(
+            target=serve, args=(f"{folder}/http", port, stall)
+        )
         service.start()
         try:
             _wait(port)
@@ -196,11 +247,15 @@ def _through_mosquitto(folder: Path, drawn: list[str]) -> dict[str, Any]:
         return {"not tried": "Mosquitto is not installed"}
     port = free_port()
     (folder / "mosquitto.conf").write_text(f"listener {port} 127.0.0.1\nallow_anonymous true\n")
-    with subprocess.Popen([mosquitto, "-c", f"{folder}/mosquitto.conf"], stderr=subprocess.DEVNULL) as broker:
+    with subprocess.Popen(
+        [mosquitto, "-c", f"{folder}/mosquitto.conf"], stderr=subprocess.DEVNULL
+    ) as broker:
         try:
             _wait(port)
             read_registry()
-            structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.CRITICAL))
+            structlog.configure(
+                wrapper_class=structlog.make_filtering_bound_logger(logging.CRITICAL)
+            )
             return by_broker(port, folder / "scorer", drawn)
         finally:
             broker.terminate()

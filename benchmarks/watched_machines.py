@@ -71,7 +71,9 @@ class Fan:
 
     def __init__(self, seed: int) -> None:
         own = np.random.default_rng([seed, 11])
-        K, R, J, tau_c, c = np.array([0.05, 1.1, 6e-4, 0.012, 1.6e-6]) * (1.0 + own.uniform(-0.05, 0.05, 5))
+        K, R, J, tau_c, c = np.array([0.05, 1.1, 6e-4, 0.012, 1.6e-6]) * (
+            1.0 + own.uniform(-0.05, 0.05, 5)
+        )
         self.fan = _Constants({"K": K, "R": R, "J": J, "tau_c": tau_c, "c": c, "b": 8e-6})
         self._own, self._noise = own, np.random.default_rng([seed, 12])
         self._knots, self._t, self._x = [(0.0, 8.0)], 0.0, np.array([100.0])
@@ -93,7 +95,11 @@ class Fan:
         for k in range(n):  # an AR(1) of pole 0.6
             self._colour = 0.6 * self._colour + 0.8 * draws[k]
             draws[k] = self._colour
-        channels = {"voltage": u, "speed": speed + 0.5 * draws[:, 0], "current": current + 0.03 * draws[:, 1]}
+        channels = {
+            "voltage": u,
+            "speed": speed + 0.5 * draws[:, 0],
+            "current": current + 0.03 * draws[:, 1],
+        }
         return _Run(channels, self.units, 0.01, float(t[0]))
 
 
@@ -106,9 +112,16 @@ class Pendulum:
     units: ClassVar[Mapping[str, str]] = {"current": "A", "angle": "rad"}
 
     def __init__(self, seed: int) -> None:
-        self._own, self._noise = np.random.default_rng([seed, 31]), np.random.default_rng([seed, 32])
-        w, K, b, tau_c, T_m = np.array([0.8, 0.4, 0.012, 0.012, 0.008]) * (1.0 + self._own.uniform(-0.05, 0.05, 5))
-        self.pendulum = _Constants({"w": w, "K": K, "b": b, "tau_c": tau_c, "T_m": T_m, "J": 0.02, "k": 0.0})
+        self._own, self._noise = (
+            np.random.default_rng([seed, 31]),
+            np.random.default_rng([seed, 32]),
+        )
+        w, K, b, tau_c, T_m = np.array([0.8, 0.4, 0.012, 0.012, 0.008]) * (
+            1.0 + self._own.uniform(-0.05, 0.05, 5)
+        )
+        self.pendulum = _Constants(
+            {"w": w, "K": K, "b": b, "tau_c": tau_c, "T_m": T_m, "J": 0.02, "k": 0.0}
+        )
         self._t, self._x = 0.0, np.zeros(3)
 
     def simulate(self, seconds: float) -> _Run:
@@ -118,7 +131,12 @@ class Pendulum:
         i, t0, p = np.concatenate(levels)[:n], self._t, self.pendulum
         self._t += seconds
         angle = _swing(i, self._x, p["J"], p["w"], p["K"], p["b"], p["tau_c"], p["T_m"], p["k"])
-        return _Run({"current": i, "angle": angle + 1e-3 * self._noise.standard_normal(n)}, self.units, 0.01, t0)
+        return _Run(
+            {"current": i, "angle": angle + 1e-3 * self._noise.standard_normal(n)},
+            self.units,
+            0.01,
+            t0,
+        )
 
 
 @njit(cache=True)
@@ -154,7 +172,9 @@ def _blow(u, x, K, R, J, tau_c, c, b):  # type: ignore[no-untyped-def]
     for k in range(n):
         speed[k], current[k] = x[0], (u[k] - K * x[0]) / R
         for _ in range(10):
-            torque = K * (u[k] - K * x[0]) / R - np.sign(x[0]) * tau_c - b * x[0] - c * x[0] * abs(x[0])
+            torque = (
+                K * (u[k] - K * x[0]) / R - np.sign(x[0]) * tau_c - b * x[0] - c * x[0] * abs(x[0])
+            )
             x[0] += h * torque / J
     return speed, current
 
@@ -168,7 +188,9 @@ def constant_of(watched: Watched, seed: int, name: str) -> float:
     return _constant(getattr(watched.make(seed), watched.constants), name)
 
 
-def windows(watched: Watched, seed: int, first: int, count: int, fault: Fault | None = None) -> list[Record]:
+def windows(
+    watched: Watched, seed: int, first: int, count: int, fault: Fault | None = None
+) -> list[Record]:
     """Windows `first` … of the machine of this seed, damaged from window `first` on; from the cache where they are there."""
     key = repr((watched.name, watched.seconds, dict(watched.warm), seed, first, count, fault))
     path = _folder() / f"{watched.name}-{hashlib.sha256(key.encode()).hexdigest()[:20]}.npz"
@@ -176,17 +198,30 @@ def windows(watched: Watched, seed: int, first: int, count: int, fault: Fault | 
         made = _made(watched, seed, first, count, fault)
         data = {f"{k}/{name}": np.asarray(r[name]) for k, r in enumerate(made) for name in r.names}
         units = [f"{name}={unit}" for name, unit in made[0].units.items()]
-        np.savez(path, units=np.array(units), times=np.array([[r.sample_time, r.t0] for r in made]), **data)
+        np.savez(
+            path,
+            units=np.array(units),
+            times=np.array([[r.sample_time, r.t0] for r in made]),
+            **data,
+        )
     stored = np.load(path)
     units = dict(text.split("=", 1) for text in stored["units"].tolist())
     return [
-        Record({n: stored[f"{k}/{n}"] for n in units}, units, float(Ts), t0=float(t0), source=f"{watched.name} {first + k}")
+        Record(
+            {n: stored[f"{k}/{n}"] for n in units},
+            units,
+            float(Ts),
+            t0=float(t0),
+            source=f"{watched.name} {first + k}",
+        )
         for k, (Ts, t0) in enumerate(stored["times"])
     ]
 
 
 def _folder() -> Path:
-    folder = Path(os.environ.get("RESIDUUM_WINDOWS", Path(tempfile.gettempdir()) / "residuum-watched"))
+    folder = Path(
+        os.environ.get("RESIDUUM_WINDOWS", Path(tempfile.gettempdir()) / "residuum-watched")
+    )
     folder.mkdir(parents=True, exist_ok=True)
     return folder
 
@@ -222,11 +257,15 @@ def _break(machine: Any, fault: Fault) -> None:
 def _at_temperature(watched: Watched, nominal: Any, seed: int, k: int) -> tuple[float, Any]:
     """The temperature of window k, and the machine's constants at it."""
     temperature = float(np.random.default_rng([seed, k, 21]).uniform(*_TEMPERATURES))
-    warm = {n: _constant(nominal, n) * (1.0 + a * (temperature - 20.0)) for n, a in watched.warm.items()}
+    warm = {
+        n: _constant(nominal, n) * (1.0 + a * (temperature - 20.0)) for n, a in watched.warm.items()
+    }
     return temperature, nominal._replace(**warm)
 
 
-def machine_window(watched: Watched, machine: Any, seed: int, k: int, scaled: Mapping[str, float]) -> Record:
+def machine_window(
+    watched: Watched, machine: Any, seed: int, k: int, scaled: Mapping[str, float]
+) -> Record:
     """The next window, number k, of a machine, some of its constants scaled; it is left as it was made."""
     nominal = getattr(machine, watched.constants)
     temperature, here = _at_temperature(watched, nominal, seed, k)
@@ -245,9 +284,13 @@ def record_of(watched: Watched, seed: int, k: int, fault: Fault, begins: float) 
     _break(machine, fault)
     setattr(machine, watched.constants, _damaged(here, fault))
     tail = machine.simulate((1.0 - begins) * watched.seconds)
-    healthy, faulty = (_record(watched, run, k, which, temperature) for run, which in ((head, None), (tail, fault)))
+    healthy, faulty = (
+        _record(watched, run, k, which, temperature) for run, which in ((head, None), (tail, fault))
+    )
     joined = {name: np.concatenate([healthy[name], faulty[name]]) for name in healthy.names}
-    return Record(joined, dict(healthy.units), head.sample_time, t0=head.t0, source=f"{watched.name} {k}")
+    return Record(
+        joined, dict(healthy.units), head.sample_time, t0=head.t0, source=f"{watched.name} {k}"
+    )
 
 
 def _damaged(constants: Any, fault: Fault) -> Any:
@@ -272,7 +315,8 @@ def _misread(channels: Mapping[str, Any], fault: Fault, k: int) -> dict[str, Any
     found = {name: channels[name] + added for name, added in (fault.reading or {}).items()}
     found |= {name: channels[name] * factor for name, factor in (fault.gain or {}).items()}
     return found | {
-        name: channels[name] + std * rng.standard_normal(len(channels[name])) for name, std in (fault.noise or {}).items()
+        name: channels[name] + std * rng.standard_normal(len(channels[name]))
+        for name, std in (fault.noise or {}).items()
     }
 
 
@@ -282,7 +326,9 @@ def _misread(channels: Mapping[str, Any], fault: Fault, k: int) -> dict[str, Any
 def _off(model: PhysicalModel) -> PhysicalModel:
     """All values of the file 5 % off, every other one upwards."""
     values = {n: p.value for n, p in model.all_parameters.items() if n not in ("g", "T_a", "N")}
-    return model.with_values({n: v * (OFF if k % 2 else 2.0 - OFF) for k, (n, v) in enumerate(values.items())})
+    return model.with_values(
+        {n: v * (OFF if k % 2 else 2.0 - OFF) for k, (n, v) in enumerate(values.items())}
+    )
 
 
 def _drive() -> PhysicalModel:
@@ -367,7 +413,9 @@ def _tanks_machine(seed: int) -> Any:
     return MACHINES["two-tanks"](seed, {"pump-nonlinearity": "small"}, deviation=0.05)
 
 
-def _pair(id: str, name: str, causes: tuple[str, ...], size: str | None = None) -> tuple[Fault, ...]:
+def _pair(
+    id: str, name: str, causes: tuple[str, ...], size: str | None = None
+) -> tuple[Fault, ...]:
     return tuple(
         Fault(f"{id} {sign}20 %", causes, scaled={name: f}, size=(size, f) if size else None)
         for sign, f in (("+", 1.2), ("−", 0.8))
@@ -375,7 +423,13 @@ def _pair(id: str, name: str, causes: tuple[str, ...], size: str | None = None) 
 
 
 def _sensor(channel: str, offset: float) -> Fault:
-    return Fault(f"{channel} offset 1 %", (f"offset@{channel}",), "sensor", reading={channel: offset}, size=("offset", offset))
+    return Fault(
+        f"{channel} offset 1 %",
+        (f"offset@{channel}",),
+        "sensor",
+        reading={channel: offset},
+        size=("offset", offset),
+    )
 
 
 DRIVE = Watched(

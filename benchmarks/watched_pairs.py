@@ -33,7 +33,9 @@ def main(arguments: list[str]) -> None:
     asked = parser.parse_args(arguments)
     for name in asked.machines or ["gate-drive", "two-tanks", "pendulum"]:
         watched = WATCHED[name]
-        trained = untrained(watched.model(), watched.seconds).fit(windows(watched, asked.seed, 0, TRAINED_ON))
+        trained = untrained(watched.model(), watched.seconds).fit(
+            windows(watched, asked.seed, 0, TRAINED_ON)
+        )
         print(f"{name}, seed {asked.seed}", flush=True)
         counts: dict[str, int] = {}
         for line, kind in [*pairs(watched, trained, asked), *onsets(watched, trained, asked)]:
@@ -64,7 +66,10 @@ def _two(watched: Watched, rng: np.random.Generator) -> tuple[Fault, Fault]:
     while True:
         i, j = rng.choice(len(watched.faults), 2, replace=False)
         first, second = watched.faults[i], watched.faults[j]
-        if not (set(first.scaled or ()) & set(second.scaled or ()) or set(first.causes) & set(second.causes)):
+        if not (
+            set(first.scaled or ()) & set(second.scaled or ())
+            or set(first.causes) & set(second.causes)
+        ):
             return first, second
 
 

@@ -46,20 +46,29 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--gain", type=float, default=1.1)
     asked = parser.parse_args(arguments)
     above = " | ".join(f"above {rate:g}" for rate in RATES)
-    print(f"| machine | windows | not assessable | {above} | alarms | input × {asked.gain:g}: found | named | first | training |")
+    print(
+        f"| machine | windows | not assessable | {above} | alarms | input × {asked.gain:g}: found | named | first | training |"
+    )
     print("|" + "---|" * (8 + len(RATES)))
     for case in yaml.safe_load(asked.cases.read_text(encoding="utf-8")):
         if not asked.only or case["case"] in asked.only.split(","):
-            print(row(case["case"], windows_of(case, asked.cases.parent, asked.windows), asked.gain), flush=True)
+            print(
+                row(case["case"], windows_of(case, asked.cases.parent, asked.windows), asked.gain),
+                flush=True,
+            )
 
 
 def windows_of(case: dict[str, Any], folder: Path, count: int) -> Windows:
     """All records of a case in windows of one length."""
-    train, test = ([read_record(folder / name) for name in case[what]] for what in ("train", "test"))
+    train, test = (
+        [read_record(folder / name) for name in case[what]] for what in ("train", "test")
+    )
     length = sum(r.n for r in train) // count
     while sum(r.n // length for r in train) < count:
         length -= 1
-    return Windows(load_model(folder / case["model"]), *(cut(records, length) for records in (train, test)))
+    return Windows(
+        load_model(folder / case["model"]), *(cut(records, length) for records in (train, test))
+    )
 
 
 def cut(records: Sequence[Record], length: int) -> list[Record]:
@@ -84,7 +93,9 @@ def row(name: str, windows: Windows, gain: float) -> str:
     found = [f for f in map(trained.score, misread) if f.verdict is Verdict.FAULTY]
     causes = [f.evidence["causes"][0] for f in found]
     gain_of_the_input = f"gain@{next(iter(windows.model.inputs))}"
-    named = [gain_of_the_input in (label(cause), *cause["indistinguishable_from"]) for cause in causes]
+    named = [
+        gain_of_the_input in (label(cause), *cause["indistinguishable_from"]) for cause in causes
+    ]
     alarms = sum(f.verdict is Verdict.FAULTY for f in assessed)
     told = ", ".join(sorted({label(cause) for cause in causes}))
     return (

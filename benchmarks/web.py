@@ -50,11 +50,20 @@ def started(data: Path) -> tuple[subprocess.Popen[bytes], str]:
     settings = load_settings(data=data)
     store = DiskStore(data, settings.database_url)
     store.add_window(
-        "press", spiked(), Finding("bearing", "healthy", None, {"rms": 1.0}, {"rms": 2.0}, {"rms": "m/s²"}, {}, None)
+        "press",
+        spiked(),
+        Finding("bearing", "healthy", None, {"rms": 1.0}, {"rms": 2.0}, {"rms": "m/s²"}, {}, None),
     )
     store.close()
     port = free_port()
-    command = [sys.executable, "-c", "from residuum.service.cli import main; main()", "serve", "--data", str(data)]
+    command = [
+        sys.executable,
+        "-c",
+        "from residuum.service.cli import main; main()",
+        "serve",
+        "--data",
+        str(data),
+    ]
     server = subprocess.Popen([*command, "--port", str(port)], stdout=subprocess.DEVNULL)
     url = f"http://127.0.0.1:{port}"
     for _ in range(600):
@@ -70,7 +79,10 @@ def sent(browser: Browser, url: str) -> tuple[int, int, int]:
     """Bytes of our own files as sent and as they are on disk, and bytes of the chart library as sent."""
     page = browser.new_page()
     sizes: dict[str, int] = {}
-    page.on("response", lambda answer: sizes.update({answer.url: int(answer.headers.get("content-length", 0))}))
+    page.on(
+        "response",
+        lambda answer: sizes.update({answer.url: int(answer.headers.get("content-length", 0))}),
+    )
     page.goto(f"{url}/#/machines/press")
     page.locator("[aria-label=Signal] .main-svg").first.wait_for()
     page.goto(f"{url}/#/workbench")
@@ -79,7 +91,11 @@ def sent(browser: Browser, url: str) -> tuple[int, int, int]:
     own = sum(size for address, size in sizes.items() if "/web/" in address or address == f"{url}/")
     library = sum(size for address, size in sizes.items() if "/vendor/" in address)
     folder = Path(residuum.service.web.__file__).parent
-    plain = sum(file.stat().st_size for file in folder.rglob("*") if file.suffix in (".html", ".css", ".js", ".svg"))
+    plain = sum(
+        file.stat().st_size
+        for file in folder.rglob("*")
+        if file.suffix in (".html", ".css", ".js", ".svg")
+    )
     return own, plain, library
 
 
@@ -157,7 +173,9 @@ def _memory(server: int) -> int:
     family = {server}
     while more := {process for process, parent in parents.items() if parent in family} - family:
         family |= more
-    pages = [int((Path("/proc") / str(process) / "statm").read_text().split()[1]) for process in family]
+    pages = [
+        int((Path("/proc") / str(process) / "statm").read_text().split()[1]) for process in family
+    ]
     return sum(pages) * resource.getpagesize()
 
 
@@ -167,7 +185,9 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder, sync_playwright() as playwright:
         server, url = started(Path(folder))
         try:
-            browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox", "--disable-dev-shm-usage"])
+            browser = playwright.chromium.launch(
+                executable_path=chromium, args=["--no-sandbox", "--disable-dev-shm-usage"]
+            )
             own, plain, library = sent(browser, url)
             paints, (times, lost) = first_paints(browser, url), zooms(browser, url)
             grown = growth(browser, url, server.pid)
@@ -177,9 +197,13 @@ def main() -> None:
             server.wait()
     print("| the page in Chromium | measured | limit |")
     print("|---|---|---|")
-    print(f"| own HTML, CSS and JS over the wire (on disk {plain / 1e3:.0f} kB) | {own / 1e3:.1f} kB | 150 kB |")
+    print(
+        f"| own HTML, CSS and JS over the wire (on disk {plain / 1e3:.0f} kB) | {own / 1e3:.1f} kB | 150 kB |"
+    )
     print(f"| chart library over the wire, once an hour at most | {library / 1e3:.0f} kB | – |")
-    print(f"| first contentful paint, warm (median, worst of {len(paints)}) | {_pair(paints)} s | 1 s |")
+    print(
+        f"| first contentful paint, warm (median, worst of {len(paints)}) | {_pair(paints)} s | 1 s |"
+    )
     print(f"| zoom in 10⁶ samples (median, worst of {len(times)}) | {_pair(times)} s | 0.5 s |")
     print(f"| stretches without their one-sample spike, of {len(times) + 1} | {lost} | 0 |")
     print(f"| server's memory for {TABS} more tabs | {grown:.1f} MB | 20 MB |")

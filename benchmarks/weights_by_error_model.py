@@ -62,19 +62,31 @@ def by_band(model: IdentifiedModel, fresh: Record) -> TransferFunction:
 WAYS: Mapping[str, Callable[[IdentifiedModel, Record], TransferFunction]] = {
     "own covariance, 738 models": lambda model, fresh: drawn(model, "chernoff"),
     "own covariance, 59 models": lambda model, fresh: drawn(model, "worst-case"),
-    "model error model, 738 models": lambda model, fresh: drawn(with_model_error(model, [fresh]), "chernoff"),
-    "model error model, 59 models": lambda model, fresh: drawn(with_model_error(model, [fresh]), "worst-case"),
+    "model error model, 738 models": lambda model, fresh: drawn(
+        with_model_error(model, [fresh]), "chernoff"
+    ),
+    "model error model, 59 models": lambda model, fresh: drawn(
+        with_model_error(model, [fresh]), "worst-case"
+    ),
     "model error model, its band, no models": by_band,
 }
 """What the row says → the weight of a model, with a record that the model was not estimated from."""
 
 MODELS: Mapping[str, Callable[[Record], IdentifiedModel]] = {
-    "(2.38), output error of order 2": lambda record: identify(STRUCTURES["oe"], [record], "u", "y", offset=False, order=2),
-    "(2.38), kernel": lambda record: identify_impulse_response(record, "u", "y", order=100, offset=False),
+    "(2.38), output error of order 2": lambda record: identify(
+        STRUCTURES["oe"], [record], "u", "y", offset=False, order=2
+    ),
+    "(2.38), kernel": lambda record: identify_impulse_response(
+        record, "u", "y", order=100, offset=False
+    ),
 }
 
 
-def held(model: IdentifiedModel, way: Callable[[IdentifiedModel, Record], TransferFunction], fresh: Record) -> Held:
+def held(
+    model: IdentifiedModel,
+    way: Callable[[IdentifiedModel, Record], TransferFunction],
+    fresh: Record,
+) -> Held:
     """The weight of one model, beside its true error."""
     begun = time.process_time()
     weight = way(model, fresh)
@@ -86,7 +98,9 @@ def held(model: IdentifiedModel, way: Callable[[IdentifiedModel, Record], Transf
 
 def several(data: Record, rule: Rule) -> Held:
     """The same of the plant of two inputs and outputs: the worst of its four elements."""
-    model = identify_multivariable(data, ["u0", "u1"], ["y0", "y1"], order=multivariable_bound.ORDER)
+    model = identify_multivariable(
+        data, ["u0", "u1"], ["y0", "y1"], order=multivariable_bound.ORDER
+    )
     begun = time.process_time()
     ratios = multivariable_bound.ratios(MultivariableProblem(model, choice=WeightChoice(rule=rule)))
     return Held(float(ratios.max()), float(1 / np.median(ratios)), time.process_time() - begun)
@@ -96,8 +110,12 @@ def row(plant: str, way: str, found: list[Held]) -> str:
     """A line of the table."""
     worst = max(one.worst for one in found)
     above = sum(one.worst > 1 for one in found)
-    room, seconds = (float(np.median([getattr(one, name) for one in found])) for name in ("room", "seconds"))
-    return f"| {plant} | {way} | {above} of {len(found)} | {worst:.2f} | {room:.1f} | {seconds:.2f} |"
+    room, seconds = (
+        float(np.median([getattr(one, name) for one in found])) for name in ("room", "seconds")
+    )
+    return (
+        f"| {plant} | {way} | {above} of {len(found)} | {worst:.2f} | {room:.1f} | {seconds:.2f} |"
+    )
 
 
 def main() -> None:
@@ -105,13 +123,25 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--records", type=int, default=6)
     count = parser.parse_args().records
-    print("| model | weight from | truth above | largest true error over it | weight over true error, median | CPU [s] |")
+    print(
+        "| model | weight from | truth above | largest true error over it | weight over true error, median | CPU [s] |"
+    )
     print("|---|---|---|---|---|---|")
     for plant, make in MODELS.items():
         models = [make(benchmark_record(2 * k + 1)) for k in range(count)]
         for name, way in WAYS.items():
-            print(row(plant, name, [held(m, way, benchmark_record(2 * k + 2)) for k, m in enumerate(models)]), flush=True)
-    for name, rule in (("own covariance, 738 models", "chernoff"), ("own covariance, 59 models", "worst-case")):
+            print(
+                row(
+                    plant,
+                    name,
+                    [held(m, way, benchmark_record(2 * k + 2)) for k, m in enumerate(models)],
+                ),
+                flush=True,
+            )
+    for name, rule in (
+        ("own covariance, 738 models", "chernoff"),
+        ("own covariance, 59 models", "worst-case"),
+    ):
         found = [several(multivariable_bound.record(k), rule) for k in range(count)]  # type: ignore[arg-type]
         print(row("two by two, kernel", f"{name}, W_ij channel by channel", found), flush=True)
 

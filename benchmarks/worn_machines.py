@@ -13,12 +13,23 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.watched_machines import TRAINED_ON, WATCHED, Watched, constant_of, machine_window, windows
+from benchmarks.watched_machines import (
+    TRAINED_ON,
+    WATCHED,
+    Watched,
+    constant_of,
+    machine_window,
+    windows,
+)
 from residuum.diagnosis.diagnosers.model_based import ModelBased
 from residuum.diagnosis.tracks import Track, track
 
 _WINDOWS = 30
-_WEAR = {"fan": ("tau_c", "tau_c", 0.6), "two-tanks": ("a_1", "a_1", -0.3), "oven": ("G_ambient", "h", 0.4)}
+_WEAR = {
+    "fan": ("tau_c", "tau_c", 0.6),
+    "two-tanks": ("a_1", "a_1", -0.3),
+    "oven": ("G_ambient", "h", 0.4),
+}
 """Constant of the machine that wears, value of the model that tells it, and the share of it that is gained at the limit."""
 
 
@@ -39,12 +50,18 @@ class Run:
         """0: the band holds the truth; −1: the truth is earlier, 1: later."""
         remaining = self.found.remaining
         assert remaining is not None and remaining.low is not None
-        return -1 if self.left < remaining.low else int(remaining.high is not None and self.left > remaining.high)
+        return (
+            -1
+            if self.left < remaining.low
+            else int(remaining.high is not None and self.left > remaining.high)
+        )
 
 
 def runs(watched: Watched, seed: int, count: int) -> Iterator[Run]:
     """Runs of one machine."""
-    judge = ModelBased(model=watched.model(), fix_undetermined=True).fit(windows(watched, seed, 0, TRAINED_ON))
+    judge = ModelBased(model=watched.model(), fix_undetermined=True).fit(
+        windows(watched, seed, 0, TRAINED_ON)
+    )
     constant, name, share = _WEAR[watched.name]
     healthy = constant_of(watched, seed, constant)
     machine, number = watched.make(seed), 0
@@ -64,7 +81,9 @@ def runs(watched: Watched, seed: int, count: int) -> Iterator[Run]:
                 band = parameters[name]["healthy"]
                 usual.append(0.5 * (band["low"] + band["high"]))
             told.append(parameters.get(name, {"value": np.nan, "std": np.nan}))
-            temperatures.append(float(np.mean(record["temperature"])) if "temperature" in record.names else 0.0)
+            temperatures.append(
+                float(np.mean(record["temperature"])) if "temperature" in record.names else 0.0
+            )
         values, std = np.array([p["value"] for p in told]), np.array([p["std"] for p in told])
         x = np.array(temperatures)
         first = float(np.mean(usual))  # at the run's mean temperature
@@ -92,7 +111,9 @@ def _row(name: str, found: Sequence[Run]) -> str:
     for run in said:
         remaining = run.found.remaining
         assert remaining is not None and remaining.low is not None
-        widths.append(((np.inf if remaining.high is None else remaining.high) - remaining.low) / run.left)
+        widths.append(
+            ((np.inf if remaining.high is None else remaining.high) - remaining.low) / run.left
+        )
     share = f"{sides.count(0)} = {100 * sides.count(0) / max(len(said), 1):.1f} %"
     width = f"{np.median(widths):.2f}" if widths else "–"
     return f"| {name} | {len(found)} | {len(said)} | {share} | {sides.count(-1)} | {sides.count(1)} | {width} |"
@@ -105,7 +126,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--seeds", default="130,131")
     parser.add_argument("--runs", type=int, default=8)
     asked = parser.parse_args(arguments if arguments is not None else [])
-    for row in rows(asked.machines or list(_WEAR), [int(s) for s in asked.seeds.split(",")], asked.runs):
+    for row in rows(
+        asked.machines or list(_WEAR), [int(s) for s in asked.seeds.split(",")], asked.runs
+    ):
         print(row, flush=True)
 
 

@@ -48,13 +48,17 @@ def serve(folder: str, port: int) -> None:
         public_url=f"https://{NAME}/",
         trusted_proxies=["127.0.0.1"],
     )
-    uvicorn.run(create_app(settings), port=port, log_config=None, access_log=False, proxy_headers=False)
+    uvicorn.run(
+        create_app(settings), port=port, log_config=None, access_log=False, proxy_headers=False
+    )
 
 
 def ask(port: int, key: str, address: str, path: str = "/api/v1/assets") -> tuple[int, bytes]:
     """One question with a key, from an address."""
     connection = HTTPConnection("127.0.0.1", port, timeout=60)
-    connection.request("GET", path, headers={"Host": NAME, "X-API-Key": key, "X-Forwarded-For": address})
+    connection.request(
+        "GET", path, headers={"Host": NAME, "X-API-Key": key, "X-Forwarded-For": address}
+    )
     answer = connection.getresponse()
     said = answer.status, answer.read()
     connection.close()
@@ -65,7 +69,9 @@ def campaign(seconds: float) -> dict[str, Any]:
     """What guessers and operator were answered, and what the trail counts."""
     with tempfile.TemporaryDirectory() as folder:
         keys = {role: new_key() for role in ("operator", "engineer")}
-        (Path(folder) / "keys").write_text("\n".join(f"{role} {role} {digest}" for role, (_, digest) in keys.items()))
+        (Path(folder) / "keys").write_text(
+            "\n".join(f"{role} {role} {digest}" for role, (_, digest) in keys.items())
+        )
         port = free_port()
         service = get_context("spawn").Process(target=serve, args=(folder, port))
         service.start()
@@ -76,14 +82,18 @@ def campaign(seconds: float) -> dict[str, Any]:
 
             def guess(number: int) -> None:
                 while time.monotonic() < end:
-                    guessed[number][ask(port, secrets.token_urlsafe(32), f"192.0.2.{number + 1}")[0]] += 1
+                    guessed[number][
+                        ask(port, secrets.token_urlsafe(32), f"192.0.2.{number + 1}")[0]
+                    ] += 1
 
             threads = [threading.Thread(target=guess, args=(number,)) for number in range(GUESSERS)]
             for thread in threads:
                 thread.start()
             operator: Counter[int] = Counter()
             while time.monotonic() < end:
-                operator[ask(port, keys["operator"][0], "192.0.2.1")[0]] += 1  # from the address of a guesser
+                operator[ask(port, keys["operator"][0], "192.0.2.1")[0]] += (
+                    1  # from the address of a guesser
+                )
                 time.sleep(0.05)
             for thread in threads:
                 thread.join()
@@ -115,7 +125,11 @@ def main() -> None:
         print(f"{what:<14}{figure}")
     most = BURST + RATE * (given.seconds + 5.0)
     bad = [each for each in found["guessed"] if each[401] > most or set(each) - {401, 429}]
-    if bad or set(found["operator"]) != {200} or found["noted as 401"] < sum(each[401] for each in found["guessed"]):
+    if (
+        bad
+        or set(found["operator"]) != {200}
+        or found["noted as 401"] < sum(each[401] for each in found["guessed"])
+    ):
         sys.exit(1)
 
 

@@ -45,7 +45,10 @@ def effects_page():
         "An effect is one more term in a balance, or one more stage on the path of an input or output. "
         "Units are shown for one example; an effect takes the units of the balance or signal where it stands.\n",
         "| effect | equation | acts on |\n|---|---|---|",
-        *(f"| [`{e.id}`](#{e.id}) | {cell(e.equation)} | {', '.join(e.acts_on)} |" for e in EFFECTS.values()),
+        *(
+            f"| [`{e.id}`](#{e.id}) | {cell(e.equation)} | {', '.join(e.acts_on)} |"
+            for e in EFFECTS.values()
+        ),
         "",
         *map(effect_section, EFFECTS.values()),
         "## Effects that are tied to a signal\n",
@@ -103,7 +106,10 @@ def python_page():
         WRITTEN + "# Python\n",
         "`import residuum as rs` gives these names. Each is loaded when it is first used.\n",
         "| name | what it is |\n|---|---|",
-        *(f"| [`rs.{name}`](#{anchor(name)}) | {first_line(item)} |" for name, item in documented().items()),
+        *(
+            f"| [`rs.{name}`](#{anchor(name)}) | {first_line(item)} |"
+            for name, item in documented().items()
+        ),
         "",
         *(name_section(name, item) for name, item in documented().items()),
     ]
@@ -118,7 +124,10 @@ def documented():
 
     def order(entry):
         name, item = entry
-        return (inspect.isclass(item) + (inspect.isclass(item) and issubclass(item, Exception)), name)
+        return (
+            inspect.isclass(item) + (inspect.isclass(item) and issubclass(item, Exception)),
+            name,
+        )
 
     return dict(sorted(items.items(), key=order))
 
@@ -152,7 +161,9 @@ def members(kind):
     for base in reversed(kind.__mro__):
         if base.__module__.startswith(("residuum.library", "residuum.identification.record")):
             found |= {name: value for name, value in vars(base).items() if not name.startswith("_")}
-    return sorted((n, v) for n, v in found.items() if inspect.isfunction(v) or isinstance(v, property))
+    return sorted(
+        (n, v) for n, v in found.items() if inspect.isfunction(v) or isinstance(v, property)
+    )
 
 
 def member(owner, name, value):
@@ -166,12 +177,17 @@ def signature(function):
     """The signature without module names."""
     text = str(inspect.signature(function)).replace("(self, ", "(").replace("(self)", "()")
     text = re.sub(r"(: |-> )'([^']*)'", r"\1\2", text)
-    return text.replace("pandas.DataFrame", "DataFrame").replace("plotly.graph_objects.Figure", "Figure")
+    return text.replace("pandas.DataFrame", "DataFrame").replace(
+        "plotly.graph_objects.Figure", "Figure"
+    )
 
 
 def commands_page():
     """Every command with its arguments and options."""
-    parts = [WRITTEN + "# Commands\n", "Every command prints a short report; most print one JSON object with `--json`.\n"]
+    parts = [
+        WRITTEN + "# Commands\n",
+        "Every command prints a short report; most print one JSON object with `--json`.\n",
+    ]
     parts += ["| command | what it does |\n|---|---|"]
     parts += [f"| [`residuum {name}`](#{name}) | {says} |" for name, (_, says) in COMMANDS.items()]
     for name, (module, says) in COMMANDS.items():
@@ -184,7 +200,9 @@ def commands_page():
 
 def usage(name, command):
     """A command's arguments and options as tables."""
-    lines = [f"```text\n{name} {' '.join(p.make_metavar_text for p in map(Shown, command.params) if p.argument)}\n```\n"]
+    lines = [
+        f"```text\n{name} {' '.join(p.make_metavar_text for p in map(Shown, command.params) if p.argument)}\n```\n"
+    ]
     if (help_ := (command.help or "").strip().splitlines()) and help_[0]:
         lines.append(help_[0] + "\n")
     rows = [f"| `{p.name}` | {p.help} |" for p in map(Shown, command.params) if p.name != "--help"]
@@ -199,7 +217,10 @@ def settings_page():
         "A settings file is YAML: one of these keys a line. `residuum serve --settings FILE` reads it, or the variable "
         "`RESIDUUM_SETTINGS` names it. The environment comes first: `RESIDUUM_PORT=9000`. Unknown keys are refused.\n",
         settings_table(schema),
-        *(f"\n## {name}\n\n{part.get('description', '')}\n\n{settings_table(part)}" for name, part in schema["$defs"].items()),
+        *(
+            f"\n## {name}\n\n{part.get('description', '')}\n\n{settings_table(part)}"
+            for name, part in schema["$defs"].items()
+        ),
     ]
     return "\n".join(parts).rstrip() + "\n"
 
@@ -219,7 +240,13 @@ def kind_of(key):
         name = key["$ref"].rsplit("/", 1)[1]
         return f"[{name}](#{name.lower()})"
     if "anyOf" in key or "allOf" in key:
-        return " or ".join(dict.fromkeys(kind_of(one) for one in key.get("anyOf", key.get("allOf")) if one.get("type") != "null"))
+        return " or ".join(
+            dict.fromkeys(
+                kind_of(one)
+                for one in key.get("anyOf", key.get("allOf"))
+                if one.get("type") != "null"
+            )
+        )
     if "enum" in key:
         return ", ".join(f"`{value}`" for value in key["enum"])
     if key.get("type") == "array":
@@ -272,21 +299,33 @@ class Shown:
         self.make_metavar_text = metavar
         options = " / ".join([*parameter.opts, *parameter.secondary_opts])
         self.name = metavar if self.argument else options
-        self.help = (parameter.help or "").replace("\\[", "[").replace("|", "∣").replace("\n", " ") + said_default(parameter)
+        self.help = (parameter.help or "").replace("\\[", "[").replace("|", "∣").replace(
+            "\n", " "
+        ) + said_default(parameter)
 
 
 def said_default(parameter):
     """The default as a sentence, where there is one that the help does not tell itself."""
     default = parameter.default
-    told = isinstance(default, (str, int, float)) and not isinstance(default, bool) and default != ""
+    told = (
+        isinstance(default, (str, int, float)) and not isinstance(default, bool) and default != ""
+    )
     return f" Default: {default}." if told and "efault" not in (parameter.help or "") else ""
 
 
 def main(arguments):
     """Write the pages, or tell which are stale."""
-    stale = [name for name, text in pages().items() if not (HERE / name).is_file() or (HERE / name).read_text() != text]
+    stale = [
+        name
+        for name, text in pages().items()
+        if not (HERE / name).is_file() or (HERE / name).read_text() != text
+    ]
     if "--check" in arguments:
-        sys.stderr.write("".join(f"docs/reference/{name} is stale: python docs/make_reference.py\n" for name in stale))
+        sys.stderr.write(
+            "".join(
+                f"docs/reference/{name} is stale: python docs/make_reference.py\n" for name in stale
+            )
+        )
         return bool(stale)
     HERE.mkdir(exist_ok=True)
     for name, text in pages().items():

@@ -25,12 +25,25 @@ def shown(source: str, names: dict[str, Any]) -> list[dict[str, Any]]:
     printed = io.StringIO()
     with contextlib.redirect_stdout(printed):
         exec(compile(tree, "<cell>", "exec"), names)  # noqa: S102  a notebook is code to run
-        value = None if last is None else eval(compile(ast.Expression(last.value), "<cell>", "eval"), names)  # noqa: S307
+        value = (
+            None
+            if last is None
+            else eval(compile(ast.Expression(last.value), "<cell>", "eval"), names)  # noqa: S307
+        )
     outputs: list[dict[str, Any]] = []
     if text := printed.getvalue():
-        outputs.append({"output_type": "stream", "name": "stdout", "text": text.splitlines(keepends=True)})
+        outputs.append(
+            {"output_type": "stream", "name": "stdout", "text": text.splitlines(keepends=True)}
+        )
     if value is not None:
-        outputs.append({"output_type": "execute_result", "execution_count": None, "metadata": {}, "data": _pictured(value)})
+        outputs.append(
+            {
+                "output_type": "execute_result",
+                "execution_count": None,
+                "metadata": {},
+                "data": _pictured(value),
+            }
+        )
     return outputs
 
 
@@ -38,7 +51,11 @@ def _pictured(value: Any) -> dict[str, Any]:
     """A value as text, and as the picture that a notebook shows of it."""
     if hasattr(value, "to_plotly_json"):
         return {"text/plain": ["Figure"], PLOTLY: json.loads(value.to_json())}
-    html = {"text/html": value._repr_html_().splitlines(keepends=True)} if hasattr(value, "_repr_html_") else {}
+    html = (
+        {"text/html": value._repr_html_().splitlines(keepends=True)}
+        if hasattr(value, "_repr_html_")
+        else {}
+    )
     return {"text/plain": repr(value).splitlines(keepends=True), **html}
 
 
@@ -49,7 +66,11 @@ def run(notebook: dict[str, Any]) -> list[list[dict[str, Any]]]:
     with tempfile.TemporaryDirectory() as folder:
         os.chdir(folder)
         try:
-            return [shown("".join(cell["source"]), names) for cell in notebook["cells"] if cell["cell_type"] == "code"]
+            return [
+                shown("".join(cell["source"]), names)
+                for cell in notebook["cells"]
+                if cell["cell_type"] == "code"
+            ]
         finally:
             os.chdir(here)
 

@@ -6,7 +6,10 @@ from pathlib import Path
 
 from reproduction.item import Item
 
-_FILES = {True: Path(__file__).parent / "agreed_short.json", False: Path(__file__).parent / "agreed.json"}
+_FILES = {
+    True: Path(__file__).parent / "agreed_short.json",
+    False: Path(__file__).parent / "agreed.json",
+}
 Agreed = Mapping[str, Mapping[str, Sequence[str]]]
 
 
@@ -19,12 +22,17 @@ def recorded(short: bool) -> Agreed:
 
 def with_parts(before: Agreed, by_part: Mapping[str, Sequence[Item]]) -> Agreed:
     """The record with the parts that were run replaced."""
-    return {**before, **{part: {item.where: _holding(item) for item in items} for part, items in by_part.items()}}
+    return {
+        **before,
+        **{part: {item.where: _holding(item) for item in items} for part, items in by_part.items()},
+    }
 
 
 def write_recorded(agreed: Agreed, short: bool) -> None:
     """Keep a record."""
-    _FILES[short].write_text(json.dumps(agreed, indent=1, ensure_ascii=False, sort_keys=True) + "\n", encoding="utf-8")
+    _FILES[short].write_text(
+        json.dumps(agreed, indent=1, ensure_ascii=False, sort_keys=True) + "\n", encoding="utf-8"
+    )
 
 
 def lost(before: Agreed, by_part: Mapping[str, Sequence[Item]]) -> list[tuple[str, str, str]]:

@@ -9,7 +9,10 @@ from residuum.identification.kernel_based.impulse_response import identify_impul
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.linear_models.prediction_error import STRUCTURES, identify
 from residuum.identification.linear_models.transfer_function import TransferFunction
-from residuum.identification.linear_models.uncertainty import UncertaintyWeight, design_uncertainty_weight
+from residuum.identification.linear_models.uncertainty import (
+    UncertaintyWeight,
+    design_uncertainty_weight,
+)
 from residuum.identification.record import Record
 
 TS = 0.01
@@ -28,7 +31,12 @@ def benchmark_record(seed: int = SEED) -> Record:
     y = lfilter(np.r_[np.zeros(3), TRUE.num], TRUE.den, u)
     e = np.clip(rng.normal(size=len(y)), -3, 3)
     e *= np.std(y) / np.sqrt(SNR) / np.std(e)
-    return Record({"u": u[DROPPED:], "y": (y + e)[DROPPED:]}, {"u": "", "y": ""}, TS, source=f"benchmark (2.38), seed {seed}")
+    return Record(
+        {"u": u[DROPPED:], "y": (y + e)[DROPPED:]},
+        {"u": "", "y": ""},
+        TS,
+        source=f"benchmark (2.38), seed {seed}",
+    )
 
 
 @lru_cache
@@ -39,13 +47,26 @@ def identified() -> dict[str, IdentifiedModel]:
     """
     record = benchmark_record()
     return {
-        LOW: identify(STRUCTURES["oe"], [record], "u", "y", offset=False, criterion="aic", candidates=range(1, 4)),
+        LOW: identify(
+            STRUCTURES["oe"],
+            [record],
+            "u",
+            "y",
+            offset=False,
+            criterion="aic",
+            candidates=range(1, 4),
+        ),
         FULL: identify(STRUCTURES["oe"], [record], "u", "y", offset=False, order=TRUE_ORDER),
-        KERNEL: identify_impulse_response(record, "u", "y", order=100, offset=False, cover_cut=False),
+        KERNEL: identify_impulse_response(
+            record, "u", "y", order=100, offset=False, cover_cut=False
+        ),
     }
 
 
 @lru_cache
 def weights() -> dict[str, UncertaintyWeight]:
     """Algorithm 1 on each, second-order weights, n_p = 738."""
-    return {name: design_uncertainty_weight(model, omega=OMEGA, order=2, seed=SEED) for name, model in identified().items()}
+    return {
+        name: design_uncertainty_weight(model, omega=OMEGA, order=2, seed=SEED)
+        for name, model in identified().items()
+    }

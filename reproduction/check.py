@@ -35,7 +35,15 @@ class Check:
         return f"{self.name} {self.ours} ({self.source}{beyond}: {self.word})"
 
 
-def near(name: str, source: float, ours: float, tolerance: float, unit: str = "", *, by_construction: bool = False) -> Check:
+def near(
+    name: str,
+    source: float,
+    ours: float,
+    tolerance: float,
+    unit: str = "",
+    *,
+    by_construction: bool = False,
+) -> Check:
     """Agrees when ours lies within a part `tolerance` of the source's value."""
     off = ours / source - 1.0
     holds = bool(np.isfinite(off) and abs(off) <= tolerance)
@@ -62,7 +70,13 @@ def within(
 
 
 def at_most(
-    name: str, ours: float, limit: float, unit: str = "", *, source: str | None = None, by_construction: bool = False
+    name: str,
+    ours: float,
+    limit: float,
+    unit: str = "",
+    *,
+    source: str | None = None,
+    by_construction: bool = False,
 ) -> Check:
     """Agrees when ours is no more than the limit."""
     shown = f"at most {_said(limit, unit)}"
@@ -72,7 +86,13 @@ def at_most(
 
 
 def at_least(
-    name: str, ours: float, limit: float, unit: str = "", *, source: str | None = None, by_construction: bool = False
+    name: str,
+    ours: float,
+    limit: float,
+    unit: str = "",
+    *,
+    source: str | None = None,
+    by_construction: bool = False,
 ) -> Check:
     """Agrees when ours is no less than the limit."""
     shown = f"at least {_said(limit, unit)}"

@@ -11,7 +11,11 @@ import numpy.typing as npt
 
 from reproduction.benchmark import FULL, KERNEL, LOW, OMEGA, SEED, TS, identified, weights
 from residuum.identification.linear_models.transfer_function import TransferFunction
-from residuum.robust_control.certificates import RobustAim, RobustDesign, design_for_robust_performance
+from residuum.robust_control.certificates import (
+    RobustAim,
+    RobustDesign,
+    design_for_robust_performance,
+)
 from residuum.robust_control.loop import Loop, Weights, frequency_grid
 from residuum.robust_control.synthesis.constrained_structure import PIDN
 from residuum.robust_control.synthesis.structured_synthesis import Synthesis, synthesise
@@ -22,11 +26,20 @@ from residuum.robust_control.weights.performance_weight import (
     design_for_nominal_performance,
 )
 
-AIM, DURATION, PLANTS = NominalAim(smallest_overshoot=0.01, longest_settling_time=5.0, slack=0.1), 4.0, 200
+AIM, DURATION, PLANTS = (
+    NominalAim(smallest_overshoot=0.01, longest_settling_time=5.0, slack=0.1),
+    4.0,
+    200,
+)
 LIMIT = 1.0 + AIM.slack
 NAMES = (LOW, FULL, KERNEL)
 FloatArray = npt.NDArray[np.float64]
-LOG = {"xaxis_title": "ω [rad/s]", "yaxis_title": "magnitude", "xaxis_type": "log", "yaxis_type": "log"}
+LOG = {
+    "xaxis_title": "ω [rad/s]",
+    "yaxis_title": "magnitude",
+    "xaxis_type": "log",
+    "yaxis_type": "log",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,8 +85,14 @@ def manual(name: str) -> dict[str, Synthesis]:
     """DS1 as printed and read with −10 dB, and DS2."""
     one = case(name)
     W_S = ReferenceModel(0.01, 1.0).weight_magnitude(one.loop.omega)
-    chosen = {"DS1": manual_weight(10.0, one.loop.omega), "DS1 at −10 dB": manual_weight(-10.0, one.loop.omega), "DS2": one.W_T}
-    return {label: synthesise(one.loop, Weights(W_S, W_T), PIDN(TS)) for label, W_T in chosen.items()}
+    chosen = {
+        "DS1": manual_weight(10.0, one.loop.omega),
+        "DS1 at −10 dB": manual_weight(-10.0, one.loop.omega),
+        "DS2": one.W_T,
+    }
+    return {
+        label: synthesise(one.loop, Weights(W_S, W_T), PIDN(TS)) for label, W_T in chosen.items()
+    }
 
 
 def manual_weight(low_gain_db: float, omega: FloatArray) -> FloatArray:

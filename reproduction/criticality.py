@@ -7,7 +7,15 @@ import plotly.graph_objects as go
 
 from reproduction.check import Check, same
 from reproduction.item import Item
-from residuum.diagnosis.gate.fmeca import PROBABILITIES, SEVERITIES, FailureMode, Risk, criticality_matrix, load_fmeca, risk
+from residuum.diagnosis.gate.fmeca import (
+    PROBABILITIES,
+    SEVERITIES,
+    FailureMode,
+    Risk,
+    criticality_matrix,
+    load_fmeca,
+    risk,
+)
 
 SOURCE_CELLS = {
     "rack-tooth": ("D", "IV"),
@@ -26,11 +34,18 @@ def criticality() -> Item:
     rows = [("probability", *(f"{name} {said}" for name, said in SEVERITIES.items()))]
     cells = criticality_matrix(modes)
     for p, said in PROBABILITIES.items():
-        rows.append((f"{p} {said}", *(", ".join(mode.id for mode in cells[p, s]) or "–" for s in SEVERITIES)))
+        rows.append(
+            (
+                f"{p} {said}",
+                *(", ".join(mode.id for mode in cells[p, s]) or "–" for s in SEVERITIES),
+            )
+        )
     placed = {mode.id: (mode.probability, mode.severity) for mode in modes}
     chosen = {mode.id for mode in modes if mode.risk is not Risk.REDESIGN}
     order = [Risk.ACCEPTABLE, Risk.TOLERABLE, Risk.REDESIGN]
-    levels = np.array([[order.index(risk(p, severity)) for severity in SEVERITIES] for p in PROBABILITIES])
+    levels = np.array(
+        [[order.index(risk(p, severity)) for severity in SEVERITIES] for p in PROBABILITIES]
+    )
     checks = [
         Check(
             "modes in the source's cell (entered from its text)",
@@ -39,7 +54,11 @@ def criticality() -> Item:
             placed == SOURCE_CELLS,
             by_construction=True,
         ),
-        same("modes that the rule of colours leaves to diagnosis", sorted(SOURCE_CHOSEN), sorted(chosen)),
+        same(
+            "modes that the rule of colours leaves to diagnosis",
+            sorted(SOURCE_CHOSEN),
+            sorted(chosen),
+        ),
         same(
             "neighbouring cells where a graver or likelier mode has a lower risk",
             0,
@@ -52,7 +71,9 @@ def criticality() -> Item:
 
 def _matrix(cells: Mapping[tuple[str, str], Sequence[FailureMode]]) -> go.Figure:
     shades = {Risk.ACCEPTABLE: 0, Risk.TOLERABLE: 1, Risk.REDESIGN: 2}
-    figure = go.Figure(layout={"xaxis_title": "severity", "yaxis_title": "probability", "height": 360})
+    figure = go.Figure(
+        layout={"xaxis_title": "severity", "yaxis_title": "probability", "height": 360}
+    )
     figure.add_heatmap(
         x=list(SEVERITIES),
         y=list(PROBABILITIES),
@@ -60,7 +81,10 @@ def _matrix(cells: Mapping[tuple[str, str], Sequence[FailureMode]]) -> go.Figure
         zmin=0,
         zmax=2,
         z=[[shades[risk(p, s)] for s in SEVERITIES] for p in PROBABILITIES],
-        text=[["<br>".join(mode.id for mode in cells[p, s]) for s in SEVERITIES] for p in PROBABILITIES],
+        text=[
+            ["<br>".join(mode.id for mode in cells[p, s]) for s in SEVERITIES]
+            for p in PROBABILITIES
+        ],
         texttemplate="%{text}",
         colorscale=[[0, "#bfe3c8"], [0.5, "#f5e6a3"], [1, "#f0b3a0"]],
     )

@@ -19,7 +19,10 @@ GRADE_9 = 0.3
 """`tooth_errors` of gears that hold ISO 1328-1 grade 9, as moulded nylon and cut steel do (docstring of the simulator)."""
 CLASSES = (HEALTHY, PINION_OR_GEAR, RACK)
 CONSTANTS = ActuatorConstants()
-PERIOD, PAUSE = 19.5, 8.0  # s: a movement with its pause, and what is added so that the last one ends
+PERIOD, PAUSE = (
+    19.5,
+    8.0,
+)  # s: a movement with its pause, and what is added so that the last one ends
 
 
 @dataclass(frozen=True)
@@ -41,8 +44,14 @@ def observe(exemplar: int, fault: str | None, tooth_errors: float = GRADE_9) -> 
     """The first movements of an exemplar's life with a fault of its default size."""
     count = CONDITIONS[fault][1]
     machine = MACHINES["gate-actuator"](
-        seed=1000 + exemplar, exemplar=exemplar, faults={fault: None} if fault else {}, tooth_errors=tooth_errors
+        seed=1000 + exemplar,
+        exemplar=exemplar,
+        faults={fault: None} if fault else {},
+        tooth_errors=tooth_errors,
     )
     signals = machine.simulate(count * PERIOD + PAUSE)
     movements = cut_movements(Record(signals.channels, signals.units, signals.sample_time))[:count]
-    return [Observed(exemplar, fault, movement.reduced(RATE), movement_features(movement, CONSTANTS)) for movement in movements]
+    return [
+        Observed(exemplar, fault, movement.reduced(RATE), movement_features(movement, CONSTANTS))
+        for movement in movements
+    ]

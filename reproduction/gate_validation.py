@@ -10,7 +10,11 @@ from reproduction.check import Check, at_least, at_most
 from reproduction.gate_movements import CLASSES, Observed
 from reproduction.item import Item
 from residuum.diagnosis.learning.diagnoser_validation import Validation, mixed_folds, object_wise
-from residuum.diagnosis.residuals.fault_isolation import HEALTHY, isolation_classifier, source_classifier
+from residuum.diagnosis.residuals.fault_isolation import (
+    HEALTHY,
+    isolation_classifier,
+    source_classifier,
+)
 
 _SOURCE, _OURS = "source: F₁, F₂, linear SVM", "ours: all features, logistic regression"
 SOURCE_MIXED = 86.18  # %
@@ -20,10 +24,19 @@ def cross_validation(observed: Sequence[Observed], X: np.ndarray) -> Item:
     """The source's folds: exemplars mixed."""
     labels, exemplars = [one.label for one in observed], [one.exemplar for one in observed]
     validation = mixed_folds(source_classifier(), X, labels, exemplars)
-    folds = cross_val_score(source_classifier(), X, labels, cv=StratifiedKFold(10, shuffle=True, random_state=0))
+    folds = cross_val_score(
+        source_classifier(), X, labels, cv=StratifiedKFold(10, shuffle=True, random_state=0)
+    )
     low, high = _interval(validation)
     rows = [
-        ("", "exemplars", "accuracy", "95 % (exemplars drawn)", "variance over the folds", "balanced"),
+        (
+            "",
+            "exemplars",
+            "accuracy",
+            "95 % (exemplars drawn)",
+            "variance over the folds",
+            "balanced",
+        ),
         ("source", "2, real", f"{SOURCE_MIXED} %", "not printed", "0.33 %", "not printed"),
         (
             "ours",
@@ -65,20 +78,42 @@ def cross_validation(observed: Sequence[Observed], X: np.ndarray) -> Item:
         "these classes overlap between rack and healthy alone, so that folds lose next to nothing; the bench loses ten points "
         "from training to folds, and the source does not say between what its movements differ. Tried: coarser gears (Fig. 87)"
     )
-    return Item("Section 7.6", "10-fold cross-validation of the linear SVM", source, checks, reason, rows)
+    return Item(
+        "Section 7.6", "10-fold cross-validation of the linear SVM", source, checks, reason, rows
+    )
 
 
 def object_wise_validation(observed: Sequence[Observed], X: np.ndarray) -> Item:
     """Each exemplar judged by what was trained on the others."""
     labels, exemplars = [one.label for one in observed], [one.exemplar for one in observed]
     ours = np.array([one.features.vector() for one in observed])
-    rows = [("classifier", "folds", "accuracy", "balanced", *(f"{label} found" for label in CLASSES))]
+    rows = [
+        ("classifier", "folds", "accuracy", "balanced", *(f"{label} found" for label in CLASSES))
+    ]
     left_out = {}
-    for name, make, features in ((_SOURCE, source_classifier, X), (_OURS, isolation_classifier, ours)):
-        mixed, left_out[name] = (validate(make(), features, labels, exemplars) for validate in (mixed_folds, object_wise))
-        for folds, found in (("10, exemplars mixed", mixed), ("an exemplar left out", left_out[name])):
-            shares = found.confusion(CLASSES).diagonal() / [labels.count(label) for label in CLASSES]
-            rows.append((name, folds, _percent(found.accuracy), _percent(found.balanced_accuracy), *map(_percent, shares)))
+    for name, make, features in (
+        (_SOURCE, source_classifier, X),
+        (_OURS, isolation_classifier, ours),
+    ):
+        mixed, left_out[name] = (
+            validate(make(), features, labels, exemplars) for validate in (mixed_folds, object_wise)
+        )
+        for folds, found in (
+            ("10, exemplars mixed", mixed),
+            ("an exemplar left out", left_out[name]),
+        ):
+            shares = found.confusion(CLASSES).diagonal() / [
+                labels.count(label) for label in CLASSES
+            ]
+            rows.append(
+                (
+                    name,
+                    folds,
+                    _percent(found.accuracy),
+                    _percent(found.balanced_accuracy),
+                    *map(_percent, shares),
+                )
+            )
     low, high = _interval(left_out[_SOURCE])
     mixed = mixed_folds(source_classifier(), X, labels, exemplars)
     known = np.mean(np.array(labels) == HEALTHY)
@@ -97,9 +132,16 @@ def object_wise_validation(observed: Sequence[Observed], X: np.ndarray) -> Item:
             source="(A.7): no more optimistic",
         ),
         at_least(
-            "accuracy of our features on exemplars left out over that of guessing healthy", left_out[_OURS].accuracy / known, 1.5
+            "accuracy of our features on exemplars left out over that of guessing healthy",
+            left_out[_OURS].accuracy / known,
+            1.5,
         ),
-        at_most("judged exemplars that were also trained on", _shared(exemplars), 0.0, source="leave-one-object-out"),
+        at_most(
+            "judged exemplars that were also trained on",
+            _shared(exemplars),
+            0.0,
+            source="leave-one-object-out",
+        ),
     ]
     source = "proposes leave-one-object-out validation (A.7); for the gate it prints 86.18 % of mixed folds alone"
     return Item(
@@ -116,7 +158,9 @@ def _shared(exemplars: Sequence[int]) -> float:
     """In how many object-wise folds the judged exemplar is among those trained on: a classifier that "
     "returns its own group says so."""
     groups = np.array(exemplars, dtype=float)
-    own = object_wise(DecisionTreeClassifier(), groups[:, None], list(map(str, exemplars)), exemplars)
+    own = object_wise(
+        DecisionTreeClassifier(), groups[:, None], list(map(str, exemplars)), exemplars
+    )
     return float(np.sum(own.truth == own.predicted))
 
 

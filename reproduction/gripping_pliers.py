@@ -16,7 +16,12 @@ from reproduction.check import at_least, at_most, near, same, within
 from reproduction.item import Item
 from reproduction.real_bearings import real_bearings
 from residuum.diagnosis.thresholds.tails import HealthyBand
-from residuum.diagnosis.vibration.rotation import RoundComparison, compare_rounds, cut_rounds, round_profile
+from residuum.diagnosis.vibration.rotation import (
+    RoundComparison,
+    compare_rounds,
+    cut_rounds,
+    round_profile,
+)
 from residuum.diagnosis.vibration.spectra import Band, Kurtogram, band_envelope, kurtogram
 from residuum.diagnosis.vibration.vibration_indicators import indicators
 from residuum.identification.record import Record
@@ -47,17 +52,27 @@ class _Test:
         envelope = band_envelope(a - a.mean(), RATE, low, high, decimate=False).values
         rounds = cut_rounds(record["indicator"], QUADRANTS)
         order = sorted(range(QUADRANTS), key=rounds.quadrant)
-        segments = ([envelope[first:last] for first, last in pairwise(edges)] for edges in rounds.edges)
-        return cls(a, envelope, np.array([round_profile([parts[k] for k in order]) for parts in segments]))
+        segments = (
+            [envelope[first:last] for first, last in pairwise(edges)] for edges in rounds.edges
+        )
+        return cls(
+            a, envelope, np.array([round_profile([parts[k] for k in order]) for parts in segments])
+        )
 
 
 def bench_records(duration: float, **settings: int) -> dict[str, Record]:
     """Healthy tests H1 and H2 and the faulty test F, the first part without load."""
     records = {}
-    for seed, (name, faults) in enumerate({"H1": {}, "H2": {}, "F": {"plier-bearing": 1.0}}.items(), start=1):
-        machine = MACHINES["gripping-pliers"](seed=seed, faults=faults, preforms_after=UNLOADED, **settings)
+    for seed, (name, faults) in enumerate(
+        {"H1": {}, "H2": {}, "F": {"plier-bearing": 1.0}}.items(), start=1
+    ):
+        machine = MACHINES["gripping-pliers"](
+            seed=seed, faults=faults, preforms_after=UNLOADED, **settings
+        )
         signals = machine.simulate(duration)
-        records[name] = Record(signals.channels, signals.units, signals.sample_time, source=f"virtual pliers, {name}")
+        records[name] = Record(
+            signals.channels, signals.units, signals.sample_time, source=f"virtual pliers, {name}"
+        )
     return records
 
 
@@ -69,7 +84,10 @@ def items(short: bool) -> list[Item]:
     band = picture.best
     tests = {name: _Test.of(record, band.low, band.high) for name, record in records.items()}
     healthy = HealthyBand.of(tests["H1"].profiles)
-    compared = {name: compare_rounds(healthy, test.profiles, FALSE_ALARM, QUADRANTS) for name, test in tests.items()}
+    compared = {
+        name: compare_rounds(healthy, test.profiles, FALSE_ALARM, QUADRANTS)
+        for name, test in tests.items()
+    }
     calm = np.median(compared["H2"].quadrant_rms, axis=0)
     others = {plier: _growth_with(plier, healthy, band, calm) for plier in (1, 2, 4)}
     return [
@@ -84,9 +102,13 @@ def items(short: bool) -> list[Item]:
 
 def _growth_with(plier: int, healthy: HealthyBand, band: Band, calm: np.ndarray) -> np.ndarray:
     """Median envelope RMS by quadrant with another plier damaged, over the healthy one."""
-    machine = MACHINES["gripping-pliers"](seed=20 + plier, faults={"plier-bearing": 1.0}, damaged_plier=plier)
+    machine = MACHINES["gripping-pliers"](
+        seed=20 + plier, faults={"plier-bearing": 1.0}, damaged_plier=plier
+    )
     signals = machine.simulate(20.0)
-    test = _Test.of(Record(signals.channels, signals.units, signals.sample_time), band.low, band.high)
+    test = _Test.of(
+        Record(signals.channels, signals.units, signals.sample_time), band.low, band.high
+    )
     found = compare_rounds(healthy, test.profiles, FALSE_ALARM, QUADRANTS)
     return np.asarray(np.median(found.quadrant_rms, axis=0) / calm)
 
@@ -94,12 +116,18 @@ def _growth_with(plier: int, healthy: HealthyBand, band: Band, calm: np.ndarray)
 def _signals(tests: Mapping[str, _Test]) -> Item:
     first = {name: indicators(tests[name].acceleration[: round(UNLOADED * RATE)]) for name in tests}
     rows = [("test", "RMS [g]", "peak [g]", "kurtosis")]
-    rows += [(name, f"{x.rms:.4f}", f"{x.peak:.3f}", f"{x.kurtosis:.2f}") for name, x in first.items()]
+    rows += [
+        (name, f"{x.rms:.4f}", f"{x.peak:.3f}", f"{x.kurtosis:.2f}") for name, x in first.items()
+    ]
     a = tests["F"].acceleration[: round(UNLOADED * RATE)]
     centred = a - a.mean()
     checks = [
         at_least(
-            "peak of F over H1", first["F"].peak / first["H1"].peak, 1.2, source="visible on raw data", by_construction=True
+            "peak of F over H1",
+            first["F"].peak / first["H1"].peak,
+            1.2,
+            source="visible on raw data",
+            by_construction=True,
         ),
         at_least(
             "kurtosis of F over H1",
@@ -108,14 +136,25 @@ def _signals(tests: Mapping[str, _Test]) -> Item:
             source="visible on raw data",
             by_construction=True,
         ),
-        within("peak of H2 over H1", first["H2"].peak / first["H1"].peak, 0.8, 1.25, source="two healthy tests alike"),
+        within(
+            "peak of H2 over H1",
+            first["H2"].peak / first["H1"].peak,
+            0.8,
+            1.25,
+            source="two healthy tests alike",
+        ),
         near(
             "kurtosis of F over its definition",
             1.0,
             first["F"].kurtosis / float(np.mean(centred**4) / np.mean(centred**2) ** 2),
             1e-3,
         ),
-        near("RMS of F over its definition", 1.0, first["F"].rms / float(np.sqrt(np.mean(a**2))), 1e-3),
+        near(
+            "RMS of F over its definition",
+            1.0,
+            first["F"].rms / float(np.sqrt(np.mean(a**2))),
+            1e-3,
+        ),
     ]
     figure = _time_figure({name: tests[name].acceleration for name in ("F", "H1")}, "a [g]")
     source = "a difference is already visible on raw data"
@@ -126,13 +165,33 @@ def _kurtogram(picture: Kurtogram, a: np.ndarray, trials: int) -> Item:
     band = picture.best
     rows = [("", "centre [Hz]", "whole width [Hz]", "kurtosis of the band")]
     rows.append(("source", "1533", "133", "not printed"))
-    rows += [(f"ours, {n}.", f"{b.centre:.0f}", f"{b.width:.0f}", f"{b.kurtosis:.1f}") for n, b in enumerate(_best(picture), 1)]
+    rows += [
+        (f"ours, {n}.", f"{b.centre:.0f}", f"{b.width:.0f}", f"{b.kurtosis:.1f}")
+        for n, b in enumerate(_best(picture), 1)
+    ]
     held = sum(_holds_a_drawn_resonance(seed) for seed in range(trials))
     checks = [
-        near("f_c (the virtual frame rings at 1530 Hz)", SOURCE_BAND[0], band.centre, 0.001, "Hz", by_construction=True),
-        near("b_f (set by the frame's damping)", SOURCE_BAND[1], band.width, 0.005, "Hz", by_construction=True),
+        near(
+            "f_c (the virtual frame rings at 1530 Hz)",
+            SOURCE_BAND[0],
+            band.centre,
+            0.001,
+            "Hz",
+            by_construction=True,
+        ),
+        near(
+            "b_f (set by the frame's damping)",
+            SOURCE_BAND[1],
+            band.width,
+            0.005,
+            "Hz",
+            by_construction=True,
+        ),
         at_least(
-            f"best bands that hold a resonance drawn from 600 to 5500 Hz, of {trials}", held, 0.9 * trials, source="the method"
+            f"best bands that hold a resonance drawn from 600 to 5500 Hz, of {trials}",
+            held,
+            0.9 * trials,
+            source="the method",
         ),
         near(
             "the best band's kurtosis over E|c|⁴/(E|c|²)² − 2 of SciPy's analytic signal there",
@@ -143,7 +202,9 @@ def _kurtogram(picture: Kurtogram, a: np.ndarray, trials: int) -> Item:
     ]
     levels, frequency, values = picture.as_map()
     figure = go.Figure(layout={"xaxis_title": "f [Hz]", "yaxis_title": "level"})
-    figure.add_heatmap(x=frequency, y=[f"{level:.1f}" for level in levels], z=values, colorscale="Viridis")
+    figure.add_heatmap(
+        x=frequency, y=[f"{level:.1f}" for level in levels], z=values, colorscale="Viridis"
+    )
     source = "f_c = 1533 Hz and b = 133 Hz (band 11 of 48, so the whole width)"
     return Item("Fig. 74", "Kurtogram of the faulty test", source, checks, "", rows, [figure])
 
@@ -183,19 +244,60 @@ def _table_6(tests: Mapping[str, _Test], band: Band) -> Item:
     for name, (*printed, variation) in SOURCE_TABLE.items():
         h1, h2, f = (getattr(each, name) for each in found)
         variations[name] = 100 * (2 * f / (h1 + h2) - 1)
-        rows.append((f"{_NAMES[name]}, source", "1533 ± 67", *(f"{value:g}" for value in printed), f"{variation:+.0f} %"))
+        rows.append(
+            (
+                f"{_NAMES[name]}, source",
+                "1533 ± 67",
+                *(f"{value:g}" for value in printed),
+                f"{variation:+.0f} %",
+            )
+        )
         ours = (f"{value:.3g}" for value in (h1, h2, f))
-        rows.append((f"{_NAMES[name]}, ours", f"{band.centre:.0f} ± {band.width / 2:.0f}", *ours, f"{variations[name]:+.0f} %"))
-    scipy_rms = {name: float(np.sqrt(np.mean(_scipy_envelope(test.acceleration, band) ** 2))) for name, test in tests.items()}
+        rows.append(
+            (
+                f"{_NAMES[name]}, ours",
+                f"{band.centre:.0f} ± {band.width / 2:.0f}",
+                *ours,
+                f"{variations[name]:+.0f} %",
+            )
+        )
+    scipy_rms = {
+        name: float(np.sqrt(np.mean(_scipy_envelope(test.acceleration, band) ** 2)))
+        for name, test in tests.items()
+    }
     checks = [
         *(
-            near(f"variation of the envelope's {_NAMES[name]}", SOURCE_TABLE[name][3], changed, NEAR, "%", by_construction=True)
+            near(
+                f"variation of the envelope's {_NAMES[name]}",
+                SOURCE_TABLE[name][3],
+                changed,
+                NEAR,
+                "%",
+                by_construction=True,
+            )
             for name, changed in variations.items()
         ),
-        near("envelope RMS of F over that of SciPy's filter and Hilbert transform", 1.0, found[2].rms / scipy_rms["F"], 0.1),
+        near(
+            "envelope RMS of F over that of SciPy's filter and Hilbert transform",
+            1.0,
+            found[2].rms / scipy_rms["F"],
+            0.1,
+        ),
         near("the same of H1", 1.0, found[0].rms / scipy_rms["H1"], 0.1),
-        within("envelope RMS of H2 over H1", found[1].rms / found[0].rms, 0.9, 1.1, source="0.0075 and 0.0075"),
-        within("envelope kurtosis of H2 over H1", found[1].kurtosis / found[0].kurtosis, 0.8, 1.25, source="5.7 over 6.1"),
+        within(
+            "envelope RMS of H2 over H1",
+            found[1].rms / found[0].rms,
+            0.9,
+            1.1,
+            source="0.0075 and 0.0075",
+        ),
+        within(
+            "envelope kurtosis of H2 over H1",
+            found[1].kurtosis / found[0].kurtosis,
+            0.8,
+            1.25,
+            source="5.7 over 6.1",
+        ),
     ]
     reason = (
         "RMS and rate of the impacts set the kurtosis: F's envelope has "
@@ -205,7 +307,9 @@ def _table_6(tests: Mapping[str, _Test], band: Band) -> Item:
     )
     figure = _time_figure({name: tests[name].envelope for name in ("F", "H1")}, "r_e [g]")
     source = "kurtosis 6.1, 5.7 → 101.3 (+1617 %), RMS .0075, .0075 → .0165 g (+120 %)"
-    return Item("Fig. 75, Table 6", "Envelope and its indicators", source, checks, reason, rows, [figure])
+    return Item(
+        "Fig. 75, Table 6", "Envelope and its indicators", source, checks, reason, rows, [figure]
+    )
 
 
 def _share_of_peaks(envelope: np.ndarray) -> float:
@@ -224,28 +328,72 @@ def _kurtosis_of_rarer(tests: Mapping[str, _Test]) -> float:
 
 
 def _rounds(compared: Mapping[str, RoundComparison], others: Mapping[int, np.ndarray]) -> Item:
-    exceeding = {name: each.exceeding.reshape(QUADRANTS, -1).max(axis=1) for name, each in compared.items()}
-    rows = [("rounds over the healthy limit, at the place with most", *(f"Q{q + 1}" for q in range(QUADRANTS)))]
-    rows += [(name, *(f"{100 * share:.0f} %" for share in shares)) for name, shares in exceeding.items()]
+    exceeding = {
+        name: each.exceeding.reshape(QUADRANTS, -1).max(axis=1) for name, each in compared.items()
+    }
+    rows = [
+        (
+            "rounds over the healthy limit, at the place with most",
+            *(f"Q{q + 1}" for q in range(QUADRANTS)),
+        )
+    ]
+    rows += [
+        (name, *(f"{100 * share:.0f} %" for share in shares)) for name, shares in exceeding.items()
+    ]
     H1, H2 = (np.median(compared[name].rounds, axis=0) for name in ("H1", "H2"))
     F = 100 * exceeding["F"]
     named = sum(int(np.argmax(growth)) + 1 == plier for plier, growth in others.items())
     checks = [
-        at_least("rounds of F over the healthy limit in Q3", F[2], 50.0, "%", source="high spikes", by_construction=True),
-        within("the same in Q4", F[3], max(F[0], F[1]), F[2], "%", "lower spikes", by_construction=True),
-        at_most("rounds of H2 over H1's limit at any place", 100 * exceeding["H2"].max(), 5.0, "%", source="very repeatable"),
         at_least(
-            "correlation of the median rounds of H1 and H2", float(np.corrcoef(H1, H2)[0, 1]), 0.9, source="very repeatable"
+            "rounds of F over the healthy limit in Q3",
+            F[2],
+            50.0,
+            "%",
+            source="high spikes",
+            by_construction=True,
         ),
-        same("other pliers whose damage is loudest where they are at the sensor", len(others), named),
+        within(
+            "the same in Q4", F[3], max(F[0], F[1]), F[2], "%", "lower spikes", by_construction=True
+        ),
+        at_most(
+            "rounds of H2 over H1's limit at any place",
+            100 * exceeding["H2"].max(),
+            5.0,
+            "%",
+            source="very repeatable",
+        ),
+        at_least(
+            "correlation of the median rounds of H1 and H2",
+            float(np.corrcoef(H1, H2)[0, 1]),
+            0.9,
+            source="very repeatable",
+        ),
+        same(
+            "other pliers whose damage is loudest where they are at the sensor", len(others), named
+        ),
     ]
-    figure = go.Figure(layout={"xaxis_title": "place in the round [quadrants]", "yaxis_title": "envelope RMS [g]"})
+    figure = go.Figure(
+        layout={"xaxis_title": "place in the round [quadrants]", "yaxis_title": "envelope RMS [g]"}
+    )
     for name, each in (("F", compared["F"]), ("H1", compared["H1"])):
         for k, profile in enumerate(each.rounds[-20:]):
             line = {"color": COLOURS[name], "width": 0.7}
-            figure.add_scatter(x=each.place, y=profile, line=line, opacity=0.5, name=name, legendgroup=name, showlegend=k == 0)
+            figure.add_scatter(
+                x=each.place,
+                y=profile,
+                line=line,
+                opacity=0.5,
+                name=name,
+                legendgroup=name,
+                showlegend=k == 0,
+            )
     limit = compared["F"].upper
-    figure.add_scatter(x=compared["F"].place, y=limit, name="healthy limit", line={"color": "#2e7d4f", "dash": "dash"})
+    figure.add_scatter(
+        x=compared["F"].place,
+        y=limit,
+        name="healthy limit",
+        line={"color": "#2e7d4f", "dash": "dash"},
+    )
     source = "very repeatable; spikes when P3 is in Q3, lower ones in Q4"
     return Item("Fig. 76", "Rounds overlapped", source, checks, "", rows, [figure])
 
@@ -257,10 +405,17 @@ def _quadrants(compared: Mapping[str, RoundComparison], others: Mapping[int, np.
     growth = 100 * (2 * medians["F"] / (medians["H1"] + medians["H2"]) - 1)
     rows.append(("growth", *(f"{value:+.0f} %" for value in growth)))
     rows += [
-        (f"growth with P{plier} damaged", *(f"{100 * value - 100:+.0f} %" for value in found)) for plier, found in others.items()
+        (f"growth with P{plier} damaged", *(f"{100 * value - 100:+.0f} %" for value in found))
+        for plier, found in others.items()
     ]
     checks = [
-        at_least("growth in Q3 over that in Q4", growth[2] / growth[3], 1.0, source="mainly in Q3", by_construction=True),
+        at_least(
+            "growth in Q3 over that in Q4",
+            growth[2] / growth[3],
+            1.0,
+            source="mainly in Q3",
+            by_construction=True,
+        ),
         at_least(
             "growth in Q4 over that in Q1 and Q2",
             growth[3] / max(growth[0], growth[1], 1.0),
@@ -269,7 +424,10 @@ def _quadrants(compared: Mapping[str, RoundComparison], others: Mapping[int, np.
             by_construction=True,
         ),
         within(
-            "median RMS of H2 over H1, the quadrant that differs most", float(_farthest(medians["H2"] / medians["H1"])), 0.9, 1.1
+            "median RMS of H2 over H1, the quadrant that differs most",
+            float(_farthest(medians["H2"] / medians["H1"])),
+            0.9,
+            1.1,
         ),
         *(
             at_least(
@@ -284,7 +442,9 @@ def _quadrants(compared: Mapping[str, RoundComparison], others: Mapping[int, np.
     figure = go.Figure(layout={"yaxis_title": "envelope RMS [g]", "boxmode": "group"})
     for name, each in compared.items():
         labels = np.repeat([f"Q{q + 1}" for q in range(QUADRANTS)], len(each.quadrant_rms))
-        figure.add_box(x=labels, y=each.quadrant_rms.T.ravel(), name=name, marker_color=COLOURS[name])
+        figure.add_box(
+            x=labels, y=each.quadrant_rms.T.ravel(), name=name, marker_color=COLOURS[name]
+        )
     source = "the fault shows mainly in Q3, then in Q4"
     return Item("Fig. 77", "Envelope RMS by quadrant", source, checks, "", rows, [figure])
 

@@ -13,7 +13,11 @@ from residuum.robust_control.control_problem import average_plant, overall_uncer
 from residuum.robust_control.loop import Loop, Weights, frequency_grid
 from residuum.robust_control.synthesis.constrained_structure import PIDN
 from residuum.robust_control.synthesis.structured_synthesis import Synthesis, synthesise
-from residuum.robust_control.weights.performance_weight import NominalAim, NominalDesign, design_for_nominal_performance
+from residuum.robust_control.weights.performance_weight import (
+    NominalAim,
+    NominalDesign,
+    design_for_nominal_performance,
+)
 from residuum.simulation.oven import OvenMachine
 
 TS, N, DROPPED, SEED, PLANTS = 60.0, 4800, 1000, 1, 200
@@ -43,7 +47,10 @@ def algorithm_4(plants: int) -> Oven:
     worst = machine.simulate(N * TS).channels
     machine.configure("best")
     best = machine.simulate(N * TS).channels
-    joined = {name: np.concatenate([worst[name], best[name]])[DROPPED:-DROPPED] for name in ("duty", "temperature")}
+    joined = {
+        name: np.concatenate([worst[name], best[name]])[DROPPED:-DROPPED]
+        for name in ("duty", "temperature")
+    }
     middle = N - DROPPED
     records = {
         "average": _record(joined, "joined"),
@@ -60,7 +67,9 @@ def algorithm_4(plants: int) -> Oven:
     configurations = [models["worst"], models["best"]]
     W_T, largest = overall_uncertainty(configurations, plant, omega, seed=SEED)
     mean = average_plant(configurations)
-    about_mean = float(overall_uncertainty(configurations, mean, frequency_grid([mean]), seed=SEED)[1].max())
+    about_mean = float(
+        overall_uncertainty(configurations, mean, frequency_grid([mean]), seed=SEED)[1].max()
+    )
     magnitude = np.abs(W_T.frequency_response(omega))
     above = np.flatnonzero(magnitude >= 1.0)
     critical = float(omega[above[0]] if above.size else omega[-1])
@@ -70,7 +79,9 @@ def algorithm_4(plants: int) -> Oven:
 
 
 def _record(channels: dict[str, FloatArray], name: str) -> Record:
-    return Record(channels, {"duty": "%", "temperature": "degC"}, TS, source=f"simulated oven, {name}")
+    return Record(
+        channels, {"duty": "%", "temperature": "degC"}, TS, source=f"simulated oven, {name}"
+    )
 
 
 def _drawn(model: IdentifiedModel, plants: int) -> list[TransferFunction]:
@@ -80,5 +91,9 @@ def _drawn(model: IdentifiedModel, plants: int) -> list[TransferFunction]:
 
 def synthesised(oven: Oven, slower: float, W_T: FloatArray) -> Synthesis:
     """The controller of least cost for the automatic Ŵ_S with its settling time times `slower`."""
-    reference = replace(oven.design.reference, settling_time=slower * oven.design.reference.settling_time)
-    return synthesise(oven.loop, Weights(reference.weight_magnitude(oven.loop.omega), W_T), PIDN(TS))
+    reference = replace(
+        oven.design.reference, settling_time=slower * oven.design.reference.settling_time
+    )
+    return synthesise(
+        oven.loop, Weights(reference.weight_magnitude(oven.loop.omega), W_T), PIDN(TS)
+    )

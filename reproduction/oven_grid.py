@@ -32,7 +32,11 @@ def _manual(oven: Oven, slower: float, pairs: Sequence[tuple[int, int]]) -> Manu
     """A controller for every pair (l_g, h_g) [dB]; W_S and the critical frequency are the automatic ones."""
     omega = oven.loop.omega
     return {
-        (low, high): synthesised(oven, slower, MonotoneWeight(float(low), float(high), oven.critical_frequency).magnitude(omega))
+        (low, high): synthesised(
+            oven,
+            slower,
+            MonotoneWeight(float(low), float(high), oven.critical_frequency).magnitude(omega),
+        )
         for low, high in pairs
     }
 
@@ -55,7 +59,10 @@ def _why(oven: Oven, made: Mapping[float, Manual]) -> str:
 
 def _costs(oven: Oven, made: Mapping[float, Manual]) -> Item:
     feasible = _feasible(made[1.0])
-    by_low = {low: min(one.certified for pair, one in made[1.0].items() if pair[0] == low) for low, _ in made[1.0]}
+    by_low = {
+        low: min(one.certified for pair, one in made[1.0].items() if pair[0] == low)
+        for low, _ in made[1.0]
+    }
     checks = [
         within(
             "share of the manual pairs that are feasible at ℓ̂",
@@ -65,7 +72,12 @@ def _costs(oven: Oven, made: Mapping[float, Manual]) -> Item:
             "%",
             "only a small subset (six of 100)",
         ),
-        at_least("least cost at the largest l_g", by_low[max(by_low)], LIMIT, source="most pairs are above the red curve"),
+        at_least(
+            "least cost at the largest l_g",
+            by_low[max(by_low)],
+            LIMIT,
+            source="most pairs are above the red curve",
+        ),
         at_most(
             "least cost at the smallest l_g over that at the largest",
             by_low[min(by_low)] / by_low[max(by_low)],
@@ -75,7 +87,9 @@ def _costs(oven: Oven, made: Mapping[float, Manual]) -> Item:
     ]
     figures = [_surface(found, f"W_S for {slower:g} ℓ̂") for slower, found in made.items()]
     source = "a small subset of the manual weights meets J < 1 + γ (red curve)"
-    return Item("Fig. 64", "Cost of the manual weights", source, checks, _why(oven, made), (), figures)
+    return Item(
+        "Fig. 64", "Cost of the manual weights", source, checks, _why(oven, made), (), figures
+    )
 
 
 def _means(oven: Oven, made: Mapping[float, Manual]) -> Item:
@@ -84,18 +98,36 @@ def _means(oven: Oven, made: Mapping[float, Manual]) -> Item:
     rows.append(("automatic", f"{oven.design.chosen.design.certified:.4f}", *_texts(ours)))
     checks, tried = [], []
     for slower, found in made.items():
-        feasible = {pair: (one.certified, _means_of(oven, one)) for pair, one in _feasible(found).items()}
+        feasible = {
+            pair: (one.certified, _means_of(oven, one)) for pair, one in _feasible(found).items()
+        }
         where = "" if slower == 1.0 else f", {slower:g} ℓ̂"
         rows += [
             (f"l_g {low} dB, h_g {high} dB{where}", f"{cost:.4f}", *_texts(means))
             for (low, high), (cost, means) in feasible.items()
         ]
-        wins = [sum(mine <= theirs[k] * 1.001 for _, theirs in feasible.values()) for k, mine in enumerate(ours)]
+        wins = [
+            sum(mine <= theirs[k] * 1.001 for _, theirs in feasible.values())
+            for k, mine in enumerate(ours)
+        ]
         if slower == 1.0:
-            checks += [_beats(name, won, len(feasible)) for name, won in zip(_MEASURES, wins, strict=True)]
+            checks += [
+                _beats(name, won, len(feasible)) for name, won in zip(_MEASURES, wins, strict=True)
+            ]
         else:
-            tried = [f"{won} of {len(feasible)} in {name}" for name, won in zip(_MEASURES, wins, strict=True)]
-    checks.append(at_most("mean overshoot of the automatic design", 100 * ours[2], 15.0, "%", source="drawn as small"))
+            tried = [
+                f"{won} of {len(feasible)} in {name}"
+                for name, won in zip(_MEASURES, wins, strict=True)
+            ]
+    checks.append(
+        at_most(
+            "mean overshoot of the automatic design",
+            100 * ours[2],
+            15.0,
+            "%",
+            source="drawn as small",
+        )
+    )
     checks.append(
         at_most(
             "mean settling time of the automatic design",
@@ -105,21 +137,40 @@ def _means(oven: Oven, made: Mapping[float, Manual]) -> Item:
             source="within ℓ_max, twice",
         )
     )
-    reason = f"{_why(oven, made)}; the automatic design is at least as good there as {', '.join(tried)}"
-    source = "the automatic design beats each feasible manual pair in IAE, settling time and overshoot"
-    return Item("Fig. 65", "Performance of automatic and manual weights", source, checks, reason, rows, [_lines(ours, rows)])
+    reason = (
+        f"{_why(oven, made)}; the automatic design is at least as good there as {', '.join(tried)}"
+    )
+    source = (
+        "the automatic design beats each feasible manual pair in IAE, settling time and overshoot"
+    )
+    return Item(
+        "Fig. 65",
+        "Performance of automatic and manual weights",
+        source,
+        checks,
+        reason,
+        rows,
+        [_lines(ours, rows)],
+    )
 
 
 def _beats(name: str, won: int, feasible: int) -> Check:
     shown = f"{won} of {feasible}" if feasible else "nothing to compare: no pair is feasible at ℓ̂"
     return Check(
-        f"feasible manual pairs that the automatic design beats in {name}", "all (six)", shown, bool(feasible) and won == feasible
+        f"feasible manual pairs that the automatic design beats in {name}",
+        "all (six)",
+        shown,
+        bool(feasible) and won == feasible,
     )
 
 
 def _means_of(oven: Oven, made: Synthesis) -> tuple[float, float, float]:
     """Mean IAE, settling time and overshoot over the sampled plants of both configurations."""
-    responses = [r for plants in oven.sampled.values() for r in over_plants(plants[:_COMPARED], made.controller, DURATION)]
+    responses = [
+        r
+        for plants in oven.sampled.values()
+        for r in over_plants(plants[:_COMPARED], made.controller, DURATION)
+    ]
     table = [(r.integral_absolute_error, r.settling_time, r.overshoot) for r in responses]
     iae, settling, overshoot = np.mean(table, axis=0)
     return float(iae), float(settling), float(overshoot)
@@ -132,9 +183,14 @@ def _texts(means: tuple[float, float, float]) -> tuple[str, str, str]:
 def _surface(made: Manual, title: str) -> go.Figure:
     lows, highs = (sorted({pair[k] for pair in made}) for k in (0, 1))
     cost: FloatArray = np.array(
-        [[made[low, high].certified if (low, high) in made else np.nan for high in highs] for low in lows]
+        [
+            [made[low, high].certified if (low, high) in made else np.nan for high in highs]
+            for low in lows
+        ]
     )
-    figure = go.Figure(layout={"title": title, "xaxis_title": "h_g [dB]", "yaxis_title": "l_g [dB]"})
+    figure = go.Figure(
+        layout={"title": title, "xaxis_title": "h_g [dB]", "yaxis_title": "l_g [dB]"}
+    )
     figure.add_heatmap(x=highs, y=lows, z=np.minimum(cost, 3.0), colorbar={"title": "J"})
     figure.add_contour(
         x=highs,
@@ -151,5 +207,7 @@ def _lines(ours: tuple[float, float, float], rows: Sequence[Sequence[str]]) -> g
     figure = go.Figure(layout={"yaxis_title": "mean IAE [s]"})
     names, values = [row[0] for row in rows[1:]], [float(row[2]) for row in rows[1:]]
     figure.add_bar(x=names, y=values, name="mean IAE")
-    figure.add_scatter(x=names, y=[ours[0]] * len(names), name="automatic", line={"color": "#2e7d4f"})
+    figure.add_scatter(
+        x=names, y=[ours[0]] * len(names), name="automatic", line={"color": "#2e7d4f"}
+    )
     return figure

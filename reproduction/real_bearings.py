@@ -25,12 +25,17 @@ def real_bearings() -> list[Item]:
 
 def _item() -> Item:
     healthy = _recording("97_Normal_0")
-    figure = go.Figure(layout={"xaxis_title": "f [Hz]", "yaxis_title": "envelope spectrum over its median"})
+    figure = go.Figure(
+        layout={"xaxis_title": "f [Hz]", "yaxis_title": "envelope spectrum over its median"}
+    )
     checks = []
     for file, (part, order) in ORDERS.items():
         a = _recording(file)
         band = kurtogram(a, RATE, LEVELS).best
-        envelope, calm = (band_envelope(x - x.mean(), RATE, band.low, band.high, decimate=False).values for x in (a, healthy))
+        envelope, calm = (
+            band_envelope(x - x.mean(), RATE, band.low, band.high, decimate=False).values
+            for x in (a, healthy)
+        )
         f, spectrum = _spectrum(envelope)
         near_line = (f > 20) & (f < 400)
         found = float(f[near_line][np.argmax(spectrum[near_line])])
@@ -41,7 +46,11 @@ def _item() -> Item:
                 _ratio(found, order * SPEED),
                 0.02,
             ),
-            at_least(f"envelope RMS over the healthy bearing's, {part}", indicators(envelope).rms / indicators(calm).rms, 1.5),
+            at_least(
+                f"envelope RMS over the healthy bearing's, {part}",
+                indicators(envelope).rms / indicators(calm).rms,
+                1.5,
+            ),
         ]
         figure.add_scatter(x=f[near_line], y=spectrum[near_line], name=part)
     source = "the source's chain (kurtogram, envelope, indicators) is made for bearings' impacts"
@@ -55,7 +64,11 @@ def _ratio(found: float, line: float) -> float:
 
 
 def _recording(file: str) -> np.ndarray:
-    return next(value.ravel() for key, value in loadmat(RIG / f"{file}.mat").items() if key.endswith("DE_time"))
+    return next(
+        value.ravel()
+        for key, value in loadmat(RIG / f"{file}.mat").items()
+        if key.endswith("DE_time")
+    )
 
 
 def _spectrum(envelope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -27,7 +27,10 @@ def write_report(items: Sequence[Item], lost: Sequence[tuple[str, str, str]], pa
         f"<style>{_STYLE}</style><script>{get_plotlyjs()}</script>",
         "<h1>The source's numbers beside ours</h1>",
         f"<p>{escape(summary(items))}</p>",
-        *(f"<p class='differs'>Agreed before, and not now: {escape(', '.join(one))}</p>" for one in lost),
+        *(
+            f"<p class='differs'>Agreed before, and not now: {escape(', '.join(one))}</p>"
+            for one in lost
+        ),
         _overview(items),
         *(_section(item) for item in items),
     ]
@@ -47,21 +50,42 @@ def summary(items: Sequence[Item]) -> str:
 
 def _overview(items: Sequence[Item]) -> str:
     """The summary table: a row an item, with its first check that differs and the reason."""
-    head = "".join(f"<th>{name}</th>" for name in ("where", "what", "says", "checks that agree", "differs in", "reason"))
+    head = "".join(
+        f"<th>{name}</th>"
+        for name in ("where", "what", "says", "checks that agree", "differs in", "reason")
+    )
     return f"<table><tr>{head}</tr>{''.join(map(_overview_row, items))}</table>"
 
 
 def _overview_row(item: Item) -> str:
-    agree = f"{sum(check.holds for check in item.counted)} of {len(item.counted)}" if item.checks else ""
+    agree = (
+        f"{sum(check.holds for check in item.counted)} of {len(item.counted)}"
+        if item.checks
+        else ""
+    )
     differing = "; ".join(check.sentence for check in item.checks if not check.holds)
-    cells = (item.title, _coloured(item.word), agree, differing, item.reason if item.differs or not item.checks else "")
-    shown = "".join(f"<td>{cell if cell.startswith('<span') else escape(cell)}</td>" for cell in cells)
+    cells = (
+        item.title,
+        _coloured(item.word),
+        agree,
+        differing,
+        item.reason if item.differs or not item.checks else "",
+    )
+    shown = "".join(
+        f"<td>{cell if cell.startswith('<span') else escape(cell)}</td>" for cell in cells
+    )
     return f"<tr><td><a href='#{_anchor(item)}'>{escape(item.where)}</a></td>{shown}</tr>"
 
 
 def _section(item: Item) -> str:
-    figures = "".join(figure.to_html(full_html=False, include_plotlyjs=False) for figure in item.figures)
-    reason = f"<p>Reason: {escape(item.reason)}</p>" if item.reason and (item.differs or not item.checks) else ""
+    figures = "".join(
+        figure.to_html(full_html=False, include_plotlyjs=False) for figure in item.figures
+    )
+    reason = (
+        f"<p>Reason: {escape(item.reason)}</p>"
+        if item.reason and (item.differs or not item.checks)
+        else ""
+    )
     return (
         f"<h2 id='{_anchor(item)}'>{escape(item.where)}: {escape(item.title)}</h2><p class='source'>Source: "
         f"{escape(item.source)}</p>"
@@ -71,7 +95,11 @@ def _section(item: Item) -> str:
 
 def _allowed(item: Item) -> str:
     """Why the checks allow what they allow."""
-    return f"<p>What is allowed: {escape(TOLERANCES.get(item.where, ''))}</p>" if item.where in TOLERANCES else ""
+    return (
+        f"<p>What is allowed: {escape(TOLERANCES.get(item.where, ''))}</p>"
+        if item.where in TOLERANCES
+        else ""
+    )
 
 
 def _checks(checks: Sequence[Check]) -> str:
@@ -82,7 +110,10 @@ def _checks(checks: Sequence[Check]) -> str:
 
 
 def _check_row(check: Check) -> str:
-    cells = "".join(f"<td>{escape(cell)}</td>" for cell in (check.name, check.source, check.ours, check.difference))
+    cells = "".join(
+        f"<td>{escape(cell)}</td>"
+        for cell in (check.name, check.source, check.ours, check.difference)
+    )
     return f"<tr>{cells}<td>{_coloured(check.word)}</td></tr>"
 
 
@@ -98,5 +129,7 @@ def _table(rows: Sequence[Sequence[str]]) -> str:
     if not rows:
         return ""
     head = "".join(f"<th>{escape(cell)}</th>" for cell in rows[0])
-    body = "".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows[1:])
+    body = "".join(
+        "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows[1:]
+    )
     return f"<table class='numbers'><tr>{head}</tr>{body}</table>"

@@ -96,7 +96,10 @@ def table(items: Sequence[Item], constants: Sequence[Constant] = CONSTANTS) -> s
     """The page: how much agrees, and a line each of what does not."""
     checks = [check for item in items for check in item.checks]
     equal = sum(not constant.differs for constant in constants)
-    agree, built = sum(c.holds and not c.by_construction for c in checks), sum(c.holds and c.by_construction for c in checks)
+    agree, built = (
+        sum(c.holds and not c.by_construction for c in checks),
+        sum(c.holds and c.by_construction for c in checks),
+    )
     lines = [_constant_row(one) for one in constants if one.differs]
     lines += [_check_row(item, check) for item in items for check in item.checks if not check.holds]
     return "\n".join(
@@ -128,7 +131,9 @@ def _check_row(item: Item, check: Check) -> str:
 
 def main() -> None:
     """Run chapters 6 and 7, and write the page."""
-    FILE.write_text(table([item for part in PARTS for item in run(part, short=False)]), encoding="utf-8")
+    FILE.write_text(
+        table([item for part in PARTS for item in run(part, short=False)]), encoding="utf-8"
+    )
     print(f"written to {FILE}")
 
 

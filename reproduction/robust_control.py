@@ -7,16 +7,35 @@ import plotly.graph_objects as go
 
 from reproduction.benchmark import FULL, KERNEL, LOW, TRUE, TS, identified
 from reproduction.check import Check, at_least, at_most, same, within
-from reproduction.control_cases import DURATION, LOG, NAMES, PLANTS, Case, case, robust, sensitivities
+from reproduction.control_cases import (
+    DURATION,
+    LOG,
+    NAMES,
+    PLANTS,
+    Case,
+    case,
+    robust,
+    sensitivities,
+)
 from reproduction.item import Item
 from residuum.identification.linear_models.transfer_function import TransferFunction
-from residuum.robust_control.certificates import RobustAim, StepResponse, assess, over_plants, step_response
+from residuum.robust_control.certificates import (
+    RobustAim,
+    StepResponse,
+    assess,
+    over_plants,
+    step_response,
+)
 from residuum.robust_control.loop import Weights
 from residuum.robust_control.synthesis.constrained_structure import PIDN
 from residuum.robust_control.synthesis.structured_synthesis import synthesise
 from residuum.robust_control.weights.performance_weight import MonotoneWeight
 
-_MEASURES = {"integral_absolute_error": "IAE", "settling_time": "settling time", "overshoot": "overshoot"}
+_MEASURES = {
+    "integral_absolute_error": "IAE",
+    "settling_time": "settling time",
+    "overshoot": "overshoot",
+}
 _PHASES = np.exp(2j * np.pi * np.arange(72) / 72)
 _FRESH = 77
 Steps = Mapping[str, tuple[Sequence[StepResponse], StepResponse]]
@@ -28,7 +47,10 @@ def items(short: bool) -> list[Item]:
     steps = {}
     for name in NAMES:
         K = _controller(name)
-        steps[name] = (over_plants(case(name).sampled[:plants], K, DURATION), assess(step_response(TRUE, K, DURATION), TS))
+        steps[name] = (
+            over_plants(case(name).sampled[:plants], K, DURATION),
+            assess(step_response(TRUE, K, DURATION), TS),
+        )
     return [
         _sum(),
         _sampled(plants),
@@ -61,20 +83,33 @@ def _sum() -> Item:
         figure.add_scatter(x=one.loop.omega, y=total, name=name)
         faster = _least_sum(one, chosen.first, 1.1 * chosen.second)
         checks += [
-            at_most(f"max |Ŵ_S S| + |Ŵ_T T|, {name}", float(total.max()), 1.0, by_construction=True),
+            at_most(
+                f"max |Ŵ_S S| + |Ŵ_T T|, {name}", float(total.max()), 1.0, by_construction=True
+            ),
             at_most(
                 f"|Ŵ_S S_p| of the worst plant G(1 + ΔŴ_T), |Δ| = 1, {name}",
                 _worst_of_phases(one, W_S),
                 1.0,
                 source="what the sum promises",
             ),
-            at_least(f"least sum at 1.1 ω̂_c and the same h_g, {name}", faster, 1.0, source="the front's end"),
+            at_least(
+                f"least sum at 1.1 ω̂_c and the same h_g, {name}",
+                faster,
+                1.0,
+                source="the front's end",
+            ),
         ]
         tried.append(f"{name} {faster:.3f}")
     checks.append(_weight_check())
     source = "‖H‖₁ < 1 for all three identifications"
     return Item(
-        "Fig. 50", "The robust-performance test", source, checks, f"tried: 1.1 ω̂_c gives {', '.join(tried)}", rows, [figure]
+        "Fig. 50",
+        "The robust-performance test",
+        source,
+        checks,
+        f"tried: 1.1 ω̂_c gives {', '.join(tried)}",
+        rows,
+        [figure],
     )
 
 
@@ -93,17 +128,32 @@ def _weight_check() -> Check:
     """l_g at low and h_g at high frequency, 0 dB at ω_c."""
     weight = robust(KERNEL).weight
     gains = 20 * np.log10(
-        weight.magnitude([1e-9 * weight.critical_frequency, weight.critical_frequency, 1e9 * weight.critical_frequency])
+        weight.magnitude(
+            [
+                1e-9 * weight.critical_frequency,
+                weight.critical_frequency,
+                1e9 * weight.critical_frequency,
+            ]
+        )
     )
     off = float(np.abs(gains - [weight.low_gain_db, 0.0, weight.high_gain_db]).max())
-    return at_most("gains of Ŵ_S at 0, ω̂_c, ∞ against l_g, 0 dB, ĥ_g", off, 0.01, "dB", source="Algorithm 3, step 4")
+    return at_most(
+        "gains of Ŵ_S at 0, ω̂_c, ∞ against l_g, 0 dB, ĥ_g",
+        off,
+        0.01,
+        "dB",
+        source="Algorithm 3, step 4",
+    )
 
 
 def _sampled(plants: int) -> Item:
     figures, checks = [], []
     for name in NAMES:
         one, model = case(name), identified()[name]
-        W_S, K = robust(name).weight.magnitude(one.loop.omega), _controller(name).frequency_response(one.loop.omega)
+        W_S, K = (
+            robust(name).weight.magnitude(one.loop.omega),
+            _controller(name).frequency_response(one.loop.omega),
+        )
         S = 1 / np.abs(1 + model.sample_frequency_responses(plants, one.loop.omega, _FRESH) * K)
         over = int(np.sum((W_S * S > 1.0).any(axis=1)))
         checks.append(
@@ -117,18 +167,29 @@ def _sampled(plants: int) -> Item:
         )
         true = float((W_S / np.abs(1 + TRUE.frequency_response(one.loop.omega) * K)).max())
         if name != LOW:
-            checks.append(at_most(f"the true plant's largest |Ŵ_S S|, {name}", true, 1.0, source="inside"))
+            checks.append(
+                at_most(f"the true plant's largest |Ŵ_S S|, {name}", true, 1.0, source="inside")
+            )
         figure = go.Figure(layout=LOG | {"title": name, "showlegend": False})
         for row in S[:40]:
-            figure.add_scatter(x=one.loop.omega[::3], y=row[::3], line={"color": "#8a97a6", "width": 0.6})
-        figure.add_scatter(x=one.loop.omega, y=1 / W_S, line={"color": "#b3541e", "dash": "dash"}, name="1/|Ŵ_S|")
+            figure.add_scatter(
+                x=one.loop.omega[::3], y=row[::3], line={"color": "#8a97a6", "width": 0.6}
+            )
+        figure.add_scatter(
+            x=one.loop.omega, y=1 / W_S, line={"color": "#b3541e", "dash": "dash"}, name="1/|Ŵ_S|"
+        )
         figures.append(figure)
     source = "every sampled sensitivity lies below 1/|Ŵ_S|"
     return Item("Fig. 51", "Sensitivities of sampled plants", source, checks, figures=figures)
 
 
 def _in_time(steps: Steps, where: str, measures: Sequence[str]) -> Item:
-    rows = [("identification", *(f"{_MEASURES[m]}, range of the samples, and of the true plant" for m in measures))]
+    rows = [
+        (
+            "identification",
+            *(f"{_MEASURES[m]}, range of the samples, and of the true plant" for m in measures),
+        )
+    ]
     figures, checks = [], []
     for name in NAMES:
         drawn, true = steps[name]
@@ -138,20 +199,35 @@ def _in_time(steps: Steps, where: str, measures: Sequence[str]) -> Item:
             star = getattr(true, measure)
             inside, far = min(values) <= star <= max(values), not star <= 2 * max(values)
             cells.append(f"{min(values):.4g} … {max(values):.4g}; {star:.4g}")
-            wanted, holds = ("out of scale (twice beyond)", far) if name == LOW else ("inside", inside)
+            wanted, holds = (
+                ("out of scale (twice beyond)", far) if name == LOW else ("inside", inside)
+            )
             shown = f"{'inside' if inside else 'outside'} ({star:.4g} in {min(values):.4g} … {max(values):.4g})"
-            checks.append(Check(f"the true plant's {_MEASURES[measure]}, {name}", wanted, shown, holds))
+            checks.append(
+                Check(f"the true plant's {_MEASURES[measure]}, {name}", wanted, shown, holds)
+            )
             figures.append(_box(name, measure, values, star))
         rows.append((name, *cells))
     source = "the true plant lies within the sampled distribution for kernel and full order, and far outside for the low order"
-    return Item(where, "Robust performance in time", source, checks, _why_outside(steps, measures), rows, figures)
+    return Item(
+        where,
+        "Robust performance in time",
+        source,
+        checks,
+        _why_outside(steps, measures),
+        rows,
+        figures,
+    )
 
 
 def _why_outside(steps: Steps, measures: Sequence[str]) -> str:
     """What plants drawn about the truth itself, cut after the model's lags, give; the low order's true loop."""
     one, K = case(KERNEL), _controller(KERNEL)
     g = TRUE.simulate(np.r_[1.0, np.zeros(len(one.plant.den) - 1)])[1:]
-    drawn = [TransferFunction(g + p.num[-len(g) :] - one.plant.num[-len(g) :], one.plant.den, TS) for p in one.sampled[:60]]
+    drawn = [
+        TransferFunction(g + p.num[-len(g) :] - one.plant.num[-len(g) :], one.plant.den, TS)
+        for p in one.sampled[:60]
+    ]
     about = over_plants(drawn, K, DURATION)
     cut = assess(step_response(TransferFunction(g, one.plant.den, TS), K, DURATION), TS)
     said = "; ".join(
@@ -171,9 +247,21 @@ def _why_outside(steps: Steps, measures: Sequence[str]) -> str:
 
 
 def _box(name: str, measure: str, values: Sequence[float], star: float) -> go.Figure:
-    figure = go.Figure(layout={"title": name, "yaxis_title": _MEASURES[measure], "showlegend": False, "height": 320})
+    figure = go.Figure(
+        layout={
+            "title": name,
+            "yaxis_title": _MEASURES[measure],
+            "showlegend": False,
+            "height": 320,
+        }
+    )
     figure.add_box(y=list(values), name="sampled")
-    figure.add_scatter(x=["sampled"], y=[star], mode="markers", marker={"symbol": "star", "size": 14, "color": "#2e7d4f"})
+    figure.add_scatter(
+        x=["sampled"],
+        y=[star],
+        mode="markers",
+        marker={"symbol": "star", "size": 14, "color": "#2e7d4f"},
+    )
     return figure
 
 
@@ -188,7 +276,12 @@ def _tests(plants: int) -> Item:
         largest = (1 / np.abs(1 + fresh * K)).max(axis=0)
         checks += [
             at_most(f"max |Ŵ_T T|, {name}", float((one.W_T * T).max()), 1.0, by_construction=True),
-            at_most(f"max |Ŵ_S| |S|/(1 − |Ŵ_T T|), {name}", float((W_S * uncertain).max()), 1.0, by_construction=True),
+            at_most(
+                f"max |Ŵ_S| |S|/(1 − |Ŵ_T T|), {name}",
+                float((W_S * uncertain).max()),
+                1.0,
+                by_construction=True,
+            ),
             at_most(
                 f"largest sampled |S_p| over |S|/(1 − |Ŵ_T T|), {name}",
                 float((largest / uncertain).max()),
@@ -209,7 +302,13 @@ def _tests(plants: int) -> Item:
     order = [robust(name).chosen.second for name in (LOW, FULL, KERNEL)]
     checks += [
         same("unstable sampled plants of kernel and full order", 0, _unstable(plants)),
-        within("ω̂_c of the kernel over the full order's", order[2] / order[1], 0.0, 1.0, source="it knows less"),
+        within(
+            "ω̂_c of the kernel over the full order's",
+            order[2] / order[1],
+            0.0,
+            1.0,
+            source="it knows less",
+        ),
     ]
     source = "T below 1/|Ŵ_T|, and the uncertain sensitivity below 1/|Ŵ_S| (the worst case has 1 − |Ŵ_T T|, printed 1 + Ŵ_T T)"
     return Item("Fig. 54", "The two tests of robust performance", source, checks, figures=figures)

@@ -17,7 +17,10 @@ from residuum.diagnosis.thresholds.threshold import EvaluationName, ThresholdKin
 from residuum.identification.kernel_based.impulse_response import identify_impulse_response
 from residuum.identification.linear_models.state_space import StateSpace
 from residuum.identification.linear_models.transfer_function import TransferFunction
-from residuum.identification.linear_models.uncertainty import UncertaintyWeight, design_uncertainty_weight
+from residuum.identification.linear_models.uncertainty import (
+    UncertaintyWeight,
+    design_uncertainty_weight,
+)
 from residuum.identification.record import Record
 
 TS, N, DROPPED, SNR, TAPS, GAMMA = 0.1, 5000, 1000, 9.0, 100, 0.1
@@ -59,7 +62,12 @@ def plant_record(seed: int, step: float = 0.0) -> Record:
     e = np.clip(rng.normal(size=N), -3, 3)
     e *= np.std(y) / np.sqrt(SNR) / np.std(e)
     fault = step * (np.arange(N) >= ONSET)
-    return Record({"u": u, "y": y + e + fault}, {"u": "", "y": ""}, TS, source=f"(4.10), seed {seed}, step {step:g}")
+    return Record(
+        {"u": u, "y": y + e + fault},
+        {"u": "", "y": ""},
+        TS,
+        source=f"(4.10), seed {seed}, step {step:g}",
+    )
 
 
 def items(short: bool) -> list[Item]:
@@ -67,7 +75,9 @@ def items(short: bool) -> list[Item]:
     training = plant_record(TRAINING).window(DROPPED, N)
     model = identify_impulse_response(training, "u", "y", order=TAPS, cover_cut=False)
     accuracy = SHORT_ACCURACY if short else ACCURACY
-    weight = design_uncertainty_weight(model, omega=OMEGA, accuracy=accuracy, confidence=CONFIDENCE, seed=TRAINING)
+    weight = design_uncertainty_weight(
+        model, omega=OMEGA, accuracy=accuracy, confidence=CONFIDENCE, seed=TRAINING
+    )
     design = design_residual(model, weight.weight, [training], gamma=GAMMA)
     designs = {PLAIN: _plain(design), ROBUST: design, "whitened": design}
     return [
@@ -93,20 +103,44 @@ def _identification(design: ResidualDesign, weight: UncertaintyWeight) -> Item:
     W_T = np.abs(weight.weight.frequency_response(OMEGA))
     slow, nearest = 100 * float(error[OMEGA < 10.0].max()), float((weight.magnitude / W_T).max())
     unseen = np.linspace(OMEGA[0], OMEGA[-1], 701)[1:-1]
-    fresh = design.model.sample_frequency_responses(400, unseen, FRESH) / design.model.frequency_response(unseen)
-    over = 100 * float(np.mean((np.abs(fresh - 1) > np.abs(weight.weight.frequency_response(unseen))).any(axis=1)))
-    figure = _bode({"true": truth, "identified": model, "Ŵ_T": W_T, "Ω": weight.magnitude, "true relative error": error})
+    fresh = design.model.sample_frequency_responses(
+        400, unseen, FRESH
+    ) / design.model.frequency_response(unseen)
+    over = 100 * float(
+        np.mean((np.abs(fresh - 1) > np.abs(weight.weight.frequency_response(unseen))).any(axis=1))
+    )
+    figure = _bode(
+        {
+            "true": truth,
+            "identified": model,
+            "Ŵ_T": W_T,
+            "Ω": weight.magnitude,
+            "true relative error": error,
+        }
+    )
     for draw in fresh[:20]:
-        figure.add_scatter(x=unseen, y=np.abs(draw - 1), line={"color": "#8a97a6", "width": 0.5}, showlegend=False)
+        figure.add_scatter(
+            x=unseen, y=np.abs(draw - 1), line={"color": "#8a97a6", "width": 0.5}, showlegend=False
+        )
     checks = [
-        at_most("largest error of the model below 10 rad/s", slow, 20.0, "%", source="drawn together"),
-        near("static gain over the truth's", 1.0, float(design.model.frequency_response([0.0])[0].real / truth[0]), 0.1),
+        at_most(
+            "largest error of the model below 10 rad/s", slow, 20.0, "%", source="drawn together"
+        ),
+        near(
+            "static gain over the truth's",
+            1.0,
+            float(design.model.frequency_response([0.0])[0].real / truth[0]),
+            0.1,
+        ),
         at_most("largest true error over Ŵ_T", float((error / W_T).max()), 1.0, source="the bound"),
         at_most("Ω over Ŵ_T, largest", nearest, 1.0 + 1e-9, by_construction=True),
         at_least("Ω over Ŵ_T, largest: the weight touches the dots", nearest, 0.8),
         at_most("new draws above Ŵ_T anywhere at unseen frequencies", over, 5.0, "%"),
     ]
-    rows = [("random models", "largest error"), (str(weight.n_samples), f"{100 * error.max():.1f} %")]
+    rows = [
+        ("random models", "largest error"),
+        (str(weight.n_samples), f"{100 * error.max():.1f} %"),
+    ]
     source = "the kernel model follows the truth, Ŵ_T lies above the random models"
     return Item("Fig. 56", "Identification of (4.10)", source, checks, "", rows, [figure])
 
@@ -121,18 +155,30 @@ def _post_filter(design: ResidualDesign, weight: UncertaintyWeight, training: Re
         rows.append((name, *values, f"{20 * np.log10(x.max() / x.min()):.1f} dB"))
     optimum = GAMMA / np.sqrt(1 + GW**2)
     checks = [
-        at_most("rank correlation of |Q̂| with |Ŵ_T|", rank, -0.9, source="the inverse frequency response"),
+        at_most(
+            "rank correlation of |Q̂| with |Ŵ_T|",
+            rank,
+            -0.9,
+            source="the inverse frequency response",
+        ),
         at_most(
             "largest relative distance of |Q̂| from the optimum γ/√(1 + |Ĝ₀Ŵ_T|²)",
             float(np.abs(Q / optimum - 1).max()),
             0.05,
             source="(4.8), Varga (2017)",
         ),
-        at_most("‖Q̂ [N̂Ŵ_T, M̂]‖∞", float((Q * np.sqrt(1 + GW**2)).max()), GAMMA * (1 + 1e-6), by_construction=True),
+        at_most(
+            "‖Q̂ [N̂Ŵ_T, M̂]‖∞",
+            float((Q * np.sqrt(1 + GW**2)).max()),
+            GAMMA * (1 + 1e-6),
+            by_construction=True,
+        ),
         near("β over max |Q̂|", 1.0, design.post_filter.beta / float(Q.max()), 0.02),
     ]
     large = replace(weight.weight, num=LARGER * weight.weight.num)
-    Q_large, GW_large, _ = _filter_and_weight(design_residual(design.model, large, [training], gamma=GAMMA), large)
+    Q_large, GW_large, _ = _filter_and_weight(
+        design_residual(design.model, large, [training], gamma=GAMMA), large
+    )
     reason = (
         f"what Q̂ inverts is √(|Ĝ₀Ŵ_T|² + 1), which is {np.sqrt(1 + GW.max() ** 2):.3f} at most here, so Q̂ "
         "is nearly the constant γ; "
@@ -144,7 +190,9 @@ def _post_filter(design: ResidualDesign, weight: UncertaintyWeight, training: Re
     return Item("Fig. 57", "Post-filter and weight", source, checks, reason, rows, [_bode(curves)])
 
 
-def _filter_and_weight(design: ResidualDesign, W_T: TransferFunction) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _filter_and_weight(
+    design: ResidualDesign, W_T: TransferFunction
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """|Q̂|, |Ĝ₀Ŵ_T| and |Ŵ_T|; an impulse response has M̂ = 1."""
     weight = np.abs(W_T.frequency_response(OMEGA))
     Q = np.abs(design.post_filter.Q.frequency_response(OMEGA)[:, 0, 0])
@@ -154,11 +202,25 @@ def _filter_and_weight(design: ResidualDesign, W_T: TransferFunction) -> tuple[n
 def _large_step(designs: dict[str, ResidualDesign]) -> Item:
     found = _detections(designs, LARGE)
     checks = [
-        at_most(f"first alarm after the step, {look.residual}, {look.threshold}", _delay(detection), TS, "s", source="at once")
+        at_most(
+            f"first alarm after the step, {look.residual}, {look.threshold}",
+            _delay(detection),
+            TS,
+            "s",
+            source="at once",
+        )
         for look, detection in zip(LOOKS, found, strict=True)
     ]
     source = "seen at once by the robust and by the plain residual"
-    return Item("Fig. 58 (a)", "Sensor step of 30 at 250 s", source, checks, "", _table(found), [_plot(found, LARGE)])
+    return Item(
+        "Fig. 58 (a)",
+        "Sensor step of 30 at 250 s",
+        source,
+        checks,
+        "",
+        _table(found),
+        [_plot(found, LARGE)],
+    )
 
 
 def _small_step(designs: dict[str, ResidualDesign]) -> Item:
@@ -168,10 +230,27 @@ def _small_step(designs: dict[str, ResidualDesign]) -> Item:
     r = found[1].signals.robust
     shift = abs(float(np.mean(r[ONSET + 500 :]) - np.mean(r[500:ONSET])))
     checks = [
-        at_least("samples after the step over (4.9), robust residual", robust, 1.0, "%", source="detected"),
-        at_most("samples after the step over (4.9), plain residual", plain, 0.0, "%", source="cannot be detected"),
+        at_least(
+            "samples after the step over (4.9), robust residual",
+            robust,
+            1.0,
+            "%",
+            source="detected",
+        ),
+        at_most(
+            "samples after the step over (4.9), plain residual",
+            plain,
+            0.0,
+            "%",
+            source="cannot be detected",
+        ),
         at_most("the likelihood ratio's first alarm after the step", _delay(found[4]), 60.0, "s"),
-        near("mean shift of the robust residual over |Q̂(1)| times the step", 1.0, shift / (SMALL * level), 0.1),
+        near(
+            "mean shift of the robust residual over |Q̂(1)| times the step",
+            1.0,
+            shift / (SMALL * level),
+            0.1,
+        ),
     ]
     reason = (
         "(4.9) with the plain residual's own gain and with γ differ by the factor by which Q̂, nearly "
@@ -181,7 +260,15 @@ def _small_step(designs: dict[str, ResidualDesign]) -> Item:
         f"ratio: {_said(found[4])})"
     )
     source = "seen by the robust residual, lost by the plain one"
-    return Item("Fig. 58 (b)", "Sensor step of 3 at 250 s", source, checks, reason, _table(found), [_plot(found, SMALL)])
+    return Item(
+        "Fig. 58 (b)",
+        "Sensor step of 3 at 250 s",
+        source,
+        checks,
+        reason,
+        _table(found),
+        [_plot(found, SMALL)],
+    )
 
 
 def _healthy(designs: dict[str, ResidualDesign]) -> Item:
@@ -189,20 +276,30 @@ def _healthy(designs: dict[str, ResidualDesign]) -> Item:
     judged = detection.signals.valid[:ONSET]
     over, tau = int(detection.alarm[:ONSET].sum()), detection.threshold.typical
     largest = float(detection.statistic[:ONSET].max())
-    bound = max(float(np.abs(plant_record(HEALTHY)["u"]).max()), robust.input_bound, robust.noise_bound)
+    bound = max(
+        float(np.abs(plant_record(HEALTHY)["u"]).max()), robust.input_bound, robust.noise_bound
+    )
     checks = [
         same("healthy samples over τ", 0, over),
         near("τ over γ max(‖u‖∞, ‖e‖∞)", 1.0, tau / (GAMMA * bound), 0.05),
         within("largest healthy |r| over τ", largest / tau, 0.2, 1.0, source="below, and not far"),
     ]
-    rows = [("τ (4.9)", "largest healthy |r|", "judged samples"), (f"{tau:.3f}", f"{largest:.3f}", f"{judged.sum()} of {ONSET}")]
+    rows = [
+        ("τ (4.9)", "largest healthy |r|", "judged samples"),
+        (f"{tau:.3f}", f"{largest:.3f}", f"{judged.sum()} of {ONSET}"),
+    ]
     reason = "(4.9) bounds energy and not peaks, so it promises nothing of single samples"
-    return Item("(4.9)", "The threshold while healthy", "no healthy sample passes τ", checks, reason, rows)
+    return Item(
+        "(4.9)", "The threshold while healthy", "no healthy sample passes τ", checks, reason, rows
+    )
 
 
 def _detections(designs: dict[str, ResidualDesign], step: float) -> list[Detection]:
     record = plant_record(HEALTHY, step)
-    return [detect(designs[look.residual], record, threshold=look.kind, evaluation=look.evaluation) for look in LOOKS]
+    return [
+        detect(designs[look.residual], record, threshold=look.kind, evaluation=look.evaluation)
+        for look in LOOKS
+    ]
 
 
 def _delay(detection: Detection) -> float:
@@ -221,7 +318,16 @@ def _said(detection: Detection) -> str:
 
 
 def _table(found: list[Detection]) -> list[tuple[str, ...]]:
-    rows = [("residual", "threshold", "level", "healthy samples over", "first after the step", "share over after the step")]
+    rows = [
+        (
+            "residual",
+            "threshold",
+            "level",
+            "healthy samples over",
+            "first after the step",
+            "share over after the step",
+        )
+    ]
     for look, detection in zip(LOOKS, found, strict=True):
         share = "restarts" if look.evaluation == "glr" else f"{100 * _share(detection):.1f} %"
         healthy = str(int(detection.alarm[:ONSET].sum()))
@@ -233,15 +339,34 @@ def _table(found: list[Detection]) -> list[tuple[str, ...]]:
 def _plot(found: list[Detection], step: float) -> go.Figure:
     t = np.arange(N) * TS
     faulty, healthy = plant_record(HEALTHY, step)["y"], plant_record(HEALTHY)["y"]
-    figure = make_subplots(3, 1, shared_xaxes=True, vertical_spacing=0.06, subplot_titles=("y", f"|{PLAIN}|", f"|{ROBUST}|"))
-    figure.add_scatter(x=t, y=faulty, name="y faulty", line={"color": "#b3541e", "width": 1}, row=1, col=1)
-    figure.add_scatter(x=t, y=healthy, name="y healthy", line={"color": "#1a1f26", "width": 1}, row=1, col=1)
+    figure = make_subplots(
+        3,
+        1,
+        shared_xaxes=True,
+        vertical_spacing=0.06,
+        subplot_titles=("y", f"|{PLAIN}|", f"|{ROBUST}|"),
+    )
+    figure.add_scatter(
+        x=t, y=faulty, name="y faulty", line={"color": "#b3541e", "width": 1}, row=1, col=1
+    )
+    figure.add_scatter(
+        x=t, y=healthy, name="y healthy", line={"color": "#1a1f26", "width": 1}, row=1, col=1
+    )
     for row, (worst, ours) in enumerate(((found[0], found[2]), (found[1], found[3])), start=2):
         shown = row == 2
         figure.add_scatter(
-            x=t, y=worst.statistic, line={"color": "#5b7fa6", "width": 1}, name="|r|", showlegend=shown, row=row, col=1
+            x=t,
+            y=worst.statistic,
+            line={"color": "#5b7fa6", "width": 1},
+            name="|r|",
+            showlegend=shown,
+            row=row,
+            col=1,
         )
-        for detection, name, colour in ((worst, "worst case", "#b3541e"), (ours, "one alarm a day", "#2e7d4f")):
+        for detection, name, colour in (
+            (worst, "worst case", "#b3541e"),
+            (ours, "one alarm a day", "#2e7d4f"),
+        ):
             figure.add_scatter(
                 x=t,
                 y=np.broadcast_to(detection.threshold.level, N),
@@ -257,7 +382,14 @@ def _plot(found: list[Detection], step: float) -> go.Figure:
 
 
 def _bode(magnitudes: dict[str, np.ndarray]) -> go.Figure:
-    figure = go.Figure(layout={"xaxis_title": "ω [rad/s]", "yaxis_title": "magnitude", "xaxis_type": "log", "yaxis_type": "log"})
+    figure = go.Figure(
+        layout={
+            "xaxis_title": "ω [rad/s]",
+            "yaxis_title": "magnitude",
+            "xaxis_type": "log",
+            "yaxis_type": "log",
+        }
+    )
     for name, magnitude in magnitudes.items():
         figure.add_scatter(x=OMEGA, y=magnitude, name=name)
     return figure

@@ -22,7 +22,9 @@ TOLERANCES = {
         "by 8 to 14 %, and 25 % is twice to three times that. The bias of a consistent estimate must drown in one "
         "estimate's scatter."
     ),
-    "Fig. 29–30": ("95 % within the scatter of counting so many repeats, and, for 200 samples, of the first order of (1.107)."),
+    "Fig. 29–30": (
+        "95 % within the scatter of counting so many repeats, and, for 200 samples, of the first order of (1.107)."
+    ),
     "Fig. 31–32": "As Fig. 29–30; the least covered of twelve frequencies may lie lower than one chosen beforehand.",
     "Fig. 43": (
         "“Perfect” is put as 3 % at a resonance and a fit of 98 %, “almost perfect” as 10 % and 93 %; “cannot model the "
@@ -132,6 +134,8 @@ TOLERANCES = {
         "source, and 20 is over three times that. Labels drawn at random are told by half, and 65 % is three standard "
         "deviations beyond; who judges what he was taught tells all."
     ),
-    "(A.7)": ("As Section 7.6. An honest validation may not be better than the mixed one; guessing healthy is beaten by half."),
+    "(A.7)": (
+        "As Section 7.6. An honest validation may not be better than the mixed one; guessing healthy is beaten by half."
+    ),
 }
 """Place → why its checks allow what they allow."""

@@ -14,7 +14,13 @@ from typing import TYPE_CHECKING, Any
 from residuum.nearest_names import known_names
 
 if TYPE_CHECKING:
-    from residuum.identification.errors import BadInput, BadModel, BadRecord, BadUnit, NotIdentifiable
+    from residuum.identification.errors import (
+        BadInput,
+        BadModel,
+        BadRecord,
+        BadUnit,
+        NotIdentifiable,
+    )
     from residuum.library import control
     from residuum.library.catalogue import Catalogue, effects
     from residuum.library.comparison import Comparison
@@ -98,7 +104,9 @@ def __getattr__(name: str) -> Any:
     if name == "control":
         return import_module("residuum.library.control")
     if name not in _PLACE:
-        raise AttributeError(f"module 'residuum' has no attribute {name!r}; {known_names(name, __all__, 'it has')}")
+        raise AttributeError(
+            f"module 'residuum' has no attribute {name!r}; {known_names(name, __all__, 'it has')}"
+        )
     found = getattr(import_module(f"residuum.{_PLACE[name]}"), name)
     globals()[name] = found
     return found

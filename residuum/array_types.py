@@ -1,4 +1,6 @@
-"""Types of the arrays that rooms hand to each other; shapes and units stand where an array is used."""
+"""Types of the arrays that rooms hand to each other; shapes and units stand where an array is
+used.
+"""
 
 from typing import Any
 

@@ -14,9 +14,11 @@ _MADE_OF = (".py", ".yaml", ".dbc")
 
 @lru_cache(maxsize=8)
 def code_digest(package: str) -> str:
-    """SHA-256 of this Python and of every source and data file of an imported package, by place within it and content.
+    """SHA-256 of this Python and of every source and data file of an imported package, by place
+    within it and content.
 
-    A package is named, never a file: names of files move, and a package that moved is an import that fails where it is read.
+    A package is named, never a file: names of files move, and a package that moved is an import
+    that fails where it is read.
 
     Parameters
     ----------

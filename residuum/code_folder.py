@@ -1,4 +1,5 @@
-"""Folders of compiled code: each belongs to the user who runs this program, and nobody else can put anything there.
+"""Folders of compiled code: each belongs to the user who runs this program, and nobody else can put
+anything there.
 
 What lies there is loaded and run, so whoever may write there may do as this user may.
 """
@@ -20,13 +21,18 @@ _OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
 def code_folder(name: str, variable: str) -> Path:
     """The folder `name` of compiled code, made where it is missing, with mode 0700.
 
-    It is in the folder that the environment's `variable` names, else in `~/.cache/residuum`, else among the temporary files. One
-    that is not ours alone, or that lies where others may exchange it, is never used: what is compiled is then forgotten at this
-    process's end, and a RuntimeWarning says why.
+    It is in the folder that the environment's `variable` names, else in `~/.cache/residuum`, else
+    among the temporary files. One that is not ours alone, or that lies where others may exchange
+    it, is never used: what is compiled is then forgotten at this process's end, and a
+    RuntimeWarning says why.
     """
     folder, why = _found(name, os.environ.get(variable))
     if why is not None:
-        warnings.warn(f"compiled code is not kept: {why}; {variable} names another folder", RuntimeWarning, stacklevel=2)
+        warnings.warn(
+            f"compiled code is not kept: {why}; {variable} names another folder",
+            RuntimeWarning,
+            stacklevel=2,
+        )
     return folder
 
 
@@ -59,7 +65,9 @@ def _found(name: str, chosen: str | None) -> tuple[Path, str | None]:
 
 
 def _make_closed(folder: Path) -> None:
-    """Make a folder and what is missing above it, each with mode 0700: `mkdir(parents=True)` leaves those above to the umask."""
+    """Make a folder and what is missing above it, each with mode 0700: `mkdir(parents=True)` leaves
+    those above to the umask.
+    """
     if not folder.is_dir():
         if folder != folder.parent:
             _make_closed(folder.parent)
@@ -75,7 +83,8 @@ def _forget(folder: Path, process: int) -> None:
 def why_not_private(folder: Path) -> str | None:
     """Why somebody else could put code into a folder, None when nobody but this user and root can.
 
-    The folder must be this user's; each folder above it this user's or root's, and closed to others or sticky as `/tmp` is.
+    The folder must be this user's; each folder above it this user's or root's, and closed to others
+    or sticky as `/tmp` is.
     """
     if folder.is_symlink() or folder.stat().st_uid != os.getuid():
         return f"{folder} belongs to another user"

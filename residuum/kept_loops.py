@@ -1,9 +1,11 @@
 """Compiled loops, kept on disk until anything that they are made of changes.
 
-Numba's own cache looks at the file of a loop alone, so a loop that calls one of another file, or holds a constant of another
-file, would go on with the old one after an update in place. Here the stamp of a loop is a digest of its file and of every file of
-this package that it imports, directly or through others. What was compiled is kept by that digest and not by the folder that the
-package lies in, so a copy of the package, or one that moved, compiles nothing again. The oldest go, so nothing piles up.
+Numba's own cache looks at the file of a loop alone, so a loop that calls one of another file, or
+holds a constant of another file, would go on with the old one after an update in place. Here the
+stamp of a loop is a digest of its file and of every file of this package that it imports, directly
+or through others. What was compiled is kept by that digest and not by the folder that the package
+lies in, so a copy of the package, or one that moved, compiles nothing again. The oldest go, so
+nothing piles up.
 """
 
 # mypy: disable-error-code="misc,no-untyped-call"
@@ -26,16 +28,22 @@ from numba.core.caching import CompileResultCacheImpl, FunctionCache, InTreeCach
 from residuum.code_folder import code_folder
 
 _ROOT = Path(__file__).parents[1]
-_IMPORT = re.compile(r"^\s*(?:from (residuum[\w.]*) import (\([^)]*\)|.*)|import (residuum[\w.]*))", re.MULTILINE)
+_IMPORT = re.compile(
+    r"^\s*(?:from (residuum[\w.]*) import (\([^)]*\)|.*)|import (residuum[\w.]*))", re.MULTILINE
+)
 _NAME = re.compile(r"\w+")
 _KEPT = 4
-"""Versions of a file whose loops stay compiled: the installed one, and checkouts beside it. Chosen."""
+"""Versions of a file whose loops stay compiled: the installed one, and checkouts beside it.
+Chosen.
+"""
 
 
 def njit(**options: Any) -> Callable[[Any], Any]:
-    """`numba.njit(**options)`, kept on disk: in `$NUMBA_CACHE_DIR`, else in `~/.cache/residuum/loops`.
+    """`numba.njit(**options)`, kept on disk: in `$NUMBA_CACHE_DIR`, else in
+    `~/.cache/residuum/loops`.
 
-    Without the interpreter's lock unless asked otherwise: in a service a long loop would hold up everybody.
+    Without the interpreter's lock unless asked otherwise: in a service a long loop would hold up
+    everybody.
     """
 
     def kept(function: Any) -> Any:
@@ -48,7 +56,9 @@ def njit(**options: Any) -> Callable[[Any], Any]:
 
 @lru_cache(maxsize=1024)
 def made_of(file: Path) -> str:
-    """A digest of a file of this package and of all files of it that this one imports, directly or through others."""
+    """A digest of a file of this package and of all files of it that this one imports, directly or
+    through others.
+    """
     digest = hashlib.sha256()
     for source_file in sorted(_reached(file)):
         digest.update(_content(source_file))
@@ -72,7 +82,9 @@ def _content(file: Path) -> bytes:
 
 @lru_cache(maxsize=4096)
 def _imported(file: Path) -> tuple[Path, ...]:
-    """Files of this package that a file imports; a name in `from … import name` may be a file or what a file defines."""
+    """Files of this package that a file imports; a name in `from … import name` may be a file or
+    what a file defines.
+    """
     return tuple(dict.fromkeys(_files_named(_content(file).decode())))
 
 
@@ -91,7 +103,9 @@ class _Locator(InTreeCacheLocator):
     def get_cache_path(self) -> str:
         """A folder for each version of a file, in one that belongs to this user alone."""
         file = Path(self._py_file)
-        versions = code_folder("loops", "NUMBA_CACHE_DIR") / "_".join(file.with_suffix("").relative_to(_ROOT).parts)
+        versions = code_folder("loops", "NUMBA_CACHE_DIR") / "_".join(
+            file.with_suffix("").relative_to(_ROOT).parts
+        )
         folder = versions / self.get_source_stamp()[:24]
         if not folder.is_dir():
             folder.mkdir(parents=True, exist_ok=True)
@@ -105,9 +119,13 @@ class _Locator(InTreeCacheLocator):
 
 
 def _forget_oldest(versions: Path) -> None:
-    """Remove what has not been used for longest; another process may do the same at the same time."""
+    """Remove what has not been used for longest; another process may do the same at the same
+    time.
+    """
     with suppress(FileNotFoundError):
-        for folder in sorted(versions.iterdir(), key=lambda folder: -folder.stat().st_mtime)[_KEPT:]:
+        for folder in sorted(versions.iterdir(), key=lambda folder: -folder.stat().st_mtime)[
+            _KEPT:
+        ]:
             shutil.rmtree(folder, ignore_errors=True)
 
 

@@ -6,17 +6,25 @@ from collections.abc import Iterable
 from difflib import get_close_matches
 
 _LIKE = 0.6
-"""Share of letters that a name has in common with what was written, from which it may have been meant (difflib's own)."""
+"""Share of letters that a name has in common with what was written, from which it may have been
+meant (difflib's own).
+"""
 
 
-def nearest_names(written: object, known: Iterable[object], most: int = 1, like: float = _LIKE) -> list[str]:
-    """The `most` names that are written nearly as `written` is, the nearest first; capitals, `_` and `-` count as alike.
+def nearest_names(
+    written: object, known: Iterable[object], most: int = 1, like: float = _LIKE
+) -> list[str]:
+    """The `most` names that are written nearly as `written` is, the nearest first; capitals, `_`
+    and `-` count as alike.
 
     >>> nearest_names("Coulom_friction", ["viscous-friction", "coulomb-friction"])
     ['coulomb-friction']
     """
     by_spelling = {_spelling(name): str(name) for name in known}
-    return [by_spelling[name] for name in get_close_matches(_spelling(written), list(by_spelling), n=most, cutoff=like)]
+    return [
+        by_spelling[name]
+        for name in get_close_matches(_spelling(written), list(by_spelling), n=most, cutoff=like)
+    ]
 
 
 def did_you_mean(written: object, known: Iterable[object]) -> str:

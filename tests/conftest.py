@@ -73,7 +73,9 @@ def own_effects():
 def _kept_folder(config, tmp_path_factory):
     """The folder of this version of the code; those of the oldest go. Without pytest's cache it is one of this run alone."""
     versions = [f"{library} {version(library)}" for library in MADE_WITH]
-    digest = hashlib.sha256(" ".join([code_digest("residuum"), *versions]).encode()).hexdigest()[:16]
+    digest = hashlib.sha256(" ".join([code_digest("residuum"), *versions]).encode()).hexdigest()[
+        :16
+    ]
     if hasattr(config, "cache"):
         place = config.cache.mkdir("made")
     else:
@@ -85,7 +87,10 @@ def _kept_folder(config, tmp_path_factory):
         folder.mkdir(exist_ok=True)
         os.utime(folder)
         if hasattr(config, "cache"):
-            kept = sorted((found for found in place.iterdir() if found.is_dir()), key=lambda found: -found.stat().st_mtime)
+            kept = sorted(
+                (found for found in place.iterdir() if found.is_dir()),
+                key=lambda found: -found.stat().st_mtime,
+            )
             for old in kept[VERSIONS_KEPT:]:
                 shutil.rmtree(old)
     return folder

@@ -11,7 +11,9 @@ import pytest
 from residuum.code_folder import code_folder, why_not_kept
 
 OTHER = 65534
-NEEDS_ROOT = pytest.mark.skipif(os.getuid() != 0, reason="only root can give a folder to somebody else")
+NEEDS_ROOT = pytest.mark.skipif(
+    os.getuid() != 0, reason="only root can give a folder to somebody else"
+)
 
 
 @pytest.fixture
@@ -30,7 +32,10 @@ def refused(says):
 def test_a_folder_is_closed_to_others_even_when_it_was_open(chosen):
     (chosen / "kernels").mkdir(parents=True)
     (chosen / "kernels").chmod(0o777)
-    assert code_folder("kernels", "OUR_CODE") == chosen / "kernels" and why_not_kept("kernels", "OUR_CODE") is None
+    assert (
+        code_folder("kernels", "OUR_CODE") == chosen / "kernels"
+        and why_not_kept("kernels", "OUR_CODE") is None
+    )
     assert stat.S_IMODE((chosen / "kernels").stat().st_mode) == 0o700
 
 
@@ -39,7 +44,11 @@ def test_a_folder_is_kept_whatever_the_umask_is(tmp_path):
     asked = made + "print(why_not_kept('kernels', 'OUR_CODE'), code_folder('kernels', 'OUR_CODE'))"
     home = os.environ | {"HOME": str(tmp_path / "home")}
     said = subprocess.run(
-        [sys.executable, "-W", "error", "-c", asked], capture_output=True, text=True, check=True, env=home
+        [sys.executable, "-W", "error", "-c", asked],
+        capture_output=True,
+        text=True,
+        check=True,
+        env=home,
     ).stdout
     folder = tmp_path / "home" / ".cache" / "residuum" / "kernels"
     assert said.split() == ["None", str(folder)]
@@ -73,6 +82,12 @@ def test_a_folder_of_somebody_else_is_not_used(chosen, tmp_path, whose):
 def test_what_cannot_be_kept_is_gone_with_its_process(chosen):
     chosen.mkdir()
     chosen.chmod(0o777)
-    command = [sys.executable, "-W", "ignore", "-c", "from residuum.code_folder import *; print(code_folder('k', 'OUR_CODE'))"]
+    command = [
+        sys.executable,
+        "-W",
+        "ignore",
+        "-c",
+        "from residuum.code_folder import *; print(code_folder('k', 'OUR_CODE'))",
+    ]
     folder = subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
     assert folder and not Path(folder).exists()

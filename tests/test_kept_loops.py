@@ -50,10 +50,17 @@ def package(tmp_path):
         (room / "numbers.py").write_text(f"OFFSET = {offset}\n")
 
     def run(where=tmp_path):
-        environment = os.environ | {"PYTHONPATH": str(where), "NUMBA_CACHE_DIR": str(tmp_path / "kept")}
-        environment["PYTHONDONTWRITEBYTECODE"] = "1"  # Python's own takes a file of the same second and size for the same
+        environment = os.environ | {
+            "PYTHONPATH": str(where),
+            "NUMBA_CACHE_DIR": str(tmp_path / "kept"),
+        }
+        environment["PYTHONDONTWRITEBYTECODE"] = (
+            "1"  # Python's own takes a file of the same second and size for the same
+        )
         command = [sys.executable, "-c", RUN]
-        done = subprocess.run(command, env=environment, cwd=where, capture_output=True, text=True, check=False)
+        done = subprocess.run(
+            command, env=environment, cwd=where, capture_output=True, text=True, check=False
+        )
         assert not done.returncode, done.stderr
         return done.stdout.split("\n")[:-1]
 
@@ -95,10 +102,16 @@ def test_without_it_numba_goes_on_with_what_was_there_before(package):
     write(2.0, 1.0, "plain", "cache=True")
     assert run()[-1] == "3.0"
     write(5.0, 7.0, "plain", "cache=True")
-    assert run()[-1] == "3.0", "Numba's own cache has become as careful: residuum/kept_loops.py can go"
+    assert run()[-1] == "3.0", (
+        "Numba's own cache has become as careful: residuum/kept_loops.py can go"
+    )
 
 
 def test_every_loop_of_ours_is_kept_so():
-    files = [file for file in Path(residuum.__file__).parent.rglob("*.py") if file.name != "kept_loops.py"]
+    files = [
+        file
+        for file in Path(residuum.__file__).parent.rglob("*.py")
+        if file.name != "kept_loops.py"
+    ]
     careless = [str(file) for file in files if "cache=True" in file.read_text(encoding="utf-8")]
     assert careless == []

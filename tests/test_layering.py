@@ -17,7 +17,10 @@ MAY_IMPORT = {
     "library": {"identification", "diagnosis", "robust_control", "simulation"},
     "service": {"identification", "diagnosis", "robust_control", "simulation", "library"},
 }
-FOR_ALL = {f"residuum.{name}" for name in ("array_types", "code_digest", "code_folder", "kept_loops", "nearest_names")}
+FOR_ALL = {
+    f"residuum.{name}"
+    for name in ("array_types", "code_digest", "code_folder", "kept_loops", "nearest_names")
+}
 """Types of arrays, how compiled code is kept, how a name is refused: no physics, no method; simulators may use it, too."""
 ONLY_IN_SERVICE = {
     "fastapi",
@@ -49,7 +52,10 @@ def imported(path):
         elif isinstance(node, ast.ImportFrom):
             base = package[: len(package) - node.level + 1] if node.level else ()
             name = ".".join([*base, *([node.module] if node.module else [])])
-            yield from {f"{name}.{alias.name}" if is_module(f"{name}.{alias.name}") else name for alias in node.names}
+            yield from {
+                f"{name}.{alias.name}" if is_module(f"{name}.{alias.name}") else name
+                for alias in node.names
+            }
 
 
 def is_module(name):
@@ -68,17 +74,29 @@ def test_imports_follow_the_layers(path):
         if top == "residuum" and rest and rest[0] != room and name not in FOR_ALL:
             assert rest[0] in MAY_IMPORT[room], f"{room} must not import {name}"
             if rest[0] == "simulation":
-                assert any(str(path.relative_to(ROOT)).startswith(place) for place in MAY_USE_SIMULATION), f"imports {name}"
+                assert any(
+                    str(path.relative_to(ROOT)).startswith(place) for place in MAY_USE_SIMULATION
+                ), f"imports {name}"
         if room != "service" and not (top == "pydantic" and parts[:2] == QUESTIONS):
             assert top not in ONLY_IN_SERVICE, f"{name} belongs to service"
-        if room == "service" and len(parts) > 2 and parts[1] in APART and top == "residuum" and rest[:1] == ["service"]:
-            assert len(rest) < 2 or rest[1] not in APART or rest[1] == parts[1], f"{parts[1]} must not import {name}"
+        if (
+            room == "service"
+            and len(parts) > 2
+            and parts[1] in APART
+            and top == "residuum"
+            and rest[:1] == ["service"]
+        ):
+            assert len(rest) < 2 or rest[1] not in APART or rest[1] == parts[1], (
+                f"{parts[1]} must not import {name}"
+            )
 
 
 def test_no_import_cycles():
     graph = {}
     for path in modules():
-        name = ".".join(["residuum", *path.relative_to(ROOT).with_suffix("").parts]).removesuffix(".__init__")
+        name = ".".join(["residuum", *path.relative_to(ROOT).with_suffix("").parts]).removesuffix(
+            ".__init__"
+        )
         graph[name] = {target for target in imported(path) if target.startswith("residuum.")}
     done: set[str] = set()
 
@@ -102,9 +120,15 @@ def test_the_plan_draws_the_search_as_its_imports_run():
     """What ARCHITECTURE.md calls a chain is one: every module stands in it, right of all that it imports of its room."""
     text = (ROOT.parent / "ARCHITECTURE.md").read_text(encoding="utf-8")
     chain = text.partition("each importing only what stands left of it:")[2].split("`")[1].split()
-    assert sorted(chain) == sorted(path.stem for path in SEARCH.glob("*.py") if path.stem != "__init__")
+    assert sorted(chain) == sorted(
+        path.stem for path in SEARCH.glob("*.py") if path.stem != "__init__"
+    )
     for place, name in enumerate(chain):
-        of_the_room = {each.rpartition(".")[2] for each in imported(SEARCH / f"{name}.py") if ".unseen_blocks." in each}
+        of_the_room = {
+            each.rpartition(".")[2]
+            for each in imported(SEARCH / f"{name}.py")
+            if ".unseen_blocks." in each
+        }
         assert of_the_room <= set(chain[:place]), name
 
 
@@ -128,12 +152,18 @@ STARTED = {
 def named(path):
     """Modules that the text of a module names: what is imported by its name, when it is needed."""
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.Constant) and isinstance(node.value, str) and node.value.startswith("residuum."):
+        if (
+            isinstance(node, ast.Constant)
+            and isinstance(node.value, str)
+            and node.value.startswith("residuum.")
+        ):
             yield node.value
 
 
 def dotted(path):
-    return ".".join(["residuum", *path.relative_to(ROOT).with_suffix("").parts]).removesuffix(".__init__")
+    return ".".join(["residuum", *path.relative_to(ROOT).with_suffix("").parts]).removesuffix(
+        ".__init__"
+    )
 
 
 def reached_from(starts):
@@ -151,10 +181,14 @@ def reached_from(starts):
 def test_every_module_is_reached_from_a_door():
     """A module that neither library nor commands nor service reach gets a door, or goes: to the peers, or altogether."""
     everything, reached = reached_from(start for starts in DOORS.values() for start in starts)
-    places = {f"{name.removeprefix('residuum.').replace('.', '/')}/" for name in everything - reached}
+    places = {
+        f"{name.removeprefix('residuum.').replace('.', '/')}/" for name in everything - reached
+    }
     unnamed = {place for place in places if not place.startswith(tuple(STARTED))}
     assert not unnamed, f"neither library nor command line nor service reaches {sorted(unnamed)}"
-    assert all(any(place.startswith(start) for place in places) for start in STARTED), "what is reached needs no other start"
+    assert all(any(place.startswith(start) for place in places) for start in STARTED), (
+        "what is reached needs no other start"
+    )
 
 
 @pytest.mark.parametrize("door", DOORS)

@@ -18,9 +18,21 @@ def run_peer(name: str, packages: list[str], script: str, timeout: float = 600.0
     python = FOLDER / name / "bin" / "python"
     try:
         if not python.exists():
-            subprocess.run([sys.executable, "-m", "venv", FOLDER / name], check=True, capture_output=True, timeout=timeout)
-        subprocess.run([python, "-m", "pip", "install", "--quiet", *packages], check=True, capture_output=True, timeout=timeout)
-        done = subprocess.run([python, "-c", script], check=True, capture_output=True, text=True, timeout=timeout)
+            subprocess.run(
+                [sys.executable, "-m", "venv", FOLDER / name],
+                check=True,
+                capture_output=True,
+                timeout=timeout,
+            )
+        subprocess.run(
+            [python, "-m", "pip", "install", "--quiet", *packages],
+            check=True,
+            capture_output=True,
+            timeout=timeout,
+        )
+        done = subprocess.run(
+            [python, "-c", script], check=True, capture_output=True, text=True, timeout=timeout
+        )
     except (subprocess.SubprocessError, OSError):
         return None
     return json.loads(done.stdout.strip().splitlines()[-1])

@@ -30,7 +30,11 @@ class AdaptiveThreshold:
         return np.asarray(self.kappa * (spread / np.sqrt(len(self.envelope)) + self.sigma))
 
 
-def adaptive_threshold(model: IdentifiedModel, W_T: TransferFunction, sigma: float) -> AdaptiveThreshold:
+def adaptive_threshold(
+    model: IdentifiedModel, W_T: TransferFunction, sigma: float
+) -> AdaptiveThreshold:
     """The threshold selector of an identified model and its weight; `sigma` the noise's standard deviation [output unit]."""
     length = model.delay + model.order
-    return AdaptiveThreshold(np.abs(W_T.simulate(model.simulate(np.eye(1, length)[0]) - model.offset)), sigma)
+    return AdaptiveThreshold(
+        np.abs(W_T.simulate(model.simulate(np.eye(1, length)[0]) - model.offset)), sigma
+    )

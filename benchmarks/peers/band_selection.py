@@ -17,7 +17,13 @@ import numpy as np
 import numpy.typing as npt
 from scipy import fft
 
-from residuum.diagnosis.vibration.spectra import Band, Kurtogram, envelope_of_spectrum, kurtogram, padded_spectrum
+from residuum.diagnosis.vibration.spectra import (
+    Band,
+    Kurtogram,
+    envelope_of_spectrum,
+    kurtogram,
+    padded_spectrum,
+)
 from residuum.diagnosis.vibration.vibration_indicators import indicators
 from residuum.identification.errors import BadInput
 
@@ -61,25 +67,45 @@ def choose_band(
     return list(of_tree.in_order(merits(x, of_tree, merit, rates)))
 
 
-def merits(x: npt.ArrayLike, of_tree: Kurtogram, merit: str, rates: tuple[float, float] = (10.0, 400.0)) -> Array:
+def merits(
+    x: npt.ArrayLike, of_tree: Kurtogram, merit: str, rates: tuple[float, float] = (10.0, 400.0)
+) -> Array:
     """The merit of every band of a kurtogram of x, shape (bands,); −∞ for the whole band and where one is too narrow."""
     if merit == "kurtosis":
         return np.where(of_tree.level > 0, of_tree.kurtosis, -np.inf)
     signal: Array = np.asarray(x)
     rate = of_tree.sampling_rate
     if signal.shape[0] < 8 * rate / rates[0]:
-        raise BadInput(f"band selection: {signal.shape[0] / rate:g} s hold fewer than 8 periods of {rates[0]:g} Hz")
+        raise BadInput(
+            f"band selection: {signal.shape[0] / rate:g} s hold fewer than 8 periods of {rates[0]:g} Hz"
+        )
     spectrum, padded = padded_spectrum(signal - signal.mean())
     found = np.full(of_tree.level.shape, -np.inf)
     for k, (centre, width) in enumerate(zip(of_tree.centre, of_tree.width, strict=True)):
         if of_tree.level[k] == 0 or width < 2 * rates[0]:
             continue
-        envelope = envelope_of_spectrum(spectrum, padded, signal.shape[0], rate, centre - width / 2, centre + width / 2)
+        envelope = envelope_of_spectrum(
+            spectrum, padded, signal.shape[0], rate, centre - width / 2, centre + width / 2
+        )
         square = envelope.values**2
         square = np.minimum(square, _CLIPPED * np.median(square))
-        power = np.abs(fft.rfft(square - square.mean(), fft.next_fast_len(square.shape[0], real=True)))[1:] ** 2
-        power = power[: max(8, int(power.shape[0] * min(1.0, 2 * _HARMONICS * rates[1] / envelope.sampling_rate)))]
-        found[k] = indicators(np.sqrt(power)).kurtosis if merit == "protrugram" else _negentropy(square) + _negentropy(power)
+        power = (
+            np.abs(fft.rfft(square - square.mean(), fft.next_fast_len(square.shape[0], real=True)))[
+                1:
+            ]
+            ** 2
+        )
+        power = power[
+            : max(
+                8,
+                int(power.shape[0] * min(1.0, 2 * _HARMONICS * rates[1] / envelope.sampling_rate)),
+            )
+        ]
+        found[k] = (
+            indicators(np.sqrt(power)).kurtosis
+            if merit == "protrugram"
+            else _negentropy(square) + _negentropy(power)
+        )
     return found
 
 
@@ -91,8 +117,12 @@ def separation(current: Kurtogram, healthy: Sequence[Kurtogram]) -> Array:
     finds the fault's band at once, because what is impulsive or loud in health cancels.
     """
     if len(healthy) < 3 or any(other.level.shape != current.level.shape for other in healthy):
-        raise BadInput("band separation: needs three or more healthy kurtograms of the same division")
-    return np.asarray(np.max([_deviation(current, healthy, part) for part in (_log_power, _log_kurtosis)], axis=0))
+        raise BadInput(
+            "band separation: needs three or more healthy kurtograms of the same division"
+        )
+    return np.asarray(
+        np.max([_deviation(current, healthy, part) for part in (_log_power, _log_kurtosis)], axis=0)
+    )
 
 
 def _log_power(k: Kurtogram) -> Array:
@@ -105,7 +135,9 @@ def _log_kurtosis(k: Kurtogram) -> Array:
 
 def _deviation(current: Kurtogram, healthy: Sequence[Kurtogram], part: Any) -> Array:
     of_healthy = np.array([part(k) for k in healthy])
-    return np.asarray((part(current) - of_healthy.mean(axis=0)) / np.maximum(of_healthy.std(axis=0, ddof=1), 0.05))
+    return np.asarray(
+        (part(current) - of_healthy.mean(axis=0)) / np.maximum(of_healthy.std(axis=0, ddof=1), 0.05)
+    )
 
 
 def _negentropy(power: Array) -> float:

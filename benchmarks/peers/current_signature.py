@@ -24,7 +24,9 @@ def supply_frequency(currents: Matrix, sample_time: float, nominal: float) -> fl
     """
     n = currents.shape[0]
     if n * sample_time * nominal < 3:
-        raise BadInput(f"three-phase currents: {n * sample_time * nominal:.1f} periods of {nominal:g} Hz; at least 3 are needed")
+        raise BadInput(
+            f"three-phase currents: {n * sample_time * nominal:.1f} periods of {nominal:g} Hz; at least 3 are needed"
+        )
     t = sample_time * np.arange(n, dtype=float)
 
     def unexplained(frequency: float) -> float:
@@ -36,7 +38,9 @@ def supply_frequency(currents: Matrix, sample_time: float, nominal: float) -> fl
     return float(minimize_scalar(unexplained, bounds=(low, high), method="bounded").x)
 
 
-def harmonic_phasors(currents: Matrix, sample_time: float, frequency: float, harmonics: Sequence[int] = HARMONICS) -> Phasors:
+def harmonic_phasors(
+    currents: Matrix, sample_time: float, frequency: float, harmonics: Sequence[int] = HARMONICS
+) -> Phasors:
     """Complex amplitude of each harmonic in each phase by least squares, shape (n_harmonics, 3); no leakage between harmonics.
 
     Parameters
@@ -61,7 +65,9 @@ def symmetrical_components(phasors: Phasors) -> Phasors:
     return np.asarray(phasors @ np.array([[1, 1, 1], [1, a, a**2], [1, a**2, a]]).T / 3)
 
 
-def current_signature(currents: Matrix, sample_time: float, nominal: float, harmonics: Sequence[int] = HARMONICS) -> Matrix:
+def current_signature(
+    currents: Matrix, sample_time: float, nominal: float, harmonics: Sequence[int] = HARMONICS
+) -> Matrix:
     """Sequence currents of all harmonics over the positive-sequence fundamental, real and imaginary parts, and ln of that one.
 
     A turn short in one phase draws a negative-sequence current whose *angle* to the positive sequence tells the phase and whose
@@ -71,11 +77,19 @@ def current_signature(currents: Matrix, sample_time: float, nominal: float, harm
     if currents.ndim != 2 or currents.shape[1] != 3:
         raise BadInput(f"three-phase currents: shape {currents.shape}; must be (n, 3)")
     frequency = supply_frequency(currents, sample_time, nominal)
-    sequences = symmetrical_components(harmonic_phasors(currents, sample_time, frequency, harmonics))
+    sequences = symmetrical_components(
+        harmonic_phasors(currents, sample_time, frequency, harmonics)
+    )
     first = list(harmonics).index(1)
-    forward = 1 if abs(sequences[first, 1]) >= abs(sequences[first, 2]) else 2  # the order of the phases may be a, c, b
+    forward = (
+        1 if abs(sequences[first, 1]) >= abs(sequences[first, 2]) else 2
+    )  # the order of the phases may be a, c, b
     reference = sequences[first, forward]
-    turned = sequences * np.exp(-1j * np.angle(reference) * np.asarray(harmonics))[:, None] / abs(reference)
+    turned = (
+        sequences
+        * np.exp(-1j * np.angle(reference) * np.asarray(harmonics))[:, None]
+        / abs(reference)
+    )
     flat = np.delete(turned.ravel(), 3 * first + forward)
     return np.concatenate([flat.real, flat.imag, [np.log(abs(reference))]])
 

@@ -31,7 +31,9 @@ class Delay:
     at_edge: bool
 
 
-def delay_by_simulation_error(movement: Movement, model: AdaptedModel, largest: float = 0.05) -> Delay:
+def delay_by_simulation_error(
+    movement: Movement, model: AdaptedModel, largest: float = 0.05
+) -> Delay:
     """Minimise J(d) = mean (v^c − v̂_d)² of (7.3) over 0 ≤ d ≤ `largest`, the other constants of `model` kept.
 
     J is written in motor speed; τ̄ scales it only. The standard deviation takes the residual as white, which a gate's
@@ -48,7 +50,9 @@ def delay_by_simulation_error(movement: Movement, model: AdaptedModel, largest: 
     return _minimum(cost, movement.sample_time, largest)
 
 
-def delay_by_likelihood(movement: Movement, model: AdaptedModel, largest: float = 0.05, order: int = _NOISE_ORDER) -> Delay:
+def delay_by_likelihood(
+    movement: Movement, model: AdaptedModel, largest: float = 0.05, order: int = _NOISE_ORDER
+) -> Delay:
     """Maximise the Gaussian likelihood of d with the residual autoregressive of `order` (fitted at each d).
 
     Whitening takes weight from the slow misfit that friction leaves and gives it to what moves fast, such as the ripple of the
@@ -58,7 +62,9 @@ def delay_by_likelihood(movement: Movement, model: AdaptedModel, largest: float 
 
     def cost(d: float) -> float:
         residual = replace(model, delay=d).residual(movement)[run]
-        innovation = np.asarray(lfilter(autoregressive_whitener(residual, order), [1.0], residual - np.mean(residual)))[order:]
+        innovation = np.asarray(
+            lfilter(autoregressive_whitener(residual, order), [1.0], residual - np.mean(residual))
+        )[order:]
         return 0.5 * innovation.shape[0] * float(np.log(np.mean(innovation**2)))
 
     return _minimum(cost, movement.sample_time, largest)
@@ -85,4 +91,6 @@ def _minimum(cost: Callable[[float], float], step: float, largest: float) -> Del
     if a <= 0:
         return Delay(float(grid[best]), step, float(values[best]), False)
     offset = float(np.clip(-b / (2 * a), -step, step))
-    return Delay(float(grid[best] + offset), float(1.0 / np.sqrt(2 * a)), float(c - b**2 / (4 * a)), False)
+    return Delay(
+        float(grid[best] + offset), float(1.0 / np.sqrt(2 * a)), float(c - b**2 / (4 * a)), False
+    )

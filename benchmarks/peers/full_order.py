@@ -88,20 +88,35 @@ def full_order_design(
         raise BadInput("full-order design: plant and weights must have one sample time")
     general = generalised_plant(plant, W_S, W_T)
     if len(general.A) > _LARGEST_ORDER:
-        raise NotAvailable(f"full-order design: {len(general.A)} states; at most {_LARGEST_ORDER} are taken")
+        raise NotAvailable(
+            f"full-order design: {len(general.A)} states; at most {_LARGEST_ORDER} are taken"
+        )
     continuous = _to_continuous(general)
-    matrices = json.dumps([m.tolist() for m in (continuous.A, continuous.B, continuous.C, continuous.D)])
+    matrices = json.dumps(
+        [m.tolist() for m in (continuous.A, continuous.B, continuous.C, continuous.D)]
+    )
     try:
         done = subprocess.run(
-            [python, "-c", _SLYCOT], input=matrices, capture_output=True, text=True, timeout=timeout, check=False
+            [python, "-c", _SLYCOT],
+            input=matrices,
+            capture_output=True,
+            text=True,
+            timeout=timeout,
+            check=False,
         )
     except subprocess.TimeoutExpired:
         raise NotAvailable(f"full-order design: slycot took longer than {timeout:g} s") from None
     if done.returncode:
-        installed = "slycot is not installed" if done.returncode == _NOT_INSTALLED else "slycot found no controller"
+        installed = (
+            "slycot is not installed"
+            if done.returncode == _NOT_INSTALLED
+            else "slycot found no controller"
+        )
         raise NotAvailable(f"full-order design: {installed}")
     reported, *parts = json.loads(done.stdout)
-    controller = _to_discrete(StateSpace(*(np.array(part, dtype=float) for part in parts), general.sample_time))
+    controller = _to_discrete(
+        StateSpace(*(np.array(part, dtype=float) for part in parts), general.sample_time)
+    )
     closed = interconnect(
         [general, controller],
         np.array([[0.0, 0, 0, 0], [0, 0, 0, 1], [0, 0, 1, 0]]),
@@ -112,7 +127,9 @@ def full_order_design(
     return FullOrder(controller, norm, float(reported))
 
 
-def generalised_plant(plant: TransferFunction, W_S: TransferFunction, W_T: TransferFunction) -> StateSpace:
+def generalised_plant(
+    plant: TransferFunction, W_S: TransferFunction, W_T: TransferFunction
+) -> StateSpace:
     """From (r, u) to (W_S e, W_T y, e) with y = G u and e = r − y."""
     blocks = [StateSpace.from_transfer_function(system) for system in (plant, W_S, W_T)]
     blocks.append(StateSpace.gain(1.0, blocks[0].sample_time))
@@ -138,5 +155,9 @@ def _bilinear(system: StateSpace, sign: float) -> StateSpace:
     inverse: FloatArray = np.asarray(np.linalg.inv(unit + sign * system.A), dtype=np.float64)
     D = system.D - sign * system.C @ inverse @ system.B
     return StateSpace(
-        inverse @ (system.A - sign * unit), _ROOT * inverse @ system.B, _ROOT * system.C @ inverse, D, system.sample_time
+        inverse @ (system.A - sign * unit),
+        _ROOT * inverse @ system.B,
+        _ROOT * system.C @ inverse,
+        D,
+        system.sample_time,
     )

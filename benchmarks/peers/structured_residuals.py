@@ -82,9 +82,16 @@ def structured_residuals(
 def _check(p: int, columns: Sequence[Column]) -> None:
     for column in columns:
         if len(column) != p:
-            raise BadModel(f"structured residuals: a column has {len(column)} entries for {p} outputs; one each is needed")
-        if any(entry.sample_time is None or not entry.is_stable or not entry.is_proper for entry in column):
-            raise BadModel("structured residuals: every path must be discrete-time, proper and stable")
+            raise BadModel(
+                f"structured residuals: a column has {len(column)} entries for {p} outputs; one each is needed"
+            )
+        if any(
+            entry.sample_time is None or not entry.is_stable or not entry.is_proper
+            for entry in column
+        ):
+            raise BadModel(
+                "structured residuals: every path must be discrete-time, proper and stable"
+            )
 
 
 def _annihilator(columns: Sequence[Column], rows: Sequence[int], p: int) -> list[TransferFunction]:
@@ -95,12 +102,15 @@ def _annihilator(columns: Sequence[Column], rows: Sequence[int], p: int) -> list
     # A column may be multiplied by its common denominator: that changes no left annihilator and leaves polynomials.
     numerators = [_over_common_denominator([column[k] for k in rows]) for column in columns]
     minors = [
-        _determinant([[column[i] for i in range(len(rows)) if i != left] for column in numerators]) for left in range(len(rows))
+        _determinant([[column[i] for i in range(len(rows)) if i != left] for column in numerators])
+        for left in range(len(rows))
     ]
     degree = max(len(minor) for minor in minors)
     scale = max(float(np.abs(minor).max()) for minor in minors)
     if scale == 0.0:
-        raise BadModel(f"structured residuals: outputs {tuple(rows)} see the signals to be decoupled in one direction only")
+        raise BadModel(
+            f"structured residuals: outputs {tuple(rows)} see the signals to be decoupled in one direction only"
+        )
     row = [TransferFunction(np.zeros(1), np.ones(1), Ts)] * p
     delay = np.eye(1, degree)[0]
     for sign, (k, minor) in enumerate(zip(rows, minors, strict=True)):
@@ -109,7 +119,9 @@ def _annihilator(columns: Sequence[Column], rows: Sequence[int], p: int) -> list
 
 
 def _sample_time(columns: Sequence[Column]) -> float:
-    return next((entry.sample_time for column in columns for entry in column if entry.sample_time), 1.0)
+    return next(
+        (entry.sample_time for column in columns for entry in column if entry.sample_time), 1.0
+    )
 
 
 def _over_common_denominator(entries: Sequence[TransferFunction]) -> list[FloatArray]:
@@ -172,7 +184,10 @@ def _residual(
         )
     sees = {name: gain(column) for name, column in faults.items()}
     return StructuredResidual(
-        through, {name: value if value > _SEEN * size else 0.0 for name, value in sees.items()}, blind, leak
+        through,
+        {name: value if value > _SEEN * size else 0.0 for name, value in sees.items()},
+        blind,
+        leak,
     )
 
 
@@ -187,7 +202,9 @@ def _column_system(column: Column) -> StateSpace:
     parts = [StateSpace.from_transfer_function(entry) for entry in column]
     A = np.zeros((0, 0))
     for part in parts:
-        A = np.block([[A, np.zeros((len(A), part.order))], [np.zeros((part.order, len(A))), part.A]])
+        A = np.block(
+            [[A, np.zeros((len(A), part.order))], [np.zeros((part.order, len(A))), part.A]]
+        )
     B = np.vstack([part.B for part in parts])
     C = np.zeros((len(parts), len(A)))
     start = 0

@@ -45,7 +45,9 @@ def mu_bounds(M: npt.ArrayLike, *, starts: int = 6, seed: int = 0) -> tuple[floa
     """
     M = np.asarray(M, dtype=complex)
     if M.ndim != 2 or M.shape[0] != M.shape[1] or not np.isfinite(M).all():
-        raise BadInput(f"structured singular value, M: has shape {M.shape}; must be square and finite")
+        raise BadInput(
+            f"structured singular value, M: has shape {M.shape}; must be square and finite"
+        )
     upper = _scaled_norm(M)
     phases = np.random.default_rng(seed).uniform(0, 2 * np.pi, (starts, len(M)))
     lower = max(_spectral_radius(M, start) for start in phases)

@@ -33,7 +33,9 @@ class SynchronousAverage:
     residual: Array
 
 
-def synchronous_average(x: npt.ArrayLike, angle: Array, samples_per_revolution: int, revolutions: int = 1) -> SynchronousAverage:
+def synchronous_average(
+    x: npt.ArrayLike, angle: Array, samples_per_revolution: int, revolutions: int = 1
+) -> SynchronousAverage:
     """Average a signal over stretches of `revolutions` turns.
 
     Asynchronous parts fall with the square root of the number of averages. Pass `revolutions` above 1 for a period of several
@@ -49,7 +51,9 @@ def synchronous_average(x: npt.ArrayLike, angle: Array, samples_per_revolution: 
     period = samples_per_revolution * revolutions
     count = even.shape[0] // period
     if count < 2:
-        raise BadInput(f"synchronous average: {even.shape[0] / period:.3g} periods; at least 2 are needed")
+        raise BadInput(
+            f"synchronous average: {even.shape[0] / period:.3g} periods; at least 2 are needed"
+        )
     table = even[: count * period].reshape(count, period)
     mean = table.mean(axis=0)
     return SynchronousAverage(mean, table.std(axis=0, ddof=1), count, (table - mean).ravel())

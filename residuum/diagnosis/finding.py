@@ -26,7 +26,9 @@ RECORDED = "recorded_without_baseline"
 """Evidence of a window that was kept and not judged."""
 
 LIMITS_HOLD = "absolute_limits_hold"
-"""Evidence of a window that passes no absolute limit, and has no baseline by which it could be called healthy."""
+"""Evidence of a window that passes no absolute limit, and has no baseline by which it could be
+called healthy.
+"""
 
 
 @dataclass(frozen=True)
@@ -46,7 +48,8 @@ class Finding:
     units : mapping of name to unit
         Unit of each indicator (absent = dimensionless).
     evidence : mapping
-        JSON-able material a person can check: band, frequency, samples, baseline size, probabilities.
+        JSON-able material a person can check: band, frequency, samples, baseline size,
+        probabilities.
     reason : str or None
         One sentence with the numbers: why this verdict.
 
@@ -79,18 +82,34 @@ class Finding:
 
     @classmethod
     def recorded(cls, diagnoser: str) -> Finding:
-        """The finding on a window that came before there was a baseline: the window is kept to train one. It raises no alarm."""
-        says = "there is no baseline yet: the window is recorded, so that one can be trained from it"
+        """The finding on a window that came before there was a baseline: the window is kept to
+        train one. It raises no alarm.
+        """
+        says = (
+            "there is no baseline yet: the window is recorded, so that one can be trained from it"
+        )
         return cls.not_assessable(diagnoser, says, **{RECORDED: True})
 
     def without_baseline(self, held: str) -> Finding:
-        """This healthy finding as it may be said without a baseline: not assessable, with the absolute limits that it held."""
-        says = f"there is no baseline to compare with, so that health cannot be told; no absolute limit is passed: {held}"
+        """This healthy finding as it may be said without a baseline: not assessable, with the
+        absolute limits that it held.
+        """
+        says = (
+            "there is no baseline to compare with, so that health cannot be told; no absolute"
+            f" limit is passed: {held}"
+        )
         says = f"{says}; {self.reason}" if self.reason else says
-        return replace(self, verdict=Verdict.NOT_ASSESSABLE, evidence={**self.evidence, LIMITS_HOLD: True}, reason=says)
+        return replace(
+            self,
+            verdict=Verdict.NOT_ASSESSABLE,
+            evidence={**self.evidence, LIMITS_HOLD: True},
+            reason=says,
+        )
 
     def with_remarks(self, remarks: Sequence[str]) -> Finding:
-        """This finding with what no verdict depends on told beside it: in `evidence` and behind the reason."""
+        """This finding with what no verdict depends on told beside it: in `evidence` and behind the
+        reason.
+        """
         if not remarks:
             return self
         says = "; ".join([*([self.reason] if self.reason else []), *remarks])
@@ -98,7 +117,9 @@ class Finding:
 
     @property
     def within_absolute_limits(self) -> bool:
-        """Whether every absolute limit holds, and no more can be said, because there was no baseline."""
+        """Whether every absolute limit holds, and no more can be said, because there was no
+        baseline.
+        """
         return bool(self.evidence.get(LIMITS_HOLD))
 
     @property
@@ -107,7 +128,9 @@ class Finding:
         return bool(self.evidence.get(RECORDED))
 
     def to_json(self) -> dict[str, Any]:
-        """The finding as plain JSON values (the `score` object of the command line and the HTTP interface)."""
+        """The finding as plain JSON values (the `score` object of the command line and the HTTP
+        interface).
+        """
         outer = {name: _plain(self.evidence[name]) for name in TOLD_BESIDE if name in self.evidence}
         return outer | {
             "diagnoser": self.diagnoser,

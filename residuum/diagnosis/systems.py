@@ -18,18 +18,24 @@ from residuum.kept_loops import njit
 
 @dataclass(frozen=True, eq=False)
 class ReducedSystem:
-    """The truncated system, the Hankel singular values, and the bound 2 Σ_{i>r} σ_i on ‖G − G_r‖_∞."""
+    """The truncated system, the Hankel singular values, and the bound 2 Σ_{i>r} σ_i on ‖G −
+    G_r‖_∞.
+    """
 
     system: StateSpace
     hankel_singular_values: FloatArray
     error_bound: float
 
 
-def balanced_truncation(system: StateSpace, tolerance: float, *, order: int | None = None) -> ReducedSystem:
-    """Least order r whose error bound 2 Σ_{i>r} σ_i is at most `tolerance` (absolute), or the given `order`.
+def balanced_truncation(
+    system: StateSpace, tolerance: float, *, order: int | None = None
+) -> ReducedSystem:
+    """Least order r whose error bound 2 Σ_{i>r} σ_i is at most `tolerance` (absolute), or the given
+    `order`.
 
-    Square-root form (Tombs and Postlethwaite, 1987): it needs no balancing of the full system, so nearly
-    uncontrollable states do no harm. The bound is Enns' and Glover's (1984); the reduced system is stable.
+    Square-root form (Tombs and Postlethwaite, 1987): it needs no balancing of the full system, so
+    nearly uncontrollable states do no harm. The bound is Enns' and Glover's (1984); the reduced
+    system is stable.
 
     Raises
     ------
@@ -48,7 +54,9 @@ def balanced_truncation(system: StateSpace, tolerance: float, *, order: int | No
     r = min(r, int(np.sum(sigma > sigma[0] * 1e-14))) if sigma[0] > 0 else 0
     scale = 1.0 / np.sqrt(sigma[:r])
     left, right = (observability @ U[:, :r] * scale).T, controllability @ Vt[:r].T * scale
-    reduced = StateSpace(left @ system.A @ right, left @ system.B, system.C @ right, system.D, system.sample_time)
+    reduced = StateSpace(
+        left @ system.A @ right, left @ system.B, system.C @ right, system.D, system.sample_time
+    )
     return ReducedSystem(reduced, np.asarray(sigma), float(tails[r]))
 
 
@@ -71,7 +79,8 @@ class LeftCoprimeFactors:
     N : StateSpace, p × q
         u → N u.
     observer : StateSpace, p × (p + q)
-        [M, −N]: its output for the input [y; u] is the primary residual M y − N u, (1.46) of the source.
+        [M, −N]: its output for the input [y; u] is the primary residual M y − N u, (1.46) of the
+        source.
     observer_gain : array, shape (n, p)
         L.
     """
@@ -83,11 +92,12 @@ class LeftCoprimeFactors:
 
 
 def left_coprime(system: StateSpace, *, normalised: bool = False) -> LeftCoprimeFactors:
-    """Left coprime factors of a detectable proper system, stable or not; definition 1.8 of the source.
+    """Left coprime factors of a detectable proper system, stable or not; definition 1.8 of the
+    source.
 
-    A stable system keeps L = 0, hence M = 1 and N = G, unless `normalised` asks for M M~ + N N~ = 1. Otherwise L is the
-    stationary Kalman gain for unit noise on input and output, which is what makes the factors normalised after scaling
-    with (1 + D Dᵀ + C X Cᵀ)^(−1/2).
+    A stable system keeps L = 0, hence M = 1 and N = G, unless `normalised` asks for M M~ + N N~ =
+    1. Otherwise L is the stationary Kalman gain for unit noise on input and output, which is what
+    makes the factors normalised after scaling with (1 + D Dᵀ + C X Cᵀ)^(−1/2).
 
     Raises
     ------
@@ -106,7 +116,9 @@ def left_coprime(system: StateSpace, *, normalised: bool = False) -> LeftCoprime
     if system.is_stable and not normalised:
         L = np.zeros((system.order, p))
         observer = StateSpace.gain(np.eye(p), system.sample_time).beside(system * -1.0)
-        return LeftCoprimeFactors(StateSpace.gain(np.eye(p), system.sample_time), system, observer, L)
+        return LeftCoprimeFactors(
+            StateSpace.gain(np.eye(p), system.sample_time), system, observer, L
+        )
     L, scale = _kalman_gain(system)
     A, B = system.A - L @ system.C, system.B - L @ system.D
     C, D = scale @ system.C, scale @ system.D
@@ -120,17 +132,25 @@ def left_coprime(system: StateSpace, *, normalised: bool = False) -> LeftCoprime
 
 
 def _kalman_gain(system: StateSpace) -> tuple[FloatArray, FloatArray]:
-    """Stationary predictor gain L for unit white noise at input and output, and the normalising factor."""
+    """Stationary predictor gain L for unit white noise at input and output, and the normalising
+    factor.
+    """
     A, B, C, D = system.A, system.B, system.C, system.D
     measurement = np.eye(D.shape[0]) + D @ D.T
     try:
         X = linalg.solve_discrete_are(A.T, C.T, B @ B.T, measurement, s=B @ D.T)
     except (linalg.LinAlgError, ValueError):
-        raise BadModel("left_coprime: an unstable or undamped mode cannot be seen at the output (not detectable)") from None
+        raise BadModel(
+            "left_coprime: an unstable or undamped mode cannot be seen at the output (not"
+            " detectable)"
+        ) from None
     innovation = measurement + C @ X @ C.T
     L = np.linalg.solve(innovation, (A @ X @ C.T + B @ D.T).T).T
     if np.any(np.abs(np.linalg.eigvals(A - L @ C)) >= 1.0):
-        raise BadModel("left_coprime: an unstable or undamped mode cannot be seen at the output (not detectable)")
+        raise BadModel(
+            "left_coprime: an unstable or undamped mode cannot be seen at the output (not"
+            " detectable)"
+        )
     eigenvalues, vectors = np.linalg.eigh(innovation)
     return L, (vectors / np.sqrt(eigenvalues)) @ vectors.T
 
@@ -142,8 +162,8 @@ def _kalman_gain(system: StateSpace) -> tuple[FloatArray, FloatArray]:
 class FirFilter:
     """w(t) = Σ_k h_k v(t−k), fed block by block from rest.
 
-    Each output is summed in the order of the taps whatever the block lengths, so cutting the input differently changes
-    no bit of the result.
+    Each output is summed in the order of the taps whatever the block lengths, so cutting the input
+    differently changes no bit of the result.
 
     >>> whole, halves = FirFilter([1.0, 0.5]), FirFilter([1.0, 0.5])
     >>> whole.process([1.0, 2.0, 3.0]).tolist() == [*halves.process([1.0]), *halves.process([2.0, 3.0])]
@@ -170,7 +190,9 @@ _BLOCK = 1024  # outputs that stay in the first cache while the taps pass over t
 
 @njit()
 def _convolve(taps, past):  # type: ignore[no-untyped-def]
-    """Eight taps a pass: the output is then loaded and stored an eighth as often, and added to in the same order."""
+    """Eight taps a pass: the output is then loaded and stored an eighth as often, and added to in
+    the same order.
+    """
     m = len(taps)
     n = len(past) - m + 1
     w = np.zeros(n)
@@ -200,7 +222,9 @@ _LONGEST_MEMORY = 4096
 
 
 def settled_length(system: StateSpace, part: float = 1e-4) -> int:
-    """Samples after which the slowest mode of a stable system is down to this part of itself; 1 without states, 4096 at most."""
+    """Samples after which the slowest mode of a stable system is down to this part of itself; 1
+    without states, 4096 at most.
+    """
     if not system.order:
         return 1
     slowest = float(np.max(np.abs(system.poles)))
@@ -213,7 +237,8 @@ def settled_length(system: StateSpace, part: float = 1e-4) -> int:
 
 
 def co_outer_factor(system: StateSpace) -> StateSpace:
-    """G_o, p × p, with G_o(z) G_o(1/z)ᵀ = G(z) G(1/z)ᵀ on the unit circle; G_o and its inverse are stable.
+    """G_o, p × p, with G_o(z) G_o(1/z)ᵀ = G(z) G(1/z)ᵀ on the unit circle; G_o and its inverse are
+    stable.
 
     With the stabilising solution X of the filter Riccati equation
 
@@ -234,14 +259,18 @@ def co_outer_factor(system: StateSpace) -> StateSpace:
     try:
         X = linalg.solve_discrete_are(A.T, C.T, B @ B.T, D @ D.T, s=B @ D.T)
     except (linalg.LinAlgError, ValueError):
-        raise BadModel("co_outer_factor: the system has a zero on the unit circle; add measurement noise") from None
+        raise BadModel(
+            "co_outer_factor: the system has a zero on the unit circle; add measurement noise"
+        ) from None
     R = D @ D.T + C @ X @ C.T
     eigenvalues, vectors = np.linalg.eigh(R)
     root = (vectors * np.sqrt(eigenvalues)) @ vectors.T
     K = np.linalg.solve(R, (A @ X @ C.T + B @ D.T).T).T
     factor = StateSpace(A, K @ root, C, root, system.sample_time)
     if not factor.inverse().is_stable:
-        raise BadModel("co_outer_factor: the system has a zero on the unit circle; add measurement noise")
+        raise BadModel(
+            "co_outer_factor: the system has a zero on the unit circle; add measurement noise"
+        )
     return factor
 
 
@@ -255,10 +284,10 @@ _ROWS = 1024  # samples of an impulse response that are worked out at once
 def h_infinity_norm(system: StateSpace, tolerance: float = 1e-8) -> tuple[float, float]:
     """‖G‖_∞ = max_ω σ̄(G(e^{jωTs})) and the frequency [rad/s] where it is reached.
 
-    Two-step bisection of Bruinsma and Steinbuch (1990): a lower bound from a grid is raised to the largest gain between
-    the crossings that the Hamiltonian's imaginary eigenvalues mark, until there are none at (1 + tolerance) times the
-    bound. The Hamiltonian is that of the bilinearly transformed system, whose norm is the same. The answer therefore
-    does not rest on the grid.
+    Two-step bisection of Bruinsma and Steinbuch (1990): a lower bound from a grid is raised to the
+    largest gain between the crossings that the Hamiltonian's imaginary eigenvalues mark, until
+    there are none at (1 + tolerance) times the bound. The Hamiltonian is that of the bilinearly
+    transformed system, whose norm is the same. The answer therefore does not rest on the grid.
 
     Raises
     ------
@@ -321,11 +350,12 @@ def _crossings(system: StateSpace, gamma: float) -> FloatArray:
 
 
 def peak_gain(system: StateSpace, tolerance: float = 1e-9) -> FloatArray:
-    """ℓ₁ norm Σ_k |g_ij(k)| of each entry, shape (p, q): the largest peak of output i for |input j| ≤ 1.
+    """ℓ₁ norm Σ_k |g_ij(k)| of each entry, shape (p, q): the largest peak of output i for |input j|
+    ≤ 1.
 
-    The impulse response is summed over N samples; as A^(jN) shrinks like ‖A^N‖^j, what follows is at most
-    Σ_{k<N} ‖C A^k‖ ‖B‖ ‖A^N‖/(1 − ‖A^N‖). N doubles until that is below `tolerance` of the sum, and it is added, so the
-    value never lies below the norm.
+    The impulse response is summed over N samples; as A^(jN) shrinks like ‖A^N‖^j, what follows is
+    at most Σ_{k<N} ‖C A^k‖ ‖B‖ ‖A^N‖/(1 − ‖A^N‖). N doubles until that is below `tolerance` of the
+    sum, and it is added, so the value never lies below the norm.
 
     Raises
     ------

@@ -34,12 +34,16 @@ _WALK_IS_RARE = (0.25, 0.05)
 _FEW = ((0.4, 0.7, 1.0, 1.5), (0.0, 0.3), (0.0,))
 """σ, q_l and q_b of the filters that places of changes are sought with."""
 _OPEN = 10.0
-"""Standard deviation of what is opened (level, and level over the record's length), in units of the values' span."""
+"""Standard deviation of what is opened (level, and level over the record's length), in units of the
+values' span.
+"""
 
 
 @dataclass(frozen=True)
 class Change:
-    """At sample `at` the level (`level`), the slope (`slope`) or both (`renewal`) are opened: what was mended wears anew."""
+    """At sample `at` the level (`level`), the slope (`slope`) or both (`renewal`) are opened: what
+    was mended wears anew.
+    """
 
     at: int
     kind: str
@@ -73,19 +77,28 @@ class LocalTrend:
         """Mean and covariance of level, slope and β over all filters."""
         mean = self.weight @ self.mean
         away = self.mean - mean
-        return mean, np.einsum("f,fij->ij", self.weight, self.covariance + away[:, :, None] * away[:, None, :])
+        return mean, np.einsum(
+            "f,fij->ij", self.weight, self.covariance + away[:, :, None] * away[:, None, :]
+        )
 
 
 def neighbours_scatter(y: FloatArray) -> float:
-    """Standard deviation of one value, from differences of neighbours (what moves slowly hardly counts)."""
+    """Standard deviation of one value, from differences of neighbours (what moves slowly hardly
+    counts).
+    """
     step = np.abs(np.diff(y))
     return float(max(np.median(step) / 0.9539, 1e-9 * max(float(np.ptp(y)), 1e-300), 1e-300))
 
 
 def local_trend(
-    t: FloatArray, y: FloatArray, std: FloatArray, x: FloatArray, alternatives: Sequence[Sequence[Change]]
+    t: FloatArray,
+    y: FloatArray,
+    std: FloatArray,
+    x: FloatArray,
+    alternatives: Sequence[Sequence[Change]],
 ) -> LocalTrend:
-    """Filter a value to its last sample; alternative lists of changes are weighed by their likelihood.
+    """Filter a value to its last sample; alternative lists of changes are weighed by their
+    likelihood.
 
     Parameters
     ----------
@@ -101,15 +114,27 @@ def local_trend(
     share /= share.sum()
     names = ("mean", "covariance", "level_walk", "slope_walk")
     joined = {name: np.concatenate([getattr(trend, name) for trend in trends]) for name in names}
-    weight = np.concatenate([part * trend.weight for part, trend in zip(share, trends, strict=True)])
-    return LocalTrend(float(likely.max() + np.log(np.mean(np.exp(likely - likely.max())))), weight, **joined)
+    weight = np.concatenate(
+        [part * trend.weight for part, trend in zip(share, trends, strict=True)]
+    )
+    return LocalTrend(
+        float(likely.max() + np.log(np.mean(np.exp(likely - likely.max())))), weight, **joined
+    )
 
 
 def likelihoods(
-    t: FloatArray, y: FloatArray, std: FloatArray, x: FloatArray, alternatives: Sequence[Sequence[Change]]
+    t: FloatArray,
+    y: FloatArray,
+    std: FloatArray,
+    x: FloatArray,
+    alternatives: Sequence[Sequence[Change]],
 ) -> FloatArray:
-    """Marginal log-likelihood of several lists of changes at once, by few filters: to compare them with each other only."""
-    return np.array([trend.log_likelihood for trend in side_by_side(t, y, std, x, alternatives, _FEW)])
+    """Marginal log-likelihood of several lists of changes at once, by few filters: to compare them
+    with each other only.
+    """
+    return np.array(
+        [trend.log_likelihood for trend in side_by_side(t, y, std, x, alternatives, _FEW)]
+    )
 
 
 _ALL = (tuple(_OWN_SCATTER.tolist()), _LEVEL_WALK, _SLOPE_WALK)
@@ -123,11 +148,15 @@ def side_by_side(
     alternatives: Sequence[Sequence[Change]],
     sizes: tuple[Sequence[float], Sequence[float], Sequence[float]] = _ALL,
 ) -> list[LocalTrend]:
-    """The same for several lists of changes at once; `sizes` are the relative σ, q_l and q_b of the filters."""
+    """The same for several lists of changes at once; `sizes` are the relative σ, q_l and q_b of the
+    filters.
+    """
     scatter, pause = neighbours_scatter(y), float(np.mean(np.diff(t)))
     filters = np.array(list(product(*sizes)))
     rare, rarer = _WALK_IS_RARE
-    prior = np.array([rare ** sizes[1].index(a) * rarer ** sizes[2].index(b) for _, a, b in filters])
+    prior = np.array(
+        [rare ** sizes[1].index(a) * rarer ** sizes[2].index(b) for _, a, b in filters]
+    )
     own, q_level, q_slope = (filters * scatter / [1.0, np.sqrt(pause), pause**1.5]).T
     span = max(float(np.ptp(y)), scatter)
     opened = np.array([(_OPEN * span) ** 2, (_OPEN * span / max(float(t[-1] - t[0]), pause)) ** 2])
@@ -157,7 +186,9 @@ def _opens(alternatives: Sequence[Sequence[Change]], n: int) -> npt.NDArray[np.b
     return opens
 
 
-def _predict(m: FloatArray, P: FloatArray, h: float, q_level: FloatArray, q_slope: FloatArray) -> None:
+def _predict(
+    m: FloatArray, P: FloatArray, h: float, q_level: FloatArray, q_slope: FloatArray
+) -> None:
     m[..., 0] += h * m[..., 1]
     P[..., 0, :] += h * P[..., 1, :]
     P[..., :, 0] += h * P[..., :, 1]
@@ -167,7 +198,9 @@ def _predict(m: FloatArray, P: FloatArray, h: float, q_level: FloatArray, q_slop
     P[..., 1, 1] += q_slope**2 * h
 
 
-def _update(m: FloatArray, P: FloatArray, y: float, variance: FloatArray, x: FloatArray) -> FloatArray:
+def _update(
+    m: FloatArray, P: FloatArray, y: float, variance: FloatArray, x: FloatArray
+) -> FloatArray:
     """Take one value; its log-likelihood by each filter."""
     row = np.concatenate([[1.0, 0.0], x])
     Pr = P @ row
@@ -180,13 +213,20 @@ def _update(m: FloatArray, P: FloatArray, y: float, variance: FloatArray, x: Flo
 
 
 def _weighed(
-    log_likelihood: FloatArray, prior: FloatArray, m: FloatArray, P: FloatArray, q_level: FloatArray, q_slope: FloatArray
+    log_likelihood: FloatArray,
+    prior: FloatArray,
+    m: FloatArray,
+    P: FloatArray,
+    q_level: FloatArray,
+    q_slope: FloatArray,
 ) -> LocalTrend:
     raised = log_likelihood + np.log(prior / prior.sum())
     top = float(raised.max())
     weight = np.exp(raised - top)
     total = float(weight.sum())
-    return LocalTrend(top + float(np.log(total)), weight / total, m.copy(), P.copy(), q_level, q_slope)
+    return LocalTrend(
+        top + float(np.log(total)), weight / total, m.copy(), P.copy(), q_level, q_slope
+    )
 
 
 # When a value that follows a local trend will pass a limit, with what is uncertain in level,
@@ -221,10 +261,14 @@ class TimeToLimit:
     says: str
 
 
-def time_to_limit(now: LocalTrend, limit: float, history: float, drifting: bool, confidence: float, seed: int) -> TimeToLimit:
-    """Draw futures from the posterior of level, slope and walk, and take the quantiles of their first passage.
+def time_to_limit(
+    now: LocalTrend, limit: float, history: float, drifting: bool, confidence: float, seed: int
+) -> TimeToLimit:
+    """Draw futures from the posterior of level, slope and walk, and take the quantiles of their
+    first passage.
 
-    The limit lies above or below the value of now; what drifts away from it, or does not drift, cannot be said.
+    The limit lies above or below the value of now; what drifts away from it, or does not drift,
+    cannot be said.
     """
     mean, covariance = now.state
     above = limit >= mean[0]
@@ -235,10 +279,16 @@ def time_to_limit(now: LocalTrend, limit: float, history: float, drifting: bool,
     if not drifting:
         return TimeToLimit(limit, None, None, None, confidence, "cannot say: there is no trend")
     if toward <= 0:
-        return TimeToLimit(limit, None, None, None, confidence, "cannot say: the value drifts away from the limit")
-    passage = _passages(now, limit, 1.0 if above else -1.0, _HORIZON * history, np.random.default_rng(seed))
+        return TimeToLimit(
+            limit, None, None, None, confidence, "cannot say: the value drifts away from the limit"
+        )
+    passage = _passages(
+        now, limit, 1.0 if above else -1.0, _HORIZON * history, np.random.default_rng(seed)
+    )
     tail = (1.0 - confidence) / 2.0
-    low, median, high = (_finite(float(np.quantile(passage, q, method="lower"))) for q in (tail, 0.5, 1.0 - tail))
+    low, median, high = (
+        _finite(float(np.quantile(passage, q, method="lower"))) for q in (tail, 0.5, 1.0 - tail)
+    )
     return TimeToLimit(limit, median, low, high, confidence, "")
 
 
@@ -246,12 +296,18 @@ def _finite(value: float) -> float | None:
     return value if np.isfinite(value) else None
 
 
-def _passages(now: LocalTrend, limit: float, sign: float, horizon: float, rng: np.random.Generator) -> FloatArray:
+def _passages(
+    now: LocalTrend, limit: float, sign: float, horizon: float, rng: np.random.Generator
+) -> FloatArray:
     """First passage of each drawn future; infinite where there is none."""
     chosen = rng.choice(len(now.weight), _DRAWS, p=now.weight)
     P = now.covariance[chosen][:, :2, :2]
-    root = np.linalg.cholesky(P + 1e-12 * np.maximum(np.einsum("fii->fi", P), 1e-300)[:, :, None] * np.eye(2))
-    state = now.mean[chosen][:, :2] + np.einsum("fij,fj->fi", root, rng.standard_normal((_DRAWS, 2)))
+    root = np.linalg.cholesky(
+        P + 1e-12 * np.maximum(np.einsum("fii->fi", P), 1e-300)[:, :, None] * np.eye(2)
+    )
+    state = now.mean[chosen][:, :2] + np.einsum(
+        "fij,fj->fi", root, rng.standard_normal((_DRAWS, 2))
+    )
     left, slope = sign * (limit - state[:, 0]), sign * state[:, 1]
     with np.errstate(divide="ignore", invalid="ignore"):
         straight = np.where(left <= 0.0, 0.0, np.where(slope > 0.0, left / slope, np.inf))
@@ -259,7 +315,13 @@ def _passages(now: LocalTrend, limit: float, sign: float, horizon: float, rng: n
     passage = straight.copy()
     middle = np.median(straight[np.isfinite(straight)]) if np.isfinite(straight).any() else horizon
     passage[walking] = _walked(
-        left[walking], slope[walking], now.level_walk[chosen][walking], now.slope_walk[chosen][walking], middle, horizon, rng
+        left[walking],
+        slope[walking],
+        now.level_walk[chosen][walking],
+        now.slope_walk[chosen][walking],
+        middle,
+        horizon,
+        rng,
     )
     return np.where(passage <= horizon, passage, np.inf)
 
@@ -273,9 +335,11 @@ def _walked(
     horizon: float,
     rng: np.random.Generator,
 ) -> FloatArray:
-    """Passages of futures whose level or slope walks, step by step: fine up to twice the middle, then ever coarser.
+    """Passages of futures whose level or slope walks, step by step: fine up to twice the middle,
+    then ever coarser.
 
-    A level that walks is given its deviation at each time by one draw: an excursion that comes back is no wear.
+    A level that walks is given its deviation at each time by one draw: an excursion that comes back
+    is no wear.
     """
     excursion = q_level * rng.standard_normal(len(left))
     fine = np.linspace(0.0, min(2.0 * middle, horizon), _STEPS)
@@ -290,7 +354,9 @@ def _walked(
         gap = gap - (b + 0.5 * turn) * h - excursion * (np.sqrt(end) - np.sqrt(begin))
         b = b + turn
         passed = np.isinf(passage) & (gap <= 0.0)
-        passage[passed] = begin + h * before[passed] / np.maximum(before[passed] - gap[passed], 1e-300)
+        passage[passed] = begin + h * before[passed] / np.maximum(
+            before[passed] - gap[passed], 1e-300
+        )
     return passage
 
 
@@ -304,18 +370,26 @@ _MARGIN = 3
 """Samples before and after a change."""
 _MOST_CHANGES = 5
 _WORTH = 2.5
-"""Rise of the log-likelihood, beside the logarithm of the number of places tried, that a change must bring."""
+"""Rise of the log-likelihood, beside the logarithm of the number of places tried, that a change
+must bring.
+"""
 _REACH, _PLACES, _UNLIKELY = 60, 16, 7.0
-"""Samples about the last change's place, the most likely of them that are kept, and by how much less likely they may be."""
+"""Samples about the last change's place, the most likely of them that are kept, and by how much
+less likely they may be.
+"""
 _TREND = 2.6
 """Standard deviations by which a slope must differ from zero to be called a drift."""
 _CANDIDATES = 60
-"""Places at which a change is tried first; the best one's neighbourhood is then tried at every sample."""
+"""Places at which a change is tried first; the best one's neighbourhood is then tried at every
+sample.
+"""
 
 
 @dataclass(frozen=True)
 class TrackEvent:
-    """Something that happened: `sudden-change`, `recovery` or `drift` that began; `size` is the jump, or the new slope."""
+    """Something that happened: `sudden-change`, `recovery` or `drift` that began; `size` is the
+    jump, or the new slope.
+    """
 
     at: float
     kind: str
@@ -356,10 +430,19 @@ class Track:
 
     def to_json(self) -> dict[str, Any]:
         """As plain values."""
-        plain = {name: getattr(self, name) for name in ("kind", "since", "level", "level_std", "slope", "slope_std")}
+        plain = {
+            name: getattr(self, name)
+            for name in ("kind", "since", "level", "level_std", "slope", "slope_std")
+        }
         events = [vars(event) for event in self.events]
         left = None if self.remaining is None else vars(self.remaining)
-        return {**plain, "time": self.time.tolist(), "corrected": self.corrected.tolist(), "events": events, "remaining": left}
+        return {
+            **plain,
+            "time": self.time.tolist(),
+            "corrected": self.corrected.tolist(),
+            "events": events,
+            "remaining": left,
+        }
 
 
 def track(
@@ -375,15 +458,18 @@ def track(
 ) -> Track:
     """Follow a value over irregular windows.
 
-    Changes of level, of slope and of both at once (a repair ends the wear too) are sought one after the other, each where it
-    raises the marginal likelihood of the local trend the most, until none is worth its place. Missing values are left out.
+    Changes of level, of slope and of both at once (a repair ends the wear too) are sought one after
+    the other, each where it raises the marginal likelihood of the local trend the most, until none
+    is worth its place. Missing values are left out.
 
     Parameters
     ----------
     time, value, std : array, shape (n,)
-        Times that rise, what each window told and with which standard deviation (default 0: the scatter is estimated).
+        Times that rise, what each window told and with which standard deviation (default 0: the
+        scatter is estimated).
     moves_with : array, shape (n, covariates), or None
-        What the value moves with (temperature, load): its part is estimated beside the trend and taken off.
+        What the value moves with (temperature, load): its part is estimated beside the trend and
+        taken off.
     healthy : (low, high) or None
         The healthy band; a jump back into it is a recovery.
     limit : float or None
@@ -416,29 +502,57 @@ def track(
     drifting = bool(abs(mean[1]) > _TREND * deviation[1])
     events = _events(t, corrected, changes, healthy, drifting, float(mean[1]))
     kind, since = _now(events, drifting, float(t[0]))
-    left = None if limit is None else time_to_limit(now, float(limit), float(t[-1] - t[0]), drifting, confidence, seed)
+    left = (
+        None
+        if limit is None
+        else time_to_limit(now, float(limit), float(t[-1] - t[0]), drifting, confidence, seed)
+    )
     return Track(
-        kind, since, float(mean[0]), float(deviation[0]), float(mean[1]), float(deviation[1]), t, corrected, events, left
+        kind,
+        since,
+        float(mean[0]),
+        float(deviation[0]),
+        float(mean[1]),
+        float(deviation[1]),
+        t,
+        corrected,
+        events,
+        left,
     )
 
 
 def _samples(
-    time: npt.ArrayLike, value: npt.ArrayLike, std: npt.ArrayLike | None, moves_with: npt.ArrayLike | None
+    time: npt.ArrayLike,
+    value: npt.ArrayLike,
+    std: npt.ArrayLike | None,
+    moves_with: npt.ArrayLike | None,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     t, y = np.asarray(time, dtype=float), np.asarray(value, dtype=float)
     s = np.zeros_like(y) if std is None else np.asarray(std, dtype=float)
-    x = np.zeros((len(y), 0)) if moves_with is None else np.asarray(moves_with, dtype=float).reshape(len(y), -1)
+    x = (
+        np.zeros((len(y), 0))
+        if moves_with is None
+        else np.asarray(moves_with, dtype=float).reshape(len(y), -1)
+    )
     if t.ndim != 1 or t.shape != y.shape or t.shape != s.shape or not (np.diff(t) > 0).all():
-        raise BadInput(f"track: times {t.shape}, values {y.shape} and deviations {s.shape} must be equal vectors, times rising")
+        raise BadInput(
+            f"track: times {t.shape}, values {y.shape} and deviations {s.shape} must be equal"
+            " vectors, times rising"
+        )
     finite = np.isfinite(y) & np.isfinite(s) & np.isfinite(x).all(axis=1)
     t, y, s, x = t[finite], y[finite], s[finite], x[finite]
     if len(t) < FEWEST_WINDOWS_OF_A_TRACK:
-        raise NotIdentifiable(f"track: {len(t)} windows tell the value; at least {FEWEST_WINDOWS_OF_A_TRACK} are needed")
+        raise NotIdentifiable(
+            f"track: {len(t)} windows tell the value; at least {FEWEST_WINDOWS_OF_A_TRACK} are"
+            " needed"
+        )
     x = x - x.mean(axis=0)
     return t, y, s, x[:, np.ptp(x, axis=0) > 0]
 
 
-def _joined(t: FloatArray, y: FloatArray, s: FloatArray, x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+def _joined(
+    t: FloatArray, y: FloatArray, s: FloatArray, x: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Neighbours joined to at most 300 samples."""
     every = -(-len(t) // _MOST)
     if every == 1:
@@ -446,7 +560,12 @@ def _joined(t: FloatArray, y: FloatArray, s: FloatArray, x: FloatArray) -> tuple
     parts = np.array_split(np.arange(len(t)), -(-len(t) // every))
     means = [[a[p].mean(axis=0) for p in parts] for a in (t, y, x)]
     joint = [float(np.sqrt(np.mean(s[p] ** 2) / len(p))) for p in parts]
-    return np.array(means[0]), np.array(means[1]), np.array(joint), np.array(means[2]).reshape(len(parts), -1)
+    return (
+        np.array(means[0]),
+        np.array(means[1]),
+        np.array(joint),
+        np.array(means[2]).reshape(len(parts), -1),
+    )
 
 
 def _changes(t: FloatArray, y: FloatArray, s: FloatArray, x: FloatArray) -> list[Change]:
@@ -458,7 +577,12 @@ def _changes(t: FloatArray, y: FloatArray, s: FloatArray, x: FloatArray) -> list
         best, gained = _best(t, y, s, x, changes, range(_MARGIN, len(t) - _MARGIN + 1, every))
         if best is not None and every > 1:
             best, gained = _best(
-                t, y, s, x, changes, range(max(_MARGIN, best.at - every), min(len(t) - _MARGIN, best.at + every) + 1)
+                t,
+                y,
+                s,
+                x,
+                changes,
+                range(max(_MARGIN, best.at - every), min(len(t) - _MARGIN, best.at + every) + 1),
             )
         if best is None or gained - base < _WORTH + np.log(len(t)):
             break
@@ -466,8 +590,12 @@ def _changes(t: FloatArray, y: FloatArray, s: FloatArray, x: FloatArray) -> list
     return sorted(changes, key=lambda change: change.at)
 
 
-def _alike(t: FloatArray, y: FloatArray, s: FloatArray, x: FloatArray, changes: list[Change]) -> list[list[Change]]:
-    """The changes with the last one at every place that is nearly as likely: where a drift began is not known for sure."""
+def _alike(
+    t: FloatArray, y: FloatArray, s: FloatArray, x: FloatArray, changes: list[Change]
+) -> list[list[Change]]:
+    """The changes with the last one at every place that is nearly as likely: where a drift began is
+    not known for sure.
+    """
     if not changes:
         return [[]]
     *earlier, last = changes
@@ -492,15 +620,25 @@ def _best(
 
 
 def _events(
-    t: FloatArray, y: FloatArray, changes: Sequence[Change], healthy: tuple[float, float] | None, drifting: bool, slope: float
+    t: FloatArray,
+    y: FloatArray,
+    changes: Sequence[Change],
+    healthy: tuple[float, float] | None,
+    drifting: bool,
+    slope: float,
 ) -> list[TrackEvent]:
     events = []
     bounds = [0, *(change.at for change in changes), len(t)]
     for number, change in enumerate(changes, start=1):
         before, after = slice(bounds[number - 1], change.at), slice(change.at, bounds[number + 1])
         if change.kind != "slope":
-            left, right = _edge(t[before], y[before], t[change.at]), _edge(t[after], y[after], t[change.at])
-            events.append(TrackEvent(float(t[change.at]), _jump(left, right, healthy), right - left))
+            left, right = (
+                _edge(t[before], y[before], t[change.at]),
+                _edge(t[after], y[after], t[change.at]),
+            )
+            events.append(
+                TrackEvent(float(t[change.at]), _jump(left, right, healthy), right - left)
+            )
         if change.kind != "level" and change is changes[-1] and drifting:
             events.append(TrackEvent(float(t[change.at]), "drift", slope))
     return events
@@ -515,7 +653,9 @@ def _edge(t: FloatArray, y: FloatArray, at: float) -> float:
 
 
 def _jump(before: float, after: float, healthy: tuple[float, float] | None) -> str:
-    """A jump is a recovery where it leads from outside the healthy band to inside it, or most of the way."""
+    """A jump is a recovery where it leads from outside the healthy band to inside it, or most of
+    the way.
+    """
     if healthy is None:
         return "sudden-change"
     away = [max(healthy[0] - value, value - healthy[1], 0.0) for value in (before, after)]

@@ -1,4 +1,6 @@
-"""One BLAS thread around small factorisations: with two, a 100 × 100 Cholesky takes three times as long."""
+"""One BLAS thread around small factorisations: with two, a 100 × 100 Cholesky takes three times as
+long.
+"""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -11,7 +13,9 @@ LARGEST_FOR_ONE_THREAD = 400
 
 @contextmanager
 def one_thread_if_small(size: int) -> Iterator[None]:
-    """Pin BLAS to one thread while matrices of `size` rows are factored; larger ones keep all threads."""
+    """Pin BLAS to one thread while matrices of `size` rows are factored; larger ones keep all
+    threads.
+    """
     if size > LARGEST_FOR_ONE_THREAD:
         yield
         return
@@ -21,7 +25,9 @@ def one_thread_if_small(size: int) -> Iterator[None]:
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Pin BLAS to one thread: for work that runs in threads of its own on products of a few columns (also as a decorator)."""
+    """Pin BLAS to one thread: for work that runs in threads of its own on products of a few columns
+    (also as a decorator).
+    """
     with _controller().limit(limits=1, user_api="blas"):
         yield
 

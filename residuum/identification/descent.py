@@ -1,4 +1,6 @@
-"""Damped Gauss–Newton descent (Levenberg and Marquardt): the one loop that estimates by least squares walk down with."""
+"""Damped Gauss–Newton descent (Levenberg and Marquardt): the one loop that estimates by least
+squares walk down with.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,9 @@ from typing import Generic, NamedTuple, Protocol, TypeVar
 FIRST_DAMPING, LEAST_DAMPING = 1e-3, 1e-12
 HARDER, SOFTER = 6.0, 10.0
 ATTEMPTS = 12
-"""Dampings tried before nothing near a point is taken to be lower: the last shortens a step a millionfold."""
+"""Dampings tried before nothing near a point is taken to be lower: the last shortens a step a
+millionfold.
+"""
 
 
 class End(Enum):
@@ -21,7 +25,9 @@ class End(Enum):
 
 
 class Point(Protocol):
-    """A place with its cost and whatever the next step needs; infinite cost where nothing can be evaluated."""
+    """A place with its cost and whatever the next step needs; infinite cost where nothing can be
+    evaluated.
+    """
 
     @property
     def cost(self) -> float:
@@ -36,9 +42,11 @@ class Landscape(Protocol[P, T]):
     """What is walked down: `T` is what leads to a point (values), `P` the point with its slopes."""
 
     def trial(self, point: P, damping: float) -> T | None:
-        """Where the Gauss–Newton step from a point leads when its matrix has a diagonal raised by the fraction `damping`.
+        """Where the Gauss–Newton step from a point leads when its matrix has a diagonal raised by
+        the fraction `damping`.
 
-        Bounds are the landscape's own: an active set, or clipped. None where the step promises too little to be looked at.
+        Bounds are the landscape's own: an active set, or clipped. None where the step promises too
+        little to be looked at.
         """
 
     def cost(self, trial: T) -> float:
@@ -59,11 +67,15 @@ class Descent(NamedTuple, Generic[P]):
     end: End
 
 
-def descend(landscape: Landscape[P, T], point: P, *, steps: int, fall: float = 0.0, relative: float = 0.0) -> Descent[P]:
-    """Walk down until a step lowers the cost by less than `fall`, or than the fraction `relative` of it.
+def descend(
+    landscape: Landscape[P, T], point: P, *, steps: int, fall: float = 0.0, relative: float = 0.0
+) -> Descent[P]:
+    """Walk down until a step lowers the cost by less than `fall`, or than the fraction `relative`
+    of it.
 
-    A step that does not lower the cost is computed again with six times the damping, one that does leaves a tenth of it. Slopes
-    are computed at once where steps are taken as they come; after one was refused the next one's cost is looked at first.
+    A step that does not lower the cost is computed again with six times the damping, one that does
+    leaves a tenth of it. Slopes are computed at once where steps are taken as they come; after one
+    was refused the next one's cost is looked at first.
 
     Parameters
     ----------
@@ -95,7 +107,9 @@ def descend(landscape: Landscape[P, T], point: P, *, steps: int, fall: float = 0
     return Descent(point, steps, End.TIRED)
 
 
-def _lower(landscape: Landscape[P, T], point: P, damping: float, refused: bool) -> tuple[P | None, float]:
+def _lower(
+    landscape: Landscape[P, T], point: P, damping: float, refused: bool
+) -> tuple[P | None, float]:
     """A lower point and the damping that led there; None where no attempt does."""
     for _ in range(ATTEMPTS):
         trial = landscape.trial(point, damping)

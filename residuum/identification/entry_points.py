@@ -9,9 +9,15 @@ from typing import Any
 
 
 def from_entry_points(group: str) -> Iterator[Any]:
-    """Each object of a group (`residuum.effects`, `residuum.diagnosers`); what cannot be loaded is left out, with a warning."""
+    """Each object of a group (`residuum.effects`, `residuum.diagnosers`); what cannot be loaded is
+    left out, with a warning.
+    """
     for point in entry_points(group=group):
         try:
             yield point.load()
         except Exception as error:
-            warnings.warn(f"entry point {point.name!r} of {group}: cannot be loaded ({error})", RuntimeWarning, stacklevel=2)
+            warnings.warn(
+                f"entry point {point.name!r} of {group}: cannot be loaded ({error})",
+                RuntimeWarning,
+                stacklevel=2,
+            )

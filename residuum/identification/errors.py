@@ -1,7 +1,7 @@
 """The exceptions of Residuum's mathematics, one class a scenario.
 
-Every message is one line that says *what* is wrong, *where*, and *which rule* it breaks, because the
-command line and the HTTP interface print it unchanged.
+Every message is one line that says *what* is wrong, *where*, and *which rule* it breaks, because
+the command line and the HTTP interface print it unchanged.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -14,16 +14,22 @@ MAY_DIVERGE = "check the signs of its terms, their units and the start values"
 
 
 def in_one_line(error: Exception) -> str:
-    """Another library's exception as part of our line: its class and what it says, cut after 200 characters."""
+    """Another library's exception as part of our line: its class and what it says, cut after 200
+    characters.
+    """
     return " ".join(f"{type(error).__name__}: {error}".split())[:_LONGEST]
 
 
 Named = Callable[[str, object], str]
-"""How a door names one of its fields, alone (`None`) or with a value: `--delay 3`, `"delay": 3`, `delay=3`."""
+"""How a door names one of its fields, alone (`None`) or with a value: `--delay 3`, `"delay": 3`,
+`delay=3`.
+"""
 
 
 Way = tuple[str, object] | tuple[str, object, str]
-"""A field, a value with which it would do (`"SECONDS"`: one that only the caller knows), and perhaps when it would."""
+"""A field, a value with which it would do (`"SECONDS"`: one that only the caller knows), and
+perhaps when it would.
+"""
 
 
 def as_keyword(field: str, value: object = None) -> str:
@@ -32,7 +38,8 @@ def as_keyword(field: str, value: object = None) -> str:
 
 
 def as_text(value: object) -> str:
-    """A value as it is said outside of Python: of a mapping `name=value`, of a list its items with commas between them.
+    """A value as it is said outside of Python: of a mapping `name=value`, of a list its items with
+    commas between them.
 
     >>> as_text({"speed": "rpm"}), as_text(["time [s]", "n"]), as_text(3)
     ('speed=rpm', 'time [s],n', '3')
@@ -45,9 +52,9 @@ def as_text(value: object) -> str:
 class BadInput(ValueError):
     """Something a caller handed over cannot be used; the message names what, where and the rule.
 
-    Where the input is a field of a question, `what` is its value, `where` its name, and `way_on` may name fields and values
-    with which it would do; a door says them in its own words by `told`. Python's are those of `str(error)`. A text that names a
-    way on of its own ends in `, or`.
+    Where the input is a field of a question, `what` is its value, `where` its name, and `way_on`
+    may name fields and values with which it would do; a door says them in its own words by `told`.
+    Python's are those of `str(error)`. A text that names a way on of its own ends in `, or`.
 
     >>> import residuum as rs
     >>> rs.simulate("gate-drive", duration=2.0, colour="red")  # doctest: +ELLIPSIS
@@ -64,7 +71,9 @@ class BadInput(ValueError):
     named: Named | None = None
     """The words of the door through which the input came, where another one tells the refusal."""
 
-    def __init__(self, what: str, where: str = "", rule: str = "", *, way_on: Iterable[Way] = ()) -> None:
+    def __init__(
+        self, what: str, where: str = "", rule: str = "", *, way_on: Iterable[Way] = ()
+    ) -> None:
         self.what, self.where, self.rule, self.way_on = what, where, rule, tuple(way_on)
         super().__init__(what, where, rule)
 
@@ -74,7 +83,9 @@ class BadInput(ValueError):
     def told(self, named: Named) -> str:
         """The refusal in the words of a door."""
         named = self.named or named
-        place = " ".join(text for text in (self.where and named(self.where, None), self.what) if text)
+        place = " ".join(
+            text for text in (self.where and named(self.where, None), self.what) if text
+        )
         ways = [" ".join([named(field, value), *when]) for field, value, *when in self.way_on]
         says = f"{place}: {self.rule}" if self.rule else place
         if not ways:
@@ -89,7 +100,8 @@ class BadInput(ValueError):
 
 
 class BadRecord(BadInput):
-    """A record or record file breaks the record rules (uneven sampling, text in a number column, …).
+    """A record or record file breaks the record rules (uneven sampling, text in a number column,
+    …).
 
     >>> import residuum as rs
     >>> rs.from_arrays({"u": [1.0, 2.0]}, units={"u": "V"}, sample_time=0.0)
@@ -111,7 +123,8 @@ class BadUnit(BadInput):
 
 
 class BadModel(BadInput):
-    """A model file or a model built in code is not well formed; the message carries line and column.
+    """A model file or a model built in code is not well formed; the message carries line and
+    column.
 
     >>> import residuum as rs
     >>> rs.model("linear-axis").with_values(weight=90.0)  # doctest: +ELLIPSIS
@@ -122,9 +135,11 @@ class BadModel(BadInput):
 
 
 class NoExplicitEquations(BadModel):
-    """A model whose equations cannot be made explicit: an algebraic loop, a division by zero, a function without a slope.
+    """A model whose equations cannot be made explicit: an algebraic loop, a division by zero, a
+    function without a slope.
 
-    A search takes effects that raise it as none that can be tried here; whatever else an effect raises is a fault in it.
+    A search takes effects that raise it as none that can be tried here; whatever else an effect
+    raises is a fault in it.
 
     >>> from residuum.identification.physics import read_model
     >>> winding = "{kind: voltage, storage: 0, terms: {supply: u, diode: -R * max(i, 0)}, current: i}"

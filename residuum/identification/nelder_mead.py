@@ -9,8 +9,11 @@ from scipy.optimize import minimize
 from residuum.array_types import FloatArray
 
 
-def nelder_mead(function: Callable[[FloatArray], float], simplex: FloatArray, evaluations: int) -> FloatArray:
-    """The best point that SciPy finds in so many evaluations from the corners `simplex`, shape (variables + 1, variables).
+def nelder_mead(
+    function: Callable[[FloatArray], float], simplex: FloatArray, evaluations: int
+) -> FloatArray:
+    """The best point that SciPy finds in so many evaluations from the corners `simplex`, shape
+    (variables + 1, variables).
 
     >>> nelder_mead(lambda x: float((x[0] - 1.0) ** 2 + x[1] ** 2), np.vstack([np.zeros(2), np.eye(2)]), 100).round(3).tolist()
     [1.0, 0.0]

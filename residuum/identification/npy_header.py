@@ -1,4 +1,6 @@
-"""What the header of an array in NumPy's .npy form declares, before anything is allocated for it."""
+"""What the header of an array in NumPy's .npy form declares, before anything is allocated for
+it.
+"""
 
 from __future__ import annotations
 
@@ -37,9 +39,11 @@ class NpyHeader(NamedTuple):
 
 
 def npy_header(data: bytes | memoryview) -> NpyHeader:
-    """The header at the begin of `data`, which need not hold all samples; read by NumPy (versions 1 and 2).
+    """The header at the begin of `data`, which need not hold all samples; read by NumPy (versions 1
+    and 2).
 
-    Whoever reads the samples holds `size` against the bytes that there are: a header from a stranger may declare any shape.
+    Whoever reads the samples holds `size` against the bytes that there are: a header from a
+    stranger may declare any shape.
 
     Raises
     ------
@@ -56,7 +60,9 @@ def npy_header(data: bytes | memoryview) -> NpyHeader:
     ((3, 4), 48, 128)
     """
     if bytes(data[:6]) != np.lib.format.MAGIC_PREFIX or len(data) < 12:
-        raise NotNpy(f"is not an .npy array (it begins with {bytes(data[:6])!r}); numpy.save writes one")
+        raise NotNpy(
+            f"is not an .npy array (it begins with {bytes(data[:6])!r}); numpy.save writes one"
+        )
     start = 12 if data[6] >= 2 else 10
     length = int.from_bytes(data[8:start], "little")
     if length > LONGEST_HEADER:
@@ -72,8 +78,12 @@ def _parsed(head: bytes) -> NpyHeader:
     stream = io.BytesIO(head)
     try:
         shape, fortran_order, dtype = _READERS[np.lib.format.read_magic(stream)[0]](stream)
-    except Exception as error:  # what a stranger's text makes of the parser has no list: SyntaxError, RecursionError, TypeError …
+    # what a stranger's text makes of the parser has no list: SyntaxError, RecursionError, TypeError
+    # …
+    except Exception as error:
         raise NotNpy(f".npy header {head[10:90]!r}: only plain arrays are read") from error
     if min(shape, default=0) < 0:
-        raise NotNpy(f".npy header {head[10:90]!r}: only plain arrays are read, and no shape is negative")
+        raise NotNpy(
+            f".npy header {head[10:90]!r}: only plain arrays are read, and no shape is negative"
+        )
     return NpyHeader(dtype, tuple(map(int, shape)), fortran_order, len(head))

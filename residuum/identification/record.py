@@ -1,4 +1,6 @@
-"""Record: one stretch of evenly sampled, measured signals; the one type that carries data everywhere."""
+"""Record: one stretch of evenly sampled, measured signals; the one type that carries data
+everywhere.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +46,8 @@ class Record:
     Raises
     ------
     BadRecord
-        No channel, unequal lengths, infinite value, non-positive sample time, unit missing, NUL in a text.
+        No channel, unequal lengths, infinite value, non-positive sample time, unit missing, NUL in
+        a text.
     BadUnit
         A unit that is not known.
 
@@ -67,19 +70,29 @@ class Record:
         if not self.channels:
             raise BadRecord(f"{where}: has no channel; at least one is needed")
         if not (np.isfinite(self.sample_time) and self.sample_time > 0):
-            raise BadRecord(f"{where}: sample_time is {self.sample_time!r}; must be a positive number of seconds")
+            raise BadRecord(
+                f"{where}: sample_time is {self.sample_time!r}; must be a positive number of"
+                " seconds"
+            )
         if not np.isfinite(self.t0):
             raise BadRecord(f"{where}: t0 is {self.t0!r}; must be finite")
         signals = self._checked_signals(where)
-        if nul := [text for text in (*self.channels, *self.units.values(), *self.notes) if "\x00" in text]:
-            raise BadRecord(f"{where}: {nul[0][:60]!r} holds the character NUL, which no database keeps")
+        if nul := [
+            text for text in (*self.channels, *self.units.values(), *self.notes) if "\x00" in text
+        ]:
+            raise BadRecord(
+                f"{where}: {nul[0][:60]!r} holds the character NUL, which no database keeps"
+            )
         units = self._checked_units(where)
         object.__setattr__(self, "channels", MappingProxyType(signals))
         object.__setattr__(self, "units", MappingProxyType(units))
         object.__setattr__(self, "notes", tuple(self.notes))
 
     def _checked_signals(self, where: str) -> dict[str, Signal]:
-        signals = {name: _signal(values, f"{where}, channel {name!r}") for name, values in self.channels.items()}
+        signals = {
+            name: _signal(values, f"{where}, channel {name!r}")
+            for name, values in self.channels.items()
+        }
         lengths = {name: signal.shape[0] for name, signal in signals.items()}
         if len(set(lengths.values())) != 1:
             raise BadRecord(f"{where}: channels differ in length {lengths}; all must be equal")
@@ -87,10 +100,15 @@ class Record:
 
     def _checked_units(self, where: str) -> dict[str, str]:
         if unitless := [name for name in self.channels if name not in self.units]:
-            raise BadRecord(f"{where}: channel {unitless[0]!r} has no unit; every channel needs one")
+            raise BadRecord(
+                f"{where}: channel {unitless[0]!r} has no unit; every channel needs one"
+            )
         units = {name: self.units[name] for name in self.channels}
         if (different := len(set(units.values()))) > MOST_UNITS:
-            raise BadUnit(f"{where}: its channels have {different} different units; at most {MOST_UNITS} are read")
+            raise BadUnit(
+                f"{where}: its channels have {different} different units; at most {MOST_UNITS} are"
+                " read"
+            )
         for name, unit in units.items():
             try:
                 parse_unit(unit)
@@ -126,7 +144,9 @@ class Record:
 
     @property
     def split(self) -> float | None:
-        """Fraction of the record meant for estimation, from a note `split: 0.7`; None when not noted."""
+        """Fraction of the record meant for estimation, from a note `split: 0.7`; None when not
+        noted.
+        """
         for note in self.notes:
             key, _, value = note.partition(":")
             if key.strip().lower() == "split":
@@ -139,13 +159,15 @@ class Record:
             return self.channels[name]
         except KeyError:
             raise BadRecord(
-                f"record {self.source!r}: no channel {name!r}; {known_names(name, self.names, 'there are')}"
+                f"record {self.source!r}: no channel {name!r};"
+                f" {known_names(name, self.names, 'there are')}"
             ) from None
 
     def in_unit(self, name: str, unit: str) -> npt.NDArray[np.float64]:
         """Channel `name` converted to `unit`, shape (n,).
 
-        BadUnit where the channel has none and one is wanted: not to say a unit is not to say that there is none.
+        BadUnit where the channel has none and one is wanted: not to say a unit is not to say that
+        there is none.
 
         Parameters
         ----------
@@ -172,8 +194,12 @@ class Record:
         where = f"record {self.source!r}, " if self.source else ""
         if name in self.channels and not self.units[name] and parse_unit(unit).factors:
             way = ("units", {name: unit}, "if it is in that")
-            raise BadUnit(f"{where}channel {name!r}: has no unit, and {unit!r} is needed", way_on=[way])
-        return convert(self[name], self.units[name], unit, what=f"{where}channel {name!r}", column=name)
+            raise BadUnit(
+                f"{where}channel {name!r}: has no unit, and {unit!r} is needed", way_on=[way]
+            )
+        return convert(
+            self[name], self.units[name], unit, what=f"{where}channel {name!r}", column=name
+        )
 
     def missing(self, name: str) -> npt.NDArray[np.bool_]:
         """Mask of the missing samples of channel `name`, shape (n,).
@@ -214,7 +240,11 @@ class Record:
         ('speed', 'voltage')
         """
         chosen = list(names)
-        return replace(self, channels={name: self[name] for name in chosen}, units={name: self.units[name] for name in chosen})
+        return replace(
+            self,
+            channels={name: self[name] for name in chosen},
+            units={name: self.units[name] for name in chosen},
+        )
 
     def rename(self, names: Mapping[str, str]) -> Record:
         """The record with channels renamed old → new; BadRecord when two would share a name.
@@ -241,11 +271,15 @@ class Record:
         """
         new = [names.get(name, name) for name in self.names]
         if len(set(new)) != len(new):
-            raise BadRecord(f"record {self.source!r}: renaming {dict(names)} makes two channels of one name")
+            raise BadRecord(
+                f"record {self.source!r}: renaming {dict(names)} makes two channels of one name"
+            )
         for name in names:
             self[name]
         channels = dict(zip(new, self.channels.values(), strict=True))
-        return replace(self, channels=channels, units=dict(zip(new, self.units.values(), strict=True)))
+        return replace(
+            self, channels=channels, units=dict(zip(new, self.units.values(), strict=True))
+        )
 
     def window(self, start: int, stop: int) -> Record:
         """Samples start … stop−1 (views, no copy), on the same clock.
@@ -272,7 +306,9 @@ class Record:
         [0.1, 0.2]
         """
         if not 0 <= start < stop <= self.n:
-            raise BadRecord(f"record {self.source!r}: window {start}:{stop} is not inside 0:{self.n}")
+            raise BadRecord(
+                f"record {self.source!r}: window {start}:{stop} is not inside 0:{self.n}"
+            )
         channels = {name: signal[start:stop] for name, signal in self.channels.items()}
         return replace(self, channels=channels, t0=self.t0 + start * self.sample_time)
 
@@ -288,7 +324,10 @@ def _signal(values: npt.ArrayLike, where: str) -> Signal:
         raise BadRecord(f"{where}: has shape {array.shape}; must be one-dimensional and not empty")
     infinite = np.isinf(array)
     if infinite.any():
-        raise BadRecord(f"{where}, sample {int(np.argmax(infinite))}: is infinite; must be finite or missing (nan)")
+        raise BadRecord(
+            f"{where}, sample {int(np.argmax(infinite))}: is infinite; must be finite or missing"
+            " (nan)"
+        )
     array = array.view()
     array.flags.writeable = False
     return array

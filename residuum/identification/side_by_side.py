@@ -1,7 +1,7 @@
 """Independent pieces of work side by side: simulations and sums run without the interpreter's lock.
 
-Each is counted as work of its own, and what is left for the next is known only when those before it are done: so many begin at
-once on every machine, however many threads it has.
+Each is counted as work of its own, and what is left for the next is known only when those before it
+are done: so many begin at once on every machine, however many threads it has.
 """
 
 from __future__ import annotations
@@ -24,7 +24,9 @@ R = TypeVar("R")
 
 
 def beside(function: Callable[[], R]) -> Callable[[], R]:
-    """Begin a piece of work beside what follows; what is returned waits for it, and gives its result or raises its error."""
+    """Begin a piece of work beside what follows; what is returned waits for it, and gives its
+    result or raises its error.
+    """
     part = begun().part()
     pool = ThreadPoolExecutor(1)
     running = pool.submit(copy_context().run, _counted, part, function)
@@ -40,7 +42,9 @@ def beside(function: Callable[[], R]) -> Callable[[], R]:
 
 
 def side_by_side(function: Callable[[T], R], items: Sequence[T]) -> list[R]:
-    """`function` of each item, in order; raises `OutOfWork` before the next item once a search's work is done."""
+    """`function` of each item, in order; raises `OutOfWork` before the next item once a search's
+    work is done.
+    """
 
     def bounded(item: T) -> R:
         go_on()

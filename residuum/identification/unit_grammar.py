@@ -1,9 +1,11 @@
-"""The grammar of units: a product of words to powers, read within bounds before anything is computed or looked up.
+"""The grammar of units: a product of words to powers, read within bounds before anything is
+computed or looked up.
 
     product = factor {("*" | "/" | blank | "per") factor};  factor = ("1" | word | "(" product ")") ["**" number];
     number = ["-"] digits | "(" number ["/" number] ")"
 
-Whoever can send a unit can send `9**9**9`: so no number is multiplied here, and none is raised to another.
+Whoever can send a unit can send `9**9**9`: so no number is multiplied here, and none is raised to
+another.
 """
 
 from __future__ import annotations
@@ -18,9 +20,13 @@ MOST_FACTORS = 10
 DEEPEST = 4
 """Parentheses inside each other."""
 LARGEST_POWER = 16.0
-"""Exponent of a word, all parentheses around it included; the largest in use is the fourth power of a temperature."""
+"""Exponent of a word, all parentheses around it included; the largest in use is the fourth power of
+a temperature.
+"""
 
-_TOKEN = re.compile(r"\s*(?:(?P<number>\d+(?:\.\d*)?(?:[eE][-+]?\d+)?(?!\w))|(?P<word>[^\W\d]\w*)|(?P<sign>\*\*|[-+*/()]))")
+_TOKEN = re.compile(
+    r"\s*(?:(?P<number>\d+(?:\.\d*)?(?:[eE][-+]?\d+)?(?!\w))|(?P<word>[^\W\d]\w*)|(?P<sign>\*\*|[-+*/()]))"
+)
 
 Factors = list[tuple[str, float]]
 

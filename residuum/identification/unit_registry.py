@@ -1,8 +1,9 @@
 """pint's registry of units: what `common_units` does not list, and words that nobody knows.
 
-`unit_spellings` puts a text into the registry's spelling first. The registry itself reads nearly any word as a prefix and a unit
-(`pH`: picohenry, `pct`: pico-centitonne), so only symbols that are listed and names that are written out are taken from it. It is
-asked for single words alone: a whole text it would compute (`9**9**9`). Nothing that is asked is entered into it.
+`unit_spellings` puts a text into the registry's spelling first. The registry itself reads nearly
+any word as a prefix and a unit (`pH`: picohenry, `pct`: pico-centitonne), so only symbols that are
+listed and names that are written out are taken from it. It is asked for single words alone: a whole
+text it would compute (`9**9**9`). Nothing that is asked is entered into it.
 """
 
 from __future__ import annotations
@@ -25,7 +26,8 @@ _NAME = 4
 
 
 def factors(text: str) -> tuple[tuple[NamedUnit, float], ...]:
-    """The named units with their exponents that a text multiplies; a word that nobody knows becomes a unit of its own.
+    """The named units with their exponents that a text multiplies; a word that nobody knows becomes
+    a unit of its own.
 
     Raises BadUnit for what is no product of words, or one beyond the bounds of `unit_grammar`.
     """
@@ -34,7 +36,9 @@ def factors(text: str) -> tuple[tuple[NamedUnit, float], ...]:
 
 @lru_cache(maxsize=4096)
 def _named(word: str) -> NamedUnit:
-    """The unit that a word names: the registry's where it means what a person does, else one of its own dimension."""
+    """The unit that a word names: the registry's where it means what a person does, else one of its
+    own dimension.
+    """
     if word in KNOWN_SYMBOLS or _is_name(word) or (not _WORD.fullmatch(word) and _is_known(word)):
         return _of_registry(word)
     if not _WORD.fullmatch(word):
@@ -45,14 +49,18 @@ def _named(word: str) -> NamedUnit:
 
 def _of_registry(name: str) -> NamedUnit:
     unit = _REGISTRY.Unit(name)
-    unity: Any = _REGISTRY.Quantity(1.0, _REGISTRY.Unit(f"delta_{name}") if _shifted(name) else unit).to_base_units()
+    unity: Any = _REGISTRY.Quantity(
+        1.0, _REGISTRY.Unit(f"delta_{name}") if _shifted(name) else unit
+    ).to_base_units()
     zero: Any = _REGISTRY.Quantity(0.0, unit).to_base_units().magnitude
     base = tuple((base, float(power)) for base, power in unity.unit_items())
     return NamedUnit(_symbol(unit), float(unity.magnitude), base, float(zero))
 
 
 def _symbol(unit: Any) -> str:
-    """The short symbol of a unit, or its name where the symbol would not be read back as this unit (`kn` of the knot)."""
+    """The short symbol of a unit, or its name where the symbol would not be read back as this unit
+    (`kn` of the knot).
+    """
     short = f"{unit:~C}".replace("Ω", "ohm")
     return short if short in KNOWN_SYMBOLS or not short.isascii() else f"{unit:C}"
 

@@ -1,7 +1,7 @@
 """How loggers, instruments and data sheets spell units, and the spelling that stands for each.
 
-A text is put into the form of products (`m/s2` → `m/s**2`), then looked up as a whole, then word by word. What stands in no table
-is left as it is: the registry says whether anybody knows it.
+A text is put into the form of products (`m/s2` → `m/s**2`), then looked up as a whole, then word by
+word. What stands in no table is left as it is: the registry says whether anybody knows it.
 """
 
 from __future__ import annotations
@@ -10,11 +10,24 @@ import re
 
 _SAME = str.maketrans(
     {
-        **{"℃": "°C", "℉": "°F", "º": "°", "˚": "°", "Ω": "Ω", "μ": "µ", "−": "-", "·": "*", "⋅": "*", "×": "*"},
+        **{
+            "℃": "°C",
+            "℉": "°F",
+            "º": "°",
+            "˚": "°",
+            "Ω": "Ω",
+            "μ": "µ",
+            "−": "-",
+            "·": "*",
+            "⋅": "*",
+            "×": "*",
+        },
         **dict(zip("⁰¹²³⁴⁵⁶⁷⁸⁹⁻", "0123456789-", strict=True)),
     }
 )
-_POWER = re.compile(r"(?<![A-Za-z_\d.])([A-Za-zµ]{1,4})\s?(?:\^|\*\*)?(?:\((-?[1-9])\)|(-?[1-9]))(?![\dA-Za-z.*])")
+_POWER = re.compile(
+    r"(?<![A-Za-z_\d.])([A-Za-zµ]{1,4})\s?(?:\^|\*\*)?(?:\((-?[1-9])\)|(-?[1-9]))(?![\dA-Za-z.*])"
+)
 """A short word with its exponent right behind it: `m3`, `s-2`, `min^-1`, `cm**2`."""
 _DOT = re.compile(r"(?<=[A-Za-z])\.(?=[A-Za-z])")
 _JOINED = re.compile(r"(?<![A-Za-zµ])((?:da|[kMmµ])?N)(m{1,2}|cm)(?![A-Za-z0-9])")
@@ -32,22 +45,37 @@ def _each(words: str, meant: str) -> dict[str, str]:
 
 _WHOLE = {
     **_each("1 - -- none unitless dimensionless raw bool boolean count", "dimensionless"),
-    **_each("C °C degC DegC °Celsius oC Cel celsius Celsius deg_C deg.C Deg_C deg._C degree_C degrees_C degree_Celsius", "degC"),
+    **_each(
+        "C °C degC DegC °Celsius oC Cel celsius Celsius deg_C deg.C Deg_C deg._C degree_C degrees_C"
+        " degree_Celsius",
+        "degC",
+    ),
     **_each("°_C degrees_Celsius deg_Celsius grad_C Grad_C", "degC"),
     **_each("°F degF DegF oF deg_F deg._F °_F Fahrenheit fahrenheit degrees_F", "degF"),
     **_each("°K degK deg_K Kelvin kelvin", "kelvin"),
     **_each("° Deg DEG degrees", "degree"),
     **_each('" in. inches Zoll zoll', "inch"),
     **_each("g gn G g_n g0 g's gs G's grms gRMS Grms GRMS", "standard_gravity"),
-    **_each("RPM Rpm r.p.m. rev/min revs/min r/min U/min Upm UPM upm tr/min 1/min /min min**-1 rev*min**-1", "revolution/minute"),
-    **_each("rev_per_min rpm turns/min turn/min revolutions/min 1/minute minute**-1", "revolution/minute"),
+    **_each(
+        "RPM Rpm r.p.m. rev/min revs/min r/min U/min Upm UPM upm tr/min 1/min /min min**-1"
+        " rev*min**-1",
+        "revolution/minute",
+    ),
+    **_each(
+        "rev_per_min rpm turns/min turn/min revolutions/min 1/minute minute**-1",
+        "revolution/minute",
+    ),
     **_each("trs/min tr/mn obr/min ot/min giri/min", "revolution/minute"),
     **_each("krpm kRPM", "kiloturn/minute"),
     **_each("V/krpm V/kRPM V/1000rpm V/1000_rpm V/1000min**-1", "V*minute/kiloturn"),
     **_each("rps RPS rev/s rev/sec revs/s U/s r/s turns/s turn/s", "revolution/second"),
     **_each("dps deg/sec °/s °/sec", "degree/second"),
     **_each("°CA °_CA degCA deg_CA CAD °KW °_KW", "degree"),
-    **_each("%RH %rh %rH %_RH RH% %r.F. %rF %_r.F. % percent Percent pct PCT Prozent %age vol% %vol Vol% Vol.-%", "percent"),
+    **_each(
+        "%RH %rh %rH %_RH RH% %r.F. %rF %_r.F. % percent Percent pct PCT Prozent %age vol% %vol"
+        " Vol% Vol.-%",
+        "percent",
+    ),
     **_each("ppm PPM ppmv µε µstrain ustrain um/m µm/m", "ppm"),
     **_each("ppb PPB ppbv", "ppm*permille"),
     **_each("‰ promille Promille permille", "permille"),
@@ -66,7 +94,10 @@ _WHOLE = {
     **_each("mmHg mmHG mm_Hg", "mmHg"),
     **_each("Torr torr", "torr"),
     **_each("mmH2O mm_H2O mmWS mmWC", "mmH2O"),
-    **_each("lpm LPM slpm l/mn Nl/min NL/min Nlpm nlpm NLPM Sl/min SLM slm SLPM ln/min l_n/min", "liter/minute"),
+    **_each(
+        "lpm LPM slpm l/mn Nl/min NL/min Nlpm nlpm NLPM Sl/min SLM slm SLPM ln/min l_n/min",
+        "liter/minute",
+    ),
     **_each("Nml/min sccm SCCM smlpm", "cm**3/minute"),
     **_each("gpm GPM", "gallon/minute"),
     **_each("gph GPH", "gallon/hour"),
@@ -78,8 +109,15 @@ _WHOLE = {
     **_each("kmh km/hr Km/h KMH kph KPH km/hour", "kilometer_per_hour"),
     **_each("mph MPH mi/h", "mile_per_hour"),
     **_each("kt kts knots Knots knot", "knot"),
-    **_each("ft-lb ft-lbf ft*lb ft*lbf ftlb ftlbf lb-ft lbf-ft lb*ft lbft ft_lb ft_lbf lb_ft lbf_ft ft-lbs", "lbf*foot"),
-    **_each("in-lb in-lbf in*lb in*lbf inlb lb-in lbf-in lb*in lbin in_lb in_lbf lb_in in-lbs", "lbf*inch"),
+    **_each(
+        "ft-lb ft-lbf ft*lb ft*lbf ftlb ftlbf lb-ft lbf-ft lb*ft lbft ft_lb ft_lbf lb_ft lbf_ft"
+        " ft-lbs",
+        "lbf*foot",
+    ),
+    **_each(
+        "in-lb in-lbf in*lb in*lbf inlb lb-in lbf-in lb*in lbin in_lb in_lbf lb_in in-lbs",
+        "lbf*inch",
+    ),
     **_each("N-m Newton-meter newton-meter N_m Newton_meter Nm newton_meter", "N*m"),
     **_each("oz-in ozf-in in-oz oz*in ozin ozfin", "ozf*inch"),
     **_each("kgf-m kgfm kgf_m kp-m kpm", "kgf*m"),
@@ -91,7 +129,11 @@ _WHOLE = {
     **_each("kgcm**2 kgcm2", "kg*cm**2"),
     **_each("gcm**2 gcm2", "gram*cm**2"),
     **_each("watt-hour watt-hours Watt-hour Watt-hours", "Wh"),
-    **_each("Amp-hour Amp-hours amp-hour amp-hours Ampere-hour Ampere-hours ampere-hours Amph amp_hours Amp_hours", "Ah"),
+    **_each(
+        "Amp-hour Amp-hours amp-hour amp-hours Ampere-hour Ampere-hours ampere-hours Amph amp_hours"
+        " Amp_hours",
+        "Ah",
+    ),
     **_each("VAh VARh varh VArh", "VA*h"),
     **_each("kVAh kvarh kVARh kVArh", "kVA*h"),
     **_each("W/mK W/m-K", "W/m/K"),
@@ -155,7 +197,10 @@ _WORDS = {
     "%": "percent",
 }
 _SI = {
-    **dict.fromkeys(["A", "V", "W", "J", "F", "H", "s", "S", "T", "Hz", "VA", "Wh", "ohm", "Pa", "N", "rad"], "n u µ m k M G"),
+    **dict.fromkeys(
+        ["A", "V", "W", "J", "F", "H", "s", "S", "T", "Hz", "VA", "Wh", "ohm", "Pa", "N", "rad"],
+        "n u µ m k M G",
+    ),
     **{
         "m": "n u µ m c d k",
         "l": "u µ m c d h",
@@ -179,16 +224,22 @@ _SI = {
     },
 }
 _OTHERS = (
-    "daN hPa min h d ha ft in yd mi lb oz lbf kgf gf ozf psi atm torr mmHg mmH2O cmH2O inHg degC degF delta_degC delta_degF deg "
-    "rpm kip ksi permille mph kph knot ppm arcmin arcsec cP cSt gon gal hp BTU Btu count bit byte g_0 turn % mile inch foot yard "
-    "kg revolution tonne feet inches day"
+    "daN hPa min h d ha ft in yd mi lb oz lbf kgf gf ozf psi atm torr mmHg mmH2O cmH2O inHg degC"
+    " degF delta_degC delta_degF deg rpm kip ksi permille mph kph knot ppm arcmin arcsec cP cSt gon"
+    " gal hp BTU Btu count bit byte g_0 turn % mile inch foot yard kg revolution tonne feet"
+    " inches day"
 )
-KNOWN_SYMBOLS = frozenset((*(p + u for u, prefixes in _SI.items() for p in ("", *prefixes.split())), *_OTHERS.split()))
-"""Symbols that mean what the registry reads; it would read many more words as a prefix and a unit (`pct`: pico-centitonne)."""
+KNOWN_SYMBOLS = frozenset(
+    (*(p + u for u, prefixes in _SI.items() for p in ("", *prefixes.split())), *_OTHERS.split())
+)
+"""Symbols that mean what the registry reads; it would read many more words as a prefix and a unit
+(`pct`: pico-centitonne).
+"""
 LOOKALIKES = frozenset(
     _each(
-        "point points pixel pixels cycle cycles scaled grain grains chain chains stone decibel decibels neper link links "
-        "particle particles number_meter hand hands barrel dots pixel_per_inch value values",
+        "point points pixel pixels cycle cycles scaled grain grains chain chains stone decibel"
+        " decibels neper link links particle particles number_meter hand hands barrel dots"
+        " pixel_per_inch value values",
         "",
     )
 )
@@ -212,7 +263,8 @@ def canonical(text: str) -> str:
 
 
 def is_spelled(text: str) -> bool:
-    """Whether a text is listed as a spelling of a unit, in any form of it, or is a symbol of two letters or more.
+    """Whether a text is listed as a spelling of a unit, in any form of it, or is a symbol of two
+    letters or more.
 
     >>> is_spelled("bar(g)"), is_spelled("ml"), is_spelled("left"), is_spelled("A")
     (True, True, False, False)
@@ -222,4 +274,6 @@ def is_spelled(text: str) -> bool:
 
 
 def _powers(text: str) -> str:
-    return _POWER.sub(lambda match: f"{match[1]}**{match[2] or match[3]}", _DOT.sub("*", text)).replace("^", "**")
+    return _POWER.sub(
+        lambda match: f"{match[1]}**{match[2] or match[3]}", _DOT.sub("*", text)
+    ).replace("^", "**")

@@ -1,7 +1,8 @@
 """Physical units of channels and parameters: parsing, checking, converting.
 
-Units are written as engineers write them in column heads (`rad/s`, `N*m`, `°C`, `%`, `rpm`, `g`). Products of common units are
-read here; pint reads everything else, and is loaded when it is first needed.
+Units are written as engineers write them in column heads (`rad/s`, `N*m`, `°C`, `%`, `rpm`, `g`).
+Products of common units are read here; pint reads everything else, and is loaded when it is first
+needed.
 """
 
 from __future__ import annotations
@@ -27,7 +28,19 @@ _COUNTS = {"radian", "bit", "count", "decibel"}
 """Base units without a dimension."""
 _BASES = frozenset(
     (
-        *("ampere", "bit", "candela", "count", "kelvin", "kilogram", "meter", "mole", "radian", "second", "absorbance_unit"),
+        *(
+            "ampere",
+            "bit",
+            "candela",
+            "count",
+            "kelvin",
+            "kilogram",
+            "meter",
+            "mole",
+            "radian",
+            "second",
+            "absorbance_unit",
+        ),
         *("pixel", "refractive_index_unit", "A", "K", "kg", "m", "rad", "s"),
     )
 )
@@ -50,7 +63,9 @@ class Unit:
     @property
     def offset(self) -> float:
         """Where the unit's zero lies in base units: 273.15 K for °C, 0 for most."""
-        return self.factors[0][0].offset if len(self.factors) == 1 and self.factors[0][1] == 1 else 0.0
+        return (
+            self.factors[0][0].offset if len(self.factors) == 1 and self.factors[0][1] == 1 else 0.0
+        )
 
     @property
     def base(self) -> dict[str, float]:
@@ -83,10 +98,12 @@ class Unit:
 
 @lru_cache(maxsize=1024)
 def parse_unit(text: str) -> Unit:
-    """Return the unit that `text` names; a word that nobody knows (`ticks`) is a unit of its own dimension.
+    """Return the unit that `text` names; a word that nobody knows (`ticks`) is a unit of its own
+    dimension.
 
-    What it takes is bounded before anything is computed: length, words, parentheses inside each other, exponents.
-    Raises BadUnit when the text is no unit, or one whose size in base units is no number; the message repeats the text.
+    What it takes is bounded before anything is computed: length, words, parentheses inside each
+    other, exponents. Raises BadUnit when the text is no unit, or one whose size in base units is no
+    number; the message repeats the text.
 
     >>> compatible("ticks/s", "ticks/min"), compatible("ticks", "rad")
     (True, False)
@@ -100,15 +117,21 @@ def parse_unit(text: str) -> Unit:
     spelled = canonical(spelled) if spelled else "dimensionless"
     factors = _common(spelled)
     try:
-        unit = Unit(_merged(factors if factors is not None else import_module(_REGISTRY).factors(spelled)))
+        unit = Unit(
+            _merged(factors if factors is not None else import_module(_REGISTRY).factors(spelled))
+        )
         if any(abs(power) > LARGEST_POWER for _, power in unit.factors):
-            raise BadUnit(f"unit {text!r}: not a known unit: an exponent is larger than {LARGEST_POWER:g}")
+            raise BadUnit(
+                f"unit {text!r}: not a known unit: an exponent is larger than {LARGEST_POWER:g}"
+            )
         if not 0 < unit.scale < np.inf:
             raise OverflowError(spelled)
     except BadUnit as error:  # it shows the registry's spelling, or one word of it
         says = str(error)
         raise BadUnit(f"unit {text!r}: {says[says.rindex('not a known unit') :]}") from None
-    except Exception as error:  # pint raises many unrelated types (tokenizer, attribute, definition errors)
+    except (
+        Exception
+    ) as error:  # pint raises many unrelated types (tokenizer, attribute, definition errors)
         raise BadUnit(f"unit {text!r}: not a known unit") from error
     return unit
 
@@ -120,7 +143,11 @@ def _common(spelled: str) -> list[tuple[NamedUnit, float]] | None:
     factors, place = [], 0
     while place < len(spelled):
         match = _FACTOR.match(spelled, place)
-        if match is None or bool(match[1]) != bool(place) or (match[2] not in COMMON_UNITS and match[2] != "1"):
+        if (
+            match is None
+            or bool(match[1]) != bool(place)
+            or (match[2] not in COMMON_UNITS and match[2] != "1")
+        ):
             return None
         power = float(match[3] or 1.0) * (-1.0 if match[1] == "/" else 1.0)
         factors += [(COMMON_UNITS[match[2]], power)] if match[2] != "1" else []
@@ -134,13 +161,19 @@ def _merged(factors: Any) -> tuple[tuple[NamedUnit, float], ...]:
     factors = list(factors)
     alone = len(factors) == 1 and factors[0][1] == 1
     for named, power in factors:
-        of = named if alone or not named.offset else NamedUnit(f"Δ{named.symbol}", named.scale, named.base)
+        of = (
+            named
+            if alone or not named.offset
+            else NamedUnit(f"Δ{named.symbol}", named.scale, named.base)
+        )
         powers[of] = powers.get(of, 0.0) + power
     return tuple((named, power) for named, power in powers.items() if power)
 
 
 def read_registry() -> None:
-    """Read the registry of units that are not common, which takes .3 s: for who cannot wait when the first of them comes."""
+    """Read the registry of units that are not common, which takes .3 s: for who cannot wait when
+    the first of them comes.
+    """
     import_module(_REGISTRY)
 
 
@@ -161,7 +194,8 @@ def is_own(word: str) -> bool:
 def compatible(first: str, second: str) -> bool:
     """Whether values in unit `first` can be converted to unit `second`.
 
-    A frequency becomes a speed of rotation only where somebody says what one cycle is (`rev/s`, `rad/s`).
+    A frequency becomes a speed of rotation only where somebody says what one cycle is (`rev/s`,
+    `rad/s`).
 
     >>> compatible("rpm", "rad/s"), compatible("Hz", "rpm")
     (True, False)
@@ -171,7 +205,9 @@ def compatible(first: str, second: str) -> bool:
 
 
 def _read_together(first: str, second: str) -> tuple[Unit, Unit]:
-    """Two units that are held against each other: `C` is the coulomb beside a charge, and everywhere else the degree Celsius."""
+    """Two units that are held against each other: `C` is the coulomb beside a charge, and
+    everywhere else the degree Celsius.
+    """
     left, right = parse_unit(first), parse_unit(second)
     charge = parse_unit("A*s")
     if first.strip() == "C" and right.dimension == charge.dimension:
@@ -182,15 +218,21 @@ def _read_together(first: str, second: str) -> tuple[Unit, Unit]:
 
 
 def _cycles_against_turns(first: Unit, second: Unit) -> bool:
-    """Whether one is a frequency and the other a speed of rotation: nothing says how much of a turn a cycle is."""
+    """Whether one is a frequency and the other a speed of rotation: nothing says how much of a turn
+    a cycle is.
+    """
     rotation = {"radian": 1.0, "second": -1.0}
     return sorted((first.base, second.base), key=len) == [{"second": -1.0}, rotation]
 
 
-def convert(values: npt.ArrayLike, source: str, target: str, *, what: str = "value", column: str = "") -> npt.NDArray[np.float64]:
-    """Convert absolute values from unit `source` to unit `target` (°C to K shifts, rpm to rad/s scales).
+def convert(
+    values: npt.ArrayLike, source: str, target: str, *, what: str = "value", column: str = ""
+) -> npt.NDArray[np.float64]:
+    """Convert absolute values from unit `source` to unit `target` (°C to K shifts, rpm to rad/s
+    scales).
 
-    Raises BadUnit when the two are incompatible; `what` names the quantity, `column` whose unit may be said.
+    Raises BadUnit when the two are incompatible; `what` names the quantity, `column` whose unit may
+    be said.
 
     >>> float(convert(60.0, "rpm", "rad/s"))  # doctest: +ELLIPSIS
     6.283...
@@ -203,14 +245,19 @@ def convert(values: npt.ArrayLike, source: str, target: str, *, what: str = "val
     given, wanted = _read_together(source, target)
     if _cycles_against_turns(given, wanted):
         raise BadUnit(
-            f"{what}: unit {source!r} and {target!r} are a frequency and a speed of rotation; nothing says what one cycle is",
+            f"{what}: unit {source!r} and {target!r} are a frequency and a speed of rotation;"
+            " nothing says what one cycle is",
             way_on=[("units", {column: "rev/s"}, "if it is a turn")] if column else (),
         )
     if not compatible(source, target):
         says = f"unit {_shown(source)} cannot be converted to {_shown(target)}"
         own = [word for word in given.base if is_own(word)]
         when = f", nobody knows {own[0]!r}" if own else ""
-        way = ("units", {column: target}, f"if the column is in {target!r}" + ("" if own else " all the same"))
+        way = (
+            "units",
+            {column: target},
+            f"if the column is in {target!r}" + ("" if own else " all the same"),
+        )
         raise BadUnit(f"{what}: {says}{when}", way_on=[way] if column else ())
     if given.offset == wanted.offset:
         return np.asarray(array * (given.scale / wanted.scale))

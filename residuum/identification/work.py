@@ -1,9 +1,10 @@
 """Counted work: how much a search has computed, and when it has had its share.
 
-A search whose end depends on the clock answers one record in two ways, on an idle machine and on a busy one. So work is bounded
-by counting it: a *sample* is one integration step of a simulation, and one more for each value that it is differentiated by; a
-*fit* costs some samples besides. Pieces of work that run side by side are counted each for itself and added in order, so that the
-count, and what is cut by it, depends on nothing but the data.
+A search whose end depends on the clock answers one record in two ways, on an idle machine and on a
+busy one. So work is bounded by counting it: a *sample* is one integration step of a simulation, and
+one more for each value that it is differentiated by; a *fit* costs some samples besides. Pieces of
+work that run side by side are counted each for itself and added in order, so that the count, and
+what is cut by it, depends on nothing but the data.
 """
 
 from __future__ import annotations
@@ -15,7 +16,9 @@ from contextvars import ContextVar
 from dataclasses import dataclass, field
 
 FIT_COST = 300_000
-"""[samples] What an estimation costs besides what it simulates: proposals, linear algebra, bookkeeping. Measured, roughly."""
+"""[samples] What an estimation costs besides what it simulates: proposals, linear algebra,
+bookkeeping. Measured, roughly.
+"""
 
 
 Tell = Callable[[float, str], None]
@@ -23,7 +26,8 @@ Tell = Callable[[float, str], None]
 
 
 def part_of(tell: Tell, begin: float, end: float) -> Tell:
-    """Tells how far a part is of the work that `tell` tells of: the part from `begin` to `end`, shares of the whole.
+    """Tells how far a part is of the work that `tell` tells of: the part from `begin` to `end`,
+    shares of the whole.
 
     >>> part_of(lambda share, doing: print(round(share, 3), doing), 0.5, 0.9)(0.25, "fitting")
     0.6 fitting
@@ -55,15 +59,18 @@ def untold(_share: float, _doing: str) -> None:
 
 
 class OutOfWork(Exception):
-    """A search has done all the work that it was given; what it found so far is lost, but for what it was told to keep."""
+    """A search has done all the work that it was given; what it found so far is lost, but for what
+    it was told to keep.
+    """
 
 
 @dataclass(eq=False)
 class Work:
-    """What was done: `samples` simulated, `fits` (estimations), and what was `not_tried` because the work or the time was over.
+    """What was done: `samples` simulated, `fits` (estimations), and what was `not_tried` because
+    the work or the time was over.
 
-    `most` bounds the `effort`; `ends` is the time (of `time.perf_counter`) at which it is over, where a user set one, and
-    `timed_out` whether that cut it.
+    `most` bounds the `effort`; `ends` is the time (of `time.perf_counter`) at which it is over,
+    where a user set one, and `timed_out` whether that cut it.
     """
 
     samples: int = 0
@@ -80,7 +87,11 @@ class Work:
 
     def part(self, most: float = float("inf"), seconds: float | None = None) -> Work:
         """Work of its own that ends with this one at the latest; `take` adds it."""
-        ends = self.ends if seconds is None else min(self.ends, time.perf_counter() + max(seconds, 0.0))
+        ends = (
+            self.ends
+            if seconds is None
+            else min(self.ends, time.perf_counter() + max(seconds, 0.0))
+        )
         return Work(most=min(most, self.most - self.effort), ends=ends)
 
     def take(self, part: Work) -> None:
@@ -111,7 +122,8 @@ def counted_as(work: Work) -> Iterator[Work]:
 
 @contextmanager
 def at_most(effort: float = float("inf"), seconds: float | None = None) -> Iterator[Work]:
-    """What is computed inside raises `OutOfWork` after so much effort [samples], or so many seconds where a user asks for that.
+    """What is computed inside raises `OutOfWork` after so much effort [samples], or so many seconds
+    where a user asks for that.
 
     >>> with at_most(effort=100) as work:
     ...     count_samples(60)

@@ -1,4 +1,6 @@
-"""The library's faces: what `import residuum as rs` offers, and what the command line and the service call.
+"""The library's faces: what `import residuum as rs` offers, and what the command line and the
+service call.
 
-Plain functions on the rooms below, records in and results out; `residuum/__init__.py` lists the names.
+Plain functions on the rooms below, records in and results out; `residuum/__init__.py` lists the
+names.
 """

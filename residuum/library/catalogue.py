@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 
 
 class Catalogue(Mapping[str, Effect]):
-    """Physical effects by id. Iterating gives ids; `rs.effects["radiation"]` is an effect with its equation and parameters.
+    """Physical effects by id. Iterating gives ids; `rs.effects["radiation"]` is an effect with its
+    equation and parameters.
 
     Examples
     --------
@@ -41,18 +42,21 @@ class Catalogue(Mapping[str, Effect]):
         return id in EFFECTS
 
     def add(self, effect: Effect | type[Effect]) -> None:
-        """Add an effect of your own; from then on it is everywhere where the catalogue is, in this process.
+        """Add an effect of your own; from then on it is everywhere where the catalogue is, in this
+        process.
 
         Parameters
         ----------
         effect : Effect, or its class
-            With `id`, `title`, `equation`, `reference`, `acts_on`, `parameters`, `contribution`, `starts` and `examples`, as
-            those in `residuum/identification/physics/effects` have them.
+            With `id`, `title`, `equation`, `reference`, `acts_on`, `parameters`, `contribution`,
+            `starts` and `examples`, as those in `residuum/identification/physics/effects` have
+            them.
 
         Raises
         ------
         BadModel
-            An id that is taken or is not of small letters, digits and `-`; a class attribute that is missing.
+            An id that is taken or is not of small letters, digits and `-`; a class attribute that
+            is missing.
 
         Examples
         --------

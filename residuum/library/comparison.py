@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Comparison(Result):
-    """A model held against records: how large its error is, whether it is structured, and where it lies.
+    """A model held against records: how large its error is, whether it is structured, and where it
+    lies.
 
     Attributes
     ----------
@@ -50,12 +51,16 @@ class Comparison(Result):
 
     @property
     def table(self) -> pandas.DataFrame:
-        """One row an output: unit, RMS error, fit [%], bias, noise floor; MissingPackage when pandas is not installed."""
+        """One row an output: unit, RMS error, fit [%], bias, noise floor; MissingPackage when
+        pandas is not installed.
+        """
         return self.to_pandas()
 
     @property
     def where(self) -> pandas.DataFrame:
-        """Where the error lies, the worst place first; MissingPackage when pandas is not installed."""
+        """Where the error lies, the worst place first; MissingPackage when pandas is not
+        installed.
+        """
         return data_frame([region_json(region) for region in self.found.where])
 
     def _answer(self) -> dict[str, Any]:
@@ -80,13 +85,22 @@ class Comparison(Result):
     def _picture(self) -> Picture:
         experiment, predicted = self.found.experiments[0], self.found.simulation.predicted[0]
         time = experiment.t0 + experiment.sample_time * np.arange(experiment.n)
-        outputs = [output for output in self.found.model.outputs.values() if output.name in self.found.outputs]
+        outputs = [
+            output
+            for output in self.found.model.outputs.values()
+            if output.name in self.found.outputs
+        ]
         names = list(self.found.model.outputs)
         panels = []
         for output in outputs:
             k = names.index(output.name)
-            curves = [Curve("measured", time, experiment.Y[:, k]), Curve("model", time, predicted[:, k])]
+            curves = [
+                Curve("measured", time, experiment.Y[:, k]),
+                Curve("model", time, predicted[:, k]),
+            ]
             panels.append(Panel(output.name, "time [s]", axis(output.name, output.unit), curves))
             error = [Curve("error", time, experiment.Y[:, k] - predicted[:, k])]
-            panels.append(Panel(f"error of {output.name}", "time [s]", axis("error", output.unit), error))
+            panels.append(
+                Panel(f"error of {output.name}", "time [s]", axis("error", output.unit), error)
+            )
         return Picture(panels)

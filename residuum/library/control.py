@@ -23,7 +23,13 @@ from residuum.library.questions.control_design import DesignController
 from residuum.library.result import Result, Row
 from residuum.library.whole_file import write_whole
 from residuum.robust_control.certificates import Measured, StepResponse, step_response
-from residuum.robust_control.control_problem import STRUCTURES, ControlProblem, Solution, WeightChoice, Wishes
+from residuum.robust_control.control_problem import (
+    STRUCTURES,
+    ControlProblem,
+    Solution,
+    WeightChoice,
+    Wishes,
+)
 from residuum.robust_control.controller_export import LANGUAGES, DifferenceEquation
 from residuum.robust_control.synthesis.constrained_structure import Constrained, ControllerStructure
 from residuum.robust_control.weights.performance_weight import Infeasible
@@ -36,7 +42,8 @@ _NO_LIMITS = (-math.inf, math.inf)
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Controller(Result):
-    """A discrete-time controller with what it promises for the plant and for plants that the data do not exclude.
+    """A discrete-time controller with what it promises for the plant and for plants that the data
+    do not exclude.
 
     Attributes
     ----------
@@ -44,7 +51,8 @@ class Controller(Result):
     plants : tuple of str
         What it was designed for.
     problem, found
-        The control problem (plant, weights, grid), and the Pareto front with the point that was chosen.
+        The control problem (plant, weights, grid), and the Pareto front with the point that was
+        chosen.
     limits : (lower, upper)
         Of the actuator, in exported code.
 
@@ -78,7 +86,9 @@ class Controller(Result):
 
     @cached_property
     def measured(self) -> Measured:
-        """Step responses of the nominal loop, and of 200 or more plants drawn from their uncertainty that no design has seen."""
+        """Step responses of the nominal loop, and of 200 or more plants drawn from their
+        uncertainty that no design has seen.
+        """
         return self.problem.measured(self.found, self.wishes)
 
     @property
@@ -87,7 +97,8 @@ class Controller(Result):
         return list(self.measured.drawn)
 
     def to_control(self) -> Any:
-        """K(z) as a python-control `TransferFunction`; MissingPackage when `control` is not installed.
+        """K(z) as a python-control `TransferFunction`; MissingPackage when `control` is not
+        installed.
 
         Returns
         -------
@@ -128,10 +139,15 @@ class Controller(Result):
         >>> "u" in controller.difference_equation().text()
         True
         """
-        return DifferenceEquation(self.transfer_function, *(self.limits if limits is None else limits))
+        return DifferenceEquation(
+            self.transfer_function, *(self.limits if limits is None else limits)
+        )
 
-    def export_c(self, path: str | PathLike[str] | None = None, *, limits: tuple[float, float] | None = None) -> str:
-        """The controller as C99 without dependencies, with its self-test; written to `path` when one is given.
+    def export_c(
+        self, path: str | PathLike[str] | None = None, *, limits: tuple[float, float] | None = None
+    ) -> str:
+        """The controller as C99 without dependencies, with its self-test; written to `path` when
+        one is given.
 
         Parameters
         ----------
@@ -188,7 +204,9 @@ class Controller(Result):
         """
         return self._exported("st", path, limits)
 
-    def _exported(self, language: str, path: str | PathLike[str] | None, limits: tuple[float, float] | None) -> str:
+    def _exported(
+        self, language: str, path: str | PathLike[str] | None, limits: tuple[float, float] | None
+    ) -> str:
         text = LANGUAGES[language](self.difference_equation(limits))
         if path is not None:
             write_whole(Path(path), text)
@@ -205,21 +223,36 @@ class Controller(Result):
         return design_text(self._answer())
 
     def __repr__(self) -> str:
-        return f"<residuum Controller {self.structure}: {', '.join(f'{n} = {v:.4g}' for n, v in self.parameters.items())}>"
+        return (
+            f"<residuum Controller {self.structure}:"
+            f" {', '.join(f'{n} = {v:.4g}' for n, v in self.parameters.items())}>"
+        )
 
     def _rows(self) -> Sequence[Row]:
         return [{"parameter": name, "value": value} for name, value in self.parameters.items()]
 
     def _picture(self) -> Picture:
-        duration = min(self.problem.horizon, 3.0 * float(np.median([figure.settling_time for figure in self.figures])))
+        duration = min(
+            self.problem.horizon,
+            3.0 * float(np.median([figure.settling_time for figure in self.figures])),
+        )
         duration = duration if math.isfinite(duration) and duration > 0 else self.problem.horizon
         nominal = self._step(self.problem.plant, duration)
-        drawn = np.array([self._step(plant, duration)[: len(nominal)] for plant in self.problem.random_plants()[:_SHOWN_PLANTS]])
+        drawn = np.array(
+            [
+                self._step(plant, duration)[: len(nominal)]
+                for plant in self.problem.random_plants()[:_SHOWN_PLANTS]
+            ]
+        )
         time = float(self.problem.plant.sample_time or 1.0) * np.arange(len(nominal))
         curve = Curve("closed loop", time, nominal, drawn.min(axis=0), drawn.max(axis=0))
-        return Picture([Panel("step of the reference, and plants drawn", "time [s]", "output", [curve])])
+        return Picture(
+            [Panel("step of the reference, and plants drawn", "time [s]", "output", [curve])]
+        )
 
-    def _step(self, plant: TransferFunction, duration: float) -> np.ndarray[Any, np.dtype[np.float64]]:
+    def _step(
+        self, plant: TransferFunction, duration: float
+    ) -> np.ndarray[Any, np.dtype[np.float64]]:
         return step_response(plant, self.transfer_function, duration)
 
 
@@ -230,7 +263,8 @@ def design(
     joined: Plant | str | PathLike[str] | None = None,
     **given: Any,
 ) -> Controller:
-    """A controller of fixed structure that keeps its promise for every plant that the data do not exclude.
+    """A controller of fixed structure that keeps its promise for every plant that the data do not
+    exclude.
 
     Parameters
     ----------
@@ -248,7 +282,8 @@ def design(
     Infeasible
         No controller of the structure meets the aim; says which constraint, where and by how much.
     BadInput
-        An unknown aim or structure, different sample times, an uncertainty over 100 % at the lowest frequency.
+        An unknown aim or structure, different sample times, an uncertainty over 100 % at the lowest
+        frequency.
 
     Examples
     --------
@@ -260,32 +295,51 @@ def design(
     'pi'
     """
     asked = DesignController.of(given)
-    listed: list[Plant | str | PathLike[str]] = [plants] if isinstance(plants, Plant | str | PathLike) else list(plants)
+    listed: list[Plant | str | PathLike[str]] = (
+        [plants] if isinstance(plants, Plant | str | PathLike) else list(plants)
+    )
     names = [_described(plant) if isinstance(plant, Plant) else str(plant) for plant in listed]
     middle = None if joined is None else plant_of(joined).identified
     return designed(names, [plant_of(plant).identified for plant in listed], middle, asked)
 
 
 def designed(
-    names: Sequence[str], models: Sequence[IdentifiedModel], joined: IdentifiedModel | None, asked: DesignController
+    names: Sequence[str],
+    models: Sequence[IdentifiedModel],
+    joined: IdentifiedModel | None,
+    asked: DesignController,
 ) -> Controller:
     """The controller for models of these names; `joined` as in `design`."""
     problem = posed(models, joined, asked)
     wishes = asked.handed_to(Wishes)
     return Controller(
-        asked.structure, asked.aim, tuple(names), problem, wishes, problem.solve(law(problem, asked), wishes), asked.actuator
+        asked.structure,
+        asked.aim,
+        tuple(names),
+        problem,
+        wishes,
+        problem.solve(law(problem, asked), wishes),
+        asked.actuator,
     )
 
 
-def posed(models: Sequence[IdentifiedModel], joined: IdentifiedModel | None, asked: DesignController) -> ControlProblem:
+def posed(
+    models: Sequence[IdentifiedModel], joined: IdentifiedModel | None, asked: DesignController
+) -> ControlProblem:
     """The control problem that is asked."""
     return ControlProblem(models, asked.seed, joined=joined, weight=asked.handed_to(WeightChoice))
 
 
 def law(problem: ControlProblem, asked: DesignController) -> ControllerStructure:
-    """The structure whose parameters are sought, those that are held or kept between limits among them."""
+    """The structure whose parameters are sought, those that are held or kept between limits among
+    them.
+    """
     whole: ControllerStructure = STRUCTURES[asked.structure](problem.loop.sample_time)
-    return Constrained(whole, fixed=asked.fix, within=asked.within) if asked.fix or asked.within else whole
+    return (
+        Constrained(whole, fixed=asked.fix, within=asked.within)
+        if asked.fix or asked.within
+        else whole
+    )
 
 
 def _described(plant: Plant) -> str:

@@ -14,7 +14,9 @@ from residuum.library.whole_file import write_whole
 
 
 class DescribedModel:
-    """A machine as a set of balances; `physical` is the model as the identification room knows it."""
+    """A machine as a set of balances; `physical` is the model as the identification room knows
+    it.
+    """
 
     def __init__(self, physical: PhysicalModel, given: str | None = None) -> None:
         self.physical = physical
@@ -37,7 +39,9 @@ class DescribedModel:
 
     @property
     def parameters(self) -> dict[str, Parameter]:
-        """Every parameter (value, unit, bounds, `fixed`, meaning) by its full name; an effect's is `effect@place.name`."""
+        """Every parameter (value, unit, bounds, `fixed`, meaning) by its full name; an effect's is
+        `effect@place.name`.
+        """
         return self.physical.all_parameters
 
     @property
@@ -79,7 +83,8 @@ class DescribedModel:
         write_whole(Path(path), self.text)
 
     def with_values(self, **values: float) -> Self:
-        """The model with other parameter values; an effect's full names go as `**{"effect@place.name": value}`.
+        """The model with other parameter values; an effect's full names go as
+        `**{"effect@place.name": value}`.
 
         Parameters
         ----------
@@ -164,11 +169,20 @@ class DescribedModel:
 
     def __repr__(self) -> str:
         with_ = f", with {', '.join(self.effects)}" if self.effects else ""
-        return f"<residuum Model {self.name!r}: {', '.join(self.inputs) or 'no input'} → {', '.join(self.outputs)}{with_}>"
+        return (
+            f"<residuum Model {self.name!r}: {', '.join(self.inputs) or 'no input'} →"
+            f" {', '.join(self.outputs)}{with_}>"
+        )
 
     def _repr_html_(self) -> str:
         rows = [
-            {"parameter": name, "value": p.value, "unit": p.unit, "fixed": p.fixed, "meaning": p.meaning}
+            {
+                "parameter": name,
+                "value": p.value,
+                "unit": p.unit,
+                "fixed": p.fixed,
+                "meaning": p.meaning,
+            }
             for name, p in self.parameters.items()
         ]
         return f"<div><strong>{escape(self.name)}</strong>{html_table(rows)}</div>"

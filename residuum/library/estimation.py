@@ -41,7 +41,8 @@ _IN_PIECES = "method prediction begins anew in each piece, which an unstable pla
 
 @dataclass(frozen=True, eq=False)
 class Estimated:
-    """The estimate, its experiments, and each output's RMS error on what the split notes kept (None: nothing was kept).
+    """The estimate, its experiments, and each output's RMS error on what the split notes kept
+    (None: nothing was kept).
 
     `unsettled` says why the search did not come to rest; empty where it did.
     """
@@ -66,7 +67,8 @@ def estimated(
     Parameters
     ----------
     method : str
-        The error that is minimised: `simulation`, `prediction` (`steps` samples ahead) or `kalman` (innovations).
+        The error that is minimised: `simulation`, `prediction` (`steps` samples ahead) or `kalman`
+        (innovations).
     hold : str
         Inputs between samples: `auto`, `linear` or `zero-order`.
 
@@ -78,7 +80,9 @@ def estimated(
         The model diverges on a record.
     """
     if method not in METHODS:
-        raise BadInput(f"method {method!r}: there is none of this name; {known_names(method, METHODS)}")
+        raise BadInput(
+            f"method {method!r}: there is none of this name; {known_names(method, METHODS)}"
+        )
     start, experiments = match(model, records, mapping, hold)
     parts = [_estimation_part(e, record) for e, record in zip(experiments, records, strict=True)]
 
@@ -88,12 +92,16 @@ def estimated(
     try:
         if hold == "auto":
             parts, result = at_likelier_timing(parts, tried)
-            experiments = [replace(e, hold=part.hold) for e, part in zip(experiments, parts, strict=True)]
+            experiments = [
+                replace(e, hold=part.hold) for e, part in zip(experiments, parts, strict=True)
+            ]
         else:
             result = tried(parts)
         held_out = _held_out_error(result.model, experiments, records)
     except NotIdentifiable as diverges:
-        raise diverges if method == "prediction" else NotIdentifiable(f"{diverges}; {_IN_PIECES}") from None
+        raise (
+            diverges if method == "prediction" else NotIdentifiable(f"{diverges}; {_IN_PIECES}")
+        ) from None
     before = None if method == "kalman" else estimate(start, _pieces(parts, method, steps), free=())
     says = unsettled(result, before)
     if says and method != "prediction":
@@ -103,19 +111,33 @@ def estimated(
 
 def _pieces(experiments: Sequence[Experiment], method: str, steps: int) -> Sequence[Experiment]:
     """What the method simulates at once."""
-    return [piece for e in experiments for piece in windows(e, steps)] if method == "prediction" else experiments
+    return (
+        [piece for e in experiments for piece in windows(e, steps)]
+        if method == "prediction"
+        else experiments
+    )
 
 
 def _estimation_part(experiment: Experiment, record: Record) -> Experiment:
-    return experiment if record.split is None else experiment.window(0, max(2, round(record.split * experiment.n)))
+    return (
+        experiment
+        if record.split is None
+        else experiment.window(0, max(2, round(record.split * experiment.n)))
+    )
 
 
 def _held_out_error(
     model: PhysicalModel, experiments: Sequence[Experiment], records: Sequence[Record]
 ) -> dict[str, float] | None:
-    """RMS error of each output on the parts after the split, simulated with initial states of their own."""
-    parted = [(e, r.split) for e, r in zip(experiments, records, strict=True) if r.split is not None]
-    rests = [e.window(round(split * e.n), e.n) for e, split in parted if e.n - round(split * e.n) >= 2]
+    """RMS error of each output on the parts after the split, simulated with initial states of their
+    own.
+    """
+    parted = [
+        (e, r.split) for e, r in zip(experiments, records, strict=True) if r.split is not None
+    ]
+    rests = [
+        e.window(round(split * e.n), e.n) for e, split in parted if e.n - round(split * e.n) >= 2
+    ]
     if not rests:
         return None
     rmse = estimate(model, rests, free=()).rmse

@@ -10,7 +10,12 @@ import numpy as np
 
 from residuum.identification.discrepancy.explanation import Explanation as Explained
 from residuum.identification.residual_analysis.places.locate import Axis
-from residuum.identification.residual_analysis.places.term_curves import binned, effect_curves, joined, telling
+from residuum.identification.residual_analysis.places.term_curves import (
+    binned,
+    effect_curves,
+    joined,
+    telling,
+)
 from residuum.identification.unseen_blocks.verdict import Candidate
 from residuum.library.answers.explanation import explanation_json, explanation_text
 from residuum.library.answers.quantities import sizes_text
@@ -28,7 +33,9 @@ _BINS = 40
 
 
 def _physical(axes: Sequence[Axis]) -> Sequence[Axis]:
-    """The axes of which effects are functions, where there are any: an input goes along with most of them."""
+    """The axes of which effects are functions, where there are any: an input goes along with most
+    of them.
+    """
     return [axis for axis in axes if axis.kind not in ("input", "time", "other")] or axes
 
 
@@ -62,7 +69,9 @@ class Explanation(Result):
 
     @property
     def best(self) -> Candidate | None:
-        """The verdict's candidate (effect, balance, probability, parameters with standard deviation and unit), or None."""
+        """The verdict's candidate (effect, balance, probability, parameters with standard deviation
+        and unit), or None.
+        """
         return next(iter(self.found.candidates), None)
 
     @property
@@ -78,7 +87,12 @@ class Explanation(Result):
 
     def __repr__(self) -> str:
         best = (
-            "" if self.best is None else f": {self.best.effect} in {self.best.balance}, probability {self.best.probability:.2f}"
+            ""
+            if self.best is None
+            else (
+                f": {self.best.effect} in {self.best.balance}, probability"
+                f" {self.best.probability:.2f}"
+            )
         )
         return f"<residuum Explanation: {self.verdict}{best}>"
 
@@ -104,7 +118,9 @@ class Explanation(Result):
                 "effect": f"{row['effect']} in {row['balance']}",
                 "probability": row["probability"],
                 "parameters": row["parameters"],
-                "error": f"{row['error_before']:.3g} → {row['error_after']:.3g} {row['error_unit']}",
+                "error": (
+                    f"{row['error_before']:.3g} → {row['error_after']:.3g} {row['error_unit']}"
+                ),
                 "not to be told from": row["indistinguishable_from"],
             }
             for row in self._rows()
@@ -118,43 +134,90 @@ class Explanation(Result):
         shown = [c for c in self.found.candidates if c.step == 0][:_SHOWN]
         names = [f"{c.effect} in {c.balance}" for c in shown]
         texts = [f"{c.probability:.2f}" for c in shown]
-        probable = Panel("probability", "", "probability", Bars(names, [c.probability for c in shown], texts, 1.0))
+        probable = Panel(
+            "probability",
+            "",
+            "probability",
+            Bars(names, [c.probability for c in shown], texts, 1.0),
+        )
         if not shown:
             return [probable]
         errors = [f"{c.error_before:.3g} → {c.error_after:.3g} {c.error_unit}" for c in shown]
-        left = [100.0 * c.error_after / c.error_before if c.error_before > 0 else 100.0 for c in shown]
-        return [probable, Panel("error that is left", "", "per cent of the error before", Bars(names, left, errors, 100.0))]
+        left = [
+            100.0 * c.error_after / c.error_before if c.error_before > 0 else 100.0 for c in shown
+        ]
+        return [
+            probable,
+            Panel(
+                "error that is left",
+                "",
+                "per cent of the error before",
+                Bars(names, left, errors, 100.0),
+            ),
+        ]
 
     def _by_block(self) -> list[Panel]:
         """The error of each output block by block, on blocks that no fit has seen."""
         blocks = self.found.blocks
         several = max(blocks.records) > 0  # their times begin anew
-        at = np.arange(len(blocks.times)) + 0.5 if several else np.array([(begin + end) / 2 for begin, end in blocks.times])
+        at = (
+            np.arange(len(blocks.times)) + 0.5
+            if several
+            else np.array([(begin + end) / 2 for begin, end in blocks.times])
+        )
         leading = [c.key for c in self.found.candidates if c.key in blocks.candidates][:_COMPARED]
         panels = []
         for o, (output, unit) in enumerate(zip(blocks.outputs, blocks.units, strict=True)):
             curves = [Curve("the model as it is", at, blocks.before[:, o])]
-            curves += [Curve(f"with {key.effect}", at, blocks.candidates[key][:, o]) for key in leading]
+            curves += [
+                Curve(f"with {key.effect}", at, blocks.candidates[key][:, o]) for key in leading
+            ]
             if len(self.found.accepted) > 1:
                 curves.append(Curve("with all that was found", at, blocks.after[:, o]))
             x = "block, records one after the other" if several else "time [s]"
-            panels.append(Panel(f"error of {output} on unseen blocks", x, axis("RMS error", unit), curves))
+            panels.append(
+                Panel(f"error of {output} on unseen blocks", x, axis("RMS error", unit), curves)
+            )
         return panels
 
     def _over_what_is_missing(self) -> list[Panel]:
-        """The term that the first candidate's balance lacks, over the signal that tells most of it, and what candidates add."""
+        """The term that the first candidate's balance lacks, over the signal that tells most of it,
+        and what candidates add.
+        """
         compared = self.comparison.found
         missing = [smoothed.missing for smoothed in compared.smoothed]
         candidates = [c for c in self.found.candidates if c.step == 0 and c.balance in missing[0]]
         if not candidates:
             return []
         balance, unit = candidates[0].balance, missing[0][candidates[0].balance].unit
-        term, std = (np.concatenate([getattr(by_balance[balance], part) for by_balance in missing]) for part in ("value", "std"))
+        term, std = (
+            np.concatenate([getattr(by_balance[balance], part) for by_balance in missing])
+            for part in ("value", "std")
+        )
         over = telling(_physical(joined(compared.axes)), term, _BINS)
         shown, band = binned(over.values, term, _BINS), 2.0 * binned(over.values, std, _BINS).mean
-        curves = [Curve("missing, ± 2 standard deviations", shown.at, shown.mean, shown.mean - band, shown.mean + band)]
+        curves = [
+            Curve(
+                "missing, ± 2 standard deviations",
+                shown.at,
+                shown.mean,
+                shown.mean - band,
+                shown.mean + band,
+            )
+        ]
         for c in [c for c in candidates if c.balance == balance][:_COMPARED]:
             values = {name: quantity.value for name, quantity in c.parameters.items()}
             every = effect_curves(compared.model, compared.experiments, c.key, values)
-            curves += [Curve(c.effect, curve.at, curve.mean) for along, curve in every if along.name == over.name]
-        return [Panel(f"what {balance} lacks", axis(over.name, over.unit), axis("missing term", unit), curves)]
+            curves += [
+                Curve(c.effect, curve.at, curve.mean)
+                for along, curve in every
+                if along.name == over.name
+            ]
+        return [
+            Panel(
+                f"what {balance} lacks",
+                axis(over.name, over.unit),
+                axis("missing term", unit),
+                curves,
+            )
+        ]

@@ -56,12 +56,30 @@ class Finding(Result):
     def _rows(self) -> Sequence[Row]:
         finding = self.found
         return [
-            {"indicator": name, "value": value, "threshold": finding.thresholds.get(name), "unit": finding.units.get(name, "")}
+            {
+                "indicator": name,
+                "value": value,
+                "threshold": finding.thresholds.get(name),
+                "unit": finding.units.get(name, ""),
+            }
             for name, value in finding.indicators.items()
         ]
 
     def _picture(self) -> Picture:
-        judged = {n: v / self.found.thresholds[n] for n, v in self.found.indicators.items() if self.found.thresholds.get(n)}
+        judged = {
+            n: v / self.found.thresholds[n]
+            for n, v in self.found.indicators.items()
+            if self.found.thresholds.get(n)
+        }
         texts = [f"{value:.2f} of its threshold" for value in judged.values()]
         bars = Bars(list(judged), list(judged.values()), texts)
-        return Picture([Panel(f"{self.verdict}: indicators over their thresholds", "", "value / threshold", bars)])
+        return Picture(
+            [
+                Panel(
+                    f"{self.verdict}: indicators over their thresholds",
+                    "",
+                    "value / threshold",
+                    bars,
+                )
+            ]
+        )

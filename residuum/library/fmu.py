@@ -12,11 +12,13 @@ from residuum.identification.record import Record
 from residuum.library.model import Model
 
 
-def fmu_model(path: str, records: Sequence[Record], map: Mapping[str, str] | None = None) -> tuple[Model, list[Record]]:
+def fmu_model(
+    path: str, records: Sequence[Record], map: Mapping[str, str] | None = None
+) -> tuple[Model, list[Record]]:
     """The FMU as a model, and the records with what it needs beside them.
 
-    With model exchange and without events every state has a balance that effects can act in. Any other FMU is simulated along
-    each record, and what its outputs lack is judged on their paths.
+    With model exchange and without events every state has a balance that effects can act in. Any
+    other FMU is simulated along each record, and what its outputs lack is judged on their paths.
 
     Raises
     ------
@@ -27,4 +29,6 @@ def fmu_model(path: str, records: Sequence[Record], map: Mapping[str, str] | Non
     if is_exchangeable(described):
         return Model(exchange_model(load(described)), path), list(records)
     model = simulated_model(described)
-    return Model(model, path), [with_simulation(described, model, record, map or {}) for record in records]
+    return Model(model, path), [
+        with_simulation(described, model, record, map or {}) for record in records
+    ]

@@ -19,12 +19,14 @@ def linear_model(
     outputs: Sequence[str] = (),
     units: Mapping[str, str] | None = None,
 ) -> Model:
-    """A transfer function or state space as a model: effects are judged on the paths of its inputs and outputs.
+    """A transfer function or state space as a model: effects are judged on the paths of its inputs
+    and outputs.
 
     Parameters
     ----------
     system : object of python-control or SciPy
-        With `num` and `den`, or `A B C D`; a `dt` that is not zero means discrete time, its input held over a sample.
+        With `num` and `den`, or `A B C D`; a `dt` that is not zero means discrete time, its input
+        held over a sample.
     name : str
     inputs, outputs : names of the signals
         As records have them; `u` and `y` by default, numbered where there are several.
@@ -33,7 +35,8 @@ def linear_model(
     Returns
     -------
     Model
-        The coefficients of a transfer function are free parameters; the entries of a state space are fixed.
+        The coefficients of a transfer function are free parameters; the entries of a state space
+        are fixed.
 
     Raises
     ------
@@ -72,13 +75,14 @@ def equations_model(
     Parameters
     ----------
     rates : mapping of state to expression
-        Of states, inputs and parameters, by symbols of their names. A rate that is another state makes the one the position of
-        the other.
+        Of states, inputs and parameters, by symbols of their names. A rate that is another state
+        makes the one the position of the other.
     outputs : mapping of name to expression
     states, inputs : mapping of name to unit
     parameters : mapping of name to (value, unit)
     kinds : mapping of state to kind of balance
-        `torque`, `force`, `voltage`, `heat`, `volume`: which effects may act on the state; `signal` (none) by default.
+        `torque`, `force`, `voltage`, `heat`, `volume`: which effects may act on the state; `signal`
+        (none) by default.
     name : str
 
     Returns
@@ -88,7 +92,8 @@ def equations_model(
     Raises
     ------
     BadModel
-        A function that expressions of models have not, a name that is not declared, units that do not fit.
+        A function that expressions of models have not, a name that is not declared, units that do
+        not fit.
 
     Examples
     --------
@@ -101,10 +106,19 @@ def equations_model(
     >>> axis.with_effect("coulomb-friction", "v", tau_c=0.2).effects
     ('coulomb-friction@v',)
     """
-    from residuum.identification.physics.files.sympy_model import model_table  # noqa: PLC0415  SymPy, for these alone
+    # SymPy, for these alone
+    from residuum.identification.physics.files.sympy_model import (  # noqa: PLC0415
+        model_table,
+    )
 
     by_name = {str(state): rate for state, rate in rates.items()}
     if unlike := set(by_name) ^ set(states):
         raise BadModel(f"equations: state {sorted(unlike)[0]!r} needs both a rate and a unit")
-    plain = model_table(name, by_name, outputs, (dict(states), dict(inputs or {}), dict(parameters or {})), dict(kinds or {}))
+    plain = model_table(
+        name,
+        by_name,
+        outputs,
+        (dict(states), dict(inputs or {}), dict(parameters or {})),
+        dict(kinds or {}),
+    )
     return model(yaml.safe_dump(plain, sort_keys=False, allow_unicode=True, width=10_000))

@@ -52,12 +52,16 @@ class Improvement(Result, Generic[M]):
 
     @property
     def verdict(self) -> str:
-        """What `compare` says of the improved model: `adequate`, `missing-effect` or `unknown-effect`."""
+        """What `compare` says of the improved model: `adequate`, `missing-effect` or
+        `unknown-effect`.
+        """
         return self.found.verdict
 
     @property
     def history(self) -> list[dict[str, Any]]:
-        """One entry a step: what was `added` (None: the model as it was) and the `error` after it, on data kept aside."""
+        """One entry a step: what was `added` (None: the model as it was) and the `error` after it,
+        on data kept aside.
+        """
         history: list[dict[str, Any]] = self.to_dict()["history"]
         return history
 
@@ -69,17 +73,34 @@ class Improvement(Result, Generic[M]):
 
     def __repr__(self) -> str:
         return (
-            f"<residuum Improvement: {self.verdict}; {', '.join(str(s['added']) for s in self.history[1:]) or 'nothing added'}>"
+            f"<residuum Improvement: {self.verdict};"
+            f" {', '.join(str(s['added']) for s in self.history[1:]) or 'nothing added'}>"
         )
 
     def _rows(self) -> Sequence[Row]:
         unit = self.found.error_unit
-        return [{"added": s["added"] or "the model as it was", "error": s["error"], "unit": unit} for s in self.history]
+        return [
+            {"added": s["added"] or "the model as it was", "error": s["error"], "unit": unit}
+            for s in self.history
+        ]
 
     def _picture(self) -> Picture:
         rows, unit = self._rows(), self.found.error_unit
-        bars = Bars([r["added"] for r in rows], [r["error"] for r in rows], [f"{r['error']:.3g} {unit}" for r in rows])
-        return Picture([Panel(f"error of {self.found.output} on data kept aside", "", axis("RMS error", unit), bars)])
+        bars = Bars(
+            [r["added"] for r in rows],
+            [r["error"] for r in rows],
+            [f"{r['error']:.3g} {unit}" for r in rows],
+        )
+        return Picture(
+            [
+                Panel(
+                    f"error of {self.found.output} on data kept aside",
+                    "",
+                    axis("RMS error", unit),
+                    bars,
+                )
+            ]
+        )
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -91,7 +112,8 @@ class Estimation(Result, Generic[M]):
     fitted : Model
         With the estimated values, settled or not.
     model : Model
-        The same where the search came to rest (or `anyway` was said); `model.save("fitted.yaml")` writes it.
+        The same where the search came to rest (or `anyway` was said); `model.save("fitted.yaml")`
+        writes it.
     unsettled : tuple of str
         Why the search did not come to rest; empty where it did, be it at a bound.
     records : tuple of str
@@ -127,10 +149,13 @@ class Estimation(Result, Generic[M]):
 
     @property
     def model(self) -> M:
-        """The model with the estimated values; NotIdentifiable where the search did not come to rest."""
+        """The model with the estimated values; NotIdentifiable where the search did not come to
+        rest.
+        """
         if self.unsettled and not self.anyway:
             raise NotIdentifiable(
-                f"the estimation has not converged: {'; '.join(self.unsettled)}; `anyway=True` gives its model all the same"
+                f"the estimation has not converged: {'; '.join(self.unsettled)}; `anyway=True`"
+                " gives its model all the same"
             )
         return self.fitted
 
@@ -149,14 +174,25 @@ class Estimation(Result, Generic[M]):
         answer = estimate_json(self.given, self.records, self.found, self.unsettled)
         against = disagreement(self.found) if self.converged else ()
         given = self.found.model, self.experiments
-        answer["warnings"] = (*begins_elsewhere(*given), *leaves_tables(*given), *self.left_out, *against)
-        return answer | {"method": self.method, "held_out_rmse": self.held_out_rmse, "model_file": None}
+        answer["warnings"] = (
+            *begins_elsewhere(*given),
+            *leaves_tables(*given),
+            *self.left_out,
+            *against,
+        )
+        return answer | {
+            "method": self.method,
+            "held_out_rmse": self.held_out_rmse,
+            "model_file": None,
+        }
 
     def __str__(self) -> str:
         return estimate_text(self._answer())
 
     def _rows(self) -> Sequence[Row]:
-        return [{"parameter": name} | values for name, values in self._answer()["parameters"].items()]
+        return [
+            {"parameter": name} | values for name, values in self._answer()["parameters"].items()
+        ]
 
     def _picture(self) -> Picture:
         experiment, predicted = self.experiments[0], self.found.predicted[0]
@@ -164,6 +200,13 @@ class Estimation(Result, Generic[M]):
         panels = []
         for k, output in enumerate(self.found.model.outputs.values()):
             if experiment.measured[k]:
-                measured, model = Curve("measured", time, experiment.Y[:, k]), Curve("model", time, predicted[:, k])
-                panels.append(Panel(output.name, "time [s]", axis(output.name, output.unit), [measured, model]))
+                measured, model = (
+                    Curve("measured", time, experiment.Y[:, k]),
+                    Curve("model", time, predicted[:, k]),
+                )
+                panels.append(
+                    Panel(
+                        output.name, "time [s]", axis(output.name, output.unit), [measured, model]
+                    )
+                )
         return Picture(panels)

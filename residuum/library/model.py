@@ -38,7 +38,8 @@ if TYPE_CHECKING:
     from residuum.library.explanation import Explanation
     from residuum.library.improvement import Estimation, Improvement
 
-# What comparing does not need (the search, the estimation) is imported by the methods that need it: it costs most of a second.
+# What comparing does not need (the search, the estimation) is imported by the methods that need it:
+# it costs most of a second.
 
 Records = MeasuredRecord | str | PathLike[str] | Sequence[MeasuredRecord | str | PathLike[str]]
 """One record, a record file, or several: each is an experiment with initial states of its own."""
@@ -52,7 +53,8 @@ def model(source: str | PathLike[str]) -> Model:
     Parameters
     ----------
     source : str or path
-        `gate-drive`, `oven`, `linear-axis`, `oscillator`, `two-tanks`, `process`; a file; or a text of several lines.
+        `gate-drive`, `oven`, `linear-axis`, `oscillator`, `two-tanks`, `process`; a file; or a text
+        of several lines.
 
     Returns
     -------
@@ -75,7 +77,8 @@ def model(source: str | PathLike[str]) -> Model:
 
 
 class Model(DescribedModel):
-    """A machine as a set of balances, each `storage = sum of terms`. Immutable: what changes it returns another one.
+    """A machine as a set of balances, each `storage = sum of terms`. Immutable: what changes it
+    returns another one.
 
     Made by `rs.model`. `physical` is the model as the identification room knows it.
 
@@ -100,13 +103,18 @@ class Model(DescribedModel):
         """The records, cut where an input was not measured."""
         return measured_parts(self.physical, as_records(records), map)
 
-    def _sensed(self, given: Sequence[MeasuredRecord], map: Mapped) -> tuple[list[MeasuredRecord], tuple[str, ...]]:
-        """The records without what no sensor measured, as `compare` leaves it out, and what that was."""
+    def _sensed(
+        self, given: Sequence[MeasuredRecord], map: Mapped
+    ) -> tuple[list[MeasuredRecord], tuple[str, ...]]:
+        """The records without what no sensor measured, as `compare` leaves it out, and what that
+        was.
+        """
         return records_without_odd(self.physical, given, map)
 
     @asks(Compare)
     def compare(self, records: Records, *, map: Mapped = None, **given: Any) -> Comparison:
-        """How large is the error on the records, is it structured, and where does it lie? Parameters stay as they are.
+        """How large is the error on the records, is it structured, and where does it lie?
+        Parameters stay as they are.
 
         Parameters
         ----------
@@ -135,10 +143,14 @@ class Model(DescribedModel):
         return self._compared(self._measured(records, map), map, Compare.of(given))
 
     def _compared(self, given: Sequence[MeasuredRecord], map: Mapped, asked: Compare) -> Comparison:
-        return Comparison(self._given, _names(given), compare(self.physical, given, map, **asked.model_dump()))
+        return Comparison(
+            self._given, _names(given), compare(self.physical, given, map, **asked.model_dump())
+        )
 
     @asks(Explain)
-    def explain(self, records: Records, *, map: Mapped = None, progress: Progress = None, **given: Any) -> Explanation:
+    def explain(
+        self, records: Records, *, map: Mapped = None, progress: Progress = None, **given: Any
+    ) -> Explanation:
         """Which physical effect is missing?
 
         Parameters
@@ -146,7 +158,8 @@ class Model(DescribedModel):
         records : Record, file, or a list of these
         map : mapping of model name to column
         progress : callable or bool
-            Called with the share done (0 … 1) and what is being done; True or False shows or hides a line of progress.
+            Called with the share done (0 … 1) and what is being done; True or False shows or hides
+            a line of progress.
 
         Returns
         -------
@@ -167,7 +180,9 @@ class Model(DescribedModel):
         >>> drive.explain(record, effects=["coulomb-friction"]).best.effect
         'coulomb-friction'
         """
-        from residuum.identification.discrepancy.compile_ahead import ensure_compiled  # noqa: PLC0415
+        from residuum.identification.discrepancy.compile_ahead import (  # noqa: PLC0415
+            ensure_compiled,
+        )
         from residuum.identification.discrepancy.explain import explain  # noqa: PLC0415
         from residuum.identification.work import part_of  # noqa: PLC0415
         from residuum.library.explanation import Explanation  # noqa: PLC0415
@@ -177,14 +192,22 @@ class Model(DescribedModel):
         measured = self._measured(records, map)
         with told(progress) as tell:
             ensure_compiled(tell)
-            searching = partial(explain, self.physical, self._sensed(measured, map)[0], map, tell=part_of(tell, 0.0, 0.9))
+            searching = partial(
+                explain,
+                self.physical,
+                self._sensed(measured, map)[0],
+                map,
+                tell=part_of(tell, 0.0, 0.9),
+            )
             explanation = asked.handed_to(searching)
             tell(0.9, "comparing")
             compared = self._compared(measured, map, Compare())
         return Explanation(compared, explanation)
 
     @asks(Improve)
-    def improve(self, records: Records, *, map: Mapped = None, progress: Progress = None, **given: Any) -> Improvement[Model]:
+    def improve(
+        self, records: Records, *, map: Mapped = None, progress: Progress = None, **given: Any
+    ) -> Improvement[Model]:
         """Add effects, estimate again, and count the error on data that were not used for it.
 
         Parameters
@@ -201,7 +224,8 @@ class Model(DescribedModel):
         Raises
         ------
         BadModel
-            An effect that is not in the catalogue, does not fit the model, or fits several places and names none.
+            An effect that is not in the catalogue, does not fit the model, or fits several places
+            and names none.
         BadRecord, BadUnit, NotIdentifiable
             As in `explain`.
 
@@ -213,7 +237,9 @@ class Model(DescribedModel):
         >>> drive.improve(record, add="coulomb-friction").model.effects
         ('coulomb-friction@shaft',)
         """
-        from residuum.identification.discrepancy.compile_ahead import ensure_compiled  # noqa: PLC0415
+        from residuum.identification.discrepancy.compile_ahead import (  # noqa: PLC0415
+            ensure_compiled,
+        )
         from residuum.identification.discrepancy.improve import improve  # noqa: PLC0415
         from residuum.library.improvement import Improvement  # noqa: PLC0415
 
@@ -224,11 +250,16 @@ class Model(DescribedModel):
             ensure_compiled(tell)
             improved = asked.handed_to(partial(improve, self.physical, measured, map, tell=tell))
         matched = match(self.physical, measured, map)
-        return Improvement(Model(improved.model), improved, (*begins_elsewhere(*matched), *leaves_tables(*matched), *left_out))
+        return Improvement(
+            Model(improved.model),
+            improved,
+            (*begins_elsewhere(*matched), *leaves_tables(*matched), *left_out),
+        )
 
     @asks(Estimate)
     def estimate(self, records: Records, *, map: Mapped = None, **given: Any) -> Estimation[Model]:
-        """Estimate the free parameters, the structure as it is; a record's note `split: 0.7` keeps its rest for validation.
+        """Estimate the free parameters, the structure as it is; a record's note `split: 0.7` keeps
+        its rest for validation.
 
         Parameters
         ----------
@@ -261,12 +292,27 @@ class Model(DescribedModel):
 
         asked = Estimate.of(given)
         measured, left_out = self._sensed(self._measured(records, map), map)
-        estimation = estimated(self.physical, measured, map, method=asked.method, steps=asked.steps, hold=asked.hold)
+        estimation = estimated(
+            self.physical, measured, map, method=asked.method, steps=asked.steps, hold=asked.hold
+        )
         result, fitted = estimation.estimate, Model(estimation.estimate.model)
-        answer = self._given, _names(measured), asked.method, estimation.held_out_rmse, result, estimation.experiments
+        answer = (
+            self._given,
+            _names(measured),
+            asked.method,
+            estimation.held_out_rmse,
+            result,
+            estimation.experiments,
+        )
         return Estimation(fitted, *answer, estimation.unsettled, asked.anyway, left_out)
 
-    def simulate(self, record: MeasuredRecord, *, map: Mapped = None, initial: Mapping[str, float] | None = None) -> Record:
+    def simulate(
+        self,
+        record: MeasuredRecord,
+        *,
+        map: Mapped = None,
+        initial: Mapping[str, float] | None = None,
+    ) -> Record:
         """The outputs as the model computes them from the record's inputs.
 
         Parameters
@@ -275,8 +321,8 @@ class Model(DescribedModel):
             Its inputs drive the model.
         map : mapping of model name to column
         initial : mapping of state to value
-            In the states' units; what is not named begins at zero. None: estimated from the record's outputs where it has
-            them.
+            In the states' units; what is not named begins at zero. None: estimated from the
+            record's outputs where it has them.
 
         Returns
         -------
@@ -300,7 +346,9 @@ class Model(DescribedModel):
         """
         columns = map or {}
         lacking = {
-            columns.get(name, name): unit for name, unit in self.outputs.items() if columns.get(name, name) not in record.names
+            columns.get(name, name): unit
+            for name, unit in self.outputs.items()
+            if columns.get(name, name) not in record.names
         }
         blank = np.zeros(record.n)
         filled = MeasuredRecord(
@@ -317,9 +365,17 @@ class Model(DescribedModel):
         else:
             Y = Simulator(matched).run(experiment, initial).Y
         if not np.isfinite(Y).all():
-            raise NotIdentifiable(f"model {self.name!r}: diverges on record {record.source!r}; {MAY_DIVERGE}")
+            raise NotIdentifiable(
+                f"model {self.name!r}: diverges on record {record.source!r}; {MAY_DIVERGE}"
+            )
         channels = {name: Y[:, k] for k, name in enumerate(self.outputs)}
-        return Record(channels, self.outputs, record.sample_time, record.t0, source=f"{self.name} on {record.source or 'record'}")
+        return Record(
+            channels,
+            self.outputs,
+            record.sample_time,
+            record.t0,
+            source=f"{self.name} on {record.source or 'record'}",
+        )
 
 
 def _names(records: Sequence[MeasuredRecord]) -> tuple[str, ...]:

@@ -1,4 +1,6 @@
-"""What a record and data kept aside say against an identified model, in sentences that tell what to do instead."""
+"""What a record and data kept aside say against an identified model, in sentences that tell what to
+do instead.
+"""
 
 from __future__ import annotations
 
@@ -40,10 +42,12 @@ _EXCITES = "the input is persistently exciting"
 _NOT_OVER = 0.05
 _MOST_REFITTED, _MOST_JUDGED, _BEFORE = 20_000, 8_000, 1000
 _FEW = 6
-"""Directions that a record has to tell for a response without an order to be more than its prior."""
+"""Directions that a record has to tell for a response without an order to be more than its
+prior.
+"""
 _ANOTHER_RECORD = (
-    "for a controller record steps of the set point of a loop that holds it (a proportional one is enough), and identify from "
-    "set point to output"
+    "for a controller record steps of the set point of a loop that holds it (a proportional one is"
+    " enough), and identify from set point to output"
 )
 
 
@@ -57,7 +61,8 @@ class Assumptions:
     dead_time : int
         Samples before the input acts.
     aside : tuple of KeptAside
-        One a record: of this model where a split note kept data aside, else of a fit of the first part on the last.
+        One a record: of this model where a split note kept data aside, else of a fit of the first
+        part on the last.
     late : bool
         Whether the input acts later than the model's last input lag, and the model misses it.
     unstable : UnstableTest
@@ -83,20 +88,34 @@ class Assumptions:
     @property
     def tells_model(self) -> bool:
         """Whether the input excites to the order that the model needs."""
-        return self.excitation is None or self.excitation.order >= min(self.needed, self.excitation.lags)
+        return self.excitation is None or self.excitation.order >= min(
+            self.needed, self.excitation.lags
+        )
 
     def _excitation_json(self, test: ExcitationTest) -> dict[str, Any]:
-        return asdict(test) | {"needed": self.needed, "tells_model": self.tells_model, "tells_gain": test.tells_gain}
+        return asdict(test) | {
+            "needed": self.needed,
+            "tells_model": self.tells_model,
+            "tells_gain": test.tells_gain,
+        }
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON."""
         integrator, feedback = self.integrator, self.feedback
         return {
-            "integrator": None if integrator is None else asdict(integrator) | {"present": integrator.integrates},
-            "feedback": None if feedback is None else asdict(feedback) | {"present": feedback.present},
+            "integrator": (
+                None
+                if integrator is None
+                else asdict(integrator) | {"present": integrator.integrates}
+            ),
+            "feedback": (
+                None if feedback is None else asdict(feedback) | {"present": feedback.present}
+            ),
             "dead_time": {"samples": self.dead_time, "beyond_order": self.late},
             "unstable": None if self.unstable is None else _unstable_json(self.unstable),
-            "excitation": None if self.excitation is None else self._excitation_json(self.excitation),
+            "excitation": (
+                None if self.excitation is None else self._excitation_json(self.excitation)
+            ),
             "kept_aside": [asdict(part) | {"fails": part.fails} for part in self.aside],
         }
 
@@ -112,38 +131,64 @@ def assumptions(
     parts: Sequence[Part],
     plant: PlantTests,
 ) -> Assumptions:
-    """Test the records that a model with an input was identified from, and the model on `parts_kept_aside`.
+    """Test the records that a model with an input was identified from, and the model on
+    `parts_kept_aside`.
 
-    `plant` is what `plant_tests` found before; where the model's delay differs from the one that was assumed they are done again.
+    `plant` is what `plant_tests` found before; where the model's delay differs from the one that
+    was assumed they are done again.
     """
     if plant.first_lag != min(model.delay, 1):
         plant = plant_tests(estimation, asked, model.delay)
-    integrator, feedback, dead, unstable = plant.integrator, plant.feedback, plant.dead_time, plant.unstable
+    integrator, feedback, dead, unstable = (
+        plant.integrator,
+        plant.feedback,
+        plant.dead_time,
+        plant.unstable,
+    )
     try:
-        excitation = excitation_test(estimation, asked.input_name, asked.output_name, min(model.delay, 1))
+        excitation = excitation_test(
+            estimation, asked.input_name, asked.output_name, min(model.delay, 1)
+        )
     except BadInput:
         excitation = None  # too short to tell
     aside = _aside(parts)
-    late = dead is not None and dead > _last_input_lag(model, asked) and any(part.fails for part in aside)
-    return Assumptions(integrator, feedback, dead, aside, late, unstable, excitation, _needed(model, asked.method))
+    late = (
+        dead is not None
+        and dead > _last_input_lag(model, asked)
+        and any(part.fails for part in aside)
+    )
+    return Assumptions(
+        integrator, feedback, dead, aside, late, unstable, excitation, _needed(model, asked.method)
+    )
 
 
-def told(model: IdentifiedModel, method: str, tests: Assumptions, estimation: Sequence[Record]) -> IdentifiedModel:
-    """The model with what was found: as warnings, and as unfit where no controller may be promised for it."""
+def told(
+    model: IdentifiedModel, method: str, tests: Assumptions, estimation: Sequence[Record]
+) -> IdentifiedModel:
+    """The model with what was found: as warnings, and as unfit where no controller may be promised
+    for it.
+    """
     untold = _untold(model, tests, estimation)
     unfit = [*_unstable(model, tests), *untold, *_unfit(model, method, tests)]
     remarks = _remarks(method, tests, trusted=not unfit)
-    own = [text for text in model.warnings if not (untold and text.startswith(untold[0][: len(_EXCITES)]))]
+    own = [
+        text
+        for text in model.warnings
+        if not (untold and text.startswith(untold[0][: len(_EXCITES)]))
+    ]
     return replace(model, warnings=(*own, *unfit, *remarks), unfit=(*model.unfit, *unfit))
 
 
 def check_stable(method: str, tests: PlantTests, sample_time: float) -> None:
-    """Refuse a method whose models are stable only, on a plant that is not: its gain would be a number without a meaning."""
+    """Refuse a method whose models are stable only, on a plant that is not: its gain would be a
+    number without a meaning.
+    """
     if tests.unstable is None or not tests.unstable.unstable or method in _MAY_BE_UNSTABLE:
         return
     raise NotIdentifiable(
-        f"the plant is unstable ({tests.unstable.says(sample_time)}), and recorded in a closed loop: models of method "
-        f"{method!r} are stable, and would say something else; identify it with method arx or armax"
+        f"the plant is unstable ({tests.unstable.says(sample_time)}), and recorded in a closed"
+        f" loop: models of method {method!r} are stable, and would say something else; identify it"
+        " with method arx or armax"
     )
 
 
@@ -151,7 +196,10 @@ def _unstable(model: IdentifiedModel, tests: Assumptions) -> list[str]:
     if tests.unstable is None or not tests.unstable.unstable:
         return []
     pole = tests.unstable.says(model.sample_time)
-    return [f"the plant is unstable ({pole}), and controllers are designed for stable plants; {_ANOTHER_RECORD}"]
+    return [
+        f"the plant is unstable ({pole}), and controllers are designed for stable plants;"
+        f" {_ANOTHER_RECORD}"
+    ]
 
 
 def _untold(model: IdentifiedModel, tests: Assumptions, estimation: Sequence[Record]) -> list[str]:
@@ -163,24 +211,28 @@ def _untold(model: IdentifiedModel, tests: Assumptions, estimation: Sequence[Rec
     if not tests.tells_model or not excitation.tells_gain:
         gain = "" if excitation.tells_gain else ", not its static gain"
         says.append(
-            f"{_EXCITES} of order {excitation.order} only at the noise of this record: it tells {excitation.order} "
-            f"number{'s' * (excitation.order != 1)} of the response{gain}, and the rest is the model's structure; record "
-            "steps or random moves, fast and slow ones"
+            f"{_EXCITES} of order {excitation.order} only at the noise of this record: it tells"
+            f" {excitation.order} number{'s' * (excitation.order != 1)} of the response{gain}, and"
+            " the rest is the model's structure; record steps or random moves, fast and slow ones"
         )
     if (left := _beyond_the_record(model, estimation)) > _NOT_OVER:
         says.append(
-            f"the records end before the response to their first move does: {100 * left:.0f} % of the static gain is "
-            "extrapolated by the model; record on until the output rests"
+            f"the records end before the response to their first move does: {100 * left:.0f} % of"
+            " the static gain is extrapolated by the model; record on until the output rests"
         )
     return says
 
 
 def _beyond_the_record(model: IdentifiedModel, records: Sequence[Record]) -> float:
-    """Part of the static gain that the model puts later than any record goes on after its input first moves."""
+    """Part of the static gain that the model puts later than any record goes on after its input
+    first moves.
+    """
     longest = 0
     for record in records:
         moved = np.flatnonzero(np.diff(np.asarray(record[model.input_name], dtype=float)) != 0)
-        longest = max(longest, record.n - 1 - int(moved[0]) - model.delay) if moved.size else longest
+        longest = (
+            max(longest, record.n - 1 - int(moved[0]) - model.delay) if moved.size else longest
+        )
     total = float(model.impulse_response.sum())
     if model.diverges or model.integrates or total == 0:
         return 0.0
@@ -201,27 +253,33 @@ def _unfit(model: IdentifiedModel, method: str, tests: Assumptions) -> list[str]
     if unstable:
         pass  # A(1) says nothing where a root lies outside
     elif model.integrates:
-        says.append(f"the model integrates, and controllers are designed for stable plants; {_ANOTHER_RECORD}")
+        says.append(
+            "the model integrates, and controllers are designed for stable plants;"
+            f" {_ANOTHER_RECORD}"
+        )
     elif tests.integrator is not None and tests.integrator.integrates:
         says.append(
-            "the plant integrates, or settles slower than the record shows, so that its static gain has no bound; identify it "
-            f"with `integrator`, method bj and no `delay`, and {_ANOTHER_RECORD}"
+            "the plant integrates, or settles slower than the record shows, so that its static"
+            " gain has no bound; identify it with `integrator`, method bj and no `delay`, and"
+            f" {_ANOTHER_RECORD}"
         )
     if tests.feedback is not None and tests.feedback.present and method not in NOISE_MODELLED:
         says.append(
-            f"the input answers the output's noise (feedback, {100 * tests.feedback.share:.2g} % of its news), which {method} "
-            f"takes for response; use method bj and no `delay`, or record steps that nobody answers"
+            f"the input answers the output's noise (feedback, {100 * tests.feedback.share:.2g} % of"
+            f" its news), which {method} takes for response; use method bj and no `delay`, or"
+            " record steps that nobody answers"
         )
     if tests.late:
         says.append(
-            f"the input acts after {tests.dead_time} samples, later than the model's last input lag; identify with method "
-            f"bj and no `delay` (or {tests.dead_time})"
+            f"the input acts after {tests.dead_time} samples, later than the model's last input"
+            f" lag; identify with method bj and no `delay` (or {tests.dead_time})"
         )
     worst = tests.worst
     if worst is not None and any(part.fails for part in tests.aside) and not tests.late:
         says.append(
-            f"on data kept aside the fit is {worst.fit_percent:.0f} %, and the input explains what the model misses; try another "
-            "method or `order`, no `delay`, or record longer, with more steps of the input"
+            f"on data kept aside the fit is {worst.fit_percent:.0f} %, and the input explains what"
+            " the model misses; try another method or `order`, no `delay`, or record longer, with"
+            " more steps of the input"
         )
     return says
 
@@ -229,18 +287,29 @@ def _unfit(model: IdentifiedModel, method: str, tests: Assumptions) -> list[str]
 def _remarks(method: str, tests: Assumptions, trusted: bool) -> list[str]:
     says = []
     if tests.feedback is not None and tests.feedback.present and method in NOISE_MODELLED:
-        says.append("the input answers the output's noise (feedback): the model is as right as its noise model is")
+        says.append(
+            "the input answers the output's noise (feedback): the model is as right as its noise"
+            " model is"
+        )
     if tests.integrator is not None and tests.integrator.wanders:
-        says.append("the output wanders by itself (a root at one that the input does not reach): its level tells little")
+        says.append(
+            "the output wanders by itself (a root at one that the input does not reach): its level"
+            " tells little"
+        )
     worst = tests.worst
     if trusted and worst is not None and worst.fit_percent < _POOR_FIT:
-        says.append(f"on data kept aside the fit is {worst.fit_percent:.0f} %; as far as they tell the rest is noise")
+        says.append(
+            f"on data kept aside the fit is {worst.fit_percent:.0f} %; as far as they tell the rest"
+            " is noise"
+        )
     return says
 
 
 @dataclass(frozen=True)
 class PlantTests:
-    """What the records say of their plant before any model; None where they are too short to tell."""
+    """What the records say of their plant before any model; None where they are too short to
+    tell.
+    """
 
     first_lag: int
     integrator: IntegratorTest | None = None
@@ -253,14 +322,24 @@ def plant_tests(records: Sequence[Record], asked: Identify, delay: int | None) -
     """The tests on a long autoregression; of a delay that is to be estimated they take 1."""
     first_lag = 1 if delay is None else min(delay, 1)
     try:
-        regression = long_autoregression(records, asked.input_name, asked.output_name, first_lag=first_lag)
+        regression = long_autoregression(
+            records, asked.input_name, asked.output_name, first_lag=first_lag
+        )
         dead = dead_time(regression)
         if dead is None:
-            longer = long_autoregression(records, asked.input_name, asked.output_name, first_lag=first_lag, reach=LONG_REACH)
+            longer = long_autoregression(
+                records, asked.input_name, asked.output_name, first_lag=first_lag, reach=LONG_REACH
+            )
             dead = dead_time(longer)
     except BadInput:
         return PlantTests(first_lag)
-    return PlantTests(first_lag, integrator_test(regression), feedback_test(regression), dead, unstable_test(regression))
+    return PlantTests(
+        first_lag,
+        integrator_test(regression),
+        feedback_test(regression),
+        dead,
+        unstable_test(regression),
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -275,29 +354,41 @@ class Part:
 def parts_kept_aside(
     model: IdentifiedModel, asked: Identify, estimation: Sequence[Record], whole: Sequence[Record]
 ) -> tuple[Part, ...]:
-    """What split notes kept, with the model; without notes the last part of every record, with a fit of the first.
+    """What split notes kept, with the model; without notes the last part of every record, with a
+    fit of the first.
 
-    That fit has the model's delay and order, and sees at most the 20 000 samples before the cut; at most the first 8000 after
-    it are judged. None where the first part is too short for it.
+    That fit has the model's delay and order, and sees at most the 20 000 samples before the cut; at
+    most the first 8000 after it are judged. None where the first part is too short for it.
     """
     cuts = [record.n for record in estimation]
     judged = model
     if cuts == [record.n for record in whole]:
         cuts = [round((1 - KEPT_ASIDE) * n) for n in cuts]
-        first = [record.window(max(0, cut - _MOST_REFITTED), cut) for record, cut in zip(whole, cuts, strict=True)]
+        first = [
+            record.window(max(0, cut - _MOST_REFITTED), cut)
+            for record, cut in zip(whole, cuts, strict=True)
+        ]
         try:
             judged = identified_again(model, first, asked)
         except BadInput:
             return ()
-    return tuple(_part(judged, record, cut) for record, cut in zip(whole, cuts, strict=True) if cut < record.n)
+    return tuple(
+        _part(judged, record, cut)
+        for record, cut in zip(whole, cuts, strict=True)
+        if cut < record.n
+    )
 
 
 def _part(model: IdentifiedModel, record: Record, cut: int) -> Part:
-    first = max(0, cut - model.delay - max(model.order, _BEFORE))  # the rest of the past acts no more
+    first = max(
+        0, cut - model.delay - max(model.order, _BEFORE)
+    )  # the rest of the past acts no more
     return Part(model, record.window(first, min(record.n, cut + _MOST_JUDGED)), cut - first)
 
 
-def identified_again(model: IdentifiedModel, records: Sequence[Record], asked: Identify) -> IdentifiedModel:
+def identified_again(
+    model: IdentifiedModel, records: Sequence[Record], asked: Identify
+) -> IdentifiedModel:
     """Another fit of the same kind, with the delay and the order that the model was found with."""
     as_before = {"delay": model.delay, "order": _input_lags(model, asked)}
     return identified_by(records, asked.model_copy(update=as_before), like=model)

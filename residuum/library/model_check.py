@@ -1,4 +1,6 @@
-"""What residual tests and the bootstrap say of an identified model, as JSON and as lines of the report."""
+"""What residual tests and the bootstrap say of an identified model, as JSON and as lines of the
+report.
+"""
 
 from __future__ import annotations
 
@@ -61,17 +63,36 @@ class ModelCheck:
         says = [line for part in self.parts for line in _part_lines(part)]
         if self.bootstrap is not None:
             unit = f" {self.output_unit}" if self.output_unit else ""
-            sizes = [math.sqrt(value) for value in (self.bootstrap.error, self.bootstrap.apparent, self.bootstrap.out_of_bag)]
+            sizes = [
+                math.sqrt(value)
+                for value in (
+                    self.bootstrap.error,
+                    self.bootstrap.apparent,
+                    self.bootstrap.out_of_bag,
+                )
+            ]
             says.append(
-                f"  new data          error {sizes[0]:.4g}{unit} RMS by the .632+ bootstrap of {self.bootstrap.blocks} blocks "
-                f"({sizes[1]:.4g} on its own data, {sizes[2]:.4g} on blocks left out)"
+                f"  new data          error {sizes[0]:.4g}{unit} RMS by the .632+ bootstrap of"
+                f" {self.bootstrap.blocks} blocks ({sizes[1]:.4g} on its own data, {sizes[2]:.4g}"
+                " on blocks left out)"
             )
         return says + [f"  not checked       {reason}" for reason in self.reasons]
 
 
-def model_check(model: IdentifiedModel, asked: Identify, parts: Sequence[Part], records: Sequence[Record]) -> ModelCheck:
-    """Check a model on the parts that it has not seen, and on blocks of `records`, which it was identified from."""
-    checks, reasons = [], [] if parts else ["residuals: nothing could be kept aside; record longer, or take a smaller order"]
+def model_check(
+    model: IdentifiedModel, asked: Identify, parts: Sequence[Part], records: Sequence[Record]
+) -> ModelCheck:
+    """Check a model on the parts that it has not seen, and on blocks of `records`, which it was
+    identified from.
+    """
+    checks, reasons = (
+        [],
+        (
+            []
+            if parts
+            else ["residuals: nothing could be kept aside; record longer, or take a smaller order"]
+        ),
+    )
     for part in parts:
         try:
             checks.append(residual_check(part.model, part.record, part.first))
@@ -79,7 +100,9 @@ def model_check(model: IdentifiedModel, asked: Identify, parts: Sequence[Part], 
             reasons.append(f"residuals: {error}")
     bootstrap = None
     try:
-        bootstrap = block_bootstrap(lambda blocks: identified_again(model, blocks, asked), model, records)
+        bootstrap = block_bootstrap(
+            lambda blocks: identified_again(model, blocks, asked), model, records
+        )
     except BadInput as error:
         reasons.append(str(error))
     return ModelCheck(tuple(checks), bootstrap, tuple(reasons), model.output_unit)
@@ -112,22 +135,34 @@ def _test_json(test: ResidualTest | None) -> dict[str, Any] | None:
 def _error_json(error: ModelErrorModel | None) -> dict[str, Any] | None:
     if error is None:
         return None
-    return {"falsified": error.falsified, "falsified_at": error.falsified_at, "frequencies": len(error.omega)}
+    return {
+        "falsified": error.falsified,
+        "falsified_at": error.falsified_at,
+        "frequencies": len(error.omega),
+    }
 
 
 def _part_lines(part: ResidualCheck) -> list[str]:
     white = "needs a noise model" if part.whiteness is None else _verdict(part.whiteness)
     free = "too short to tell" if part.input is None else _verdict(part.input)
-    lines = [f"  residuals         white: {white}; free of the input: {free}; {part.samples} samples kept aside"]
+    lines = [
+        f"  residuals         white: {white}; free of the input: {free}; {part.samples} samples"
+        " kept aside"
+    ]
     if part.model_error is not None:
         error = part.model_error
         where = f"falsified at {len(error.falsified_at)} of {len(error.omega)} frequencies"
         if error.falsified:
             where += f", {error.falsified_at[0]:.3g} to {error.falsified_at[-1]:.3g} rad/s"
-        lines.append(f"  model error       {where if error.falsified else 'not falsified at any frequency'}")
+        lines.append(
+            f"  model error       {where if error.falsified else 'not falsified at any frequency'}"
+        )
     return lines
 
 
 def _verdict(test: ResidualTest) -> str:
     answer = "yes" if test.passed else "no"
-    return f"{answer} (p {test.p_value:.2g}, level {test.level:g}, lags {test.lags[0]} to {test.lags[-1]})"
+    return (
+        f"{answer} (p {test.p_value:.2g}, level {test.level:g}, lags {test.lags[0]} to"
+        f" {test.lags[-1]})"
+    )

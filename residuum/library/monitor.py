@@ -37,18 +37,20 @@ class NotFitted(BadInput, NotFittedError):
 
 
 class Monitor(OutlierMixin, BaseEstimator):
-    """A watch over one machine: fitted on healthy records, it judges windows. Follows scikit-learn's conventions for outliers.
+    """A watch over one machine: fitted on healthy records, it judges windows. Follows
+    scikit-learn's conventions for outliers.
 
-    A sample is a `Record` (a window); X is a list of them. `get_params`, `set_params` and `sklearn.base.clone` work; what
-    is fitted ends with an underscore.
+    A sample is a `Record` (a window); X is a list of them. `get_params`, `set_params` and
+    `sklearn.base.clone` work; what is fitted ends with an underscore.
 
     Parameters
     ----------
     source : Model or str
-        What watches: a model of the machine, or the id of a diagnoser (`robust-residual`, `bearing`, …).
+        What watches: a model of the machine, or the id of a diagnoser (`robust-residual`,
+        `bearing`, …).
     diagnoser : str or None
-        With a model, the diagnoser that judges it; None: `model-based` where there is one, else the robust residual of what
-        the model's prediction leaves over.
+        With a model, the diagnoser that judges it; None: `model-based` where there is one, else the
+        robust residual of what the model's prediction leaves over.
     map : mapping of name to column
         For columns that are not named as the model or the diagnoser names them.
     settings : mapping or None
@@ -79,7 +81,8 @@ class Monitor(OutlierMixin, BaseEstimator):
         self.source, self.diagnoser, self.map, self.settings = source, diagnoser, map, settings
 
     def fit(self, X: Records, y: Sequence[str] | None = None) -> Self:
-        """Learn from the healthy records `X`, or from records with one label each in `y` (`healthy`, or a fault class).
+        """Learn from the healthy records `X`, or from records with one label each in `y`
+        (`healthy`, or a fault class).
 
         Parameters
         ----------
@@ -95,7 +98,8 @@ class Monitor(OutlierMixin, BaseEstimator):
         Raises
         ------
         BadInput
-            Records that do not fit, an unknown diagnoser or setting, labels of another number than records.
+            Records that do not fit, an unknown diagnoser or setting, labels of another number than
+            records.
 
         Examples
         --------
@@ -105,11 +109,15 @@ class Monitor(OutlierMixin, BaseEstimator):
         >>> rs.monitor("robust-residual").fit(rs.simulate("process-plant", seed=1)).diagnoser_.name
         'robust-residual'
         """
-        trained = self._untrained().fit(self._records(X), None if y is None else [str(label) for label in y])
+        trained = self._untrained().fit(
+            self._records(X), None if y is None else [str(label) for label in y]
+        )
         self.diagnoser_: Diagnoser | PhysicalResidual = trained
         return self
 
-    def score(self, window: MeasuredRecord | str | PathLike[str]) -> Finding:  # another meaning than scikit-learn's, as issued
+    def score(
+        self, window: MeasuredRecord | str | PathLike[str]
+    ) -> Finding:  # another meaning than scikit-learn's, as issued
         """The finding of one window.
 
         Parameters
@@ -162,7 +170,8 @@ class Monitor(OutlierMixin, BaseEstimator):
         return [Finding(trained.score(record)) for record in self._records(X)]
 
     def predict(self, X: Records) -> npt.NDArray[np.int64]:
-        """1 for a healthy window of `X`, −1 for a faulty one, 0 for one that cannot be judged; shape (windows,).
+        """1 for a healthy window of `X`, −1 for a faulty one, 0 for one that cannot be judged;
+        shape (windows,).
 
         Parameters
         ----------
@@ -184,12 +193,16 @@ class Monitor(OutlierMixin, BaseEstimator):
         [1, -1]
         """
         says = {Verdict.HEALTHY: 1, Verdict.FAULTY: -1, Verdict.NOT_ASSESSABLE: 0}
-        return np.array([says[finding.found.verdict] for finding in self.findings(X)], dtype=np.int64)
+        return np.array(
+            [says[finding.found.verdict] for finding in self.findings(X)], dtype=np.int64
+        )
 
     def score_samples(self, X: Records) -> npt.NDArray[np.float64]:
-        """How normal each window of `X` is, the higher the more: minus its largest indicator over that one's threshold.
+        """How normal each window of `X` is, the higher the more: minus its largest indicator over
+        that one's threshold.
 
-        Shape (windows,); below −1 an indicator is above its threshold, NaN for a window that cannot be judged.
+        Shape (windows,); below −1 an indicator is above its threshold, NaN for a window that cannot
+        be judged.
 
         Parameters
         ----------
@@ -211,7 +224,8 @@ class Monitor(OutlierMixin, BaseEstimator):
         return np.array([-_largest(finding.found) for finding in self.findings(X)])
 
     def decision_function(self, X: Records) -> npt.NDArray[np.float64]:
-        """`score_samples` + 1 of the windows `X`: negative where an indicator is above its threshold; shape (windows,).
+        """`score_samples` + 1 of the windows `X`: negative where an indicator is above its
+        threshold; shape (windows,).
 
         Parameters
         ----------
@@ -233,7 +247,8 @@ class Monitor(OutlierMixin, BaseEstimator):
         return self.score_samples(X) + 1.0
 
     def indicators(self, X: Records) -> pandas.DataFrame:
-        """The indicators of every window of `X`, a row a window: features of the residual for a method of your own.
+        """The indicators of every window of `X`, a row a window: features of the residual for a
+        method of your own.
 
         Raises MissingPackage when pandas is not installed.
 
@@ -283,7 +298,10 @@ class Monitor(OutlierMixin, BaseEstimator):
         """
         trained = self._trained()
         if isinstance(trained, PhysicalResidual):
-            raise BadInput(f"monitor: the diagnoser {trained.name!r} has no file; choose one that `residuum train` knows")
+            raise BadInput(
+                f"monitor: the diagnoser {trained.name!r} has no file; choose one that `residuum"
+                " train` knows"
+            )
         trained.save(Path(path))
 
     def __sklearn_is_fitted__(self) -> bool:
@@ -322,7 +340,8 @@ def monitor(
     Parameters
     ----------
     source : Model or str
-        A model of the machine, or the id of a diagnoser: `robust-residual`, `bearing`, `gate-actuator`, `gripping-pliers`.
+        A model of the machine, or the id of a diagnoser: `robust-residual`, `bearing`,
+        `gate-actuator`, `gripping-pliers`.
     diagnoser : str
         With a model: the diagnoser that judges it (default: `model-based` where there is one).
     map : mapping of name to column
@@ -392,5 +411,9 @@ def _made(name: str, settings: Mapping[str, Any]) -> Diagnoser:
 def _largest(finding: Judged) -> float:
     if finding.verdict is Verdict.NOT_ASSESSABLE:
         return math.nan
-    over = [v / finding.thresholds[n] for n, v in finding.indicators.items() if finding.thresholds.get(n, 0.0) > 0.0]
+    over = [
+        v / finding.thresholds[n]
+        for n, v in finding.indicators.items()
+        if finding.thresholds.get(n, 0.0) > 0.0
+    ]
     return max(over, default=math.nan)

@@ -10,7 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from residuum.identification.kernel_based.multivariable import MultivariableModel, identify_multivariable, multivariable_text
+from residuum.identification.kernel_based.multivariable import (
+    MultivariableModel,
+    identify_multivariable,
+    multivariable_text,
+)
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.record import Record
 from residuum.library.picture import Curve, Panel, Picture, axis
@@ -62,15 +66,24 @@ class MultivariablePlant(Result):
         write_whole(Path(path), self.text())
 
     def _answer(self) -> dict[str, Any]:
-        """Every path's static gain with its deviation, each output's fit, and the relative gain array of a square plant."""
+        """Every path's static gain with its deviation, each output's fit, and the relative gain
+        array of a square plant.
+        """
         model = self.identified
         gains = model.frequency_response([0.0])[0].real
-        std = [[float(np.sqrt(max(path.frequency_covariance(0.0)[0, 0, 0], 0.0))) for path in row] for row in model.models]
+        std = [
+            [float(np.sqrt(max(path.frequency_covariance(0.0)[0, 0, 0], 0.0))) for path in row]
+            for row in model.models
+        ]
         square = gains.shape[0] == gains.shape[1] and abs(np.linalg.det(gains)) > 0
         return {
             "method": "kernel",
-            "inputs": [{"name": path.input_name, "unit": path.input_unit} for path in model.models[0]],
-            "outputs": [{"name": row[0].output_name, "unit": row[0].output_unit} for row in model.models],
+            "inputs": [
+                {"name": path.input_name, "unit": path.input_unit} for path in model.models[0]
+            ],
+            "outputs": [
+                {"name": row[0].output_name, "unit": row[0].output_unit} for row in model.models
+            ],
             "sample_time": model.models[0][0].sample_time,
             "order": model.models[0][0].order,
             "static_gain": gains,
@@ -94,8 +107,13 @@ class MultivariablePlant(Result):
         result : dict
             As `to_dict` gives it.
         """
-        inputs, outputs = ([channel["name"] for channel in result[name]] for name in ("inputs", "outputs"))
-        lines = [f"kernel: {', '.join(inputs)} → {', '.join(outputs)}, {result['order']} coefficients a path"]
+        inputs, outputs = (
+            [channel["name"] for channel in result[name]] for name in ("inputs", "outputs")
+        )
+        lines = [
+            f"kernel: {', '.join(inputs)} → {', '.join(outputs)}, {result['order']} coefficients a"
+            " path"
+        ]
         for i, output in enumerate(outputs):
             gains = ", ".join(
                 f"{name} {result['static_gain'][i][j]:.4g} ± {result['static_gain_std'][i][j]:.2g}"
@@ -104,7 +122,9 @@ class MultivariablePlant(Result):
             fits = ", ".join(f"{fit[output]:.2f} %" for fit in result["fit_percent"])
             lines.append(f"  {output}: static gain of {gains}; fit {fits}")
         if result["relative_gains"] is not None:
-            rows = "; ".join(", ".join(f"{value:.3g}" for value in row) for row in result["relative_gains"])
+            rows = "; ".join(
+                ", ".join(f"{value:.3g}" for value in row) for row in result["relative_gains"]
+            )
             lines.append(f"  relative gains (rows: outputs) {rows}")
         return "\n".join([*lines, *([f"  written to {result['file']}"] if result["file"] else [])])
 
@@ -115,7 +135,12 @@ class MultivariablePlant(Result):
         answer = self._answer()
         gains, spreads = (np.ravel(answer[name]) for name in ("static_gain", "static_gain_std"))
         return [
-            {"input": path.input_name, "output": path.output_name, "static_gain": float(gain), "std": float(std)}
+            {
+                "input": path.input_name,
+                "output": path.output_name,
+                "static_gain": float(gain),
+                "std": float(std),
+            }
             for path, gain, std in zip(self._paths(), gains, spreads, strict=True)
         ]
 
@@ -128,15 +153,26 @@ def response_panel(model: IdentifiedModel) -> Panel:
     times = model.sample_time * (model.delay + np.arange(model.order))
     g, spread = model.impulse_response, _BAND * model.std
     title = f"impulse response, {model.input_name} → {model.output_name}"
-    return Panel(title, "time [s]", axis("g", gain_unit(model)), [Curve("impulse response", times, g, g - spread, g + spread)])
+    return Panel(
+        title,
+        "time [s]",
+        axis("g", gain_unit(model)),
+        [Curve("impulse response", times, g, g - spread, g + spread)],
+    )
 
 
 def gain_unit(model: IdentifiedModel) -> str:
     """Output unit over input unit; empty where neither channel has one."""
-    return f"{model.output_unit or '1'}/{model.input_unit or '1'}" if model.output_unit or model.input_unit else ""
+    return (
+        f"{model.output_unit or '1'}/{model.input_unit or '1'}"
+        if model.output_unit or model.input_unit
+        else ""
+    )
 
 
-def multivariable_plant(estimation: Sequence[Record], held_out: Sequence[Record], asked: Identify) -> MultivariablePlant:
+def multivariable_plant(
+    estimation: Sequence[Record], held_out: Sequence[Record], asked: Identify
+) -> MultivariablePlant:
     """One kernel model of every path."""
     model = identify_multivariable(
         estimation, asked.inputs, asked.outputs, kernel=asked.kernel, order=LAGS if asked.order is None else asked.order,
@@ -154,5 +190,7 @@ def _fits(model: MultivariableModel, record: Record) -> dict[str, float]:
         y = record[name][memory:]
         error = y - predicted[memory:]
         good = np.isfinite(error)
-        fits[name] = float(100 * (1 - np.linalg.norm(error[good]) / np.linalg.norm(y[good] - np.mean(y[good]))))
+        fits[name] = float(
+            100 * (1 - np.linalg.norm(error[good]) / np.linalg.norm(y[good] - np.mean(y[good])))
+        )
     return fits

@@ -35,4 +35,6 @@ def need(package: str, purpose: str, extra: str = "notebook") -> Any:
         return import_module(package)
     except ImportError:
         name = package.split(".", maxsplit=1)[0]
-        raise MissingPackage(f"{purpose} needs the package {name!r}: pip install 'residuum[{extra}]'") from None
+        raise MissingPackage(
+            f"{purpose} needs the package {name!r}: pip install 'residuum[{extra}]'"
+        ) from None

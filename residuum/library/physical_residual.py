@@ -17,7 +17,8 @@ _WORST_FIRST = (Verdict.FAULTY, Verdict.NOT_ASSESSABLE, Verdict.HEALTHY)
 
 
 class PhysicalResidual:
-    """One robust residual an output, from the model's prediction to the measurement; the worst finding is the answer.
+    """One robust residual an output, from the model's prediction to the measurement; the worst
+    finding is the answer.
 
     Parameters
     ----------
@@ -40,19 +41,26 @@ class PhysicalResidual:
         BadRecord
             No output of the model is in every record.
         """
-        measured = [name for name in self.model.outputs if all(name in record.names for record in records)]
+        measured = [
+            name for name in self.model.outputs if all(name in record.names for record in records)
+        ]
         if not measured:
             raise BadRecord(
-                f"model {self.model.name!r}: no output of it is in every record; it has {', '.join(self.model.outputs)}"
+                f"model {self.model.name!r}: no output of it is in every record; it has"
+                f" {', '.join(self.model.outputs)}"
             )
         for name in measured:
             watch = RobustResidual(input=PREDICTION, output=name, **self.settings)
-            self._watches[name] = watch.fit([self._beside(record, name) for record in records], labels)
+            self._watches[name] = watch.fit(
+                [self._beside(record, name) for record in records], labels
+            )
         return self
 
     def score(self, record: Record) -> Finding:
         """Judge one window by every output; indicators are named `glr@output`."""
-        findings = {name: watch.score(self._beside(record, name)) for name, watch in self._watches.items()}
+        findings = {
+            name: watch.score(self._beside(record, name)) for name, watch in self._watches.items()
+        }
         name, worst = min(findings.items(), key=lambda item: _order(item[1]))
         return replace(
             worst,

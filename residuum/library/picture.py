@@ -1,4 +1,6 @@
-"""A picture as a value: curves and bars, drawn by Plotly for a person who works with it, by SVG for a notebook's output."""
+"""A picture as a value: curves and bars, drawn by Plotly for a person who works with it, by SVG for
+a notebook's output.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,9 @@ Array = npt.NDArray[np.floating]
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """y over x, shape (n,) each; NaN leaves a gap. `low` and `high`, shape (n,), are the edges of its band."""
+    """y over x, shape (n,) each; NaN leaves a gap. `low` and `high`, shape (n,), are the edges of
+    its band.
+    """
 
     name: str
     x: Array
@@ -24,7 +28,8 @@ class Curve:
     high: Array | None = None
 
     def reduced(self, points: int) -> Curve:
-        """The curve with some `points` at most: the smallest and largest value of each stretch are kept, in their order.
+        """The curve with some `points` at most: the smallest and largest value of each stretch are
+        kept, in their order.
 
         A curve with a band keeps every k-th point.
 
@@ -44,7 +49,9 @@ class Curve:
 
 @dataclass(frozen=True, eq=False)
 class Bars:
-    """Named values side by side; `texts` stand beside them; `whole` is what the longest bar would stand for."""
+    """Named values side by side; `texts` stand beside them; `whole` is what the longest bar would
+    stand for.
+    """
 
     names: Sequence[str]
     values: Sequence[float]
@@ -71,7 +78,9 @@ class Picture:
 
 
 def _extremes(y: Array, stretches: int) -> npt.NDArray[np.intp]:
-    """Indices of the smallest and largest value of each of so many stretches; a stretch of NaN alone keeps its first."""
+    """Indices of the smallest and largest value of each of so many stretches; a stretch of NaN
+    alone keeps its first.
+    """
     edges = np.linspace(0, len(y), stretches + 1).astype(np.intp)
     indices: list[int] = []
     for begin, end in pairwise(edges.tolist()):

@@ -37,7 +37,8 @@ def check_picture_file(path: Path) -> None:
 
 
 def write_picture(picture: Picture, path: Path, title: str) -> None:
-    """Write the picture as a page (`.html`, about 5 MB: Plotly is inside) or an image (`.png`), by the ending of `path`.
+    """Write the picture as a page (`.html`, about 5 MB: Plotly is inside) or an image (`.png`), by
+    the ending of `path`.
 
     Raises
     ------

@@ -11,14 +11,33 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from residuum.identification.linear_models.identified_model import IdentifiedModel, identified_text, load_identified
+from residuum.identification.linear_models.identified_model import (
+    IdentifiedModel,
+    identified_text,
+    load_identified,
+)
 from residuum.identification.record import Record as MeasuredRecord
-from residuum.library.answers.identification import identification_json, identification_text, static_gain
+from residuum.library.answers.identification import (
+    identification_json,
+    identification_text,
+    static_gain,
+)
 from residuum.library.identification_methods import identified_by, with_uncertainty
-from residuum.library.model_assumptions import Assumptions, assumptions, check_stable, parts_kept_aside, plant_tests
+from residuum.library.model_assumptions import (
+    Assumptions,
+    assumptions,
+    check_stable,
+    parts_kept_aside,
+    plant_tests,
+)
 from residuum.library.model_assumptions import told as told_assumptions
 from residuum.library.model_check import ModelCheck, model_check
-from residuum.library.multivariable_plant import MultivariablePlant, gain_unit, multivariable_plant, response_panel
+from residuum.library.multivariable_plant import (
+    MultivariablePlant,
+    gain_unit,
+    multivariable_plant,
+    response_panel,
+)
 from residuum.library.optional_package import need
 from residuum.library.picture import Curve, Panel, Picture, axis
 from residuum.library.plotly_figure import figure
@@ -44,10 +63,11 @@ class Plant(Result):
     Attributes
     ----------
     identified : IdentifiedModel
-        Impulse response with covariance, noise variance, numerator and denominator of a parametric method.
+        Impulse response with covariance, noise variance, numerator and denominator of a parametric
+        method.
     method : str
-        `kernel`, `ridge`, `lasso`, `elastic-net`, `set-membership`, `stochastic-embedding`, `ar`, `arx`, `fir`, `armax`, `oe` or
-        `bj`.
+        `kernel`, `ridge`, `lasso`, `elastic-net`, `set-membership`, `stochastic-embedding`, `ar`,
+        `arx`, `fir`, `armax`, `oe` or `bj`.
     estimation, held_out : tuple of Record
         What it was identified from, and what the records' split notes kept.
     assumptions : Assumptions or None
@@ -72,7 +92,9 @@ class Plant(Result):
 
     @property
     def impulse_response(self) -> npt.NDArray[np.float64]:
-        """g, shape (order,), in output unit over input unit; `g[0]` acts at lag `identified.delay`."""
+        """g, shape (order,), in output unit over input unit; `g[0]` acts at lag
+        `identified.delay`.
+        """
         return self.identified.impulse_response
 
     @property
@@ -102,7 +124,8 @@ class Plant(Result):
         return self.identified.frequency_response(omega)
 
     def sample(self, n: int, seed: int = 0) -> npt.NDArray[np.float64]:
-        """`n` impulse responses drawn from the distribution of the estimate by the random numbers of `seed`, shape (n, order).
+        """`n` impulse responses drawn from the distribution of the estimate by the random numbers
+        of `seed`, shape (n, order).
 
         Parameters
         ----------
@@ -124,7 +147,8 @@ class Plant(Result):
         return self.identified.sample(n, seed)
 
     def to_control(self) -> Any:
-        """The same system as a python-control `TransferFunction`; MissingPackage when `control` is not installed.
+        """The same system as a python-control `TransferFunction`; MissingPackage when `control` is
+        not installed.
 
         Returns
         -------
@@ -140,7 +164,8 @@ class Plant(Result):
         return to_control(self.identified.transfer_function())
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Write the JSON file `path` that `rs.load_plant`, `residuum residual` and `residuum control` read.
+        """Write the JSON file `path` that `rs.load_plant`, `residuum residual` and `residuum
+        control` read.
 
         Parameters
         ----------
@@ -205,21 +230,41 @@ class Plant(Result):
         ['magnitude [dB]', 'phase [°]']
         """
         nyquist = 0.5 / self.identified.sample_time
-        given = np.geomspace(nyquist / 1000.0, nyquist, _FREQUENCIES) if frequencies is None else frequencies
+        given = (
+            np.geomspace(nyquist / 1000.0, nyquist, _FREQUENCIES)
+            if frequencies is None
+            else frequencies
+        )
         hertz = np.atleast_1d(np.asarray(given, dtype=float))
         omega = 2.0 * np.pi * hertz
-        G, covariance = self.identified.frequency_response(omega), self.identified.frequency_covariance(omega)
+        G, covariance = (
+            self.identified.frequency_response(omega),
+            self.identified.frequency_covariance(omega),
+        )
         size = np.maximum(np.abs(G), 1e-300)
         along = np.stack([G.real, G.imag], axis=1) / size[:, None]
         across = np.stack([-along[:, 1], along[:, 0]], axis=1)
-        spread = [np.sqrt(np.maximum(np.einsum("ki,kij,kj->k", d, covariance, d), 0.0)) for d in (along, across)]
-        low, high = (20.0 * np.log10(np.maximum(size + s * _BAND * spread[0], 1e-3 * size)) for s in (-1.0, 1.0))
-        phase, turn = np.degrees(np.unwrap(np.angle(G))), np.degrees(np.minimum(_BAND * spread[1] / size, np.pi))
+        spread = [
+            np.sqrt(np.maximum(np.einsum("ki,kij,kj->k", d, covariance, d), 0.0))
+            for d in (along, across)
+        ]
+        low, high = (
+            20.0 * np.log10(np.maximum(size + s * _BAND * spread[0], 1e-3 * size))
+            for s in (-1.0, 1.0)
+        )
+        phase, turn = (
+            np.degrees(np.unwrap(np.angle(G))),
+            np.degrees(np.minimum(_BAND * spread[1] / size, np.pi)),
+        )
         magnitude = Curve("magnitude", hertz, 20.0 * np.log10(size), low, high)
         panels = [
             Panel("magnitude", "frequency [Hz]", axis("magnitude", "dB"), [magnitude], "log"),
             Panel(
-                "phase", "frequency [Hz]", axis("phase", "°"), [Curve("phase", hertz, phase, phase - turn, phase + turn)], "log"
+                "phase",
+                "frequency [Hz]",
+                axis("phase", "°"),
+                [Curve("phase", hertz, phase, phase - turn, phase + turn)],
+                "log",
             ),
         ]
         return figure(Picture(panels))
@@ -249,13 +294,19 @@ class Plant(Result):
         True
         """
         model = self.identified
-        n = model.delay + model.order if duration is None else max(2, round(duration / model.sample_time))
+        n = (
+            model.delay + model.order
+            if duration is None
+            else max(2, round(duration / model.sample_time))
+        )
         u = np.ones(n)
         y, spread = model.simulate(u) - model.offset, _BAND * model.simulation_std(u)
         time = model.sample_time * np.arange(n)
         title = f"step response, {model.input_name} → {model.output_name}"
         curve = Curve("step response", time, y, y - spread, y + spread)
-        return figure(Picture([Panel(title, "time [s]", axis(model.output_name, gain_unit(model)), [curve])]))
+        return figure(
+            Picture([Panel(title, "time [s]", axis(model.output_name, gain_unit(model)), [curve])])
+        )
 
     def _answer(self) -> dict[str, Any]:
         answer = identification_json(self.identified, self.method, self.estimation, self.held_out)
@@ -295,7 +346,10 @@ class Plant(Result):
         model = self.identified
         times = model.sample_time * (model.delay + np.arange(model.order))
         coefficients = zip(times, model.impulse_response, model.std, strict=True)
-        return [{"time": float(t), "impulse_response": float(g), "std": float(s)} for t, g, s in coefficients]
+        return [
+            {"time": float(t), "impulse_response": float(g), "std": float(s)}
+            for t, g, s in coefficients
+        ]
 
     def _picture(self) -> Picture:
         return Picture([response_panel(self.identified)])
@@ -308,20 +362,23 @@ def identify(
     progress: Progress = None,
     **given: Any,
 ) -> Plant | MultivariablePlant:
-    """A linear model from one channel to another, or from several to several, with the covariance of its estimate.
+    """A linear model from one channel to another, or from several to several, with the covariance
+    of its estimate.
 
     Parameters
     ----------
     records : Record, file, or a list of these
-        Each is a separate experiment; a note `split: 0.7` keeps the rest of a record for validation.
+        Each is a separate experiment; a note `split: 0.7` keeps the rest of a record for
+        validation.
     progress : callable or bool
         As in `Model.explain`.
 
     Returns
     -------
     Plant, or MultivariablePlant of several inputs or outputs
-        Its warnings say when the record speaks of an integrator, feedback or a dead time that the model does not have, and when
-        data kept aside (the last 30 % where no note splits the record) do not bear it out; no controller is designed then.
+        Its warnings say when the record speaks of an integrator, feedback or a dead time that the
+        model does not have, and when data kept aside (the last 30 % where no note splits the
+        record) do not bear it out; no controller is designed then.
 
     Raises
     ------
@@ -376,8 +433,12 @@ def plant_of(given: Plant | str | PathLike[str]) -> Plant:
     return given if isinstance(given, Plant) else load_plant(given)
 
 
-def identified(records: Sequence[MeasuredRecord], asked: Identify, tell: Tell) -> Plant | MultivariablePlant:
-    """The plant that the method finds; each record's part after its split note is kept for validation."""
+def identified(
+    records: Sequence[MeasuredRecord], asked: Identify, tell: Tell
+) -> Plant | MultivariablePlant:
+    """The plant that the method finds; each record's part after its split note is kept for
+    validation.
+    """
     estimation, held_out = split_records(records)
     tell(0.1, f"identifying from {sum(record.n for record in estimation)} samples")
     if asked.is_multivariable:
@@ -397,18 +458,36 @@ def identified(records: Sequence[MeasuredRecord], asked: Identify, tell: Tell) -
         tell(0.7, "testing residuals and drawing blocks")
         check = model_check(model, asked, parts, estimation)
     tell(0.9, "simulating beside the records")
-    return Plant(told_assumptions(model, asked.method, assumed, estimation), asked.method, estimation, held_out, assumed, check)
+    return Plant(
+        told_assumptions(model, asked.method, assumed, estimation),
+        asked.method,
+        estimation,
+        held_out,
+        assumed,
+        check,
+    )
 
 
-def split_records(records: Sequence[MeasuredRecord]) -> tuple[tuple[MeasuredRecord, ...], tuple[MeasuredRecord, ...]]:
+def split_records(
+    records: Sequence[MeasuredRecord],
+) -> tuple[tuple[MeasuredRecord, ...], tuple[MeasuredRecord, ...]]:
     """What a model is identified from, and what the records' split notes keep for validation."""
-    cuts = [record.n if record.split is None else max(1, round(record.split * record.n)) for record in records]
+    cuts = [
+        record.n if record.split is None else max(1, round(record.split * record.n))
+        for record in records
+    ]
     estimation = tuple(record.window(0, cut) for record, cut in zip(records, cuts, strict=True))
-    return estimation, tuple(record.window(cut, record.n) for record, cut in zip(records, cuts, strict=True) if cut < record.n)
+    return estimation, tuple(
+        record.window(cut, record.n)
+        for record, cut in zip(records, cuts, strict=True)
+        if cut < record.n
+    )
 
 
 def to_control(system: Any) -> Any:
     """A `TransferFunction` of ours as python-control's."""
     control = need("control", "to_control()")
     given = (system.num, system.den)
-    return control.tf(*given) if system.sample_time is None else control.tf(*given, system.sample_time)
+    return (
+        control.tf(*given) if system.sample_time is None else control.tf(*given, system.sample_time)
+    )

@@ -25,13 +25,22 @@ def figure(picture: Picture) -> Any:
     """
     graphs, subplots = need("plotly.graph_objects", "a figure"), need("plotly.subplots", "a figure")
     panels = picture.panels
-    plot = subplots.make_subplots(rows=len(panels), cols=1, subplot_titles=[panel.title for panel in panels])
+    plot = subplots.make_subplots(
+        rows=len(panels), cols=1, subplot_titles=[panel.title for panel in panels]
+    )
     for row, panel in enumerate(panels, start=1):
         for trace in _traces(graphs, panel):
             plot.add_trace(trace, row=row, col=1)
-        plot.update_xaxes(title_text=panel.x_label, type=panel.x_scale if _is_curves(panel) else None, row=row, col=1)
+        plot.update_xaxes(
+            title_text=panel.x_label,
+            type=panel.x_scale if _is_curves(panel) else None,
+            row=row,
+            col=1,
+        )
         plot.update_yaxes(title_text=panel.y_label, row=row, col=1)
-    plot.update_layout(template="plotly_white", height=_HEIGHT * len(panels) + 80, margin={"t": 60, "b": 50})
+    plot.update_layout(
+        template="plotly_white", height=_HEIGHT * len(panels) + 80, margin={"t": 60, "b": 50}
+    )
     return plot
 
 
@@ -42,7 +51,14 @@ def _is_curves(panel: Panel) -> bool:
 def _traces(graphs: Any, panel: Panel) -> list[Any]:
     if isinstance(panel.content, Bars):
         bars = panel.content
-        return [graphs.Bar(x=list(bars.names), y=list(bars.values), text=list(bars.texts) or None, marker_color=COLOURS[0])]
+        return [
+            graphs.Bar(
+                x=list(bars.names),
+                y=list(bars.values),
+                text=list(bars.texts) or None,
+                marker_color=COLOURS[0],
+            )
+        ]
     traces: list[Any] = []
     for number, curve in enumerate(panel.content):
         colour = COLOURS[number % len(COLOURS)]
@@ -51,7 +67,9 @@ def _traces(graphs: Any, panel: Panel) -> list[Any]:
 
 
 def _curve(graphs: Any, curve: Curve, colour: str) -> list[Any]:
-    line = graphs.Scatter(x=curve.x, y=curve.y, name=curve.name, mode="lines", line={"color": colour})
+    line = graphs.Scatter(
+        x=curve.x, y=curve.y, name=curve.name, mode="lines", line={"color": colour}
+    )
     if curve.low is None or curve.high is None:
         return [line]
     x, y = np.concatenate([curve.x, curve.x[::-1]]), np.concatenate([curve.high, curve.low[::-1]])

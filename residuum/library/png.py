@@ -24,8 +24,15 @@ def png(picture: Picture) -> bytes:
     MissingPackage
         Matplotlib is not installed.
     """
-    figure = need_matplotlib().Figure(figsize=(_WIDTH, sum(map(_height, picture.panels))), dpi=_DOTS, layout="constrained")
-    rows = figure.subplots(len(picture.panels), 1, squeeze=False, height_ratios=[_height(panel) for panel in picture.panels])
+    figure = need_matplotlib().Figure(
+        figsize=(_WIDTH, sum(map(_height, picture.panels))), dpi=_DOTS, layout="constrained"
+    )
+    rows = figure.subplots(
+        len(picture.panels),
+        1,
+        squeeze=False,
+        height_ratios=[_height(panel) for panel in picture.panels],
+    )
     for axes, panel in zip(rows[:, 0], picture.panels, strict=True):
         axes.set_title(panel.title, loc="left", fontsize=10)
         if isinstance(panel.content, Bars):
@@ -38,12 +45,18 @@ def png(picture: Picture) -> bytes:
 
 
 def need_matplotlib() -> Any:
-    """Matplotlib's figures, without a window or a state of their own; MissingPackage says how to get them."""
+    """Matplotlib's figures, without a window or a state of their own; MissingPackage says how to
+    get them.
+    """
     return need("matplotlib.figure", "a PNG image", extra="plots")
 
 
 def _height(panel: Panel) -> float:
-    return max(_HEIGHT, 1.0 + _PER_BAR * len(panel.content.values)) if isinstance(panel.content, Bars) else _HEIGHT
+    return (
+        max(_HEIGHT, 1.0 + _PER_BAR * len(panel.content.values))
+        if isinstance(panel.content, Bars)
+        else _HEIGHT
+    )
 
 
 def _bars(axes: Any, bars: Bars, label: str) -> None:

@@ -1,4 +1,6 @@
-"""Progress of long work: told to a caller's function, or shown on one line of a terminal or notebook."""
+"""Progress of long work: told to a caller's function, or shown on one line of a terminal or
+notebook.
+"""
 
 from __future__ import annotations
 
@@ -7,16 +9,21 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 Tell = Callable[[float, str], None]
-"""Called with the share done (0 … 1) and what is being done. What it raises ends the work and comes out of it."""
+"""Called with the share done (0 … 1) and what is being done. What it raises ends the work and comes
+out of it.
+"""
 Progress = Tell | bool | None
-"""A function to tell, True or False to show or hide the line, None to show it where somebody watches."""
+"""A function to tell, True or False to show or hide the line, None to show it where somebody
+watches.
+"""
 
 _WIDTH = 78
 
 
 @contextmanager
 def told(progress: Progress = None) -> Iterator[Tell]:
-    """The function that long work tells how far it is; the line it shows is wiped at the end, and when interrupted.
+    """The function that long work tells how far it is; the line it shows is wiped at the end, and
+    when interrupted.
 
     Examples
     --------

@@ -43,9 +43,11 @@ def read(
     duplicates: str | None = None,
     reordered: str | None = None,
 ) -> Record:
-    """Read a record file; its ending says the format (CSV, NPZ, MAT, WAV; Parquet, TDMS, MDF 4, UFF 58 with the extra `formats`).
+    """Read a record file; its ending says the format (CSV, NPZ, MAT, WAV; Parquet, TDMS, MDF 4, UFF
+    58 with the extra `formats`).
 
-    A logger's text file is read by its mapping, which `residuum inspect --out` writes, or by what is understood of it.
+    A logger's text file is read by its mapping, which `residuum inspect --out` writes, or by what
+    is understood of it.
 
     Parameters
     ----------
@@ -62,14 +64,15 @@ def read(
     mapping : path
         Of a logger's file: how it is read. Default: FILE.mapping.yaml beside it.
     decimal, time : str
-        Of a logger's file, where its text leaves them open: the decimal sign, the form of its times (`day first`, `excel` …).
+        Of a logger's file, where its text leaves them open: the decimal sign, the form of its times
+        (`day first`, `excel` …).
     missing : sequence of str or float
         Cells that mean no value, such as `OL` or -999.9.
     names : sequence of str
         Of a logger's file without heads: those of all its columns, units in brackets.
     duplicates, reordered : str
-        Of a logger's file: what becomes of rows of one stamp (`first`, `mean`, `spread` evenly) and of rows out of order
-        (`sort`, or `bridge` where only the clock was set).
+        Of a logger's file: what becomes of rows of one stamp (`first`, `mean`, `spread` evenly) and
+        of rows out of order (`sort`, or `bridge` where only the clock was set).
 
     Returns
     -------
@@ -100,13 +103,17 @@ def read(
         decimal=decimal,
         time_form=time,
         time_column=columns.pop("time", None),
-        missing=[str(cell) for cell in ([missing] if isinstance(missing, str | float) else missing)],
+        missing=[
+            str(cell) for cell in ([missing] if isinstance(missing, str | float) else missing)
+        ],
         names=list(names),
         duplicates=duplicates,
         reordered=reordered,
     )
     record = read_mapped(Path(path), options, None if mapping is None else Path(mapping))
-    return shown(record.rename({column: name for name, column in columns.items()} | dict(rename or {})))
+    return shown(
+        record.rename({column: name for name, column in columns.items()} | dict(rename or {}))
+    )
 
 
 def from_arrays(
@@ -128,11 +135,13 @@ def from_arrays(
     units : mapping of name to unit
         A channel that is not named here has none: a model that asks for one refuses it.
     sample_time, t0 : float or None
-        Seconds between samples; time of the first one [s], 0 if nothing is said. With `time` they are told by it.
+        Seconds between samples; time of the first one [s], 0 if nothing is said. With `time` they
+        are told by it.
     time : array, shape (n,), or None
         When the samples were taken: seconds, instants or durations (`datetime64`, `timedelta64`).
     resample : bool
-        Accept uneven times: samples are interpolated onto even instants; what was not measured stays missing.
+        Accept uneven times: samples are interpolated onto even instants; what was not measured
+        stays missing.
     source : str
         A name for reports.
 
@@ -143,8 +152,8 @@ def from_arrays(
     Raises
     ------
     BadRecord, BadUnit
-        As `Record` says; a unit for a channel that is not there; neither times nor a sample time; uneven times, with the index
-        and the step.
+        As `Record` says; a unit for a channel that is not there; neither times nor a sample time;
+        uneven times, with the index and the step.
 
     Examples
     --------
@@ -157,14 +166,18 @@ def from_arrays(
     """
     given = dict(units or {})
     if unknown := [name for name in given if name not in channels]:
-        raise BadRecord(f"units: there is no channel {unknown[0]!r}; {known_names(unknown[0], channels, 'there are')}")
+        raise BadRecord(
+            f"units: there is no channel {unknown[0]!r};"
+            f" {known_names(unknown[0], channels, 'there are')}"
+        )
     signals: Any = dict(channels)
     all_units = {name: given.get(name, "") for name in signals}
     if time is not None:
         return _at_times(time, signals, all_units, resample, source or "arrays", sample_time, t0)
     if sample_time is None:
         raise BadRecord(
-            f"{source or 'arrays'}: has no time; say sample_time=0.01 (seconds between samples), or time=t (an array)"
+            f"{source or 'arrays'}: has no time; say sample_time=0.01 (seconds between samples), or"
+            " time=t (an array)"
         )
     return Record(signals, all_units, sample_time, t0=t0 or 0.0, source=source)
 
@@ -203,17 +216,21 @@ def from_pandas(
     Parameters
     ----------
     frame : DataFrame or named Series
-        Its index is the time: instants (`DatetimeIndex`, with a zone or without), durations, or seconds. Whole numbers count rows
-        as likely as seconds: they are refused unless the index says its unit (`t [ms]`).
+        Its index is the time: instants (`DatetimeIndex`, with a zone or without), durations, or
+        seconds. Whole numbers count rows as likely as seconds: they are refused unless the index
+        says its unit (`t [ms]`).
     units : mapping of column to unit
-        Over `frame.attrs["units"]`. Heads `name [unit]` and `name (unit)` are understood, a second row of heads that holds units,
-        too. A column without a unit has none: a model that asks for one refuses it.
+        Over `frame.attrs["units"]`. Heads `name [unit]` and `name (unit)` are understood, a second
+        row of heads that holds units, too. A column without a unit has none: a model that asks for
+        one refuses it.
     time : str
         A column to take the time from instead of the index.
     sample_time : float
-        Seconds between rows, where neither index nor column is a time; one that contradicts the index is refused.
+        Seconds between rows, where neither index nor column is a time; one that contradicts the
+        index is refused.
     resample : bool
-        Accept uneven time: samples are interpolated onto even instants; what was not measured stays missing.
+        Accept uneven time: samples are interpolated onto even instants; what was not measured stays
+        missing.
     source : str
         A name for reports.
 
@@ -224,7 +241,8 @@ def from_pandas(
     Raises
     ------
     BadRecord
-        Uneven time, an index that is none, columns of one name, a column that holds no numbers; the message says what to do.
+        Uneven time, an index that is none, columns of one name, a column that holds no numbers; the
+        message says what to do.
     BadUnit
         A unit that is not known.
 
@@ -238,19 +256,29 @@ def from_pandas(
     where = source or "DataFrame"
     frame = as_frame(frame, where)
     if time is not None and time not in frame.columns:
-        raise BadRecord(f"{where}: has no column {time!r} for the time; {known_names(time, frame.columns, 'there are')}")
+        raise BadRecord(
+            f"{where}: has no column {time!r} for the time;"
+            f" {known_names(time, frame.columns, 'there are')}"
+        )
     by_column = heads(frame, where, without=time)
     all_units = units_of(by_column, frame.attrs.get("units", {}), units or {})
-    signals = {name: numbers(frame[column], f"{where}, column {column!r}") for column, (name, _) in by_column.items()}
+    signals = {
+        name: numbers(frame[column], f"{where}, column {column!r}")
+        for column, (name, _) in by_column.items()
+    }
     if sample_time is not None and time is None and not _has_instants(frame.index):
         return from_arrays(signals, units=all_units, sample_time=sample_time, source=where)
     taken, head = (frame.index, frame.index.name) if time is None else (frame[time], time)
-    instants = seconds(taken, where, unit=unit_of_time(head), told=time is not None, near=_near_time(by_column))
+    instants = seconds(
+        taken, where, unit=unit_of_time(head), told=time is not None, near=_near_time(by_column)
+    )
     refuse_disorder(instants, where)
     return _timed(instants, signals, all_units, resample, where, sample_time)
 
 
-def from_xarray(data: xarray.Dataset, *, dim: str = "time", resample: bool = False, source: str = "") -> Record:
+def from_xarray(
+    data: xarray.Dataset, *, dim: str = "time", resample: bool = False, source: str = ""
+) -> Record:
     """A record of an xarray Dataset (or DataArray), a channel a variable along `dim`.
 
     Parameters
@@ -283,11 +311,21 @@ def from_xarray(data: xarray.Dataset, *, dim: str = "time", resample: bool = Fal
     where = source or "Dataset"
     dataset = data.to_dataset() if not hasattr(data, "data_vars") else data
     if dim not in dataset.coords:
-        raise BadRecord(f"{where}: has no coordinate {dim!r}; {known_names(dim, dataset.coords, 'there are')}")
+        raise BadRecord(
+            f"{where}: has no coordinate {dim!r}; {known_names(dim, dataset.coords, 'there are')}"
+        )
     if off_dim := [name for name, values in dataset.data_vars.items() if values.dims != (dim,)]:
-        raise BadRecord(f"{where}: variable {off_dim[0]!r} lies along {dataset[off_dim[0]].dims}; must be along ({dim!r},) alone")
-    signals = {str(name): numbers(values, f"{where}, variable {name!r}") for name, values in dataset.data_vars.items()}
-    units = {str(name): str(values.attrs.get("units", "")) for name, values in dataset.data_vars.items()}
+        raise BadRecord(
+            f"{where}: variable {off_dim[0]!r} lies along {dataset[off_dim[0]].dims}; must be along"
+            f" ({dim!r},) alone"
+        )
+    signals = {
+        str(name): numbers(values, f"{where}, variable {name!r}")
+        for name, values in dataset.data_vars.items()
+    }
+    units = {
+        str(name): str(values.attrs.get("units", "")) for name, values in dataset.data_vars.items()
+    }
     instants = seconds(dataset[dim].values, where, unit=str(dataset[dim].attrs.get("units", "")))
     refuse_disorder(instants, where)
     return _timed(instants, signals, units, resample, where)
@@ -313,14 +351,21 @@ def as_records(records: Any) -> list[MeasuredRecord]:
 def _no_record(given: Any) -> BadRecord:
     """The refusal of what is neither a record nor a file, with the way to make a record of it."""
     if hasattr(given, "iloc"):
-        return BadRecord("record: is a pandas object; make a record of it with rs.from_pandas(frame, units={…})")
+        return BadRecord(
+            "record: is a pandas object; make a record of it with rs.from_pandas(frame, units={…})"
+        )
     if hasattr(given, "dims"):
-        return BadRecord("record: is an xarray object; make a record of it with rs.from_xarray(data)")
+        return BadRecord(
+            "record: is an xarray object; make a record of it with rs.from_xarray(data)"
+        )
     if hasattr(given, "__array__"):
-        return BadRecord("record: is an array; make a record of it with rs.from_arrays({name: array}, units={…}, time=…)")
+        return BadRecord(
+            "record: is an array; make a record of it with rs.from_arrays({name: array}, units={…},"
+            " time=…)"
+        )
     return BadRecord(
-        f"record: is {type(given).__name__}; must be a Record, a file, or a list of these; rs.read(file), "
-        "rs.from_pandas and rs.from_arrays make one"
+        f"record: is {type(given).__name__}; must be a Record, a file, or a list of these;"
+        " rs.read(file), rs.from_pandas and rs.from_arrays make one"
     )
 
 
@@ -345,7 +390,13 @@ def _timed(
     if not signals:
         raise BadRecord(f"{where}: has no channel; at least one is needed")
     notes: list[str] = []
-    step, columns = even_columns(np.stack([instants, *signals.values()]), where, resample=resample, told=notes, names=[*signals])
+    step, columns = even_columns(
+        np.stack([instants, *signals.values()]),
+        where,
+        resample=resample,
+        told=notes,
+        names=[*signals],
+    )
     ReadOptions(sample_time=sample_time).settle_sample_time(step, where)
     channels = dict(zip(signals, columns[1:], strict=True))
     return Record(channels, units, step, t0=float(columns[0][0]), notes=tuple(notes), source=where)

@@ -21,11 +21,13 @@ if TYPE_CHECKING:
 
 
 class Record(MeasuredRecord):
-    """Measured signals on one even time base, shape (n,) each, with a unit a channel; a missing sample is NaN.
+    """Measured signals on one even time base, shape (n,) each, with a unit a channel; a missing
+    sample is NaN.
 
-    Made by `rs.read`, `rs.from_arrays`, `rs.from_pandas`, `rs.from_xarray` and `rs.simulate`. `record["speed"]` is a signal,
-    `record.units["speed"]` its unit, `record.time` the sample instants [s]; `record.window(start, stop)` are the samples
-    start … stop − 1, `record.select(names)` some channels, `record.rename({old: new})` others names.
+    Made by `rs.read`, `rs.from_arrays`, `rs.from_pandas`, `rs.from_xarray` and `rs.simulate`.
+    `record["speed"]` is a signal, `record.units["speed"]` its unit, `record.time` the sample
+    instants [s]; `record.window(start, stop)` are the samples start … stop − 1,
+    `record.select(names)` some channels, `record.rename({old: new})` others names.
 
     Parameters
     ----------
@@ -42,7 +44,8 @@ class Record(MeasuredRecord):
     Raises
     ------
     BadRecord
-        No channel, unequal lengths, an infinite value, a sample time that is not positive, a channel without a unit.
+        No channel, unequal lengths, an infinite value, a sample time that is not positive, a
+        channel without a unit.
     BadUnit
         A text that is no unit.
 
@@ -55,7 +58,8 @@ class Record(MeasuredRecord):
     """
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Write the record file `path`; its ending says the format (`.csv`, `.npz`, …). A failed write leaves no file behind.
+        """Write the record file `path`; its ending says the format (`.csv`, `.npz`, …). A failed
+        write leaves no file behind.
 
         Parameters
         ----------
@@ -77,7 +81,8 @@ class Record(MeasuredRecord):
         write_record(self, Path(path))
 
     def to_pandas(self) -> pandas.DataFrame:
-        """A DataFrame, a column a channel and the time [s] as index; units are in `frame.attrs["units"]`.
+        """A DataFrame, a column a channel and the time [s] as index; units are in
+        `frame.attrs["units"]`.
 
         Returns
         -------
@@ -130,12 +135,18 @@ class Record(MeasuredRecord):
         1
         """
         time = self.time
-        panels = [Panel(n, "time [s]", axis(n, self.units[n]), [Curve(n, time, s)]) for n, s in self.channels.items()]
+        panels = [
+            Panel(n, "time [s]", axis(n, self.units[n]), [Curve(n, time, s)])
+            for n, s in self.channels.items()
+        ]
         return Picture(panels)
 
     def __str__(self) -> str:
         channels = ", ".join(axis(name, unit) for name, unit in self.units.items())
-        return f"{self.source or 'record'}: {self.n} samples of {self.sample_time:.6g} s, {self.duration:.6g} s; {channels}"
+        return (
+            f"{self.source or 'record'}: {self.n} samples of {self.sample_time:.6g} s,"
+            f" {self.duration:.6g} s; {channels}"
+        )
 
     def __repr__(self) -> str:
         return f"<residuum Record {self}>"
@@ -159,4 +170,6 @@ def shown(record: MeasuredRecord) -> Record:
     """A record with the faces of the library."""
     if isinstance(record, Record):
         return record
-    return Record(record.channels, record.units, record.sample_time, record.t0, record.notes, record.source)
+    return Record(
+        record.channels, record.units, record.sample_time, record.t0, record.notes, record.source
+    )

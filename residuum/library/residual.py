@@ -27,7 +27,8 @@ _FREQUENCIES = 300
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ResidualRun(Result):
-    """What a residual generator says of one record: is there a fault, since when, of which kind and size?
+    """What a residual generator says of one record: is there a fault, since when, of which kind and
+    size?
 
     Attributes
     ----------
@@ -56,8 +57,13 @@ class ResidualRun(Result):
         return run_text(self.design, self.record, self.found)
 
     def _rows(self) -> Sequence[Row]:
-        each = zip(self.record.time, self._residual, self.found.statistic, self.found.alarm, strict=True)
-        return [{"time": float(t), "residual": float(r), "statistic": float(s), "alarm": bool(a)} for t, r, s, a in each]
+        each = zip(
+            self.record.time, self._residual, self.found.statistic, self.found.alarm, strict=True
+        )
+        return [
+            {"time": float(t), "residual": float(r), "statistic": float(s), "alarm": bool(a)}
+            for t, r, s, a in each
+        ]
 
     def _picture(self) -> Picture:
         time, unit = self.record.time, self.design.model.output_unit
@@ -65,8 +71,15 @@ class ResidualRun(Result):
         judged = [Curve("statistic", time, self.found.statistic), Curve("threshold", time, level)]
         return Picture(
             [
-                Panel("residual", "time [s]", axis("residual", unit), [Curve("residual", time, self._residual)]),
-                Panel("statistic", "time [s]", axis("statistic", self.found.threshold.unit), judged),
+                Panel(
+                    "residual",
+                    "time [s]",
+                    axis("residual", unit),
+                    [Curve("residual", time, self._residual)],
+                ),
+                Panel(
+                    "statistic", "time [s]", axis("statistic", self.found.threshold.unit), judged
+                ),
             ]
         )
 
@@ -78,7 +91,8 @@ class ResidualRun(Result):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Residual(Result):
-    """A residual generator of a plant with the noise of its healthy records: what it lets through, and how it is run.
+    """A residual generator of a plant with the noise of its healthy records: what it lets through,
+    and how it is run.
 
     Attributes
     ----------
@@ -147,12 +161,18 @@ class Residual(Result):
         return design_text(self.design)
 
     def _rows(self) -> Sequence[Row]:
-        return [{"quantity": name, "value": value} for name, value in self._answer().items() if isinstance(value, float)]
+        return [
+            {"quantity": name, "value": value}
+            for name, value in self._answer().items()
+            if isinstance(value, float)
+        ]
 
     def _picture(self) -> Picture:
         omega = np.geomspace(1e-3, 1.0, _FREQUENCIES) * np.pi / self.design.model.sample_time
         gain = np.abs(self.design.post_filter.Q.frequency_response(omega)).reshape(_FREQUENCIES)
-        return Picture([Panel("post-filter", "frequency [rad/s]", "|Q|", [Curve("|Q|", omega, gain)], "log")])
+        return Picture(
+            [Panel("post-filter", "frequency [rad/s]", "|Q|", [Curve("|Q|", omega, gain)], "log")]
+        )
 
 
 def judged(design: ResidualDesign, record: MeasuredRecord, asked: RunResidual) -> ResidualRun:
@@ -161,7 +181,9 @@ def judged(design: ResidualDesign, record: MeasuredRecord, asked: RunResidual) -
 
 
 @asks(DesignResidual)
-def residual(plant: Plant | str | PathLike[str], healthy: Records | None = None, **given: Any) -> Residual:
+def residual(
+    plant: Plant | str | PathLike[str], healthy: Records | None = None, **given: Any
+) -> Residual:
     """A residual generator from an identified plant, its noise learned from healthy records.
 
     Parameters
@@ -169,7 +191,8 @@ def residual(plant: Plant | str | PathLike[str], healthy: Records | None = None,
     plant : Plant or file
         Of one input and one output.
     healthy : Record, file, or a list of these
-        None: those that the plant was identified from, as long as it holds them; without any the noise is as the model says.
+        None: those that the plant was identified from, as long as it holds them; without any the
+        noise is as the model says.
 
     Returns
     -------

@@ -28,8 +28,8 @@ _ROWS = 12
 class Result(ABC):
     """An answer as a value: text, table, picture and JSON of one and the same thing.
 
-    `str(result)` is what the command line prints, `result.to_dict()` what it prints with `--json`; in a notebook it is shown as
-    a compact table and a picture.
+    `str(result)` is what the command line prints, `result.to_dict()` what it prints with `--json`;
+    in a notebook it is shown as a compact table and a picture.
     """
 
     def to_dict(self) -> dict[str, Any]:
@@ -148,7 +148,10 @@ def html_table(rows: Sequence[Row]) -> str:
     if not rows:
         return "<p>nothing</p>"
     heads = "".join(f"<th>{escape(str(name))}</th>" for name in rows[0])
-    body = "".join("<tr>" + "".join(f"<td>{escape(_cell(v))}</td>" for v in row.values()) + "</tr>" for row in rows[:_ROWS])
+    body = "".join(
+        "<tr>" + "".join(f"<td>{escape(_cell(v))}</td>" for v in row.values()) + "</tr>"
+        for row in rows[:_ROWS]
+    )
     more = f"<p>and {len(rows) - _ROWS} more</p>" if len(rows) > _ROWS else ""
     return f"<table><tr>{heads}</tr>{body}</table>{more}"
 

@@ -18,28 +18,40 @@ _COLOURS = ("#1f6f8b", "#d1495b", "#66a182", "#edae49", "#8d6a9f", "#5c6b73")
 def svg(picture: Picture, panels: int = 2) -> str:
     """The first panels of the picture as one `<svg>` element."""
     shown = picture.panels[:panels]
-    parts = [f'<g transform="translate(0 {_HEIGHT * row})">{_panel(panel)}</g>' for row, panel in enumerate(shown)]
+    parts = [
+        f'<g transform="translate(0 {_HEIGHT * row})">{_panel(panel)}</g>'
+        for row, panel in enumerate(shown)
+    ]
     height = _HEIGHT * len(shown)
     style = "max-width:100%;background:#fff"
     return (
-        f'<svg xmlns="http://www.w3.org/2000/svg" width="{_WIDTH}" height="{height}" viewBox="0 0 {_WIDTH} {height}" '
-        f'style="{style}" font-family="sans-serif" font-size="11" fill="#222">{"".join(parts)}</svg>'
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{_WIDTH}" height="{height}" viewBox="0 0'
+        f' {_WIDTH} {height}" style="{style}" font-family="sans-serif" font-size="11"'
+        f' fill="#222">{"".join(parts)}</svg>'
     )
 
 
 def _panel(panel: Panel) -> str:
-    drawn = _bars(panel.content) if isinstance(panel.content, Bars) else _curves(panel.content, panel.x_scale == "log")
-    frame = (
-        f'<rect x="{_LEFT}" y="{_TOP}" width="{_WIDTH - _LEFT - _RIGHT}" height="{_HEIGHT - _TOP - _BOTTOM}" '
-        'fill="none" stroke="#ccc"/>'
+    drawn = (
+        _bars(panel.content)
+        if isinstance(panel.content, Bars)
+        else _curves(panel.content, panel.x_scale == "log")
     )
-    labels = _text(_LEFT, _TOP - 6, panel.title, weight="bold") + _text(_WIDTH - _RIGHT, _HEIGHT - 4, panel.x_label, anchor="end")
+    frame = (
+        f'<rect x="{_LEFT}" y="{_TOP}" width="{_WIDTH - _LEFT - _RIGHT}"'
+        f' height="{_HEIGHT - _TOP - _BOTTOM}" fill="none" stroke="#ccc"/>'
+    )
+    labels = _text(_LEFT, _TOP - 6, panel.title, weight="bold") + _text(
+        _WIDTH - _RIGHT, _HEIGHT - 4, panel.x_label, anchor="end"
+    )
     return frame + drawn + labels
 
 
 def _curves(curves: Sequence[Curve], logarithmic: bool) -> str:
     reduced = [curve.reduced(_POINTS) for curve in curves]
-    across = [np.log10(curve.x) if logarithmic else np.asarray(curve.x, dtype=float) for curve in reduced]
+    across = [
+        np.log10(curve.x) if logarithmic else np.asarray(curve.x, dtype=float) for curve in reduced
+    ]
     x_span = _span(across)
     y_span = _span([edge for c in reduced for edge in (c.y, c.low, c.high) if edge is not None])
     parts = []
@@ -50,8 +62,19 @@ def _curves(curves: Sequence[Curve], logarithmic: bool) -> str:
             edges = [_heights(edge, y_span) for edge in (curve.high, curve.low)]
             outline = _points(np.r_[places, places[::-1]], np.r_[edges[0], edges[1][::-1]])
             parts.append(f'<polygon points="{outline}" fill="{colour}" opacity=".2"/>')
-        parts.append(f'<path d="{_path(places, _heights(curve.y, y_span))}" fill="none" stroke="{colour}" stroke-width="1.2"/>')
-        parts.append(_text(_WIDTH - _RIGHT - 6, _TOP + 12 + 12 * number, curve.name, anchor="end", colour=colour))
+        parts.append(
+            f'<path d="{_path(places, _heights(curve.y, y_span))}" fill="none" stroke="{colour}"'
+            ' stroke-width="1.2"/>'
+        )
+        parts.append(
+            _text(
+                _WIDTH - _RIGHT - 6,
+                _TOP + 12 + 12 * number,
+                curve.name,
+                anchor="end",
+                colour=colour,
+            )
+        )
     return "".join(parts) + _ticks(x_span, y_span, logarithmic)
 
 
@@ -66,8 +89,8 @@ def _bars(bars: Bars) -> str:
         length = (_WIDTH - _LEFT - _RIGHT) * (abs(value) / top if np.isfinite(value) else 0.0)
         text = f"{name}: {bars.texts[number] if bars.texts else f'{value:.3g}'}"
         parts.append(
-            f'<rect x="{_LEFT}" y="{y + 1:.1f}" width="{length:.1f}" height="{max(step - 2, 1):.1f}" '
-            f'fill="{_COLOURS[0]}" opacity=".35"/>'
+            f'<rect x="{_LEFT}" y="{y + 1:.1f}" width="{length:.1f}"'
+            f' height="{max(step - 2, 1):.1f}" fill="{_COLOURS[0]}" opacity=".35"/>'
         )
         parts.append(_text(_LEFT + 6, y + step / 2 + 4, text))
     return "".join(parts)
@@ -85,7 +108,11 @@ def _ticks(x_span: tuple[float, float], y_span: tuple[float, float], logarithmic
 
 
 def _span(arrays: Sequence[Array]) -> tuple[float, float]:
-    finite = np.concatenate([np.asarray(a, dtype=float)[np.isfinite(a)] for a in arrays]) if arrays else np.zeros(0)
+    finite = (
+        np.concatenate([np.asarray(a, dtype=float)[np.isfinite(a)] for a in arrays])
+        if arrays
+        else np.zeros(0)
+    )
     if not finite.size:
         return 0.0, 1.0
     low, high = float(finite.min()), float(finite.max())
@@ -93,7 +120,9 @@ def _span(arrays: Sequence[Array]) -> tuple[float, float]:
 
 
 def _scaled(values: Array, span: tuple[float, float], begin: float, end: float) -> Array:
-    return np.asarray(begin + (end - begin) * (np.asarray(values, dtype=float) - span[0]) / (span[1] - span[0]))
+    return np.asarray(
+        begin + (end - begin) * (np.asarray(values, dtype=float) - span[0]) / (span[1] - span[0])
+    )
 
 
 def _heights(values: Array, span: tuple[float, float]) -> Array:
@@ -112,8 +141,21 @@ def _path(x: Array, y: Array) -> str:
 
 
 def _points(x: Array, y: Array) -> str:
-    return " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x, y, strict=True) if np.isfinite(a) and np.isfinite(b))
+    return " ".join(
+        f"{a:.1f},{b:.1f}" for a, b in zip(x, y, strict=True) if np.isfinite(a) and np.isfinite(b)
+    )
 
 
-def _text(x: float, y: float, text: str, *, anchor: str = "start", weight: str = "normal", colour: str = "#222") -> str:
-    return f'<text x="{x:.0f}" y="{y:.0f}" text-anchor="{anchor}" font-weight="{weight}" fill="{colour}">{escape(text)}</text>'
+def _text(
+    x: float,
+    y: float,
+    text: str,
+    *,
+    anchor: str = "start",
+    weight: str = "normal",
+    colour: str = "#222",
+) -> str:
+    return (
+        f'<text x="{x:.0f}" y="{y:.0f}" text-anchor="{anchor}" font-weight="{weight}"'
+        f' fill="{colour}">{escape(text)}</text>'
+    )

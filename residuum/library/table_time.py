@@ -1,4 +1,6 @@
-"""The time of a table (a DataFrame, a Dataset): instants, durations, seconds; never a count of its rows."""
+"""The time of a table (a DataFrame, a Dataset): instants, durations, seconds; never a count of its
+rows.
+"""
 
 from __future__ import annotations
 
@@ -16,16 +18,22 @@ _EPOCH = 1e11
 """Above this a number is no second of our days, since 1970 or since a start."""
 
 
-def seconds(values: Any, where: str, *, unit: str = "", told: bool = False, near: str = "COLUMN") -> npt.NDArray[np.float64]:
+def seconds(
+    values: Any, where: str, *, unit: str = "", told: bool = False, near: str = "COLUMN"
+) -> npt.NDArray[np.float64]:
     """Instants or durations as seconds, shape (n,); instants count from the first one.
 
-    `unit` is the unit of plain numbers (seconds where nothing is said). Whole numbers without one count the rows as likely
-    as they count seconds; they are taken where the caller has `told` that they are the time. `near` is a column that may be it.
+    `unit` is the unit of plain numbers (seconds where nothing is said). Whole numbers without one
+    count the rows as likely as they count seconds; they are taken where the caller has `told` that
+    they are the time. `near` is a column that may be it.
 
     Raises BadRecord with what to do for anything that is no time.
     """
     if getattr(values, "nlevels", 1) > 1:
-        raise BadRecord(f"{where}: the index has {values.nlevels} levels; take one series, frame.xs(…) or frame.droplevel(…)")
+        raise BadRecord(
+            f"{where}: the index has {values.nlevels} levels; take one series, frame.xs(…) or"
+            " frame.droplevel(…)"
+        )
     if str(getattr(values, "dtype", "")).startswith("period"):
         values = getattr(values, "dt", values).to_timestamp()
     array = _without_zone(values)
@@ -33,16 +41,17 @@ def seconds(values: Any, where: str, *, unit: str = "", told: bool = False, near
         return np.asarray((array - array[0]) / np.timedelta64(1, "ns") * 1e-9, dtype=float)
     if array.dtype.kind not in "iuf":
         raise BadRecord(
-            f"{where}: the time does not hold numbers or instants ({str(array[0])[:30]!r}); make instants of it with "
-            "pandas.to_datetime(…), or say sample_time=…"
+            f"{where}: the time does not hold numbers or instants ({str(array[0])[:30]!r}); make"
+            " instants of it with pandas.to_datetime(…), or say sample_time=…"
         )
     factor = seconds_of(unit) if unit else 1.0
     if factor is None:
         raise BadRecord(f"{where}: the time is in {unit!r}, which is no unit of time")
     if array.dtype.kind in "iu" and not unit and not told:
         raise BadRecord(
-            f"{where}: the index counts ({array[0]}, {array[min(1, len(array) - 1)]}, …), which may be rows and is not taken for "
-            f"seconds; say time={near!r}, sample_time=…, or make instants of it: pandas.to_datetime(frame.index, unit=…)"
+            f"{where}: the index counts ({array[0]}, {array[min(1, len(array) - 1)]}, …), which may"
+            f" be rows and is not taken for seconds; say time={near!r}, sample_time=…, or make"
+            " instants of it: pandas.to_datetime(frame.index, unit=…)"
         )
     if not unit and np.nanmax(np.abs(array), initial=0.0) > _EPOCH:
         how = "make instants of it with pandas.to_datetime(…, unit='ms')"
@@ -51,7 +60,9 @@ def seconds(values: Any, where: str, *, unit: str = "", told: bool = False, near
 
 
 def unit_of_time(head: Any) -> str:
-    """The unit of time in the head of a column or in the name of an index (`t [ms]`), or nothing."""
+    """The unit of time in the head of a column or in the name of an index (`t [ms]`), or
+    nothing.
+    """
     unit = unit_of_head(str(head or ""))[1]
     return "" if seconds_of(unit) is None else unit
 
@@ -63,19 +74,28 @@ def refuse_disorder(instants: npt.NDArray[np.float64], where: str) -> None:
         return
     row = int(np.argmax(wrong)) + 1
     if steps[row - 1] == 0:
-        how = "an instant stands twice: frame.groupby(level=0).mean() or frame[~frame.index.duplicated()] keeps one"
+        how = (
+            "an instant stands twice: frame.groupby(level=0).mean() or"
+            " frame[~frame.index.duplicated()] keeps one"
+        )
     else:
         how = "rows must be in order of time: frame.sort_index() orders them"
     raise BadRecord(f"{where}, row {row}: time does not increase; {how}")
 
 
 def _without_zone(values: Any) -> npt.NDArray[Any]:
-    """The array of values; instants with a zone become those of UTC, in which no hour stands twice."""
+    """The array of values; instants with a zone become those of UTC, in which no hour stands
+    twice.
+    """
     accessor = getattr(values, "dt", values)
     if getattr(accessor, "tz", None) is not None:
         return np.asarray(accessor.tz_convert(None))
     array = np.asarray(values)
-    if array.dtype.kind == "O" and len(array) and all(hasattr(t, "isoformat") and hasattr(t, "hour") for t in array):
+    if (
+        array.dtype.kind == "O"
+        and len(array)
+        and all(hasattr(t, "isoformat") and hasattr(t, "hour") for t in array)
+    ):
         return _of_datetimes(array)
     return _plain(array) if array.dtype.kind == "O" else array
 
@@ -91,4 +111,7 @@ def _plain(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
 
 
 def _of_datetimes(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    return np.array([t.astimezone(UTC).replace(tzinfo=None) if t.tzinfo else t for t in array], dtype="datetime64[ns]")
+    return np.array(
+        [t.astimezone(UTC).replace(tzinfo=None) if t.tzinfo else t for t in array],
+        dtype="datetime64[ns]",
+    )

@@ -21,12 +21,14 @@ from residuum.library.result import Result, Row
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Uncertainty(Result):
-    """The error of the models that an identified model's distribution allows, and the weight W_T above it (Algorithm 1).
+    """The error of the models that an identified model's distribution allows, and the weight W_T
+    above it (Algorithm 1).
 
     Attributes
     ----------
     bound : UncertaintyWeight
-        The weight, the largest error Ω at frequencies ω [rad/s], and what the number of drawn models promises.
+        The weight, the largest error Ω at frequencies ω [rad/s], and what the number of drawn
+        models promises.
 
     Examples
     --------
@@ -50,7 +52,11 @@ class Uncertainty(Result):
             "samples": made.n_samples,
             "promise": made.promise,
             "certified": made.certified,
-            "weight": {"numerator": made.weight.num, "denominator": made.weight.den, "sample_time": made.weight.sample_time},
+            "weight": {
+                "numerator": made.weight.num,
+                "denominator": made.weight.den,
+                "sample_time": made.weight.sample_time,
+            },
             "critical_frequency_rad_s": made.critical_frequency,
             "frequency_rad_s": made.omega,
             "largest_error": made.magnitude,
@@ -59,12 +65,26 @@ class Uncertainty(Result):
     def __str__(self) -> str:
         made = self.bound
         proven = "proven at every frequency"
-        between = proven if made.certified else "at the grid's frequencies alone; nothing is proven between them"
-        crossing = "nowhere" if made.critical_frequency is None else f"from {made.critical_frequency:.4g} rad/s on"
+        between = (
+            proven
+            if made.certified
+            else "at the grid's frequencies alone; nothing is proven between them"
+        )
+        crossing = (
+            "nowhere"
+            if made.critical_frequency is None
+            else f"from {made.critical_frequency:.4g} rad/s on"
+        )
         return "\n".join(
             [
-                f"{made.form} error of {made.n_samples} random models: at most {float(np.max(made.magnitude)):.4g}",
-                f"  W_T(z) = {_polynomial(made.weight.num)} over {_polynomial(made.weight.den)}, descending powers of z",
+                (
+                    f"{made.form} error of {made.n_samples} random models: at most"
+                    f" {float(np.max(made.magnitude)):.4g}"
+                ),
+                (
+                    f"  W_T(z) = {_polynomial(made.weight.num)} over"
+                    f" {_polynomial(made.weight.den)}, descending powers of z"
+                ),
                 f"  above the error {between}; 1 or more {crossing}",
                 f"  {made.promise}",
             ]
@@ -72,12 +92,25 @@ class Uncertainty(Result):
 
     def _rows(self) -> Sequence[Row]:
         each = zip(self.bound.omega, self.bound.magnitude, self._weight, strict=True)
-        return [{"frequency_rad_s": float(w), "largest_error": float(e), "weight": float(bound)} for w, e, bound in each]
+        return [
+            {"frequency_rad_s": float(w), "largest_error": float(e), "weight": float(bound)}
+            for w, e, bound in each
+        ]
 
     def _picture(self) -> Picture:
         errors = Curve("largest error of the drawn models", self.bound.omega, self.bound.magnitude)
         weight = Curve("weight W_T", self.bound.omega, self._weight)
-        return Picture([Panel("error of the model", "frequency [rad/s]", self.bound.form, [errors, weight], "log")])
+        return Picture(
+            [
+                Panel(
+                    "error of the model",
+                    "frequency [rad/s]",
+                    self.bound.form,
+                    [errors, weight],
+                    "log",
+                )
+            ]
+        )
 
     @property
     def _weight(self) -> np.ndarray[Any, np.dtype[np.float64]]:
@@ -90,7 +123,8 @@ def _polynomial(coefficients: np.ndarray[Any, Any]) -> str:
 
 @asks(Asked)
 def uncertainty(plant: Plant | str | PathLike[str], **given: Any) -> Uncertainty:
-    """How far the models that an identified model's distribution allows lie from it, at every frequency (Algorithm 1).
+    """How far the models that an identified model's distribution allows lie from it, at every
+    frequency (Algorithm 1).
 
     Parameters
     ----------

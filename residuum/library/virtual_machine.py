@@ -34,7 +34,8 @@ def simulate(
     Parameters
     ----------
     machine : str
-        `gate-drive`, `oven`, `linear-axis`, `oscillator`, `two-tanks`, `process-plant`, `gate-actuator` or `gripping-pliers`.
+        `gate-drive`, `oven`, `linear-axis`, `oscillator`, `two-tanks`, `process-plant`,
+        `gate-actuator` or `gripping-pliers`.
     effects : mapping of effect id to parameters, or to `small`, `medium`, `large`; or a list of ids
         Physics that the built-in model of the machine does not have.
     faults, events : mapping of id to size (None: the usual one)
@@ -64,7 +65,9 @@ def simulate(
     >>> record.names, record.units["speed"]
     (('voltage', 'speed', 'current'), 'rad/s')
     """
-    return simulated(machine, effects, faults, events, duration, seed, exemplar, reveal, settings)[0]
+    return simulated(machine, effects, faults, events, duration, seed, exemplar, reveal, settings)[
+        0
+    ]
 
 
 def simulated(
@@ -78,9 +81,13 @@ def simulated(
     reveal: bool,
     settings: Mapping[str, Any],
 ) -> tuple[Record, dict[str, Any]]:
-    """The record, and the truth that is hidden in it (effects, faults and constants as plain JSON values)."""
+    """The record, and the truth that is hidden in it (effects, faults and constants as plain JSON
+    values).
+    """
     if machine not in MACHINES:
-        raise BadInput(f"machine {machine!r}: there is none of this name; {known_names(machine, MACHINES)}")
+        raise BadInput(
+            f"machine {machine!r}: there is none of this name; {known_names(machine, MACHINES)}"
+        )
     given = _settings(MACHINES[machine], dict(settings))
     hidden = {id: {} for id in effects} if isinstance(effects, list) else dict(effects or {})
     damage = dict.fromkeys(faults) if isinstance(faults, list) else dict(faults or {})
@@ -98,13 +105,20 @@ def simulated(
 def _length(machine: Machine, duration: float | None) -> float:
     duration = machine.record_duration if duration is None else duration
     if duration / machine.sample_time > _MOST_SAMPLES:
-        raise BadInput(f"duration {duration:g} s: is {duration / machine.sample_time:.3g} samples; at most {_MOST_SAMPLES:.0e}")
+        raise BadInput(
+            f"duration {duration:g} s: is {duration / machine.sample_time:.3g} samples; at most"
+            f" {_MOST_SAMPLES:.0e}"
+        )
     return duration
 
 
 def _settings(machine: type[Machine], given: dict[str, Any]) -> dict[str, Any]:
     """The machine's own settings, text turned into the type of their default value."""
-    known = {name: p.default for name, p in inspect.signature(machine.__init__).parameters.items() if name not in _COMMON}
+    known = {
+        name: p.default
+        for name, p in inspect.signature(machine.__init__).parameters.items()
+        if name not in _COMMON
+    }
     for name, value in given.items():
         if name not in known:
             raise BadInput(f"{machine.name}: has no setting {name!r}; {known_names(name, known)}")
@@ -129,4 +143,11 @@ def _record(machine: str, signals: Signals, seed: int, truth: Any) -> Record:
     notes = [f"simulated {machine}, seed {seed}", *signals.notes]
     if truth is not None:
         notes.append(f"truth: {json.dumps(truth, separators=(',', ':'), ensure_ascii=False)}")
-    return Record(signals.channels, signals.units, signals.sample_time, signals.t0, tuple(notes), source=f"simulated {machine}")
+    return Record(
+        signals.channels,
+        signals.units,
+        signals.sample_time,
+        signals.t0,
+        tuple(notes),
+        source=f"simulated {machine}",
+    )

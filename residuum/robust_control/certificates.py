@@ -18,7 +18,12 @@ from residuum.identification.linear_models.state_space import StateSpace
 from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.nearest_names import known_names
 from residuum.robust_control.loop import Loop, Weights, characteristic, frequency_grid
-from residuum.robust_control.synthesis.constrained_structure import ControllerStructure, Point, bisected_front, preferred
+from residuum.robust_control.synthesis.constrained_structure import (
+    ControllerStructure,
+    Point,
+    bisected_front,
+    preferred,
+)
 from residuum.robust_control.synthesis.structured_synthesis import Synthesis, synthesise
 from residuum.robust_control.weights.performance_weight import Infeasible, MonotoneWeight, refined
 
@@ -27,7 +32,8 @@ from residuum.robust_control.weights.performance_weight import Infeasible, Monot
 
 @dataclass(frozen=True)
 class DiskMargin:
-    """`alpha` is the disk's size; gain may vary within (`gain_low`, `gain_high`), phase within ± `phase` [rad], at once or alone.
+    """`alpha` is the disk's size; gain may vary within (`gain_low`, `gain_high`), phase within ±
+    `phase` [rad], at once or alone.
 
     `frequency` [rad/s] is where the loop is nearest to the disk.
     """
@@ -39,7 +45,9 @@ class DiskMargin:
     frequency: float
 
 
-def disk_margin(plant: TransferFunction, controller: TransferFunction, *, skew: float = 0.0) -> DiskMargin:
+def disk_margin(
+    plant: TransferFunction, controller: TransferFunction, *, skew: float = 0.0
+) -> DiskMargin:
     """α = 1/‖S + (σ − 1)/2‖∞ for the perturbations f = (1 + (1−σ)/2 δ)/(1 − (1+σ)/2 δ), |δ| < α.
 
     Parameters
@@ -97,15 +105,16 @@ _NEAR_CIRCLE = 1e-4
 def h_infinity_norm(system: StateSpace, *, tolerance: float = 1e-8) -> tuple[float, float]:
     r"""(upper bound of ‖H‖∞, normalised frequency θ = ω Ts [rad] of the peak).
 
-    γ is a singular value of H at e^{jθ} exactly when e^{jθ} is an eigenvalue of the symplectic pencil
+    γ is a singular value of H at e^{jθ} exactly when e^{jθ} is an eigenvalue of the symplectic
+    pencil
 
     .. math::
         \begin{bmatrix} \bar A & 0 \\ -C^T(C + D R^{-1} D^T C) & I \end{bmatrix} - \lambda
         \begin{bmatrix} I & -B R^{-1} B^T \\ 0 & \bar A^T \end{bmatrix}, \qquad
         \bar A = A + B R^{-1} D^T C, \quad R = \gamma^2 I - D^T D
 
-    so a level without eigenvalues on the unit circle lies above the norm. Levels are raised to the largest gain between
-    neighbouring crossings, which converges quadratically.
+    so a level without eigenvalues on the unit circle lies above the norm. Levels are raised to the
+    largest gain between neighbouring crossings, which converges quadratically.
 
     Parameters
     ----------
@@ -138,8 +147,13 @@ def h_infinity_norm(system: StateSpace, *, tolerance: float = 1e-8) -> tuple[flo
     """
     poles = np.linalg.eigvals(system.A)
     if np.any(np.abs(poles) >= 1.0):
-        raise BadInput(f"H-infinity norm: the system is not stable, its largest pole has modulus {np.abs(poles).max():.9g}")
-    angles = np.unique(np.abs(np.concatenate([np.angle(poles), np.geomspace(1e-6, np.pi, 60), [0.0]])))
+        raise BadInput(
+            "H-infinity norm: the system is not stable, its largest pole has modulus"
+            f" {np.abs(poles).max():.9g}"
+        )
+    angles = np.unique(
+        np.abs(np.concatenate([np.angle(poles), np.geomspace(1e-6, np.pi, 60), [0.0]]))
+    )
     lower, peak = _largest(system, angles)
     if lower == 0.0:
         return 0.0, 0.0
@@ -183,9 +197,11 @@ _WISHES = ("high-gain", "critical-frequency")
 
 @dataclass(frozen=True)
 class RobustAim:
-    """Gains [dB] and frequencies [rad/s] between which W_S is sought: l_g, h_g in [h_min, h_max] and ω_c from ω_c,min on.
+    """Gains [dB] and frequencies [rad/s] between which W_S is sought: l_g, h_g in [h_min, h_max]
+    and ω_c from ω_c,min on.
 
-    `only` = "high-gain" or "critical-frequency" lets that wish alone choose the point of the front (Remark 2.7).
+    `only` = "high-gain" or "critical-frequency" lets that wish alone choose the point of the front
+    (Remark 2.7).
 
     Raises BadInput when h_min ≥ h_max, h_max ≥ 0, l_g ≤ 0 or ω_c,min ≤ 0.
     """
@@ -200,15 +216,23 @@ class RobustAim:
 
     def __post_init__(self) -> None:
         if self.only not in (None, *_WISHES):
-            raise BadInput(f"RobustAim, only: is {self.only!r}; {known_names(self.only, _WISHES, 'must be one of')}")
+            raise BadInput(
+                f"RobustAim, only: is {self.only!r};"
+                f" {known_names(self.only, _WISHES, 'must be one of')}"
+            )
         ordered = self.smallest_high_gain_db < self.largest_high_gain_db < 0 < self.low_gain_db
         if not (ordered and self.lowest_critical_frequency > 0):
-            raise BadInput("RobustAim: needs h_min < h_max < 0 dB < l_g and a positive lowest critical frequency")
+            raise BadInput(
+                "RobustAim: needs h_min < h_max < 0 dB < l_g and a positive lowest critical"
+                " frequency"
+            )
 
 
 @dataclass(frozen=True, eq=False)
 class RobustDesign:
-    """Result of Algorithm 3: Pareto front over (h_g [dB], ω_c [rad/s]), the chosen point and its weight."""
+    """Result of Algorithm 3: Pareto front over (h_g [dB], ω_c [rad/s]), the chosen point and its
+    weight.
+    """
 
     front: tuple[Point[Synthesis], ...]
     chosen: Point[Synthesis]
@@ -217,12 +241,16 @@ class RobustDesign:
 
 
 def design_for_robust_performance(
-    loop: Loop, W_T: FloatArray, structure: ControllerStructure, aim: RobustAim, critical_frequency: float
+    loop: Loop,
+    W_T: FloatArray,
+    structure: ControllerStructure,
+    aim: RobustAim,
+    critical_frequency: float,
 ) -> RobustDesign:
     """Solve (2.37): maximise ω_c and h_g subject to max_ω |W_S S| + |W_T T| < 1.
 
-    The controller minimises that very sum (the source minimises the mixed-sensitivity norm and then checks the sum, which
-    is never better).
+    The controller minimises that very sum (the source minimises the mixed-sensitivity norm and then
+    checks the sum, which is never better).
 
     Raises
     ------
@@ -231,11 +259,13 @@ def design_for_robust_performance(
     """
     if aim.lowest_critical_frequency >= critical_frequency:
         raise Infeasible(
-            f"aim: lowest critical frequency {aim.lowest_critical_frequency:.4g} rad/s is not below that of the uncertainty, "
-            f"{critical_frequency:.4g} rad/s"
+            f"aim: lowest critical frequency {aim.lowest_critical_frequency:.4g} rad/s is not below"
+            f" that of the uncertainty, {critical_frequency:.4g} rad/s"
         )
     gains = np.linspace(aim.smallest_high_gain_db, aim.largest_high_gain_db, aim.high_gains)
-    frequencies = np.geomspace(aim.lowest_critical_frequency, critical_frequency, aim.critical_frequencies)
+    frequencies = np.geomspace(
+        aim.lowest_critical_frequency, critical_frequency, aim.critical_frequencies
+    )
     tried: list[Synthesis] = []
 
     def meets(high_gain: float, frequency: float, warm: Synthesis | None) -> Synthesis | None:
@@ -252,14 +282,23 @@ def design_for_robust_performance(
     if not front:
         least = tried[-1]
         raise Infeasible(
-            f"aim: no controller {structure.name!r} gives robust performance; at best |W_S S| + |W_T T| is {least.certified:.4g} "
-            f"at {least.worst_frequency:.4g} rad/s where less than 1 is needed"
+            f"aim: no controller {structure.name!r} gives robust performance; at best |W_S S| +"
+            f" |W_T T| is {least.certified:.4g} at {least.worst_frequency:.4g} rad/s where less"
+            " than 1 is needed"
         )
     ideal = (aim.largest_high_gain_db, critical_frequency)
-    span = (aim.largest_high_gain_db - aim.smallest_high_gain_db, critical_frequency - aim.lowest_critical_frequency)
+    span = (
+        aim.largest_high_gain_db - aim.smallest_high_gain_db,
+        critical_frequency - aim.lowest_critical_frequency,
+    )
     chosen = preferred(front, ideal, span, None if aim.only is None else _WISHES.index(aim.only))
     weight = MonotoneWeight(aim.low_gain_db, chosen.first, chosen.second)
-    return RobustDesign(tuple(front), refined(loop, Weights(weight.magnitude(loop.omega), W_T, "1"), chosen), weight, aim)
+    return RobustDesign(
+        tuple(front),
+        refined(loop, Weights(weight.magnitude(loop.omega), W_T, "1"), chosen),
+        weight,
+        aim,
+    )
 
 
 # Step responses of a loop over sampled plants: overshoot, settling time, integral absolute error.
@@ -269,8 +308,9 @@ def design_for_robust_performance(
 class StepResponse:
     """Of one closed loop to a unit step of the reference.
 
-    `overshoot` (0.1 = 10 %) and `settling_time` [s] into ±2 % of the final value 1 (infinite when it is not reached within
-    the horizon), `integral_absolute_error` [s] = Ts Σ|1 − y|, (2.40) with its missing sample time.
+    `overshoot` (0.1 = 10 %) and `settling_time` [s] into ±2 % of the final value 1 (infinite when
+    it is not reached within the horizon), `integral_absolute_error` [s] = Ts Σ|1 − y|, (2.40) with
+    its missing sample time.
     """
 
     overshoot: float
@@ -278,18 +318,30 @@ class StepResponse:
     integral_absolute_error: float
 
 
-def step_response(plant: TransferFunction, controller: TransferFunction, duration: float) -> FloatArray:
-    """y of the closed loop T = GK/(1 + GK) for a unit step, shape (n,); grows without bound for an unstable loop."""
+def step_response(
+    plant: TransferFunction, controller: TransferFunction, duration: float
+) -> FloatArray:
+    """y of the closed loop T = GK/(1 + GK) for a unit step, shape (n,); grows without bound for an
+    unstable loop.
+    """
     return _unit_step(plant, controller, plant.num, duration)
 
 
-def control_response(plant: TransferFunction, controller: TransferFunction, duration: float) -> FloatArray:
-    """u = K/(1 + GK) r, what the controller asks of the actuator for a unit step of the reference, shape (n,)."""
+def control_response(
+    plant: TransferFunction, controller: TransferFunction, duration: float
+) -> FloatArray:
+    """u = K/(1 + GK) r, what the controller asks of the actuator for a unit step of the reference,
+    shape (n,).
+    """
     return _unit_step(plant, controller, plant.den, duration)
 
 
-def _unit_step(plant: TransferFunction, controller: TransferFunction, path: FloatArray, duration: float) -> FloatArray:
-    """The unit step's response of `path` · K's numerator over the loop's characteristic polynomial."""
+def _unit_step(
+    plant: TransferFunction, controller: TransferFunction, path: FloatArray, duration: float
+) -> FloatArray:
+    """The unit step's response of `path` · K's numerator over the loop's characteristic
+    polynomial.
+    """
     n = max(2, round(duration / float(plant.sample_time or 0.0)))
     den = characteristic(plant, controller)
     num = np.polymul(path, controller.num)
@@ -305,12 +357,19 @@ def assess(y: FloatArray, sample_time: float) -> StepResponse:
     outside = np.flatnonzero(np.abs(y - 1.0) > 0.02)
     last = int(outside[-1]) + 1 if outside.size else 0
     settled = last * sample_time if last < len(y) else float("inf")
-    return StepResponse(max(0.0, float(y.max() - 1.0)), settled, float(sample_time * np.abs(1.0 - y).sum()))
+    return StepResponse(
+        max(0.0, float(y.max() - 1.0)), settled, float(sample_time * np.abs(1.0 - y).sum())
+    )
 
 
-def over_plants(plants: Sequence[TransferFunction], controller: TransferFunction, duration: float) -> list[StepResponse]:
+def over_plants(
+    plants: Sequence[TransferFunction], controller: TransferFunction, duration: float
+) -> list[StepResponse]:
     """The figures for every plant."""
-    return [assess(step_response(plant, controller, duration), float(plant.sample_time or 0.0)) for plant in plants]
+    return [
+        assess(step_response(plant, controller, duration), float(plant.sample_time or 0.0))
+        for plant in plants
+    ]
 
 
 _NARROW, _OVERSHOOT_STEP = 0.1, 0.005
@@ -318,34 +377,44 @@ _NARROW, _OVERSHOOT_STEP = 0.1, 0.005
 
 @dataclass(frozen=True)
 class Measured:
-    """Step responses of the nominal loop and of drawn plants, to be held against what was promised."""
+    """Step responses of the nominal loop and of drawn plants, to be held against what was
+    promised.
+    """
 
     nominal: StepResponse
     drawn: tuple[StepResponse, ...]
 
     def reached_by(self, share: float) -> tuple[float, float]:
-        """(overshoot, settling time [s]) that this share of the drawn plants stays below, each for itself."""
+        """(overshoot, settling time [s]) that this share of the drawn plants stays below, each for
+        itself.
+        """
         return (
             float(np.quantile([step.overshoot for step in self.drawn], share, method="higher")),
             float(np.quantile([step.settling_time for step in self.drawn], share, method="higher")),
         )
 
     def is_sure_of(self, share: float, sample_time: float) -> bool:
-        """Whether the 95 % intervals of both `reached_by` are narrow: a tenth of the value, else a sample, half a per cent.
+        """Whether the 95 % intervals of both `reached_by` are narrow: a tenth of the value, else a
+        sample, half a per cent.
 
-        The interval of a quantile lies between two of the ordered values, whose ranks are those of a binomial law.
+        The interval of a quantile lies between two of the ordered values, whose ranks are those of
+        a binomial law.
         """
         n = len(self.drawn)
         ranks = stats.binom.ppf([0.025, 0.975], n, share).astype(int)
         low, high = np.clip(ranks - [1, 0], 0, n - 1)
         for name, least in (("overshoot", _OVERSHOOT_STEP), ("settling_time", sample_time)):
             values = np.sort([getattr(step, name) for step in self.drawn])
-            if values[low] < values[high] and not values[high] - values[low] <= max(_NARROW * values[low], 1.001 * least):
+            if values[low] < values[high] and not values[high] - values[low] <= max(
+                _NARROW * values[low], 1.001 * least
+            ):
                 return False
         return True
 
     def kept(self, overshoot: float, settling_time: float) -> tuple[bool, float]:
-        """Whether the nominal loop stays within both, and the share of the drawn plants that does."""
+        """Whether the nominal loop stays within both, and the share of the drawn plants that
+        does.
+        """
 
         def within(step: StepResponse) -> bool:
             return step.overshoot <= overshoot and step.settling_time <= settling_time
@@ -354,7 +423,10 @@ class Measured:
 
 
 def measured(
-    nominal: TransferFunction, plants: Sequence[TransferFunction], controller: TransferFunction, duration: float
+    nominal: TransferFunction,
+    plants: Sequence[TransferFunction],
+    controller: TransferFunction,
+    duration: float,
 ) -> Measured:
     """Follow the steps of the nominal loop and of every drawn plant for `duration` [s]."""
     first, *drawn = over_plants([nominal, *plants], controller, duration)

@@ -1,4 +1,6 @@
-"""Controllers for the target: difference equation, IEC 61131-3 structured text and C, each with its self-test."""
+"""Controllers for the target: difference equation, IEC 61131-3 structured text and C, each with its
+self-test.
+"""
 
 from __future__ import annotations
 
@@ -21,9 +23,9 @@ from residuum.identification.linear_models.transfer_function import TransferFunc
 class DifferenceEquation:
     r"""u(k) = sat(Σ b_i e(k−i) − Σ a_i u(k−i)), i = 0…n and 1…n.
 
-    The past u on the right are the saturated ones: the equation goes on from what the actuator did, which is conditioned
-    anti-windup (R. Hanus, M. Kinnaert, J.-L. Henrotte, *Conditioning technique*, Automatica 23 (1987) 729–739). Without
-    saturation it is K(z) exactly.
+    The past u on the right are the saturated ones: the equation goes on from what the actuator did,
+    which is conditioned anti-windup (R. Hanus, M. Kinnaert, J.-L. Henrotte, *Conditioning
+    technique*, Automatica 23 (1987) 729–739). Without saturation it is K(z) exactly.
 
     Parameters
     ----------
@@ -52,7 +54,10 @@ class DifferenceEquation:
         if self.controller.sample_time is None or not self.controller.is_proper:
             raise BadInput("controller export: the controller must be discrete-time and proper")
         if not self.lower < self.upper:
-            raise BadInput(f"controller export: limits {self.lower!r} and {self.upper!r}; the lower must be below the upper")
+            raise BadInput(
+                f"controller export: limits {self.lower!r} and {self.upper!r}; the lower must be"
+                " below the upper"
+            )
 
     @property
     def sample_time(self) -> float:
@@ -91,13 +96,23 @@ class DifferenceEquation:
         terms += [f"{-value:+.17g} u(k{_lag(i)})" for i, value in enumerate(self.a, start=1)]
         wanted = " ".join(terms)
         bounded = math.isfinite(self.lower) or math.isfinite(self.upper)
-        return f"u(k) = sat({wanted}; {self.lower:g}, {self.upper:g})" if bounded else f"u(k) = {wanted}"
+        return (
+            f"u(k) = sat({wanted}; {self.lower:g}, {self.upper:g})"
+            if bounded
+            else f"u(k) = {wanted}"
+        )
 
     def self_test(self, samples: int = 24) -> tuple[FloatArray, FloatArray]:
-        """(e, u): a step up that reaches a finite limit where there is one, a step back, a ramp and zero."""
-        shape = np.concatenate([np.ones(8), -np.ones(6), np.linspace(-1.0, 1.0, 6), np.zeros(max(0, samples - 20))])[:samples]
+        """(e, u): a step up that reaches a finite limit where there is one, a step back, a ramp and
+        zero.
+        """
+        shape = np.concatenate(
+            [np.ones(8), -np.ones(6), np.linspace(-1.0, 1.0, 6), np.zeros(max(0, samples - 20))]
+        )[:samples]
         wanted = np.abs(DifferenceEquation(self.controller).run(shape)).max()
-        limits = [abs(limit) for limit in (self.lower, self.upper) if math.isfinite(limit) and limit != 0]
+        limits = [
+            abs(limit) for limit in (self.lower, self.upper) if math.isfinite(limit) and limit != 0
+        ]
         e = shape * (2.0 * max(limits) / wanted if limits and wanted > 0 else 1.0)
         return e, self.run(e)
 
@@ -162,7 +177,9 @@ int main(void) {{ return controller_self_test(); }}
 
 
 def c_source(equation: DifferenceEquation) -> str:
-    """C99 of the equation: `controller_reset`, `controller_step`, and `controller_self_test` (0, or 1 + the failing sample)."""
+    """C99 of the equation: `controller_reset`, `controller_step`, and `controller_self_test` (0, or
+    1 + the failing sample).
+    """
     e, u = equation.self_test()
     return _C.format(
         equation=equation.text().replace("−", "-"),
@@ -255,7 +272,9 @@ END_FUNCTION_BLOCK
 
 
 def structured_text(equation: DifferenceEquation) -> str:
-    """Function blocks `RobustController` and `RobustControllerTest` (Failed = 0, or the first sample that differs)."""
+    """Function blocks `RobustController` and `RobustControllerTest` (Failed = 0, or the first
+    sample that differs).
+    """
     e, u = equation.self_test()
     return _STRUCTURED_TEXT.format(
         equation=equation.text().replace("−", "-"),

@@ -1,4 +1,6 @@
-"""The mixed-sensitivity cost of a loop on a frequency grid, with its gradient, and the stability of the loop."""
+"""The mixed-sensitivity cost of a loop on a frequency grid, with its gradient, and the stability of
+the loop.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,11 @@ from residuum.identification.errors import BadInput
 from residuum.identification.linear_models.schur import is_schur
 from residuum.identification.linear_models.state_space import StateSpace
 from residuum.identification.linear_models.transfer_function import TransferFunction
-from residuum.robust_control.weights.weighted_cost import rational_response, weighted_cost, weighted_slopes
+from residuum.robust_control.weights.weighted_cost import (
+    rational_response,
+    weighted_cost,
+    weighted_slopes,
+)
 
 # A plant that is known only by its measured frequency response, and the stability of its loop by
 # Nyquist's criterion.
@@ -42,7 +48,8 @@ class MeasuredPlant:
     Raises
     ------
     BadInput
-        Shapes differ, values are not finite, frequencies do not increase within (0, π/Ts], counts are negative.
+        Shapes differ, values are not finite, frequencies do not increase within (0, π/Ts], counts
+        are negative.
     """
 
     omega: FloatArray
@@ -52,15 +59,28 @@ class MeasuredPlant:
     integrators: int = 0
 
     def __post_init__(self) -> None:
-        omega, response = np.asarray(self.omega, dtype=float), np.asarray(self.response, dtype=complex)
+        omega, response = (
+            np.asarray(self.omega, dtype=float),
+            np.asarray(self.response, dtype=complex),
+        )
         if omega.ndim != 1 or len(omega) < 2 or response.shape != omega.shape:
-            raise BadInput(f"MeasuredPlant: {omega.shape} frequencies and {response.shape} values; needs two or more of each")
+            raise BadInput(
+                f"MeasuredPlant: {omega.shape} frequencies and {response.shape} values; needs two"
+                " or more of each"
+            )
         if not (np.isfinite(omega).all() and np.isfinite(response).all()):
             raise BadInput("MeasuredPlant: a frequency or a value is not finite")
         if not self.sample_time > 0:
             raise BadInput(f"MeasuredPlant, sample_time: is {self.sample_time!r}; must be positive")
-        if omega[0] <= 0 or np.any(np.diff(omega) <= 0) or omega[-1] > np.pi / self.sample_time * (1 + 1e-9):
-            raise BadInput(f"MeasuredPlant, omega: must increase within 0 … π/Ts = {np.pi / self.sample_time:.6g} rad/s")
+        if (
+            omega[0] <= 0
+            or np.any(np.diff(omega) <= 0)
+            or omega[-1] > np.pi / self.sample_time * (1 + 1e-9)
+        ):
+            raise BadInput(
+                "MeasuredPlant, omega: must increase within 0 … π/Ts ="
+                f" {np.pi / self.sample_time:.6g} rad/s"
+            )
         if min(self.unstable_poles, self.integrators) < 0:
             raise BadInput("MeasuredPlant: numbers of poles must not be negative")
         object.__setattr__(self, "omega", omega)
@@ -69,22 +89,34 @@ class MeasuredPlant:
     def frequency_response(self, omega: npt.ArrayLike) -> ComplexArray:
         """Values between the measured ones, linear in ln ω; none outside them (BadInput)."""
         omega = np.asarray(omega, dtype=float)
-        if np.any(omega < self.omega[0] * (1 - 1e-9)) or np.any(omega > self.omega[-1] * (1 + 1e-9)):
-            raise BadInput(f"MeasuredPlant: measured from {self.omega[0]:.6g} to {self.omega[-1]:.6g} rad/s only")
+        if np.any(omega < self.omega[0] * (1 - 1e-9)) or np.any(
+            omega > self.omega[-1] * (1 + 1e-9)
+        ):
+            raise BadInput(
+                f"MeasuredPlant: measured from {self.omega[0]:.6g} to {self.omega[-1]:.6g} rad/s"
+                " only"
+            )
         at, known = np.log(omega), np.log(self.omega)
-        return np.interp(at, known, self.response.real) + 1j * np.interp(at, known, self.response.imag)
+        return np.interp(at, known, self.response.real) + 1j * np.interp(
+            at, known, self.response.imag
+        )
 
 
-def closed_loop_unstable_poles(L: ComplexArray, unstable_poles: int, integrators: int) -> int | None:
-    """Poles of the closed loop outside the unit circle, from the turns of 1 + L about zero; None when the data do not tell.
+def closed_loop_unstable_poles(
+    L: ComplexArray, unstable_poles: int, integrators: int
+) -> int | None:
+    """Poles of the closed loop outside the unit circle, from the turns of 1 + L about zero; None
+    when the data do not tell.
 
-    With the path past z = 1 on its outside, 1 + L turns P − Z times about zero as z goes once round the unit circle: Z and
-    P are the poles of the closed and of the open loop outside. Half the path is measured; each integrator adds −½ turn at z = 1.
+    With the path past z = 1 on its outside, 1 + L turns P − Z times about zero as z goes once round
+    the unit circle: Z and P are the poles of the closed and of the open loop outside. Half the path
+    is measured; each integrator adds −½ turn at z = 1.
 
     Parameters
     ----------
     L : array, shape (k,)
-        Open loop on increasing frequencies from well below the loop's bandwidth to (near) the Nyquist frequency.
+        Open loop on increasing frequencies from well below the loop's bandwidth to (near) the
+        Nyquist frequency.
     unstable_poles, integrators : int
         Of the open loop: outside the circle, and at z = 1.
 
@@ -105,7 +137,8 @@ def closed_loop_unstable_poles(L: ComplexArray, unstable_poles: int, integrators
     turns = np.angle(distance[1:] / distance[:-1])
     if np.abs(turns).max() > _LONGEST_TURN:
         return None
-    # to the axis of the integrators' asymptote below the first frequency, to the real axis above the last one
+    # to the axis of the integrators' asymptote below the first frequency, to the real axis above
+    # the last one
     before = _from_axis(np.angle(distance[0]) + 0.5 * np.pi * integrators)
     after = _from_axis(np.angle(distance[-1]))
     if max(abs(before), abs(after)) > _FURTHEST_FROM_AXIS:
@@ -124,8 +157,11 @@ def _from_axis(angle: float) -> float:
 # stay well conditioned.
 
 
-def interconnect(blocks: Sequence[StateSpace], between: FloatArray, external: FloatArray, outputs: FloatArray) -> StateSpace:
-    """Blocks side by side with inputs v and outputs w, joined by v = `between` w + `external` r, z = `outputs` w.
+def interconnect(
+    blocks: Sequence[StateSpace], between: FloatArray, external: FloatArray, outputs: FloatArray
+) -> StateSpace:
+    """Blocks side by side with inputs v and outputs w, joined by v = `between` w + `external` r, z
+    = `outputs` w.
 
     The states stay those of the blocks, so no polynomials are multiplied out.
 
@@ -138,7 +174,10 @@ def interconnect(blocks: Sequence[StateSpace], between: FloatArray, external: Fl
     direct = np.eye(len(between)) - between @ D
     if abs(np.linalg.det(direct)) < 1e-12:
         raise BadInput("state space: the loop is not well posed; its direct feedthrough equals −1")
-    from_states, from_input = np.linalg.solve(direct, between @ C), np.linalg.solve(direct, external)
+    from_states, from_input = (
+        np.linalg.solve(direct, between @ C),
+        np.linalg.solve(direct, external),
+    )
     C, D = outputs @ (C + D @ from_states), outputs @ D @ from_input
     return StateSpace(A + B @ from_states, B @ from_input, C, D, blocks[0].sample_time)
 
@@ -156,7 +195,9 @@ def weighted_loop(
     """
     weights = [weight for weight in (W_S, W_T, W_K) if weight is not None]
     if not weights or len({system.sample_time for system in (plant, controller, *weights)}) != 1:
-        raise BadInput("weighted loop: needs a weight, and one sample time for plant, controller and weights")
+        raise BadInput(
+            "weighted loop: needs a weight, and one sample time for plant, controller and weights"
+        )
     blocks = [StateSpace.from_transfer_function(system) for system in (controller, plant, *weights)]
     n = len(blocks)
     between, external = np.zeros((n, n)), np.zeros((n, 1))
@@ -179,9 +220,11 @@ Plant = TransferFunction | MeasuredPlant
 
 @dataclass(frozen=True, eq=False)
 class Weights:
-    """|W_S|, |W_T| and, when the control effort counts, |W_K| on the grid, shape (k,); the cost needs no more than magnitudes.
+    """|W_S|, |W_T| and, when the control effort counts, |W_K| on the grid, shape (k,); the cost
+    needs no more than magnitudes.
 
-    `entries` is the norm taken across the entries at each frequency: "2" for ‖[W_S S; W_T T; W_K K S]‖∞ (2.1), "1" for
+    `entries` is the norm taken across the entries at each frequency: "2" for ‖[W_S S; W_T T; W_K K
+    S]‖∞ (2.1), "1" for
     |W_S S| + |W_T T| (+ |W_K K S|), which is the robust-performance condition (2.33), (2.37b).
     """
 
@@ -204,9 +247,13 @@ class Weights:
         steps = np.arange(len(self.W_S))
 
         def at(magnitude: FloatArray) -> FloatArray:
-            return np.asarray(np.exp(np.interp(position, steps, np.log(np.maximum(magnitude, 1e-300)))))
+            return np.asarray(
+                np.exp(np.interp(position, steps, np.log(np.maximum(magnitude, 1e-300))))
+            )
 
-        return Weights(at(self.W_S), at(self.W_T), self.entries, None if self.W_K is None else at(self.W_K))
+        return Weights(
+            at(self.W_S), at(self.W_T), self.entries, None if self.W_K is None else at(self.W_K)
+        )
 
 
 class Loop:
@@ -230,24 +277,41 @@ class Loop:
             raise BadInput("Loop, plants: none was given")
         steps = {plant.sample_time for plant in plants}
         if len(steps) != 1 or None in steps:
-            raise BadInput(f"Loop, plants: have sample times {sorted(map(str, steps))}; all must be discrete-time and equal")
+            raise BadInput(
+                f"Loop, plants: have sample times {sorted(map(str, steps))}; all must be"
+                " discrete-time and equal"
+            )
         self.plants = tuple(plants)
         self.sample_time = float(plants[0].sample_time or 0.0)
         self.omega = np.asarray(omega, dtype=float)
-        if self.omega.ndim != 1 or np.any(np.diff(self.omega) <= 0) or self.omega[-1] > np.pi / self.sample_time * (1 + 1e-9):
-            raise BadInput(f"Loop, omega: must increase up to at most π/Ts = {np.pi / self.sample_time:.6g} rad/s")
+        if (
+            self.omega.ndim != 1
+            or np.any(np.diff(self.omega) <= 0)
+            or self.omega[-1] > np.pi / self.sample_time * (1 + 1e-9)
+        ):
+            raise BadInput(
+                f"Loop, omega: must increase up to at most π/Ts = {np.pi / self.sample_time:.6g}"
+                " rad/s"
+            )
         self.z = np.exp(1j * self.omega * self.sample_time)
-        self.stabilising: dict[object, list[tuple[FloatArray, FloatArray]]] = {}  # per structure, once found
+        self.stabilising: dict[
+            object, list[tuple[FloatArray, FloatArray]]
+        ] = {}  # per structure, once found
         self.G = np.array([plant.frequency_response(self.omega) for plant in plants])
 
     def part_of_finer(self, points: npt.NDArray[np.intp]) -> Loop:
-        """The loop on some points of its finer grid; nothing is computed anew, and it refines to the same grid."""
+        """The loop on some points of its finer grid; nothing is computed anew, and it refines to
+        the same grid.
+        """
         fine, position = self.finer
         part = object.__new__(Loop)
         part.plants, part.sample_time = self.plants, self.sample_time
         part.stabilising = self.stabilising
         part.omega, part.z, part.G = fine.omega[points], fine.z[points], fine.G[:, points]
-        part.__dict__["finer"] = (fine, np.interp(position, position[points], np.arange(len(points))))
+        part.__dict__["finer"] = (
+            fine,
+            np.interp(position, position[points], np.arange(len(points))),
+        )
         return part
 
     @cached_property
@@ -261,17 +325,23 @@ class Loop:
 
     @cached_property
     def plants_are_stable(self) -> bool:
-        """Whether no plant has a pole on or outside the unit circle; measured plants as they were declared."""
+        """Whether no plant has a pole on or outside the unit circle; measured plants as they were
+        declared.
+        """
         return all(
-            plant.unstable_poles == plant.integrators == 0
-            if isinstance(plant, MeasuredPlant)
-            else bool(np.abs(plant.poles).max(initial=0.0) < 1.0 - 1e-9)
+            (
+                plant.unstable_poles == plant.integrators == 0
+                if isinstance(plant, MeasuredPlant)
+                else bool(np.abs(plant.poles).max(initial=0.0) < 1.0 - 1e-9)
+            )
             for plant in self.plants
         )
 
     @cached_property
     def gain_and_time_constant(self) -> tuple[float, float]:
-        """Mean static gain, and the time constant [s] of the slowest half-power frequency of the plants."""
+        """Mean static gain, and the time constant [s] of the slowest half-power frequency of the
+        plants.
+        """
         gain = float(np.mean(self.G[:, 0].real)) or 1.0
         below = np.abs(self.G) < np.abs(self.G[:, :1]) / np.sqrt(2)
         corner = [self.omega[np.argmax(row)] if row.any() else self.omega[-1] for row in below]
@@ -279,42 +349,64 @@ class Loop:
 
     def controller_response(self, num: FloatArray, den: FloatArray) -> ComplexArray:
         """K = num/den (descending powers of z) on the grid."""
-        return np.asarray(rational_response(np.asarray(num, dtype=float), np.asarray(den, dtype=float), self.z))
+        return np.asarray(
+            rational_response(np.asarray(num, dtype=float), np.asarray(den, dtype=float), self.z)
+        )
 
     def cost(self, K: ComplexArray, weights: Weights) -> FloatArray:
         """The weighted cost at every plant and frequency, shape (plants, k)."""
         effort = np.zeros(len(K)) if weights.W_K is None else weights.W_K
-        return np.asarray(weighted_cost(self.G, K, weights.W_S, weights.W_T, effort, weights.entries == "1"))
+        return np.asarray(
+            weighted_cost(self.G, K, weights.W_S, weights.W_T, effort, weights.entries == "1")
+        )
 
     def slopes(
-        self, K: ComplexArray, dK: ComplexArray, weights: Weights, at: tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]
+        self,
+        K: ComplexArray,
+        dK: ComplexArray,
+        weights: Weights,
+        at: tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]],
     ) -> tuple[FloatArray, FloatArray]:
-        """(cost, ∂cost/∂ρ) at chosen (plant, frequency) pairs, shapes (c,) and (c, parameters), from K and ∂K/∂ρ there."""
+        """(cost, ∂cost/∂ρ) at chosen (plant, frequency) pairs, shapes (c,) and (c, parameters),
+        from K and ∂K/∂ρ there.
+        """
         plant, k = at
         effort = np.zeros(len(k)) if weights.W_K is None else weights.W_K[k]
-        value, slope = weighted_slopes(self.G[plant, k], K, dK, weights.W_S[k], weights.W_T[k], effort, weights.entries == "1")
+        value, slope = weighted_slopes(
+            self.G[plant, k], K, dK, weights.W_S[k], weights.W_T[k], effort, weights.entries == "1"
+        )
         return np.asarray(value), np.asarray(slope)
 
     def is_stable(self, controller: TransferFunction) -> bool:
-        """Whether every closed loop has all its poles inside the unit circle (no hidden cancellation allowed)."""
+        """Whether every closed loop has all its poles inside the unit circle (no hidden
+        cancellation allowed).
+        """
         return self.stabilised_by(controller.num, controller.den)
 
     def stabilised_by(self, num: FloatArray, den: FloatArray) -> bool:
-        """The same for the controller num/den (descending powers of z): Schur–Cohn; measured plants by Nyquist."""
+        """The same for the controller num/den (descending powers of z): Schur–Cohn; measured plants
+        by Nyquist.
+        """
         return all(
-            self._turns_right(k, num, den)
-            if isinstance(plant, MeasuredPlant)
-            else is_schur(_sum(np.convolve(plant.den, den), np.convolve(plant.num, num)))
+            (
+                self._turns_right(k, num, den)
+                if isinstance(plant, MeasuredPlant)
+                else is_schur(_sum(np.convolve(plant.den, den), np.convolve(plant.num, num)))
+            )
             for k, plant in enumerate(self.plants)
         )
 
     @one_thread_if_small(LARGEST_FOR_ONE_THREAD)
     def is_certainly_stable(self, controller: TransferFunction) -> bool:
-        """The same from the closed-loop roots themselves, for the final word; measured plants by Nyquist's criterion."""
+        """The same from the closed-loop roots themselves, for the final word; measured plants by
+        Nyquist's criterion.
+        """
         return all(
-            self._turns_right(k, controller.num, controller.den)
-            if isinstance(plant, MeasuredPlant)
-            else bool(np.all(np.abs(np.roots(characteristic(plant, controller))) < 1.0))
+            (
+                self._turns_right(k, controller.num, controller.den)
+                if isinstance(plant, MeasuredPlant)
+                else bool(np.all(np.abs(np.roots(characteristic(plant, controller))) < 1.0))
+            )
             for k, plant in enumerate(self.plants)
         )
 
@@ -324,22 +416,34 @@ class Loop:
             raise TypeError("only a measured plant is judged by Nyquist's criterion")
         poles = np.roots(den)
         integrators = int(np.sum(np.abs(poles - 1.0) < 1e-6))
-        outside = int(np.sum(np.abs(poles) > 1.0)) if not integrators else int(np.sum(np.abs(poles) > 1.0 + 1e-6))
+        outside = (
+            int(np.sum(np.abs(poles) > 1.0))
+            if not integrators
+            else int(np.sum(np.abs(poles) > 1.0 + 1e-6))
+        )
         L = self.G[k] * self.controller_response(num, den)
-        unstable = closed_loop_unstable_poles(L, plant.unstable_poles + outside, plant.integrators + integrators)
+        unstable = closed_loop_unstable_poles(
+            L, plant.unstable_poles + outside, plant.integrators + integrators
+        )
         return unstable == 0
 
 
-def frequency_grid(plants: Sequence[Plant], *, points: int = 600, lowest: float | None = None) -> FloatArray:
-    """Frequencies [rad/s] for a design: logarithmic up to π/Ts, and dense about every lightly damped pole and zero.
+def frequency_grid(
+    plants: Sequence[Plant], *, points: int = 600, lowest: float | None = None
+) -> FloatArray:
+    """Frequencies [rad/s] for a design: logarithmic up to π/Ts, and dense about every lightly
+    damped pole and zero.
 
-    Between two points of an even grid a resonance can hide whose peak decides the norm. When plants were measured, their
-    common frequencies are the grid.
+    Between two points of an even grid a resonance can hide whose peak decides the norm. When plants
+    were measured, their common frequencies are the grid.
     """
     measured = [plant for plant in plants if isinstance(plant, MeasuredPlant)]
     if measured:
         grid = np.unique(np.concatenate([plant.omega for plant in measured]))
-        low, high = max(plant.omega[0] for plant in measured), min(plant.omega[-1] for plant in measured)
+        low, high = (
+            max(plant.omega[0] for plant in measured),
+            min(plant.omega[-1] for plant in measured),
+        )
         return np.asarray(grid[(grid >= low) & (grid <= high)])
     sample_time = float(plants[0].sample_time or 0.0)
     nyquist = np.pi / sample_time
@@ -349,8 +453,13 @@ def frequency_grid(plants: Sequence[Plant], *, points: int = 600, lowest: float 
             continue
         for root in np.concatenate([plant.poles, plant.zeros]):
             if root.imag > 0 and 0.9 < abs(root) < 1.1:
-                centre, width = np.angle(root) / sample_time, abs(np.log(abs(root))) / sample_time + 1e-6 * nyquist
-                grids.append(centre + width * np.array([-4.0, -2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0, 4.0]))
+                centre, width = (
+                    np.angle(root) / sample_time,
+                    abs(np.log(abs(root))) / sample_time + 1e-6 * nyquist,
+                )
+                grids.append(
+                    centre + width * np.array([-4.0, -2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0, 4.0])
+                )
     whole = np.unique(np.concatenate(grids))
     return np.asarray(whole[(whole >= grids[0][0]) & (whole <= nyquist)])
 

@@ -1,15 +1,20 @@
-"""Control of a plant with as many outputs as inputs: static decoupling, a loop an output, and one certificate for the whole.
+"""Control of a plant with as many outputs as inputs: static decoupling, a loop an output, and one
+certificate for the whole.
 
-With D = G(1)⁻¹ the plant G_k D of every drawn model is close to the diagonal Λ = diag (G D)_ii of the nominal one,
+With D = G(1)⁻¹ the plant G_k D of every drawn model is close to the diagonal Λ = diag (G D)_ii of
+the nominal one,
 
-.. math:: G_k D = \\Lambda (I + E_k), \\qquad \\det(I + G_k D C) = \\det(I + \\Lambda C)\\,\\det(I + T E_k),
+.. math:: G_k D = \\Lambda (I + E_k), \\qquad \\det(I + G_k D C) = \\det(I + \\Lambda C)\\,\\det(I +
+T E_k),
 
-C = diag C_i the controllers and T = diag T_i their loops. So all loops together are stable for every drawn model if each T_i is
-and
+C = diag C_i the controllers and T = diag T_i their loops. So all loops together are stable for
+every drawn model if each T_i is and
 
-.. math:: |T_i(\\omega)| \\sum_j |W_{ij}(\\omega)| < 1, \\qquad |W_{ij}| \\ge \\max_k |(E_k)_{ij}| \text{ at every frequency.}
+.. math:: |T_i(\\omega)| \\sum_j |W_{ij}(\\omega)| < 1, \\qquad |W_{ij}| \\ge \\max_k |(E_k)_{ij}|
+\text{ at every frequency.}
 
-Interactions count as uncertainty of the loop they enter, and each loop is then one of one input and one output (Algorithm 2).
+Interactions count as uncertainty of the loop they enter, and each loop is then one of one input and
+one output (Algorithm 2).
 """
 
 from __future__ import annotations
@@ -25,7 +30,10 @@ from residuum.array_types import FloatArray
 from residuum.identification.blas_threads import LARGEST_FOR_ONE_THREAD, one_thread_if_small
 from residuum.identification.errors import BadInput
 from residuum.identification.kernel_based.multivariable import MultivariableModel
-from residuum.identification.linear_models.error_bounds.error_models import DrawnErrors, refined_grid
+from residuum.identification.linear_models.error_bounds.error_models import (
+    DrawnErrors,
+    refined_grid,
+)
 from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.identification.linear_models.uncertainty import weight_above
 from residuum.robust_control.certificates import Measured, assess
@@ -33,16 +41,25 @@ from residuum.robust_control.control_problem import WeightChoice, Wishes, critic
 from residuum.robust_control.loop import Loop, frequency_grid
 from residuum.robust_control.synthesis.constrained_structure import ControllerStructure, Point
 from residuum.robust_control.synthesis.structured_synthesis import Synthesis
-from residuum.robust_control.weights.performance_weight import Infeasible, NominalAim, design_for_nominal_performance
+from residuum.robust_control.weights.performance_weight import (
+    Infeasible,
+    NominalAim,
+    design_for_nominal_performance,
+)
 
 # Step responses of a decoupled multivariable loop, of the nominal plant and of drawn ones, by
 # difference equations.
 
 
 def closed_loop_steps(
-    taps: FloatArray, decoupler: FloatArray, controllers: Sequence[TransferFunction], reference: int, n: int
+    taps: FloatArray,
+    decoupler: FloatArray,
+    controllers: Sequence[TransferFunction],
+    reference: int,
+    n: int,
 ) -> FloatArray:
-    """Outputs of u = D diag(C_i) (r − y) when one reference steps from 0 to 1, shape (plants, n, p).
+    """Outputs of u = D diag(C_i) (r − y) when one reference steps from 0 to 1, shape (plants, n,
+    p).
 
     Parameters
     ----------
@@ -74,7 +91,10 @@ def closed_loop_steps(
 def _coefficients(controller: TransferFunction) -> tuple[FloatArray, FloatArray]:
     """b from lag 0 on, a from lag 1 on."""
     lag = len(controller.den) - len(controller.num)
-    return np.r_[np.zeros(lag), controller.num] / controller.den[0], controller.den[1:] / controller.den[0]
+    return (
+        np.r_[np.zeros(lag), controller.num] / controller.den[0],
+        controller.den[1:] / controller.den[0],
+    )
 
 
 def _recent(values: FloatArray, weights: FloatArray, k: int, first: int) -> FloatArray:
@@ -92,7 +112,9 @@ SHARE = 0.95
 
 @dataclass(frozen=True, eq=False)
 class DecoupledLoop:
-    """One output's loop: its nominal plant Λ_i, and weights W_ij of its uncertainty and interactions, `proven` or not."""
+    """One output's loop: its nominal plant Λ_i, and weights W_ij of its uncertainty and
+    interactions, `proven` or not.
+    """
 
     output: str
     plant: TransferFunction
@@ -116,8 +138,9 @@ class DecoupledLoop:
             return critical_frequency(self.loop.omega, self.magnitude)
         except BadInput:
             raise BadInput(
-                f"control of {self.output!r}: interactions and uncertainty are {100 * self.magnitude[0]:.0f} % of its own path "
-                "at the lowest frequency; identify with more or better data, or control fewer outputs"
+                f"control of {self.output!r}: interactions and uncertainty are"
+                f" {100 * self.magnitude[0]:.0f} % of its own path at the lowest frequency;"
+                " identify with more or better data, or control fewer outputs"
             ) from None
 
     def stability_bound(self, controller: TransferFunction) -> float:
@@ -129,7 +152,9 @@ class DecoupledLoop:
 
 @dataclass(frozen=True, eq=False)
 class MultivariableDesign:
-    """Decoupler D, a designed controller an output, and max_ω |T_i| Σ_j |W_ij| of each: below 1 all loops are stable together."""
+    """Decoupler D, a designed controller an output, and max_ω |T_i| Σ_j |W_ij| of each: below 1 all
+    loops are stable together.
+    """
 
     decoupler: FloatArray
     loops: tuple[DecoupledLoop, ...]
@@ -144,12 +169,18 @@ class MultivariableDesign:
     @property
     def certified(self) -> bool:
         """Whether every drawn model's closed loop is proven stable."""
-        return all(loop.proven for loop in self.loops) and max(self.bounds) < 1.0 and all(p.design.stable for p in self.points)
+        return (
+            all(loop.proven for loop in self.loops)
+            and max(self.bounds) < 1.0
+            and all(p.design.stable for p in self.points)
+        )
 
 
 @dataclass(frozen=True, eq=False)
 class MeasuredLoop:
-    """An output when its own reference steps by 1, and the largest |other output| then, of the nominal and of drawn plants."""
+    """An output when its own reference steps by 1, and the largest |other output| then, of the
+    nominal and of drawn plants.
+    """
 
     own: Measured
     coupling: float
@@ -174,25 +205,37 @@ class MultivariableProblem:
         Not square, a path without delay, static gains that cannot be inverted.
     """
 
-    def __init__(self, model: MultivariableModel, seed: int = 0, choice: WeightChoice | None = None) -> None:
+    def __init__(
+        self, model: MultivariableModel, seed: int = 0, choice: WeightChoice | None = None
+    ) -> None:
         self.model, self.seed, self.choice = model, seed, choice or WeightChoice()
         p, q = len(model.outputs), len(model.inputs)
         if p != q or p < 2:
             raise BadInput(
-                f"multivariable control: the model has {q} inputs and {p} outputs; needs as many of both, at least two"
+                f"multivariable control: the model has {q} inputs and {p} outputs; needs as many of"
+                " both, at least two"
             )
         if any(path.delay < 1 for row in model.models for path in row):
-            raise BadInput("multivariable control: a path acts within its sample; identify it with delay 1 or more")
+            raise BadInput(
+                "multivariable control: a path acts within its sample; identify it with delay 1 or"
+                " more"
+            )
         self.sample_time = model.models[0][0].sample_time
         gains = model.frequency_response([0.0])[0].real
         if np.linalg.matrix_rank(gains, tol=1e-9 * float(np.abs(gains).max(initial=1e-300))) < p:
-            raise BadInput("multivariable control: the static gains are singular; two outputs move as one")
+            raise BadInput(
+                "multivariable control: the static gains are singular; two outputs move as one"
+            )
         self.gains, self.decoupler = gains, np.linalg.inv(gains)
-        self.nominal = self._taps(np.array([[path.impulse_response for path in row] for row in model.models])[None])
+        self.nominal = self._taps(
+            np.array([[path.impulse_response for path in row] for row in model.models])[None]
+        )
 
     @property
     def relative_gains(self) -> FloatArray:
-        """Relative gain array (rows: outputs); entries far from 0 and 1 mean that decoupling rests on small differences."""
+        """Relative gain array (rows: outputs); entries far from 0 and 1 mean that decoupling rests
+        on small differences.
+        """
         return np.asarray(self.gains * self.decoupler.T)
 
     def _taps(self, g: FloatArray) -> FloatArray:
@@ -204,12 +247,18 @@ class MultivariableProblem:
         return taps
 
     def drawn(self, count: int, stream: int) -> FloatArray:
-        """Random plants, shape (count, p, q, length); another `stream`, others. As long as the data can tell."""
-        return self._taps(self.model.sample_longer(count, np.random.default_rng([self.seed, stream])))
+        """Random plants, shape (count, p, q, length); another `stream`, others. As long as the data
+        can tell.
+        """
+        return self._taps(
+            self.model.sample_longer(count, np.random.default_rng([self.seed, stream]))
+        )
 
     def _nominal_and(self, drawn: FloatArray) -> FloatArray:
         """The nominal plant, its response ended by zeros, before the others."""
-        ended = np.pad(self.nominal, ((0, 0), (0, 0), (0, 0), (0, drawn.shape[3] - self.nominal.shape[3])))
+        ended = np.pad(
+            self.nominal, ((0, 0), (0, 0), (0, 0), (0, drawn.shape[3] - self.nominal.shape[3]))
+        )
         return np.concatenate([ended, drawn])
 
     @cached_property
@@ -229,49 +278,69 @@ class MultivariableProblem:
         for j in range(decoupled.shape[2]):
             difference = decoupled[:, i, j] - (own if i == j else 0.0)
             errors = DrawnErrors(difference, own[None], self.sample_time, "multiplicative")
-            grid, largest = refined_grid(errors.envelope, plant.frequency_response, errors.lags, self.sample_time, omega)
+            grid, largest = refined_grid(
+                errors.envelope, plant.frequency_response, errors.lags, self.sample_time, omega
+            )
             weight, sure = weight_above(errors, grid, largest, self.choice.weight_order)
             weights.append(weight)
             proven &= sure
-        return DecoupledLoop(self.model.outputs[i], plant, tuple(weights), proven, Loop([plant], omega))
+        return DecoupledLoop(
+            self.model.outputs[i], plant, tuple(weights), proven, Loop([plant], omega)
+        )
 
     def solve(self, law: ControllerStructure, wishes: Wishes) -> MultivariableDesign:
-        """Algorithm 2 in each loop, with (1 + γ) Σ_j |W_ij| in the place of |W_T|, so that the slack γ costs no stability.
+        """Algorithm 2 in each loop, with (1 + γ) Σ_j |W_ij| in the place of |W_T|, so that the
+        slack γ costs no stability.
 
         Raises
         ------
         Infeasible
-            No controller of the structure meets the aim in a loop; says which loop, constraint and by how much.
+            No controller of the structure meets the aim in a loop; says which loop, constraint and
+            by how much.
         BadInput
-            Wishes other than those of the nominal aim by weights; a loop that is too uncertain at the lowest frequency.
+            Wishes other than those of the nominal aim by weights; a loop that is too uncertain at
+            the lowest frequency.
         """
         if wishes.aim != "nominal" or wishes.in_time:
-            raise BadInput("multivariable control: has the nominal aim alone, by weights; leave in_time out")
+            raise BadInput(
+                "multivariable control: has the nominal aim alone, by weights; leave in_time out"
+            )
         longest = wishes.settling_time or 10.0 * self.nominal.shape[3] * self.sample_time
         aim = NominalAim(wishes.overshoot, longest, wishes.slack, only=wishes.only)
         points = []
         for loop in self.loops:
             try:
-                design = design_for_nominal_performance(loop.loop, wishes.limit * loop.magnitude, law, aim, loop.crossing)
+                design = design_for_nominal_performance(
+                    loop.loop, wishes.limit * loop.magnitude, law, aim, loop.crossing
+                )
             except Infeasible as no:
                 raise Infeasible(f"loop of {loop.output!r}: {no}") from None
             points.append(design.chosen)
-        bounds = tuple(loop.stability_bound(point.design.controller) for loop, point in zip(self.loops, points, strict=True))
+        bounds = tuple(
+            loop.stability_bound(point.design.controller)
+            for loop, point in zip(self.loops, points, strict=True)
+        )
         return MultivariableDesign(self.decoupler, self.loops, tuple(points), bounds)
 
     def measured(self, design: MultivariableDesign) -> tuple[MeasuredLoop, ...]:
-        """Step responses of the whole, every reference in turn, of the nominal plant and of plants that no design has seen."""
+        """Step responses of the whole, every reference in turn, of the nominal plant and of plants
+        that no design has seen.
+        """
         longest = max(point.second for point in design.points)
         n = max(round(_FOLLOWED * longest / self.sample_time), 4 * self.nominal.shape[3])
         count = _FIRST_PLANTS
         while True:
             plants = self._nominal_and(self.drawn(count, 1))
             loops = tuple(self._seen(design, plants, i, n) for i in range(len(self.gains)))
-            if count >= _MOST_PLANTS or all(loop.own.is_sure_of(SHARE, self.sample_time) for loop in loops):
+            if count >= _MOST_PLANTS or all(
+                loop.own.is_sure_of(SHARE, self.sample_time) for loop in loops
+            ):
                 return loops
             count *= _MORE_PLANTS
 
-    def _seen(self, design: MultivariableDesign, plants: FloatArray, i: int, n: int) -> MeasuredLoop:
+    def _seen(
+        self, design: MultivariableDesign, plants: FloatArray, i: int, n: int
+    ) -> MeasuredLoop:
         y = closed_loop_steps(plants, design.decoupler, design.controllers, i, n)
         nominal, *drawn = [assess(response, self.sample_time) for response in y[:, :, i]]
         coupling = np.abs(np.delete(y, i, axis=2)).max(axis=(1, 2))

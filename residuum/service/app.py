@@ -58,7 +58,8 @@ MakePipeline = Callable[[Settings, DiskStore, Events, WorkerPool], LivePipeline]
 
 
 def create_app(settings: Settings, make_pipeline: MakePipeline = Pipeline) -> FastAPI:
-    """The service, ready to be run by an ASGI server; everything it holds lives from startup to shutdown.
+    """The service, ready to be run by an ASGI server; everything it holds lives from startup to
+    shutdown.
 
     Raises BadSettings for keys that cannot be read or a database URL that names none.
     """
@@ -73,22 +74,36 @@ def create_app(settings: Settings, make_pipeline: MakePipeline = Pipeline) -> Fa
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
-        async with _running(app, settings, events, metrics, keys, refusals, make_pipeline) as services:
+        async with _running(
+            app, settings, events, metrics, keys, refusals, make_pipeline
+        ) as services:
             app.state.services = services
             yield
 
     app = FastAPI(
         title="Residuum",
         summary="Condition monitoring for machines that have a model",
-        description="Scores signal windows of machines, keeps findings and alarms, and says what physics a model is missing.",
+        description=(
+            "Scores signal windows of machines, keeps findings and alarms, and says what physics a"
+            " model is missing."
+        ),
         version=version("residuum"),
         lifespan=lifespan,
         docs_url=None,
         redoc_url=None,
     )
     problems.install(app)
-    app.add_middleware(KnownQueries, document=app.openapi)  # behind the gate: a stranger is told of no keys
-    app.add_middleware(Gate, settings=settings, keys=keys, tokens=tokens, measure=metrics.request, refusals=refusals)
+    app.add_middleware(
+        KnownQueries, document=app.openapi
+    )  # behind the gate: a stranger is told of no keys
+    app.add_middleware(
+        Gate,
+        settings=settings,
+        keys=keys,
+        tokens=tokens,
+        measure=metrics.request,
+        refusals=refusals,
+    )
     _add_routes(app)
     return app
 
@@ -132,12 +147,16 @@ async def _running(
     def rule_of(asset: str) -> AlarmRule:
         return pipeline.alarm_rule(asset)
 
-    async with AsyncExitStack() as started:  # whatever fails at the start, what was started before it is ended
+    async with (
+        AsyncExitStack() as started
+    ):  # whatever fails at the start, what was started before it is ended
 
         def ends(stop: Callable[[], Any]) -> None:
             started.push_async_callback(asyncio.to_thread, stop)
 
-        store = await asyncio.to_thread(DiskStore, settings.data, settings.database_url, announce, rule_of)
+        store = await asyncio.to_thread(
+            DiskStore, settings.data, settings.database_url, announce, rule_of
+        )
         ends(store.close)
         ends(partial(_audit_refusals, store, refusals))
         outs += await asyncio.to_thread(_finding_outs, settings, keys)
@@ -152,15 +171,23 @@ async def _running(
         ends(jobs.close)
         pipeline = make_pipeline(settings, store, events, executor)
         started.push_async_callback(pipeline.stop)
-        services = Services(settings, store, events, jobs, Judges(_baselines(store)), metrics, pipeline, keys)
+        services = Services(
+            settings, store, events, jobs, Judges(_baselines(store)), metrics, pipeline, keys
+        )
         log.info(
-            "started", database=make_url(settings.database_url).render_as_string(hide_password=True), data=str(settings.data)
+            "started",
+            database=make_url(settings.database_url).render_as_string(hide_password=True),
+            data=str(settings.data),
         )
         if orphans := len(await asyncio.to_thread(store.orphans, SETTLED)):
             log.warning(
-                "signal blocks that no row names, left by a crash; `residuum doctor --sweep` removes them", blocks=orphans
+                "signal blocks that no row names, left by a crash; `residuum doctor --sweep`"
+                " removes them",
+                blocks=orphans,
             )
-        await asyncio.to_thread(shutil.rmtree, downloads(settings.data), ignore_errors=True)  # left by a crash
+        await asyncio.to_thread(
+            shutil.rmtree, downloads(settings.data), ignore_errors=True
+        )  # left by a crash
         for watch in (
             _watch_shelved(store),
             _retain(store, settings),
@@ -169,10 +196,14 @@ async def _running(
         ):
             started.callback(asyncio.create_task(watch).cancel)
         if sqlite_file(settings.database_url) is not None:
-            threading.Thread(target=_look_for_damage, args=(store,), name="look for damage", daemon=True).start()
+            threading.Thread(
+                target=_look_for_damage, args=(store,), name="look for damage", daemon=True
+            ).start()
         threading.Thread(target=read_registry, name="read units", daemon=True).start()
         await pipeline.start()
-        await asyncio.to_thread(app.openapi)  # routes are put together at first use, which would hold up whoever asks then
+        await asyncio.to_thread(
+            app.openapi
+        )  # routes are put together at first use, which would hold up whoever asks then
         if settings.mqtt:
             elsewhere = StoredWindows(settings.broker, store, shown, show, metrics.stored_message)
             elsewhere.start()
@@ -183,7 +214,9 @@ async def _running(
 
 
 def _finding_outs(settings: Settings, keys: ApiKeys) -> list[Any]:
-    """The OPC UA server and the Sparkplug edge node that offer the latest findings, started, as far as they are set."""
+    """The OPC UA server and the Sparkplug edge node that offer the latest findings, started, as far
+    as they are set.
+    """
     nodes = None
     if settings.opcua_server:
         module = import_module("residuum.service.finding_nodes")
@@ -194,13 +227,17 @@ def _finding_outs(settings: Settings, keys: ApiKeys) -> list[Any]:
 
 
 def _sparkplug_findings(settings: Settings) -> Any:
-    """The edge node that publishes findings, started; None where none is set. BadSettings without its libraries."""
+    """The edge node that publishes findings, started; None where none is set. BadSettings without
+    its libraries.
+    """
     if not settings.sparkplug:
         return None
     try:
         module = import_module("residuum.service.finding_metrics")
     except ModuleNotFoundError:
-        raise BadSettings("setting sparkplug: needs the extra `sparkplug`: pip install 'residuum[sparkplug]'") from None
+        raise BadSettings(
+            "setting sparkplug: needs the extra `sparkplug`: pip install 'residuum[sparkplug]'"
+        ) from None
     node = module.FindingMetrics(settings.broker, settings.sparkplug)
     node.start()
     return node
@@ -242,7 +279,9 @@ def _look_for_damage(store: DiskStore) -> None:
 
 
 async def _retain(store: DiskStore, settings: Settings) -> None:
-    rule = Retention(settings.keep_days, settings.keep_bytes, settings.keep_row_days, settings.keep_rows)
+    rule = Retention(
+        settings.keep_days, settings.keep_bytes, settings.keep_row_days, settings.keep_rows
+    )
     logged: str | None = None
     while True:
         try:
@@ -269,13 +308,21 @@ class Out(Protocol):
 
 
 def tell_latest(store: DiskStore, outs: Sequence[Out]) -> None:
-    """Tell the latest `finding` of every asset, and of its alarms the `alarm` that changed last; StorageUnavailable."""
+    """Tell the latest `finding` of every asset, and of its alarms the `alarm` that changed last;
+    StorageUnavailable.
+    """
     if not outs:
         return
     assets = _all(store.assets)
-    news = [("finding", asset.last_finding.to_json()) for asset in assets if asset.last_finding is not None]
+    news = [
+        ("finding", asset.last_finding.to_json())
+        for asset in assets
+        if asset.last_finding is not None
+    ]
     alarms = sorted(_all(lambda cursor: store.alarms(active=False, cursor=cursor)), key=_changed)
-    news += [("alarm", alarm.to_json()) for alarm in {alarm.asset: alarm for alarm in alarms}.values()]
+    news += [
+        ("alarm", alarm.to_json()) for alarm in {alarm.asset: alarm for alarm in alarms}.values()
+    ]
     for out in outs:
         for kind, payload in news:
             out.tell(kind, payload)
@@ -303,7 +350,8 @@ TICK = 0.05
 
 
 async def watch_loop(tell: Callable[[float], None], tick: float = TICK) -> None:
-    """Tell again and again by how many seconds a timer of the running loop was late; ends when it is cancelled.
+    """Tell again and again by how many seconds a timer of the running loop was late; ends when it
+    is cancelled.
 
     A stall of length s is seen as at least s − `tick`.
     """

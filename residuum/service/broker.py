@@ -19,8 +19,9 @@ _PORTS = {"mqtt": 1883, "mqtts": 8883}
 
 
 class BrokerTls(BaseModel):
-    """How a broker is known, and we by it: PEM files of its authority (without one: those of the system), and of our certificate
-    and key."""
+    """How a broker is known, and we by it: PEM files of its authority (without one: those of the
+    system), and of our certificate and key.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -35,7 +36,9 @@ class BrokerTls(BaseModel):
         return self
 
     def context(self) -> ssl.SSLContext:
-        """What connections are made by; the broker's name is compared. BadInput names a file that cannot be used."""
+        """What connections are made by; the broker's name is compared. BadInput names a file that
+        cannot be used.
+        """
         try:
             tls = ssl.create_default_context(cafile=self.ca)
         except (OSError, ssl.SSLError) as error:
@@ -44,12 +47,16 @@ class BrokerTls(BaseModel):
             try:
                 tls.load_cert_chain(self.certificate, self.key)
             except (OSError, ssl.SSLError) as error:
-                raise BadInput(f"{self.certificate}, {self.key}: are no certificate with its key: {error}") from None
+                raise BadInput(
+                    f"{self.certificate}, {self.key}: are no certificate with its key: {error}"
+                ) from None
         return tls
 
 
 class BrokerAddress(NamedTuple):
-    """Where an MQTT broker is, how it is entered, and what topics begin with; `tls` is None for one that does not speak it."""
+    """Where an MQTT broker is, how it is entered, and what topics begin with; `tls` is None for one
+    that does not speak it.
+    """
 
     host: str
     port: int
@@ -66,7 +73,9 @@ class BrokerAddress(NamedTuple):
         try:
             mqtt: Any = importlib.import_module("paho.mqtt.client")  # optional: the extra `mqtt`
         except ImportError:
-            raise BadInput("setting mqtt: needs the extra `mqtt`: pip install 'residuum[mqtt]'") from None
+            raise BadInput(
+                "setting mqtt: needs the extra `mqtt`: pip install 'residuum[mqtt]'"
+            ) from None
         client = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2, **options)
         if self.user:
             client.username_pw_set(self.user, self.password)
@@ -75,8 +84,11 @@ class BrokerAddress(NamedTuple):
         return client
 
 
-def broker_address(url: str, tls: BrokerTls | None = None, password: str | None = None) -> BrokerAddress:
-    """The parts of `mqtt[s]://[user:password@]host[:port][/prefix]`; ValueError when it is none, or has files without TLS.
+def broker_address(
+    url: str, tls: BrokerTls | None = None, password: str | None = None
+) -> BrokerAddress:
+    """The parts of `mqtt[s]://[user:password@]host[:port][/prefix]`; ValueError when it is none, or
+    has files without TLS.
 
     >>> broker_address("mqtt://broker/plant-7").port, broker_address("mqtt://broker/plant-7").prefix
     (1883, 'plant-7')
@@ -84,7 +96,12 @@ def broker_address(url: str, tls: BrokerTls | None = None, password: str | None 
     8883
     """
     parts = urlsplit(url)
-    if parts.scheme not in _PORTS or not parts.hostname or set(url) & set("#?") or "+" in parts.path:
+    if (
+        parts.scheme not in _PORTS
+        or not parts.hostname
+        or set(url) & set("#?")
+        or "+" in parts.path
+    ):
         raise ValueError("must be mqtt://[user:password@]host[:port][/prefix], or mqtts:// for TLS")
     if parts.scheme == "mqtt" and tls is not None and tls != BrokerTls():
         raise ValueError("is not entered by TLS, so certificates say nothing; write mqtts://")

@@ -24,7 +24,9 @@ _UsageError: type[Exception] = typer.BadParameter.__mro__[2]
 
 
 def run(arguments: list[str]) -> int:
-    """Run one command and return its exit status (0 done, 1 answer is no, 2 bad input, 3 internal error, 130 interrupted)."""
+    """Run one command and return its exit status (0 done, 1 answer is no, 2 bad input, 3 internal
+    error, 130 interrupted).
+    """
     if not arguments or arguments[0] in ("--help", "-h", "help"):
         sys.stdout.write(_overview())
         return DONE if arguments else BAD_INPUT
@@ -33,7 +35,9 @@ def run(arguments: list[str]) -> int:
         return DONE
     name, *words = arguments
     if name not in COMMANDS:
-        return _refuse(f"command {name!r}: there is none of this name; {known_names(name, COMMANDS)}")
+        return _refuse(
+            f"command {name!r}: there is none of this name; {known_names(name, COMMANDS)}"
+        )
     try:
         if fmus := [argument for argument in words if argument.lower().endswith(".fmu")]:
             apart = import_module("residuum.service.commands.fmu_process")
@@ -53,7 +57,9 @@ def run(arguments: list[str]) -> int:
         _refuse("interrupted")
         return INTERRUPTED
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # the reader left; nothing more can be printed
+        os.dup2(
+            os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno()
+        )  # the reader left; nothing more can be printed
         return DONE
     except Exception as error:
         traceback.print_exc()
@@ -69,12 +75,21 @@ def _overview() -> str:
 
 
 def _usage(error: Any) -> str:
-    """What is wrong with a command's words: typer's own sentence, but for a name, which is refused as all names are."""
+    """What is wrong with a command's words: typer's own sentence, but for a name, which is refused
+    as all names are.
+    """
     says = str(getattr(error, "format_message", error.__str__)())
     command: Any = getattr(getattr(error, "ctx", None), "command", None)
     if option := getattr(error, "option_name", None):
-        options = [flag for parameter in command.params for flag in (*parameter.opts, *parameter.secondary_opts)]
-        return f"there is no option {option}; {known_names(option, [flag for flag in options if flag.startswith('-')])}"
+        options = [
+            flag
+            for parameter in command.params
+            for flag in (*parameter.opts, *parameter.secondary_opts)
+        ]
+        return (
+            f"there is no option {option};"
+            f" {known_names(option, [flag for flag in options if flag.startswith('-')])}"
+        )
     if unknown := re.match(r"No such command '([^']*)'", says):
         return f"there is no command {unknown[1]!r}; {known_names(unknown[1], command.commands)}"
     if choice := re.match(r"Invalid value for '([^']*)': .*?'([^']*)' is not one of (.*)", says):
@@ -89,7 +104,9 @@ def _refuse(message: str) -> int:
 
 
 def _take_interrupts() -> None:
-    """Ctrl-C from now on as an exception; while modules were loaded it ended the process (`residuum.service.entry`)."""
+    """Ctrl-C from now on as an exception; while modules were loaded it ended the process
+    (`residuum.service.entry`).
+    """
     if signal.getsignal(signal.SIGINT) is end_at_once:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 

@@ -1,7 +1,8 @@
 """The console command `residuum`, before any of its modules is loaded.
 
-Modules take up to a second to load. Ctrl-C meanwhile ends the process at once, with one line: an exception in the middle of an
-import would be told with a traceback, or be taken for a module that cannot be loaded.
+Modules take up to a second to load. Ctrl-C meanwhile ends the process at once, with one line: an
+exception in the middle of an import would be told with a traceback, or be taken for a module that
+cannot be loaded.
 """
 
 import os

@@ -1,7 +1,9 @@
-"""FindingMetrics: the latest finding and alarm of every machine as metrics of a Sparkplug B edge node of our own.
+"""FindingMetrics: the latest finding and alarm of every machine as metrics of a Sparkplug B edge
+node of our own.
 
-A machine `press-1` is the device `press-1` with the metrics `verdict`, `class`, `reason`, `indicator/NAME` and, once it has had
-one, `alarm`. Nothing is written back: the only command that is answered asks for the births.
+A machine `press-1` is the device `press-1` with the metrics `verdict`, `class`, `reason`,
+`indicator/NAME` and, once it has had one, `alarm`. Nothing is written back: the only command that
+is answered asks for the births.
 """
 
 from __future__ import annotations
@@ -48,4 +50,8 @@ class FindingMetrics:
                 if isinstance(value, int | float)
             }
             at = payload["at"]
-            self._node.write(str(payload["asset"]), texts | numbers, at.timestamp() if isinstance(at, datetime) else time.time())
+            self._node.write(
+                str(payload["asset"]),
+                texts | numbers,
+                at.timestamp() if isinstance(at, datetime) else time.time(),
+            )

@@ -1,7 +1,9 @@
-"""FindingNodes: the latest finding and alarm of every machine, offered as nodes of an OPC UA server of our own.
+"""FindingNodes: the latest finding and alarm of every machine, offered as nodes of an OPC UA server
+of our own.
 
-For a machine `press-1` there are `ns=2;s=press-1.verdict`, `….class`, `….reason`, `….indicator.NAME` and, once it has had one,
-`….alarm` with its state; a client subscribes to them. Nothing is written back: clients read.
+For a machine `press-1` there are `ns=2;s=press-1.verdict`, `….class`, `….reason`,
+`….indicator.NAME` and, once it has had one, `….alarm` with its state; a client subscribes to them.
+Nothing is written back: clients read.
 """
 
 from __future__ import annotations
@@ -25,7 +27,8 @@ _STARTING = 30.0
 
 
 class FindingNodes:
-    """Serves in a thread of its own; of news that wait, a machine's latest finding and alarm are kept.
+    """Serves in a thread of its own; of news that wait, a machine's latest finding and alarm are
+    kept.
 
     Parameters
     ----------
@@ -41,7 +44,9 @@ class FindingNodes:
         self._lock = threading.Lock()
         self._stopped, self._begun = threading.Event(), threading.Event()
         self._trouble: Exception | None = None
-        self._thread = threading.Thread(target=lambda: asyncio.run(self._serve()), name="opcua findings", daemon=True)
+        self._thread = threading.Thread(
+            target=lambda: asyncio.run(self._serve()), name="opcua findings", daemon=True
+        )
 
     def start(self) -> None:
         """Begin to serve.
@@ -89,7 +94,11 @@ class FindingNodes:
             try:
                 await _offer(server, first[0], payload)
             except Exception as error:  # a finding that cannot be shown must not end the others
-                log.error("a finding cannot be offered over OPC UA", asset=payload.get("asset"), reason=str(error))
+                log.error(
+                    "a finding cannot be offered over OPC UA",
+                    asset=payload.get("asset"),
+                    reason=str(error),
+                )
         await server.stop()
 
 
@@ -107,11 +116,18 @@ async def _offer(server: NodeServer, kind: str, payload: Mapping[str, Any]) -> N
 
 
 def entrance_of(settings: Settings, keys: ApiKeys) -> Entrance | None:
-    """Who may read the findings: holders of a key that may read all of them, by its name and itself; None: anybody."""
+    """Who may read the findings: holders of a key that may read all of them, by its name and
+    itself; None: anybody.
+    """
 
     def lets_in(name: str, key: str) -> bool:
         caller = keys.caller(key)
-        may = caller is not None and caller.name == name and caller.role >= Role.VIEWER and caller.sites is None
+        may = (
+            caller is not None
+            and caller.name == name
+            and caller.role >= Role.VIEWER
+            and caller.sites is None
+        )
         if not may:
             log.warning("refused at the OPC UA server", by=name[:LONGEST_NAME])
         return may

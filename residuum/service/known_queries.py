@@ -1,4 +1,6 @@
-"""A query key that a route does not know is refused: passed over, it would leave an answer to another question than was asked."""
+"""A query key that a route does not know is refused: passed over, it would leave an answer to
+another question than was asked.
+"""
 
 from __future__ import annotations
 
@@ -15,11 +17,14 @@ from residuum.nearest_names import known_names
 from residuum.service.problems import problem
 
 _REMEMBERED = 1000
-"""Bytes of a query up to which it is remembered that it is good: clients ask with the same one again and again."""
+"""Bytes of a query up to which it is remembered that it is good: clients ask with the same one
+again and again.
+"""
 
 
 class KnownQueries:
-    """Refuses keys that the interface's own document does not name for a route; pages and what is undocumented pass.
+    """Refuses keys that the interface's own document does not name for a route; pages and what is
+    undocumented pass.
 
     Parameters
     ----------
@@ -52,18 +57,34 @@ class KnownQueries:
         return None if unknown is None else _says(unknown, known)
 
     def _known(self, method: str, path: str) -> list[str] | None:
-        """The keys of the route that answers, in the order of the document; None for a route that it does not have."""
+        """The keys of the route that answers, in the order of the document; None for a route that
+        it does not have.
+        """
         asked = "GET" if method == "HEAD" else method
-        return next((keys[asked] for pattern, keys in self._routes if asked in keys and pattern.match(path)), None)
+        return next(
+            (
+                keys[asked]
+                for pattern, keys in self._routes
+                if asked in keys and pattern.match(path)
+            ),
+            None,
+        )
 
     @cached_property
     def _routes(self) -> list[tuple[re.Pattern[str], dict[str, list[str]]]]:
-        return [(compile_path(path)[0], _keys(methods)) for path, methods in self.document()["paths"].items()]
+        return [
+            (compile_path(path)[0], _keys(methods))
+            for path, methods in self.document()["paths"].items()
+        ]
 
 
 def _keys(methods: Mapping[str, Any]) -> dict[str, list[str]]:
     return {
-        method.upper(): [parameter["name"] for parameter in operation.get("parameters", []) if parameter["in"] == "query"]
+        method.upper(): [
+            parameter["name"]
+            for parameter in operation.get("parameters", [])
+            if parameter["in"] == "query"
+        ]
         for method, operation in methods.items()
     }
 

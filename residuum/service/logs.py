@@ -1,4 +1,6 @@
-"""Structured logs: one event a line, for people or as JSON; lines of libraries and of the HTTP server in the same form."""
+"""Structured logs: one event a line, for people or as JSON; lines of libraries and of the HTTP
+server in the same form.
+"""
 
 from __future__ import annotations
 
@@ -25,9 +27,11 @@ _of_request: ContextVar[str | None] = ContextVar("request_id", default=None)
 
 
 def begin_request(headers: Mapping[bytes, bytes]) -> tuple[bytes, bytes]:
-    """Give the request that begins its id, for all that is done for it; returns the header that its answer carries.
+    """Give the request that begins its id, for all that is done for it; returns the header that its
+    answer carries.
 
-    An id that the caller sends is taken when it is of up to 128 letters, digits and `._:@/+=-`: nothing that ends a log line.
+    An id that the caller sends is taken when it is of up to 128 letters, digits and `._:@/+=-`:
+    nothing that ends a log line.
     """
     sent = headers.get(_LOWER, b"")
     number = sent.decode("ascii") if _FORM.fullmatch(sent) else secrets.token_hex(8)
@@ -40,7 +44,9 @@ def request_id() -> str | None:
     return _of_request.get()
 
 
-def add_request_id(_logger: Any, _method: str, line: MutableMapping[str, Any]) -> MutableMapping[str, Any]:
+def add_request_id(
+    _logger: Any, _method: str, line: MutableMapping[str, Any]
+) -> MutableMapping[str, Any]:
     """Put the id into a log line (a processor of structlog)."""
     if (number := _of_request.get()) is not None:
         line["request_id"] = number
@@ -56,7 +62,9 @@ _COMMON: list[Processor] = [
 
 
 class _StandardError(logging.StreamHandler[Any]):
-    """Standard error as it is when a line comes: it may be redirected, and what it was before may be closed by then."""
+    """Standard error as it is when a line comes: it may be redirected, and what it was before may
+    be closed by then.
+    """
 
     def __init__(self) -> None:
         logging.Handler.__init__(self)
@@ -68,18 +76,32 @@ class _StandardError(logging.StreamHandler[Any]):
 
 
 def set_up_logs(settings: Settings) -> None:
-    """Send log lines to standard error in the chosen form: ours from the chosen severity, libraries' from warnings on."""
+    """Send log lines to standard error in the chosen form: ours from the chosen severity,
+    libraries' from warnings on.
+    """
     as_json = settings.log_format == "json"
-    form: Processor = structlog.processors.JSONRenderer() if as_json else structlog.dev.ConsoleRenderer(colors=False)
+    form: Processor = (
+        structlog.processors.JSONRenderer()
+        if as_json
+        else structlog.dev.ConsoleRenderer(colors=False)
+    )
     structlog.configure(
         processors=[*_COMMON, structlog.processors.format_exc_info, form],
-        wrapper_class=structlog.make_filtering_bound_logger(getattr(logging, settings.log_level.upper())),
-        logger_factory=lambda *_: structlog.PrintLogger(sys.stderr),  # looked up a line: standard error may be redirected later
+        wrapper_class=structlog.make_filtering_bound_logger(
+            getattr(logging, settings.log_level.upper())
+        ),
+        logger_factory=lambda *_: structlog.PrintLogger(
+            sys.stderr
+        ),  # looked up a line: standard error may be redirected later
         cache_logger_on_first_use=False,
     )
     lines = structlog.stdlib.ProcessorFormatter(
         foreign_pre_chain=[*_COMMON, structlog.stdlib.add_logger_name],
-        processors=[structlog.stdlib.ProcessorFormatter.remove_processors_meta, structlog.processors.format_exc_info, form],
+        processors=[
+            structlog.stdlib.ProcessorFormatter.remove_processors_meta,
+            structlog.processors.format_exc_info,
+            form,
+        ],
     )
     handler = _StandardError()
     handler.setFormatter(lines)

@@ -1,4 +1,6 @@
-"""MemoryBudget: how much memory answers may take together while they are made; who finds no room waits, and then is refused."""
+"""MemoryBudget: how much memory answers may take together while they are made; who finds no room
+waits, and then is refused.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,9 @@ MIB = 2**20
 
 
 class TooBusy(BadInput):
-    """So many large answers are being made that there is no room for another; the message says what to do."""
+    """So many large answers are being made that there is no room for another; the message says what
+    to do.
+    """
 
 
 class MemoryBudget:
@@ -75,5 +79,6 @@ class MemoryBudget:
 
 
 _WAY_ON = (
-    "too many large answers are asked for at once; ask again later, for one at a time, with a smaller `limit` or shorter span"
+    "too many large answers are asked for at once; ask again later, for one at a time, with a"
+    " smaller `limit` or shorter span"
 )

@@ -13,7 +13,9 @@ from prometheus_client.registry import Collector
 from residuum.service.machines.machine_state import counted
 
 _METHODS = frozenset(("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"))
-"""Methods that have a label of their own: a stranger may send any word as a method, and each would be kept for ever."""
+"""Methods that have a label of their own: a stranger may send any word as a method, and each would
+be kept for ever.
+"""
 _STALLS = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1, 2.5)
 _SECONDS = (0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1, 2.5, 10)
 
@@ -24,17 +26,38 @@ class Metrics:
     A registry of its own, so that several services can live in one process (tests).
     """
 
-    def __init__(self, status: Callable[[], Mapping[str, Any]], set_aside: Callable[[], int] = lambda: 0) -> None:
+    def __init__(
+        self, status: Callable[[], Mapping[str, Any]], set_aside: Callable[[], int] = lambda: 0
+    ) -> None:
         self._registry = CollectorRegistry()
         labels = ("method", "route", "status")
-        self._requests = Counter("residuum_http_requests", "HTTP requests", labels, registry=self._registry)
-        self._seconds = Histogram(
-            "residuum_http_request_seconds", "Time to answer [s]", ("route",), buckets=_SECONDS, registry=self._registry
+        self._requests = Counter(
+            "residuum_http_requests", "HTTP requests", labels, registry=self._registry
         )
-        self._findings = Counter("residuum_findings", "Windows stored and judged", ("asset", "verdict"), registry=self._registry)
-        self._alarms = Counter("residuum_alarm_changes", "Alarms that changed state", ("asset", "state"), registry=self._registry)
+        self._seconds = Histogram(
+            "residuum_http_request_seconds",
+            "Time to answer [s]",
+            ("route",),
+            buckets=_SECONDS,
+            registry=self._registry,
+        )
+        self._findings = Counter(
+            "residuum_findings",
+            "Windows stored and judged",
+            ("asset", "verdict"),
+            registry=self._registry,
+        )
+        self._alarms = Counter(
+            "residuum_alarm_changes",
+            "Alarms that changed state",
+            ("asset", "state"),
+            registry=self._registry,
+        )
         self._news = Counter(
-            "residuum_stored_messages", "Messages about windows that scorers stored", ("outcome",), registry=self._registry
+            "residuum_stored_messages",
+            "Messages about windows that scorers stored",
+            ("outcome",),
+            registry=self._registry,
         )
         self._stalls = Histogram(
             "residuum_event_loop_stall_seconds",
@@ -42,7 +65,11 @@ class Metrics:
             buckets=_STALLS,
             registry=self._registry,
         )
-        aside = Gauge("residuum_set_aside_messages", "Messages of the broker that were set aside", registry=self._registry)
+        aside = Gauge(
+            "residuum_set_aside_messages",
+            "Messages of the broker that were set aside",
+            registry=self._registry,
+        )
         aside.set_function(set_aside)
         self._children: dict[tuple[str, str, int], tuple[Counter, Histogram]] = {}
         self._registry.register(_Status(status))
@@ -78,8 +105,8 @@ class Metrics:
 
 
 class _Status(Collector):
-    """Numbers of the pipeline's status: `residuum_machines{state}`, and of each `residuum_source{source, name}` and
-    `residuum_machine{machine, name}`.
+    """Numbers of the pipeline's status: `residuum_machines{state}`, and of each
+    `residuum_source{source, name}` and `residuum_machine{machine, name}`.
     """
 
     def __init__(self, status: Callable[[], Mapping[str, Any]]) -> None:
@@ -96,7 +123,9 @@ class _Status(Collector):
         status = self._status()
         yield self._by_state(status.get("machines", {}))
         for kind in ("source", "machine"):
-            family = GaugeMetricFamily(f"residuum_{kind}", f"Numbers of a {kind}", labels=(kind, "name"))
+            family = GaugeMetricFamily(
+                f"residuum_{kind}", f"Numbers of a {kind}", labels=(kind, "name")
+            )
             for label, state in _by_name(status.get(f"{kind}s", {})):
                 for name, number in _numbers(state):
                     family.add_metric((label, name), number)

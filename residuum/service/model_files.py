@@ -1,6 +1,7 @@
 """Checking a model file before it is stored: every kind of model has its reader.
 
-As a program (`python -m residuum.service.model_files MEMORY SECONDS FILE KIND DIAGNOSER`) it checks FILE within limits.
+As a program (`python -m residuum.service.model_files MEMORY SECONDS FILE KIND DIAGNOSER`) it checks
+FILE within limits.
 """
 
 from __future__ import annotations
@@ -25,7 +26,9 @@ MODEL_KINDS: dict[str, tuple[str, str]] = {
 
 
 _SHORT = 16 * 2**10
-"""Bytes up to which a model's text is read in the service itself: parsing YAML of 200 kB takes seconds of the interpreter."""
+"""Bytes up to which a model's text is read in the service itself: parsing YAML of 200 kB takes
+seconds of the interpreter.
+"""
 
 
 def is_read_apart(kind: str, content: bytes) -> bool:
@@ -33,22 +36,34 @@ def is_read_apart(kind: str, content: bytes) -> bool:
     return kind == "baseline" or len(content) > _SHORT
 
 
-def check_long_model_file(kind: str, content: bytes, diagnoser: str | None, *, memory: int, seconds: int) -> None:
-    """`check_model_file` of a file that is long, or packed, in a limited process of its own; BadModel also beyond a limit."""
+def check_long_model_file(
+    kind: str, content: bytes, diagnoser: str | None, *, memory: int, seconds: int
+) -> None:
+    """`check_model_file` of a file that is long, or packed, in a limited process of its own;
+    BadModel also beyond a limit.
+    """
     _reader(kind, diagnoser)  # no process is started for a diagnoser that there is not
     with tempfile.TemporaryDirectory(prefix="residuum-model-") as folder:
         file = Path(folder) / "model"
         file.write_bytes(content)
-        refusal = run_limited(__name__, (str(file), kind, diagnoser or ""), Path(folder), memory=memory, seconds=seconds)
+        refusal = run_limited(
+            __name__,
+            (str(file), kind, diagnoser or ""),
+            Path(folder),
+            memory=memory,
+            seconds=seconds,
+        )
     if refusal is not None:
         reason, parts = refusal
         raise BadModel(**parts) if reason else BadModel(f"model file: {parts['what']}")
 
 
 def check_model_file(kind: str, content: bytes, diagnoser: str | None = None) -> None:
-    """Refuse a file that its reader refuses; the reader's message is kept, with 'model file' for the file's name.
+    """Refuse a file that its reader refuses; the reader's message is kept, with 'model file' for
+    the file's name.
 
-    NotFound for a diagnoser that there is not, BadInput for a baseline without one, BadModel for all that is wrong with the file.
+    NotFound for a diagnoser that there is not, BadInput for a baseline without one, BadModel for
+    all that is wrong with the file.
     """
     reader = _reader(kind, diagnoser)
     with tempfile.TemporaryDirectory() as folder:
@@ -58,7 +73,9 @@ def check_model_file(kind: str, content: bytes, diagnoser: str | None = None) ->
             reader(file)
         except BadInput as error:
             refusal = str(error).replace(f"model {str(file)!r}", "model file")
-            raise BadModel(refusal.replace(str(file), "model file").replace(file.name, "model file")) from None
+            raise BadModel(
+                refusal.replace(str(file), "model file").replace(file.name, "model file")
+            ) from None
 
 
 def _reader(kind: str, diagnoser: str | None) -> Callable[[Path], object]:
@@ -71,7 +88,9 @@ def _reader(kind: str, diagnoser: str | None) -> Callable[[Path], object]:
 
 def main(memory: int, seconds: int, name: str, kind: str, diagnoser: str) -> int:
     """Check a file within the limits; gives the exit status."""
-    return within_limits(lambda: check_model_file(kind, Path(name).read_bytes(), diagnoser or None), memory, seconds)
+    return within_limits(
+        lambda: check_model_file(kind, Path(name).read_bytes(), diagnoser or None), memory, seconds
+    )
 
 
 if __name__ == "__main__":

@@ -1,4 +1,6 @@
-"""Every refusal as an RFC 9457 problem document, with one line that says what, where and which rule."""
+"""Every refusal as an RFC 9457 problem document, with one line that says what, where and which
+rule.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,9 @@ from residuum.service.work.jobs import TooManyJobs
 
 
 class BadBody(BadInput):
-    """The body of a request is not what its content type says (malformed JSON, no array, wrong length)."""
+    """The body of a request is not what its content type says (malformed JSON, no array, wrong
+    length).
+    """
 
 
 class UnsupportedBody(BadInput):
@@ -55,8 +59,16 @@ _STATUS: dict[type[Exception], int] = {
 _MOST_SHOWN = 500
 
 
-def problem(status: int, detail: str, kind: str | None = None, headers: dict[str, str] | None = None, **more: Any) -> Response:
-    """A problem document. `kind` names the rule that was broken, for programs; `detail` is one line for people."""
+def problem(
+    status: int,
+    detail: str,
+    kind: str | None = None,
+    headers: dict[str, str] | None = None,
+    **more: Any,
+) -> Response:
+    """A problem document. `kind` names the rule that was broken, for programs; `detail` is one line
+    for people.
+    """
     number = request_id()
     if number is not None:
         more, headers = {"request_id": number, **more}, {HEADER: number, **(headers or {})}
@@ -67,7 +79,9 @@ def problem(status: int, detail: str, kind: str | None = None, headers: dict[str
         "detail": _line(detail),
         **more,
     }
-    return Response(orjson.dumps(body), status, media_type="application/problem+json", headers=headers)
+    return Response(
+        orjson.dumps(body), status, media_type="application/problem+json", headers=headers
+    )
 
 
 def install(app: FastAPI) -> None:
@@ -87,7 +101,9 @@ def install(app: FastAPI) -> None:
     async def _not_valid(_request: Request, error: RequestValidationError) -> Response:
         first = error.errors()[0]
         if first["type"] == "json_invalid":
-            return problem(400, f"body.{first['loc'][1]}: {first['msg']}: {first['ctx']['error']}", "bad-body")
+            return problem(
+                400, f"body.{first['loc'][1]}: {first['msg']}: {first['ctx']['error']}", "bad-body"
+            )
         return problem(422, refusal(first).told(as_key), "bad-request")
 
     @app.exception_handler(HTTPException)
@@ -97,11 +113,15 @@ def install(app: FastAPI) -> None:
     @app.exception_handler(StorageUnavailable)
     async def _storage(_request: Request, error: StorageUnavailable) -> Response:
         log.error("storage unavailable", reason=str(error))
-        return problem(507 if error.full else 503, str(error), "storage-unavailable", {"Retry-After": "5"})
+        return problem(
+            507 if error.full else 503, str(error), "storage-unavailable", {"Retry-After": "5"}
+        )
 
     @app.exception_handler(Exception)
     async def _ours(_request: Request, error: Exception) -> Response:
-        return problem(500, f"internal error: {type(error).__name__}; the log has the details", "internal")
+        return problem(
+            500, f"internal error: {type(error).__name__}; the log has the details", "internal"
+        )
 
 
 def _title(status: int) -> str:

@@ -1,4 +1,6 @@
-"""What refusals name as the way on, said to a client: a key of the query with which a file comes, or of a body."""
+"""What refusals name as the way on, said to a client: a key of the query with which a file comes,
+or of a body.
+"""
 
 import json
 from collections.abc import Iterator
@@ -7,7 +9,17 @@ from urllib.parse import quote
 
 from residuum.identification.errors import BadInput, Named, as_text
 
-_OF_FILES = ("resample", "sample_time", "units", "decimal", "time", "missing", "names", "duplicates", "reordered")
+_OF_FILES = (
+    "resample",
+    "sample_time",
+    "units",
+    "decimal",
+    "time",
+    "missing",
+    "names",
+    "duplicates",
+    "reordered",
+)
 _KEYS = {"units": "unit", "time": "time_form"}
 """How a file is read, in Python → key of the query, where these differ."""
 
@@ -23,7 +35,8 @@ def refusing_in(named: Named) -> Iterator[None]:
 
 
 def as_key(field: str, value: object = None) -> str:
-    """A field of a question as it is said in a body; how a file is read is said where its record is stored.
+    """A field of a question as it is said in a body; how a file is read is said where its record is
+    stored.
 
     >>> as_key("delay", 3), as_key("units", {"duty": "%"}), as_key("map", {"u": "COLUMN"})
     ('"delay": 3', 'POST /records?unit=duty=%25', '"map": {"u": "COLUMN"}')
@@ -60,7 +73,11 @@ def in_json(field: str, value: object = None) -> str:
     >>> in_json("units", {"speed": "rpm"})
     '"units": {"speed": "rpm"} in the body'
     """
-    return f'"units": {json.dumps(value, ensure_ascii=False)} in the body' if field == "units" else as_query(field, value)
+    return (
+        f'"units": {json.dumps(value, ensure_ascii=False)} in the body'
+        if field == "units"
+        else as_query(field, value)
+    )
 
 
 def of_array(field: str, value: object = None) -> str:
@@ -71,4 +88,6 @@ def of_array(field: str, value: object = None) -> str:
     """
     if field != "units" or not isinstance(value, dict):
         return as_query(field, value)
-    return "".join(f"?channel={quote(f'{name} [{unit}]', safe='/*[]')}" for name, unit in value.items())
+    return "".join(
+        f"?channel={quote(f'{name} [{unit}]', safe='/*[]')}" for name, unit in value.items()
+    )

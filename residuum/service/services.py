@@ -1,4 +1,6 @@
-"""What a request can reach: the parts of the running service, handed to the HTTP routes by the app."""
+"""What a request can reach: the parts of the running service, handed to the HTTP routes by the
+app.
+"""
 
 from __future__ import annotations
 
@@ -30,15 +32,21 @@ _READERS = 2
 _MEMORY = 160 * MIB
 """Bytes that answers may take together while they are made."""
 _LISTED = 16 * MIB
-"""Bytes that a page of a list takes while it is made: rows of 1 MiB as values of Python, and as JSON."""
+"""Bytes that a page of a list takes while it is made: rows of 1 MiB as values of Python, and as
+JSON.
+"""
 _COPIES = 5
-"""Times its samples that a question about a stored signal takes: the block, what is made of it, the answer."""
+"""Times its samples that a question about a stored signal takes: the block, what is made of it, the
+answer.
+"""
 _ONE = 64 * MIB
 """Bytes that a single answer may take."""
 
 
 class LivePipeline(Protocol):
-    """The part that reads buses and has windows scored (`residuum.service.machines.pipeline.Pipeline`)."""
+    """The part that reads buses and has windows scored
+    (`residuum.service.machines.pipeline.Pipeline`).
+    """
 
     async def start(self) -> None:
         """Begin to read; returns at once, training and connecting go on beside."""
@@ -74,7 +82,9 @@ class LivePipeline(Protocol):
         """The rule of a machine's alarms."""
 
     async def switch_fault(self, machine: str, fault: str, size: float | None) -> None:
-        """Switch a fault of a demo machine on (size None: its default), or off (fault `none`, or size 0)."""
+        """Switch a fault of a demo machine on (size None: its default), or off (fault `none`, or
+        size 0).
+        """
 
 
 @dataclass(frozen=True)
@@ -94,29 +104,39 @@ class Services:
     _memory: MemoryBudget = field(default_factory=lambda: MemoryBudget(_MEMORY))
 
     async def listing(self, page: Callable[P, T], *arguments: P.args, **more: P.kwargs) -> T:
-        """Make a page of a list in a thread, when there is room for it; TooBusy when there is none in time."""
+        """Make a page of a list in a thread, when there is room for it; TooBusy when there is none
+        in time.
+        """
         async with self._memory.hold(_LISTED):
             return await run_sync(partial(page, *arguments, **more))
 
-    async def sampling(self, size: int, make: Callable[P, T], *arguments: P.args, **more: P.kwargs) -> T:
-        """Make something of stored samples of `size` bytes in a thread, when there is room for it; TooBusy as `listing`.
+    async def sampling(
+        self, size: int, make: Callable[P, T], *arguments: P.args, **more: P.kwargs
+    ) -> T:
+        """Make something of stored samples of `size` bytes in a thread, when there is room for it;
+        TooBusy as `listing`.
 
         BadInput for so many that this question alone would take too much.
         """
         if _COPIES * size > _ONE:
             raise BadInput(
-                f"signal: its samples take {size / MIB:.1f} MiB, and this is made of at most {_ONE // _COPIES / MIB:.1f} MiB; "
-                "ask for the signal itself (GET …/signal), or take the record (GET …/record) and look at it by the command line"
+                f"signal: its samples take {size / MIB:.1f} MiB, and this is made of at most"
+                f" {_ONE // _COPIES / MIB:.1f} MiB; ask for the signal itself (GET …/signal), or"
+                " take the record (GET …/record) and look at it by the command line"
             )
         async with self._memory.hold(_COPIES * size):
             return await run_sync(partial(make, *arguments, **more))
 
     async def reading(self, read: Callable[P, T], *arguments: P.args, **more: P.kwargs) -> T:
-        """Read something long in a thread, with few others; the rest wait, and take no thread from other requests meanwhile."""
+        """Read something long in a thread, with few others; the rest wait, and take no thread from
+        other requests meanwhile.
+        """
         return await run_sync(partial(read, *arguments, **more), limiter=self._readers)
 
     async def writing(self, write: Callable[P, T], *arguments: P.args, **more: P.kwargs) -> T:
-        """Write a long answer in a thread, one at a time: each takes memory and disk, and together they would take all."""
+        """Write a long answer in a thread, one at a time: each takes memory and disk, and together
+        they would take all.
+        """
         return await run_sync(partial(write, *arguments, **more), limiter=self._writer)
 
 
@@ -127,7 +147,9 @@ def caller_of(request: Request) -> Caller:
 
 
 async def _services(request: Request) -> Services:
-    """The services of the app that got the request (async: a plain function would cost a thread)."""
+    """The services of the app that got the request (async: a plain function would cost a
+    thread).
+    """
     services: Services = request.app.state.services
     return services
 

@@ -1,4 +1,6 @@
-"""Settings of the service: from the command line, the environment (`RESIDUUM_…`) and one YAML file."""
+"""Settings of the service: from the command line, the environment (`RESIDUUM_…`) and one YAML
+file.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,12 @@ from pathlib import Path
 from typing import Any, Literal
 
 from pydantic import AnyHttpUrl, Field, ValidationError, field_validator, model_validator
-from pydantic_settings import BaseSettings, InitSettingsSource, PydanticBaseSettingsSource, SettingsConfigDict
+from pydantic_settings import (
+    BaseSettings,
+    InitSettingsSource,
+    PydanticBaseSettingsSource,
+    SettingsConfigDict,
+)
 
 from residuum.identification.errors import BadInput
 from residuum.identification.yaml_text import read_yaml
@@ -37,49 +44,103 @@ class BadSettings(BadInput):
 class Settings(BaseSettings):
     """Everything that can be set, with its default.
 
-    Precedence: arguments, then environment variables (`RESIDUUM_PORT=9000`, nested by `__`), then the YAML file
-    that `RESIDUUM_SETTINGS` names. Unknown keys are refused. Use `load_settings` for one-line messages.
+    Precedence: arguments, then environment variables (`RESIDUUM_PORT=9000`, nested by `__`), then
+    the YAML file that `RESIDUUM_SETTINGS` names. Unknown keys are refused. Use `load_settings` for
+    one-line messages.
     """
 
-    model_config = SettingsConfigDict(env_prefix="RESIDUUM_", env_nested_delimiter="__", extra="forbid", frozen=True)
+    model_config = SettingsConfigDict(
+        env_prefix="RESIDUUM_", env_nested_delimiter="__", extra="forbid", frozen=True
+    )
 
-    host: str = Field("127.0.0.1", description="Address to listen on. Any but a loopback address needs `api_keys`.")
+    host: str = Field(
+        "127.0.0.1",
+        description="Address to listen on. Any but a loopback address needs `api_keys`.",
+    )
     port: int = Field(8000, ge=0, le=65535, description="TCP port; 0 takes a free one.")
-    data: Path = Field(Path("var"), description="Folder of signal blocks, baselines and the default database.")
-    database: str = Field("", description="SQLAlchemy URL (sqlite:///…, postgresql+psycopg://…); empty: SQLite in `data`.")
+    data: Path = Field(
+        Path("var"), description="Folder of signal blocks, baselines and the default database."
+    )
+    database: str = Field(
+        "",
+        description=(
+            "SQLAlchemy URL (sqlite:///…, postgresql+psycopg://…); empty: SQLite in `data`."
+        ),
+    )
     demo: bool = Field(False, description="Start the simulated machines and watch them.")
-    demo_speed: float = Field(1.0, ge=0.01, le=100, description="How many times faster than real time the demo's machines live.")
+    demo_speed: float = Field(
+        1.0,
+        ge=0.01,
+        le=100,
+        description="How many times faster than real time the demo's machines live.",
+    )
     demo_opcua: str = Field(
-        "", description="Address at which the demo's process plant offers itself over OPC UA, too: opc.tcp://127.0.0.1:4841/."
+        "",
+        description=(
+            "Address at which the demo's process plant offers itself over OPC UA, too:"
+            " opc.tcp://127.0.0.1:4841/."
+        ),
     )
-    machines: list[MachineSettings] = Field([], description="Machines to watch: sources, windows, diagnoser.")
-    api_keys: Path | None = Field(None, description="File of API keys, a line each: name role SHA-256-of-the-key.")
+    machines: list[MachineSettings] = Field(
+        [], description="Machines to watch: sources, windows, diagnoser."
+    )
+    api_keys: Path | None = Field(
+        None, description="File of API keys, a line each: name role SHA-256-of-the-key."
+    )
     oidc_issuer: AnyHttpUrl | None = Field(
-        None, description="OpenID Connect issuer whose bearer tokens are taken beside API keys; its https address."
+        None,
+        description=(
+            "OpenID Connect issuer whose bearer tokens are taken beside API keys; its https"
+            " address."
+        ),
     )
-    oidc_audience: str = Field("residuum", min_length=1, description="Audience that a bearer token must be for.")
+    oidc_audience: str = Field(
+        "residuum", min_length=1, description="Audience that a bearer token must be for."
+    )
     oidc_role_claim: str = Field(
-        "residuum_role", description="Claim of a token with its roles: viewer, operator, engineer, admin."
+        "residuum_role",
+        description="Claim of a token with its roles: viewer, operator, engineer, admin.",
     )
-    oidc_site_claim: str = Field("residuum_sites", description="Claim with the sites of its caller; without it: all.")
-    tls_certificate: Path | None = Field(None, description="PEM file of the certificate (chain); with `tls_key`: HTTPS.")
+    oidc_site_claim: str = Field(
+        "residuum_sites", description="Claim with the sites of its caller; without it: all."
+    )
+    tls_certificate: Path | None = Field(
+        None, description="PEM file of the certificate (chain); with `tls_key`: HTTPS."
+    )
     tls_key: Path | None = Field(None, description="PEM file of the certificate's private key.")
     public_url: AnyHttpUrl | None = Field(
-        None, description="Address by which people reach the service through a proxy, https://plant.example/; needs keys."
+        None,
+        description=(
+            "Address by which people reach the service through a proxy, https://plant.example/;"
+            " needs keys."
+        ),
     )
     trusted_proxies: list[str] = Field(
         [],
         max_length=100,
-        description="Addresses or networks of proxies whose X-Forwarded-For and -Proto are believed.",
+        description=(
+            "Addresses or networks of proxies whose X-Forwarded-For and -Proto are believed."
+        ),
     )
-    webhooks: list[AnyHttpUrl] = Field([], description="Addresses to which every change of an alarm is posted as JSON.")
+    webhooks: list[AnyHttpUrl] = Field(
+        [], description="Addresses to which every change of an alarm is posted as JSON."
+    )
     mqtt: str = Field(
         "",
-        description="Broker for alarms and findings, mqtt://[user:password@]host[:port][/prefix], mqtts:// for TLS; empty: none.",
+        description=(
+            "Broker for alarms and findings, mqtt://[user:password@]host[:port][/prefix], mqtts://"
+            " for TLS; empty: none."
+        ),
     )
-    mqtt_password_file: Path | None = Field(None, description="File whose first line is the password of the user of `mqtt`.")
+    mqtt_password_file: Path | None = Field(
+        None, description="File whose first line is the password of the user of `mqtt`."
+    )
     mqtt_ca: Path | None = Field(
-        None, description="PEM file of the authority that signed the certificate of an mqtts:// broker; empty: the system's."
+        None,
+        description=(
+            "PEM file of the authority that signed the certificate of an mqtts:// broker; empty:"
+            " the system's."
+        ),
     )
     mqtt_certificate: Path | None = Field(
         None, description="PEM file of our certificate for an mqtts:// broker; with `mqtt_key`."
@@ -87,42 +148,88 @@ class Settings(BaseSettings):
     mqtt_key: Path | None = Field(None, description="PEM file of that certificate's private key.")
     opcua_server: str = Field(
         "",
-        description="Address at which findings and alarms are offered as OPC UA nodes, opc.tcp://127.0.0.1:4840/; empty: none.",
+        description=(
+            "Address at which findings and alarms are offered as OPC UA nodes,"
+            " opc.tcp://127.0.0.1:4840/; empty: none."
+        ),
     )
     opcua_anonymous: bool = Field(
         False,
-        description="Whether anybody may read at `opcua_server`, unsecured; else holders of an API key, signed and encrypted.",
+        description=(
+            "Whether anybody may read at `opcua_server`, unsecured; else holders of an API key,"
+            " signed and encrypted."
+        ),
     )
     sparkplug: str = Field(
         "",
-        description="Edge node, GROUP/NODE, as which findings are published as Sparkplug B on the broker of `mqtt`; empty: none.",
+        description=(
+            "Edge node, GROUP/NODE, as which findings are published as Sparkplug B on the broker of"
+            " `mqtt`; empty: none."
+        ),
     )
     workers: int = Field(
-        default_factory=lambda: max(1, min(4, (os.cpu_count() or 2) - 1)), ge=1, description="Processes that run diagnosers."
+        default_factory=lambda: max(1, min(4, (os.cpu_count() or 2) - 1)),
+        ge=1,
+        description="Processes that run diagnosers.",
     )
-    keep_days: float = Field(30.0, gt=0, description="Days for which signals of windows are kept; findings stay (inf: for ever).")
+    keep_days: float = Field(
+        30.0,
+        gt=0,
+        description="Days for which signals of windows are kept; findings stay (inf: for ever).",
+    )
     keep_bytes: int = Field(
-        2**30, ge=0, description="Bytes of windows' signals that are kept at most; the oldest go first, findings stay."
+        2**30,
+        ge=0,
+        description=(
+            "Bytes of windows' signals that are kept at most; the oldest go first, findings stay."
+        ),
     )
     keep_rows: int = Field(
-        200_000, ge=100, description="Windows whose rows and findings are kept at most; older ones are folded into hours."
+        200_000,
+        ge=100,
+        description=(
+            "Windows whose rows and findings are kept at most; older ones are folded into hours."
+        ),
     )
-    keep_row_days: float = Field(365.0, gt=0, description="Days for which rows and findings are kept; then they are hours.")
+    keep_row_days: float = Field(
+        365.0, gt=0, description="Days for which rows and findings are kept; then they are hours."
+    )
     alarms: AlarmRule = Field(
-        AlarmRule(), description="Deadband, delays and latch of alarms: deadband, on_delay, off_delay, latch."
+        AlarmRule(),
+        description="Deadband, delays and latch of alarms: deadband, on_delay, off_delay, latch.",
     )
     body_limit: int = Field(64 * 2**20, ge=1024, description="Largest request body [bytes].")
     rate_limit: float | None = Field(
-        None, gt=0, description="Requests a second that a client may make; default: 200, and no limit on a loopback address."
+        None,
+        gt=0,
+        description=(
+            "Requests a second that a client may make; default: 200, and no limit on a loopback"
+            " address."
+        ),
     )
     connections_per_address: int = Field(
-        100, ge=1, description="Connections of one address that have shown no key; another takes the place of the oldest of them."
+        100,
+        ge=1,
+        description=(
+            "Connections of one address that have shown no key; another takes the place of the"
+            " oldest of them."
+        ),
     )
-    upload_memory: int = Field(512 * 2**20, ge=2**28, description="Memory in which an uploaded file must be readable [bytes].")
-    upload_seconds: int = Field(10, ge=1, description="Processor time in which an uploaded file must be readable [s].")
+    upload_memory: int = Field(
+        512 * 2**20,
+        ge=2**28,
+        description="Memory in which an uploaded file must be readable [bytes].",
+    )
+    upload_seconds: int = Field(
+        10, ge=1, description="Processor time in which an uploaded file must be readable [s]."
+    )
     header_limit: int = Field(16 * 2**10, ge=1024, description="Largest request head [bytes].")
-    log_level: Literal["debug", "info", "warning", "error"] = Field("info", description="Least severe log line that is kept.")
-    log_format: Literal["console", "json"] = Field("console", description="Log lines for people or for machines.")
+    log_level: Literal["debug", "info", "warning", "error"] = Field(
+        "info", description="Least severe log line that is kept."
+    )
+    log_format: Literal["console", "json"] = Field(
+        "console", description="Log lines for people or for machines."
+    )
 
     @property
     def database_url(self) -> str:
@@ -131,13 +238,20 @@ class Settings(BaseSettings):
 
     @property
     def broker(self) -> BrokerAddress:
-        """The broker, and how it is entered. Raises BadSettings when the file of the password cannot be read."""
+        """The broker, and how it is entered. Raises BadSettings when the file of the password
+        cannot be read.
+        """
         password = None
         if self.mqtt_password_file is not None:
             try:
-                password = self.mqtt_password_file.read_text(encoding="utf-8").partition("\n")[0].strip()
+                password = (
+                    self.mqtt_password_file.read_text(encoding="utf-8").partition("\n")[0].strip()
+                )
             except (OSError, UnicodeDecodeError) as error:
-                raise BadSettings(f"setting mqtt_password_file: {self.mqtt_password_file}: cannot be read: {error}") from None
+                raise BadSettings(
+                    f"setting mqtt_password_file: {self.mqtt_password_file}: cannot be read:"
+                    f" {error}"
+                ) from None
         tls = BrokerTls(ca=self.mqtt_ca, certificate=self.mqtt_certificate, key=self.mqtt_key)
         return broker_address(self.mqtt, tls, password)
 
@@ -159,7 +273,10 @@ class Settings(BaseSettings):
     @model_validator(mode="after")
     def _refuse_an_open_door(self) -> Settings:
         if not is_loopback(self.host) and self.api_keys is None and self.oidc_issuer is None:
-            raise ValueError(f"host {self.host!r} can be reached from other machines; set api_keys first, or listen on 127.0.0.1")
+            raise ValueError(
+                f"host {self.host!r} can be reached from other machines; set api_keys first, or"
+                " listen on 127.0.0.1"
+            )
         return self
 
     @model_validator(mode="after")
@@ -167,9 +284,19 @@ class Settings(BaseSettings):
         if self.public_url is None:
             return self
         if self.api_keys is None and self.oidc_issuer is None:
-            raise ValueError(f"public_url {str(self.public_url)!r}: others reach the service by it; set api_keys first")
-        if self.public_url.path not in (None, "", "/") or self.public_url.query or self.public_url.username:
-            raise ValueError(f"public_url {str(self.public_url)!r}: must be a scheme and a name, as https://plant.example/")
+            raise ValueError(
+                f"public_url {str(self.public_url)!r}: others reach the service by it; set api_keys"
+                " first"
+            )
+        if (
+            self.public_url.path not in (None, "", "/")
+            or self.public_url.query
+            or self.public_url.username
+        ):
+            raise ValueError(
+                f"public_url {str(self.public_url)!r}: must be a scheme and a name, as"
+                " https://plant.example/"
+            )
         return self
 
     @field_validator("trusted_proxies")
@@ -179,14 +306,20 @@ class Settings(BaseSettings):
             try:
                 ipaddress.ip_network(network, strict=False)
             except ValueError:
-                raise ValueError(f"{network!r} is neither an address nor a network; write 10.0.0.7 or 10.0.0.0/24") from None
+                raise ValueError(
+                    f"{network!r} is neither an address nor a network; write 10.0.0.7 or"
+                    " 10.0.0.0/24"
+                ) from None
         return value
 
     @model_validator(mode="after")
     def _issuer_by_tls(self) -> Settings:
         issuer = self.oidc_issuer
         if issuer is not None and issuer.scheme != "https" and not is_loopback(str(issuer.host)):
-            raise ValueError(f"oidc_issuer {str(issuer)!r}: its keys decide who may in, so it must be an https address")
+            raise ValueError(
+                f"oidc_issuer {str(issuer)!r}: its keys decide who may in, so it must be an https"
+                " address"
+            )
         return self
 
     @model_validator(mode="after")
@@ -212,7 +345,8 @@ class Settings(BaseSettings):
     def _opcua_users(self) -> Settings:
         if self.opcua_server and self.api_keys is None and not self.opcua_anonymous:
             raise ValueError(
-                "opcua_server: clients show an API key, so set api_keys; or opcua_anonymous: true, where anybody may read"
+                "opcua_server: clients show an API key, so set api_keys; or opcua_anonymous: true,"
+                " where anybody may read"
             )
         return self
 
@@ -235,9 +369,14 @@ class Settings(BaseSettings):
         if (self.mqtt_certificate is None) != (self.mqtt_key is None):
             raise ValueError("mqtt_certificate and mqtt_key: one of them is not enough")
         if (self.mqtt_ca or self.mqtt_certificate) and not self.mqtt.startswith("mqtts://"):
-            raise ValueError("mqtt_ca, mqtt_certificate: are for a broker that is entered by TLS; write mqtt: mqtts://…")
+            raise ValueError(
+                "mqtt_ca, mqtt_certificate: are for a broker that is entered by TLS; write mqtt:"
+                " mqtts://…"
+            )
         if self.mqtt_password_file and broker_address(self.mqtt or "mqtt://nobody").user is None:
-            raise ValueError("mqtt_password_file: is the password of a user; write mqtt: mqtts://USER@…")
+            raise ValueError(
+                "mqtt_password_file: is the password of a user; write mqtt: mqtts://USER@…"
+            )
         return self
 
     @classmethod
@@ -271,7 +410,8 @@ def is_loopback(host: str) -> bool:
 
 
 def load_settings(file: Path | None = None, **arguments: Any) -> Settings:
-    """Settings from all sources; arguments that are None count as not given. `file` stands before `RESIDUUM_SETTINGS`.
+    """Settings from all sources; arguments that are None count as not given. `file` stands before
+    `RESIDUUM_SETTINGS`.
 
     Raises BadSettings with one line: which setting, what it is, which rule.
     """

@@ -19,15 +19,21 @@ class NotFound(BadInput):
 
 
 class Conflict(BadInput):
-    """The request contradicts what is stored (an idempotency key used twice for different windows, a name taken)."""
+    """The request contradicts what is stored (an idempotency key used twice for different windows,
+    a name taken).
+    """
 
 
 class SignalLetGo(BadInput):
-    """The signal was removed by the retention rule; the window's row and findings are still there."""
+    """The signal was removed by the retention rule; the window's row and findings are still
+    there.
+    """
 
 
 class StorageUnavailable(Exception):
-    """The disk or the database cannot take a write; `full` tells a full disk from a read-only or absent one."""
+    """The disk or the database cannot take a write; `full` tells a full disk from a read-only or
+    absent one.
+    """
 
     def __init__(self, message: str, *, full: bool = False) -> None:
         super().__init__(message)
@@ -66,14 +72,21 @@ class StoredFinding:
 
     def to_json(self) -> dict[str, Any]:
         """The `score` object with where and when."""
-        return {"id": self.id, "asset": self.asset, "window": self.window, "at": self.at, **self.finding.to_json()}
+        return {
+            "id": self.id,
+            "asset": self.asset,
+            "window": self.window,
+            "at": self.at,
+            **self.finding.to_json(),
+        }
 
 
 @dataclass(frozen=True)
 class StoredWindow(_Plain):
     """One stored window: what it holds and where it came from; the samples are read apart.
 
-    `t0` is the recorder's clock [s]; `signal_let_go_at` is when the retention rule removed the samples, None while they are kept.
+    `t0` is the recorder's clock [s]; `signal_let_go_at` is when the retention rule removed the
+    samples, None while they are kept.
     """
 
     id: int
@@ -90,10 +103,11 @@ class StoredWindow(_Plain):
 
 @dataclass(frozen=True)
 class ReadInPieces:
-    """A stored record whose samples are read piece by piece: a long signal is never held as a whole.
+    """A stored record whose samples are read piece by piece: a long signal is never held as a
+    whole.
 
-    `pieces(name)` gives a channel's samples in their order. What is damaged shows at the end, as an exception instead of an end:
-    what was made of the pieces before is not to be answered with then.
+    `pieces(name)` gives a channel's samples in their order. What is damaged shows at the end, as an
+    exception instead of an end: what was made of the pieces before is not to be answered with then.
     """
 
     sample_time: float
@@ -117,9 +131,17 @@ class Asset:
     last_finding: StoredFinding | None
 
     def to_json(self) -> dict[str, Any]:
-        """The asset; `state` is the latest verdict, `no-baseline` while windows are only recorded, or `no-data`."""
+        """The asset; `state` is the latest verdict, `no-baseline` while windows are only recorded,
+        or `no-data`.
+        """
         last = self.last_finding
-        verdict = None if last is None else "no-baseline" if last.finding.only_recorded else last.finding.verdict.value
+        verdict = (
+            None
+            if last is None
+            else "no-baseline"
+            if last.finding.only_recorded
+            else last.finding.verdict.value
+        )
         return {
             "id": self.id,
             "title": self.title,
@@ -135,7 +157,8 @@ class Asset:
 class Alarm(_Plain):
     """One alarm of one asset. `kind` tells a fault of the machine from one of its signals.
 
-    `message` and `window` are of the worst finding since the alarm was raised, which is of `worst_at`.
+    `message` and `window` are of the worst finding since the alarm was raised, which is of
+    `worst_at`.
     """
 
     id: int
@@ -168,10 +191,11 @@ class AlarmEntry(_Plain):
 
 @dataclass(frozen=True)
 class AlarmOccurrence(_Plain):
-    """One time that an alarm was raised, with what raised it and what became of it; `cleared_at` is None while it stands.
+    """One time that an alarm was raised, with what raised it and what became of it; `cleared_at` is
+    None while it stands.
 
-    `message`, `times_threshold` (the largest indicator over its threshold) and `window` are those of the finding that raised it;
-    None where its row was let go.
+    `message`, `times_threshold` (the largest indicator over its threshold) and `window` are those
+    of the finding that raised it; None where its row was let go.
     """
 
     id: int
@@ -203,10 +227,12 @@ class AuditEntry(_Plain):
 
 @dataclass(frozen=True)
 class AlarmRates(_Plain):
-    """How many alarms were raised, after ANSI/ISA-18.2 clause 16: over ten in ten minutes are a flood for one operator.
+    """How many alarms were raised, after ANSI/ISA-18.2 clause 16: over ten in ten minutes are a
+    flood for one operator.
 
-    `highest_in_10_minutes` and `flood_share` are over the last day; `chattering` were raised three times within a minute,
-    `stale` have been on the list for over a day, `standing` counts the alarms in each state.
+    `highest_in_10_minutes` and `flood_share` are over the last day; `chattering` were raised three
+    times within a minute, `stale` have been on the list for over a day, `standing` counts the
+    alarms in each state.
     """
 
     last_10_minutes: int
@@ -223,7 +249,9 @@ class AlarmRates(_Plain):
 
 @dataclass(frozen=True)
 class IndicatorHistory:
-    """Indicators of the newest windows of an asset, oldest first; a row a finding, NaN where an indicator is absent."""
+    """Indicators of the newest windows of an asset, oldest first; a row a finding, NaN where an
+    indicator is absent.
+    """
 
     at: Sequence[datetime]
     windows: Sequence[int]
@@ -235,7 +263,9 @@ class IndicatorHistory:
 
 @dataclass(frozen=True)
 class FindingHour(_Plain):
-    """One hour of findings whose rows were let go: windows, verdicts, and each indicator's n, minimum, maximum and mean."""
+    """One hour of findings whose rows were let go: windows, verdicts, and each indicator's n,
+    minimum, maximum and mean.
+    """
 
     hour: datetime
     windows: int
@@ -245,7 +275,9 @@ class FindingHour(_Plain):
 
 @dataclass(frozen=True)
 class ModelVersion(_Plain):
-    """One version of a stored model: `kind` is physical (YAML), identified (JSON) or baseline (a trained diagnoser)."""
+    """One version of a stored model: `kind` is physical (YAML), identified (JSON) or baseline (a
+    trained diagnoser).
+    """
 
     model: str
     kind: str

@@ -1,4 +1,6 @@
-"""Virtual machines with hidden effects and injectable faults; shares no code with the models it tests."""
+"""Virtual machines with hidden effects and injectable faults; shares no code with the models it
+tests.
+"""
 
 from residuum.simulation.gate_actuator import GateActuator
 from residuum.simulation.gate_drive import GateDrive

@@ -1,4 +1,6 @@
-"""The electro-mechanical actuator of a sliding gate: motor, worm, nylon gear, shaft, pinion, rack and a 608 kg gate."""
+"""The electro-mechanical actuator of a sliding gate: motor, worm, nylon gear, shaft, pinion, rack
+and a 608 kg gate.
+"""
 
 from collections.abc import Mapping
 from typing import ClassVar, NamedTuple
@@ -12,7 +14,9 @@ from residuum.simulation.signals import Array
 PAUSE, OPENING, CLOSING = 0, 1, 2
 GEAR_TEETH, PINION_TEETH = 44, 14
 COUNTS = 1024  # of the encoder, a revolution
-_SUBSTEPS = 8  # 25 µs: a fortieth of the electrical time constant, a thousandth of the coupling's period
+_SUBSTEPS = (
+    8  # 25 µs: a fortieth of the electrical time constant, a thousandth of the coupling's period
+)
 _NOISES = 5
 _PROFILE_POINTS = 2048  # of one shaft revolution
 _RAIL_STEP = 0.005  # m
@@ -21,14 +25,18 @@ _ALONE = 0.85  # part of a pitch in which one tooth alone carries the load: 2 �
 
 
 class Actuator(NamedTuple):
-    """Constants of one specimen of gate and actuator; angles, torques and stiffness at the motor's shaft."""
+    """Constants of one specimen of gate and actuator; angles, torques and stiffness at the motor's
+    shaft.
+    """
 
     R: float = 0.7473  # Ω
     K: float = 0.0696  # V·s/rad = N·m/A
     L: float = 0.6e-3  # H
     J_M: float = 3.5e-5  # kg·m², rotor with worm
     m: float = 608.0  # kg
-    ratio: float = 0.028 / GEAR_TEETH  # m/rad, pinion radius (14 teeth of module 4 mm) over the gear's teeth
+    ratio: float = (
+        0.028 / GEAR_TEETH
+    )  # m/rad, pinion radius (14 teeth of module 4 mm) over the gear's teeth
     supply: float = 30.9  # V at the motor in steady motion: reaches 4100 rpm under load
     stiffness: float = 3.0  # N·m/rad of nylon gear, shaft and rack mounting
     damping: float = 3.0e-3  # N·m·s/rad of the same
@@ -62,8 +70,14 @@ class Tolerance(NamedTuple):
 
 STATE = np.dtype(
     [
-        *((name, np.float64) for name in ("theta", "omega", "current", "x", "v", "command", "timer", "error")),
-        *((name, np.float64) for name in ("wind", "mains", "friction", "overload", "clock", "start", "event_time")),
+        *(
+            (name, np.float64)
+            for name in ("theta", "omega", "current", "x", "v", "command", "timer", "error")
+        ),
+        *(
+            (name, np.float64)
+            for name in ("wind", "mains", "friction", "overload", "clock", "start", "event_time")
+        ),
         ("phase", np.int64),
         ("last_phase", np.int64),
         ("braking", np.bool_),
@@ -89,52 +103,73 @@ class GateActuator(Machine):
         \delta &= \theta - x/\bar\tau - e(\varphi), \quad
         T = k\,(\delta \mp g/2) + c\,\dot\delta \text{ beyond the clearance, else } 0
 
-    with the hard sign, φ = θ/44 the shaft angle and e(φ) the transmission error: gear eccentricity (0.05 mm at
-    the gear's 40 mm radius), tooth-to-tooth errors of 44 nylon and 14 steel teeth (0.02 mm), worm run-out. The rail's
-    profile is fixed for a specimen (4 N RMS, waves of 0.1 to 1.5 m, as 0.7 mm/m unevenness gives). Wind is a random
-    force of 6 N with 1 s memory: gusts of 1.3 m/s on a breeze of 4 m/s press 4 m² of gate sideways by 32 N, a fifth
-    of which the guides turn into drag. The mains wander by 0.5 % with 3 s memory, friction differs by 3 % from one
-    movement to the next. The bridge's pulse width modulation leaves a triangular ripple of 100 Hz. The encoder has
-    1024 counts a revolution, counted over 2 ms; current and voltage are quantised to 15 mA and 10 mV.
+    with the hard sign, φ = θ/44 the shaft angle and e(φ) the transmission error: gear eccentricity
+    (0.05 mm at the gear's 40 mm radius), tooth-to-tooth errors of 44 nylon and 14 steel teeth (0.02
+    mm), worm run-out. The rail's profile is fixed for a specimen (4 N RMS, waves of 0.1 to 1.5 m,
+    as 0.7 mm/m unevenness gives). Wind is a random force of 6 N with 1 s memory: gusts of 1.3 m/s
+    on a breeze of 4 m/s press 4 m² of gate sideways by 32 N, a fifth of which the guides turn into
+    drag. The mains wander by 0.5 % with 3 s memory, friction differs by 3 % from one movement to
+    the next. The bridge's pulse width modulation leaves a triangular ripple of 100 Hz. The encoder
+    has 1024 counts a revolution, counted over 2 ms; current and voltage are quantised to 15 mA and
+    10 mV.
 
-    How each fault acts. Sliding gates are mounted with 1.5 mm between pinion and rack, so that the gate does not rest
-    on the pinion; that leaves 1.1 mm of clearance and a contact ratio of about 1.15: 85 % of a pitch is carried by
-    one tooth alone. Where that tooth is gone, the motor loses its load for 39 ms, runs ahead by what the load had
-    cost it (some 7 rad/s of 429), and is caught by the next tooth: a pulse in speed, a dip, then a peak in current.
-    The pinion tooth comes once a shaft revolution (1.55 Hz), the rack tooth once a movement at one place. A notch in the gear's
-    nylon lets two teeth spread (0.25 mm at full depth) and halves the stiffness around it: the transmission error has
-    a bump once a revolution. Missing teeth count as 1, the source's saw cut through 80 % of the radius as 0.8.
-    These numbers come from geometry and mounting rules, but the tolerances of the drawings were taken for standard deviations,
-    so that these gears are coarser than a maker's. ISO 1328-1 gives for grade 9, usual for moulded nylon and cut steel, a run-out
-    of 60 µm, hence an eccentricity of 30 µm at most (here 50 µm on average), and single pitch deviations of 22 and 24 µm, the
-    largest of a gear and a difference of two teeth, hence 6 and 8 µm a tooth (here 20 µm): gears of grade 9 have `tooth_errors`
-    of .25 to .4, about 0.3. The errors lie at the very frequencies of F₁ and F₂: with 1.0 a linear SVM on these two finds the
-    rack's one pulse in none of 40 movements, with 0.3 in 27, and on the bench in 31 of 37 (`python -m reproduction
-    gate_actuator`, Table 7 row by row). A gate that sways after the tooth (1 to 4 Hz, up to 5 mm/s) or a smooth rail change
-    nothing. The default stays coarse: it is the harder case, and limits, recordings and campaigns were made with it.
+    How each fault acts. Sliding gates are mounted with 1.5 mm between pinion and rack, so that the
+    gate does not rest on the pinion; that leaves 1.1 mm of clearance and a contact ratio of about
+    1.15: 85 % of a pitch is carried by one tooth alone. Where that tooth is gone, the motor loses
+    its load for 39 ms, runs ahead by what the load had cost it (some 7 rad/s of 429), and is caught
+    by the next tooth: a pulse in speed, a dip, then a peak in current. The pinion tooth comes once
+    a shaft revolution (1.55 Hz), the rack tooth once a movement at one place. A notch in the gear's
+    nylon lets two teeth spread (0.25 mm at full depth) and halves the stiffness around it: the
+    transmission error has a bump once a revolution. Missing teeth count as 1, the source's saw cut
+    through 80 % of the radius as 0.8. These numbers come from geometry and mounting rules, but the
+    tolerances of the drawings were taken for standard deviations, so that these gears are coarser
+    than a maker's. ISO 1328-1 gives for grade 9, usual for moulded nylon and cut steel, a run-out
+    of 60 µm, hence an eccentricity of 30 µm at most (here 50 µm on average), and single pitch
+    deviations of 22 and 24 µm, the largest of a gear and a difference of two teeth, hence 6 and 8
+    µm a tooth (here 20 µm): gears of grade 9 have `tooth_errors` of .25 to .4, about 0.3. The
+    errors lie at the very frequencies of F₁ and F₂: with 1.0 a linear SVM on these two finds the
+    rack's one pulse in none of 40 movements, with 0.3 in 27, and on the bench in 31 of 37 (`python
+    -m reproduction gate_actuator`, Table 7 row by row). A gate that sways after the tooth (1 to 4
+    Hz, up to 5 mm/s) or a smooth rail change nothing. The default stays coarse: it is the harder
+    case, and limits, recordings and campaigns were made with it.
 
     Parameters
     ----------
     temperature : float
-        Of motor and gear [°C]: copper +0.39 %/K, magnets −0.1 %/K, grease friction −0.8 %/K from 20 °C.
+        Of motor and gear [°C]: copper +0.39 %/K, magnets −0.1 %/K, grease friction −0.8 %/K from 20
+        °C.
     wear : float
         0 (new) to 1: clearance three times, friction 1.3 times, tooth errors twice.
     tooth_errors : float
-        0 to 4: eccentricity and tooth errors of gear and pinion over those above; 0.3 is ISO 1328-1 grade 9.
+        0 to 4: eccentricity and tooth errors of gear and pinion over those above; 0.3 is ISO 1328-1
+        grade 9.
     """
 
     name = "gate-actuator"
     sample_time = 1.0 / 5000.0
-    units: ClassVar[Mapping[str, str]] = {"speed": "rad/s", "current": "A", "voltage": "V", "phase": ""}
+    units: ClassVar[Mapping[str, str]] = {
+        "speed": "rad/s",
+        "current": "A",
+        "voltage": "V",
+        "phase": "",
+    }
     faults: ClassVar[Mapping[str, Fault]] = {
-        "gear-notch": Fault(0.8, "", "notch in the nylon gear, as a fraction of its radius", largest=1.0),
+        "gear-notch": Fault(
+            0.8, "", "notch in the nylon gear, as a fraction of its radius", largest=1.0
+        ),
         "pinion-tooth": Fault(1.0, "", "part of one pinion tooth that is missing", largest=1.0),
         "rack-tooth": Fault(1.0, "", "part of one rack tooth that is missing", largest=1.0),
     }
     events: ClassVar[Mapping[str, Fault]] = {
-        "cut-short": Fault(0.5, "", "the user stops the next movement at this fraction of the way", largest=0.9),
-        "obstacle": Fault(0.5, "", "the gate hits an obstacle at this fraction of the way", largest=0.9),
-        "supply-sag": Fault(6.0, "V", "the supply falls by this for 1.5 s in the next movement", largest=20.0),
+        "cut-short": Fault(
+            0.5, "", "the user stops the next movement at this fraction of the way", largest=0.9
+        ),
+        "obstacle": Fault(
+            0.5, "", "the gate hits an obstacle at this fraction of the way", largest=0.9
+        ),
+        "supply-sag": Fault(
+            6.0, "V", "the supply falls by this for 1.5 s in the next movement", largest=20.0
+        ),
         "manual-push": Fault(150.0, "N", "somebody pushes the moving gate for 2 s", largest=400.0),
     }
 
@@ -150,9 +185,13 @@ class GateActuator(Machine):
         tooth_errors: float = 1.0,
     ) -> None:
         if not 0.0 <= tooth_errors <= 4.0:
-            raise BadSetting(f"gate-actuator: tooth_errors is {tooth_errors!r}; must be between 0 and 4")
+            raise BadSetting(
+                f"gate-actuator: tooth_errors is {tooth_errors!r}; must be between 0 and 4"
+            )
         if not -30.0 <= temperature <= 120.0:
-            raise BadSetting(f"gate-actuator: temperature is {temperature!r} °C; must be between -30 and 120")
+            raise BadSetting(
+                f"gate-actuator: temperature is {temperature!r} °C; must be between -30 and 120"
+            )
         if not 0.0 <= wear <= 1.0:
             raise BadSetting(f"gate-actuator: wear is {wear!r}; must be between 0 and 1")
         super().__init__(seed, effects, faults, exemplar)
@@ -176,16 +215,32 @@ class GateActuator(Machine):
             for name, draw in draws.items()
             if name != "current_offset"
         }
-        return nominal._replace(**relative, current_offset=spread.current_offset * draws["current_offset"])
+        return nominal._replace(
+            **relative, current_offset=spread.current_offset * draws["current_offset"]
+        )
 
     def _run(self, n: int) -> dict[str, Array]:
         if self._pending and self._state["event"][0] == _NO_EVENT:
             id = next(iter(self._pending))
-            self._state["event"], self._state["event_size"] = _EVENTS.index(id), self._pending.pop(id)
-        damage = tuple(self.active_faults.get(id, 0.0) for id in ("gear-notch", "pinion-tooth", "rack-tooth"))
+            self._state["event"], self._state["event_size"] = (
+                _EVENTS.index(id),
+                self._pending.pop(id),
+            )
+        damage = tuple(
+            self.active_faults.get(id, 0.0) for id in ("gear-notch", "pinion-tooth", "rack-tooth")
+        )
         noise = self._rng.standard_normal((n, _NOISES))
         out = np.empty((5, n))
-        _live(out, self._state, self.actuator, self._teeth, self._rail, damage, noise, self._shaft_origin)
+        _live(
+            out,
+            self._state,
+            self.actuator,
+            self._teeth,
+            self._rail,
+            damage,
+            noise,
+            self._shaft_origin,
+        )
         self.position = out[4]
         return dict(zip(self.units, out[:4], strict=True))
 
@@ -207,7 +262,9 @@ def _aged(a: Actuator, temperature: float, wear: float) -> Actuator:
 
 
 def _transmission_error(parts: np.random.Generator) -> Array:
-    """e(φ) over one shaft revolution [rad at the motor], shape (_PROFILE_POINTS,), from the drawings' tolerances."""
+    """e(φ) over one shaft revolution [rad at the motor], shape (_PROFILE_POINTS,), from the
+    drawings' tolerances.
+    """
     phi = np.linspace(0.0, 2 * np.pi, _PROFILE_POINTS, endpoint=False)
     at_gear, at_rack = GEAR_TEETH / 0.040, GEAR_TEETH / 0.028  # rad at the motor a metre of error
     eccentric = 0.05e-3 * at_gear * parts.rayleigh(0.8) * np.sin(phi + parts.uniform(0, 2 * np.pi))
@@ -227,7 +284,9 @@ def _tooth_errors(phi: Array, teeth: int, parts: np.random.Generator) -> Array:
 
 
 def _rail_profile(parts: np.random.Generator, travel: float) -> Array:
-    """Extra rolling force [N] every 5 mm from 0.5 m before the closed position: waves of 0.1 to 1.5 m, 4 N RMS."""
+    """Extra rolling force [N] every 5 mm from 0.5 m before the closed position: waves of 0.1 to 1.5
+    m, 4 N RMS.
+    """
     x = np.arange(-0.5, travel + 0.5, _RAIL_STEP)
     wavelength = np.geomspace(0.1, 1.5, 24)
     phase = parts.uniform(0, 2 * np.pi, (24, 1))
@@ -258,7 +317,9 @@ def _around(angle: float) -> float:
 
 @njit()
 def _coulomb(speed: float, change: float) -> float:
-    """Speed after dry friction took `change` ≥ 0 from it; friction stops a body but never drives it."""
+    """Speed after dry friction took `change` ≥ 0 from it; friction stops a body but never drives
+    it.
+    """
     if speed > change:
         return speed - change
     return speed + change if speed < -change else 0.0
@@ -266,11 +327,15 @@ def _coulomb(speed: float, change: float) -> float:
 
 @njit()
 def _mesh_torque(s, a, teeth, damage, shaft, dt):  # type: ignore[no-untyped-def]
-    """Torque T through the teeth, with transmission error, clearance and what damaged teeth do to both."""
+    """Torque T through the teeth, with transmission error, clearance and what damaged teeth do to
+    both.
+    """
     notch, pinion, rack = damage
     place = shaft / (2 * np.pi) * _PROFILE_POINTS % _PROFILE_POINTS
     left = int(place)
-    error = teeth[left % _PROFILE_POINTS] * (1 - place + left) + teeth[(left + 1) % _PROFILE_POINTS] * (place - left)
+    error = teeth[left % _PROFILE_POINTS] * (1 - place + left) + teeth[
+        (left + 1) % _PROFILE_POINTS
+    ] * (place - left)
     k = a.stiffness
     if notch > 0.0:
         near = _around(shaft - 1.0) / (2 * np.pi / GEAR_TEETH)
@@ -310,7 +375,9 @@ def _move_on(s, a, dt, draw):  # type: ignore[no-untyped-def]
         return
     to_go = a.travel - s.x if s.phase == OPENING else s.x
     whole = a.travel - s.start if s.phase == OPENING else s.start
-    if to_go < 0.5 * a.ramp * abs(s.v) + 0.015 or (s.event == _CUT_SHORT and to_go < (1.0 - s.event_size) * whole):
+    if to_go < 0.5 * a.ramp * abs(s.v) + 0.015 or (
+        s.event == _CUT_SHORT and to_go < (1.0 - s.event_size) * whole
+    ):
         s.braking = True
     step = a.supply / a.ramp * dt
     s.command = max(s.command - step, 0.0) if s.braking else min(s.command + step, a.supply)
@@ -354,14 +421,20 @@ def _live(out, state, a, teeth, rail, damage, noise, shaft_origin):  # type: ign
         heading = -1.0 if s.phase == CLOSING else 1.0
         bridge = max(s.command * (1.0 + s.mains) - (sag if s.command > 0 else 0.0), 0.0)
         V = heading * bridge + 2.0 * 4.0 * duty * (1.0 - duty) * triangle
-        V = min(max(V, a.K * s.omega - 20.0 * a.R), a.K * s.omega + 20.0 * a.R)  # the bridge limits the current to 20 A
+        V = min(
+            max(V, a.K * s.omega - 20.0 * a.R), a.K * s.omega + 20.0 * a.R
+        )  # the bridge limits the current to 20 A
         rolling = a.rolling * s.friction + _between(rail, (s.x + 0.5) / _RAIL_STEP)
         for _ in range(_SUBSTEPS):
             T = _mesh_torque(s, a, teeth, damage, shaft_origin + s.theta / GEAR_TEETH, dt)
             s.current += dt / a.L * (V - a.K * s.omega - a.R * s.current)
             omega = s.omega + dt / a.J_M * (a.K * s.current - T - a.viscous * s.friction * s.omega)
-            s.omega = _coulomb(omega, dt / a.J_M * (a.motor_friction * s.friction + a.worm_loss * abs(T)))
-            s.v = _coulomb(s.v + dt / a.m * (T / a.ratio + s.wind + force), dt / a.m * max(rolling, 0.0))
+            s.omega = _coulomb(
+                omega, dt / a.J_M * (a.motor_friction * s.friction + a.worm_loss * abs(T))
+            )
+            s.v = _coulomb(
+                s.v + dt / a.m * (T / a.ratio + s.wind + force), dt / a.m * max(rolling, 0.0)
+            )
             s.theta += dt * s.omega
             s.x += dt * s.v
         _measure(out, j, s, a, V, noise)

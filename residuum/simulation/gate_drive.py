@@ -85,22 +85,26 @@ class GateDrive(Machine):
 
     .. math:: R i = u - K \omega, \qquad J \dot\omega = K i, \qquad \dot\theta = \omega
 
-    with K = 0.0696 V·s/rad, R = 0.7473 Ω, J = 3.5e-5 + 608 (0.028/44)² = 2.812e-4 kg·m² at the rotor. Each
-    hidden effect of `EFFECTS` adds its term. Coulomb-like friction is the hard sign: the body sticks at zero speed
-    while the other torques stay within the breakaway torque. Smooth stretches are integrated by classical
-    Runge–Kutta with steps of at most 0.1 ms; a step in which ω changes its sign is cut at the crossing (secant, to 1e-9 s).
-    With an elastic transmission or a gap, friction acts on the rotor, loads, springs and stops on the gate's side.
+    with K = 0.0696 V·s/rad, R = 0.7473 Ω, J = 3.5e-5 + 608 (0.028/44)² = 2.812e-4 kg·m² at the
+    rotor. Each hidden effect of `EFFECTS` adds its term. Coulomb-like friction is the hard sign:
+    the body sticks at zero speed while the other torques stay within the breakaway torque. Smooth
+    stretches are integrated by classical Runge–Kutta with steps of at most 0.1 ms; a step in which
+    ω changes its sign is cut at the crossing (secant, to 1e-9 s). With an elastic transmission or a
+    gap, friction acts on the rotor, loads, springs and stops on the gate's side.
 
-    The recorded voltage is the command, held between samples; the recorded outputs are taken at the sample's start.
+    The recorded voltage is the command, held between samples; the recorded outputs are taken at the
+    sample's start.
 
     Parameters
     ----------
     profile : {"duty-cycle", "rich"}
-        Open 6 s, pause 2 s, close 6 s, pause 1 s with 1 s ramps to 24 V; or random levels, ramps, holds and reversals.
+        Open 6 s, pause 2 s, close 6 s, pause 1 s with 1 s ramps to 24 V; or random levels, ramps,
+        holds and reversals.
     rate : float
         Samples a second [Hz], 50 … 10 000.
     deviation : float
-        K, R and J differ from nominal by a uniform factor within ± this (drawn from seed and exemplar).
+        K, R and J differ from nominal by a uniform factor within ± this (drawn from seed and
+        exemplar).
     noise : float
         Multiplies the sensor noise: 0.3 rad/s on speed, 0.05 A on current (standard deviations).
     noise_color : float
@@ -108,7 +112,8 @@ class GateDrive(Machine):
     quantisation : float
         Multiplies the sensors' steps of 0.1 rad/s and 0.01 A.
     pwm : bool
-        Whether the motor also sees the 100 Hz ripple (2 V) of its bridge, which the recorded command does not show.
+        Whether the motor also sees the 100 Hz ripple (2 V) of its bridge, which the recorded
+        command does not show.
     initial : {"random", "rest"}
         Unknown start: speed of N(0, 5) rad/s and any angle, or zero.
     """
@@ -135,7 +140,9 @@ class GateDrive(Machine):
         initial: str = "random",
     ) -> None:
         if profile not in PROFILES:
-            raise BadSetting(f"gate-drive: profile {profile!r} is not known; {known_names(profile, PROFILES)}")
+            raise BadSetting(
+                f"gate-drive: profile {profile!r} is not known; {known_names(profile, PROFILES)}"
+            )
         if initial not in ("random", "rest"):
             raise BadSetting(f"gate-drive: initial {initial!r} must be random or rest")
         for name, value, low, high in (
@@ -146,7 +153,9 @@ class GateDrive(Machine):
             ("quantisation", quantisation, 0.0, 100.0),
         ):
             if not low <= value <= high:
-                raise BadSetting(f"gate-drive: {name} is {value!r}; must be between {low:g} and {high:g}")
+                raise BadSetting(
+                    f"gate-drive: {name} is {value!r}; must be between {low:g} and {high:g}"
+                )
         super().__init__(seed, effects, faults, exemplar)
         self.sample_time = 1.0 / rate
         self._profile, self._pwm = profile, pwm
@@ -157,7 +166,11 @@ class GateDrive(Machine):
         self._y = np.zeros(8)
         if initial == "random":
             self._y[_THETA], self._y[_OMEGA] = own.uniform(0, 100), 5.0 * own.standard_normal()
-            self._y[_THETA_2], self._y[_OMEGA_2], self._y[_LAG] = self._y[_THETA], self._y[_OMEGA], self._y[_OMEGA]
+            self._y[_THETA_2], self._y[_OMEGA_2], self._y[_LAG] = (
+                self._y[_THETA],
+                self._y[_OMEGA],
+                self._y[_OMEGA],
+            )
         self._profile_rng = np.random.default_rng([seed, exemplar, 6])
         self._knots = [(0.0, 0.0), (0.3, 0.0)]
         self._colored = self._rng.standard_normal(2)
@@ -211,10 +224,14 @@ class GateDrive(Machine):
         return np.asarray(np.interp(t, times, levels))
 
     def _seen(self, fine: Array) -> Array:
-        """What the motor sees on the integration grid, shape (n, steps): the held command after the input's effects."""
+        """What the motor sees on the integration grid, shape (n, steps): the held command after the
+        input's effects.
+        """
         late = fine - self.active_effects.get("input-delay", {}).get("delay", 0.0)
         held = np.floor(late / self.sample_time + 1e-6) * self.sample_time
-        u = np.where(held < 0, 0.0, self._command(np.maximum(held, 0.0).ravel()).reshape(held.shape))
+        u = np.where(
+            held < 0, 0.0, self._command(np.maximum(held, 0.0).ravel()).reshape(held.shape)
+        )
         if width := self.active_effects.get("input-dead-zone", {}).get("width"):
             u = np.sign(u) * np.maximum(np.abs(u) - width, 0.0)
         if limit := self.active_effects.get("input-saturation", {}).get("limit"):
@@ -222,7 +239,9 @@ class GateDrive(Machine):
         u = u + self.active_effects.get("input-offset", {}).get("offset", 0.0)
         if self._pwm:
             duty = np.clip(np.abs(u) / (1.05 * RATED), 0.0, 1.0)
-            u = u + 2.0 * 4.0 * duty * (1.0 - duty) * (4.0 * np.abs((fine * 100.0) % 1.0 - 0.5) - 1.0)
+            u = u + 2.0 * 4.0 * duty * (1.0 - duty) * (
+                4.0 * np.abs((fine * 100.0) % 1.0 - 0.5) - 1.0
+            )
         return u
 
     def _sensed(self, out: Array, draws: Array) -> dict[str, Array]:
@@ -252,7 +271,9 @@ def _random_profile(own: np.random.Generator) -> Array:
     """A periodic random function of unit RMS whose correlation length is 4 of its points."""
     spectrum = np.fft.rfft(own.standard_normal(_PROFILE_POINTS))
     order = np.arange(len(spectrum))
-    smooth = np.fft.irfft(spectrum * np.exp(-0.5 * (order * 4 * 2 * np.pi / _PROFILE_POINTS) ** 2), _PROFILE_POINTS)
+    smooth = np.fft.irfft(
+        spectrum * np.exp(-0.5 * (order * 4 * 2 * np.pi / _PROFILE_POINTS) ** 2), _PROFILE_POINTS
+    )
     return np.asarray(smooth / np.std(smooth))
 
 
@@ -269,7 +290,9 @@ def _current(y, d, u):  # type: ignore[no-untyped-def]
 def _load(theta, omega, d, walk, table):  # type: ignore[no-untyped-def]
     """Torque of loads, springs and stops against positive motion."""
     tau = d.load + walk + d.k * theta + d.k3 * theta**3
-    tau += d.tau_p * np.sin(2 * np.pi * theta / d.period + d.phase_p) + d.tau_r * np.sin(d.order * theta + d.phase_r)
+    tau += d.tau_p * np.sin(2 * np.pi * theta / d.period + d.phase_p) + d.tau_r * np.sin(
+        d.order * theta + d.phase_r
+    )
     if d.k_e > 0.0 and theta > d.theta_e:
         tau += max(d.k_e * (theta - d.theta_e) + d.d_e * omega, 0.0)
     if d.tau_x > 0.0:
@@ -324,11 +347,15 @@ def _slope(dy, y, d, u, walk, table, direction):  # type: ignore[no-untyped-def]
     omega = y[_OMEGA]
     dy[_THETA] = omega
     inertia = d.J_M if d.two_bodies else d.J_M + d.J_L
-    dy[_OMEGA] = 0.0 if direction == 0.0 else (tau - direction * _friction(omega, direction, i, d)) / inertia
+    dy[_OMEGA] = (
+        0.0 if direction == 0.0 else (tau - direction * _friction(omega, direction, i, d)) / inertia
+    )
     dy[_THETA_2], dy[_OMEGA_2] = 0.0, 0.0
     if d.two_bodies:
         dy[_THETA_2] = y[_OMEGA_2]
-        dy[_OMEGA_2] = (_transmitted(y, d) - _load(y[_THETA_2], y[_OMEGA_2], d, walk, table)) / d.J_L
+        dy[_OMEGA_2] = (
+            _transmitted(y, d) - _load(y[_THETA_2], y[_OMEGA_2], d, walk, table)
+        ) / d.J_L
     R = d.R * (1.0 + d.alpha * y[_HEAT]) + (d.r_s if u * i > 0.0 else 0.0)
     dy[_CURRENT] = 0.0
     if d.L > 0.0:
@@ -353,7 +380,9 @@ def _runge_kutta(y, d, u, walk, table, direction, h, work):  # type: ignore[no-u
 
 @njit()
 def _direction(y, d, u, walk, table):  # type: ignore[no-untyped-def]
-    """Where the rotor slides: the sign of its speed, or at standstill where the torque breaks it away; 0 sticks."""
+    """Where the rotor slides: the sign of its speed, or at standstill where the torque breaks it
+    away; 0 sticks.
+    """
     if y[_OMEGA] != 0.0:
         return np.sign(y[_OMEGA])
     tau, i = _driving(y, d, u, walk, table)
@@ -363,7 +392,9 @@ def _direction(y, d, u, walk, table):  # type: ignore[no-untyped-def]
 
 @njit()
 def _until_crossing(y, d, u, walk, table, direction, h, work):  # type: ignore[no-untyped-def]
-    """work[4] := y at the instant in (0, h] when ω reaches zero; returns that instant (secant with bisection's bracket)."""
+    """work[4] := y at the instant in (0, h] when ω reaches zero; returns that instant (secant with
+    bisection's bracket).
+    """
     early, late, before, after = 0.0, h, y[_OMEGA], work[4, _OMEGA]
     at = late
     for _ in range(40):

@@ -1,4 +1,6 @@
-"""Machine: the base of the virtual machines, with their hidden effects, faults and operating events."""
+"""Machine: the base of the virtual machines, with their hidden effects, faults and operating
+events.
+"""
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
@@ -17,7 +19,9 @@ _ROUNDING = 1e-6  # samples; keeps 0.1 + 0.2 seconds at 10 Hz from losing the th
 
 
 class BadSetting(ValueError):
-    """A virtual machine was asked for an effect, fault, event or setting that it does not have; one line says which."""
+    """A virtual machine was asked for an effect, fault, event or setting that it does not have; one
+    line says which.
+    """
 
 
 @dataclass(frozen=True)
@@ -54,7 +58,9 @@ class Effect:
 
 @dataclass(frozen=True)
 class Fault:
-    """A damage that can be switched on and off while the machine runs, or an operating event that is no damage."""
+    """A damage that can be switched on and off while the machine runs, or an operating event that
+    is no damage.
+    """
 
     default_size: float
     unit: str
@@ -74,12 +80,14 @@ class Machine(ABC):
     faults : mapping of fault id to size
         Damage present from the start (None = default size).
     exemplar : int
-        Which specimen of the machine: tolerances of its constants are drawn from this number alone. 0 is the nominal one.
+        Which specimen of the machine: tolerances of its constants are drawn from this number alone.
+        0 is the nominal one.
 
     Raises
     ------
     BadSetting
-        Unknown effect, parameter, fault or event; a size that is not finite, not positive or above the largest.
+        Unknown effect, parameter, fault or event; a size that is not finite, not positive or above
+        the largest.
     """
 
     name: ClassVar[str]
@@ -98,9 +106,13 @@ class Machine(ABC):
         exemplar: int = 0,
     ) -> None:
         if seed < 0 or exemplar < 0:
-            raise BadSetting(f"{self.name}: seed {seed} and exemplar {exemplar} must not be negative")
+            raise BadSetting(
+                f"{self.name}: seed {seed} and exemplar {exemplar} must not be negative"
+            )
         self.seed, self.exemplar = seed, exemplar
-        self.active_effects = {id: self._effect_parameters(id, given) for id, given in (effects or {}).items()}
+        self.active_effects = {
+            id: self._effect_parameters(id, given) for id, given in (effects or {}).items()
+        }
         self.active_faults: dict[str, float] = {}
         self._pending: dict[str, float] = {}
         self._rng = np.random.default_rng([seed, 1])
@@ -130,7 +142,9 @@ class Machine(ABC):
         self._pending[id] = _size(event, size, f"{self.name}: event {id!r}")
 
     def advance(self, duration: float) -> dict[str, Signals]:
-        """Run `duration` seconds on and return what each recorder saw in that time (it may be no sample)."""
+        """Run `duration` seconds on and return what each recorder saw in that time (it may be no
+        sample).
+        """
         n = self._count(duration, 1.0 / self.sample_time, self._samples)
         t0 = self._samples * self.sample_time
         channels = self._run(n) if n else {name: np.empty(0) for name in self.units}
@@ -144,7 +158,10 @@ class Machine(ABC):
         Raises BadSetting when the duration holds fewer than two samples.
         """
         if self._count(duration, 1.0 / self.sample_time, self._samples) < 2:
-            raise BadSetting(f"{self.name}: duration {duration:g} s holds fewer than two samples of {self.sample_time:g} s")
+            raise BadSetting(
+                f"{self.name}: duration {duration:g} s holds fewer than two samples of"
+                f" {self.sample_time:g} s"
+            )
         return self.advance(duration)["signals"]
 
     @property
@@ -170,7 +187,9 @@ class Machine(ABC):
     def _count(self, duration: float, rate: float, done: int) -> int:
         """How many samples at `rate` fall into the next `duration` seconds."""
         if not (np.isfinite(duration) and duration > 0):
-            raise BadSetting(f"{self.name}: duration is {duration!r}; must be a positive number of seconds")
+            raise BadSetting(
+                f"{self.name}: duration is {duration!r}; must be a positive number of seconds"
+            )
         return max(int(np.floor((self._time + duration) * rate + _ROUNDING)) - done, 0)
 
     def _effect_parameters(self, id: str, given: Mapping[str, float] | str) -> dict[str, float]:
@@ -180,9 +199,14 @@ class Machine(ABC):
         for parameter, value in given.items():
             if parameter not in effect.parameters:
                 known = known_names(parameter, effect.parameters)
-                raise BadSetting(f"{self.name}: effect {id!r} has no parameter {parameter!r}; {known}")
+                raise BadSetting(
+                    f"{self.name}: effect {id!r} has no parameter {parameter!r}; {known}"
+                )
             if not np.isfinite(value):
-                raise BadSetting(f"{self.name}: effect {id!r}, parameter {parameter!r} is {value!r}; must be finite")
+                raise BadSetting(
+                    f"{self.name}: effect {id!r}, parameter {parameter!r} is {value!r}; must be"
+                    " finite"
+                )
         return {**effect.parameters, **given}
 
     def _tolerance(self, count: int) -> Array:
@@ -201,5 +225,7 @@ def _size(fault: Fault, size: float | None, where: str) -> float:
     size = fault.default_size if size is None else float(size)
     if not (np.isfinite(size) and 0 < size <= fault.largest):
         limit = "" if np.isinf(fault.largest) else f" and at most {fault.largest:g}"
-        raise BadSetting(f"{where}: size is {size:g}; must be positive{limit} [{fault.unit or '-'}]")
+        raise BadSetting(
+            f"{where}: size is {size:g}; must be positive{limit} [{fault.unit or '-'}]"
+        )
     return size

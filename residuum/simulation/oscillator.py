@@ -1,4 +1,6 @@
-"""An electronic mass–spring–damper with a hardening spring, in the manner of the Silverbox benchmark."""
+"""An electronic mass–spring–damper with a hardening spring, in the manner of the Silverbox
+benchmark.
+"""
 
 from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple
@@ -17,7 +19,9 @@ _OMEGA_0 = 2 * np.pi * 68.6
 
 
 class Oscillator(NamedTuple):
-    """Nominal constants, per volt of spring force, and the hidden effects' parameters, all absent."""
+    """Nominal constants, per volt of spring force, and the hidden effects' parameters, all
+    absent.
+    """
 
     M: float = 1.0 / _OMEGA_0**2  # s²
     d: float = 2 * 0.05 / _OMEGA_0  # s
@@ -30,12 +34,25 @@ class Oscillator(NamedTuple):
 
 EFFECTS: dict[str, Effect] = {
     "cubic-spring": Effect({"k3": 2.0}, {"k3": "V/V**3"}, (0.4, 2.0, 8.0), "force −k3 q³"),
-    "quadratic-drag": Effect({"c": 3e-6}, {"c": "V*s**2/V**2"}, (6e-7, 3e-6, 1.2e-5), "force −c v |v|"),
+    "quadratic-drag": Effect(
+        {"c": 3e-6}, {"c": "V*s**2/V**2"}, (6e-7, 3e-6, 1.2e-5), "force −c v |v|"
+    ),
     "constant-load": Effect({"tau_l": 0.01}, {"tau_l": "V"}, (0.003, 0.01, 0.04), "force −tau_l"),
-    "viscous-friction": Effect({"b": 1e-4}, {"b": "V*s/V"}, (2e-5, 1e-4, 3e-4), "force −b v beyond the nominal damper"),
-    "input-offset": Effect({"offset": 0.005}, {"offset": "V"}, (0.001, 0.005, 0.02), "the circuit sees force + offset"),
-    "output-offset": Effect({"offset": 0.005}, {"offset": "V"}, (0.001, 0.005, 0.02), "the recorder reads offset too much"),
-    "x-quadratic-spring": Effect({"k2": 0.3}, {"k2": "V/V**2"}, (0.1, 0.3, 1.0), "outside the catalogue: force −k2 q²"),
+    "viscous-friction": Effect(
+        {"b": 1e-4}, {"b": "V*s/V"}, (2e-5, 1e-4, 3e-4), "force −b v beyond the nominal damper"
+    ),
+    "input-offset": Effect(
+        {"offset": 0.005}, {"offset": "V"}, (0.001, 0.005, 0.02), "the circuit sees force + offset"
+    ),
+    "output-offset": Effect(
+        {"offset": 0.005},
+        {"offset": "V"},
+        (0.001, 0.005, 0.02),
+        "the recorder reads offset too much",
+    ),
+    "x-quadratic-spring": Effect(
+        {"k2": 0.3}, {"k2": "V/V**2"}, (0.1, 0.3, 1.0), "outside the catalogue: force −k2 q²"
+    ),
 }
 _FIELDS = {"quadratic-drag": {"c": "drag"}, "constant-load": {"tau_l": "load"}}
 
@@ -45,13 +62,14 @@ class OscillatorMachine(Machine):
 
     .. math:: M \ddot q + d \dot q + k q = F, \qquad k = 1,\ M = 1/\omega_0^2,\ d = 2\zeta/\omega_0
 
-    Integrated by classical Runge–Kutta, 8 steps a sample; the force is held between samples. Noise 0.3 mV.
+    Integrated by classical Runge–Kutta, 8 steps a sample; the force is held between samples. Noise
+    0.3 mV.
 
     Parameters
     ----------
     profile : {"multisine", "sweep", "noise"}
-        Random-phase multisine of odd lines up to 200 Hz (0.05 V RMS), a sweep of rising amplitude (0 to 0.15 V), or white noise
-        (0.05 V RMS).
+        Random-phase multisine of odd lines up to 200 Hz (0.05 V RMS), a sweep of rising amplitude
+        (0 to 0.15 V), or white noise (0.05 V RMS).
     deviation : float
         M, d and k differ from nominal by uniform factors within ± this.
     """
@@ -74,18 +92,26 @@ class OscillatorMachine(Machine):
         noise: float = 1.0,
     ) -> None:
         if profile not in PROFILES:
-            raise BadSetting(f"oscillator: profile {profile!r} is not known; {known_names(profile, PROFILES)}")
+            raise BadSetting(
+                f"oscillator: profile {profile!r} is not known; {known_names(profile, PROFILES)}"
+            )
         if not (0.0 <= deviation <= 0.5 and 0.0 <= noise <= 100.0):
             raise BadSetting("oscillator: deviation must be 0 … 0.5 and noise 0 … 100")
         super().__init__(seed, effects, faults, exemplar)
         own = np.random.default_rng([seed, exemplar, 5])
         nominal = Oscillator()
         factors = dict(zip("Mdk", 1.0 + own.uniform(-deviation, deviation, 3), strict=True))
-        values: dict[str, Any] = {name: getattr(nominal, name) * factor for name, factor in factors.items()}
+        values: dict[str, Any] = {
+            name: getattr(nominal, name) * factor for name, factor in factors.items()
+        }
         for id, parameters in self.active_effects.items():
-            values.update({_FIELDS.get(id, {}).get(name, name): value for name, value in parameters.items()})
+            values.update(
+                {_FIELDS.get(id, {}).get(name, name): value for name, value in parameters.items()}
+            )
         values["d"] += self.active_effects.get("viscous-friction", {}).get("b", 0.0)
-        self.circuit = nominal._replace(**{name: value for name, value in values.items() if name in Oscillator._fields})
+        self.circuit = nominal._replace(
+            **{name: value for name, value in values.items() if name in Oscillator._fields}
+        )
         self._profile, self._noise = profile, noise
         self._lines = np.arange(1, 8192 * 200 // 610, 2)
         self._phases = own.uniform(0, 2 * np.pi, len(self._lines))
@@ -106,7 +132,9 @@ class OscillatorMachine(Machine):
             return 0.05 * draws
         if self._profile == "sweep":
             t = k * self.sample_time % 60.0
-            return np.asarray(0.15 * t / 60.0 * np.sin(2 * np.pi * (5.0 * t + 0.5 * (200.0 - 5.0) / 60.0 * t**2)))
+            return np.asarray(
+                0.15 * t / 60.0 * np.sin(2 * np.pi * (5.0 * t + 0.5 * (200.0 - 5.0) / 60.0 * t**2))
+            )
         spectrum = np.zeros(4097, dtype=complex)
         spectrum[self._lines] = np.exp(1j * self._phases)
         period = np.fft.irfft(spectrum, 8192)

@@ -1,4 +1,6 @@
-"""The oven that shrinks film around bottles: six resistances in two cavities, fans, slots, curtains and a conveyor."""
+"""The oven that shrinks film around bottles: six resistances in two cavities, fans, slots, curtains
+and a conveyor.
+"""
 
 from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple
@@ -49,47 +51,72 @@ CONFIGURATIONS: dict[str, Oven] = {
     "lumped": Oven(lumped=True, C_hole=120e3, G_ambient=45.0),
 }
 EFFECTS: dict[str, Effect] = {
-    "ambient-loss": Effect({"G": 10.0}, {"G": "W/K"}, (3.0, 10.0, 30.0), "heat −G (T − T_ambient) more than nominal"),
-    "radiation": Effect({"epsilon": 3e-8}, {"epsilon": "W/K**4"}, (1e-8, 3e-8, 1e-7), "heat −epsilon (T⁴ − T_ambient⁴), kelvin"),
+    "ambient-loss": Effect(
+        {"G": 10.0}, {"G": "W/K"}, (3.0, 10.0, 30.0), "heat −G (T − T_ambient) more than nominal"
+    ),
+    "radiation": Effect(
+        {"epsilon": 3e-8},
+        {"epsilon": "W/K**4"},
+        (1e-8, 3e-8, 1e-7),
+        "heat −epsilon (T⁴ − T_ambient⁴), kelvin",
+    ),
     "second-heat-store": Effect(
-        {"C_2": 6e4, "G_2": 60.0}, {"C_2": "J/K", "G_2": "W/K"}, (2e4, 6e4, 2e5), "a second store: C_2 dT_2/dt = G_2 (T − T_2)"
+        {"C_2": 6e4, "G_2": 60.0},
+        {"C_2": "J/K", "G_2": "W/K"},
+        (2e4, 6e4, 2e5),
+        "a second store: C_2 dT_2/dt = G_2 (T − T_2)",
     ),
     "conveyor-load": Effect(
-        {"G": 15.0}, {"G": "W/K"}, (5.0, 15.0, 40.0), "heat −G (T − T_ambient) while the conveyor runs: 40 of 70 minutes"
+        {"G": 15.0},
+        {"G": "W/K"},
+        (5.0, 15.0, 40.0),
+        "heat −G (T − T_ambient) while the conveyor runs: 40 of 70 minutes",
     ),
     "door-opening": Effect(
-        {"G": 100.0}, {"G": "W/K"}, (30.0, 100.0, 300.0), "heat −G (T − T_ambient) in openings of 3 to 10 minutes at random times"
+        {"G": 100.0},
+        {"G": "W/K"},
+        (30.0, 100.0, 300.0),
+        "heat −G (T − T_ambient) in openings of 3 to 10 minutes at random times",
     ),
-    "heater-nonlinearity": Effect({"gamma": 0.3}, {"gamma": ""}, (0.1, 0.3, 0.6), "power P duty^(1 + gamma)"),
+    "heater-nonlinearity": Effect(
+        {"gamma": 0.3}, {"gamma": ""}, (0.1, 0.3, 0.6), "power P duty^(1 + gamma)"
+    ),
 }
-_FIELDS = {"ambient-loss": {"G": "loss"}, "conveyor-load": {"G": "belt"}, "door-opening": {"G": "door"}}
+_FIELDS = {
+    "ambient-loss": {"G": "loss"},
+    "conveyor-load": {"G": "belt"},
+    "door-opening": {"G": "door"},
+}
 
 
 class OvenMachine(Machine):
     r"""Duty cycle of six resistances [%] in, one thermocouple at the top of the main hole out.
 
     .. math::
-        C_c \dot T_{c,j} &= P(u)/2 - \tfrac12 G_s (T_{c,j} - T_h) - G_{cw} (T_{c,j} - T_w), \quad j = 1, 2 \\
-        C_h \dot T_h &= \sum_j \tfrac12 G_s (T_{c,j} - T_h) - (G_c + G_b + G_f)(T_h - T_a) - G_w (T_h - T_w) \\
-        C_w \dot T_w &= G_w (T_h - T_w) + \sum_j G_{cw}(T_{c,j} - T_w) - G_a (T_w - T_a), \qquad
-        T_{tc} \dot T = T_h - T
+        C_c \dot T_{c,j} &= P(u)/2 - \tfrac12 G_s (T_{c,j} - T_h) - G_{cw} (T_{c,j} - T_w), \quad j
+        = 1, 2 \\ C_h \dot T_h &= \sum_j \tfrac12 G_s (T_{c,j} - T_h) - (G_c + G_b + G_f)(T_h - T_a)
+        - G_w (T_h - T_w) \\ C_w \dot T_w &= G_w (T_h - T_w) + \sum_j G_{cw}(T_{c,j} - T_w) - G_a
+        (T_w - T_a), \qquad T_{tc} \dot T = T_h - T
 
-    Configurations, as Table 5 of the source must have meant them (its figure is lost): *best* keeps the heat — curtains closed,
-    conveyor and external fans off, lateral slots open, so that the fans recirculate; *worst* loses it — curtains
-    open for production, conveyor at full speed with cold products, external fans on, slots closed. Deflectors direct air without
-    changing its amount (Remark 5.1) and have no term. 60 % duty settles near 225 °C and 90 °C. *lumped* is one
-    heat store, C dT/dt = P u − G_a (T − T_a), for studies of hidden effects.
+    Configurations, as Table 5 of the source must have meant them (its figure is lost): *best* keeps
+    the heat — curtains closed, conveyor and external fans off, lateral slots open, so that the fans
+    recirculate; *worst* loses it — curtains open for production, conveyor at full speed with cold
+    products, external fans on, slots closed. Deflectors direct air without changing its amount
+    (Remark 5.1) and have no term. 60 % duty settles near 225 °C and 90 °C. *lumped* is one heat
+    store, C dT/dt = P u − G_a (T − T_a), for studies of hidden effects.
 
-    The pulse width modulation has a period of 20 s; the duty saturates at 0 and 100 %; the thermocouple adds 0.1 °C
-    of noise and 0.1 °C steps; the ambient wanders by ±3 °C a day. Conveyor and door of the hidden effects are not recorded.
+    The pulse width modulation has a period of 20 s; the duty saturates at 0 and 100 %; the
+    thermocouple adds 0.1 °C of noise and 0.1 °C steps; the ambient wanders by ±3 °C a day. Conveyor
+    and door of the hidden effects are not recorded.
 
     Parameters
     ----------
     configuration : {"best", "worst", "lumped"}
         `configure` changes it while the oven runs.
     profile : {"bounded-noise", "experiment", "steps"}
-        Duty of mean 60 % and standard deviation 30 % clipped to 0 … 100 %, new each sample; the same with the first and
-        last 400 of every 4800 samples at zero; or levels held for 20 to 90 minutes. `set_input` overrides it.
+        Duty of mean 60 % and standard deviation 30 % clipped to 0 … 100 %, new each sample; the
+        same with the first and last 400 of every 4800 samples at zero; or levels held for 20 to 90
+        minutes. `set_input` overrides it.
     sample_time_s : float
         1 … 60 s.
     """
@@ -115,9 +142,13 @@ class OvenMachine(Machine):
         sample_time_s: float = 60.0,
     ) -> None:
         if profile not in PROFILES:
-            raise BadSetting(f"oven: profile {profile!r} is not known; {known_names(profile, PROFILES)}")
+            raise BadSetting(
+                f"oven: profile {profile!r} is not known; {known_names(profile, PROFILES)}"
+            )
         if not 1.0 <= sample_time_s <= 60.0:
-            raise BadSetting(f"oven: sample_time_s is {sample_time_s!r}; must be between 1 and 60 s")
+            raise BadSetting(
+                f"oven: sample_time_s is {sample_time_s!r}; must be between 1 and 60 s"
+            )
         super().__init__(seed, effects, faults, exemplar)
         self.sample_time = float(sample_time_s)
         self._profile = profile
@@ -133,16 +164,27 @@ class OvenMachine(Machine):
     def configure(self, configuration: str) -> None:
         """Change the oven's configuration from now on; its temperatures stay."""
         if configuration not in CONFIGURATIONS:
-            raise BadSetting(f"oven: configuration {configuration!r} is not known; {known_names(configuration, CONFIGURATIONS)}")
+            raise BadSetting(
+                f"oven: configuration {configuration!r} is not known;"
+                f" {known_names(configuration, CONFIGURATIONS)}"
+            )
         nominal = CONFIGURATIONS[configuration]
         P, C, G = self._factors
-        values: dict[str, Any] = {"P": nominal.P * P, "C_hole": nominal.C_hole * C, "G_ambient": nominal.G_ambient * G}
+        values: dict[str, Any] = {
+            "P": nominal.P * P,
+            "C_hole": nominal.C_hole * C,
+            "G_ambient": nominal.G_ambient * G,
+        }
         for id, parameters in self.active_effects.items():
-            values.update({_FIELDS.get(id, {}).get(name, name): value for name, value in parameters.items()})
+            values.update(
+                {_FIELDS.get(id, {}).get(name, name): value for name, value in parameters.items()}
+            )
         self.oven = nominal._replace(**values)
 
     def set_input(self, duty: float | None) -> None:
-        """Let an outer controller command the duty [%] (clipped to 0 … 100) from now on; None returns to the profile."""
+        """Let an outer controller command the duty [%] (clipped to 0 … 100) from now on; None
+        returns to the profile.
+        """
         self._commanded = None if duty is None else float(np.clip(duty, 0.0, 100.0))
 
     def _ambient(self, t: Array) -> Array:
@@ -153,12 +195,25 @@ class OvenMachine(Machine):
         draws = self._rng.standard_normal((n, 4))
         duty = self._duty(k, draws[:, 0], draws[:, 3])
         steps = int(np.ceil(self.sample_time / _STEP))
-        t = k[:, None] * self.sample_time + np.arange(steps) * (self.sample_time / steps)  # exact where the period divides
+        t = k[:, None] * self.sample_time + np.arange(steps) * (
+            self.sample_time / steps
+        )  # exact where the period divides
         ambient = self._ambient(k * self.sample_time)
         alive = 1.0 - self.active_faults.get("heater-failure", 0.0) / 6.0
         running = (t % 4200.0 < 2400.0).astype(float)
         out = np.empty(n)
-        _live(out, self._T, self.oven, duty / 100.0, alive, ambient, running, self._openings(t), self.sample_time / steps, t)
+        _live(
+            out,
+            self._T,
+            self.oven,
+            duty / 100.0,
+            alive,
+            ambient,
+            running,
+            self._openings(t),
+            self.sample_time / steps,
+            t,
+        )
         temperature = out + 0.1 * draws[:, 1] + self.active_faults.get("sensor-offset", 0.0)
         return {
             "duty": duty,
@@ -192,14 +247,18 @@ class OvenMachine(Machine):
         return (np.searchsorted(self._doors, t, side="right") % 2 == 1).astype(float)
 
     def _constants(self) -> dict[str, float]:
-        return {name: float(value) for name, value in self.oven._asdict().items() if name[0] in "PCGT"}
+        return {
+            name: float(value) for name, value in self.oven._asdict().items() if name[0] in "PCGT"
+        }
 
 
 @njit()
 def _slope(dT, T, o, power, ambient, running, open_door):  # type: ignore[no-untyped-def]
     hole = T[_HOLE]
     hot, cold = hole + _ZERO, ambient + _ZERO
-    lost = (o.loss + o.belt * running + o.door * open_door) * (hole - ambient) + o.epsilon * (hot**4 - cold**4)
+    lost = (o.loss + o.belt * running + o.door * open_door) * (hole - ambient) + o.epsilon * (
+        hot**4 - cold**4
+    )
     lost += o.G_2 * (hole - T[_STORE])
     dT[_STORE] = o.G_2 * (hole - T[_STORE]) / o.C_2
     dT[_SENSOR] = (hole - T[_SENSOR]) / o.T_sensor

@@ -1,4 +1,6 @@
-"""The process plant: a third-order benchmark under white or multi-level excitation, with sensor and actuator faults."""
+"""The process plant: a third-order benchmark under white or multi-level excitation, with sensor and
+actuator faults.
+"""
 
 from collections.abc import Mapping
 from typing import ClassVar
@@ -22,12 +24,13 @@ class Process(Machine):
     r"""A linear plant sampled at 0.1 s, excited around the operating point 0.
 
     .. math:: G(s) = \frac{47619}{s^3 + 234.0136 s^2 + 6857.1 s + 5442.2}, \qquad
-              y(t) = G u(t) + e(t), \quad \operatorname{var}(u) = 1, \quad \operatorname{var}(Gu) / \operatorname{var}(e) = 9
+              y(t) = G u(t) + e(t), \quad \operatorname{var}(u) = 1, \quad \operatorname{var}(Gu) /
+              \operatorname{var}(e) = 9
 
-    (Valceschini, eq. 4.10 and the experiment below it). u is held between samples, so the discrete model is exact;
-    e is Gaussian, cut at ±3 standard deviations because the source's noise is bounded. var(Gu) is the stationary
-    variance under white input, from the Lyapunov equation. The actuator fault acts between the recorded u and
-    the plant, the sensor faults on y.
+    (Valceschini, eq. 4.10 and the experiment below it). u is held between samples, so the discrete
+    model is exact; e is Gaussian, cut at ±3 standard deviations because the source's noise is
+    bounded. var(Gu) is the stationary variance under white input, from the Lyapunov equation. The
+    actuator fault acts between the recorded u and the plant, the sensor faults on y.
 
     Parameters
     ----------
@@ -44,8 +47,12 @@ class Process(Machine):
     faults: ClassVar[Mapping[str, Fault]] = {
         "sensor-offset": Fault(30.0, "", "y reads this much too high"),
         "sensor-drift": Fault(0.2, "1/s", "y runs away at this rate from the moment of the fault"),
-        "actuator-gain": Fault(0.5, "", "this fraction of the input's effect on the plant is lost", largest=1.0),
-        "stuck-sensor": Fault(1.0, "", "y keeps the value it had at the moment of the fault", largest=1.0),
+        "actuator-gain": Fault(
+            0.5, "", "this fraction of the input's effect on the plant is lost", largest=1.0
+        ),
+        "stuck-sensor": Fault(
+            1.0, "", "y keeps the value it had at the moment of the fault", largest=1.0
+        ),
     }
 
     def __init__(
@@ -62,13 +69,19 @@ class Process(Machine):
             raise BadSetting(f"process: input {input!r} is not known; {known_names(input, INPUTS)}")
         if not signal_to_noise > 0:
             raise BadSetting(f"process: signal_to_noise is {signal_to_noise!r}; must be positive")
-        gain = NUMERATOR * (1.0 + 0.05 * np.random.default_rng([exemplar, 7]).uniform(-1, 1) if exemplar else 1.0)
+        gain = NUMERATOR * (
+            1.0 + 0.05 * np.random.default_rng([exemplar, 7]).uniform(-1, 1) if exemplar else 1.0
+        )
         self._gain = gain / DENOMINATOR[-1]
         top = (-DENOMINATOR[1], -DENOMINATOR[2], -DENOMINATOR[3])
         A = np.array([top, (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)])
         B, C = np.array([[1.0], [0.0], [0.0]]), np.array([[0.0, 0.0, gain]])
-        self._A, self._B, self._C, *_ = cont2discrete((A, B, C, np.zeros((1, 1))), self.sample_time, "zoh")
-        variance = (self._C @ solve_discrete_lyapunov(self._A, self._B @ self._B.T) @ self._C.T).item()
+        self._A, self._B, self._C, *_ = cont2discrete(
+            (A, B, C, np.zeros((1, 1))), self.sample_time, "zoh"
+        )
+        variance = (
+            self._C @ solve_discrete_lyapunov(self._A, self._B @ self._B.T) @ self._C.T
+        ).item()
         self._noise_std = float(np.sqrt(variance / signal_to_noise))
         self._input = input
         self._state = np.zeros(3)

@@ -11,7 +11,8 @@ Array = npt.NDArray[np.floating]
 
 @dataclass(frozen=True, eq=False)
 class Signals:
-    """Channels of one recorder: sample k was taken at `t0 + k * sample_time` on that recorder's own clock.
+    """Channels of one recorder: sample k was taken at `t0 + k * sample_time` on that recorder's own
+    clock.
 
     Parameters
     ----------

@@ -1,4 +1,6 @@
-"""Two tanks in cascade: a pump fills the upper one, which runs into the lower one, which runs out."""
+"""Two tanks in cascade: a pump fills the upper one, which runs into the lower one, which runs
+out.
+"""
 
 from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple
@@ -29,10 +31,21 @@ class Tanks(NamedTuple):
 
 
 EFFECTS: dict[str, Effect] = {
-    "outflow": Effect({"a_x": 8e-6}, {"a_x": "m**2"}, (2e-6, 8e-6, 2.5e-5), "a second outlet at tank 1: flow −a_x √(2 g h_1)"),
-    "overflow": Effect({"rim": 0.3}, {"rim": "m"}, (0.38, 0.3, 0.22), "tank 1 runs over at this level into tank 2"),
-    "leak": Effect({"c": 2e-5}, {"c": "m**2/s"}, (5e-6, 2e-5, 6e-5), "a seeping bottom of tank 2: flow −c h_2"),
-    "pump-nonlinearity": Effect({"beta": 0.03}, {"beta": "1/V"}, (0.01, 0.03, 0.06), "pump flow k_p u (1 − beta u)"),
+    "outflow": Effect(
+        {"a_x": 8e-6},
+        {"a_x": "m**2"},
+        (2e-6, 8e-6, 2.5e-5),
+        "a second outlet at tank 1: flow −a_x √(2 g h_1)",
+    ),
+    "overflow": Effect(
+        {"rim": 0.3}, {"rim": "m"}, (0.38, 0.3, 0.22), "tank 1 runs over at this level into tank 2"
+    ),
+    "leak": Effect(
+        {"c": 2e-5}, {"c": "m**2/s"}, (5e-6, 2e-5, 6e-5), "a seeping bottom of tank 2: flow −c h_2"
+    ),
+    "pump-nonlinearity": Effect(
+        {"beta": 0.03}, {"beta": "1/V"}, (0.01, 0.03, 0.06), "pump flow k_p u (1 − beta u)"
+    ),
 }
 
 
@@ -43,7 +56,8 @@ class TwoTanks(Machine):
         A_1 \dot h_1 = k_p u - a_1 \sqrt{2 g h_1}, \qquad
         A_2 \dot h_2 = a_1 \sqrt{2 g h_1} - a_2 \sqrt{2 g h_2}
 
-    u: levels between 2 and 8 V held for 40 to 200 s. Classical Runge–Kutta, 0.1 s; levels stay between 0 and 0.6 m. Noise 0.5 mm.
+    u: levels between 2 and 8 V held for 40 to 200 s. Classical Runge–Kutta, 0.1 s; levels stay
+    between 0 and 0.6 m. Noise 0.5 mm.
 
     Parameters
     ----------
@@ -77,7 +91,9 @@ class TwoTanks(Machine):
         super().__init__(seed, effects, faults, exemplar)
         own = np.random.default_rng([seed, exemplar, 5])
         nominal = Tanks()
-        factors = zip(("a_1", "a_2", "k_p"), 1.0 + own.uniform(-deviation, deviation, 3), strict=True)
+        factors = zip(
+            ("a_1", "a_2", "k_p"), 1.0 + own.uniform(-deviation, deviation, 3), strict=True
+        )
         values: dict[str, Any] = {name: getattr(nominal, name) * factor for name, factor in factors}
         for parameters in self.active_effects.values():
             values.update(parameters)
@@ -91,21 +107,31 @@ class TwoTanks(Machine):
         u = np.empty(n)
         for k in range(n):
             if self._samples + k >= self._hold[0]:
-                self._hold = [self._samples + k + self._levels.uniform(40, 200), float(self._levels.uniform(2, 8))]
+                self._hold = [
+                    self._samples + k + self._levels.uniform(40, 200),
+                    float(self._levels.uniform(2, 8)),
+                ]
             u[k] = self._hold[1]
-        tanks = self.tanks._replace(a_1=self.tanks.a_1 * (1.0 - self.active_faults.get("clogged-outlet", 0.0)))
+        tanks = self.tanks._replace(
+            a_1=self.tanks.a_1 * (1.0 - self.active_faults.get("clogged-outlet", 0.0))
+        )
         out = np.empty((2, n))
         _live(out, self._h, tanks, u, self.sample_time)
         levels = out + 5e-4 * self._noise * self._rng.standard_normal((n, 2)).T
         return {"pump": u, "level_1": levels[0], "level_2": levels[1]}
 
     def _constants(self) -> dict[str, float]:
-        return {name: float(getattr(self.tanks, name)) for name in ("A_1", "A_2", "a_1", "a_2", "k_p")}
+        return {
+            name: float(getattr(self.tanks, name)) for name in ("A_1", "A_2", "a_1", "a_2", "k_p")
+        }
 
 
 @njit()
 def _rates(h_1, h_2, p, u):  # type: ignore[no-untyped-def]
-    fall_1, fall_2 = np.sqrt(2.0 * _GRAVITY * max(h_1, 0.0)), np.sqrt(2.0 * _GRAVITY * max(h_2, 0.0))
+    fall_1, fall_2 = (
+        np.sqrt(2.0 * _GRAVITY * max(h_1, 0.0)),
+        np.sqrt(2.0 * _GRAVITY * max(h_2, 0.0)),
+    )
     pumped = p.k_p * u * (1.0 - p.beta * u)
     over = 2e-2 * max(h_1 - p.rim, 0.0) * np.sqrt(max(h_1 - p.rim, 0.0))  # a weir of 1 cm: m³/s
     rate_1 = (pumped - (p.a_1 + p.a_x) * fall_1 - over) / p.A_1

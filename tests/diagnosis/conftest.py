@@ -22,4 +22,6 @@ def train(file):
 @pytest.fixture(scope="session")
 def trained(made_once):
     """Gives a diagnoser trained on one of its examples: once, however many processes run these tests."""
-    return cache(lambda name, position=0: pickle.loads(made_once(f"{name}-{position}", train).read_bytes()))
+    return cache(
+        lambda name, position=0: pickle.loads(made_once(f"{name}-{position}", train).read_bytes())
+    )

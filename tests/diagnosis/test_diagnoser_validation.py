@@ -4,7 +4,10 @@ import numpy as np
 import pytest
 
 from residuum.diagnosis.finding import Finding, Verdict
-from residuum.diagnosis.learning.diagnoser_validation import bootstrap_632_plus, validate_object_wise
+from residuum.diagnosis.learning.diagnoser_validation import (
+    bootstrap_632_plus,
+    validate_object_wise,
+)
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
 
@@ -13,7 +16,11 @@ class Remembers:
     """Calls a record by the label of the nearest it was trained on; `column` says what of the record it looks at."""
 
     def __init__(self, records, labels, column):
-        self.known, self.labels, self.column = [record[column][0] for record in records], labels, column
+        self.known, self.labels, self.column = (
+            [record[column][0] for record in records],
+            labels,
+            column,
+        )
 
     def score(self, record):
         label = self.labels[int(np.argmin(np.abs(np.array(self.known) - record[self.column][0])))]
@@ -29,7 +36,11 @@ def world(column):
         label = "worn" if item % 2 else "healthy"
         for _ in range(4):
             values = {"level": 5.0 * item % 10 + rng.normal(), "serial": item + 0.01 * rng.normal()}
-            records.append(Record({k: np.full(3, v) for k, v in values.items()}, {"level": "", "serial": ""}, 1.0))
+            records.append(
+                Record(
+                    {k: np.full(3, v) for k, v in values.items()}, {"level": "", "serial": ""}, 1.0
+                )
+            )
             labels.append(label)
             objects.append(str(item))
 
@@ -50,7 +61,11 @@ def test_knowing_each_object_by_heart_helps_no_new_one():
     assert validate_object_wise(fit, *rest).accuracy < 0.3
     found = bootstrap_632_plus(fit, *rest)
     assert found.apparent == 0.0 and found.no_information == pytest.approx(0.5)
-    assert found.out_of_bag > 0.5 and found.overfitting == pytest.approx(1.0) and found.error == pytest.approx(0.5)
+    assert (
+        found.out_of_bag > 0.5
+        and found.overfitting == pytest.approx(1.0)
+        and found.error == pytest.approx(0.5)
+    )
 
 
 def test_one_object_is_refused():

@@ -29,12 +29,20 @@ import pytest
 from residuum.identification.physics.effects import EFFECTS
 
 ROOT = Path(__file__).parents[2]
-BLOCK = re.compile(r"^(?:<!-- (?P<note>[^>]*?) -->\n)?```(?P<language>\w*)\n(?P<text>.*?)^```$", re.MULTILINE | re.DOTALL)
+BLOCK = re.compile(
+    r"^(?:<!-- (?P<note>[^>]*?) -->\n)?```(?P<language>\w*)\n(?P<text>.*?)^```$",
+    re.MULTILINE | re.DOTALL,
+)
 TYPED = ("sh", "console", "pycon", "python")
 SHOWN = ("yaml", "json", "toml", "text", "nginx", "caddy")
 INDENTED = re.compile(r"\n\n    \S[^\n]*")
 SERVES = re.compile(r"(\w+=\S+ )*residuum (serve|machine) ")
-EXTRAS = {"notebook": ("pandas", "xarray", "control"), "fmi": ("fmpy",), "opcua": ("asyncua",), "formats": ("asammdf", "h5py")}
+EXTRAS = {
+    "notebook": ("pandas", "xarray", "control"),
+    "fmi": ("fmpy",),
+    "opcua": ("asyncua",),
+    "formats": ("asammdf", "h5py"),
+}
 NUMBER = re.compile(r"-?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?")
 PATIENCE = 300.0
 
@@ -56,7 +64,12 @@ def blocks(page):
     """The fenced blocks of a page, in the order printed."""
     page = page.read_text(encoding="utf-8")
     return [
-        Block(match["language"], match["text"], " ".join((match["note"] or "").split()), page[: match.start()])
+        Block(
+            match["language"],
+            match["text"],
+            " ".join((match["note"] or "").split()),
+            page[: match.start()],
+        )
         for match in BLOCK.finditer(page)
     ]
 
@@ -120,7 +133,9 @@ class Reader:
                 with self._installed(block.before):
                     getattr(self, f"type_{block.language}")(block.text, number)
             elif block.language not in (*TYPED, *SHOWN):
-                self._fail(number, block.text, f"language {block.language!r} is neither run nor shown")
+                self._fail(
+                    number, block.text, f"language {block.language!r} is neither run nor shown"
+                )
 
     def type_sh(self, text, number):
         self._shell(text, number)
@@ -135,8 +150,12 @@ class Reader:
                 self._fail(number, typed, "\n".join(["shown:", *shown, "printed:", *printed]))
 
     def type_pycon(self, text, number):
-        test = doctest.DocTestParser().get_doctest(text, self.names, f"{self.page.name}, block {number}", str(self.page), 0)
-        runner = doctest.DocTestRunner(_Checker(), optionflags=doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE)
+        test = doctest.DocTestParser().get_doctest(
+            text, self.names, f"{self.page.name}, block {number}", str(self.page), 0
+        )
+        runner = doctest.DocTestRunner(
+            _Checker(), optionflags=doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
+        )
         runner.run(test, out=self.failures.append, clear_globs=False)
         self.names |= test.globs
 
@@ -153,7 +172,12 @@ class Reader:
     @contextlib.contextmanager
     def _installed(self, said):
         """Only those extras that the page has named by now: the packages of others are missing, in commands and here."""
-        absent = [name for extra, names in EXTRAS.items() if f"residuum[{extra}]" not in said for name in names]
+        absent = [
+            name
+            for extra, names in EXTRAS.items()
+            if f"residuum[{extra}]" not in said
+            for name in names
+        ]
         start = f"import sys\nsys.modules.update(dict.fromkeys({absent}))\n"
         (self.start / "sitecustomize.py").write_text(start, encoding="utf-8")
         with pytest.MonkeyPatch.context() as patch:
@@ -163,9 +187,16 @@ class Reader:
 
     def _shell(self, typed, number):
         ended = subprocess.run(
-            ["bash", "-ec", typed], env=self.environment, capture_output=True, text=True, timeout=PATIENCE, check=False
+            ["bash", "-ec", typed],
+            env=self.environment,
+            capture_output=True,
+            text=True,
+            timeout=PATIENCE,
+            check=False,
         )
-        answered = ended.returncode == 1 and typed.startswith("residuum ")  # the answer is no: README, exit statuses
+        answered = ended.returncode == 1 and typed.startswith(
+            "residuum "
+        )  # the answer is no: README, exit statuses
         if (ended.returncode and not answered) or "Warning: " in ended.stderr:
             self._fail(number, typed, f"status {ended.returncode}: {ended.stdout}{ended.stderr}")
         return ended.stdout.rstrip().splitlines()
@@ -174,7 +205,11 @@ class Reader:
         output = Path(f".service-{len(self.services)}")
         with output.open("w") as said, output.with_suffix(".log").open("w") as log:
             service = subprocess.Popen(
-                ["bash", "-ec", f"exec env {typed}"], env=self.environment, stdout=said, stderr=log, start_new_session=True
+                ["bash", "-ec", f"exec env {typed}"],
+                env=self.environment,
+                stdout=said,
+                stderr=log,
+                start_new_session=True,
             )
         self.services.append((typed, service))
         end = time.monotonic() + PATIENCE

@@ -28,11 +28,20 @@ def runner():
 def pictures(outputs, plotly):
     """Which cells show a picture: one drawn by an answer, or a figure."""
     data = [[output.get("data", {}) for output in cell] for cell in outputs]
-    return [any("<svg" in "".join(d.get("text/html", "")) or d.get(plotly, {}).get("data") for d in cell) for cell in data]
+    return [
+        any(
+            "<svg" in "".join(d.get("text/html", "")) or d.get(plotly, {}).get("data") for d in cell
+        )
+        for cell in data
+    ]
 
 
 def told(outputs):
-    return "".join("".join(o.get("text", o.get("data", {}).get("text/plain", ""))) for cell in outputs for o in cell)
+    return "".join(
+        "".join(o.get("text", o.get("data", {}).get("text/plain", "")))
+        for cell in outputs
+        for o in cell
+    )
 
 
 def test_there_are_five():

@@ -28,7 +28,9 @@ def blocks(page, language):
     return re.findall(rf"```{language}\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
 
 
-@pytest.mark.parametrize("page", [ROOT / "README.md", DOCS / "index.md", *WRITTEN_BY_HAND], ids=lambda page: page.stem)
+@pytest.mark.parametrize(
+    "page", [ROOT / "README.md", DOCS / "index.md", *WRITTEN_BY_HAND], ids=lambda page: page.stem
+)
 def test_a_page_typed_in_an_empty_folder_does_what_it_shows(page, run_page):
     assert "\n".join(run_page(page)) == ""
 
@@ -66,14 +68,21 @@ def test_every_model_on_a_page_can_be_read(page):
 
 def test_the_page_of_model_files_names_every_key_kind_role_and_function():
     text = (DOCS / "reference" / "model-files.md").read_text(encoding="utf-8")
-    keys = {*model_file.KEYS, *model_file.INPUT_KEYS, *model_file.STATE_KEYS, *model_file.PARAMETER_KEYS}
+    keys = {
+        *model_file.KEYS,
+        *model_file.INPUT_KEYS,
+        *model_file.STATE_KEYS,
+        *model_file.PARAMETER_KEYS,
+    }
     keys |= {*model_file.OUTPUT_KEYS, *model_file.EFFECT_KEYS, "kind", "storage", "terms"}
     keys |= {*BALANCE_KINDS, *(role for _, roles in BALANCE_KINDS.values() for role in roles)}
     coded = set(re.findall(r"`([^`\n]+)`", re.sub(r"```.*?```", "", text, flags=re.DOTALL)))
     assert [key for key in sorted(keys) if key not in coded] == []
     examples = "".join(blocks(DOCS / "reference" / "model-files.md", "yaml"))
     assert [name for name in FUNCTIONS if f"{name}(" not in examples] == []
-    assert [name for name in FUNCTIONS if not any(word.startswith(f"{name}(") for word in coded)] == []
+    assert [
+        name for name in FUNCTIONS if not any(word.startswith(f"{name}(") for word in coded)
+    ] == []
 
 
 def test_the_schema_takes_the_files_that_the_reader_takes():
@@ -82,7 +91,12 @@ def test_the_schema_takes_the_files_that_the_reader_takes():
 
     check = jsonschema.Draft202012Validator(model_schema())
     texts = [rs.model(name).text for name in model_file.BUILT_IN]
-    texts += [text for page in WRITTEN_BY_HAND for text in blocks(page, "yaml") if text.startswith("name:")]
+    texts += [
+        text
+        for page in WRITTEN_BY_HAND
+        for text in blocks(page, "yaml")
+        if text.startswith("name:")
+    ]
     for text in texts:
         assert list(check.iter_errors(yaml.safe_load(text))) == []
     broken = yaml.safe_load(texts[0]) | {"blances": {}}
@@ -93,7 +107,11 @@ def test_the_written_pages_are_what_the_code_says():
     spec = importlib.util.spec_from_file_location("make_reference", DOCS / "make_reference.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    stale = [n for n, text in module.pages().items() if (DOCS / "reference" / n).read_text(encoding="utf-8") != text]
+    stale = [
+        n
+        for n, text in module.pages().items()
+        if (DOCS / "reference" / n).read_text(encoding="utf-8") != text
+    ]
     assert stale == [], "run: python docs/make_reference.py"
     assert json.loads(module.pages()["model-file.schema.json"]) == model_schema()
 
@@ -107,7 +125,16 @@ def test_every_effect_has_equation_parameters_and_units():
 
 def test_the_site_is_built_and_fetches_nothing(tmp_path):
     pytest.importorskip("mkdocs")
-    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(tmp_path / "site")]
+    command = [
+        sys.executable,
+        "-m",
+        "mkdocs",
+        "build",
+        "--strict",
+        "--quiet",
+        "--site-dir",
+        str(tmp_path / "site"),
+    ]
     built = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert built.returncode == 0, built.stdout + built.stderr
     page = (tmp_path / "site" / "tutorials" / "first-hour.html").read_text(encoding="utf-8")
@@ -121,23 +148,41 @@ def test_a_package_that_is_built_takes_the_pages_along(tmp_path):
     (clone / "residuum" / "service" / "web").mkdir(parents=True)
     for name in ("docs", "mkdocs.yml", "setup.py", "README.md"):
         (clone / name).symlink_to(ROOT / name)
-    project = (ROOT / "pyproject.toml").read_text(encoding="utf-8")  # older setuptools know no licence expressions
-    (clone / "pyproject.toml").write_text(re.sub("^license.*$", "", project, flags=re.MULTILINE), encoding="utf-8")
+    project = (ROOT / "pyproject.toml").read_text(
+        encoding="utf-8"
+    )  # older setuptools know no licence expressions
+    (clone / "pyproject.toml").write_text(
+        re.sub("^license.*$", "", project, flags=re.MULTILINE), encoding="utf-8"
+    )
     for folder in ("residuum", "residuum/service", "residuum/service/web"):
         (clone / folder / "__init__.py").touch()
     command = [sys.executable, "setup.py", "-q", "build_py", "--build-lib", str(package)]
     built = subprocess.run(command, cwd=clone, capture_output=True, text=True, check=False)
     assert built.returncode == 0, built.stdout + built.stderr
-    assert "first hour" in (package / "residuum/service/web/site/tutorials/first-hour.html").read_text(encoding="utf-8").lower()
+    assert (
+        "first hour"
+        in (package / "residuum/service/web/site/tutorials/first-hour.html")
+        .read_text(encoding="utf-8")
+        .lower()
+    )
 
 
 @pytest.mark.parametrize(
-    "page", [ROOT / "README.md", DOCS / "index.md", *(DOCS / "tutorials").glob("*.md")], ids=lambda p: p.stem
+    "page",
+    [ROOT / "README.md", DOCS / "index.md", *(DOCS / "tutorials").glob("*.md")],
+    ids=lambda p: p.stem,
 )
 def test_sentences_can_be_read_once(page):
-    prose = re.sub(r"```.*?```|!\[.*?\]\(.*?\)", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+    prose = re.sub(
+        r"```.*?```|!\[.*?\]\(.*?\)", "", page.read_text(encoding="utf-8"), flags=re.DOTALL
+    )
     text = re.sub(r"^(\||    |#).*$", "", prose, flags=re.MULTILINE)
     text = re.sub(r"\]\([^)]*\)", "]", text)
     paragraphs = re.split(r"\n\s*\n|\n\s*[*] ", text)
-    sentences = [s for p in paragraphs for s in re.split(r"(?<=[.!?:])\s", p.replace("\n", " ")) if len(s.split()) > 2]
+    sentences = [
+        s
+        for p in paragraphs
+        for s in re.split(r"(?<=[.!?:])\s", p.replace("\n", " "))
+        if len(s.split()) > 2
+    ]
     assert sum(len(s.split()) for s in sentences) / len(sentences) <= 22

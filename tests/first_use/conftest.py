@@ -14,7 +14,18 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-NOT_SHIPPED = (".git", ".venv", "build", "*.egg-info", "__pycache__", ".*_cache", "tests", "benchmarks", "reproduction", "site")
+NOT_SHIPPED = (
+    ".git",
+    ".venv",
+    "build",
+    "*.egg-info",
+    "__pycache__",
+    ".*_cache",
+    "tests",
+    "benchmarks",
+    "reproduction",
+    "site",
+)
 PATIENCE = 900.0
 """Seconds until a condition is given up; only a broken program or a very busy machine ever waits for so long."""
 
@@ -33,17 +44,30 @@ def residuum(tmp_path_factory):
 
 
 def _install(folder):
-    shutil.copytree(ROOT, folder / "source", ignore=shutil.ignore_patterns(*NOT_SHIPPED), symlinks=True)
+    shutil.copytree(
+        ROOT, folder / "source", ignore=shutil.ignore_patterns(*NOT_SHIPPED), symlinks=True
+    )
     python = folder / "environment" / "bin" / "python"
-    _run(folder, sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "-w", "wheels", "./source")
+    _run(
+        folder, sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "-w", "wheels", "./source"
+    )
     _run(folder, sys.executable, "-m", "venv", "environment")
     _run(folder, python, "-m", "pip", "install", "-q", *(folder / "wheels").glob("*.whl"))
     shutil.rmtree(folder / "source")
 
 
 def _run(folder, *command):
-    alone = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}  # pip would take a checkout there for it
-    done = subprocess.run([str(part) for part in command], cwd=folder, env=alone, capture_output=True, text=True, check=False)
+    alone = {
+        name: value for name, value in os.environ.items() if name != "PYTHONPATH"
+    }  # pip would take a checkout there for it
+    done = subprocess.run(
+        [str(part) for part in command],
+        cwd=folder,
+        env=alone,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert done.returncode == 0, done.stderr
 
 
@@ -52,7 +76,11 @@ class Demo:
 
     def __init__(self, residuum, folder):
         self._residuum, self._folder = residuum, folder
-        self._environment = {"HOME": str(folder), "PATH": f"{residuum.parent}:/usr/bin:/bin", "LANG": "C.UTF-8"}
+        self._environment = {
+            "HOME": str(folder),
+            "PATH": f"{residuum.parent}:/usr/bin:/bin",
+            "LANG": "C.UTF-8",
+        }
         self._log = folder / "demo.log"
         self._process = None
         self.address = ""
@@ -76,7 +104,14 @@ class Demo:
     def command(self, *arguments):
         """Run another command of the same program, as from another shell."""
         command = [str(self._residuum), *arguments, "--url", self.address]
-        subprocess.run(command, cwd=self._folder, env=self._environment, capture_output=True, text=True, check=True)
+        subprocess.run(
+            command,
+            cwd=self._folder,
+            env=self._environment,
+            capture_output=True,
+            text=True,
+            check=True,
+        )
 
     def ask(self, path):
         """What the service answers."""
@@ -100,7 +135,11 @@ class Demo:
         end = time.monotonic() + PATIENCE
         while not condition():
             assert self._process.poll() is None, f"{what}: the service ended\n{self.log()}"
-            broken = {name: told["doing"] for name, told in self.ask("/status")["machines"].items() if told["state"] == "failed"}
+            broken = {
+                name: told["doing"]
+                for name, told in self.ask("/status")["machines"].items()
+                if told["state"] == "failed"
+            }
             assert not broken, f"{what}: {broken}\n{self.log()}"
             assert time.monotonic() < end, f"{what}: not within {PATIENCE:g} s\n{self.log()}"
             time.sleep(0.5)
@@ -125,7 +164,9 @@ class Demo:
 
     def _left_running(self):
         command = ["ps", "-o", "pid=,args=", "-s", str(self._process.pid)]
-        return subprocess.run(command, capture_output=True, text=True, check=False).stdout.split("\n")[:-1]
+        return subprocess.run(command, capture_output=True, text=True, check=False).stdout.split(
+            "\n"
+        )[:-1]
 
     def end(self):
         """End all of it, however a test ended."""

@@ -9,10 +9,21 @@ STANDING = {"unacknowledged", "acknowledged", "latched"}
 def test_each_fault_is_found_raises_its_alarm_and_clears(demo):
     demo.start()
     with ThreadPoolExecutor(len(MACHINES)) as machines:  # side by side, as the machines live
-        found = dict(zip(MACHINES, machines.map(lambda machine: _faults_found(demo, machine), MACHINES), strict=True))
+        found = dict(
+            zip(
+                MACHINES,
+                machines.map(lambda machine: _faults_found(demo, machine), MACHINES),
+                strict=True,
+            )
+        )
     assert found["gate-actuator"] == ["gear-notch", "pinion-tooth", "rack-tooth"]
     assert found["gripping-pliers"] == ["plier-bearing"]
-    assert found["process-plant"] == ["sensor-offset", "sensor-drift", "actuator-gain", "stuck-sensor"]
+    assert found["process-plant"] == [
+        "sensor-offset",
+        "sensor-drift",
+        "actuator-gain",
+        "stuck-sensor",
+    ]
     assert demo.interrupt() in (0, 130)
     demo.wait_until_nothing_runs()
     assert "Traceback" not in demo.log()
@@ -26,6 +37,8 @@ def _faults_found(demo, machine):
         demo.wait(f"{fault} is found", lambda: demo.verdict(machine) == "faulty")
         demo.wait(f"{fault} raises an alarm", lambda: demo.alarms(machine) & STANDING)
         demo.command("fault", machine, "none")
-        demo.wait(f"{machine} is healthy without {fault}", lambda: demo.verdict(machine) == "healthy")
+        demo.wait(
+            f"{machine} is healthy without {fault}", lambda: demo.verdict(machine) == "healthy"
+        )
         demo.wait(f"the alarm of {fault} clears", lambda: not demo.alarms(machine) & STANDING)
     return faults

@@ -24,6 +24,8 @@ def test_spent_evaluations_leave_the_best_point_so_far(evaluations):
         tried.append((valley(x), x.copy()))
         return tried[-1][0]
 
-    found = nelder_mead(told, 2.0 * np.random.default_rng(evaluations).standard_normal((4, 3)), evaluations)
+    found = nelder_mead(
+        told, 2.0 * np.random.default_rng(evaluations).standard_normal((4, 3)), evaluations
+    )
     assert len(tried) == evaluations
     assert valley(found) == min(value for value, _ in tried)

@@ -16,7 +16,10 @@ def written(array, version=None):
 
 
 @pytest.mark.parametrize("version", [(1, 0), (2, 0)])
-@pytest.mark.parametrize("array", [np.zeros((3, 5), order="F"), np.arange(7, dtype=">i2"), np.array("units"), np.float32(1)])
+@pytest.mark.parametrize(
+    "array",
+    [np.zeros((3, 5), order="F"), np.arange(7, dtype=">i2"), np.array("units"), np.float32(1)],
+)
 def test_what_numpy_writes_is_read_as_it_was(array, version):
     array = np.asanyarray(array)
     data = written(array, version)
@@ -37,7 +40,10 @@ def declaring(text):
         (b"PK\x03\x04" + bytes(20), "is not an .npy array"),
         (written(np.zeros(9))[:40], "ends inside"),
         (declaring(b"{'descr': '<f8', 'fortran_order': False, 'shape': (-2, -4), }"), "negative"),
-        (declaring(b"{'descr': '<f8', 'fortran_order': __import__('os'), 'shape': (8,), }"), "only plain"),
+        (
+            declaring(b"{'descr': '<f8', 'fortran_order': __import__('os'), 'shape': (8,), }"),
+            "only plain",
+        ),
         (declaring(b"-" * 1000 + b"1"), "only plain"),
         (b"\x93NUMPY\x09\x00" + written(np.zeros(2))[8:], "ends inside|header of|only plain"),
     ],
@@ -53,7 +59,9 @@ def test_a_long_header_is_refused_by_its_length_alone():
 
 
 def test_a_giant_shape_costs_nothing():
-    data = declaring(b"{'descr': '<f8', 'fortran_order': False, 'shape': (4294967296, 4294967296), }")
+    data = declaring(
+        b"{'descr': '<f8', 'fortran_order': False, 'shape': (4294967296, 4294967296), }"
+    )
     tracemalloc.start()
     size = npy_header(data).size
     most = tracemalloc.get_traced_memory()[1]

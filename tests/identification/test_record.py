@@ -40,14 +40,17 @@ def test_what_is_to_be_typed_is_said_as_python_takes_it():
 def test_a_unit_of_another_kind_is_refused_with_its_record():
     record = Record({"n": [6.0]}, {"n": "bar"}, 1.0, source="r.csv")
     with pytest.raises(
-        BadUnit, match=r"record 'r\.csv', channel 'n': unit 'bar' cannot be converted to 'rad/s'; say .* if .* all the same"
+        BadUnit,
+        match=r"record 'r\.csv', channel 'n': unit 'bar' cannot be converted to 'rad/s'; say .* if .* all the same",
     ):
         record.in_unit("n", "rad/s")
 
 
 def test_a_unit_that_nobody_knows_is_said_in_the_way_that_is_told():
     record = Record({"M": [6.0]}, {"M": "Nmeter"}, 1.0)
-    with pytest.raises(BadUnit, match=r"nobody knows 'Nmeter'; say units={'M': 'N\*m'} if the column is in"):
+    with pytest.raises(
+        BadUnit, match=r"nobody knows 'Nmeter'; say units={'M': 'N\*m'} if the column is in"
+    ):
         record.in_unit("M", "N*m")
 
 

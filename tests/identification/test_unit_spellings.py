@@ -140,7 +140,10 @@ SPELLINGS: dict[tuple[str, float], str] = {
     ("rad", TURN): "rev|revolution|turn",
     ("rad/s**2", 1): "rad/s2|rad/s²|rad/s^2",
     ("m**3/s", 1 / 3600): "m3/h|m³/h|m^3/h|cbm/h|Nm3/h|m3/hr|Sm3/h|Nm³/h|m**3/h",
-    ("m**3/s", 1e-3 / 60): "l/min|L/min|lpm|LPM|liter/min|ltr/min|l min-1|slpm|Nl/min|NL/min|nlpm|slm|SLM",
+    (
+        "m**3/s",
+        1e-3 / 60,
+    ): "l/min|L/min|lpm|LPM|liter/min|ltr/min|l min-1|slpm|Nl/min|NL/min|nlpm|slm|SLM",
     ("m**3/s", 1e-3): "l/s|L/s",
     ("m**3/s", 1e-6): "ml/s|cm3/s|cm³/s",
     ("m**3/s", 1e-6 / 60): "sccm|SCCM|Nml/min|ml/min|mL/min|cc/min|cm³/min",
@@ -172,7 +175,11 @@ SPELLINGS: dict[tuple[str, float], str] = {
     ("lx", 1): "lx|lux",
     ("mol/m**3", 1): "mmol/l|mmol/L",
 }
-CASES = [(spelling, target, factor) for (target, factor), all_of in SPELLINGS.items() for spelling in all_of.split("|")]
+CASES = [
+    (spelling, target, factor)
+    for (target, factor), all_of in SPELLINGS.items()
+    for spelling in all_of.split("|")
+]
 TEMPERATURES = {
     "degC": "°C|degC|deg C|Deg C|C|oC|Cel|℃|º C|Celsius|° C|deg. C|degrees C|degree C|°Celsius",
     "degF": "°F|degF|deg F|℉|F°|Fahrenheit",
@@ -206,8 +213,14 @@ def read(spelling, target, value=1.0):
 
 def test_no_spelling_is_read_as_another_quantity_and_nearly_all_are_read():
     assert len(CASES) >= 300
-    found = {(spelling, target): (read(spelling, target), factor) for spelling, target, factor in CASES}
-    wrong = {case: pair for case, pair in found.items() if pair[0] is not None and pair[0] != pytest.approx(pair[1], rel=1e-5)}
+    found = {
+        (spelling, target): (read(spelling, target), factor) for spelling, target, factor in CASES
+    }
+    wrong = {
+        case: pair
+        for case, pair in found.items()
+        if pair[0] is not None and pair[0] != pytest.approx(pair[1], rel=1e-5)
+    }
     assert wrong == {}
     refused = [spelling for (spelling, _), (value, _) in found.items() if value is None]
     assert len(refused) <= 0.03 * len(found), refused
@@ -216,12 +229,21 @@ def test_no_spelling_is_read_as_another_quantity_and_nearly_all_are_read():
 @pytest.mark.parametrize("scale", TEMPERATURES)
 def test_temperatures_are_shifted_or_refused(scale):
     kelvin = {"degC": 293.15, "degF": (68 - 32) / 1.8 + 273.15}[scale]
-    found = {spelling: read(spelling, "K", 20.0 if scale == "degC" else 68.0) for spelling in TEMPERATURES[scale].split("|")}
-    assert {s: value for s, value in found.items() if value is not None and value != pytest.approx(kelvin)} == {}
+    found = {
+        spelling: read(spelling, "K", 20.0 if scale == "degC" else 68.0)
+        for spelling in TEMPERATURES[scale].split("|")
+    }
+    assert {
+        s: value
+        for s, value in found.items()
+        if value is not None and value != pytest.approx(kelvin)
+    } == {}
     assert sum(value is not None for value in found.values()) >= 0.6 * len(found), found
 
 
 @pytest.mark.parametrize("spelling", NO_LINEAR_UNITS)
 def test_what_has_no_factor_is_converted_into_nothing_physical(spelling):
     targets = {target for target, _ in SPELLINGS} - {"1"}
-    assert {target: value for target in targets if (value := read(spelling, target)) is not None} == {}
+    assert {
+        target: value for target in targets if (value := read(spelling, target)) is not None
+    } == {}

@@ -12,7 +12,10 @@ from residuum.identification.units import _common, compatible, convert, parse_un
 
 
 def _values(factors):
-    return {named.symbol: (pytest.approx(named.scale), power, dict(named.base), named.offset) for named, power in factors}
+    return {
+        named.symbol: (pytest.approx(named.scale), power, dict(named.base), named.offset)
+        for named, power in factors
+    }
 
 
 @pytest.mark.parametrize("name", COMMON_UNITS)
@@ -20,10 +23,14 @@ def test_a_common_unit_is_what_the_registry_knows(name):
     ((known, power),) = unit_registry.factors(name)
     listed = COMMON_UNITS[name]
     assert (listed.symbol, power, dict(listed.base)) == (known.symbol, 1.0, dict(known.base))
-    assert listed.scale == pytest.approx(known.scale, rel=1e-12) and listed.offset == pytest.approx(known.offset)
+    assert listed.scale == pytest.approx(known.scale, rel=1e-12) and listed.offset == pytest.approx(
+        known.offset
+    )
 
 
-@pytest.mark.parametrize("text", ["kg*m**2/s", "N*m*s/rad", "1/s", "V/A**2", "m**0.5/h", "W/K**4", "kJ/kg/K", "mm/min"])
+@pytest.mark.parametrize(
+    "text", ["kg*m**2/s", "N*m*s/rad", "1/s", "V/A**2", "m**0.5/h", "W/K**4", "kJ/kg/K", "mm/min"]
+)
 def test_a_product_is_read_as_the_registry_reads_it(text):
     assert _values(_common(text)) == _values(unit_registry.factors(text))
 
@@ -46,7 +53,9 @@ def test_a_unit_over_itself_is_a_plain_number():
 
 def test_a_model_is_read_without_the_registry():
     script = "import sys, residuum as rs; rs.model('gate-drive'); rs.model('oven'); print('pint' in sys.modules)"
-    found = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    found = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True
+    )
     assert found.stdout.strip() == "False"
 
 
@@ -92,8 +101,24 @@ def test_a_temperature_shifts_however_it_is_spelled(written):
 @pytest.mark.parametrize(
     ("written", "never"),
     [
-        *(("pH", "H"), ("RH", "kg*m**2/s**2/A**2"), ("point", "m"), ("cycle", "rad"), ("dB", ""), ("U", "mol/s"), ("kn", "N")),
-        *(("PSU", "Pa"), ("NTU", ""), ("grad", "rad"), ("pps", "1/s"), ("Mpts", "m"), ("state", "1"), ("ips", "m/s")),
+        *(
+            ("pH", "H"),
+            ("RH", "kg*m**2/s**2/A**2"),
+            ("point", "m"),
+            ("cycle", "rad"),
+            ("dB", ""),
+            ("U", "mol/s"),
+            ("kn", "N"),
+        ),
+        *(
+            ("PSU", "Pa"),
+            ("NTU", ""),
+            ("grad", "rad"),
+            ("pps", "1/s"),
+            ("Mpts", "m"),
+            ("state", "1"),
+            ("ips", "m/s"),
+        ),
     ],
 )
 def test_a_word_that_the_registry_would_misread_is_a_unit_of_its_own(written, never):
@@ -104,12 +129,18 @@ def test_what_one_unit_reads_as_does_not_hang_on_what_was_read_before():
     asked = "print(compatible('kn', 'm/s'), compatible('P', 'Pa*s'))"
     fresh = "from residuum.identification.units import compatible, parse_unit; {}" + asked
     for before in ("", "parse_unit('knot'); parse_unit('cP'); "):
-        found = subprocess.run([sys.executable, "-c", fresh.format(before)], capture_output=True, text=True, check=True)
+        found = subprocess.run(
+            [sys.executable, "-c", fresh.format(before)], capture_output=True, text=True, check=True
+        )
         assert found.stdout.strip() == "False False"
 
 
-@pytest.mark.parametrize(("frequency", "rotation"), [("Hz", "rpm"), ("Hz", "rad/s"), ("1/s", "rad/s"), ("kHz", "deg/s")])
-def test_a_frequency_is_no_speed_of_rotation_until_somebody_says_what_a_cycle_is(frequency, rotation):
+@pytest.mark.parametrize(
+    ("frequency", "rotation"), [("Hz", "rpm"), ("Hz", "rad/s"), ("1/s", "rad/s"), ("kHz", "deg/s")]
+)
+def test_a_frequency_is_no_speed_of_rotation_until_somebody_says_what_a_cycle_is(
+    frequency, rotation
+):
     for one, other in ((frequency, rotation), (rotation, frequency)):
         assert not compatible(one, other)
         with pytest.raises(BadUnit, match=r"units={'speed': 'rev/s'}"):

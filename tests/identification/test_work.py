@@ -5,7 +5,16 @@ import pytest
 from residuum.identification.physics import estimate, load_model, match
 from residuum.identification.record import Record
 from residuum.identification.side_by_side import beside, each_beside, side_by_side
-from residuum.identification.work import FIT_COST, OutOfWork, at_most, begun, count_fit, count_samples, go_on, left_out
+from residuum.identification.work import (
+    FIT_COST,
+    OutOfWork,
+    at_most,
+    begun,
+    count_fit,
+    count_samples,
+    go_on,
+    left_out,
+)
 from residuum.simulation import MACHINES
 
 
@@ -36,7 +45,11 @@ def test_a_part_that_is_out_of_work_leaves_the_whole_its_own():
             left_out("the rest of the part")
             go_on()
         go_on()
-        assert (whole.samples, whole.not_tried, whole.timed_out) == (11, ["the rest of the part"], False)
+        assert (whole.samples, whole.not_tried, whole.timed_out) == (
+            11,
+            ["the rest of the part"],
+            False,
+        )
 
 
 def test_a_fit_costs_samples_of_its_own():
@@ -95,7 +108,9 @@ def test_what_runs_beside_is_counted_when_it_is_waited_for():
 
 def test_an_estimation_counts_the_steps_and_the_values_it_is_differentiated_by():
     signals = MACHINES["gate-drive"](seed=3, rate=500.0).simulate(2.0)
-    model, experiments = match(load_model("gate-drive"), [Record(signals.channels, signals.units, signals.sample_time)])
+    model, experiments = match(
+        load_model("gate-drive"), [Record(signals.channels, signals.units, signals.sample_time)]
+    )
     with at_most() as whole:
         estimate(model, experiments)
     with at_most() as one:

@@ -23,7 +23,11 @@ def test_a_long_file_is_refused_before_it_is_parsed(
     file = tmp_path / "long.yaml"
     file.write_text("name: long\nparameters:\n" + LINES)  # parsing it takes half a minute
     fetch, fetched = yaml.scanner.Scanner.fetch_more_tokens, []
-    monkeypatch.setattr(yaml.scanner.Scanner, "fetch_more_tokens", lambda scanner: fetched.append(1) or fetch(scanner))
+    monkeypatch.setattr(
+        yaml.scanner.Scanner,
+        "fetch_more_tokens",
+        lambda scanner: fetched.append(1) or fetch(scanner),
+    )
     with pytest.raises(BadInput, match=r"at most|may have") as refused:
         read(file)
     assert not fetched
@@ -43,4 +47,7 @@ def test_a_sparse_file_is_not_even_read(tmp_path: Path) -> None:
 def test_what_is_wrong_names_line_and_column() -> None:
     with pytest.raises(yaml.YAMLError) as caught:
         yaml.safe_load("host: [1\n")
-    assert what_is_wrong(caught.value) == "line 2, column 1: expected ',' or ']', but got '<stream end>'"
+    assert (
+        what_is_wrong(caught.value)
+        == "line 2, column 1: expected ',' or ']', but got '<stream end>'"
+    )

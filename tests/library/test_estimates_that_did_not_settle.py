@@ -33,14 +33,20 @@ def held():
     rows = []
     for k in range(1500):
         angle = phi + 2e-4 * rng.standard_normal()
-        torque = -(0.6 * angle + 0.03 * (angle - old) / 0.01 * (k > 0)) + 0.01 * (1 if (k // 15 * 7919) % 13 < 6 else -1)
+        torque = -(0.6 * angle + 0.03 * (angle - old) / 0.01 * (k > 0)) + 0.01 * (
+            1 if (k // 15 * 7919) % 13 < 6 else -1
+        )
         old = angle
         rows.append((torque, angle))
         for _ in range(20):
             w += (mgl * np.sin(phi) - 0.002 * w + torque) / J * 0.0005
             phi += w * 0.0005
     torque, angle = np.array(rows).T
-    return rs.from_arrays({"torque": torque, "angle": angle}, units={"torque": "N*m", "angle": "rad"}, sample_time=0.01)
+    return rs.from_arrays(
+        {"torque": torque, "angle": angle},
+        units={"torque": "N*m", "angle": "rad"},
+        sample_time=0.01,
+    )
 
 
 def pendulum(J, mgl, upper=1e3):
@@ -55,14 +61,19 @@ def test_a_search_that_was_left_has_no_band_and_gives_no_model(held, start):
     assert "method prediction" in str(found)
     with pytest.raises(NotIdentifiable, match=r"has not converged: .*method prediction"):
         _ = found.model
-    assert pendulum(*start).estimate(held, anyway=True).model.parameters["J"].value == found.parameters["J"]["value"]
+    assert (
+        pendulum(*start).estimate(held, anyway=True).model.parameters["J"].value
+        == found.parameters["J"]["value"]
+    )
 
 
 @pytest.mark.parametrize("start", [TRUTH, FAR])
 def test_the_way_on_that_is_named_leads_to_the_truth(held, start):
     found = pendulum(*start).estimate(held, method="prediction")
     assert found.unsettled == ()
-    assert [found.model.parameters[name].value for name in ("J", "mgl")] == pytest.approx(TRUTH, rel=0.01)
+    assert [found.model.parameters[name].value for name in ("J", "mgl")] == pytest.approx(
+        TRUTH, rel=0.01
+    )
 
 
 def test_a_simulation_that_diverges_names_the_way_on_too(held):
@@ -74,9 +85,14 @@ def test_a_simulation_that_diverges_names_the_way_on_too(held):
 def test_a_value_at_its_bound_is_none_that_the_data_tell(held):
     found = pendulum(*FAR, upper=0.25).estimate(held, method="prediction")
     told = found.to_dict()
-    assert (told["converged"], told["unsettled"]) == (False, ["mgl sits at its bound: widen it, or fix the value"])
+    assert (told["converged"], told["unsettled"]) == (
+        False,
+        ["mgl sits at its bound: widen it, or fix the value"],
+    )
     assert found.parameters["J"]["std"] is None
-    assert found.model.parameters["mgl"].value == 0.25  # the least error within what the model allows
+    assert (
+        found.model.parameters["mgl"].value == 0.25
+    )  # the least error within what the model allows
 
 
 def test_a_model_below_the_mean_says_so():
@@ -95,8 +111,13 @@ def test_from_the_truth_it_stays_there_and_is_settled():
     axis = rs.model("linear-axis").with_values(M=95.0)
     pushed = rs.from_arrays({"force": force}, units={"force": "N"}, sample_time=0.01)
     out = axis.simulate(pushed)
-    noisy = {name: out[name] + 1e-5 * np.random.default_rng(3).standard_normal(1000) for name in out.names}
-    record = rs.from_arrays({"force": force, **noisy}, units={"force": "N", **out.units}, sample_time=0.01)
+    noisy = {
+        name: out[name] + 1e-5 * np.random.default_rng(3).standard_normal(1000)
+        for name in out.names
+    }
+    record = rs.from_arrays(
+        {"force": force, **noisy}, units={"force": "N", **out.units}, sample_time=0.01
+    )
     first = axis.estimate(record)
     again = first.model.estimate(record)
     assert (first.unsettled, again.unsettled) == ((), ())
@@ -107,7 +128,13 @@ def test_the_command_writes_nothing_unless_asked(held, tmp_path, capsys):
     held.save(tmp_path / "held.npz")
     (tmp_path / "pendulum.yaml").write_text(PENDULUM % (*TRUTH, 1e3))
     out = tmp_path / "out.yaml"
-    asked = ["estimate", str(tmp_path / "pendulum.yaml"), str(tmp_path / "held.npz"), "--out", str(out)]
+    asked = [
+        "estimate",
+        str(tmp_path / "pendulum.yaml"),
+        str(tmp_path / "held.npz"),
+        "--out",
+        str(out),
+    ]
     assert run(asked) == ANSWER_IS_NO
     assert not out.exists()
     assert "not written (--anyway" in capsys.readouterr().out

@@ -42,14 +42,20 @@ def test_spread_of_an_integrating_model_grows_with_the_sum(tmp_path):
     model, n = found.identified, 200
     drawn, _ = model.sample_polynomials(2000, 1)
     steps = np.array([signal.lfilter(num, [1.0, -1.0], np.ones(n)) for num in drawn])
-    np.testing.assert_allclose(model.simulation_std(np.ones(n))[20:], steps.std(axis=0)[20:], rtol=0.1)
+    np.testing.assert_allclose(
+        model.simulation_std(np.ones(n))[20:], steps.std(axis=0)[20:], rtol=0.1
+    )
     numerators, _ = model.sample_polynomials(5, 2)
-    at_z = numerators @ np.exp(-0.03j * np.arange(numerators.shape[1]))[:, None] / (1 - np.exp(-0.03j))
+    at_z = (
+        numerators @ np.exp(-0.03j * np.arange(numerators.shape[1]))[:, None] / (1 - np.exp(-0.03j))
+    )
     np.testing.assert_allclose(model.sample_frequency_responses(5, [0.3], 2), at_z)
     found.save(tmp_path / "m.json")
     assert rs.load_plant(tmp_path / "m.json").identified.integrates
     assert "no controller is promised" in refused(rs.load_plant(tmp_path / "m.json"))
-    holed = Record({"u": np.r_[plant.u[:99], np.nan, plant.u[100:]], "y": plant.y}, {"u": "V", "y": "m"}, 0.1)
+    holed = Record(
+        {"u": np.r_[plant.u[:99], np.nan, plant.u[100:]], "y": plant.y}, {"u": "V", "y": "m"}, 0.1
+    )
     with pytest.raises(BadRecord, match="sample 99 is missing"):
         rs.identify(holed, input="u", output="y", integrator=True)
     with pytest.raises(BadInput, match="errors that decay"):
@@ -63,10 +69,14 @@ def test_feedback_forbids_methods_without_a_noise_model_alone():
     assert direct.unfit == ()
     assert any("as right as its noise model" in text for text in direct.warnings)
     assert any("delay 0 was left out" in text for text in direct.warnings)
-    assert direct.delay >= 1  # the kernel's likelihood would take the controller's answer for a plant without delay
+    assert (
+        direct.delay >= 1
+    )  # the kernel's likelihood would take the controller's answer for a plant without delay
     step = np.ones(60)
     truth = plant.response(step)
-    assert np.max(np.abs(direct.simulate(step) - direct.offset - truth)) < 0.1 * np.max(np.abs(truth))
+    assert np.max(np.abs(direct.simulate(step) - direct.offset - truth)) < 0.1 * np.max(
+        np.abs(truth)
+    )
 
 
 def test_dead_time_beyond_the_order_is_told_and_estimated():
@@ -91,9 +101,9 @@ def test_a_noisy_plain_plant_is_told_its_fit_and_stays_fit_for_control():
 def test_a_model_of_too_low_an_order_fails_on_data_kept_aside():
     rng = np.random.default_rng(4)
     u = rng.standard_normal(2000)
-    y = signal.lfilter([0, 1.0], np.real(np.poly([0.95 * np.exp(0.4j), 0.95 * np.exp(-0.4j)])), u) + 0.1 * rng.standard_normal(
-        2000
-    )
+    y = signal.lfilter(
+        [0, 1.0], np.real(np.poly([0.95 * np.exp(0.4j), 0.95 * np.exp(-0.4j)])), u
+    ) + 0.1 * rng.standard_normal(2000)
     record = Record({"u": u, "y": y}, {"u": "V", "y": "m"}, 0.1)
     found = rs.identify(record, input="u", output="y", method="oe", order=1)
     assert found.assumptions.aside[0].fails
@@ -114,7 +124,9 @@ def _unstable_in_its_loop(seed, pole):
 def test_an_unstable_plant_has_no_stable_model(seed, pole):
     record = _unstable_in_its_loop(seed, pole)
     for method in ("kernel", "oe", "bj"):
-        with pytest.raises(BadInput, match=r"the plant is unstable \(pole at 1\.\d+ ± .* method arx or armax"):
+        with pytest.raises(
+            BadInput, match=r"the plant is unstable \(pole at 1\.\d+ ± .* method arx or armax"
+        ):
             rs.identify(record, input="u", output="y", method=method)
     found = rs.identify(record, input="u", output="y", method="arx")
     assert found.assumptions.unstable.unstable
@@ -131,7 +143,9 @@ def test_one_step_or_pulse_near_the_begin_tells_the_gain(method, kind):
     rng, k = np.random.default_rng(5), np.arange(300)
     u = (k >= 20) * 1.0 if kind == "step" else 3.0 * ((k >= 20) & (k < 26))
     y = signal.lfilter([0.0, 0.15], [1.0, -0.85], u) + 0.02 * rng.standard_normal(300)
-    found = rs.identify(Record({"u": u, "y": y}, {"u": "", "y": ""}, 1.0), input="u", output="y", method=method)
+    found = rs.identify(
+        Record({"u": u, "y": y}, {"u": "", "y": ""}, 1.0), input="u", output="y", method=method
+    )
     spread = np.sqrt(found.identified.frequency_covariance(0.0)[0, 0, 0])
     assert abs(found.identified.frequency_response(0.0).real - 1.0) < 4 * spread < 0.6
     assert found.to_dict()["fit_percent"][0] > 60
@@ -143,10 +157,14 @@ def test_one_sine_tells_no_gain(method):
     rng, k = np.random.default_rng(5), np.arange(600)
     u = np.sin(2 * np.pi * k / 13).round(6)
     y = signal.lfilter([0.0, 0.15], [1.0, -0.85], u) + 0.02 * rng.standard_normal(600)
-    found = rs.identify(Record({"u": u, "y": y}, {"u": "", "y": ""}, 1.0), input="u", output="y", method=method)
+    found = rs.identify(
+        Record({"u": u, "y": y}, {"u": "", "y": ""}, 1.0), input="u", output="y", method=method
+    )
     assert "static gain       the record does not tell it" in str(found)
     assert "the record does not tell them" in str(found)  # no coefficient with a narrow band
-    assert any("persistently exciting of order 2 only" in text for text in found.identified.warnings)
+    assert any(
+        "persistently exciting of order 2 only" in text for text in found.identified.warnings
+    )
     assert "persistently exciting" in refused(found)
 
 
@@ -154,7 +172,9 @@ def test_a_record_that_ends_before_its_step_is_answered_says_so():
     rng, k = np.random.default_rng(5), np.arange(60)
     u = (k >= 20) * 1.0
     y = signal.lfilter([0.0, 0.05], [1.0, -0.95], u) + 0.005 * rng.standard_normal(60)
-    found = rs.identify(Record({"u": u, "y": y}, {"u": "", "y": ""}, 1.0), input="u", output="y", method="arx")
+    found = rs.identify(
+        Record({"u": u, "y": y}, {"u": "", "y": ""}, 1.0), input="u", output="y", method="arx"
+    )
     assert any("the records end before the response" in text for text in found.identified.warnings)
 
 
@@ -162,7 +182,9 @@ def test_a_step_too_short_to_compare_delays_is_identified_with_a_warning():
     rng, k = np.random.default_rng(5), np.arange(35)
     u = (k >= 20) * 1.0
     y = signal.lfilter([0.0, 0.15], [1.0, -0.85], u) + 0.02 * rng.standard_normal(35)
-    found = rs.identify(Record({"u": u, "y": y}, {"u": "", "y": ""}, 1.0), input="u", output="y", method="arx")
+    found = rs.identify(
+        Record({"u": u, "y": y}, {"u": "", "y": ""}, 1.0), input="u", output="y", method="arx"
+    )
     spread = np.sqrt(found.identified.frequency_covariance(0.0)[0, 0, 0])
     assert abs(found.identified.frequency_response(0.0).real - 1.0) < 3 * spread
     assert any("the records end before the response" in text for text in found.identified.warnings)

@@ -13,7 +13,9 @@ from residuum.diagnosis.diagnosers import DIAGNOSERS
 
 @pytest.fixture(scope="module")
 def monitor():
-    return rs.monitor("robust-residual", order=60).fit([rs.simulate("process-plant", seed=seed) for seed in (1, 2)])
+    return rs.monitor("robust-residual", order=60).fit(
+        [rs.simulate("process-plant", seed=seed) for seed in (1, 2)]
+    )
 
 
 def test_parameters_are_got_set_and_cloned():
@@ -47,7 +49,15 @@ def test_faults_are_outliers_and_a_short_window_is_neither(monitor):
 def test_a_finding_is_the_contract_s_and_its_features_go_on(monitor):
     finding = monitor.score(rs.simulate("process-plant", faults={"sensor-offset": None}, seed=6))
     answer = finding.to_dict()
-    assert {"diagnoser", "verdict", "class", "indicators", "thresholds", "evidence", "reason"} <= set(answer)
+    assert {
+        "diagnoser",
+        "verdict",
+        "class",
+        "indicators",
+        "thresholds",
+        "evidence",
+        "reason",
+    } <= set(answer)
     assert (finding.verdict, finding.fault_class) == ("faulty", answer["class"])
     assert str(finding).startswith("robust-residual: faulty") and "<svg" in finding._repr_html_()
     assert list(finding.plot().data[0].x) == list(answer["thresholds"])
@@ -74,7 +84,10 @@ def test_a_model_watches_columns_of_other_names():
     record = rs.simulate("linear-axis", duration=20.0, seed=1).rename({"force": "F_motor"})
     monitor = rs.monitor(rs.model("linear-axis"), map={"force": "F_motor"}).fit(record)
     answer = monitor.score(record.window(0, record.n // 2)).to_dict()
-    assert answer["verdict"] in ("healthy", "faulty", "not-assessable") and answer["diagnoser"] != "robust-residual"
+    assert (
+        answer["verdict"] in ("healthy", "faulty", "not-assessable")
+        and answer["diagnoser"] != "robust-residual"
+    )
     with pytest.raises(rs.BadRecord, match="F_motor"):
         monitor.score(record.rename({"F_motor": "other"}))
 

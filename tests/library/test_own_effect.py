@@ -23,7 +23,11 @@ class CubicDrag(Effect):
     sizes = ("c",)
 
     def parameters(self, site):
-        return (Parameter("c", 0.0, site.per("velocity", 3), lower=0.0, meaning="drag per velocity cubed"),)
+        return (
+            Parameter(
+                "c", 0.0, site.per("velocity", 3), lower=0.0, meaning="drag per velocity cubed"
+            ),
+        )
 
     def contribution(self, scene):
         return Contribution(term=-scene.p["c"] * scene["velocity"] ** 3)
@@ -48,7 +52,9 @@ def pushed(model):
     record = rs.from_arrays({"force": force}, units={"force": "N"}, sample_time=0.01)
     out = model.simulate(record)
     noisy = {name: out[name] + 1e-3 * rng.standard_normal(record.n) for name in out.names}
-    return rs.from_arrays({"force": force, **noisy}, units={"force": "N", **model.outputs}, sample_time=0.01)
+    return rs.from_arrays(
+        {"force": force, **noisy}, units={"force": "N", **model.outputs}, sample_time=0.01
+    )
 
 
 def test_an_added_effect_is_listed_named_sized_and_written(catalogue, capsys, tmp_path):
@@ -56,11 +62,17 @@ def test_an_added_effect_is_listed_named_sized_and_written(catalogue, capsys, tm
     catalogue.add(CubicDrag)
     assert len(catalogue) == before + 1 and "cubic-drag" in catalogue
     assert run(["effects", "--json"]) == DONE
-    assert "cubic-drag" in [entry["effect"] for entry in json.loads(capsys.readouterr().out)["effects"]]
+    assert "cubic-drag" in [
+        entry["effect"] for entry in json.loads(capsys.readouterr().out)["effects"]
+    ]
     truth = rs.model("linear-axis").with_values(M=95.0).with_effect("cubic-drag", "axis", c=60.0)
     record = pushed(truth)
-    why = rs.model("linear-axis").explain(record, effects=["cubic-drag", "viscous-friction", "linear-spring"])
-    assert why.best.effect == "cubic-drag" and why.best.parameters["c"].value == pytest.approx(60.0, rel=0.05)
+    why = rs.model("linear-axis").explain(
+        record, effects=["cubic-drag", "viscous-friction", "linear-spring"]
+    )
+    assert why.best.effect == "cubic-drag" and why.best.parameters["c"].value == pytest.approx(
+        60.0, rel=0.05
+    )
     truth.save(tmp_path / "axis.yaml")
     assert rs.model(tmp_path / "axis.yaml").effects == ("cubic-drag@axis",)
 
@@ -69,7 +81,9 @@ def test_another_equation_under_the_same_id_is_another_kernel(catalogue):
     force = rs.from_arrays({"force": np.full(200, 100.0)}, units={"force": "N"}, sample_time=0.01)
 
     def last():
-        model = rs.model("linear-axis").with_values(M=95.0).with_effect("cubic-drag", "axis", c=60.0)
+        model = (
+            rs.model("linear-axis").with_values(M=95.0).with_effect("cubic-drag", "axis", c=60.0)
+        )
         return float(model.simulate(force)["velocity"][-1])
 
     catalogue.add(CubicDrag)

@@ -8,11 +8,22 @@ import pytest
 
 import residuum as rs
 
-HEAVY = ("numpy", "scipy", "sympy", "numba", "pint", "sklearn", "fastapi", "pandas", "xarray", "plotly")
+HEAVY = (
+    "numpy",
+    "scipy",
+    "sympy",
+    "numba",
+    "pint",
+    "sklearn",
+    "fastapi",
+    "pandas",
+    "xarray",
+    "plotly",
+)
 ERRORS = {"BadInput", "BadModel", "BadRecord", "BadUnit", "NotIdentifiable", "MissingPackage"}
-FUNCTIONS = {name: getattr(rs, name) for name in rs.__all__ if inspect.isfunction(getattr(rs, name))} | {
-    "control.design": rs.control.design
-}
+FUNCTIONS = {
+    name: getattr(rs, name) for name in rs.__all__ if inspect.isfunction(getattr(rs, name))
+} | {"control.design": rs.control.design}
 CLASSES = [name for name in rs.__all__ if inspect.isclass(getattr(rs, name)) and name not in ERRORS]
 
 
@@ -34,7 +45,9 @@ def is_typed(function):
 
 def test_importing_loads_nothing_heavy():
     script = f"import sys, residuum; print([name for name in {HEAVY!r} if name in sys.modules])"
-    found = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    found = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True
+    )
     assert found.stdout.strip() == "[]"
 
 
@@ -42,7 +55,9 @@ def test_every_name_is_there_and_listed():
     assert set(rs.__all__) <= set(dir(rs))
     for name in rs.__all__:
         assert getattr(rs, name) is getattr(rs, name)
-    with pytest.raises(AttributeError, match=r"no attribute 'reed'; did you mean 'read'. it has .*read"):
+    with pytest.raises(
+        AttributeError, match=r"no attribute 'reed'; did you mean 'read'. it has .*read"
+    ):
         rs.reed  # noqa: B018
 
 
@@ -58,7 +73,9 @@ def test_a_function_is_typed_and_documented(name):
     function = FUNCTIONS[name]
     assert is_typed(function)
     doc = inspect.getdoc(function)
-    assert all(f"{section}\n---" in doc for section in ("Parameters", "Returns", "Raises", "Examples"))
+    assert all(
+        f"{section}\n---" in doc for section in ("Parameters", "Returns", "Raises", "Examples")
+    )
     signature = inspect.signature(function)
     undocumented = [parameter for parameter in signature.parameters if parameter not in doc]
     assert undocumented == []
@@ -73,7 +90,11 @@ def test_a_class_has_an_example_and_typed_documented_members(name):
         function = member.fget if isinstance(member, property) else member
         assert inspect.getdoc(member), f"{name}.{member_name} says nothing"
         assert is_typed(function), f"{name}.{member_name} is not typed"
-        parameters = [p for p in inspect.signature(function).parameters if p not in ("self", "settings", "options")]
+        parameters = [
+            p
+            for p in inspect.signature(function).parameters
+            if p not in ("self", "settings", "options")
+        ]
         unsaid = [p for p in parameters if p not in inspect.getdoc(member)]
         assert unsaid == [], f"{name}.{member_name} does not say what {unsaid} is"
 

@@ -35,19 +35,32 @@ def test_the_way_on_of_a_refusal_is_a_keyword_with_which_the_file_is_read(tmp_pa
 
 def test_a_column_is_called_by_map_as_the_commands_do(tmp_path):
     (tmp_path / "log.csv").write_text("\n".join(["a;b", *(f"{k};{k}" for k in range(40))]) + "\n")
-    record = rs.read(tmp_path / "log.csv", map={"time": "a", "speed": "b"}, time="seconds", units={"speed": "rpm"})
+    record = rs.read(
+        tmp_path / "log.csv",
+        map={"time": "a", "speed": "b"},
+        time="seconds",
+        units={"speed": "rpm"},
+    )
     assert record.units == {"speed": "rpm"} and record.sample_time == 1.0
 
 
 def test_a_number_that_means_no_value_is_said_as_a_number(tmp_path):
-    (tmp_path / "log.csv").write_text("\n".join(["time [s],T [V]", *(f"{k},{-1 if k == 3 else k}" for k in range(40))]) + "\n")
-    assert np.flatnonzero(np.isnan(rs.read(tmp_path / "log.csv", missing=[-1])["T"])).tolist() == [3]
+    (tmp_path / "log.csv").write_text(
+        "\n".join(["time [s],T [V]", *(f"{k},{-1 if k == 3 else k}" for k in range(40))]) + "\n"
+    )
+    assert np.flatnonzero(np.isnan(rs.read(tmp_path / "log.csv", missing=[-1])["T"])).tolist() == [
+        3
+    ]
 
 
 def test_a_file_is_read_by_the_mapping_that_is_named_or_lies_beside_it(tmp_path):
     log, mapping = tmp_path / "log.csv", tmp_path / "log.csv.mapping.yaml"
-    log.write_text("\n".join(["Zeit;n", *(f"{k};{'off' if k == 3 else k}" for k in range(40))]) + "\n")
-    inspection.inspect_command(str(log), out=mapping, time="minutes", missing=["off"], units=["n=rpm"])
+    log.write_text(
+        "\n".join(["Zeit;n", *(f"{k};{'off' if k == 3 else k}" for k in range(40))]) + "\n"
+    )
+    inspection.inspect_command(
+        str(log), out=mapping, time="minutes", missing=["off"], units=["n=rpm"]
+    )
     assert rs.read(log).sample_time == 60.0 and rs.read(log).units == {"n": "rpm"}
     elsewhere = mapping.rename(tmp_path / "habit.yaml")
     assert np.isnan(rs.read(log, mapping=elsewhere)["n"][3])
@@ -57,8 +70,20 @@ def test_a_file_is_read_by_the_mapping_that_is_named_or_lies_beside_it(tmp_path)
 
 
 def test_every_option_of_reading_that_a_command_has_is_a_keyword():
-    both = {*inspect.signature(compare.compare_command).parameters, *inspect.signature(inspection.inspect_command).parameters}
-    elsewhere = {"model", "records", "file", "catalogue", "plot", "as_json", "out", *Compare.model_fields}
+    both = {
+        *inspect.signature(compare.compare_command).parameters,
+        *inspect.signature(inspection.inspect_command).parameters,
+    }
+    elsewhere = {
+        "model",
+        "records",
+        "file",
+        "catalogue",
+        "plot",
+        "as_json",
+        "out",
+        *Compare.model_fields,
+    }
     called = {"channel_map": "map", "mapped": "map", "unit": "units"}
     of_buses = {"dbc"}
     wanted = {called.get(name, name) for name in both - elsewhere - of_buses}

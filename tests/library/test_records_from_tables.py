@@ -36,14 +36,19 @@ def test_a_column_may_be_the_time_and_a_step_may_be_told():
 
 def test_a_missing_value_stays_missing_and_a_hole_in_time_is_refused():
     values = np.where(np.arange(50) == 7, np.nan, SPEED)
-    assert np.flatnonzero(rs.from_pandas(pandas.DataFrame({"y": values}, index=TIME)).missing("y")).tolist() == [7]
+    assert np.flatnonzero(
+        rs.from_pandas(pandas.DataFrame({"y": values}, index=TIME)).missing("y")
+    ).tolist() == [7]
     holed = pandas.DataFrame({"y": SPEED}, index=TIME).drop(index=TIME[20])
     with pytest.raises(rs.BadRecord, match=r"time step 0\.04 s differs from 0\.02 s"):
         rs.from_pandas(holed)
 
 
 def test_a_dataset_gives_its_units():
-    data = xarray.Dataset({"speed": ("time", SPEED, {"units": "rad/s"}), "u": ("time", np.ones(50))}, coords={"time": TIME})
+    data = xarray.Dataset(
+        {"speed": ("time", SPEED, {"units": "rad/s"}), "u": ("time", np.ones(50))},
+        coords={"time": TIME},
+    )
     record = rs.from_xarray(data)
     assert record.units == {"speed": "rad/s", "u": ""} and record.sample_time == pytest.approx(0.02)
     with pytest.raises(rs.BadRecord, match="has no coordinate 'when'"):
@@ -53,8 +58,14 @@ def test_a_dataset_gives_its_units():
 @pytest.mark.parametrize(
     ("given", "says"),
     [
-        (pandas.DataFrame({"y": [1.0, 2.0]}), r"is a pandas object; make a record of it with rs\.from_pandas"),
-        (xarray.DataArray([1.0, 2.0], dims="time"), r"is an xarray object; make a record of it with rs\.from_xarray"),
+        (
+            pandas.DataFrame({"y": [1.0, 2.0]}),
+            r"is a pandas object; make a record of it with rs\.from_pandas",
+        ),
+        (
+            xarray.DataArray([1.0, 2.0], dims="time"),
+            r"is an xarray object; make a record of it with rs\.from_xarray",
+        ),
         (np.zeros(5), r"is an array; make a record of it with rs\.from_arrays"),
         ([], "is list; must be a Record"),
         (3, "is int; must be a Record"),
@@ -68,9 +79,18 @@ def test_what_is_no_record_is_refused_with_the_way_out(given, says):
 @pytest.mark.parametrize(
     ("build", "says"),
     [
-        (lambda: rs.from_arrays({"y": SPEED}, units={"z": "V"}, sample_time=1.0), "there is no channel 'z'; there are y"),
-        (lambda: rs.from_pandas(pandas.DataFrame({"y": ["a", "b"]}, index=[0.0, 1.0])), "column 'y': does not hold numbers"),
-        (lambda: rs.from_pandas(pandas.DataFrame({"y": SPEED}), units={"z": "V"}), "there is no channel 'z'"),
+        (
+            lambda: rs.from_arrays({"y": SPEED}, units={"z": "V"}, sample_time=1.0),
+            "there is no channel 'z'; there are y",
+        ),
+        (
+            lambda: rs.from_pandas(pandas.DataFrame({"y": ["a", "b"]}, index=[0.0, 1.0])),
+            "column 'y': does not hold numbers",
+        ),
+        (
+            lambda: rs.from_pandas(pandas.DataFrame({"y": SPEED}), units={"z": "V"}),
+            "there is no channel 'z'",
+        ),
     ],
 )
 def test_bad_tables_are_refused(build, says):
@@ -101,7 +121,10 @@ def test_a_table_handed_to_read_is_refused_with_the_way_out():
 
 def test_an_output_that_is_mapped_to_no_column_is_refused():
     record = rs.simulate("linear-axis", duration=2.0, seed=1)
-    with pytest.raises(rs.BadRecord, match="output 'position' is mapped to 'nothing', which is not there; the columns are"):
+    with pytest.raises(
+        rs.BadRecord,
+        match="output 'position' is mapped to 'nothing', which is not there; the columns are",
+    ):
         rs.model("linear-axis").compare(record, map={"position": "nothing"})
 
 
@@ -109,7 +132,11 @@ def test_an_output_that_is_mapped_to_no_column_is_refused():
 def test_arrays_take_the_times_at_which_they_were_sampled(start):
     t = start + np.arange(50) * 0.02
     record = rs.from_arrays({"speed": SPEED}, units={"speed": "rad/s"}, time=t)
-    assert record.sample_time == pytest.approx(0.02, rel=1e-6) and record.t0 == start and record.units["speed"] == "rad/s"
+    assert (
+        record.sample_time == pytest.approx(0.02, rel=1e-6)
+        and record.t0 == start
+        and record.units["speed"] == "rad/s"
+    )
     np.testing.assert_array_equal(record["speed"], SPEED)
     stamps = np.datetime64("2026-05-01T12:00") + np.arange(50) * np.timedelta64(20, "ms")
     assert rs.from_arrays({"speed": SPEED}, time=stamps).sample_time == pytest.approx(0.02)
@@ -117,7 +144,9 @@ def test_arrays_take_the_times_at_which_they_were_sampled(start):
 
 def test_uneven_times_of_arrays_are_refused_with_index_and_step_and_taken_when_resampled():
     t = np.delete(np.arange(51) * 0.02, 20)
-    with pytest.raises(rs.BadRecord, match=r"arrays, row 20: time step 0\.04 s differs from 0\.02 s .*resample"):
+    with pytest.raises(
+        rs.BadRecord, match=r"arrays, row 20: time step 0\.04 s differs from 0\.02 s .*resample"
+    ):
         rs.from_arrays({"speed": SPEED}, time=t)
     record = rs.from_arrays({"speed": SPEED}, time=t, resample=True)
     assert record.n == 51 and np.isnan(record["speed"][20]) and record["speed"][21] == SPEED[20]
@@ -129,7 +158,10 @@ def test_uneven_times_of_arrays_are_refused_with_index_and_step_and_taken_when_r
         ({}, r"has no time; say sample_time=.* or time=t"),
         ({"time": np.arange(49) * 0.1}, r"channel 'speed': has shape \(50,\), time has \(49,\)"),
         ({"time": np.arange(50)[::-1] * 0.1}, "row 1: time does not increase"),
-        ({"time": np.arange(50) * 0.1, "sample_time": 0.2}, "has sample time 0.1 s, but 0.2 s was given"),
+        (
+            {"time": np.arange(50) * 0.1, "sample_time": 0.2},
+            "has sample time 0.1 s, but 0.2 s was given",
+        ),
         ({"time": np.arange(50) * 0.1, "t0": 3.0}, "t0: the times begin at 0 s; leave it out"),
     ],
 )

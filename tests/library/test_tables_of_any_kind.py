@@ -32,26 +32,54 @@ def instants(start="2024-03-31 00:30", **how):
         pandas.to_timedelta(np.arange(N) * STEP, unit="s"),
         pandas.Index(np.arange(N) * STEP),
         pandas.Index(np.arange(N) * 10, name="t [ms]"),
-        pandas.Index([dt.datetime(2024, 1, 1) + dt.timedelta(milliseconds=10 * k) for k in range(N)], dtype=object),
+        pandas.Index(
+            [dt.datetime(2024, 1, 1) + dt.timedelta(milliseconds=10 * k) for k in range(N)],
+            dtype=object,
+        ),
     ],
 )
 def test_an_index_that_says_times_is_the_time(index):
     record = rs.from_pandas(frame(index))
-    assert record.sample_time == pytest.approx(STEP) and record.n == N and not record.missing("speed").any()
+    assert (
+        record.sample_time == pytest.approx(STEP)
+        and record.n == N
+        and not record.missing("speed").any()
+    )
 
 
 @pytest.mark.parametrize(
     ("index", "says"),
     [
-        (None, r"the index counts \(0, 1, …\).*not taken for seconds; say time='COLUMN', sample_time="),
-        (pandas.Index(np.arange(N) * 10 + 1_700_000_000_000), r"not taken for seconds.*pandas\.to_datetime"),
-        (pandas.Index(np.arange(N) * 10.0 + 1.7e12), r"too large for seconds; make instants.*pandas\.to_datetime"),
-        (instants().astype(str), r"does not hold numbers or instants \('2024-.*pandas\.to_datetime"),
+        (
+            None,
+            r"the index counts \(0, 1, …\).*not taken for seconds; say time='COLUMN', sample_time=",
+        ),
+        (
+            pandas.Index(np.arange(N) * 10 + 1_700_000_000_000),
+            r"not taken for seconds.*pandas\.to_datetime",
+        ),
+        (
+            pandas.Index(np.arange(N) * 10.0 + 1.7e12),
+            r"too large for seconds; make instants.*pandas\.to_datetime",
+        ),
+        (
+            instants().astype(str),
+            r"does not hold numbers or instants \('2024-.*pandas\.to_datetime",
+        ),
         (pandas.Index(list("abcd") * 100), "does not hold numbers or instants"),
-        (pandas.Index([dt.date(2024, 1, 1)] * N, dtype=object), "does not hold numbers or instants"),
-        (pandas.MultiIndex.from_product([["m1"], instants()]), r"2 levels; take one series, frame\.xs"),
+        (
+            pandas.Index([dt.date(2024, 1, 1)] * N, dtype=object),
+            "does not hold numbers or instants",
+        ),
+        (
+            pandas.MultiIndex.from_product([["m1"], instants()]),
+            r"2 levels; take one series, frame\.xs",
+        ),
         (instants()[::-1], r"row 1: time does not increase; .*frame\.sort_index\(\)"),
-        (instants()[[*range(100), 99, *range(101, N)]], r"row 100: .*stands twice: .*frame\.index\.duplicated\(\)"),
+        (
+            instants()[[*range(100), 99, *range(101, N)]],
+            r"row 100: .*stands twice: .*frame\.index\.duplicated\(\)",
+        ),
     ],
 )
 def test_an_index_that_may_be_no_time_is_refused_with_the_way_on(index, says):
@@ -67,7 +95,9 @@ def test_a_table_as_read_from_a_file_is_not_counted_in_seconds():
     assert rs.from_pandas(table, time="time [s]").sample_time == pytest.approx(STEP)
     milli = table.assign(**{"t (ms)": 10 * np.arange(N)}).drop(columns="time [s]")
     assert rs.from_pandas(milli, time="t (ms)").sample_time == pytest.approx(STEP)
-    with pytest.raises(rs.BadRecord, match=r"no column 'when' for the time; there are time \[s\], speed"):
+    with pytest.raises(
+        rs.BadRecord, match=r"no column 'when' for the time; there are time \[s\], speed"
+    ):
         rs.from_pandas(table, time="when")
 
 
@@ -89,8 +119,14 @@ def test_a_hole_stays_missing_and_is_told():
 @pytest.mark.parametrize(
     ("columns", "says"),
     [
-        ({"y": SPEED, "status": ["ok"] * N}, r"column 'status': does not hold numbers; .*frame\.drop"),
-        ({"y": SPEED, "at": instants()}, r"column 'at': holds instants, not numbers; take the time from it with time="),
+        (
+            {"y": SPEED, "status": ["ok"] * N},
+            r"column 'status': does not hold numbers; .*frame\.drop",
+        ),
+        (
+            {"y": SPEED, "at": instants()},
+            r"column 'at': holds instants, not numbers; take the time from it with time=",
+        ),
         ({"y": SPEED + 1j}, "column 'y': holds complex numbers"),
         ({"y [V]": SPEED, "y (A)": SPEED}, "columns share the name 'y'"),
     ],
@@ -104,14 +140,18 @@ def test_missing_values_of_every_kind_stay_missing():
     at = np.arange(N) % 7 == 3
     objects = pandas.Series(SPEED, dtype=object).where(~at, None)
     nullable = pandas.Series(SPEED, dtype="Float64").mask(at)
-    table = pandas.DataFrame({"a": objects, "b": nullable, "c": np.where(at, np.nan, SPEED)}).set_index(np.arange(N) * STEP)
+    table = pandas.DataFrame(
+        {"a": objects, "b": nullable, "c": np.where(at, np.nan, SPEED)}
+    ).set_index(np.arange(N) * STEP)
     record = rs.from_pandas(table)
     for name in record.names:
         np.testing.assert_array_equal(record.missing(name), at)
 
 
 def test_heads_in_two_rows_give_names_and_units():
-    table = pandas.DataFrame({("speed", "rad/s"): SPEED, ("u", "V"): SPEED}, index=np.arange(N) * STEP)
+    table = pandas.DataFrame(
+        {("speed", "rad/s"): SPEED, ("u", "V"): SPEED}, index=np.arange(N) * STEP
+    )
     assert dict(rs.from_pandas(table).units) == {"speed": "rad/s", "u": "V"}
     table.columns = pandas.MultiIndex.from_tuples([("motor", "speed"), ("load", "u")])
     assert rs.from_pandas(table).names == ("motor.speed", "load.u")
@@ -139,7 +179,9 @@ def test_the_coordinate_of_a_dataset_is_no_count_of_rows():
     values = ("time", SPEED)
     with pytest.raises(rs.BadRecord, match="not taken for seconds"):
         rs.from_xarray(xarray.Dataset({"speed": values}, coords={"time": np.arange(N)}))
-    told = xarray.Dataset({"speed": values}, coords={"time": ("time", 10 * np.arange(N), {"units": "ms"})})
+    told = xarray.Dataset(
+        {"speed": values}, coords={"time": ("time", 10 * np.arange(N), {"units": "ms"})}
+    )
     assert rs.from_xarray(told).sample_time == pytest.approx(STEP)
 
 

@@ -13,7 +13,9 @@ def bands_found(snr_db, knocks, merit, seeds=6):
     fs, hits = 12800, 0
     for seed in range(seeds):
         rng = np.random.default_rng([seed, 7])
-        x = rng.standard_normal(2 * fs) + 10 ** (snr_db / 20) * impact_train(2 * fs, fs, 107.0, resonance=3150, seed=seed)
+        x = rng.standard_normal(2 * fs) + 10 ** (snr_db / 20) * impact_train(
+            2 * fs, fs, 107.0, resonance=3150, seed=seed
+        )
         for _ in range(knocks):
             at, k = rng.integers(0, x.size - 400), np.arange(400) / fs
             f = rng.uniform(800, 5500)
@@ -24,7 +26,12 @@ def bands_found(snr_db, knocks, merit, seeds=6):
 
 
 def test_protrugram_finds_the_resonance_at_low_snr_and_beside_knocks_where_kurtosis_fails():
-    assert bands_found(0, 0, "protrugram") == bands_found(-10, 0, "protrugram") == bands_found(-14, 0, "protrugram") == 1
+    assert (
+        bands_found(0, 0, "protrugram")
+        == bands_found(-10, 0, "protrugram")
+        == bands_found(-14, 0, "protrugram")
+        == 1
+    )
     assert bands_found(0, 3, "protrugram") >= 5 / 6 > bands_found(0, 3, "kurtosis")
 
 
@@ -34,7 +41,11 @@ def test_separation_from_healthy_kurtograms_finds_what_is_new_not_what_is_loud()
 
     def machine(fault, seed):
         loud = 3 * impact_train(2 * fs, fs, 12.0, resonance=600, seed=seed)
-        return rng.standard_normal(2 * fs) + loud + fault * impact_train(2 * fs, fs, 107.0, resonance=4300, seed=seed)
+        return (
+            rng.standard_normal(2 * fs)
+            + loud
+            + fault * impact_train(2 * fs, fs, 107.0, resonance=4300, seed=seed)
+        )
 
     healthy = [kurtogram(machine(0.0, seed), fs, 4, segments=16, method="fft") for seed in range(5)]
     current = kurtogram(machine(0.5, 9), fs, 4, segments=16, method="fft")

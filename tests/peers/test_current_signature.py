@@ -12,7 +12,9 @@ def three_phases(negative, frequency=59.7, n=400, angle=0.3):
     """Currents [A] with a negative-sequence share (complex) and a fifth harmonic, sampled at 1 kHz."""
     t = np.arange(n) / 1000.0
     a = np.exp(2j * np.pi / 3)
-    phasors = 2.0 * np.exp(1j * angle) * np.array([1, a**2, a]) + 2.0 * np.exp(1j * angle) * negative * np.array([1, a, a**2])
+    phasors = 2.0 * np.exp(1j * angle) * np.array([1, a**2, a]) + 2.0 * np.exp(
+        1j * angle
+    ) * negative * np.array([1, a, a**2])
     rotating = np.exp(2j * np.pi * frequency * t)[:, None]
     return np.real(phasors * rotating) + 0.1 * np.real(np.exp(1j * 5 * angle) * rotating**5)
 
@@ -32,6 +34,10 @@ def test_real_shorts_are_told_better_from_sequence_currents_than_by_chance():
     if not FILE.is_file():
         pytest.skip("skipped: no real recordings here")
     currents, labels, repeats = recordings()
-    features = [np.array([signature(window) for window in np.split(record, 2)]) for record in currents]
-    said = leave_one_repeat_out(LinearDiscriminantAnalysis(solver="lsqr", shrinkage="auto"), features, labels, repeats)
+    features = [
+        np.array([signature(window) for window in np.split(record, 2)]) for record in currents
+    ]
+    said = leave_one_repeat_out(
+        LinearDiscriminantAnalysis(solver="lsqr", shrinkage="auto"), features, labels, repeats
+    )
     assert np.mean(np.array(said) == np.array(labels)) > 0.8

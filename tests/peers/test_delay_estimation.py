@@ -24,7 +24,9 @@ def noise_free(T=0.05, gain=14.0, load=20.0, delay=0.0, Ts=1e-3):
 @pytest.mark.parametrize("delay", [0.0123, 0.0304])
 def test_both_delay_estimates_recover_a_delay_between_samples(delay):
     movement = noise_free(delay=delay, Ts=2e-3)
-    noisy = replace(movement, speed=movement.speed + np.random.default_rng(0).normal(0, 0.5, movement.n))
+    noisy = replace(
+        movement, speed=movement.speed + np.random.default_rng(0).normal(0, 0.5, movement.n)
+    )
     model = AdaptedModel(14.0, 0.05, 0.0, (20.0,))
     for estimate in (delay_by_simulation_error(noisy, model), delay_by_likelihood(noisy, model)):
         assert not estimate.at_edge
@@ -33,4 +35,6 @@ def test_both_delay_estimates_recover_a_delay_between_samples(delay):
 
 def test_a_delay_beyond_the_searched_range_is_said_to_be_at_its_edge():
     movement = noise_free(delay=0.03, Ts=2e-3)
-    assert delay_by_simulation_error(movement, AdaptedModel(14.0, 0.05, 0.0, (20.0,)), largest=0.01).at_edge
+    assert delay_by_simulation_error(
+        movement, AdaptedModel(14.0, 0.05, 0.0, (20.0,)), largest=0.01
+    ).at_edge

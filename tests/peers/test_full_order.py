@@ -28,13 +28,17 @@ def test_the_generalised_plant_gives_the_weighted_signals():
     G, S, T = (system.frequency_response(omega) for system in (PLANT, W_S, W_T))
     zero = np.zeros_like(G)
     expected = np.array([[S, -S * G], [zero, T * G], [zero + 1, -G]]).transpose(2, 0, 1)
-    np.testing.assert_allclose(generalised_plant(PLANT, W_S, W_T).response(np.exp(1j * omega * TS)), expected, atol=1e-8)
+    np.testing.assert_allclose(
+        generalised_plant(PLANT, W_S, W_T).response(np.exp(1j * omega * TS)), expected, atol=1e-8
+    )
 
 
 def test_the_bilinear_map_keeps_the_norm_and_is_undone():
     general = generalised_plant(PLANT, W_S, W_T)
     back = _to_discrete(_to_continuous(general))
-    for there, here in zip((back.A, back.B, back.C, back.D), (general.A, general.B, general.C, general.D), strict=True):
+    for there, here in zip(
+        (back.A, back.B, back.C, back.D), (general.A, general.B, general.C, general.D), strict=True
+    ):
         np.testing.assert_allclose(there, here, atol=1e-9)
     assert h_infinity_norm(back)[0] == pytest.approx(h_infinity_norm(general)[0], rel=1e-6)
 

@@ -12,7 +12,10 @@ def test_reliability_tells_right_probabilities_from_bold_ones():
     right = rng.uniform(size=4000)
     true = rng.uniform(size=4000) < right
     lines = reliability_table(right, true)
-    assert sum(line.n for line in lines) == 4000 and sum(line.agrees for line in lines) >= len(lines) - 1
+    assert (
+        sum(line.n for line in lines) == 4000
+        and sum(line.agrees for line in lines) >= len(lines) - 1
+    )
     assert expected_calibration_error(right, true) < 0.02
     bold = right**3 / (right**3 + (1 - right) ** 3)
     assert expected_calibration_error(bold, true) > 0.08

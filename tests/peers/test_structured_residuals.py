@@ -22,13 +22,15 @@ def test_structured_residuals_decouple_exactly_and_isolate_each_fault():
     assert len(bank) == 3
     rng = np.random.default_rng(6)
     u, d = rng.standard_normal(2000), 5 * rng.standard_normal(2000)
-    y = np.column_stack([G.simulate(u) + D.simulate(d) for G, D in zip(u_column, d_column, strict=True)])
+    y = np.column_stack(
+        [G.simulate(u) + D.simulate(d) for G, D in zip(u_column, d_column, strict=True)]
+    )
     for residual in bank:
         assert residual.leak < 1e-7 and residual.filter.is_stable
         assert np.abs(residual.filter.simulate(np.column_stack([y, u]))[0][200:]).max() < 1e-5
-        noise = residual.filter.simulate(np.column_stack([[0.1, 0.2, 0.1] * rng.standard_normal((20_000, 3)), np.zeros(20_000)]))[
-            0
-        ]
+        noise = residual.filter.simulate(
+            np.column_stack([[0.1, 0.2, 0.1] * rng.standard_normal((20_000, 3)), np.zeros(20_000)])
+        )[0]
         assert np.std(noise[200:]) == pytest.approx(1.0, rel=0.03)
         for k, name in enumerate(faults):
             moved = y.copy()

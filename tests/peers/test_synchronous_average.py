@@ -15,7 +15,9 @@ def test_synchronous_average_keeps_the_gear_and_leaves_the_noise():
     average = synchronous_average(np.sin(2 * np.pi * 11 * angle) + noise, angle, 250)
     phase = np.arange(250) / 250
     assert average.revolutions == 199
-    assert np.sqrt(np.mean((average.mean - np.sin(2 * np.pi * 11 * phase)) ** 2)) < 1.5 / np.sqrt(199)
+    assert np.sqrt(np.mean((average.mean - np.sin(2 * np.pi * 11 * phase)) ** 2)) < 1.5 / np.sqrt(
+        199
+    )
     assert average.residual.std() == pytest.approx(1.0, abs=0.05)
     with pytest.raises(BadInput, match="at least 2"):
         synchronous_average(noise[:250], angle[:250], 250)

@@ -20,7 +20,15 @@ import numpy as np
 import residuum as rs
 
 HERE = Path(__file__).parent
-COMMAND = [sys.executable, "-c", "from residuum.service.cli import main; main()", "serve", "--port", "0", "--data"]
+COMMAND = [
+    sys.executable,
+    "-c",
+    "from residuum.service.cli import main; main()",
+    "serve",
+    "--port",
+    "0",
+    "--data",
+]
 ASKED = (
     "assets?limit=100", "assets/press", "assets/press/findings", "assets/press/indicators",
     "assets/press/limits", "assets/press/windows", "assets/press/windows/1", "assets/plant/method",
@@ -36,7 +44,9 @@ def fill(client):
     for number, knocks in enumerate((0.0, 0.0, 40.0)):
         at = np.arange(4096) / 4096
         vibration = rng.normal(size=at.size) + knocks * (rng.random(at.size) < 0.005)
-        columns = "".join(f"{time:.6f},{value:.4f},1500\n" for time, value in zip(at, vibration, strict=True))
+        columns = "".join(
+            f"{time:.6f},{value:.4f},1500\n" for time, value in zip(at, vibration, strict=True)
+        )
         answer = client.post(
             "assets/press/windows?diagnoser=bearing",
             content=f"time [s],vibration [m/s^2],speed [rpm]\n{columns}".encode(),
@@ -48,11 +58,15 @@ def fill(client):
     record = b"time [s],voltage [V]\n0,1\n0.1,\n0.2,3\n"
     client.post("records?filename=a.csv", content=record).raise_for_status()
     for note in ("first", "second"):
-        client.post(f"models?name=axis&note={note}", content=rs.model("gate-drive").text.encode()).raise_for_status()
+        client.post(
+            f"models?name=axis&note={note}", content=rs.model("gate-drive").text.encode()
+        ).raise_for_status()
     machine = {
         "diagnoser": "robust-residual",
         "window": {"cut": "sliding"},
-        "sources": [{"kind": "modbus", "host": "127.0.0.1", "port": 9, "map": "process_plant.yaml"}],
+        "sources": [
+            {"kind": "modbus", "host": "127.0.0.1", "port": 9, "map": "process_plant.yaml"}
+        ],
     }
     client.put("assets/plant/machine", json=machine).raise_for_status()
     client.put("assets/plant/method", json={"method": "source"}).raise_for_status()
@@ -71,7 +85,10 @@ def main():
                 service.terminate()
         with tarfile.open(HERE / "data-folder-0.1.0.tar.gz", "w:gz") as archive:
             archive.add(folder, "data")
-            for name, content in (("answers.json", json.dumps(told, indent=1).encode()), ("window-3.npz", signal)):
+            for name, content in (
+                ("answers.json", json.dumps(told, indent=1).encode()),
+                ("window-3.npz", signal),
+            ):
                 member = tarfile.TarInfo(name)
                 member.size = len(content)
                 archive.addfile(member, io.BytesIO(content))

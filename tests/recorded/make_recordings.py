@@ -6,8 +6,8 @@ from pathlib import Path
 import can
 import numpy as np
 
-from residuum.service.fieldbus.can.can_bus import FrameSender
 from residuum.service.fieldbus.can.frame_layout import read_dbc
+from residuum.service.fieldbus.can.frame_sender import FrameSender
 from residuum.service.fieldbus.modbus.register_map import read_register_map
 from residuum.service.fieldbus.modbus.register_trace import TracedPage, write_trace
 from residuum.service.fieldbus.settings import MAPS
@@ -39,8 +39,12 @@ def merged(streams, senders, begin):
     messages = []
     for stream, signals in streams.items():
         layout = senders[stream].layout
-        frames = senders[stream].frames({name: np.asarray(values) for name, values in signals.channels.items()})
-        for at, data in zip(begin + _STEP * (np.arange(len(frames)) + 1) / max(1, len(frames)), frames, strict=True):
+        frames = senders[stream].frames(
+            {name: np.asarray(values) for name, values in signals.channels.items()}
+        )
+        for at, data in zip(
+            begin + _STEP * (np.arange(len(frames)) + 1) / max(1, len(frames)), frames, strict=True
+        ):
             message = can.Message(
                 timestamp=1.0 + at,
                 arbitration_id=layout.frame_id,
@@ -69,4 +73,8 @@ def plant_pages(seconds, fault, fault_at):
 if __name__ == "__main__":
     record_can("gate-actuator", HERE / "gate_actuator.blf", 31.0, "pinion-tooth", 13.0, skip=0.5)
     record_can("gripping-pliers", HERE / "gripping_pliers.blf", 20.0, "plier-bearing", 10.0)
-    write_trace(HERE / "process_plant.trace", "process_plant.yaml", plant_pages(120.0, "sensor-offset", 60.0))
+    write_trace(
+        HERE / "process_plant.trace",
+        "process_plant.yaml",
+        plant_pages(120.0, "sensor-offset", 60.0),
+    )

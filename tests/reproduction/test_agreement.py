@@ -28,7 +28,11 @@ def test_a_check_that_no_longer_agrees_or_is_gone_is_lost():
 
 def test_what_holds_by_construction_is_shown_and_not_counted(tmp_path):
     constructed = replace(GOOD, by_construction=True)
-    items = [ITEM, replace(ITEM, checks=[replace(GOOD, holds=False)], reason="tried"), replace(ITEM, checks=[constructed])]
+    items = [
+        ITEM,
+        replace(ITEM, checks=[replace(GOOD, holds=False)], reason="tried"),
+        replace(ITEM, checks=[constructed]),
+    ]
     assert [item.word for item in items] == ["agrees", "differs", "holds by construction"]
     assert not items[2].agrees and "1 of 3 figures" in summary(items)
     write_report(items, [("part", "Fig. 1", "gain")], tmp_path / "report.html")
@@ -37,10 +41,25 @@ def test_what_holds_by_construction_is_shown_and_not_counted(tmp_path):
 
 
 def test_checks_say_what_they_measured():
-    assert near("x", 2.0, 2.1, 0.1).holds and not near("x", 2.0, 2.3, 0.1).holds and not near("x", 2.0, float("nan"), 0.1).holds
-    assert at_most("x", 1.0, 1.0).holds and not at_most("x", float("nan"), 1.0).holds and not at_least("x", 0.9, 1.0).holds
-    assert within("x", 0.5, 0.0, 1.0).holds and not within("x", float("inf"), 0.0, 1.0).holds and not same("x", 2, 3).holds
-    assert "+15 %" in near("x", 2.0, 2.3, 0.1, "s").sentence and "2.3 s" in near("x", 2.0, 2.3, 0.1, "s").sentence
+    assert (
+        near("x", 2.0, 2.1, 0.1).holds
+        and not near("x", 2.0, 2.3, 0.1).holds
+        and not near("x", 2.0, float("nan"), 0.1).holds
+    )
+    assert (
+        at_most("x", 1.0, 1.0).holds
+        and not at_most("x", float("nan"), 1.0).holds
+        and not at_least("x", 0.9, 1.0).holds
+    )
+    assert (
+        within("x", 0.5, 0.0, 1.0).holds
+        and not within("x", float("inf"), 0.0, 1.0).holds
+        and not same("x", 2, 3).holds
+    )
+    assert (
+        "+15 %" in near("x", 2.0, 2.3, 0.1, "s").sentence
+        and "2.3 s" in near("x", 2.0, 2.3, 0.1, "s").sentence
+    )
 
 
 def test_every_figure_and_table_of_chapters_2_to_7_is_in_the_report():
@@ -52,7 +71,13 @@ def test_every_figure_and_table_of_chapters_2_to_7_is_in_the_report():
 
 
 def test_every_place_that_is_measured_says_why_its_tolerances_are_what_they_are():
-    measured = {where for short in (True, False) for items in recorded(short).values() for where, names in items.items() if names}
+    measured = {
+        where
+        for short in (True, False)
+        for items in recorded(short).values()
+        for where, names in items.items()
+        if names
+    }
     assert measured <= set(TOLERANCES)
     places = {where for items in recorded(short=False).values() for where in items}
     assert set(TOLERANCES) <= places | {"Section 6.3"}  # real bearings, where their recordings are
@@ -65,7 +90,9 @@ def _numbers(where, kind):
         yield int(two[1])
 
 
-@pytest.mark.parametrize("part", ["drawings", "sample_size", "uncertainty", "oven", "gripping_pliers", "gate_actuator"])
+@pytest.mark.parametrize(
+    "part", ["drawings", "sample_size", "uncertainty", "oven", "gripping_pliers", "gate_actuator"]
+)
 def test_the_short_report_still_agrees_where_it_did(part):
     items = run(part, short=True)
     assert lost(recorded(short=True), {part: items}) == []
@@ -75,7 +102,10 @@ def test_the_short_report_still_agrees_where_it_did(part):
 
 def test_a_weight_made_too_small_turns_the_report_red(monkeypatch):
     right = uncertainty.weights()
-    small = {name: replace(made, weight=replace(made.weight, num=0.3 * made.weight.num)) for name, made in right.items()}
+    small = {
+        name: replace(made, weight=replace(made.weight, num=0.3 * made.weight.num))
+        for name, made in right.items()
+    }
     monkeypatch.setattr(uncertainty, "weights", lambda: small)
     gone = lost(recorded(short=True), {"uncertainty": uncertainty.items(short=True)})
     assert {where for _, where, _ in gone} >= {"Fig. 45"}
@@ -83,5 +113,9 @@ def test_a_weight_made_too_small_turns_the_report_red(monkeypatch):
 
 def test_a_loop_with_the_wrong_sign_turns_the_report_red(monkeypatch):
     original = drawings.weighted_loop
-    monkeypatch.setattr(drawings, "weighted_loop", lambda plant, *rest: original(replace(plant, num=-plant.num), *rest))
+    monkeypatch.setattr(
+        drawings,
+        "weighted_loop",
+        lambda plant, *rest: original(replace(plant, num=-plant.num), *rest),
+    )
     assert lost(recorded(short=True), {"drawings": drawings.items(short=True)})[0][1] == "Fig. 40"

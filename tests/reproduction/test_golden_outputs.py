@@ -27,7 +27,11 @@ def test_a_case_that_is_not_answered_any_more_fails(tmp_path: Path) -> None:
 
 
 def test_a_record_of_some_commands_is_held_against_these_alone(tmp_path: Path) -> None:
-    old = {CASE: {"status": 0}, "residuum compare": {"status": 0}, "GET /api/v1/effects": {"status": 200}}
+    old = {
+        CASE: {"status": 0},
+        "residuum compare": {"status": 0},
+        "GET /api/v1/effects": {"status": 200},
+    }
     assert status(tmp_path, old, {CASE: {"status": 0}}, "effects") == 0
     assert status(tmp_path, old, {}, "effects") == 1
 
@@ -42,15 +46,22 @@ def test_a_text_with_a_time_in_it_must_say_the_same_otherwise() -> None:
     assert [kind for kind, _ in differences(said, "fit 12.0 % of the record, 13.1 s")] == ["other"]
     begun = "begun 2026-01-02T03:04:05.123Z by anna"
     assert not list(differences(begun, "begun 2027-05-06T07:08:09.456Z by anna"))
-    assert [kind for kind, _ in differences(begun, "begun 2027-05-06T07:08:09.456Z by otto")] == ["other"]
+    assert [kind for kind, _ in differences(begun, "begun 2027-05-06T07:08:09.456Z by otto")] == [
+        "other"
+    ]
 
 
 def test_a_number_of_seconds_that_is_an_answer_counts() -> None:
-    assert [kind for kind, _ in differences("overshoot 1 %, settling 12 s: kept", "overshoot 1 %, settling 90 s: kept")] == [
+    assert [
+        kind
+        for kind, _ in differences(
+            "overshoot 1 %, settling 12 s: kept", "overshoot 1 %, settling 90 s: kept"
+        )
+    ] == ["other"]
+    assert not list(differences("kept (12 s)", "kept (13 s)"))
+    assert [kind for kind, _ in differences({"falsified_at": [0.3]}, {"falsified_at": []})] == [
         "other"
     ]
-    assert not list(differences("kept (12 s)", "kept (13 s)"))
-    assert [kind for kind, _ in differences({"falsified_at": [0.3]}, {"falsified_at": []})] == ["other"]
     assert not list(differences({"created_at": "2026-01-01"}, {"created_at": "2026-01-02"}))
 
 

@@ -32,11 +32,15 @@ def step_in_the_loop(controller, g, samples=400):
         e[k] = 1.0 - y[k]
         if abs(y[k]) > 1e6:
             break
-        u[k] = sum(b * e[k - i] for i, b in enumerate(num) if k >= i) - sum(a * u[k - i] for i, a in enumerate(den) if 0 < i <= k)
+        u[k] = sum(b * e[k - i] for i, b in enumerate(num) if k >= i) - sum(
+            a * u[k - i] for i, a in enumerate(den) if 0 < i <= k
+        )
     return y
 
 
-@pytest.mark.parametrize(("plant", "method"), [("direct", "arx"), ("static", "arx"), ("mostly", "kernel")])
+@pytest.mark.parametrize(
+    ("plant", "method"), [("direct", "arx"), ("static", "arx"), ("mostly", "kernel")]
+)
 def test_the_loop_of_the_true_plant_is_as_promised(plant, method):
     controller = rs.control.design(identified(G[plant], method), structure="pi")
     answer = controller.to_dict()
@@ -50,9 +54,13 @@ def test_the_loop_of_the_true_plant_is_as_promised(plant, method):
 
 def test_a_plant_that_acts_a_sample_later_is_taken_as_it_is():
     plant = identified(np.r_[0.0, G["direct"]], "arx")
-    assert rs.control.design(plant, structure="pi").to_dict()["computation_samples"] == 1  # delay 0 was asked for
+    assert (
+        rs.control.design(plant, structure="pi").to_dict()["computation_samples"] == 1
+    )  # delay 0 was asked for
     rng = np.random.default_rng(1)
     u = rng.standard_normal(800)
-    record = rs.Record({"u": u, "y": np.convolve(u, np.r_[0.0, G["direct"]])[:800]}, {"u": "V", "y": "V"}, 0.1)
+    record = rs.Record(
+        {"u": u, "y": np.convolve(u, np.r_[0.0, G["direct"]])[:800]}, {"u": "V", "y": "V"}, 0.1
+    )
     later = rs.identify(record, input="u", output="y", method="arx", order=2, delay=1)
     assert rs.control.design(later, structure="pi").to_dict()["computation_samples"] == 0

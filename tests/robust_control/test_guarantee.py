@@ -10,7 +10,13 @@ from residuum.identification.linear_models.transfer_function import TransferFunc
 from residuum.identification.linear_models.uncertainty import design_uncertainty_weight
 from residuum.identification.record import Record
 from residuum.robust_control.certificates import h_infinity_norm
-from residuum.robust_control.loop import Loop, Weights, characteristic, frequency_grid, weighted_loop
+from residuum.robust_control.loop import (
+    Loop,
+    Weights,
+    characteristic,
+    frequency_grid,
+    weighted_loop,
+)
 from residuum.robust_control.synthesis.constrained_structure import PI
 from residuum.robust_control.synthesis.structured_synthesis import synthesise
 from residuum.robust_control.weights.performance_weight import ReferenceModel
@@ -46,4 +52,7 @@ def test_no_plant_of_the_certified_set_is_destabilised(name):
     assert within > 100
     # and the certificate is not idle: a gain beyond what it allows everywhere destabilises the loop
     gains = np.linspace(1.0, 1000.0, 400)
-    assert any(not is_schur(characteristic(TransferFunction(gain * plant.num, plant.den, 1.0), K)) for gain in gains)
+    assert any(
+        not is_schur(characteristic(TransferFunction(gain * plant.num, plant.den, 1.0), K))
+        for gain in gains
+    )

@@ -7,7 +7,10 @@ import pytest
 from scipy import signal
 
 from residuum.identification.errors import BadInput
-from residuum.identification.kernel_based.multivariable import identify_multivariable, multivariable_text
+from residuum.identification.kernel_based.multivariable import (
+    identify_multivariable,
+    multivariable_text,
+)
 from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.identification.record import Record
 from residuum.robust_control.control_problem import WeightChoice, Wishes
@@ -17,14 +20,21 @@ from residuum.robust_control.weights.performance_weight import Infeasible
 from residuum.service.cli import run
 
 TS, LAGS = 0.5, 40
-PATHS = [[([0, 0.5], [1, -0.5]), ([0, -0.3], [1, -0.6])], [([0, 0.2], [1, -0.7]), ([0, 0.4], [1, -0.6])]]
+PATHS = [
+    [([0, 0.5], [1, -0.5]), ([0, -0.3], [1, -0.6])],
+    [([0, 0.2], [1, -0.7]), ([0, 0.4], [1, -0.6])],
+]
 FEW = WeightChoice(rule="worst-case", points=200)
 
 
 def identified(n=2000, noise=0.05, seed=0, paths=PATHS):
     rng = np.random.default_rng(seed)
     u = rng.standard_normal((2, n))
-    y = [sum(signal.lfilter(b, a, v) for (b, a), v in zip(row, u, strict=True)) + noise * rng.standard_normal(n) for row in paths]
+    y = [
+        sum(signal.lfilter(b, a, v) for (b, a), v in zip(row, u, strict=True))
+        + noise * rng.standard_normal(n)
+        for row in paths
+    ]
     names = ("u0", "u1", "y0", "y1")
     record = Record(dict(zip(names, [*u, *y], strict=True)), dict.fromkeys(names, ""), TS)
     return identify_multivariable(record, ["u0", "u1"], ["y0", "y1"], order=LAGS)
@@ -53,11 +63,19 @@ def poles(taps, found):
     read = np.hstack([taps[:, j, 1:] for j in range(q)])
     made = [signal.tf2ss(np.atleast_1d(K.num), K.den) for K in found.controllers]
     order = [len(A) for A, *_ in made]
-    A_c, B_c, C_c = (np.zeros(shape) for shape in ((sum(order), sum(order)), (sum(order), p), (p, sum(order))))
+    A_c, B_c, C_c = (
+        np.zeros(shape) for shape in ((sum(order), sum(order)), (sum(order), p), (p, sum(order)))
+    )
     D_c, at = np.zeros((p, p)), 0
     for i, (A, B, C, D) in enumerate(made):
         part = slice(at, at + len(A))
-        A_c[part, part], B_c[part, i], C_c[i, part], D_c[i, i], at = A, B[:, 0], C[0], D[0, 0], at + len(A)
+        A_c[part, part], B_c[part, i], C_c[i, part], D_c[i, i], at = (
+            A,
+            B[:, 0],
+            C[0],
+            D[0, 0],
+            at + len(A),
+        )
     top = np.hstack([shift - enter @ found.decoupler @ D_c @ read, enter @ found.decoupler @ C_c])
     return np.linalg.eigvals(np.vstack([top, np.hstack([-B_c @ read, A_c])]))
 
@@ -81,8 +99,13 @@ def test_the_bound_holds_interactions_and_uncertainty_at_every_frequency(problem
 
 
 def test_without_interactions_in_the_bound_the_whole_would_not_be_certified(problem, found):
-    alone = [np.abs(loop.weights[i].frequency_response(loop.loop.omega)) for i, loop in enumerate(problem.loops)]
-    assert all(np.any(loop.magnitude > 1.5 * own) for loop, own in zip(problem.loops, alone, strict=True))
+    alone = [
+        np.abs(loop.weights[i].frequency_response(loop.loop.omega))
+        for i, loop in enumerate(problem.loops)
+    ]
+    assert all(
+        np.any(loop.magnitude > 1.5 * own) for loop, own in zip(problem.loops, alone, strict=True)
+    )
 
 
 def test_steps_are_those_of_the_state_equations_and_settle_without_error(problem, found):
@@ -121,7 +144,9 @@ def test_relative_gains_and_what_cannot_be_controlled_are_told(problem):
         MultivariableProblem(identify_multivariable(record, ["u"], ["y0", "y1"], order=20))
     alike = [PATHS[0], [([0, 0.505], [1, -0.5]), ([0, -0.3], [1, -0.6])]]
     with pytest.raises(BadInput, match="interactions and uncertainty"):
-        MultivariableProblem(identified(n=300, noise=3.0, paths=alike), choice=FEW).solve(PI(TS), Wishes())
+        MultivariableProblem(identified(n=300, noise=3.0, paths=alike), choice=FEW).solve(
+            PI(TS), Wishes()
+        )
 
 
 def test_the_command_writes_decoupler_and_loops(tmp_path, capsys):
@@ -130,8 +155,14 @@ def test_the_command_writes_decoupler_and_loops(tmp_path, capsys):
     options = ["--structure", "pi", "--rule", "worst-case", "--points", "200"]
     assert run(["control", "design", str(model), "--out", str(out), *options, "--json"]) == 0
     made = json.loads(capsys.readouterr().out)
-    assert made["certified"] and made["random_plants"]["unstable"] == 0 and json.loads(out.read_text()) == made
-    np.testing.assert_allclose(np.array(made["static_gain"]) @ made["decoupler"], np.eye(2), atol=1e-9)
+    assert (
+        made["certified"]
+        and made["random_plants"]["unstable"] == 0
+        and json.loads(out.read_text()) == made
+    )
+    np.testing.assert_allclose(
+        np.array(made["static_gain"]) @ made["decoupler"], np.eye(2), atol=1e-9
+    )
     for loop in made["loops"]:
         nominal, promised = loop["measured"]["nominal"], loop["promised"]
         held = all(nominal[name] <= promised[name] for name in promised)
@@ -140,5 +171,18 @@ def test_the_command_writes_decoupler_and_loops(tmp_path, capsys):
     assert "certified stable for every drawn model" in capsys.readouterr().out
     assert run(["control", "design", str(model), str(model), "--out", str(out)]) == 2
     assert "takes one model" in capsys.readouterr().err
-    assert run(["control", "design", str(model), "--out", str(tmp_path / "n.json"), "--settling-time", ".001"]) == 1
+    assert (
+        run(
+            [
+                "control",
+                "design",
+                str(model),
+                "--out",
+                str(tmp_path / "n.json"),
+                "--settling-time",
+                ".001",
+            ]
+        )
+        == 1
+    )
     assert "infeasible: loop of" in capsys.readouterr().out and not (tmp_path / "n.json").exists()

@@ -15,7 +15,9 @@ def test_two_orders_more_where_the_fit_alone_is_over_100_percent():
     y = lfilter([0, 0, 0, 0.28261, 0.50666], [1, -1.41833, 1.58939, -1.31608, 0.88642], u)
     e = np.clip(rng.standard_normal(6000), -3, 3)
     y = y + e * np.std(y) / 5.0 / np.std(e)
-    model = identify_impulse_response(Record({"u": u[1000:], "y": y[1000:]}, {"u": "", "y": ""}, 0.01), "u", "y", offset=False)
+    model = identify_impulse_response(
+        Record({"u": u[1000:], "y": y[1000:]}, {"u": "", "y": ""}, 0.01), "u", "y", offset=False
+    )
     problem = ControlProblem([model], seed=1, weight=WeightChoice(lowest=1e-3))
     assert problem.largest[0] < 1.0 and problem.magnitude[0] < 1.0
     assert np.all(problem.magnitude >= problem.largest * (1 - 1e-9))

@@ -26,19 +26,27 @@ from residuum.service.settings import load_settings
 from residuum.service.simulated.demo import train
 
 PATIENCE = 60.0
-_PROCESS = os.environ.get("PYTEST_XDIST_WORKER")  # gw0, gw1, … when several processes run the tests, each its share
+_PROCESS = os.environ.get(
+    "PYTEST_XDIST_WORKER"
+)  # gw0, gw1, … when several processes run the tests, each its share
 _PORTS = range(20_000, 32_000, 1_500)  # below those of outgoing connections
 
 
 def find_program(name):
     """A program of Debian's packages, wherever they put it; None when it is not installed."""
-    folders = [*map(str, sorted(Path("/usr/lib/postgresql").glob("*/bin"), reverse=True)), os.environ["PATH"], "/usr/sbin"]
+    folders = [
+        *map(str, sorted(Path("/usr/lib/postgresql").glob("*/bin"), reverse=True)),
+        os.environ["PATH"],
+        "/usr/sbin",
+    ]
     return shutil.which(name, path=os.pathsep.join(folders))
 
 
 def not_here(what, untested):
     """Skip loudly; fail where CI may install it, because CI must run these tests."""
-    message = f"NO {what} HERE, so {untested} was not tested; sh tests/system_packages.sh installs it"
+    message = (
+        f"NO {what} HERE, so {untested} was not tested; sh tests/system_packages.sh installs it"
+    )
     if os.environ.get("CI") and os.getuid() == 0:
         pytest.fail(message)
     pytest.skip(message)
@@ -106,15 +114,47 @@ def postgresql():
     initdb, postgres = find_program("initdb"), find_program("postgres")
     if initdb is None or postgres is None:
         not_here("POSTGRESQL", "the store on it")
-    user = next(name for name in ("postgres", "nobody") if name in {entry.pw_name for entry in pwd.getpwall()})
+    user = next(
+        name
+        for name in ("postgres", "nobody")
+        if name in {entry.pw_name for entry in pwd.getpwall()}
+    )
     user = user if os.getuid() == 0 else getpass.getuser()  # PostgreSQL refuses to be run by root
-    other = {"user": user, "group": pwd.getpwnam(user).pw_gid, "extra_groups": []} if os.getuid() == 0 else {}
-    with tempfile.TemporaryDirectory(prefix="residuum-postgresql-", dir="/tmp", ignore_cleanup_errors=True) as folder:
+    other = (
+        {"user": user, "group": pwd.getpwnam(user).pw_gid, "extra_groups": []}
+        if os.getuid() == 0
+        else {}
+    )
+    with tempfile.TemporaryDirectory(
+        prefix="residuum-postgresql-", dir="/tmp", ignore_cleanup_errors=True
+    ) as folder:
         shutil.chown(folder, user)
-        make = [initdb, "-D", f"{folder}/data", "-A", "trust", "-U", "postgres", "-E", "UTF8", "--no-locale", "--no-sync"]
+        make = [
+            initdb,
+            "-D",
+            f"{folder}/data",
+            "-A",
+            "trust",
+            "-U",
+            "postgres",
+            "-E",
+            "UTF8",
+            "--no-locale",
+            "--no-sync",
+        ]
         subprocess.run(make, check=True, capture_output=True, cwd=folder, **other)
         port = _free_port()
-        start = [postgres, "-D", f"{folder}/data", "-p", str(port), "-k", folder, "-c", "listen_addresses=127.0.0.1"]
+        start = [
+            postgres,
+            "-D",
+            f"{folder}/data",
+            "-p",
+            str(port),
+            "-k",
+            folder,
+            "-c",
+            "listen_addresses=127.0.0.1",
+        ]
         with subprocess.Popen(start, stderr=subprocess.DEVNULL, cwd=folder, **other) as server:
             try:
                 wait_for_port(port, server)
@@ -161,9 +201,16 @@ def start_mosquitto(tmp_path):
 
         def start(port, *lines):
             settings = tmp_path / f"mosquitto-{port}.conf"
-            lines = (f"listener {port} 127.0.0.1", "allow_anonymous true", f"user {getpass.getuser()}", *lines)
+            lines = (
+                f"listener {port} 127.0.0.1",
+                "allow_anonymous true",
+                f"user {getpass.getuser()}",
+                *lines,
+            )
             settings.write_text("\n".join(lines))
-            broker = stack.enter_context(subprocess.Popen([mosquitto, "-c", settings], stderr=subprocess.DEVNULL))
+            broker = stack.enter_context(
+                subprocess.Popen([mosquitto, "-c", settings], stderr=subprocess.DEVNULL)
+            )
             stack.callback(broker.terminate)
             wait_for_port(port, broker)
             return broker
@@ -182,7 +229,10 @@ def make_disk(tmp_path_factory):
     def make(size):
         folder = tmp_path_factory.mktemp("disk")
         mount = ["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", folder]
-        if shutil.which("mount") is None or subprocess.run(mount, capture_output=True, check=False).returncode:
+        if (
+            shutil.which("mount") is None
+            or subprocess.run(mount, capture_output=True, check=False).returncode
+        ):
             not_here("RIGHT TO MOUNT A FILE SYSTEM", "a disk that is full or read-only")
         made.append(folder)
         return folder, remount
@@ -225,14 +275,21 @@ class RunningService:
     def __init__(self, data, make_pipeline=Pipeline, **settings):
         self.port = _free_port()
         self.url = f"http://127.0.0.1:{self.port}"
-        self._settings = load_settings(data=data, port=self.port, workers=1, log_level="error", **settings)
+        self._settings = load_settings(
+            data=data, port=self.port, workers=1, log_level="error", **settings
+        )
         self._make_pipeline = make_pipeline
         self.start()
 
     def start(self):
         self.app = create_app(self._settings, self._make_pipeline)
         config = uvicorn.Config(
-            self.app, port=self.port, log_config=None, access_log=False, proxy_headers=False, timeout_graceful_shutdown=1
+            self.app,
+            port=self.port,
+            log_config=None,
+            access_log=False,
+            proxy_headers=False,
+            timeout_graceful_shutdown=1,
         )
         self._server = uvicorn.Server(config)
         self._thread = threading.Thread(target=self._server.run, daemon=True)
@@ -257,7 +314,9 @@ def run_service(tmp_path_factory):
     with contextlib.ExitStack() as stack:
 
         def run(make_pipeline=Pipeline, data=None, **settings):
-            service = RunningService(data or tmp_path_factory.mktemp("service"), make_pipeline, **settings)
+            service = RunningService(
+                data or tmp_path_factory.mktemp("service"), make_pipeline, **settings
+            )
             stack.callback(service.stop)
             return service
 

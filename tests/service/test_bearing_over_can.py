@@ -24,11 +24,17 @@ def accelerometer(number):
 
 
 @pytest.mark.skipif(not RIG.is_dir(), reason="skipped: no real recordings here")
-@pytest.mark.parametrize(("number", "expected"), [(97, None), (105, "inner-race"), (130, "outer-race")])
-def test_a_recording_of_a_bearing_rig_is_judged_over_can_fd(number, expected, run_service, free_channel, tmp_path, capsys):
+@pytest.mark.parametrize(
+    ("number", "expected"), [(97, None), (105, "inner-race"), (130, "outer-race")]
+)
+def test_a_recording_of_a_bearing_rig_is_judged_over_can_fd(
+    number, expected, run_service, free_channel, tmp_path, capsys
+):
     healthy = accelerometer(97)
     half = healthy.n // 2
-    Bearing(orders=ORDERS, speed_rpm=1797.0).fit([healthy.window(0, half)]).save(tmp_path / "baseline.zip")
+    Bearing(orders=ORDERS, speed_rpm=1797.0).fit([healthy.window(0, half)]).save(
+        tmp_path / "baseline.zip"
+    )
     channel = free_channel()
     watched = MachineSettings(
         asset="rig",
@@ -37,18 +43,31 @@ def test_a_recording_of_a_bearing_rig_is_judged_over_can_fd(number, expected, ru
         sources=[SourceSettings(kind="can", channel=channel, map="vibration_logger.dbc")],
     )
     service = run_service(machines=[watched.model_dump()])
-    service.services.store.add_model_version("rig", "baseline", (tmp_path / "baseline.zip").read_bytes())
+    service.services.store.add_model_version(
+        "rig", "baseline", (tmp_path / "baseline.zip").read_bytes()
+    )
     record = healthy.window(half, healthy.n) if number == 97 else accelerometer(number)
     end = time.monotonic() + 120
     while service.services.pipeline.status()["machines"]["rig"]["state"] != "waiting":
         assert time.monotonic() < end, "the baseline was not taken up"
         time.sleep(0.1)
     write_record(record, tmp_path / "part.npz")
-    replay = ["replay", str(tmp_path / "part.npz"), "--to", f"can:{channel}", "--bus-map", "vibration_logger.dbc", "--speed", "5"]
+    replay = [
+        "replay",
+        str(tmp_path / "part.npz"),
+        "--to",
+        f"can:{channel}",
+        "--bus-map",
+        "vibration_logger.dbc",
+        "--speed",
+        "5",
+    ]
     assert run_command([*replay, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["sent"] == record.n // 31
     found = findings_of(service, at_least=int(record.duration) - 1)
-    assert {finding.verdict.value for finding in found} == {"healthy" if expected is None else "faulty"}
+    assert {finding.verdict.value for finding in found} == {
+        "healthy" if expected is None else "faulty"
+    }
     classes = [finding.fault_class for finding in found]
     assert max(set(classes), key=classes.count) == expected
     (source,) = service.services.pipeline.status()["sources"].values()

@@ -24,7 +24,9 @@ def get(site, path):
 
 @pytest.fixture
 def site(tmp_path):
-    (tmp_path / "index.html").write_text(f"<html><script>{SCRIPT}</script><script src='a.js'></script></html>")
+    (tmp_path / "index.html").write_text(
+        f"<html><script>{SCRIPT}</script><script src='a.js'></script></html>"
+    )
     (tmp_path / "a.js").write_text("1")
     return tmp_path
 

@@ -19,7 +19,10 @@ PYTHONS = ("3.11", "3.12")
 def locked(name, python):
     """Package → version and hashes of a lock file, for a Python."""
     text = (ROOT / "deploy" / name).read_text(encoding="utf-8").replace("\\\n", " ")
-    environment = default_environment() | {"python_version": python, "python_full_version": f"{python}.0"}
+    environment = default_environment() | {
+        "python_version": python,
+        "python_full_version": f"{python}.0",
+    }
     found = {}
     for line in text.splitlines():
         if not line.strip() or line.startswith("#"):
@@ -28,18 +31,26 @@ def locked(name, python):
         if requirement.marker is None or requirement.marker.evaluate(environment):
             (pinned,) = requirement.specifier
             assert pinned.operator == "==" and canonicalize_name(requirement.name) not in found
-            found[canonicalize_name(requirement.name)] = pinned.version, re.findall(r"--hash=sha256:([0-9a-f]{64})\b", line)
+            found[canonicalize_name(requirement.name)] = (
+                pinned.version,
+                re.findall(r"--hash=sha256:([0-9a-f]{64})\b", line),
+            )
     return found
 
 
 @pytest.mark.parametrize("python", PYTHONS)
 @pytest.mark.parametrize("name", LOCKS)
 def test_it_covers_what_is_asked_for(name, python):
-    asked = [*PROJECT["dependencies"], *(each for extra in LOCKS[name] for each in PROJECT["optional-dependencies"][extra])]
+    asked = [
+        *PROJECT["dependencies"],
+        *(each for extra in LOCKS[name] for each in PROJECT["optional-dependencies"][extra]),
+    ]
     known = locked(name, python)
     for requirement in map(Requirement, asked):
         version, _ = known[canonicalize_name(requirement.name)]
-        assert requirement.specifier.contains(version), f"{requirement} is locked as {version}: make lock"
+        assert requirement.specifier.contains(version), (
+            f"{requirement} is locked as {version}: make lock"
+        )
     assert all(hashes for _, hashes in known.values())
 
 

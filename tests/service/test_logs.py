@@ -17,7 +17,9 @@ def kept_handlers():
     logging.root.handlers[:] = handlers
 
 
-def test_a_line_comes_out_though_standard_error_was_closed_meanwhile(tmp_path, monkeypatch, kept_handlers):
+def test_a_line_comes_out_though_standard_error_was_closed_meanwhile(
+    tmp_path, monkeypatch, kept_handlers
+):
     first, second = io.StringIO(), io.StringIO()
     set_up_logs(load_settings(data=tmp_path))
     monkeypatch.setattr(sys, "stderr", first)

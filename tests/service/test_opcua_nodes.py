@@ -58,7 +58,14 @@ def test_the_latest_finding_is_offered():
     url, at = address(), datetime(2026, 11, 25, 1, 2, 3, tzinfo=UTC)
     nodes = FindingNodes(url)
     nodes.start()
-    finding = {"asset": "press-1", "at": at, "verdict": "faulty", "class": "wear", "reason": "why", "indicators": {"glr": 14.5}}
+    finding = {
+        "asset": "press-1",
+        "at": at,
+        "verdict": "faulty",
+        "class": "wear",
+        "reason": "why",
+        "indicators": {"glr": 14.5},
+    }
     nodes.tell("finding", finding | {"verdict": "healthy"})
     nodes.tell("finding", finding)
     nodes.tell("alarm", {"asset": "press-1", "state": "active", "raised_at": at})
@@ -66,7 +73,9 @@ def test_the_latest_finding_is_offered():
     end, found = time.monotonic() + 60, []
     while [each.Value.Value for each in found[2:]] != ["active"] and time.monotonic() < end:
         with contextlib.suppress(UaError):  # a node is made with its first value
-            found = asyncio.run(values(url, "press-1.verdict", "press-1.indicator.glr", "press-1.alarm"))
+            found = asyncio.run(
+                values(url, "press-1.verdict", "press-1.indicator.glr", "press-1.alarm")
+            )
     verdict, glr, alarm = found
     assert (verdict.Value.Value, glr.Value.Value, alarm.Value.Value) == ("faulty", 14.5, "active")
     assert verdict.SourceTimestamp.replace(tzinfo=UTC) == at
@@ -77,18 +86,31 @@ def test_the_latest_finding_is_offered():
     nodes.stop()
 
 
-def test_findings_are_read_by_holders_of_a_key_over_secured_channels_alone(run_service, tmp_path, capsys):
+def test_findings_are_read_by_holders_of_a_key_over_secured_channels_alone(
+    run_service, tmp_path, capsys
+):
     keys = {name: new_key() for name in ("eva", "cut", "scraper")}
-    lines = [f"eva viewer {keys['eva'][1]}", f"cut viewer {keys['cut'][1]} hall-1", f"scraper monitor {keys['scraper'][1]}"]
+    lines = [
+        f"eva viewer {keys['eva'][1]}",
+        f"cut viewer {keys['cut'][1]} hall-1",
+        f"scraper monitor {keys['scraper'][1]}",
+    ]
     (tmp_path / "api_keys").write_text("\n".join(lines))
     url = address()
     service = run_service(api_keys=tmp_path / "api_keys", opcua_server=url)
-    service.services.store.add_window("press", Record({"y": [0.0]}, {"y": "V"}, 1.0), Finding("bearing", "faulty"))
+    service.services.store.add_window(
+        "press", Record({"y": [0.0]}, {"y": "V"}, 1.0), Finding("bearing", "faulty")
+    )
     assert run(["opcua", "trust", url, "--out", str(tmp_path / "server.der")]) == DONE
     certificate = (service.services.settings.data / "opcua" / "server.der").read_bytes()
     assert (tmp_path / "server.der").read_bytes() == certificate
     files = tmp_path / "own.pem", tmp_path / "own.der"
-    own = ("urn:test:own", "localhost", [ExtendedKeyUsageOID.CLIENT_AUTH], {"organizationName": "test"})
+    own = (
+        "urn:test:own",
+        "localhost",
+        [ExtendedKeyUsageOID.CLIENT_AUTH],
+        {"organizationName": "test"},
+    )
     asyncio.run(setup_self_signed_certificate(*files, *own))
     security = {"certificate": files[1], "key": files[0], "trusted": tmp_path / "server.der"}
 
@@ -96,7 +118,9 @@ def test_findings_are_read_by_holders_of_a_key_over_secured_channels_alone(run_s
         (tmp_path / "password").write_text(key)
         user = {"user": {"name": name, "password_file": tmp_path / "password"}} if name else {}
         safe = {"security": security | {"policy": policy}} if policy else {}
-        nodes = NodeMap.model_validate({"streams": {"s": {"sample_time": 1, "channels": {"u": {"node": "i=1"}}}}} | user | safe)
+        nodes = NodeMap.model_validate(
+            {"streams": {"s": {"sample_time": 1, "channels": {"u": {"node": "i=1"}}}}} | user | safe
+        )
         client = make_client(url, nodes, 20.0)
         await enter(client, url, nodes, 20.0)
         try:
@@ -115,7 +139,13 @@ def test_findings_are_read_by_holders_of_a_key_over_secured_channels_alone(run_s
     assert asyncio.run(read("eva", keys["eva"][0], "Aes256Sha256RsaPss")) == "faulty"
     with pytest.raises(BadUserAccessDenied):
         asyncio.run(read("eva", keys["eva"][0], writes=True))
-    wrong = [("eva", keys["cut"][0]), ("eva", "guess"), ("cut", keys["cut"][0]), ("scraper", keys["scraper"][0]), (None, "")]
+    wrong = [
+        ("eva", keys["cut"][0]),
+        ("eva", "guess"),
+        ("cut", keys["cut"][0]),
+        ("scraper", keys["scraper"][0]),
+        (None, ""),
+    ]
     for name, key in wrong:
         with pytest.raises(UaError):
             asyncio.run(read(name, key))
@@ -132,12 +162,25 @@ def test_without_keys_findings_are_offered_only_where_it_is_said(tmp_path):
 
 def test_a_simulated_machine_is_read_over_opc_ua():
     url = address()
-    device = Device(MACHINES["process"](seed=1, exemplar=0), wiring_of("process-plant"), None, None, 1.0, print, url)
+    device = Device(
+        MACHINES["process"](seed=1, exemplar=0),
+        wiring_of("process-plant"),
+        None,
+        None,
+        1.0,
+        print,
+        url,
+    )
     loop, stopped = asyncio.new_event_loop(), asyncio.Event()
-    thread = threading.Thread(target=lambda: loop.run_until_complete(device.run(stopped, lambda port: None)), daemon=True)
+    thread = threading.Thread(
+        target=lambda: loop.run_until_complete(device.run(stopped, lambda port: None)), daemon=True
+    )
     thread.start()
     channels = {n: {"node": f"ns=2;s=process.signals.{n}"} for n in ("u", "y")}
-    blocks, nodes = [], NodeMap.model_validate({"streams": {"s": {"sample_time": 0.1, "channels": channels}}})
+    blocks, nodes = (
+        [],
+        NodeMap.model_validate({"streams": {"s": {"sample_time": 0.1, "channels": channels}}}),
+    )
     source = OpcuaSource(url, nodes, lambda b: blocks.append(b) or True)
     source.start()
     end = time.monotonic() + 60

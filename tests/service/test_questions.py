@@ -41,9 +41,17 @@ def described(tmp_path_factory):
 
 def body_of(described, path):
     if "get" in described["paths"][path]:
-        keys = [key for key in described["paths"][path]["get"]["parameters"] if key["in"] == "query"]
-        return {"properties": {key["name"]: key["schema"] | {"description": key["description"]} for key in keys}}
-    content = described["paths"][path]["post"]["requestBody"]["content"]["application/json"]["schema"]
+        keys = [
+            key for key in described["paths"][path]["get"]["parameters"] if key["in"] == "query"
+        ]
+        return {
+            "properties": {
+                key["name"]: key["schema"] | {"description": key["description"]} for key in keys
+            }
+        }
+    content = described["paths"][path]["post"]["requestBody"]["content"]["application/json"][
+        "schema"
+    ]
     return described["components"]["schemas"][content["$ref"].rsplit("/", 1)[1]]
 
 
@@ -59,11 +67,15 @@ def test_a_field_is_an_option_a_key_and_a_keyword(question, described):
         assert keywords[name].default == default
         assert " ".join(help_of(declared).split()) in " ".join(function.__doc__.split())
         assert shown[name].help.replace("\\[", "[").startswith(help_of(declared))
-        if isinstance(default, bool) or (declared.default is not None and not declared.is_required()):
+        if isinstance(default, bool) or (
+            declared.default is not None and not declared.is_required()
+        ):
             assert str(shown[name].default) == str(default)
         key = body["properties"][name]
         assert key.get("default", None) == (None if declared.is_required() else default)
-        assert key["description"] == declared.description and key.get("enum", []) == choices(declared)
+        assert key["description"] == declared.description and key.get("enum", []) == choices(
+            declared
+        )
         assert (name in body.get("required", ())) == declared.is_required()
 
 
@@ -73,7 +85,10 @@ def test_effects_of_ones_own_for_reading_a_model_are_the_commands_own(question, 
     command, path, function = DOORS[question]
     shown = get_command(import_module(f"residuum.service.commands.{command}").app).params
     assert "catalogue" in [p.name for p in shown] and "catalogue" not in question.model_fields
-    assert "catalogue" not in {**inspect.signature(function).parameters, **body_of(described, f"/api/v1/{path}")["properties"]}
+    assert "catalogue" not in {
+        **inspect.signature(function).parameters,
+        **body_of(described, f"/api/v1/{path}")["properties"],
+    }
 
 
 class Weigh(Question):
@@ -101,13 +116,25 @@ def test_a_question_reads_and_refuses_alike_for_every_door():
         """Weigh."""
         return asked
 
-    assert list(inspect.signature(weigh).parameters) == ["thing", "scale", "times", "quick", "progress"]
+    assert list(inspect.signature(weigh).parameters) == [
+        "thing",
+        "scale",
+        "times",
+        "quick",
+        "progress",
+    ]
     assert "times : int\n    How often. Must be ≥ 1 and ≤ 9." in weigh.__doc__
     assert list(inspect.signature(command).parameters) == ["thing", "scale", "times"]
-    assert command(thing="salt", scale="ounces", times="3") == weigh("salt", scale="ounces", times=3)
-    with pytest.raises(BadInput, match=r"^scale 'gram': there is none of this name; did you mean 'grams'\?"):
+    assert command(thing="salt", scale="ounces", times="3") == weigh(
+        "salt", scale="ounces", times=3
+    )
+    with pytest.raises(
+        BadInput, match=r"^scale 'gram': there is none of this name; did you mean 'grams'\?"
+    ):
         weigh("salt", scale="gram")
     with pytest.raises(BadInput, match=r"^times '10': must be ≤ 9"):
         command(thing="salt", scale="grams", times="10")
-    with pytest.raises(BadInput, match=r"^'scalee': there is none of this name; did you mean 'scale'\?"):
+    with pytest.raises(
+        BadInput, match=r"^'scalee': there is none of this name; did you mean 'scale'\?"
+    ):
         weigh("salt", scalee="grams")

@@ -53,7 +53,9 @@ def replay(file, source, speed):
         bus.close()
     else:
         registers, pages = read_trace(file)
-        asyncio.run(replay_to_modbus(registers, pages, (source.host, source.port), speed, linger=2.0))
+        asyncio.run(
+            replay_to_modbus(registers, pages, (source.host, source.port), speed, linger=2.0)
+        )
 
 
 def wait_for(condition, seconds=120.0):
@@ -64,10 +66,16 @@ def wait_for(condition, seconds=120.0):
 
 
 def plain(finding):
-    return {key: value for key, value in finding.to_json().items() if key not in ("id", "asset", "window", "at")}
+    return {
+        key: value
+        for key, value in finding.to_json().items()
+        if key not in ("id", "asset", "window", "at")
+    }
 
 
-@pytest.mark.parametrize(("machine", "name", "speed", "expected"), CASES, ids=[case[0] for case in CASES])
+@pytest.mark.parametrize(
+    ("machine", "name", "speed", "expected"), CASES, ids=[case[0] for case in CASES]
+)
 def test_replays_agree_with_each_other_and_with_rest(
     run_service, watched, tmp_path, demo_baseline, machine, name, speed, expected
 ):
@@ -76,24 +84,49 @@ def test_replays_agree_with_each_other_and_with_rest(
     service = run_service(machines=[settings.model_dump() for settings in twice])
     store, pipeline = service.services.store, service.services.pipeline
     store.add_model_version(machine, "baseline", demo_baseline(machine).read_bytes())
-    wait_for(lambda: all(state["state"] == "waiting" for state in pipeline.status()["machines"].values()))
-    threads = [threading.Thread(target=replay, args=(RECORDED / name, watch.sources[0], speed)) for watch in twice]
+    wait_for(
+        lambda: all(state["state"] == "waiting" for state in pipeline.status()["machines"].values())
+    )
+    threads = [
+        threading.Thread(target=replay, args=(RECORDED / name, watch.sources[0], speed))
+        for watch in twice
+    ]
     for thread in threads:
         thread.start()
         thread.join()
-    wait_for(lambda: all(state["windows_judged"] >= len(expected) for state in pipeline.status()["machines"].values()))
+    wait_for(
+        lambda: all(
+            state["windows_judged"] >= len(expected)
+            for state in pipeline.status()["machines"].values()
+        )
+    )
     findings = [list(reversed(store.findings(watch.asset).items)) for watch in twice]
-    assert [plain(finding) for finding in findings[0]] == [plain(finding) for finding in findings[1]]
+    assert [plain(finding) for finding in findings[0]] == [
+        plain(finding) for finding in findings[1]
+    ]
     found = [finding.finding.verdict.value for finding in findings[0]]
     assert found[: expected.count("healthy")] == ["healthy"] * expected.count("healthy")
     assert found[-1] == "faulty"
     for source in pipeline.status()["sources"].values():
-        about_the_connection = ("bus_errors", "reconnects", "timeouts")  # a replayed device comes late and goes early
-        assert {name: n for name, n in source["counters"].items() if n and name not in about_the_connection} == {}
+        about_the_connection = (
+            "bus_errors",
+            "reconnects",
+            "timeouts",
+        )  # a replayed device comes late and goes early
+        assert {
+            name: n
+            for name, n in source["counters"].items()
+            if n and name not in about_the_connection
+        } == {}
     for finding in (findings[0][0], findings[0][-1]):
         file = tmp_path / "window.npz"
         write_record(store.window_record(twice[0].asset, finding.window), file)
         address = f"{service.url}/api/v1/score/{twice[0].diagnoser}?baseline={machine}"
-        answer = httpx.post(address, content=file.read_bytes(), headers={"Content-Type": "application/zip"}, timeout=60)
+        answer = httpx.post(
+            address,
+            content=file.read_bytes(),
+            headers={"Content-Type": "application/zip"},
+            timeout=60,
+        )
         assert answer.status_code == 200, answer.text
         assert answer.json() == plain(finding)

@@ -22,7 +22,9 @@ class FakeService:
             return {"machines": {"gate-actuator": {"windows_waiting": 0}}}
         if "windows" in path:
             number = len(self.findings)
-            return {"items": [{"t0": 20.0 * number, "n": 1000, "sample_time": 0.01}] if number else []}
+            return {
+                "items": [{"t0": 20.0 * number, "n": 1000, "sample_time": 0.01}] if number else []
+            }
         return {"items": self.findings[::-1][:200]}
 
     def judge(self):
@@ -52,7 +54,10 @@ def test_windows_judged_before_a_fault_was_switched_do_not_count_as_after_it():
 
 
 def test_windows_that_end_while_an_order_is_under_way_do_not_count_as_after_it():
-    machine, service = soak.Machine("gate-actuator", ["notch"], speed=100.0), FakeService({"notch"})  # five windows a second
+    machine, service = (
+        soak.Machine("gate-actuator", ["notch"], speed=100.0),
+        FakeService({"notch"}),
+    )  # five windows a second
     while machine.on is None:
         service.judge()
         machine.look(service)

@@ -63,11 +63,17 @@ def test_new_words_take_nothing_from_those_that_come_later():
         parse_unit(f"word{k}x")
     assert parse_unit("ticks/s").symbols == {"ticks": 1.0, "s": -1.0}
     with pytest.raises(BadUnit, match="different units"):
-        Record({f"a{k}": [0.0] for k in range(MOST_UNITS + 1)}, {f"a{k}": f"word{k}" for k in range(MOST_UNITS + 1)}, 1.0)
+        Record(
+            {f"a{k}": [0.0] for k in range(MOST_UNITS + 1)},
+            {f"a{k}": f"word{k}" for k in range(MOST_UNITS + 1)},
+            1.0,
+        )
 
 
 def test_a_scorer_sets_bombs_aside_and_goes_on(start_mosquitto, free_port, run_service, tmp_path):
-    pytest.importorskip("paho.mqtt.client", reason="the extra 'mqtt' is not installed: MQTT was not tried")
+    pytest.importorskip(
+        "paho.mqtt.client", reason="the extra 'mqtt' is not installed: MQTT was not tried"
+    )
     port = free_port()
     start_mosquitto(port)
     found = by_broker(port, tmp_path, DRAWN[:12])
@@ -75,12 +81,16 @@ def test_a_scorer_sets_bombs_aside_and_goes_on(start_mosquitto, free_port, run_s
     url = run_service(data=tmp_path).url
     told = httpx.get(f"{url}/api/v1/status").json()["set_aside"]
     assert told["count"] == found["set aside"] and "unit" in told["newest"][0]["reason"]
-    assert f"residuum_set_aside_messages {found['set aside']:.1f}" in httpx.get(f"{url}/metrics").text
+    assert (
+        f"residuum_set_aside_messages {found['set aside']:.1f}" in httpx.get(f"{url}/metrics").text
+    )
 
 
 def test_what_ends_the_scorer_again_and_again_is_begun_no_more(tmp_path):
     for attempt in range(1, ATTEMPTS + 2):
-        assert Attempts(tmp_path, "1-of-1").begin("poison") == attempt  # a scorer that ended, and its successor
+        assert (
+            Attempts(tmp_path, "1-of-1").begin("poison") == attempt
+        )  # a scorer that ended, and its successor
     last = Attempts(tmp_path, "1-of-1")
     last.finish("poison")
     assert Attempts(tmp_path, "1-of-1").begin("poison") == 1

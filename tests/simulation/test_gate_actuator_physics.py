@@ -19,7 +19,9 @@ def lived(seconds=40.0, events=(), **settings):
 def movements(signals):
     """(phase, first sample, last sample) of every movement that ended."""
     edges = np.flatnonzero(np.diff(signals["phase"]))
-    return [(signals["phase"][a + 1], a + 1, b) for a, b in pairwise(edges) if signals["phase"][a + 1]]
+    return [
+        (signals["phase"][a + 1], a + 1, b) for a, b in pairwise(edges) if signals["phase"][a + 1]
+    ]
 
 
 def steady(signals, first, last):
@@ -71,7 +73,9 @@ def test_a_missing_rack_tooth_comes_at_one_place_of_the_gate_in_both_directions(
 def test_damage_grows_from_hardly_visible_to_gross(id):
     healthy, _ = lived(13.0)
     _, a, b = movements(healthy)[0]
-    level = [np.abs(ripple(lived(13.0, faults={id: size})[0], a, b)).max() for size in (0.1, 0.5, 1.0)]
+    level = [
+        np.abs(ripple(lived(13.0, faults={id: size})[0], a, b)).max() for size in (0.1, 0.5, 1.0)
+    ]
     assert level[0] < 1.5 * np.abs(ripple(healthy, a, b)).max()
     assert level[2] > level[1]
     assert level[2] > 1.3 * np.abs(ripple(healthy, a, b)).max()
@@ -81,7 +85,9 @@ def test_wear_and_heat_change_what_they_should():
     cold, hot = (MACHINES["gate-actuator"](temperature=t).truth["constants"] for t in (20.0, 70.0))
     assert hot["R"] / cold["R"] == pytest.approx(1 + 0.0039 * 50)
     assert hot["motor_friction"] < cold["motor_friction"]
-    assert MACHINES["gate-actuator"](wear=1.0).truth["constants"]["clearance"] == pytest.approx(3 * cold["clearance"])
+    assert MACHINES["gate-actuator"](wear=1.0).truth["constants"]["clearance"] == pytest.approx(
+        3 * cold["clearance"]
+    )
     with pytest.raises(BadSetting, match="wear is 2; must be between 0 and 1"):
         MACHINES["gate-actuator"](wear=2)
 
@@ -96,7 +102,11 @@ def test_operating_events_happen_once_and_the_gate_goes_on():
         assert position[second[2]] == pytest.approx(0.0, abs=0.03)
         assert third[2] - third[1] == pytest.approx(normal[2][2] - normal[2][1], rel=0.02)
     assert lived(13.0, ["obstacle"])[0]["current"].max() > 10.0
-    pushed, sagging, plain = (lived(13.0, events)[0] for events in (["manual-push"], ["supply-sag"], []))
+    pushed, sagging, plain = (
+        lived(13.0, events)[0] for events in (["manual-push"], ["supply-sag"], [])
+    )
     middle = slice(int(6.3 * 5000), int(6.8 * 5000))
     assert pushed["current"][middle].mean() < plain["current"][middle].mean() - 0.3
-    assert sagging["voltage"][middle].mean() == pytest.approx(plain["voltage"][middle].mean() - 6.0, abs=0.5)
+    assert sagging["voltage"][middle].mean() == pytest.approx(
+        plain["voltage"][middle].mean() - 6.0, abs=0.5
+    )

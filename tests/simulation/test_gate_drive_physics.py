@@ -18,7 +18,14 @@ def held_response(u, Ts, slope, y0):
     """Adaptive, implicit and far tighter than the machine; u held between samples."""
     states = [np.array(y0)]
     for voltage in u[:-1]:
-        step = solve_ivp(lambda t, y, v=voltage: slope(y, v), (0, Ts), states[-1], method="LSODA", rtol=1e-11, atol=1e-12)
+        step = solve_ivp(
+            lambda t, y, v=voltage: slope(y, v),
+            (0, Ts),
+            states[-1],
+            method="LSODA",
+            rtol=1e-11,
+            atol=1e-12,
+        )
         states.append(step.y[:, -1])
     return np.array(states)
 
@@ -34,7 +41,12 @@ def test_nominal_drive_is_the_exact_first_order_lag():
 
 
 def test_smooth_effects_together_agree_with_an_adaptive_integrator():
-    effects = {"viscous-friction": {"b": 2e-4}, "quadratic-drag": {"c": 1e-7}, "inductance": {"L": 2e-3}, "cubic-spring": "large"}
+    effects = {
+        "viscous-friction": {"b": 2e-4},
+        "quadratic-drag": {"c": 1e-7},
+        "inductance": {"L": 2e-3},
+        "cubic-spring": "large",
+    }
     s = drive(effects, profile="rich").simulate(1.5)
 
     def slope(y, u):
@@ -48,7 +60,9 @@ def test_smooth_effects_together_agree_with_an_adaptive_integrator():
 
 
 def test_elastic_transmission_agrees_with_an_adaptive_integrator():
-    s = drive({"elastic-transmission": {"compliance": 1.0, "d": 2e-3}}, profile="rich").simulate(1.0)
+    s = drive({"elastic-transmission": {"compliance": 1.0, "d": 2e-3}}, profile="rich").simulate(
+        1.0
+    )
 
     def slope(y, u):
         twist, rotor, gate = y
@@ -76,10 +90,20 @@ def test_coulomb_friction_sticks_until_breakaway_and_stops_when_the_closed_form_
 
 
 @pytest.mark.parametrize(
-    "id", ["coulomb-friction", "stribeck-friction", "directional-friction", "load-friction", "quadratic-drag"]
+    "id",
+    [
+        "coulomb-friction",
+        "stribeck-friction",
+        "directional-friction",
+        "load-friction",
+        "quadratic-drag",
+    ],
 )
 def test_friction_never_drives(id):
-    s, free = drive({id: "large"}, profile="rich").simulate(10.0), drive(profile="rich").simulate(10.0)
+    s, free = (
+        drive({id: "large"}, profile="rich").simulate(10.0),
+        drive(profile="rich").simulate(10.0),
+    )
     energy_in = np.sum((s["voltage"] - R * s["current"]) * s["current"]) * 1e-3
     stored = 0.5 * J * (s["speed"][-1] ** 2 - s["speed"][0] ** 2)
     assert energy_in > stored
@@ -104,10 +128,17 @@ def test_delay_shifts_the_response_by_itself(delay):
 
 
 def test_static_paths_of_input_and_output():
-    reads_more = drive({"output-offset": {"offset": 3.0}}).simulate(5.0)["speed"] - drive().simulate(5.0)["speed"]
+    reads_more = (
+        drive({"output-offset": {"offset": 3.0}}).simulate(5.0)["speed"]
+        - drive().simulate(5.0)["speed"]
+    )
     np.testing.assert_allclose(reads_more, 3.0)
-    assert drive({"input-saturation": {"limit": 12.0}}).simulate(5.0)["speed"].max() == pytest.approx(12.0 / K, rel=1e-3)
-    assert drive({"input-dead-zone": {"width": 1.0}}).simulate(5.0)["speed"][-1] == pytest.approx(23.0 / K, rel=1e-3)
+    assert drive({"input-saturation": {"limit": 12.0}}).simulate(5.0)[
+        "speed"
+    ].max() == pytest.approx(12.0 / K, rel=1e-3)
+    assert drive({"input-dead-zone": {"width": 1.0}}).simulate(5.0)["speed"][-1] == pytest.approx(
+        23.0 / K, rel=1e-3
+    )
     assert drive({"output-absolute": {}}).simulate(15.0)["speed"].min() >= 0.0
     steps = drive({"output-quantisation": {"step": 4.0}}).simulate(5.0)["speed"] / 4.0
     np.testing.assert_allclose(steps, np.round(steps), atol=1e-9)
@@ -116,7 +147,10 @@ def test_static_paths_of_input_and_output():
 @pytest.mark.parametrize("rho", [0.0, 0.9, 0.99])
 def test_noise_has_the_colour_and_size_that_was_asked_for(rho):
     settings = {"quantisation": 0.0, "noise_color": rho}
-    noise = drive(**settings, noise=1.0).simulate(60.0)["speed"] - drive(**settings, noise=0.0).simulate(60.0)["speed"]
+    noise = (
+        drive(**settings, noise=1.0).simulate(60.0)["speed"]
+        - drive(**settings, noise=0.0).simulate(60.0)["speed"]
+    )
     assert np.corrcoef(noise[:-1], noise[1:])[0, 1] == pytest.approx(rho, abs=0.02)
     assert noise.std() == pytest.approx(0.3, rel=0.15)
 

@@ -39,14 +39,21 @@ def test_four_pulses_a_round_at_1800_rounds_an_hour():
 
 def test_a_damaged_bearing_is_heard_in_q3_then_in_q4():
     healthy = quadrant_rms(pliers().simulate(60.0))
-    q1, q2, q3, q4 = np.array(quadrant_rms(pliers(faults={"plier-bearing": None}).simulate(60.0))) / healthy
+    q1, q2, q3, q4 = (
+        np.array(quadrant_rms(pliers(faults={"plier-bearing": None}).simulate(60.0))) / healthy
+    )
     assert q3 > 1.3 * q4
     assert q4 > 1.3 * max(q1, q2)
 
 
 def test_another_pliers_damage_is_heard_a_quadrant_earlier():
     healthy = np.array(quadrant_rms(pliers().simulate(60.0)))
-    grown = np.array(quadrant_rms(pliers(faults={"plier-bearing": None}, damaged_plier=2).simulate(60.0))) / healthy
+    grown = (
+        np.array(
+            quadrant_rms(pliers(faults={"plier-bearing": None}, damaged_plier=2).simulate(60.0))
+        )
+        / healthy
+    )
     assert list(np.argsort(grown)[::-1][:2]) == [1, 2]
 
 
@@ -75,7 +82,9 @@ def test_the_sync_pulse_ties_two_clocks_that_differ_in_offset_and_rate():
     rate, offset = np.polyfit(edges["vibration"][:n], edges["machine"][:n], 1)
     constants = machine.truth["constants"]
     assert offset == pytest.approx(constants["machine_clock_offset"], abs=1e-3)
-    assert 1e6 * (rate - 1) == pytest.approx(constants["vibration_clock_ppm"] - constants["machine_clock_ppm"], abs=6)
+    assert 1e6 * (rate - 1) == pytest.approx(
+        constants["vibration_clock_ppm"] - constants["machine_clock_ppm"], abs=6
+    )
     assert abs(constants["vibration_clock_ppm"] - constants["machine_clock_ppm"]) <= 50
 
 
@@ -83,4 +92,6 @@ def test_one_record_is_aligned():
     signals = pliers().simulate(10.0)
     streams = pliers().advance(10.0)
     assert np.array_equal(signals["acceleration"], streams["vibration"]["acceleration"])
-    assert rising(signals["indicator"]) / 12.8 == pytest.approx(rising(streams["machine"]["indicator"]), abs=1.1)
+    assert rising(signals["indicator"]) / 12.8 == pytest.approx(
+        rising(streams["machine"]["indicator"]), abs=1.1
+    )

@@ -58,7 +58,9 @@ def test_lumped_oven_is_the_heat_balance_it_claims_and_duty_saturates():
     machine.set_input(250.0)
     s = machine.simulate(24 * 3600.0)
     assert np.all(s["duty"] == 100.0)
-    assert s["temperature"][-60:].mean() - s["ambient"][-60:].mean() == pytest.approx(12e3 / 45.0, rel=0.02)
+    assert s["temperature"][-60:].mean() - s["ambient"][-60:].mean() == pytest.approx(
+        12e3 / 45.0, rel=0.02
+    )
 
 
 def test_joining_two_configurations_leaves_no_jump():
@@ -74,7 +76,9 @@ def test_joining_two_configurations_leaves_no_jump():
 def test_heater_failure_takes_its_share_of_the_power():
     finals = []
     for size in (None, 3.0):
-        machine = MACHINES["oven"](configuration="lumped", faults={"heater-failure": size} if size else {})
+        machine = MACHINES["oven"](
+            configuration="lumped", faults={"heater-failure": size} if size else {}
+        )
         machine.set_input(80.0)
         s = machine.simulate(24 * 3600.0)
         finals.append(s["temperature"][-60:].mean() - s["ambient"][-60:].mean())
@@ -85,14 +89,20 @@ def test_axis_obeys_newton_and_its_controller_follows():
     machine = MACHINES["linear-axis"](seed=4, noise=0.0)
     s = machine.simulate(8.0)
     impulse = np.cumsum(s["force"]) * 1e-3
-    np.testing.assert_allclose(machine.truth["constants"]["M"] * s["velocity"][1:], impulse[:-1], atol=1e-6)
+    np.testing.assert_allclose(
+        machine.truth["constants"]["M"] * s["velocity"][1:], impulse[:-1], atol=1e-6
+    )
     assert np.ptp(s["position"]) > 0.3
 
 
 def test_dry_friction_holds_the_axis_and_never_drives_it():
-    s = MACHINES["linear-axis"](seed=4, noise=0.0, loop="open", effects={"coulomb-friction": {"tau_c": 70.0}}).simulate(5.0)
+    s = MACHINES["linear-axis"](
+        seed=4, noise=0.0, loop="open", effects={"coulomb-friction": {"tau_c": 70.0}}
+    ).simulate(5.0)
     assert np.ptp(s["velocity"][200:]) == 0.0
-    s = MACHINES["linear-axis"](seed=4, noise=0.0, loop="open", effects={"coulomb-friction": {"tau_c": 20.0}}).simulate(5.0)
+    s = MACHINES["linear-axis"](
+        seed=4, noise=0.0, loop="open", effects={"coulomb-friction": {"tau_c": 20.0}}
+    ).simulate(5.0)
     assert np.sum(s["force"] * s["velocity"]) > 0.0
 
 
@@ -103,7 +113,10 @@ def test_oscillator_agrees_with_an_adaptive_integrator():
     y, q = np.zeros(2), []
     for force in s["force"]:
         q.append(y[0])
-        slope = lambda _, y, F=force: [y[1], (F - c["d"] * y[1] - c["k"] * y[0] - 8.0 * y[0] ** 3) / c["M"]]  # noqa: E731
+        slope = lambda _, y, F=force: [  # noqa: E731
+            y[1],
+            (F - c["d"] * y[1] - c["k"] * y[0] - 8.0 * y[0] ** 3) / c["M"],
+        ]
         y = solve_ivp(slope, (0, s.sample_time), y, rtol=1e-10, atol=1e-13).y[:, -1]
     np.testing.assert_allclose(s["position"], q, atol=1e-5)
 
@@ -114,15 +127,21 @@ def test_tanks_settle_where_inflow_is_outflow():
     s = machine.simulate(6000.0)
     c = machine.truth["constants"]
     for level, outlet in (("level_1", "a_1"), ("level_2", "a_2")):
-        assert s[level][-1] == pytest.approx((c["k_p"] * 5.0 / c[outlet]) ** 2 / (2 * 9.81), rel=1e-3)
+        assert s[level][-1] == pytest.approx(
+            (c["k_p"] * 5.0 / c[outlet]) ** 2 / (2 * 9.81), rel=1e-3
+        )
 
 
 def test_an_overflowing_tank_stays_near_its_rim():
-    s = MACHINES["two-tanks"](seed=1, noise=0.0, effects={"overflow": {"rim": 0.2}}).simulate(4000.0)
+    s = MACHINES["two-tanks"](seed=1, noise=0.0, effects={"overflow": {"rim": 0.2}}).simulate(
+        4000.0
+    )
     assert s["level_1"][500:].max() < 0.24
 
 
-@pytest.mark.parametrize(("name", "setting"), [("oven", "profile"), ("linear-axis", "loop"), ("oscillator", "profile")])
+@pytest.mark.parametrize(
+    ("name", "setting"), [("oven", "profile"), ("linear-axis", "loop"), ("oscillator", "profile")]
+)
 def test_unknown_choices_are_refused(name, setting):
     with pytest.raises(BadSetting, match=f"{setting} 'odd' is not known; known are"):
         MACHINES[name](**{setting: "odd"})

@@ -11,7 +11,16 @@ from residuum.service.cli import run
 
 def test_the_file_holds_the_record_and_the_report_holds_the_truth(tmp_path, capsys):
     file = tmp_path / "drive.csv"
-    arguments = ["gate-drive", "--out", str(file), "--effect", "coulomb-friction:tau_c=0.03", "--duration", "2", "--json"]
+    arguments = [
+        "gate-drive",
+        "--out",
+        str(file),
+        "--effect",
+        "coulomb-friction:tau_c=0.03",
+        "--duration",
+        "2",
+        "--json",
+    ]
     assert run(["simulate", *arguments]) == 0
     result = json.loads(capsys.readouterr().out)
     assert result["truth"]["effects"] == {"coulomb-friction": {"tau_c": 0.03}}
@@ -25,7 +34,19 @@ def test_the_file_holds_the_record_and_the_report_holds_the_truth(tmp_path, caps
 
 def test_npz_and_csv_hold_the_same_numbers(tmp_path):
     for ending in ("csv", "npz"):
-        assert run(["simulate", "process-plant", "--out", str(tmp_path / f"p.{ending}"), "--fault", "sensor-offset:3"]) == 0
+        assert (
+            run(
+                [
+                    "simulate",
+                    "process-plant",
+                    "--out",
+                    str(tmp_path / f"p.{ending}"),
+                    "--fault",
+                    "sensor-offset:3",
+                ]
+            )
+            == 0
+        )
     csv, npz = (read_record(tmp_path / f"p.{ending}") for ending in ("csv", "npz"))
     np.testing.assert_allclose(csv["y"], npz["y"], rtol=1e-8)
 
@@ -38,7 +59,10 @@ def test_npz_and_csv_hold_the_same_numbers(tmp_path):
         (["gate-drive", "--effect", "magic"], "known are viscous-friction"),
         (["gate-drive", "--effect", "coulomb-friction:mu=1"], "known are tau_c"),
         (["gate-drive", "--effect", "coulomb-friction:tau_c=x"], "'x' is not a number"),
-        (["gate-drive", "--effect", "coulomb-friction:huge"], "must be par=value, or one of small, medium, large"),
+        (
+            ["gate-drive", "--effect", "coulomb-friction:huge"],
+            "must be par=value, or one of small, medium, large",
+        ),
         (["process", "--profile", "rich"], "has no setting 'profile'"),
         (["gate-actuator", "--set", "wear=9"], "must be between 0 and 1"),
         (["gate-actuator", "--set", "wear"], "must be NAME=VALUE"),

@@ -61,7 +61,9 @@ def test_a_larger_effect_changes_the_data_more(name, id):
 
 
 # the gripping pliers' shared signals are compared quadrant by quadrant in test_gripping_pliers_physics
-@pytest.mark.parametrize(("name", "id"), [(name, id) for name, id in FAULTS if name != "gripping-pliers"])
+@pytest.mark.parametrize(
+    ("name", "id"), [(name, id) for name, id in FAULTS if name != "gripping-pliers"]
+)
 def test_a_fault_acts_at_once_and_ends_when_repaired(name, id):
     healthy, faulty = MACHINES[name](seed=2), MACHINES[name](seed=2)
     before = SECONDS[name]
@@ -74,7 +76,9 @@ def test_a_fault_acts_at_once_and_ends_when_repaired(name, id):
     if name == "process":
         healthy.simulate(before)
         faulty.simulate(before)
-        np.testing.assert_allclose(outputs(healthy.simulate(before)), outputs(faulty.simulate(before)), atol=1e-12)
+        np.testing.assert_allclose(
+            outputs(healthy.simulate(before)), outputs(faulty.simulate(before)), atol=1e-12
+        )
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -41,7 +41,9 @@ class Fan:
         if what == "healthy":
             self.rub = self.offset = self.extra = 0.0
         elif what in ("rub", "offset", "brake"):
-            self.rub, self.offset, self.extra = [size if what == one else 0.0 for one in ("rub", "offset", "brake")]
+            self.rub, self.offset, self.extra = [
+                size if what == one else 0.0 for one in ("rub", "offset", "brake")
+            ]
         return what != "stop"
 
     def step(self):
@@ -78,7 +80,9 @@ def frame(counter, measured):
 def registers(measured):
     """The four holding registers that `registers.csv` describes."""
     voltage, current, speed, temperature = measured
-    return [round(value) & 0xFFFF for value in (voltage * 100, current * 100, speed, temperature * 10)]
+    return [
+        round(value) & 0xFFFF for value in (voltage * 100, current * 100, speed, temperature * 10)
+    ]
 
 
 async def answer(reader, writer, held):
@@ -87,7 +91,9 @@ async def answer(reader, writer, held):
         while True:
             number, _, length, unit = struct.unpack(">HHHB", await reader.readexactly(7))
             request = await reader.readexactly(length - 1)
-            function, first, count = struct.unpack(">BHH", request[:5]) if len(request) >= 5 else (request[0], 0, 0)
+            function, first, count = (
+                struct.unpack(">BHH", request[:5]) if len(request) >= 5 else (request[0], 0, 0)
+            )
             if function == 3 and 0 < count <= len(held) - first:
                 data = struct.pack(f">{count}H", *held[first : first + count])
                 reply = struct.pack(">BB", function, len(data)) + data
@@ -111,9 +117,17 @@ async def live(arguments):
     """Turn the fan until it is told to stop."""
     fan, stopped, loop = Fan(arguments.seed), asyncio.Event(), asyncio.get_running_loop()
     group, _, port = arguments.can.partition(":")
-    bus = can.Bus(interface="udp_multicast", channel=group, port=int(port), hop_limit=0, receive_own_messages=False)
+    bus = can.Bus(
+        interface="udp_multicast",
+        channel=group,
+        port=int(port),
+        hop_limit=0,
+        receive_own_messages=False,
+    )
     held = [0] * 4
-    server = await asyncio.start_server(lambda reader, writer: answer(reader, writer, held), "127.0.0.1", arguments.modbus)
+    server = await asyncio.start_server(
+        lambda reader, writer: answer(reader, writer, held), "127.0.0.1", arguments.modbus
+    )
     threading.Thread(target=listen, args=(loop, fan, stopped), daemon=True).start()
     sys.stdout.write("The fan turns.\n")
     sys.stdout.flush()
@@ -121,7 +135,9 @@ async def live(arguments):
     while not stopped.is_set():
         while count * STEP < (loop.time() - begun) * arguments.speed:
             measured = fan.step()
-            bus.send(can.Message(arbitration_id=FRAME, data=frame(count, measured), is_extended_id=False))
+            bus.send(
+                can.Message(arbitration_id=FRAME, data=frame(count, measured), is_extended_id=False)
+            )
             count += 1
         held[:] = registers(measured)
         await asyncio.sleep(0.01)
@@ -131,8 +147,12 @@ async def live(arguments):
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--can", default="239.74.163.9:43117", help="multicast group and port of the CAN bus")
+    parser.add_argument(
+        "--can", default="239.74.163.9:43117", help="multicast group and port of the CAN bus"
+    )
     parser.add_argument("--modbus", type=int, default=5021, help="TCP port of the registers")
-    parser.add_argument("--speed", type=float, default=1.0, help="how many times faster than real time it lives")
+    parser.add_argument(
+        "--speed", type=float, default=1.0, help="how many times faster than real time it lives"
+    )
     parser.add_argument("--seed", type=int, default=1)
     asyncio.run(live(parser.parse_args()))

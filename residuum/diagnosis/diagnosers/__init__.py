@@ -24,5 +24,7 @@ for _found in from_entry_points("residuum.diagnosers"):
 def diagnoser_class(name: str) -> type[Diagnoser]:
     """The class of this name; BadInput lists the names there are."""
     if name not in DIAGNOSERS:
-        raise BadInput(f"diagnoser {name!r}: there is none of this name; {known_names(name, DIAGNOSERS)}")
+        raise BadInput(
+            f"diagnoser {name!r}: there is none of this name; {known_names(name, DIAGNOSERS)}"
+        )
     return DIAGNOSERS[name]

@@ -21,7 +21,9 @@ class NotTrained(BadInput):
 
 @dataclass(frozen=True)
 class Channel:
-    """One signal a diagnoser reads: its name, unit and meaning; `required` False when it may be absent."""
+    """One signal a diagnoser reads: its name, unit and meaning; `required` False when it may be
+    absent.
+    """
 
     name: str
     unit: str
@@ -46,9 +48,9 @@ class Example:
 class Diagnoser(ABC):
     """A trained judge of windows of one machine family.
 
-    `score` never raises on a window that is merely unusable (too short, gap, flat, clipped, wrong rate):
-    that is a `not-assessable` Finding. It raises BadInput only when a required channel is absent or in an
-    incompatible unit. A window across a gap is never judged healthy.
+    `score` never raises on a window that is merely unusable (too short, gap, flat, clipped, wrong
+    rate): that is a `not-assessable` Finding. It raises BadInput only when a required channel is
+    absent or in an incompatible unit. A window across a gap is never judged healthy.
     """
 
     name: ClassVar[str]
@@ -56,27 +58,37 @@ class Diagnoser(ABC):
     classes: ClassVar[Sequence[str]]
     methods: ClassVar[Sequence[str]] = ("default",)
     views: ClassVar[Sequence[str]] = ()
-    """Pictures that not every diagnoser has: of a window (`residual`, `decision-regions`) or of its machine (`tracks`)."""
+    """Pictures that not every diagnoser has: of a window (`residual`, `decision-regions`) or of its
+    machine (`tracks`).
+    """
     quick: ClassVar[bool] = False
     """Whether some thousand samples are judged within milliseconds, whatever they hold."""
     method: str = "default"
-    """Which of `methods` decides the verdict; findings of a diagnoser with two hold what both say."""
+    """Which of `methods` decides the verdict; findings of a diagnoser with two hold what both
+    say.
+    """
 
     @abstractmethod
     def fit(self, records: Sequence[Record], labels: Sequence[str] | None = None) -> Self:
-        """Learn the baseline from records; `labels` is one class name a record (`healthy` or a fault class)."""
+        """Learn the baseline from records; `labels` is one class name a record (`healthy` or a
+        fault class).
+        """
 
     @abstractmethod
     def score(self, record: Record) -> Finding:
         """Judge one window."""
 
     def refuse_learning(self, healthy: Sequence[Record]) -> None:  # noqa: B027 - most have nothing to refuse
-        """Raise BadInput where something that is not healthy is probable in windows from which limits are to be learned anew."""
+        """Raise BadInput where something that is not healthy is probable in windows from which
+        limits are to be learned anew.
+        """
 
     def relearned(self, healthy: Sequence[Record]) -> Self:
-        """A diagnoser of the same settings whose limits come from these healthy records; this one stays as it is.
+        """A diagnoser of the same settings whose limits come from these healthy records; this one
+        stays as it is.
 
-        What tells fault classes apart is kept where the diagnoser has learned it from labelled records.
+        What tells fault classes apart is kept where the diagnoser has learned it from labelled
+        records.
         """
         return copy.copy(self).fit(healthy)
 
@@ -92,16 +104,23 @@ class Diagnoser(ABC):
     @classmethod
     @abstractmethod
     def examples(cls) -> Sequence[Example]:
-        """Cases for the conformance test, made here by formula (this package never imports the simulators)."""
+        """Cases for the conformance test, made here by formula (this package never imports the
+        simulators).
+        """
 
     def with_settings(self, **settings: object) -> Self:
-        """The same trained diagnoser with other settings; BadInput for one that it has not. All have `method`."""
+        """The same trained diagnoser with other settings; BadInput for one that it has not. All
+        have `method`.
+        """
         if unknown := [name for name in settings if name != "method"]:
             raise BadInput(f"diagnoser {self.name!r}: has no setting {unknown[0]!r}; it has method")
         method = settings.get("method", self.method)
         if method not in self.methods:
             asked = did_you_mean(method, self.methods)
-            raise BadInput(f"diagnoser {self.name!r}, method {str(method)[:40]!r}: {asked}must be {' or '.join(self.methods)}")
+            raise BadInput(
+                f"diagnoser {self.name!r}, method {str(method)[:40]!r}: {asked}must be"
+                f" {' or '.join(self.methods)}"
+            )
         if method == self.method:
             return self
         diagnoser = copy.copy(self)
@@ -109,11 +128,15 @@ class Diagnoser(ABC):
         return diagnoser
 
     def learned(self) -> dict[str, Any]:
-        """What training found that its user should know, as JSON; under `says` the same in sentences."""
+        """What training found that its user should know, as JSON; under `says` the same in
+        sentences.
+        """
         return {}
 
     def describe(self) -> Mapping[str, object]:
-        """What the interface shows of this diagnoser: name, channels with units, classes, methods, pictures of its own."""
+        """What the interface shows of this diagnoser: name, channels with units, classes, methods,
+        pictures of its own.
+        """
         return {
             "name": self.name,
             "channels": [vars(channel) for channel in self.channels],

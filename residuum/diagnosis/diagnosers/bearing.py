@@ -1,4 +1,6 @@
-"""Any rolling bearing, from one accelerometer: fault lines of the envelope, absolute indicators, and a healthy baseline."""
+"""Any rolling bearing, from one accelerometer: fault lines of the envelope, absolute indicators,
+and a healthy baseline.
+"""
 
 from __future__ import annotations
 
@@ -15,37 +17,81 @@ from residuum.diagnosis.diagnosers.base import Channel, Diagnoser, Example, NotT
 from residuum.diagnosis.finding import Finding, Verdict
 from residuum.diagnosis.learning.stored import load_stored, save_stored
 from residuum.diagnosis.thresholds.tails import HealthyBand
-from residuum.diagnosis.vibration.bearing_lines import CLASS_OF, BearingFrequencies, LineEvidence, line_evidence
-from residuum.diagnosis.vibration.bearings.moving_lines import faulty_bearing, moving_line, without_knocks
-from residuum.diagnosis.vibration.rotation import at_steady_speed, only_speed_channel, speed_channel, unusable_speeds, usual_speed
-from residuum.diagnosis.vibration.sensor_health import hears_otherwise, remarks, suspect, unusable, without_spikes
+from residuum.diagnosis.vibration.bearing_lines import (
+    CLASS_OF,
+    BearingFrequencies,
+    LineEvidence,
+    line_evidence,
+)
+from residuum.diagnosis.vibration.bearings.moving_lines import (
+    faulty_bearing,
+    moving_line,
+    without_knocks,
+)
+from residuum.diagnosis.vibration.rotation import (
+    at_steady_speed,
+    only_speed_channel,
+    speed_channel,
+    unusable_speeds,
+    usual_speed,
+)
+from residuum.diagnosis.vibration.sensor_health import (
+    hears_otherwise,
+    remarks,
+    suspect,
+    unusable,
+    without_spikes,
+)
 from residuum.diagnosis.vibration.spectra import octave_edges, octave_rms
-from residuum.diagnosis.vibration.vibration_indicators import LIMITS, LONGEST, blocks_of, indicators, score_in_blocks, severity
+from residuum.diagnosis.vibration.vibration_indicators import (
+    LIMITS,
+    LONGEST,
+    blocks_of,
+    indicators,
+    score_in_blocks,
+    severity,
+)
 from residuum.identification.errors import BadInput, NotIdentifiable
 from residuum.identification.record import Record
 from residuum.identification.units import compatible, convert
 from residuum.nearest_names import known_names
 
 SHAPE = ("rms", "kurtosis", "crest")
-PROMINENT = 6.0  # healthy records, real and made, stay below 5.3; see benchmarks/results/vibration.md
+PROMINENT = (
+    6.0  # healthy records, real and made, stay below 5.3; see benchmarks/results/vibration.md
+)
 PROMINENT_BESIDE_A_CHANGE = 4.5
-PROMINENT_WITHOUT_A_CHANGE = 7.5  # one healthy second of a real rig reaches 6.1 while every level stays as it was
-DEPTH = 0.08  # a line family that modulates the envelope by less is no fault yet, however significant
+PROMINENT_WITHOUT_A_CHANGE = (
+    7.5  # one healthy second of a real rig reaches 6.1 while every level stays as it was
+)
+DEPTH = (
+    0.08  # a line family that modulates the envelope by less is no fault yet, however significant
+)
 IMPULSIVE = 6.0
 _CAGE_LEADS_BY = 1.25
-_RIVAL = 0.8  # of the most prominent family: one fault's lines make another family stand out by half as much, on real rigs too
-_BALL_BESIDE_CAGE = (3.5, 0.5)  # deciles and share of the cage's: balls change their load once a turn of the cage
+# of the most prominent family: one fault's lines make another family stand out by half as much, on
+# real rigs too
+_RIVAL = 0.8
+_BALL_BESIDE_CAGE = (
+    3.5,
+    0.5,
+)  # deciles and share of the cage's: balls change their load once a turn of the cage
 _WINDOW = 1.0  # s
 _SHORTEST = 1024
 _LEAST_CHANGE: AnyArray = np.array([1.6, 1.6, 1.6])
-_LEAST_CHANGE_OF_BAND = (2.5, 2.0)  # below and above 1 kHz: load moves rotor-related bands, bearing faults ring higher
+_LEAST_CHANGE_OF_BAND = (
+    2.5,
+    2.0,
+)  # below and above 1 kHz: load moves rotor-related bands, bearing faults ring higher
 _FEWEST_WINDOWS = 4
 _VERSION = 1
 
 
 @dataclass(frozen=True, eq=False)
 class _Baseline:
-    """Healthy windows: shape indicators, octave bands, and how prominent the fault lines were anyway."""
+    """Healthy windows: shape indicators, octave bands, and how prominent the fault lines were
+    anyway.
+    """
 
     sampling_rate: float
     window: float
@@ -59,26 +105,33 @@ class _Baseline:
         names = _band_names(self.edges)
         healthy = dict(zip(names, np.exp(self.bands.mean), strict=True))
         edges = self.edges[: len(measured.bands) + 1]
-        return hears_otherwise([healthy[name] for name in measured.bands], list(measured.bands.values()), edges)
+        return hears_otherwise(
+            [healthy[name] for name in measured.bands], list(measured.bands.values()), edges
+        )
 
 
 class Bearing(Diagnoser):
     """Names the damaged part of a rolling bearing from any vibration record.
 
-    A line family (BPFI, BPFO, twice BSF, FTF and their harmonics in the squared-envelope spectrum) means a fault when it
-    stands out from control frequencies by `PROMINENT` deciles and modulates the envelope by at least 8 %. Kurtosis above
-    6 without a line is `unknown`. Where neither is seen and there is no baseline, the finding is `not-assessable` and tells the
-    limits that hold: wear that shows in no absolute limit needs the comparison. With a baseline, RMS, kurtosis, crest factor
-    and octave-band RMS over one-second windows are also held against healthy prediction limits; a change there lowers the
-    prominence that names a part to 4.5 (and is `unknown` when no line reaches it), and its absence raises it to 7.5.
+    A line family (BPFI, BPFO, twice BSF, FTF and their harmonics in the squared-envelope spectrum)
+    means a fault when it stands out from control frequencies by `PROMINENT` deciles and modulates
+    the envelope by at least 8 %. Kurtosis above 6 without a line is `unknown`. Where neither is
+    seen and there is no baseline, the finding is `not-assessable` and tells the limits that hold:
+    wear that shows in no absolute limit needs the comparison. With a baseline, RMS, kurtosis, crest
+    factor and octave-band RMS over one-second windows are also held against healthy prediction
+    limits; a change there lowers the prominence that names a part to 4.5 (and is `unknown` when no
+    line reaches it), and its absence raises it to 7.5.
 
-    A speed channel may be in rpm, 1/min, Hz, rad/s or the like; one that varies by more than 0.5 % makes the lines be looked
-    for in the angle domain. What points to the sensor (drift, loose mounting, mains hum, another sensitivity than the
-    baseline's) is `not-assessable`, never a fault; so is a changing speed that contradicts what was said of it, or that the
-    vibration's own lines show where no channel tells it. Two families that stand out nearly alike are `unknown`, and both told.
+    A speed channel may be in rpm, 1/min, Hz, rad/s or the like; one that varies by more than 0.5 %
+    makes the lines be looked for in the angle domain. What points to the sensor (drift, loose
+    mounting, mains hum, another sensitivity than the baseline's) is `not-assessable`, never a
+    fault; so is a changing speed that contradicts what was said of it, or that the vibration's own
+    lines show where no channel tells it. Two families that stand out nearly alike are `unknown`,
+    and both told.
 
-    Fails for: faults without impacts (evenly worn, general roughness) unless a baseline shows them; a stated speed that is
-    wrong by more than 2 %; another source that modulates the vibration within 2 % of a fault frequency.
+    Fails for: faults without impacts (evenly worn, general roughness) unless a baseline shows them;
+    a stated speed that is wrong by more than 2 %; another source that modulates the vibration
+    within 2 % of a fault frequency.
 
     Parameters
     ----------
@@ -87,13 +140,17 @@ class Bearing(Diagnoser):
     hertz : mapping or None
         The same in hertz, and `shaft` if known; instead of `orders`.
     speed_rpm : float or None
-        Shaft speed; None: from the record's speed channel (its name holds `speed`, `rpm` or `drehzahl`).
+        Shaft speed; None: from the record's speed channel (its name holds `speed`, `rpm` or
+        `drehzahl`).
     channel : str or None
-        The acceleration channel; None: the first one with a unit of acceleration, or an only channel without unit.
+        The acceleration channel; None: the first one with a unit of acceleration, or an only
+        channel without unit.
     machine_class : str or None
-        Class of `vibration_severity.LIMITS`; when given, velocity RMS and its zone are part of the evidence.
+        Class of `vibration_severity.LIMITS`; when given, velocity RMS and its zone are part of the
+        evidence.
     false_alarm : float
-        Probability that a healthy window passes any limit of the baseline, when its logarithms are normal.
+        Probability that a healthy window passes any limit of the baseline, when its logarithms are
+        normal.
     """
 
     name: ClassVar[str] = "bearing"
@@ -121,36 +178,55 @@ class Bearing(Diagnoser):
         if not 0 < false_alarm < 0.5:
             raise BadInput(f"bearing: false_alarm is {false_alarm!r}; must be between 0 and 0.5")
         if machine_class is not None and machine_class not in LIMITS:
-            raise BadInput(f"bearing: machine class {machine_class!r} is not known; {known_names(machine_class, LIMITS)}")
+            raise BadInput(
+                f"bearing: machine class {machine_class!r} is not known;"
+                f" {known_names(machine_class, LIMITS)}"
+            )
         if orders:
             BearingFrequencies.from_orders(orders, 1.0)
         if hertz:
             BearingFrequencies.from_hertz(hertz)
         self.orders, self.hertz = dict(orders or {}), dict(hertz or {})
-        self.speed_rpm, self.channel, self.machine_class, self.false_alarm = speed_rpm, channel, machine_class, false_alarm
+        self.speed_rpm, self.channel, self.machine_class, self.false_alarm = (
+            speed_rpm,
+            channel,
+            machine_class,
+            false_alarm,
+        )
         self._baseline: _Baseline | None = None
 
     def with_settings(self, **settings: Any) -> Self:
-        """This diagnoser and its baseline with other `orders`, `hertz` or `speed_rpm`; what is not given stays."""
+        """This diagnoser and its baseline with other `orders`, `hertz` or `speed_rpm`; what is not
+        given stays.
+        """
         if "method" in settings:
             super().with_settings(method=settings.pop("method"))
         if unknown := [name for name in settings if name not in ("orders", "hertz", "speed_rpm")]:
             raise BadInput(f"bearing: has no setting {unknown[0]!r}; has orders, hertz, speed_rpm")
         lines = settings.keys() & {"orders", "hertz"}
         unchanged = (
-            {"speed_rpm": self.speed_rpm} if lines else {"orders": self.orders, "hertz": self.hertz, "speed_rpm": self.speed_rpm}
+            {"speed_rpm": self.speed_rpm}
+            if lines
+            else {"orders": self.orders, "hertz": self.hertz, "speed_rpm": self.speed_rpm}
         )
         bearing = type(self)(
-            **{**unchanged, **settings}, channel=self.channel, machine_class=self.machine_class, false_alarm=self.false_alarm
+            **{**unchanged, **settings},
+            channel=self.channel,
+            machine_class=self.machine_class,
+            false_alarm=self.false_alarm,
         )
         same = (bearing.orders, bearing.hertz) == (self.orders, self.hertz)
-        bearing._baseline = self._baseline if same or self._baseline is None else replace(self._baseline, lines={})
+        bearing._baseline = (
+            self._baseline if same or self._baseline is None else replace(self._baseline, lines={})
+        )
         return bearing
 
     def fit(self, records: Sequence[Record], labels: Sequence[str] | None = None) -> Self:
-        """Learn what is healthy, from one-second windows of the records; records with another label are left out.
+        """Learn what is healthy, from one-second windows of the records; records with another label
+        are left out.
 
-        Raises NotIdentifiable when they hold fewer than 4 windows, BadInput when they differ in rate or cannot be used.
+        Raises NotIdentifiable when they hold fewer than 4 windows, BadInput when they differ in
+        rate or cannot be used.
         """
         healthy = _healthy(records, labels)
         rate = healthy[0].sampling_rate
@@ -164,30 +240,43 @@ class Bearing(Diagnoser):
             x, _ = without_knocks(self._trainable(record), rate, _slowest(frequencies))
             parts += _windows(x, rate, window)
             if frequencies:
-                steady = at_steady_speed(x, record, speed, self.speed_rpm, in_hertz=bool(self.hertz))
+                steady = at_steady_speed(
+                    x, record, speed, self.speed_rpm, in_hertz=bool(self.hertz)
+                )
                 _keep_largest(lines, [*_windows(steady, rate, window), steady], rate, frequencies)
         if len(parts) < _FEWEST_WINDOWS:
-            raise NotIdentifiable(f"bearing: {len(parts)} healthy windows of {window:g} s; at least {_FEWEST_WINDOWS} are needed")
+            raise NotIdentifiable(
+                f"bearing: {len(parts)} healthy windows of {window:g} s; at least {_FEWEST_WINDOWS}"
+                " are needed"
+            )
         shape = HealthyBand.of([_shape(part) for part in parts])
         bands = HealthyBand.of([octave_rms(part, rate, edges) for part in parts])
         self._baseline = _Baseline(rate, window, shape, edges, bands, lines)
         return self
 
     def _trainable(self, record: Record) -> AnyArray:
-        """The acceleration of a record that may be trained on; BadInput says why another may not."""
+        """The acceleration of a record that may be trained on; BadInput says why another may
+        not.
+        """
         x, _ = self._acceleration(record)
         if reason := unusable(x, _SHORTEST):
             raise BadInput(f"bearing: record {record.source!r} cannot be trained on: {reason}")
         return without_spikes(x)[0]
 
     def score(self, record: Record) -> Finding:
-        """Judge one record: its fault lines over the whole of it, its indicators as medians over windows.
+        """Judge one record: its fault lines over the whole of it, its indicators as medians over
+        windows.
 
-        A record of more than `long_records.LONGEST` samples is judged in blocks, without a copy of the whole. Without a
-        baseline nothing is `healthy`: the finding is `not-assessable` where no absolute limit is passed, and says which hold.
+        A record of more than `long_records.LONGEST` samples is judged in blocks, without a copy of
+        the whole. Without a baseline nothing is `healthy`: the finding is `not-assessable` where no
+        absolute limit is passed, and says which hold.
         """
         whole = record.n > LONGEST
-        judged = score_in_blocks(self.name, self._score_block, record) if whole else self._score_block(record)
+        judged = (
+            score_in_blocks(self.name, self._score_block, record)
+            if whole
+            else self._score_block(record)
+        )
         if self._baseline is None and judged.verdict is Verdict.HEALTHY:
             return judged.without_baseline(_held(judged))
         return judged
@@ -207,33 +296,54 @@ class Bearing(Diagnoser):
             return Finding.not_assessable(self.name, reason)
         try:
             evidence = self._lines(record, x, speed, frequencies) if frequencies else {}
-            zone = severity(x, record.sampling_rate, self.machine_class) if self.machine_class else None
+            zone = (
+                severity(x, record.sampling_rate, self.machine_class)
+                if self.machine_class
+                else None
+            )
         except BadInput as error:
             return Finding.not_assessable(self.name, str(error))
         if frequencies and not evidence and self._baseline is None:
-            return Finding.not_assessable(self.name, f"the window of {record.duration:g} s is too short for any fault line")
+            return Finding.not_assessable(
+                self.name, f"the window of {record.duration:g} s is too short for any fault line"
+            )
         more = ({"severity": vars(zone)} if zone else {}) | ({"knocks_s": knocks} if knocks else {})
-        judged = self._judge(measured, evidence, unit, more).with_remarks(remarks(x, record.sampling_rate, unit, spikes))
+        judged = self._judge(measured, evidence, unit, more).with_remarks(
+            remarks(x, record.sampling_rate, unit, spikes)
+        )
         smeared = judged.verdict is Verdict.HEALTHY or judged.fault_class == CLASS_OF["ftf"]
         if smeared and speed is None and frequencies and (line := _moving(x, record, frequencies)):
             return Finding.not_assessable(self.name, line)
         return judged
 
-    def _lines(self, record: Record, x: AnyArray, speed: str | None, frequencies: BearingFrequencies) -> dict[str, LineEvidence]:
+    def _lines(
+        self, record: Record, x: AnyArray, speed: str | None, frequencies: BearingFrequencies
+    ) -> dict[str, LineEvidence]:
         steady = at_steady_speed(x, record, speed, self.speed_rpm, in_hertz=bool(self.hertz))
         return line_evidence(steady, record.sampling_rate, frequencies)
 
-    def _judge(self, measured: _Measured, lines: Mapping[str, LineEvidence], unit: str, more: dict[str, Any]) -> Finding:
+    def _judge(
+        self,
+        measured: _Measured,
+        lines: Mapping[str, LineEvidence],
+        unit: str,
+        more: dict[str, Any],
+    ) -> Finding:
         limits = self._limits(measured)
         values = dict(zip(SHAPE, map(float, measured.shape), strict=True)) | measured.bands
         changed = [name for name in limits if values[name] > limits[name]]
         prominences = {f"prominence_{name}": line.prominence for name, line in lines.items()}
-        line_limits = {f"prominence_{name}": self._line_limit(name, bool(changed)) for name in lines}
+        line_limits = {
+            f"prominence_{name}": self._line_limit(name, bool(changed)) for name in lines
+        }
         likely = _likely(lines, line_limits)
         named = likely[0] if len(likely) == 1 else None
         worst = max(
             [values[name] / limits[name] for name in limits]
-            + [line.prominence / line_limits[f"prominence_{name}"] * min(1.0, line.depth / DEPTH) for name, line in lines.items()]
+            + [
+                line.prominence / line_limits[f"prominence_{name}"] * min(1.0, line.depth / DEPTH)
+                for name, line in lines.items()
+            ]
         )
         faulty = bool(likely or changed)
         return Finding(
@@ -260,9 +370,19 @@ class Bearing(Diagnoser):
         share = self.false_alarm / (len(SHAPE) + len(measured.bands))
         limits: dict[str, float] = {}
         if measured.comparable:
-            limits = dict(zip(SHAPE, map(float, baseline.shape.upper(share, _LEAST_CHANGE)), strict=True))
-        least = np.where(baseline.edges[:-1] >= 1000, _LEAST_CHANGE_OF_BAND[1], _LEAST_CHANGE_OF_BAND[0])
-        upper = dict(zip(_band_names(baseline.edges), map(float, baseline.bands.upper(share, least)), strict=True))
+            limits = dict(
+                zip(SHAPE, map(float, baseline.shape.upper(share, _LEAST_CHANGE)), strict=True)
+            )
+        least = np.where(
+            baseline.edges[:-1] >= 1000, _LEAST_CHANGE_OF_BAND[1], _LEAST_CHANGE_OF_BAND[0]
+        )
+        upper = dict(
+            zip(
+                _band_names(baseline.edges),
+                map(float, baseline.bands.upper(share, least)),
+                strict=True,
+            )
+        )
         return limits | {name: upper[name] for name in measured.bands} or {"kurtosis": IMPULSIVE}
 
     def _line_limit(self, name: str, changed: bool) -> float:
@@ -274,12 +394,19 @@ class Bearing(Diagnoser):
 
     def _acceleration(self, record: Record) -> tuple[AnyArray, str]:
         """The vibration in m/s² (or without unit), float32 kept."""
-        name = self.channel or next((name for name in record.names if compatible(record.units[name], "m/s²")), None)
-        if name is None and len(record.names) == 1 and compatible(record.units[record.names[0]], ""):
+        name = self.channel or next(
+            (name for name in record.names if compatible(record.units[name], "m/s²")), None
+        )
+        if (
+            name is None
+            and len(record.names) == 1
+            and compatible(record.units[record.names[0]], "")
+        ):
             name = record.names[0]
         if name is None:
             raise BadInput(
-                f"bearing: record {record.source!r} has no channel with a unit of acceleration, but {dict(record.units)}",
+                f"bearing: record {record.source!r} has no channel with a unit of acceleration, but"
+                f" {dict(record.units)}",
                 way_on=[("units", {record.names[0]: "g"})],
             )
         unit = record.units[name]
@@ -289,8 +416,14 @@ class Bearing(Diagnoser):
         return record[name] if gain == 1.0 else record[name] * record[name].dtype.type(gain), "m/s²"
 
     def _speed_channel(self, record: Record) -> str | None:
-        """The channel of the shaft's speed; several are no reason to refuse a record that does not need one."""
-        return only_speed_channel(record) if self.hertz or self.speed_rpm or not self.orders else speed_channel(record)
+        """The channel of the shaft's speed; several are no reason to refuse a record that does not
+        need one.
+        """
+        return (
+            only_speed_channel(record)
+            if self.hertz or self.speed_rpm or not self.orders
+            else speed_channel(record)
+        )
 
     def _frequencies(self, record: Record, channel: str | None) -> BearingFrequencies | None:
         speed = self.speed_rpm or usual_speed(record, channel)
@@ -302,8 +435,8 @@ class Bearing(Diagnoser):
             return BearingFrequencies.from_orders(self.orders, speed / 60)
         wrong, way_on = unusable_speeds(record)
         raise BadInput(
-            "bearing: orders are multiples of shaft speed; give speed_rpm, or a record with a speed channel"
-            + (f" ({wrong})" if wrong else ""),
+            "bearing: orders are multiples of shaft speed; give speed_rpm, or a record with a speed"
+            " channel" + (f" ({wrong})" if wrong else ""),
             way_on=way_on,
         )
 
@@ -357,7 +490,9 @@ class Bearing(Diagnoser):
 
     @classmethod
     def examples(cls) -> Sequence[Example]:
-        """A deep-groove bearing at 30 Hz, 12 kHz: noise and shaft harmonics, with impacts of an inner- or outer-race fault."""
+        """A deep-groove bearing at 30 Hz, 12 kHz: noise and shaft harmonics, with impacts of an
+        inner- or outer-race fault.
+        """
         training = [_example_record(None, seed=1, seconds=8.0)]
         healthy = [_example_record(None, seed=seed) for seed in (2, 3)]
         faulty = [_example_record("bpfi", seed=4), _example_record("bpfo", seed=5)]
@@ -366,7 +501,9 @@ class Bearing(Diagnoser):
 
 @dataclass(frozen=True, eq=False)
 class _Measured:
-    """Indicators of a record: medians over windows; `comparable` when rate (and so bandwidth) is the baseline's."""
+    """Indicators of a record: medians over windows; `comparable` when rate (and so bandwidth) is
+    the baseline's.
+    """
 
     shape: AnyArray
     bands: dict[str, float]
@@ -379,26 +516,51 @@ class _Measured:
         if baseline is None:
             return cls(shape, {}, comparable=False)
         comparable = abs(rate / baseline.sampling_rate - 1) < 0.005
-        top = rate / 2 if comparable else 0.4 * min(rate, baseline.sampling_rate)  # below both recorders' own filters
+        top = (
+            rate / 2 if comparable else 0.4 * min(rate, baseline.sampling_rate)
+        )  # below both recorders' own filters
         bands = np.median([octave_rms(part, rate, baseline.edges) for part in parts], axis=0)
-        usable = baseline.edges[1:] <= top * (1 + 1e-6) if not comparable else np.ones(bands.shape, dtype=bool)
+        usable = (
+            baseline.edges[1:] <= top * (1 + 1e-6)
+            if not comparable
+            else np.ones(bands.shape, dtype=bool)
+        )
         names = _band_names(baseline.edges)
-        return cls(shape, {name: float(value) for name, value, use in zip(names, bands, usable, strict=True) if use}, comparable)
+        return cls(
+            shape,
+            {
+                name: float(value)
+                for name, value, use in zip(names, bands, usable, strict=True)
+                if use
+            },
+            comparable,
+        )
 
 
 def _healthy(records: Sequence[Record], labels: Sequence[str] | None) -> list[Record]:
     """The healthy ones of the records, long ones in blocks; BadInput when they differ in rate."""
     if labels is not None and len(labels) != len(records):
-        raise BadInput(f"bearing: {len(records)} records but {len(labels)} labels; must be one each")
-    healthy = [record for k, record in enumerate(records) if labels is None or labels[k] == "healthy"]
+        raise BadInput(
+            f"bearing: {len(records)} records but {len(labels)} labels; must be one each"
+        )
+    healthy = [
+        record for k, record in enumerate(records) if labels is None or labels[k] == "healthy"
+    ]
     rates = {round(record.sampling_rate, 3) for record in healthy}
     if len(rates) != 1:
-        raise BadInput(f"bearing: healthy records of {sorted(rates)} Hz; must be of one rate; train one baseline a rate")
+        raise BadInput(
+            f"bearing: healthy records of {sorted(rates)} Hz; must be of one rate; train one"
+            " baseline a rate"
+        )
     return [block for record in healthy for block in blocks_of(record)]
 
 
-def _keep_largest(lines: dict[str, float], parts: list[AnyArray], rate: float, frequencies: BearingFrequencies) -> None:
-    """Raise `lines` to how prominent each family is in healthy signals anyway: the largest over them."""
+def _keep_largest(
+    lines: dict[str, float], parts: list[AnyArray], rate: float, frequencies: BearingFrequencies
+) -> None:
+    """Raise `lines` to how prominent each family is in healthy signals anyway: the largest over
+    them.
+    """
     for part in parts:
         for name, evidence in line_evidence(part, rate, frequencies).items():
             lines[name] = max(lines.get(name, -np.inf), evidence.prominence)
@@ -420,12 +582,18 @@ def _band_names(edges: AnyArray) -> list[str]:
 
 
 def _likely(lines: Mapping[str, LineEvidence], limits: Mapping[str, float]) -> list[str]:
-    """The family that stands out most, and the next one where it stands out nearly as much: then neither can be named."""
+    """The family that stands out most, and the next one where it stands out nearly as much: then
+    neither can be named.
+    """
     named = _most_prominent(lines, limits)
     if named is None or named == "ftf":
         return [named] if named else []
     least = _RIVAL * lines[named].prominence
-    rivals = [name for name in _over(lines, limits) if name not in (named, "ftf") and lines[name].prominence >= least]
+    rivals = [
+        name
+        for name in _over(lines, limits)
+        if name not in (named, "ftf") and lines[name].prominence >= least
+    ]
     return [named, *sorted(rivals, key=lambda name: -lines[name].prominence)[:1]]
 
 
@@ -439,13 +607,16 @@ def _over(lines: Mapping[str, LineEvidence], limits: Mapping[str, float]) -> dic
 
 
 def _most_prominent(lines: Mapping[str, LineEvidence], limits: Mapping[str, float]) -> str | None:
-    """The family that stands out most; the cage only when it does so by a quarter, and no ball does so half as much.
+    """The family that stands out most; the cage only when it does so by a quarter, and no ball does
+    so half as much.
 
-    A damaged ball passes the load once a turn of the cage, which puts the cage's line beside its own. The cage's harmonics in
-    turn meet the others' lines: BPFO = N FTF.
+    A damaged ball passes the load once a turn of the cage, which puts the cage's line beside its
+    own. The cage's harmonics in turn meet the others' lines: BPFO = N FTF.
     """
     over = _over(lines, limits)
-    named = max(over, key=lambda name: over[name] / (_CAGE_LEADS_BY if name == "ftf" else 1.0), default=None)
+    named = max(
+        over, key=lambda name: over[name] / (_CAGE_LEADS_BY if name == "ftf" else 1.0), default=None
+    )
     if named == "ftf" and "bsf" in lines and lines["bsf"].depth >= DEPTH:
         least, share = _BALL_BESIDE_CAGE
         return "bsf" if lines["bsf"].prominence >= max(least, share * over["ftf"]) else "ftf"
@@ -463,12 +634,15 @@ def _says(
     for name in likely:
         line = lines[name]
         parts.append(
-            f"the envelope of {line.low:.0f}–{line.high:.0f} Hz is modulated by {100 * line.depth:.0f} % at {line.frequency:.1f} "
-            f"Hz and its harmonics ({name.upper()}: {line.expected:.1f} Hz), {line.prominence:.1f} deciles above the control "
-            "frequencies"
+            f"the envelope of {line.low:.0f}–{line.high:.0f} Hz is modulated by"
+            f" {100 * line.depth:.0f} % at {line.frequency:.1f} Hz and its harmonics"
+            f" ({name.upper()}: {line.expected:.1f} Hz), {line.prominence:.1f} deciles above the"
+            " control frequencies"
         )
     if len(likely) > 1:
-        parts.append(f"{' and '.join(CLASS_OF[name] for name in likely)} are alike: neither can be named")
+        parts.append(
+            f"{' and '.join(CLASS_OF[name] for name in likely)} are alike: neither can be named"
+        )
     if changed:
         worst = max(changed, key=lambda name: values[name] / limits[name])
         parts.append(f"{worst} is {values[worst]:.3g} against a limit of {limits[worst]:.3g}")
@@ -478,19 +652,24 @@ def _says(
 def _held(finding: Finding) -> str:
     """The limits that a finding holds, each with its value."""
     names = [name for name in finding.thresholds if name != "severity"]
-    held = [f"{name} {finding.indicators[name]:.3g} of {finding.thresholds[name]:.3g}" for name in names]
+    held = [
+        f"{name} {finding.indicators[name]:.3g} of {finding.thresholds[name]:.3g}" for name in names
+    ]
     return ", ".join(held) + "; train on healthy records for a baseline"
 
 
 def _moving(x: AnyArray, record: Record, frequencies: BearingFrequencies) -> str:
-    """Why no line that was not found says anything: the vibration shows a changing speed; empty for a steady one."""
+    """Why no line that was not found says anything: the vibration shows a changing speed; empty for
+    a steady one.
+    """
     lines = {name: f for name, f in frequencies.lines.items() if name != "ftf"}
     line = moving_line(x, record.sampling_rate, lines) if lines else None
     if line is None:
         return ""
     return (
-        f"a line of the envelope goes from {line.first:.0f} to {line.last:.0f} Hz within {line.seconds:.2g} s: the shaft changes "
-        "its speed and no channel tells it; record the speed beside the vibration, or judge a stretch of steady speed"
+        f"a line of the envelope goes from {line.first:.0f} to {line.last:.0f} Hz within"
+        f" {line.seconds:.2g} s: the shaft changes its speed and no channel tells it; record the"
+        " speed beside the vibration, or judge a stretch of steady speed"
     )
 
 
@@ -504,5 +683,8 @@ def _example_record(fault: Any, seed: int, seconds: float = 2.0) -> Record:
     n = round(seconds * rate)
     x = faulty_bearing(n, rate, shaft, orders, fault, snr_db=3.0, seed=seed)
     return Record(
-        {"acceleration": x, "speed": np.full(n, 60 * shaft)}, {"acceleration": "m/s²", "speed": "rpm"}, 1 / rate, source="example"
+        {"acceleration": x, "speed": np.full(n, 60 * shaft)},
+        {"acceleration": "m/s²", "speed": "rpm"},
+        1 / rate,
+        source="example",
     )

@@ -1,4 +1,6 @@
-"""Gate actuator: tooth faults of nylon gear, pinion and rack from the motor's own signals, movement by movement."""
+"""Gate actuator: tooth faults of nylon gear, pinion and rack from the motor's own signals, movement
+by movement.
+"""
 
 from __future__ import annotations
 
@@ -32,36 +34,51 @@ from residuum.nearest_names import known_names
 
 _SPELLINGS = {
     HEALTHY: HEALTHY,
-    **dict.fromkeys((PINION_OR_GEAR, "pinion", "gear", "nylon-gear", "pinion-tooth", "gear-notch"), PINION_OR_GEAR),
+    **dict.fromkeys(
+        (PINION_OR_GEAR, "pinion", "gear", "nylon-gear", "pinion-tooth", "gear-notch"),
+        PINION_OR_GEAR,
+    ),
     **dict.fromkeys((RACK, "rack-tooth"), RACK),
 }
-_UNITS = {"F1": "mm/s", "F2": "mm/s", "low_peak": "rad/s", "low_rms": "rad/s", "high_peak": "rad/s", "level": "rad/s"}
+_UNITS = {
+    "F1": "mm/s",
+    "F2": "mm/s",
+    "low_peak": "rad/s",
+    "low_rms": "rad/s",
+    "high_peak": "rad/s",
+    "level": "rad/s",
+}
 _NO_CLASSIFIER = (
-    "gate-actuator, method source: its classifier needs movements with faults; train it with labels, or use the default method"
+    "gate-actuator, method source: its classifier needs movements with faults; train it with"
+    " labels, or use the default method"
 )
 _NOTHING_TRAINED = "gate-actuator: has not been trained; train it on healthy movements first"
 
 
 class GateActuator(Diagnoser):
-    """The model-based scheme of the source (chapter 7), with features in shaft angle beside its F₁ and F₂.
+    """The model-based scheme of the source (chapter 7), with features in shaft angle beside its F₁
+    and F₂.
 
-    Each movement (opening or closing) is cut out by the phase; the model (7.2), (7.4) is adapted to it, its output error
-    (7.5) is evaluated at flat voltage. The source's path is the reference and is reported beside: band-pass 0.5–10 Hz,
-    envelope, θ(f), F₁ and F₂ at the fault frequency of the *measured* speed, linear support vector machine.
+    Each movement (opening or closing) is cut out by the phase; the model (7.2), (7.4) is adapted to
+    it, its output error (7.5) is evaluated at flat voltage. The source's path is the reference and
+    is reported beside: band-pass 0.5–10 Hz, envelope, θ(f), F₁ and F₂ at the fault frequency of the
+    *measured* speed, linear support vector machine.
 
-    The verdict holds features of the typical shaft turn (gear: a matched filter for a notch; pinion) and of single pulses (rack)
-    against limits from healthy movements; whether the turn or one place alone passes its limit names the class. A gear that
-    was trained healthy is recognised by its tooth errors, and only what is new in its turn is held against a lower limit.
-    Trained on labelled faults too, a logistic regression on all features gives probabilities, and `unknown` for what fits no
-    class.
+    The verdict holds features of the typical shaft turn (gear: a matched filter for a notch;
+    pinion) and of single pulses (rack) against limits from healthy movements; whether the turn or
+    one place alone passes its limit names the class. A gear that was trained healthy is recognised
+    by its tooth errors, and only what is new in its turn is held against a lower limit. Trained on
+    labelled faults too, a logistic regression on all features gives probabilities, and `unknown`
+    for what fits no class.
 
-    A movement that was cut short, stopped, pushed, or ran through a supply sag is `not-assessable`, named in
-    `evidence["event"]`. On exemplars never seen: benchmarks/results/gate_actuator.md. Fails when the fault lies
-    where the gate only ramps (its first and last decimetres); a notch hides in the tooth errors of a gear that was never
-    seen healthy.
+    A movement that was cut short, stopped, pushed, or ran through a supply sag is `not-assessable`,
+    named in `evidence["event"]`. On exemplars never seen: benchmarks/results/gate_actuator.md.
+    Fails when the fault lies where the gate only ramps (its first and last decimetres); a notch
+    hides in the tooth errors of a gear that was never seen healthy.
 
-    With `method` "source" the source's path decides: the support vector machine on F₁ and F₂ of the residual's envelope. Every
-    finding holds what both say; benchmarks/results/gate_actuator.md has the measurement that makes the other one the default.
+    With `method` "source" the source's path decides: the support vector machine on F₁ and F₂ of the
+    residual's envelope. Every finding holds what both say; benchmarks/results/gate_actuator.md has
+    the measurement that makes the other one the default.
 
     Parameters
     ----------
@@ -78,7 +95,12 @@ class GateActuator(Diagnoser):
         Channel("speed", "rad/s", "motor speed ω_M"),
         Channel("voltage", "V", "motor voltage V"),
         Channel("current", "A", "motor current i", required=False),
-        Channel("phase", "", "0 pause, 1 opening, 2 closing; without it the sign of the voltage tells", required=False),
+        Channel(
+            "phase",
+            "",
+            "0 pause, 1 opening, 2 closing; without it the sign of the voltage tells",
+            required=False,
+        ),
     )
     classes: ClassVar[Sequence[str]] = (PINION_OR_GEAR, RACK, UNKNOWN)
     methods: ClassVar[Sequence[str]] = ("default", "source")
@@ -89,7 +111,10 @@ class GateActuator(Diagnoser):
         self._baseline: GateBaseline | None = None
 
     def fit(
-        self, records: Sequence[Record], labels: Sequence[str] | None = None, exemplars: Sequence[object] | None = None
+        self,
+        records: Sequence[Record],
+        labels: Sequence[str] | None = None,
+        exemplars: Sequence[object] | None = None,
     ) -> Self:
         """Learn from labelled movements.
 
@@ -100,7 +125,8 @@ class GateActuator(Diagnoser):
         labels : sequence of str or None
             One a record: healthy, pinion-or-gear, rack (or the part's name); None: all healthy.
         exemplars : sequence or None
-            Which actuator each record comes from, so that alarm limits hold for one never seen; None: each record its own.
+            Which actuator each record comes from, so that alarm limits hold for one never seen;
+            None: each record its own.
 
         Raises
         ------
@@ -112,31 +138,45 @@ class GateActuator(Diagnoser):
         names = _labels(records, labels)
         groups = list(range(len(records))) if exemplars is None else list(exemplars)
         if len(groups) != len(records):
-            raise BadInput(f"gate-actuator: {len(records)} records but {len(groups)} exemplars; must be one each")
+            raise BadInput(
+                f"gate-actuator: {len(records)} records but {len(groups)} exemplars; must be one"
+                " each"
+            )
         rate = float(np.median([record.sampling_rate for record in records]))
         training: list[TrainingMovement] = []
         for record, label, group in zip(records, names, groups, strict=True):
             if reason := unusable_record(record, rate):
-                raise BadInput(f"gate-actuator: record {record.source!r} cannot be trained on: {reason}")
+                raise BadInput(
+                    f"gate-actuator: record {record.source!r} cannot be trained on: {reason}"
+                )
             for movement in cut_movements(record):
                 left_out = self._unusable(movement, 0.0)
                 if left_out is None:
                     features = movement_features(movement, self.constants)
-                    training.append(TrainingMovement(features, label, group, float(movement.motor_angle[-1])))
+                    training.append(
+                        TrainingMovement(features, label, group, float(movement.motor_angle[-1]))
+                    )
                 elif not training and record is records[-1]:
-                    raise NotIdentifiable(f"gate-actuator: no movement can be trained on; the last one: {left_out.reason}")
+                    raise NotIdentifiable(
+                        "gate-actuator: no movement can be trained on; the last one:"
+                        f" {left_out.reason}"
+                    )
         self._baseline = GateBaseline.of(training, self.constants, rate)
         return self
 
     def relearned(self, healthy: Sequence[Record]) -> Self:
-        """The same classifier, with limits from these healthy movements, whose gear is known from now on."""
+        """The same classifier, with limits from these healthy movements, whose gear is known from
+        now on.
+        """
         fresh = super().relearned(healthy)
         if self._baseline is not None and fresh._baseline is not None:
             fresh._baseline = fresh._baseline.after(self._baseline)
         return fresh
 
     def score(self, record: Record) -> Finding:
-        """Judge every movement in the record; the finding is that of the first faulty one, else of the last."""
+        """Judge every movement in the record; the finding is that of the first faulty one, else of
+        the last.
+        """
         if self._baseline is None:
             raise NotTrained(_NOTHING_TRAINED)
         for name in ("speed", "voltage"):
@@ -145,7 +185,9 @@ class GateActuator(Diagnoser):
             return Finding.not_assessable(self.name, reason)
         movements = cut_movements(record)
         if not movements:
-            return Finding.not_assessable(self.name, f"no movement in {record.duration:.4g} s: the phase is 0 throughout")
+            return Finding.not_assessable(
+                self.name, f"no movement in {record.duration:.4g} s: the phase is 0 throughout"
+            )
         scored = [self._score_movement(self._baseline, movement) for movement in movements]
         judged = [move for move in scored if move.judgement is not None]
         if not judged:
@@ -171,14 +213,25 @@ class GateActuator(Diagnoser):
             return ScoredMovement(movement, str(error))
         if happened := baseline.pushed(features):
             return ScoredMovement(movement, happened.says, happened, features)
-        return ScoredMovement(movement, None, None, features, baseline.judge(features), baseline.judge_by_source(features))
+        return ScoredMovement(
+            movement,
+            None,
+            None,
+            features,
+            baseline.judge(features),
+            baseline.judge_by_source(features),
+        )
 
-    def _finding(self, baseline: GateBaseline, move: ScoredMovement, scored: Sequence[ScoredMovement]) -> Finding:
+    def _finding(
+        self, baseline: GateBaseline, move: ScoredMovement, scored: Sequence[ScoredMovement]
+    ) -> Finding:
         features, judgement = move.features, move.judgement
         if features is None or judgement is None:
             raise NotTrained("gate-actuator: the movement was not judged")
         known = baseline.known(features)
-        indicators = baseline.indicators(features, known) | {"fault_frequency": features.fault_frequency}
+        indicators = baseline.indicators(features, known) | {
+            "fault_frequency": features.fault_frequency
+        }
         if judgement.isolation is not None:
             indicators["fault_probability"] = judgement.isolation.fault_probability
         fault_class = move.said_by(self.method)
@@ -189,7 +242,11 @@ class GateActuator(Diagnoser):
             indicators,
             baseline.feature_limits(known) if self.method == "default" else {},
             _UNITS | {"fault_frequency": "Hz"},
-            evidence_of(baseline, move, scored) | {"known_gear": known is not None, "method": self.method},
+            evidence_of(baseline, move, scored)
+            | {
+                "known_gear": known is not None,
+                "method": self.method,
+            },
             sentence(move) if self.method == "default" else source_sentence(move),
         )
 
@@ -218,7 +275,10 @@ class GateActuator(Diagnoser):
     @classmethod
     def examples(cls) -> Sequence[Example]:
         """Made-up movements: trained with all classes, and on healthy ones alone."""
-        healthy, gear, rack = (example_records(fault, 8, seed) for fault, seed in (("healthy", 0), ("gear", 100), ("rack", 200)))
+        healthy, gear, rack = (
+            example_records(fault, 8, seed)
+            for fault, seed in (("healthy", 0), ("gear", 100), ("rack", 200))
+        )
         unseen = example_records("healthy", 2, 50)
         faulty = example_records("gear", 1, 150) + example_records("rack", 1, 250)
         labels = [HEALTHY] * 8 + [PINION_OR_GEAR] * 8 + [RACK] * 8
@@ -231,7 +291,13 @@ class GateActuator(Diagnoser):
 def _labels(records: Sequence[Record], labels: Sequence[str] | None) -> list[str]:
     given = [HEALTHY] * len(records) if labels is None else list(labels)
     if not records or len(given) != len(records):
-        raise BadInput(f"gate-actuator: {len(records)} records and {len(given)} labels; must be one each, at least one")
+        raise BadInput(
+            f"gate-actuator: {len(records)} records and {len(given)} labels; must be one each, at"
+            " least one"
+        )
     if unknown := [label for label in given if label not in _SPELLINGS]:
-        raise BadInput(f"gate-actuator: label {unknown[0]!r} is not known; {known_names(unknown[0], _SPELLINGS)}")
+        raise BadInput(
+            f"gate-actuator: label {unknown[0]!r} is not known;"
+            f" {known_names(unknown[0], _SPELLINGS)}"
+        )
     return [_SPELLINGS[label] for label in given]

@@ -1,4 +1,6 @@
-"""The robust residual of a plant with one input and one output: trained on healthy records, judged on a sliding window."""
+"""The robust residual of a plant with one input and one output: trained on healthy records, judged
+on a sliding window.
+"""
 
 from __future__ import annotations
 
@@ -13,16 +15,26 @@ from residuum.array_types import FloatArray
 from residuum.diagnosis.diagnosers.base import Channel, Diagnoser, Example, NotTrained
 from residuum.diagnosis.finding import Finding, Verdict
 from residuum.diagnosis.residuals.fault_isolation import FAULT_KINDS, FaultEstimate, FaultEstimator
-from residuum.diagnosis.residuals.generators.residual_generator import ResidualGenerator, ResidualSignals
+from residuum.diagnosis.residuals.generators.residual_generator import (
+    ResidualGenerator,
+    ResidualSignals,
+)
 from residuum.diagnosis.residuals.likelihood_ratio import BankOutput
 from residuum.diagnosis.residuals.residual_design import ResidualDesign, design_residual
-from residuum.diagnosis.thresholds.false_alarm_rate import FEWEST_BLOCKS, alarms_per_sample, calibrated_threshold
+from residuum.diagnosis.thresholds.false_alarm_rate import (
+    FEWEST_BLOCKS,
+    alarms_per_sample,
+    calibrated_threshold,
+)
 from residuum.diagnosis.thresholds.threshold import ThresholdTest, bounds, source_threshold
 from residuum.identification.errors import BadInput, BadRecord
 from residuum.identification.kernel_based.delay import estimate_delay
 from residuum.identification.kernel_based.impulse_response import identify_impulse_response
 from residuum.identification.linear_models.identified_model import IdentifiedModel
-from residuum.identification.linear_models.uncertainty import WEIGHT_ORDER, design_uncertainty_weight
+from residuum.identification.linear_models.uncertainty import (
+    WEIGHT_ORDER,
+    design_uncertainty_weight,
+)
 from residuum.identification.record import Record
 from residuum.nearest_names import did_you_mean
 
@@ -35,23 +47,25 @@ _FEWEST_JUDGED = 50  # samples beyond the model's memory that a window must have
 class RobustResidual(Diagnoser):
     """Kernel identification, AFDP residual, likelihood-ratio test with the model's own uncertainty.
 
-    Algorithms 1, 5 and 6 of the source; the threshold allows for the input that is applied, so the false-alarm rate is the
-    chosen number while the healthy residual is what the model says. Where healthy records already carry structured
-    error, the threshold is widened to them and every finding says so.
+    Algorithms 1, 5 and 6 of the source; the threshold allows for the input that is applied, so the
+    false-alarm rate is the chosen number while the healthy residual is what the model says. Where
+    healthy records already carry structured error, the threshold is widened to them and every
+    finding says so.
 
     Parameters
     ----------
     input, output : str
         Channel names.
     order : int or None
-        Length m of the identified impulse response; None: 100, doubled (to 400 at most, a tenth of the record) until the
-        response has died out.
+        Length m of the identified impulse response; None: 100, doubled (to 400 at most, a tenth of
+        the record) until the response has died out.
     gamma : float
         γ of (4.7).
     false_alarms_per_day : float
     method : "default" or "source"
-        What decides: the likelihood-ratio test on the whitened residual, or |r(t)| after the post-filter of Algorithm 6 against
-        the automatic threshold γ max(‖u‖∞, ‖e‖∞) (4.9). Every finding holds what both say.
+        What decides: the likelihood-ratio test on the whitened residual, or |r(t)| after the
+        post-filter of Algorithm 6 against the automatic threshold γ max(‖u‖∞, ‖e‖∞) (4.9). Every
+        finding holds what both say.
     """
 
     name: ClassVar[str] = "robust-residual"
@@ -75,7 +89,10 @@ class RobustResidual(Diagnoser):
     ) -> None:
         if method not in self.methods:
             asked = did_you_mean(method, self.methods)
-            raise BadInput(f"robust-residual, method {method[:40]!r}: {asked}must be {' or '.join(self.methods)}")
+            raise BadInput(
+                f"robust-residual, method {method[:40]!r}: {asked}must be"
+                f" {' or '.join(self.methods)}"
+            )
         self.method = method
         self.input, self.output, self.order, self.gamma = input, output, order, gamma
         self.false_alarms_per_day = false_alarms_per_day
@@ -84,16 +101,22 @@ class RobustResidual(Diagnoser):
         self._threshold = 0.0
 
     def fit(self, records: Sequence[Record], labels: Sequence[str] | None = None) -> Self:
-        """Identify the plant and design the residual on the records labelled `healthy` (all, without labels)."""
+        """Identify the plant and design the residual on the records labelled `healthy` (all,
+        without labels).
+        """
         if labels is not None and len(labels) != len(records):
-            raise BadInput(f"robust-residual: {len(labels)} labels for {len(records)} records; one each is needed")
+            raise BadInput(
+                f"robust-residual: {len(labels)} labels for {len(records)} records; one each is"
+                " needed"
+            )
         healthy = [r for k, r in enumerate(records) if labels is None or labels[k] == "healthy"]
         if not healthy:
             raise BadInput("robust-residual: no healthy record to train on")
         for record in healthy:
             if np.nanmax(record[self.output]) == np.nanmin(record[self.output]):
                 raise BadRecord(
-                    f"record {record.source!r}, channel {self.output!r}: does not move; nothing can be learnt from it"
+                    f"record {record.source!r}, channel {self.output!r}: does not move; nothing can"
+                    " be learnt from it"
                 )
         model = self._identify(healthy)
         W_T = design_uncertainty_weight(model, order=WEIGHT_ORDER).weight
@@ -102,10 +125,18 @@ class RobustResidual(Diagnoser):
     def _identify(self, healthy: Sequence[Record]) -> IdentifiedModel:
         n = sum(record.n for record in healthy)
         order = self.order or min(_SHORTEST_ORDER, max(n // 10, 10))
-        delay = estimate_delay(healthy, self.input, self.output, order=min(order, 50), longest=min(20, n // 50)).delay
+        delay = estimate_delay(
+            healthy, self.input, self.output, order=min(order, 50), longest=min(20, n // 50)
+        ).delay
         while True:
-            model = identify_impulse_response(healthy, self.input, self.output, order=order, delay=delay)
-            if self.order is not None or 2 * order > min(_LONGEST_ORDER, n // 10) or _has_died_out(model):
+            model = identify_impulse_response(
+                healthy, self.input, self.output, order=order, delay=delay
+            )
+            if (
+                self.order is not None
+                or 2 * order > min(_LONGEST_ORDER, n // 10)
+                or _has_died_out(model)
+            ):
                 return model
             order *= 2
 
@@ -125,7 +156,9 @@ class RobustResidual(Diagnoser):
         return self._design
 
     def stream(self) -> ResidualMonitor:
-        """A monitor that takes samples as they come and gives the numbers of `score`'s residual and statistic."""
+        """A monitor that takes samples as they come and gives the numbers of `score`'s residual and
+        statistic.
+        """
         return ResidualMonitor(self.design, self._threshold)
 
     def score(self, record: Record) -> Finding:
@@ -140,10 +173,15 @@ class RobustResidual(Diagnoser):
             "source": _algorithm_6(design, signals, u),
         }
         deciding = tests[self.method]
-        if deciding.alarm is not None and (reason := design.swapped(record.source, u, y)) is not None:
+        if (
+            deciding.alarm is not None
+            and (reason := design.swapped(record.source, u, y)) is not None
+        ):
             return Finding.not_assessable(self.name, reason)
         estimate = None if deciding.alarm is None else self._estimate(u, y, deciding.alarm)
-        evidence = self._evidence(record, signals, deciding.alarm, estimate) | {"method": self.method}
+        evidence = self._evidence(record, signals, deciding.alarm, estimate) | {
+            "method": self.method
+        }
         evidence |= {f"{name}_method": test.to_json(record.time) for name, test in tests.items()}
         rms = float(np.sqrt(np.mean(signals.primary[signals.valid] ** 2)))
         return Finding(
@@ -152,14 +190,17 @@ class RobustResidual(Diagnoser):
             estimate.kind if estimate is not None else None,
             {test.indicator: test.largest for test in tests.values()} | {"residual_rms": rms},
             {deciding.indicator: deciding.threshold},
-            {test.indicator: test.unit for test in tests.values()} | {"residual_rms": design.model.output_unit or "1"},
+            {test.indicator: test.unit for test in tests.values()}
+            | {"residual_rms": design.model.output_unit or "1"},
             evidence,
             self._reason(deciding, evidence, estimate),
         )
 
     def _signals(self, record: Record) -> tuple[FloatArray, FloatArray]:
         model = self.design.model
-        return record.in_unit(self.input, model.input_unit), record.in_unit(self.output, model.output_unit)
+        return record.in_unit(self.input, model.input_unit), record.in_unit(
+            self.output, model.output_unit
+        )
 
     def _unusable(self, record: Record, u: FloatArray, y: FloatArray) -> str | None:
         """Why a window cannot be judged, or None."""
@@ -167,15 +208,24 @@ class RobustResidual(Diagnoser):
         if abs(record.sample_time / Ts - 1.0) > 1e-3:
             return f"sampled every {record.sample_time:g} s; the model was trained at {Ts:g} s"
         if record.n < needed:
-            return f"{record.n} samples; at least {needed} are needed, {self._judged_from} of them to fill the model's memory"
+            return (
+                f"{record.n} samples; at least {needed} are needed, {self._judged_from} of them to"
+                " fill the model's memory"
+            )
         for name, x in ((self.input, u), (self.output, y)):
             if np.isnan(x).any():
                 first = int(np.argmax(np.isnan(x)))
-                return f"channel {name!r} has {int(np.isnan(x).sum())} missing samples, the first at {record.time[first]:.6g} s"
+                return (
+                    f"channel {name!r} has {int(np.isnan(x).sum())} missing samples, the first at"
+                    f" {record.time[first]:.6g} s"
+                )
         if np.ptp(y) == 0.0 and np.ptp(u) == 0.0:
             return "both channels are flat: nothing moves, so nothing can be compared"
         if (share := _clipped_share(y)) > 0.0:
-            return f"channel {self.output!r} is clipped: {100 * share:.1f} % of its samples sit at an end of its range"
+            return (
+                f"channel {self.output!r} is clipped: {100 * share:.1f} % of its samples sit at an"
+                " end of its range"
+            )
         return None
 
     @property
@@ -186,11 +236,17 @@ class RobustResidual(Diagnoser):
         model, generator = self.design.model, self._generator
         if generator is None:
             return None
-        estimator = FaultEstimator(generator, model.covariance, model.delay, (model.input_unit, model.output_unit))
+        estimator = FaultEstimator(
+            generator, model.covariance, model.delay, (model.input_unit, model.output_unit)
+        )
         return estimator.estimate(u, y, alarm)
 
     def _evidence(
-        self, record: Record, signals: ResidualSignals, alarm: int | None, estimate: FaultEstimate | None
+        self,
+        record: Record,
+        signals: ResidualSignals,
+        alarm: int | None,
+        estimate: FaultEstimate | None,
     ) -> dict[str, Any]:
         evidence: dict[str, Any] = {
             "judged_samples": int(signals.valid.sum()),
@@ -209,26 +265,41 @@ class RobustResidual(Diagnoser):
             }  # fmt: skip
         return evidence
 
-    def _reason(self, test: ThresholdTest, evidence: dict[str, Any], estimate: FaultEstimate | None) -> str:
+    def _reason(
+        self, test: ThresholdTest, evidence: dict[str, Any], estimate: FaultEstimate | None
+    ) -> str:
         compared = (
-            f"the residual reaches {test.largest:.2f} standard deviations (limit {test.threshold:.2f})"
+            f"the residual reaches {test.largest:.2f} standard deviations (limit"
+            f" {test.threshold:.2f})"
             if self.method == "default"
-            else f"the post-filtered residual reaches {test.largest:.3g} {test.unit} (automatic threshold {test.threshold:.3g})"
+            else (
+                f"the post-filtered residual reaches {test.largest:.3g} {test.unit} (automatic"
+                f" threshold {test.threshold:.3g})"
+            )
         )
         says = f"{compared}: {_describe(estimate, evidence)}" if estimate is not None else compared
         if not evidence["model_explains_healthy_data"] and self.method == "default":
             says += (
-                "; the healthy records already carry structured error, "
-                "so the limit was widened: find the missing effect with `residuum explain`, add it with `residuum improve`, "
-                "and train `model-based` with the improved model to see smaller faults"
+                "; the healthy records already carry structured error, so the limit was widened:"
+                " find the missing effect with `residuum explain`, add it with `residuum improve`,"
+                " and train `model-based` with the improved model to see smaller faults"
             )
         return says
 
     def save(self, path: str | Path) -> None:
         """Store the trained diagnoser."""
-        settings = {"input": self.input, "output": self.output, "order": self.order, "gamma": self.gamma}
+        settings = {
+            "input": self.input,
+            "output": self.output,
+            "order": self.order,
+            "gamma": self.gamma,
+        }
         settings |= {"method": self.method}
-        self.design.save(path, kind=self.name, settings={**settings, "false_alarms_per_day": self.false_alarms_per_day})
+        self.design.save(
+            path,
+            kind=self.name,
+            settings={**settings, "false_alarms_per_day": self.false_alarms_per_day},
+        )
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
@@ -241,7 +312,9 @@ class RobustResidual(Diagnoser):
 
     @classmethod
     def examples(cls) -> Sequence[Example]:
-        """A first-order plant with white input: an offset and a drift of the sensor, a lost actuator gain, a stuck sensor."""
+        """A first-order plant with white input: an offset and a drift of the sensor, a lost
+        actuator gain, a stuck sensor.
+        """
         healthy = [_example(seed, n=600) for seed in (2, 3, 4)]
         faulty = [
             _example(5, n=600, offset=3.0),
@@ -253,10 +326,11 @@ class RobustResidual(Diagnoser):
 
 
 class ResidualMonitor:
-    """The diagnoser as a stream: residual and statistic sample by sample, with a state that can be saved and resumed.
+    """The diagnoser as a stream: residual and statistic sample by sample, with a state that can be
+    saved and resumed.
 
-    A missing sample (NaN) re-initialises the memory; `gaps` counts them, and the next samples are not judged until the
-    memory is full again (`valid` says so).
+    A missing sample (NaN) re-initialises the memory; `gaps` counts them, and the next samples are
+    not judged until the memory is full again (`valid` says so).
     """
 
     def __init__(self, design: ResidualDesign, threshold: float) -> None:
@@ -269,7 +343,9 @@ class ResidualMonitor:
         return self._residual.gaps
 
     def process(self, u: FloatArray, y: FloatArray) -> tuple[ResidualSignals, BankOutput]:
-        """Residuals and statistics of the next block, u and y of shape (n,) in the design's units."""
+        """Residuals and statistics of the next block, u and y of shape (n,) in the design's
+        units.
+        """
         signals = self._residual.process(u, y)
         return signals, self._bank.process(signals)
 
@@ -288,11 +364,19 @@ def _algorithm_6(design: ResidualDesign, signals: ResidualSignals, u: FloatArray
     """|r(t)| of the post-filtered residual against τ = γ max(‖u‖∞, ‖e‖∞)."""
     threshold = source_threshold(design, *bounds(design, u))
     size = np.where(signals.valid, np.abs(signals.robust), 0.0)
-    return ThresholdTest.of("robust_peak", design.model.output_unit or "1", size, size > threshold.level, threshold.typical)
+    return ThresholdTest.of(
+        "robust_peak",
+        design.model.output_unit or "1",
+        size,
+        size > threshold.level,
+        threshold.typical,
+    )
 
 
 def _widened(design: ResidualDesign, rate: float) -> float:
-    """Threshold of healthy records that a right model would not give; with too few of them, well above their largest peak."""
+    """Threshold of healthy records that a right model would not give; with too few of them, well
+    above their largest peak.
+    """
     peaks = design.peaks["glr"]
     if len(peaks) < FEWEST_BLOCKS:
         return _MARGIN * float(np.max(peaks, initial=design.bank_threshold(rate)))
@@ -300,7 +384,9 @@ def _widened(design: ResidualDesign, rate: float) -> float:
 
 
 def _has_died_out(model: IdentifiedModel) -> bool:
-    """Whether the last tenth of the impulse response is within its band, or below a hundredth of the largest value."""
+    """Whether the last tenth of the impulse response is within its band, or below a hundredth of
+    the largest value.
+    """
     last = slice(-max(len(model.impulse_response) // 10, 1), None)
     g = np.abs(model.impulse_response)
     return bool(np.all(g[last] < np.maximum(3 * model.conditional_std[last], 0.01 * g.max())))
@@ -315,12 +401,18 @@ def _describe(estimate: FaultEstimate, evidence: dict[str, Any]) -> str:
     if estimate.kind == "plant-change":
         return f"the plant has changed {when}, no single sensor or actuator fault explains it"
     size = f"{estimate.value:.3g} ± {1.96 * estimate.std:.2g} {estimate.unit}".strip()
-    alike = f" (or {', '.join(estimate.indistinguishable_from)})" if estimate.indistinguishable_from else ""
+    alike = (
+        f" (or {', '.join(estimate.indistinguishable_from)})"
+        if estimate.indistinguishable_from
+        else ""
+    )
     return f"{estimate.kind} of {size}{alike} {when}"
 
 
 def _clipped_share(y: FloatArray) -> float:
-    """Share of samples at the window's ends, when they stand there in runs as only a clipped signal does; else 0."""
+    """Share of samples at the window's ends, when they stand there in runs as only a clipped signal
+    does; else 0.
+    """
     if len(np.unique(y)) < 20:
         return 0.0  # coarse quantisation, or a stuck sensor, which the residual judges
     at_end = (y == y.max()) | (y == y.min())
@@ -329,13 +421,23 @@ def _clipped_share(y: FloatArray) -> float:
     return share if share > 0.02 and int(in_runs.sum()) >= 5 else 0.0
 
 
-def _example(seed: int, n: int, *, offset: float = 0.0, drift: float = 0.0, gain: float = 0.0, stuck: bool = False) -> Record:
+def _example(
+    seed: int,
+    n: int,
+    *,
+    offset: float = 0.0,
+    drift: float = 0.0,
+    gain: float = 0.0,
+    stuck: bool = False,
+) -> Record:
     """y = 0.6 z⁻¹/(1 − 0.8 z⁻¹) u + e at 10 Hz, the fault from the middle on."""
     rng = np.random.default_rng(seed)
     since = np.maximum(np.arange(n) - n // 2, 0) / 10.0
     after = since > 0
     u = rng.standard_normal(n)
-    y = signal.lfilter([0.0, 0.6], [1.0, -0.8], np.where(after, 1.0 - gain, 1.0) * u) + 0.3 * rng.standard_normal(n)
+    y = signal.lfilter(
+        [0.0, 0.6], [1.0, -0.8], np.where(after, 1.0 - gain, 1.0) * u
+    ) + 0.3 * rng.standard_normal(n)
     y = y + offset * after + drift * since
     if stuck:
         y = np.where(after, y[n // 2], y)

@@ -1,4 +1,6 @@
-"""The gate actuator as a motor with a rigid transmission: constants, simulation, and adaptation to one exemplar."""
+"""The gate actuator as a motor with a rigid transmission: constants, simulation, and adaptation to
+one exemplar.
+"""
 
 from __future__ import annotations
 
@@ -20,24 +22,34 @@ from residuum.identification.errors import BadInput, NotIdentifiable
 # of a healthy one.
 
 Signal = npt.NDArray[np.float64]
-_WIDTHS = (0.6, 0.8, 1.0, 1.25)  # standard deviations of the bump in pitches of the gear: about the two teeth that spread
+_WIDTHS = (
+    0.6,
+    0.8,
+    1.0,
+    1.25,
+)  # standard deviations of the bump in pitches of the gear: about the two teeth that spread
 _SMOOTHING = 3  # orders; over more, the steep power of the lowest orders leaks into the next
 
 
 @dataclass(frozen=True, eq=False)
 class NotchMatch:
-    r"""Matched filter for one bump of the transmission error a shaft turn, in the coloured pattern of healthy teeth.
+    r"""Matched filter for one bump of the transmission error a shaft turn, in the coloured pattern
+    of healthy teeth.
 
-    A notch lets the teeth beside it spread: the transmission error e(φ) has a bump g(φ), about one gear pitch wide, once a
-    turn. It accelerates the gate, and the drive's first-order lag T passes it on to the speed, so its spectrum at order k is S_k.
-    (A gear that binds at one place loads the drive there: a pulse, which `periodic_pulse` of the movement's features looks for.)
+    A notch lets the teeth beside it spread: the transmission error e(φ) has a bump g(φ), about one
+    gear pitch wide, once a turn. It accelerates the gate, and the drive's first-order lag T passes
+    it on to the speed, so its spectrum at order k is S_k. (A gear that binds at one place loads the
+    drive there: a pulse, which `periodic_pulse` of the movement's features looks for.)
 
-    .. math:: S_k \propto \frac{s_k^2}{1 + s_k T} \, e^{-(k \sigma)^2 / 2}, \qquad s_k = j k \omega_M / N
+    .. math:: S_k \propto \frac{s_k^2}{1 + s_k T} \, e^{-(k \sigma)^2 / 2}, \qquad s_k = j k
+    \omega_M / N
 
-    Healthy teeth make the typical turn a random pattern with power P_k (mean over healthy turns, smoothed over three orders).
-    With z the largest whitened correlation over all places and widths, z = max |Σ 2 Re(S̄_k X_k e^{jkφ}/P_k)| / √(2 Σ|S_k|²/P_k),
-    and v² what the turn scatters besides, as a multiple of what healthy turns do, the statistic is z / √max(1, v): z alone
-    mistakes a gear that is worse all round for a notch, z / v a gear that is very good but for one tooth.
+    Healthy teeth make the typical turn a random pattern with power P_k (mean over healthy turns,
+    smoothed over three orders). With z the largest whitened correlation over all places and widths,
+    z = max |Σ 2 Re(S̄_k X_k e^{jkφ}/P_k)| / √(2 Σ|S_k|²/P_k), and v² what the turn scatters
+    besides, as a multiple of what healthy turns do, the statistic is z / √max(1, v): z alone
+    mistakes a gear that is worse all round for a notch, z / v a gear that is very good but for one
+    tooth.
 
     Fails for a bump of another width than about 0.5 … 1.5 pitches, and for two notches.
 
@@ -54,15 +66,23 @@ class NotchMatch:
 
     @classmethod
     def of(cls, typical_turns: Sequence[Signal], gear_teeth: int) -> NotchMatch:
-        """From the typical turns of healthy movements, each of shape (POINTS_OF_A_TURN,); NotIdentifiable without any."""
+        """From the typical turns of healthy movements, each of shape (POINTS_OF_A_TURN,);
+        NotIdentifiable without any.
+        """
         if len(typical_turns) == 0:
             raise NotIdentifiable("notch match: no healthy turn to learn the tooth errors from")
-        power = np.mean([np.abs(_spectrum(turn, gear_teeth)) ** 2 for turn in typical_turns], axis=0)
-        smooth = np.exp(uniform_filter1d(np.log(power + np.finfo(float).tiny), _SMOOTHING, mode="nearest"))
+        power = np.mean(
+            [np.abs(_spectrum(turn, gear_teeth)) ** 2 for turn in typical_turns], axis=0
+        )
+        smooth = np.exp(
+            uniform_filter1d(np.log(power + np.finfo(float).tiny), _SMOOTHING, mode="nearest")
+        )
         return cls(np.asarray(smooth), gear_teeth)
 
     def statistic(self, typical_turn: Signal, motor_speed: float, time_constant: float) -> float:
-        """z / √max(1, v) of one typical turn [standard deviations]; ω_M [rad/s], T [s]. About 3 for healthy gears."""
+        """z / √max(1, v) of one typical turn [standard deviations]; ω_M [rad/s], T [s]. About 3 for
+        healthy gears.
+        """
         X = self.spectrum(typical_turn)
         z, _ = self.largest_bump(X, motor_speed, time_constant)
         energy = 2.0 * float(np.sum(np.abs(X) ** 2 / self.power))
@@ -75,10 +95,14 @@ class NotchMatch:
         return np.arange(1, self.gear_teeth)
 
     def spectrum(self, typical_turn: Signal) -> ComplexArray:
-        """X_k, the Fourier coefficients of a turn at these orders [unit of the turn], shape (gear_teeth − 1,)."""
+        """X_k, the Fourier coefficients of a turn at these orders [unit of the turn], shape
+        (gear_teeth − 1,).
+        """
         return _spectrum(typical_turn, self.gear_teeth)
 
-    def largest_bump(self, X: ComplexArray, motor_speed: float, time_constant: float) -> tuple[float, ComplexArray]:
+    def largest_bump(
+        self, X: ComplexArray, motor_speed: float, time_constant: float
+    ) -> tuple[float, ComplexArray]:
         """z of the bump that X_k matches best, and that bump, fitted, shape (gear_teeth − 1,)."""
         best, bump = 0.0, np.zeros_like(X)
         for S in self._bumps(motor_speed, time_constant):
@@ -94,10 +118,15 @@ class NotchMatch:
     def _bumps(self, motor_speed: float, T: float) -> list[ComplexArray]:
         k = self.orders
         s = 1j * k * motor_speed / self.gear_teeth
-        return [s**2 / (1.0 + s * T) * np.exp(-0.5 * (k * width * 2 * np.pi / self.gear_teeth) ** 2) for width in _WIDTHS]
+        return [
+            s**2 / (1.0 + s * T) * np.exp(-0.5 * (k * width * 2 * np.pi / self.gear_teeth) ** 2)
+            for width in _WIDTHS
+        ]
 
     def _correlation(self, X: ComplexArray, S: ComplexArray) -> Signal:
-        """Whitened correlation with the bump at each of POINTS_OF_A_TURN places, shape (POINTS_OF_A_TURN,)."""
+        """Whitened correlation with the bump at each of POINTS_OF_A_TURN places, shape
+        (POINTS_OF_A_TURN,).
+        """
         weighted = np.zeros(POINTS_OF_A_TURN, dtype=complex)
         weighted[1 : self.gear_teeth] = np.conj(S) * X / self.power
         return np.asarray(2.0 * POINTS_OF_A_TURN * np.real(np.fft.ifft(weighted)))
@@ -108,16 +137,21 @@ def _spectrum(typical_turn: Signal, gear_teeth: int) -> ComplexArray:
     return np.asarray(np.fft.rfft(typical_turn)[1:gear_teeth] / POINTS_OF_A_TURN)
 
 
-_STANDSTILL = 0.15  # of the flat speed: below it dry friction at standstill rules, which the model has not
+_STANDSTILL = (
+    0.15  # of the flat speed: below it dry friction at standstill rules, which the model has not
+)
 _FIT_RATE = 100.0  # Hz
 _FIRST_DELAY = 5e-3  # s, where the search starts
-_LOAD_SHAPE = 3  # constant, slope and curvature of the load along the gate, and at least that many terms
+_LOAD_SHAPE = (
+    3  # constant, slope and curvature of the load along the gate, and at least that many terms
+)
 _TURNS_A_TERM = 8  # of the shaft; 1.4 m of the source's gate, whose way is two of them
 
 
 @dataclass(frozen=True)
 class ActuatorConstants:
-    """Constants of the data sheet (Valceschini, section 7.3); tooth numbers set the fault frequencies.
+    """Constants of the data sheet (Valceschini, section 7.3); tooth numbers set the fault
+    frequencies.
 
     Parameters
     ----------
@@ -134,8 +168,8 @@ class ActuatorConstants:
     gear_teeth, pinion_teeth : int
         Teeth of the nylon gear (the worm has one start, so it is also the ratio) and of the pinion.
     transmission : float or None
-        τ̄ = v_M/ω_M [m/rad]; None takes r / gear_teeth. (The source prints r/47 beside 44 teeth; only 44 gives its
-        fault frequency of 1.55 Hz at 4100 rpm.)
+        τ̄ = v_M/ω_M [m/rad]; None takes r / gear_teeth. (The source prints r/47 beside 44 teeth;
+        only 44 gives its fault frequency of 1.55 Hz at 4100 rpm.)
 
     >>> constants = ActuatorConstants()
     >>> round(constants.fault_frequency(4100 * 2 * np.pi / 60), 2)
@@ -162,7 +196,9 @@ class ActuatorConstants:
     @property
     def tau(self) -> float:
         """Transmission ratio τ̄ [m/rad]."""
-        return self.gear_radius / self.gear_teeth if self.transmission is None else self.transmission
+        return (
+            self.gear_radius / self.gear_teeth if self.transmission is None else self.transmission
+        )
 
     @property
     def J(self) -> float:
@@ -180,14 +216,17 @@ class ActuatorConstants:
         return self.J * self.R / self.K**2
 
     def fault_frequency(self, motor_speed: float) -> float:
-        """Turns a second of the shaft that carries the nylon gear and the pinion [Hz] at ω_M [rad/s]."""
+        """Turns a second of the shaft that carries the nylon gear and the pinion [Hz] at ω_M
+        [rad/s].
+        """
         return motor_speed / (2.0 * np.pi * self.gear_teeth)
 
 
 def first_order_response(u: Signal, T: float, sample_time: float, initial: float = 0.0) -> Signal:
     """Response of 1/(T s + 1) to u, straight between its samples, from y₀ = `initial`, shape (n,).
 
-    Exact for the voltage's ramps; an input held between samples would shift the response by half a sample.
+    Exact for the voltage's ramps; an input held between samples would shift the response by half a
+    sample.
     """
     numerator, denominator = _first_order_hold(T, sample_time)
     zi = initial - numerator[0] * u[0]
@@ -205,8 +244,8 @@ def _first_order_hold(T: float, sample_time: float) -> tuple[list[float], list[f
 def delayed(u: Signal, delay: float, sample_time: float) -> Signal:
     """`u` later by `delay` seconds, its first value before.
 
-    A cubic spline gives fractions of a sample: linear interpolation would smooth the pulse-width ripple between samples
-    only, which pulls an estimated delay onto whole samples.
+    A cubic spline gives fractions of a sample: linear interpolation would smooth the pulse-width
+    ripple between samples only, which pulls an estimated delay onto whole samples.
     """
     return np.asarray(shift(u, delay / sample_time, order=3, mode="nearest"))
 
@@ -217,10 +256,11 @@ class AdaptedModel:
 
     .. math:: T \dot\omega + \omega = \mu V(t-d) - \ell(x)
 
-    which is (7.2) and (7.4): with L = D = 0 the load torque τ_L acts as ℓ = τ_L R/K². A viscous friction D only changes
-    μ and T; the load may vary slowly along the gate, ℓ(x) = ℓ₀ + ℓ₁x + ℓ₂x² over the travel x from 0 to 1. A gate longer
-    than 20 turns of the shaft has a term more for every eight, ℓ_k cos kπx from k = 3: so its load is followed as finely
-    in metres as that of a short one.
+    which is (7.2) and (7.4): with L = D = 0 the load torque τ_L acts as ℓ = τ_L R/K². A viscous
+    friction D only changes μ and T; the load may vary slowly along the gate, ℓ(x) = ℓ₀ + ℓ₁x + ℓ₂x²
+    over the travel x from 0 to 1. A gate longer than 20 turns of the shaft has a term more for
+    every eight, ℓ_k cos kπx from k = 3: so its load is followed as finely in metres as that of a
+    short one.
 
     Parameters
     ----------
@@ -233,8 +273,8 @@ class AdaptedModel:
     load : tuple of float
         ℓ₀, ℓ₁, ℓ₂, … [rad/s]; the travel counts in the direction of the movement.
     std : mapping of name to float
-        Standard deviation of gain, time_constant and delay from the fit (white residual assumed: too small when it is
-        coloured).
+        Standard deviation of gain, time_constant and delay from the fit (white residual assumed:
+        too small when it is coloured).
     """
 
     gain: float
@@ -244,40 +284,58 @@ class AdaptedModel:
     std: dict[str, float] = field(default_factory=dict, compare=False)
 
     def simulate(self, movement: Movement) -> Signal:
-        """Motor speed ω̂_M [rad/s] of the model under the movement's voltage from its measured first speed, shape (n,)."""
+        """Motor speed ω̂_M [rad/s] of the model under the movement's voltage from its measured
+        first speed, shape (n,).
+        """
         V = delayed(movement.voltage, self.delay, movement.sample_time)
         load = _load_regressors(movement, len(self.load)) @ np.asarray(self.load)
-        drive = np.maximum(self.gain * V - load, 0.0)  # dry friction stops the gate, it never drives it back
-        return first_order_response(drive, self.time_constant, movement.sample_time, movement.speed[0])
+        drive = np.maximum(
+            self.gain * V - load, 0.0
+        )  # dry friction stops the gate, it never drives it back
+        return first_order_response(
+            drive, self.time_constant, movement.sample_time, movement.speed[0]
+        )
 
     def residual(self, movement: Movement) -> Signal:
-        """r = ω_M − ω̂_M [rad/s], shape (n,): the output error (7.5) before it is multiplied by τ̄."""
+        """r = ω_M − ω̂_M [rad/s], shape (n,): the output error (7.5) before it is multiplied by
+        τ̄.
+        """
         return movement.speed - self.simulate(movement)
 
 
-def from_data_sheet(constants: ActuatorConstants, delay: float = 0.0, friction_force: float | None = None) -> AdaptedModel:
-    """The model whose constants are all taken from the data sheet; friction force F_L [N], None takes m·g·3·10⁻⁴."""
+def from_data_sheet(
+    constants: ActuatorConstants, delay: float = 0.0, friction_force: float | None = None
+) -> AdaptedModel:
+    """The model whose constants are all taken from the data sheet; friction force F_L [N], None
+    takes m·g·3·10⁻⁴.
+    """
     force = constants.gate_mass * 9.81 * 3e-4 if friction_force is None else friction_force
     load = force * constants.tau * constants.R / constants.K**2
     return AdaptedModel(constants.gain, constants.time_constant, delay, (load,))
 
 
-def adapt(movements: Sequence[Movement], constants: ActuatorConstants | None = None) -> AdaptedModel:
+def adapt(
+    movements: Sequence[Movement], constants: ActuatorConstants | None = None
+) -> AdaptedModel:
     """Adapt the model to one exemplar by the simulation error of its movements.
 
-    Minimises Σ(ω_M − ω̂_M)² over μ, T, d and the load ℓ₀, ℓ₁, ℓ₂, … by variable projection (Golub and Pereyra 1973):
-    for given T and d the others enter linearly. Samples slower than 15 % of the flat speed are left out: dry friction
-    at standstill rules there. One movement suffices; a fault that is local or periodic moves six slow parameters by little.
+    Minimises Σ(ω_M − ω̂_M)² over μ, T, d and the load ℓ₀, ℓ₁, ℓ₂, … by variable projection (Golub
+    and Pereyra 1973): for given T and d the others enter linearly. Samples slower than 15 % of the
+    flat speed are left out: dry friction at standstill rules there. One movement suffices; a fault
+    that is local or periodic moves six slow parameters by little.
 
-    The fit runs on the movements reduced to 100 Hz: the ripple of a pulse-width modulation above would fit as well with a
-    delay that is wrong by whole periods of it.
+    The fit runs on the movements reduced to 100 Hz: the ripple of a pulse-width modulation above
+    would fit as well with a delay that is wrong by whole periods of it.
 
     Raises NotIdentifiable when no movement has both ramps and a flat part of half a second.
     """
     start = constants or ActuatorConstants()
     usable = [movement.reduced(_FIT_RATE) for movement in movements if _excites(movement)]
     if not usable:
-        raise NotIdentifiable("no movement has ramps and a flat part of half a second; the model cannot be adapted to it")
+        raise NotIdentifiable(
+            "no movement has ramps and a flat part of half a second; the model cannot be adapted"
+            " to it"
+        )
     terms = max(_load_terms(movement, start) for movement in usable)
     fits = [_Projection(movement, terms) for movement in usable]
 
@@ -297,7 +355,9 @@ def adapt(movements: Sequence[Movement], constants: ActuatorConstants | None = N
     T, d = (float(value) for value in solution.x)
     linear = np.mean([fit.linear(T, d) for fit in fits], axis=0)
     std = _standard_deviations(solution, fits, T, d)
-    return AdaptedModel(float(linear[0]), T, d, tuple(float(-value) for value in linear[1 : 1 + terms]), std)
+    return AdaptedModel(
+        float(linear[0]), T, d, tuple(float(-value) for value in linear[1 : 1 + terms]), std
+    )
 
 
 def _excites(movement: Movement) -> bool:
@@ -305,7 +365,9 @@ def _excites(movement: Movement) -> bool:
         return False
     flat, _ = flat_part(movement)
     ramps = flat.start + movement.n - flat.stop
-    return (flat.stop - flat.start) * movement.sample_time > 0.5 and ramps * movement.sample_time > 0.2
+    return (
+        flat.stop - flat.start
+    ) * movement.sample_time > 0.5 and ramps * movement.sample_time > 0.2
 
 
 class _Projection:
@@ -326,7 +388,9 @@ class _Projection:
         return np.column_stack([forced, free])
 
     def linear(self, T: float, d: float) -> Signal:
-        return np.asarray(np.linalg.lstsq(self.regressors(T, d), self.movement.speed[self.run], rcond=None)[0])
+        return np.asarray(
+            np.linalg.lstsq(self.regressors(T, d), self.movement.speed[self.run], rcond=None)[0]
+        )
 
     def errors(self, T: float, d: float) -> Signal:
         Phi = self.regressors(T, d)
@@ -340,14 +404,18 @@ def _load_terms(movement: Movement, constants: ActuatorConstants) -> int:
 
 
 def _load_regressors(movement: Movement, terms: int) -> Signal:
-    """Shape (n, terms): 1, x, x² and then cosines, which unlike higher powers of x are nearly orthogonal."""
+    """Shape (n, terms): 1, x, x² and then cosines, which unlike higher powers of x are nearly
+    orthogonal.
+    """
     angle = movement.motor_angle
     x = angle / angle[-1]
     powers = [x**power for power in range(min(terms, _LOAD_SHAPE))]
     return np.column_stack([*powers, *(np.cos(k * np.pi * x) for k in range(_LOAD_SHAPE, terms))])
 
 
-def _standard_deviations(solution: object, fits: list[_Projection], T: float, d: float) -> dict[str, float]:
+def _standard_deviations(
+    solution: object, fits: list[_Projection], T: float, d: float
+) -> dict[str, float]:
     jacobian = np.asarray(getattr(solution, "jac"))  # noqa: B009  SciPy's result has no type
     errors = np.asarray(getattr(solution, "fun"))  # noqa: B009
     variance = float(errors @ errors) / max(1, errors.shape[0] - 8)

@@ -1,4 +1,6 @@
-"""Which class the gate actuator's trained classifiers give at each place of a plane of two features (Fig. 87 of the source)."""
+"""Which class the gate actuator's trained classifiers give at each place of a plane of two features
+(Fig. 87 of the source).
+"""
 
 from __future__ import annotations
 
@@ -43,8 +45,11 @@ class DecisionRegions:
         return float(np.mean(self.region == self.classes.index(label)))
 
 
-def decision_regions(classifier: BaseEstimator, points: npt.ArrayLike, resolution: int = 150) -> DecisionRegions:
-    """Regions of a fitted classifier of two features, over the span of `points` and a margin of 5 %.
+def decision_regions(
+    classifier: BaseEstimator, points: npt.ArrayLike, resolution: int = 150
+) -> DecisionRegions:
+    """Regions of a fitted classifier of two features, over the span of `points` and a margin of 5
+    %.
 
     Parameters
     ----------
@@ -67,7 +72,9 @@ def decision_regions(classifier: BaseEstimator, points: npt.ArrayLike, resolutio
     """
     held = np.asarray(points, dtype=float)
     if held.ndim != 2 or held.shape[1] != 2 or held.shape[0] == 0:
-        raise BadInput(f"decision regions, points: have shape {held.shape}; must be (n, 2), n at least 1")
+        raise BadInput(
+            f"decision regions, points: have shape {held.shape}; must be (n, 2), n at least 1"
+        )
     if resolution < 2:
         raise BadInput(f"decision regions, resolution: is {resolution}; must be at least 2")
     low, high = held.min(axis=0), held.max(axis=0)
@@ -76,7 +83,12 @@ def decision_regions(classifier: BaseEstimator, points: npt.ArrayLike, resolutio
     grid = np.stack(np.meshgrid(x, y), axis=-1)
     classes = tuple(str(label) for label in classifier.classes_)
     predicted = np.asarray(classifier.predict(grid.reshape(-1, 2)))
-    return DecisionRegions(x, y, classes, np.searchsorted(np.asarray(classifier.classes_), predicted).reshape(grid.shape[:2]))
+    return DecisionRegions(
+        x,
+        y,
+        classes,
+        np.searchsorted(np.asarray(classifier.classes_), predicted).reshape(grid.shape[:2]),
+    )
 
 
 _LEAST = 1e-12  # features are positive; the margin of a plane may reach beyond
@@ -88,12 +100,18 @@ def plane_features(baseline: GateBaseline) -> tuple[str, ...]:
 
 
 def classifier_plane(
-    baseline: GateBaseline, features: Mapping[str, float], x: str, y: str, points: npt.ArrayLike, resolution: int = 80
+    baseline: GateBaseline,
+    features: Mapping[str, float],
+    x: str,
+    y: str,
+    points: npt.ArrayLike,
+    resolution: int = 80,
 ) -> DecisionRegions:
     """Regions in the plane of features x and y.
 
-    In the plane of F₁ and F₂ these are the regions of the source's support vector machine, which knows no other features. Any
-    other plane is a cut through the regions of the classifier of all features: the other features stay as they are `features`.
+    In the plane of F₁ and F₂ these are the regions of the source's support vector machine, which
+    knows no other features. Any other plane is a cut through the regions of the classifier of all
+    features: the other features stay as they are `features`.
 
     Parameters
     ----------
@@ -109,15 +127,22 @@ def classifier_plane(
     Raises
     ------
     BadInput
-        Unknown or equal features, a feature that `features` lacks, a baseline of healthy movements alone.
+        Unknown or equal features, a feature that `features` lacks, a baseline of healthy movements
+        alone.
     """
     known = plane_features(baseline)
     if baseline.classifier is None or baseline.source is None:
-        raise BadInput("gate-actuator: was trained on healthy movements alone, so there are no regions")
+        raise BadInput(
+            "gate-actuator: was trained on healthy movements alone, so there are no regions"
+        )
     if x not in known or y not in known or x == y:
-        raise BadInput(f"gate-actuator, plane of {x[:40]!r} and {y[:40]!r}: needs two of {', '.join(known)}")
+        raise BadInput(
+            f"gate-actuator, plane of {x[:40]!r} and {y[:40]!r}: needs two of {', '.join(known)}"
+        )
     if {x, y} == set(SOURCE_FEATURES):
-        return decision_regions(_Turned(baseline.source, x != SOURCE_FEATURES[0]), points, resolution)
+        return decision_regions(
+            _Turned(baseline.source, x != SOURCE_FEATURES[0]), points, resolution
+        )
     if missing := [name for name in known if not features.get(name, np.nan) > 0]:
         raise BadInput(f"gate-actuator, plane: the movement has no positive {missing[0]}")
     return decision_regions(_Cut(baseline.classifier.pipeline, features, x, y), points, resolution)
@@ -137,7 +162,9 @@ class _Turned(BaseEstimator):
 class _Cut(BaseEstimator):
     """A classifier of all log-features as one of two features, the others held."""
 
-    def __init__(self, classifier: BaseEstimator, here: Mapping[str, float], x: str, y: str) -> None:
+    def __init__(
+        self, classifier: BaseEstimator, here: Mapping[str, float], x: str, y: str
+    ) -> None:
         self.classifier, self.here, self.x, self.y = classifier, here, x, y
         self.classes_ = classifier.classes_
 

@@ -1,4 +1,6 @@
-"""Failure modes, effects and criticality: the criticality matrix, and which diagnoser covers which mode."""
+"""Failure modes, effects and criticality: the criticality matrix, and which diagnoser covers which
+mode.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,12 @@ from residuum.identification.yaml_text import read_yaml
 
 MACHINE = "gate-actuator"
 """Whose failure modes the file beside this holds."""
-PROBABILITIES = {"A": "probable", "B": "remote", "C": "extremely remote", "D": "extremely improbable"}
+PROBABILITIES = {
+    "A": "probable",
+    "B": "remote",
+    "C": "extremely remote",
+    "D": "extremely improbable",
+}
 SEVERITIES = {"I": "catastrophic", "II": "hazardous", "III": "major", "IV": "minor"}
 GATE = Path(__file__).parent / "gate_fmeca.yaml"
 _FIELDS = ("id", "component", "failure", "cause", "effect", "probability", "severity")
@@ -31,8 +38,8 @@ class Risk(StrEnum):
 class FailureMode:
     """One way to fail.
 
-    `probability` A–D, `severity` I–IV; `covered_by` maps the name of a diagnoser to the class that it reports, empty when
-    nothing covers the mode.
+    `probability` A–D, `severity` I–IV; `covered_by` maps the name of a diagnoser to the class that
+    it reports, empty when nothing covers the mode.
     """
 
     id: str
@@ -47,10 +54,14 @@ class FailureMode:
     def __post_init__(self) -> None:
         if self.probability not in PROBABILITIES:
             raise BadInput(
-                f"failure mode {self.id!r}: probability {self.probability!r} must be one of {', '.join(PROBABILITIES)}"
+                f"failure mode {self.id!r}: probability {self.probability!r} must be one of"
+                f" {', '.join(PROBABILITIES)}"
             )
         if self.severity not in SEVERITIES:
-            raise BadInput(f"failure mode {self.id!r}: severity {self.severity!r} must be one of {', '.join(SEVERITIES)}")
+            raise BadInput(
+                f"failure mode {self.id!r}: severity {self.severity!r} must be one of"
+                f" {', '.join(SEVERITIES)}"
+            )
 
     @property
     def risk(self) -> Risk:
@@ -59,16 +70,19 @@ class FailureMode:
 
 
 def risk(probability: str, severity: str) -> Risk:
-    """Colour of a cell: rank of probability (D 0 … A 3) plus rank of severity (IV 0 … I 3); ≥ 3 red, 2 yellow, else green.
+    """Colour of a cell: rank of probability (D 0 … A 3) plus rank of severity (IV 0 … I 3); ≥ 3
+    red, 2 yellow, else green.
 
-    The figure's colours are not printed in words; this rule gives what the text says of its six modes: short circuit
-    (B-I), broken shaft (C-I) and corrupted wheel (B-III) are too critical or too probable and call for a redesign, broken
-    gear (C-III) and broken teeth (D-IV) do not.
+    The figure's colours are not printed in words; this rule gives what the text says of its six
+    modes: short circuit (B-I), broken shaft (C-I) and corrupted wheel (B-III) are too critical or
+    too probable and call for a redesign, broken gear (C-III) and broken teeth (D-IV) do not.
 
     >>> [str(risk(*cell)) for cell in (("B", "I"), ("C", "I"), ("B", "III"), ("C", "III"), ("D", "IV"))]
     ['red', 'red', 'red', 'yellow', 'green']
     """
-    rank = list(reversed(PROBABILITIES)).index(probability) + list(reversed(SEVERITIES)).index(severity)
+    rank = list(reversed(PROBABILITIES)).index(probability) + list(reversed(SEVERITIES)).index(
+        severity
+    )
     return Risk.REDESIGN if rank >= 3 else Risk.TOLERABLE if rank == 2 else Risk.ACCEPTABLE
 
 
@@ -88,24 +102,34 @@ def load_fmeca(path: str | Path = GATE) -> list[FailureMode]:
 
 
 def criticality_matrix(modes: Sequence[FailureMode]) -> dict[tuple[str, str], list[FailureMode]]:
-    """Modes in each of the 16 cells (probability, severity), empty cells included (the source's Figure 78)."""
-    cells: dict[tuple[str, str], list[FailureMode]] = {(p, s): [] for p in PROBABILITIES for s in SEVERITIES}
+    """Modes in each of the 16 cells (probability, severity), empty cells included (the source's
+    Figure 78).
+    """
+    cells: dict[tuple[str, str], list[FailureMode]] = {
+        (p, s): [] for p in PROBABILITIES for s in SEVERITIES
+    }
     for mode in modes:
         cells[mode.probability, mode.severity].append(mode)
     return cells
 
 
-def coverage(modes: Sequence[FailureMode], diagnosers: Mapping[str, Sequence[str]]) -> dict[str, list[tuple[str, str]]]:
-    """Which (diagnoser, class) covers each mode, by id; an empty list is a mode that nothing covers.
+def coverage(
+    modes: Sequence[FailureMode], diagnosers: Mapping[str, Sequence[str]]
+) -> dict[str, list[tuple[str, str]]]:
+    """Which (diagnoser, class) covers each mode, by id; an empty list is a mode that nothing
+    covers.
 
-    `diagnosers` maps the names there are to their classes. Raises BadInput when a mode names a diagnoser or class there
-    is not: such a link would promise what nobody keeps.
+    `diagnosers` maps the names there are to their classes. Raises BadInput when a mode names a
+    diagnoser or class there is not: such a link would promise what nobody keeps.
     """
     links: dict[str, list[tuple[str, str]]] = {}
     for mode in modes:
         for name, fault_class in mode.covered_by.items():
             if fault_class not in diagnosers.get(name, ()):
-                raise BadInput(f"failure mode {mode.id!r}: there is no diagnoser {name!r} with class {fault_class!r}")
+                raise BadInput(
+                    f"failure mode {mode.id!r}: there is no diagnoser {name!r} with class"
+                    f" {fault_class!r}"
+                )
         links[mode.id] = list(mode.covered_by.items())
     return links
 
@@ -116,6 +140,8 @@ def _mode(entry: Any, where: str) -> FailureMode:
     if missing := [name for name in _FIELDS if not isinstance(entry.get(name), str)]:
         raise BadInput(f"{where}: {missing[0]!r} is missing or not a text")
     covered = entry.get("covered_by", {})
-    if not isinstance(covered, dict) or not all(isinstance(text, str) for pair in covered.items() for text in pair):
+    if not isinstance(covered, dict) or not all(
+        isinstance(text, str) for pair in covered.items() for text in pair
+    ):
         raise BadInput(f"{where}: covered_by must map a diagnoser to its class")
     return FailureMode(**{name: entry[name] for name in _FIELDS}, covered_by=covered)

@@ -1,4 +1,6 @@
-"""What one movement of the gate actuator shows of its teeth: the source's F₁ and F₂, and features in shaft angle."""
+"""What one movement of the gate actuator shows of its teeth: the source's F₁ and F₂, and features
+in shaft angle.
+"""
 
 from __future__ import annotations
 
@@ -10,12 +12,23 @@ from scipy.fft import next_fast_len
 from scipy.signal import butter, hilbert, sosfiltfilt
 
 from residuum.diagnosis.gate.actuator_model import ActuatorConstants, AdaptedModel, adapt
-from residuum.diagnosis.gate.movements import Direction, Movement, PositionProfile, flat_part, position_profile
+from residuum.diagnosis.gate.movements import (
+    Direction,
+    Movement,
+    PositionProfile,
+    flat_part,
+    position_profile,
+)
 from residuum.diagnosis.gate.operating_events import slow_residual
 from residuum.diagnosis.vibration.rotation import POINTS_OF_A_TURN, ShaftPattern, shaft_pattern
-from residuum.diagnosis.vibration.vibration_indicators import autoregressive_whitener, matched_filter, pulse_templates
+from residuum.diagnosis.vibration.vibration_indicators import (
+    autoregressive_whitener,
+    matched_filter,
+    pulse_templates,
+)
 
-# Residual evaluation of the gate actuator: band-pass, envelope, spectrum modulus, F₁ and F₂ (Valceschini, section 7.5.2).
+# Residual evaluation of the gate actuator: band-pass, envelope, spectrum modulus, F₁ and F₂
+# (Valceschini, section 7.5.2).
 
 BAND = (0.5, 10.0)  # Hz
 ENVELOPE_HARMONICS = 3
@@ -27,9 +40,9 @@ _ZERO_PADDING = 8
 class EnvelopeSpectrum:
     """Modulus θ(f) of the envelope's amplitude spectrum.
 
-    `frequency` [Hz] and `modulus` (unit of the residual), shape (n,); the mean of the envelope is taken off. The grid is
-    finer than 1/duration (zero padding), because F₂ sums over a neighbourhood that is narrower than one bin of a
-    ten-second record.
+    `frequency` [Hz] and `modulus` (unit of the residual), shape (n,); the mean of the envelope is
+    taken off. The grid is finer than 1/duration (zero padding), because F₂ sums over a
+    neighbourhood that is narrower than one bin of a ten-second record.
     """
 
     frequency: Signal
@@ -41,19 +54,27 @@ class EnvelopeSpectrum:
         return float(np.interp(frequency, self.frequency, self.modulus))
 
     def around(self, frequency: float, relative: float = _NEIGHBOURHOOD) -> float:
-        """Sum of θ over f(1 ± relative), in bins of 1/duration so that zero padding does not change it."""
+        """Sum of θ over f(1 ± relative), in bins of 1/duration so that zero padding does not change
+        it.
+        """
         inside = np.abs(self.frequency - frequency) <= relative * frequency
         fine = self.frequency[1] - self.frequency[0]
         return float(np.sum(self.modulus[inside]) * fine / self.resolution)
 
 
-def residual_envelope(residual: Signal, sample_time: float, band: tuple[float, float] = BAND) -> Signal:
-    """|analytic signal| of the residual band-passed to `band` [Hz] (Butterworth of order 2, forward and backward), shape (n,).
+def residual_envelope(
+    residual: Signal, sample_time: float, band: tuple[float, float] = BAND
+) -> Signal:
+    """|analytic signal| of the residual band-passed to `band` [Hz] (Butterworth of order 2, forward
+    and backward), shape (n,).
 
-    The filter runs over the whole movement, before the flat part is cut out, so its transient stays in the ramps.
+    The filter runs over the whole movement, before the flat part is cut out, so its transient stays
+    in the ramps.
     """
     sos = butter(2, band, btype="bandpass", fs=1.0 / sample_time, output="sos")
-    narrow = np.asarray(sosfiltfilt(sos, residual, padlen=min(residual.shape[0] - 1, round(1.0 / sample_time))))
+    narrow = np.asarray(
+        sosfiltfilt(sos, residual, padlen=min(residual.shape[0] - 1, round(1.0 / sample_time)))
+    )
     length = next_fast_len(narrow.shape[0])
     return np.abs(np.asarray(hilbert(narrow, length)))[: narrow.shape[0]]
 
@@ -70,14 +91,18 @@ def envelope_spectrum(envelope: Signal, sample_time: float) -> EnvelopeSpectrum:
     length = next_fast_len(_ZERO_PADDING * n, real=True)
     modulus = np.abs(np.fft.rfft(envelope - np.mean(envelope), length)) * (2.0 / n)
     return EnvelopeSpectrum(
-        np.asarray(np.fft.rfftfreq(length, sample_time)), np.asarray(modulus, dtype=float), 1.0 / (n * sample_time)
+        np.asarray(np.fft.rfftfreq(length, sample_time)),
+        np.asarray(modulus, dtype=float),
+        1.0 / (n * sample_time),
     )
 
 
 def fault_indicators(
     spectrum: EnvelopeSpectrum, fault_frequency: float, harmonics: int = ENVELOPE_HARMONICS
 ) -> tuple[float, float]:
-    """F₁ = Σₖ θ(k f) and F₂ = Σₖ Σ_{0.95 k f ≤ j ≤ 1.05 k f} θ(j) of (7.6), k = 1 … harmonics, f the fault frequency [Hz]."""
+    """F₁ = Σₖ θ(k f) and F₂ = Σₖ Σ_{0.95 k f ≤ j ≤ 1.05 k f} θ(j) of (7.6), k = 1 … harmonics, f
+    the fault frequency [Hz].
+    """
     orders = [k * fault_frequency for k in range(1, harmonics + 1)]
     return sum(map(spectrum.at, orders)), sum(map(spectrum.around, orders))
 
@@ -88,7 +113,9 @@ FEWEST_TURNS = 5
 SOURCE_FEATURES = ("F1", "F2")
 _SETTLING = 0.3  # s after the ramp, six time constants
 _WHITENER_ORDER = 50  # a tenth of a second
-_AVERAGED_TURNS = 14  # over more, noise is gone and healthy tooth errors stay: they are fixed in the gear
+_AVERAGED_TURNS = (
+    14  # over more, noise is gone and healthy tooth errors stay: they are fixed in the gear
+)
 _CLIP = 4.0  # robust deviations; pulses must not shape the whitener that is to find them
 FEATURES = (
     *SOURCE_FEATURES,
@@ -110,11 +137,12 @@ class MovementFeatures:
     Attributes
     ----------
     values : mapping of name to float
-        F1, F2 : (7.6) of the residual in axial speed [mm/s]. low_peak, low_rms : largest envelope and RMS of the typical shaft
-        turn of the residual in the orders between eccentricity and the pinion's mesh, 2–13 [rad/s]; high_peak the same
-        between the meshes of pinion and gear, 15–43; low_crest, high_crest : peak over RMS; single_pulse : largest
-        matched-filter output at one place, in standard deviations; periodic_pulse : the same of the typical turn, scaled by
-        √turns of at most 14; level : robust deviation of the residual [rad/s].
+        F1, F2 : (7.6) of the residual in axial speed [mm/s]. low_peak, low_rms : largest envelope
+        and RMS of the typical shaft turn of the residual in the orders between eccentricity and the
+        pinion's mesh, 2–13 [rad/s]; high_peak the same between the meshes of pinion and gear,
+        15–43; low_crest, high_crest : peak over RMS; single_pulse : largest matched-filter output
+        at one place, in standard deviations; periodic_pulse : the same of the typical turn, scaled
+        by √turns of at most 14; level : robust deviation of the residual [rad/s].
     fault_frequency : float
         Turns a second of the shaft, from the measured speed [Hz].
     pulse_position : float
@@ -137,8 +165,8 @@ class MovementFeatures:
     def vector(self) -> Signal:
         """Natural logarithms of the features in the order of FEATURES, shape (n_features,).
 
-        Logarithms, because tolerances between exemplars act as factors, and because a fault twice as large then is a step and
-        not a stretch.
+        Logarithms, because tolerances between exemplars act as factors, and because a fault twice
+        as large then is a step and not a stretch.
         """
         return np.log([self.values[name] for name in FEATURES])
 
@@ -150,10 +178,14 @@ class MovementFeatures:
 def whole_turns(movement: Movement, constants: ActuatorConstants) -> float:
     """Turns of the shaft in the flat part of the movement, after it has settled."""
     run = _settled(movement)
-    return float(np.sum(movement.speed[run]) * movement.sample_time / (2 * np.pi * constants.gear_teeth))
+    return float(
+        np.sum(movement.speed[run]) * movement.sample_time / (2 * np.pi * constants.gear_teeth)
+    )
 
 
-def movement_features(movement: Movement, constants: ActuatorConstants, model: AdaptedModel | None = None) -> MovementFeatures:
+def movement_features(
+    movement: Movement, constants: ActuatorConstants, model: AdaptedModel | None = None
+) -> MovementFeatures:
     """Features of one movement; `model` None adapts the model to this movement itself.
 
     The movement needs FEWEST_TURNS turns of the shaft at flat voltage (see `whole_turns`).
@@ -191,7 +223,16 @@ def movement_features(movement: Movement, constants: ActuatorConstants, model: A
     profile = position_profile(pulses.at_sample, positions)
     slow = slow_residual(residual[run], Ts)
     return MovementFeatures(
-        values, adapted, spectrum, pattern, frequency, motor_speed, pattern.turns.shape[0], slow, place, profile
+        values,
+        adapted,
+        spectrum,
+        pattern,
+        frequency,
+        motor_speed,
+        pattern.turns.shape[0],
+        slow,
+        place,
+        profile,
     )
 
 
@@ -202,7 +243,9 @@ def _settled(movement: Movement) -> slice:
 
 @dataclass(frozen=True, eq=False)
 class _Pulses:
-    """Largest single and periodic pulse over all templates, and at each sample the largest single one, shape (n,)."""
+    """Largest single and periodic pulse over all templates, and at each sample the largest single
+    one, shape (n,).
+    """
 
     single: float
     periodic: float
@@ -210,20 +253,33 @@ class _Pulses:
 
 
 def _pulses(
-    residual: Signal, turns: Signal, T: float, frequency: float, Ts: float, constants: ActuatorConstants, level: float
+    residual: Signal,
+    turns: Signal,
+    T: float,
+    frequency: float,
+    Ts: float,
+    constants: ActuatorConstants,
+    level: float,
 ) -> _Pulses:
     centred = residual - np.median(residual)
-    whitener = autoregressive_whitener(np.clip(centred, -_CLIP * level, _CLIP * level), _WHITENER_ORDER)
+    whitener = autoregressive_whitener(
+        np.clip(centred, -_CLIP * level, _CLIP * level), _WHITENER_ORDER
+    )
     gear, pinion = constants.gear_teeth * frequency, constants.pinion_teeth * frequency
     periodic = 0.0
     largest = np.zeros_like(residual)
     for template in pulse_templates([1.0 / gear, 0.5 / pinion, 1.0 / pinion], T, Ts):
         z, _ = matched_filter(centred, whitener, template)
         pattern = shaft_pattern(z, turns)
-        periodic = max(periodic, _peak(pattern.typical) * float(np.sqrt(min(pattern.turns.shape[0], _AVERAGED_TURNS))))
+        periodic = max(
+            periodic,
+            _peak(pattern.typical) * float(np.sqrt(min(pattern.turns.shape[0], _AVERAGED_TURNS))),
+        )
         whole = turns - turns[0] < pattern.turns.shape[0]
         place = (turns[whole] - turns[0]) % 1.0 * POINTS_OF_A_TURN
-        shared = np.interp(place, np.arange(POINTS_OF_A_TURN + 1), np.append(pattern.typical, pattern.typical[0]))
+        shared = np.interp(
+            place, np.arange(POINTS_OF_A_TURN + 1), np.append(pattern.typical, pattern.typical[0])
+        )
         largest[whole] = np.maximum(largest[whole], np.abs(z[whole] - shared))
     return _Pulses(float(np.max(largest)), periodic, largest)
 

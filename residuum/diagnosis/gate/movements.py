@@ -25,8 +25,8 @@ BINS = 200  # of the whole way: 14 mm of a gate of 2.85 m, about a rack tooth
 class PositionProfile:
     """Largest pulse statistic at each place.
 
-    `statistic`, shape (BINS,), in standard deviations, NaN where the gate only ramps; bin 0 is the closed gate, whichever
-    way the movement went.
+    `statistic`, shape (BINS,), in standard deviations, NaN where the gate only ramps; bin 0 is the
+    closed gate, whichever way the movement went.
     """
 
     statistic: Signal
@@ -38,14 +38,18 @@ class PositionProfile:
 
     @property
     def contrast(self) -> float:
-        """How far the largest bin stands out of the others: (largest − median) / (1.4826 · median absolute deviation)."""
+        """How far the largest bin stands out of the others: (largest − median) / (1.4826 · median
+        absolute deviation).
+        """
         median = float(np.nanmedian(self.statistic))
         deviation = 1.4826 * float(np.nanmedian(np.abs(self.statistic - median)))
         return (float(np.nanmax(self.statistic)) - median) / max(deviation, np.finfo(float).tiny)
 
 
 def position_profile(statistic: Signal, position: Signal) -> PositionProfile:
-    """Largest |statistic| in each bin of `position` (fraction of the way from the closed gate); both of shape (n,)."""
+    """Largest |statistic| in each bin of `position` (fraction of the way from the closed gate);
+    both of shape (n,).
+    """
     profile = np.full(BINS, -np.inf)
     np.maximum.at(profile, np.clip((position * BINS).astype(int), 0, BINS - 1), np.abs(statistic))
     return PositionProfile(np.where(np.isfinite(profile), profile, np.nan))
@@ -54,8 +58,9 @@ def position_profile(statistic: Signal, position: Signal) -> PositionProfile:
 def average_profile(profiles: Sequence[PositionProfile]) -> PositionProfile:
     """Mean over movements, bin by bin, opening and closing alike.
 
-    What stays at its place keeps its height while the scatter of the rest shrinks with √movements, so the contrast of a
-    damage too small for one movement grows. Fails for a gate whose movements start at other places than its ends.
+    What stays at its place keeps its height while the scatter of the rest shrinks with √movements,
+    so the contrast of a damage too small for one movement grows. Fails for a gate whose movements
+    start at other places than its ends.
 
     >>> rng = np.random.default_rng(0)
     >>> way = np.linspace(0, 1, 5000)
@@ -69,12 +74,16 @@ def average_profile(profiles: Sequence[PositionProfile]) -> PositionProfile:
     stacked = np.array([profile.statistic for profile in profiles])
     finite = np.isfinite(stacked)
     total = np.where(finite, stacked, 0.0).sum(axis=0)
-    return PositionProfile(np.where(finite.any(axis=0), total / np.maximum(finite.sum(axis=0), 1), np.nan))
+    return PositionProfile(
+        np.where(finite.any(axis=0), total / np.maximum(finite.sum(axis=0), 1), np.nan)
+    )
 
 
 _SHORTEST = 0.05  # s; shorter runs of the phase signal are no movement
 _SMOOTHING = 0.05  # s; five periods of the 100 Hz pulse-width modulation
-_DRIVEN = 0.05  # of the largest voltage: the gate is driven (only used when there is no phase signal)
+_DRIVEN = (
+    0.05  # of the largest voltage: the gate is driven (only used when there is no phase signal)
+)
 _FLAT = 0.95  # of the flat level: the ramp has ended
 _KEPT_BAND = 0.8  # of the reduced Nyquist frequency
 
@@ -129,22 +138,26 @@ class Movement:
         return np.asarray(np.cumsum(self.speed) * self.sample_time)
 
     def reduced(self, rate: float) -> Movement:
-        """The movement low-passed and sampled at about `rate` Hz (a whole fraction of its own rate)."""
+        """The movement low-passed and sampled at about `rate` Hz (a whole fraction of its own
+        rate).
+        """
         factor = max(1, round(1.0 / (self.sample_time * rate)))
         if factor == 1:
             return self
         taps = np.asarray(firwin(10 * factor + 1, _KEPT_BAND / factor))
         speed, voltage = _reduce(self.speed, factor, taps), _reduce(self.voltage, factor, taps)
         current = None if self.current is None else _reduce(self.current, factor, taps)
-        return Movement(self.direction, self.sample_time * factor, speed, voltage, current, self.start)
+        return Movement(
+            self.direction, self.sample_time * factor, speed, voltage, current, self.start
+        )
 
 
 def cut_movements(record: Record) -> list[Movement]:
     """Every movement in a record, in their order.
 
     A movement is a run of samples in which the phase is 1 (opening) or 2 (closing); without a phase
-    signal, in which the motor is driven (|V| above 5 % of its largest value, smoothed over the pulse-width
-    modulation), positive voltage opening.
+    signal, in which the motor is driven (|V| above 5 % of its largest value, smoothed over the
+    pulse-width modulation), positive voltage opening.
 
     Parameters
     ----------
@@ -163,15 +176,20 @@ def cut_movements(record: Record) -> list[Movement]:
         run = slice(int(start), int(stop))
         direction, Ts = _DIRECTIONS[int(phase[start])], record.sample_time
         current_run = None if current is None else _forward(current[run])
-        movements.append(Movement(direction, Ts, _forward(speed[run]), _forward(voltage[run]), current_run, int(start)))
+        movements.append(
+            Movement(
+                direction, Ts, _forward(speed[run]), _forward(voltage[run]), current_run, int(start)
+            )
+        )
     return movements
 
 
 def flat_part(movement: Movement) -> tuple[slice, float]:
     """Where the voltage is past its rising and before its falling ramp, and its level there [V].
 
-    The level is the median voltage (smoothed over the pulse-width modulation) of the driven samples; the flat
-    part reaches from the first to the last sample at 95 % of it, so a dip between them stays inside.
+    The level is the median voltage (smoothed over the pulse-width modulation) of the driven
+    samples; the flat part reaches from the first to the last sample at 95 % of it, so a dip between
+    them stays inside.
     """
     smooth = smoothed(movement.voltage, movement.sample_time)
     level = float(np.median(smooth[smooth > 0.5 * np.max(smooth)])) if np.max(smooth) > 0 else 0.0

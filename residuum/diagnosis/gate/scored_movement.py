@@ -27,7 +27,9 @@ _SHORTEST = 1.0  # s
 
 
 def unusable_record(record: Record, rate: float) -> str | None:
-    """Why no movement of the record can be judged, in one sentence; None when they can be looked at. `rate` in Hz."""
+    """Why no movement of the record can be judged, in one sentence; None when they can be looked
+    at. `rate` in Hz.
+    """
     if abs(record.sampling_rate / rate - 1.0) > _RATE_TOLERANCE:
         return f"sampled at {record.sampling_rate:.6g} Hz; trained at {rate:.6g} Hz"
     for name in ("speed", "voltage", "current", "phase"):
@@ -35,16 +37,25 @@ def unusable_record(record: Record, rate: float) -> str | None:
             continue
         if missing := int(np.count_nonzero(record.missing(name))):
             first = int(np.argmax(record.missing(name)))
-            return f"gap: {missing} of {record.n} samples of {name} are missing, the first at {first * record.sample_time:.4g} s"
+            return (
+                f"gap: {missing} of {record.n} samples of {name} are missing, the first at"
+                f" {first * record.sample_time:.4g} s"
+            )
         if name != "phase" and record.n > 1 and float(np.ptp(record[name])) == 0.0:
-            return f"flat: {name} stands at {float(record[name][0]):.4g} {record.units[name]} throughout"
+            return (
+                f"flat: {name} stands at {float(record[name][0]):.4g} {record.units[name]}"
+                " throughout"
+            )
     return None
 
 
 def unusable_movement(movement: Movement, constants: ActuatorConstants) -> str | None:
     """Why one movement cannot be judged, in one sentence; None when it can."""
     if movement.duration < _SHORTEST:
-        return f"too short: the movement lasts {movement.duration:.3g} s; at least {_SHORTEST:g} s are needed"
+        return (
+            f"too short: the movement lasts {movement.duration:.3g} s; at least {_SHORTEST:g} s are"
+            " needed"
+        )
     if np.max(movement.voltage) <= 0 or np.max(movement.speed) <= 0:
         return "the motor is not driven during the movement"
     flat, level = flat_part(movement)
@@ -53,11 +64,15 @@ def unusable_movement(movement: Movement, constants: ActuatorConstants) -> str |
     for name, signal in (("speed", movement.speed), ("current", movement.current)):
         if signal is not None and (share := _share_at_rail(signal[flat])) > _CLIPPED:
             top = float(np.max(signal[flat]))
-            return f"clipped: {100 * share:.0f} % of the samples of {name} at full voltage stand at its largest value {top:.4g}"
+            return (
+                f"clipped: {100 * share:.0f} % of the samples of {name} at full voltage stand at"
+                f" its largest value {top:.4g}"
+            )
     turns = whole_turns(movement, constants)
     if turns < FEWEST_TURNS:
         return (
-            f"too short: {max(turns, 0.0):.1f} turns of the shaft at the full {level:.1f} V; at least {FEWEST_TURNS} are needed"
+            f"too short: {max(turns, 0.0):.1f} turns of the shaft at the full {level:.1f} V; at"
+            f" least {FEWEST_TURNS} are needed"
         )
     return None
 
@@ -78,15 +93,20 @@ _OPENING, _CLOSING = 1, 2
 def example_record(fault: str, seed: int, duration: float = 7.0) -> Record:
     """One movement of `duration` seconds with ramps of 1 s.
 
-    Speed is the first-order response to the voltage less a load; `gear` adds a load pulse once a shaft turn, `rack` one in the
-    middle of the way. Tooth errors are a fixed random pattern once a turn; noise is white.
+    Speed is the first-order response to the voltage less a load; `gear` adds a load pulse once a
+    shaft turn, `rack` one in the middle of the way. Tooth errors are a fixed random pattern once a
+    turn; noise is white.
     """
     rng = np.random.default_rng(seed)
     t = np.arange(round(duration * _RATE)) / _RATE
-    voltage = _LEVEL * np.clip(np.minimum(t, duration - t), 0.0, 1.0) + 0.03 * rng.standard_normal(t.shape[0])
+    voltage = _LEVEL * np.clip(np.minimum(t, duration - t), 0.0, 1.0) + 0.03 * rng.standard_normal(
+        t.shape[0]
+    )
     flat = _GAIN * _LEVEL / (2 * np.pi * _GEAR_TEETH)
     turns = flat * (t - 0.5) + rng.uniform()
-    load = 20.0 + sum(rng.normal(0.0, 0.4) * np.cos(2 * np.pi * (k * turns + rng.uniform())) for k in range(1, 15))
+    load = 20.0 + sum(
+        rng.normal(0.0, 0.4) * np.cos(2 * np.pi * (k * turns + rng.uniform())) for k in range(1, 15)
+    )
     if fault == "gear":
         load = load + 60.0 * np.exp(-0.5 * ((turns % 1.0 - 0.5) / 0.015) ** 2)
     if fault == "rack":
@@ -99,7 +119,12 @@ def example_record(fault: str, seed: int, duration: float = 7.0) -> Record:
         "voltage": sign * voltage,
         "phase": np.full(t.shape[0], _CLOSING if closing else _OPENING, float),
     }
-    return Record(channels, {"speed": "rad/s", "voltage": "V", "phase": ""}, 1.0 / _RATE, source=f"example {fault} {seed}")
+    return Record(
+        channels,
+        {"speed": "rad/s", "voltage": "V", "phase": ""},
+        1.0 / _RATE,
+        source=f"example {fault} {seed}",
+    )
 
 
 def example_records(fault: str, count: int, first_seed: int) -> list[Record]:
@@ -145,11 +170,17 @@ def not_assessed(diagnoser: str, scored: Sequence[ScoredMovement]) -> Finding:
     evidence: dict[str, Any] = {"movements": [_summary(move) for move in scored]}
     if first.happened is not None:
         evidence["event"] = first.happened.event.value
-    return Finding.not_assessable(diagnoser, f"{first.movement.direction}: {first.reason}", **evidence)
+    return Finding.not_assessable(
+        diagnoser, f"{first.movement.direction}: {first.reason}", **evidence
+    )
 
 
-def evidence_of(baseline: GateBaseline, subject: ScoredMovement, scored: Sequence[ScoredMovement]) -> dict[str, Any]:
-    """What a person can check of the movement that the finding is about, and of all movements in the record."""
+def evidence_of(
+    baseline: GateBaseline, subject: ScoredMovement, scored: Sequence[ScoredMovement]
+) -> dict[str, Any]:
+    """What a person can check of the movement that the finding is about, and of all movements in
+    the record.
+    """
     features, judgement = subject.known()
     shown = features.spectrum.frequency <= _SHOWN_SPECTRUM
     fine = max(1, round(features.spectrum.resolution / (4 * features.spectrum.frequency[1])))
@@ -158,7 +189,12 @@ def evidence_of(baseline: GateBaseline, subject: ScoredMovement, scored: Sequenc
         "direction": subject.movement.direction.value,
         "motor_speed": features.motor_speed,
         "turns": features.turns,
-        "model": {"gain": model.gain, "time_constant": model.time_constant, "delay": model.delay, "load": list(model.load)},
+        "model": {
+            "gain": model.gain,
+            "time_constant": model.time_constant,
+            "delay": model.delay,
+            "load": list(model.load),
+        },
         "pulse_position": features.pulse_position,
         "envelope_spectrum": {
             "frequency": features.spectrum.frequency[shown][::fine],
@@ -170,23 +206,42 @@ def evidence_of(baseline: GateBaseline, subject: ScoredMovement, scored: Sequenc
         "healthy_movements_trained": baseline.features.n,
     }
     if judgement.isolation is not None:
-        evidence |= {"probabilities": dict(judgement.isolation.probabilities), "distances": dict(judgement.isolation.distances)}
+        evidence |= {
+            "probabilities": dict(judgement.isolation.probabilities),
+            "distances": dict(judgement.isolation.distances),
+        }
     if judgement.likely_part is not None:
         evidence["likely_part"] = judgement.likely_part
-    evidence["default_method"] = {"verdict": _verdict(judgement.fault_class), "class": judgement.fault_class}
+    evidence["default_method"] = {
+        "verdict": _verdict(judgement.fault_class),
+        "class": judgement.fault_class,
+    }
     evidence["source_method"] = _source_says(subject)
     if subject.source is not None:
-        evidence |= {"source_class": subject.source.fault_class or HEALTHY, "source_decision": subject.source.decision}
+        evidence |= {
+            "source_class": subject.source.fault_class or HEALTHY,
+            "source_decision": subject.source.decision,
+        }
     return evidence
 
 
 def _source_says(move: ScoredMovement) -> dict[str, Any]:
     """What the source's classifier says, or why it says nothing."""
     if move.source is None or move.features is None:
-        return {"verdict": "not-assessable", "class": None, "reason": "only healthy movements were trained; it needs faults too"}
+        return {
+            "verdict": "not-assessable",
+            "class": None,
+            "reason": "only healthy movements were trained; it needs faults too",
+        }
     F1, F2 = (float(value) for value in move.features.source_vector())
     fault_class = move.source.fault_class
-    return {"verdict": _verdict(fault_class), "class": fault_class, "F1": F1, "F2": F2, "decision": move.source.decision}
+    return {
+        "verdict": _verdict(fault_class),
+        "class": fault_class,
+        "F1": F1,
+        "F2": F2,
+        "decision": move.source.decision,
+    }
 
 
 def _verdict(fault_class: str | None) -> str:
@@ -199,14 +254,19 @@ def source_sentence(move: ScoredMovement) -> str:
     F1, F2 = features.source_vector()
     fault_class = move.said_by("source") or HEALTHY
     return (
-        f"{move.movement.direction} at {features.motor_speed * 30 / np.pi:.0f} rpm: F1 = {F1:.2f} mm/s and F2 = {F2:.2f} mm/s of "
-        f"the residual's envelope at {features.fault_frequency:.2f} Hz lie on the side of {fault_class!r} (linear SVM)"
+        f"{move.movement.direction} at {features.motor_speed * 30 / np.pi:.0f} rpm: F1 = {F1:.2f}"
+        f" mm/s and F2 = {F2:.2f} mm/s of the residual's envelope at {features.fault_frequency:.2f}"
+        f" Hz lie on the side of {fault_class!r} (linear SVM)"
     )
 
 
 def _over_the_way(scored: Sequence[ScoredMovement]) -> dict[str, Any]:
-    """The pulse statistic by place of the gate, averaged over all movements that were assessed, both ways."""
-    average = average_profile([move.features.profile for move in scored if move.features is not None])
+    """The pulse statistic by place of the gate, averaged over all movements that were assessed,
+    both ways.
+    """
+    average = average_profile(
+        [move.features.profile for move in scored if move.features is not None]
+    )
     return {"place": average.place, "contrast": average.contrast, "statistic": average.statistic}
 
 
@@ -225,17 +285,20 @@ def _summary(move: ScoredMovement) -> dict[str, Any]:
 def sentence(move: ScoredMovement) -> str:
     """Why the default method says what it says."""
     features, judgement = move.known()
-    where = f"{move.movement.direction} at {features.motor_speed * 30 / np.pi:.0f} rpm, {features.turns} turns of the shaft"
+    where = (
+        f"{move.movement.direction} at {features.motor_speed * 30 / np.pi:.0f} rpm,"
+        f" {features.turns} turns of the shaft"
+    )
     values = features.values
     if judgement.fault_class == PINION_OR_GEAR:
         return (
-            f"{where}: the load changes once a turn ({features.fault_frequency:.2f} Hz) by up to {values['low_peak']:.1f} rad/s, "
-            f"F1 = {values['F1']:.2f} mm/s"
+            f"{where}: the load changes once a turn ({features.fault_frequency:.2f} Hz) by up to"
+            f" {values['low_peak']:.1f} rad/s, F1 = {values['F1']:.2f} mm/s"
         )
     if judgement.fault_class == RACK:
         return (
-            f"{where}: one pulse of {values['single_pulse']:.0f} standard deviations at {100 * features.pulse_position:.0f} % of "
-            "the way, not repeated once a turn"
+            f"{where}: one pulse of {values['single_pulse']:.0f} standard deviations at"
+            f" {100 * features.pulse_position:.0f} % of the way, not repeated once a turn"
         )
     if judgement.fault_class == UNKNOWN:
         return f"{where}: unlike healthy movements and unlike every fault that was trained"

@@ -1,4 +1,6 @@
-"""How well a kind of diagnoser does on objects not trained on: object-wise cross-validation and the .632+ bootstrap."""
+"""How well a kind of diagnoser does on objects not trained on: object-wise cross-validation and the
+.632+ bootstrap.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,8 @@ from residuum.identification.errors import BadInput
 from residuum.identification.linear_models.validation import weighed
 from residuum.identification.record import Record
 
-# How well a classifier does on an object it has never seen: object-wise cross-validation beside the usual folds.
+# How well a classifier does on an object it has never seen: object-wise cross-validation beside the
+# usual folds.
 
 Labels = npt.NDArray[Any]
 Matrix = npt.NDArray[np.float64]
@@ -40,7 +43,9 @@ class Validation:
 
     @property
     def accuracy(self) -> float:
-        """Share of right predictions; 1 − OCV of (A.7) with the 0–1 loss, when the predictions are object-wise."""
+        """Share of right predictions; 1 − OCV of (A.7) with the 0–1 loss, when the predictions are
+        object-wise.
+        """
         return float(np.mean(self.truth == self.predicted))
 
     @property
@@ -49,17 +54,26 @@ class Validation:
         return balanced_accuracy(self.truth, self.predicted)
 
     def confusion(self, labels: Sequence[str]) -> npt.NDArray[np.int_]:
-        """Counts, rows predicted and columns true (as the source's Table 7), in the order of `labels`."""
-        rows = [[int(np.sum((self.predicted == predicted) & (self.truth == true))) for true in labels] for predicted in labels]
+        """Counts, rows predicted and columns true (as the source's Table 7), in the order of
+        `labels`.
+        """
+        rows = [
+            [int(np.sum((self.predicted == predicted) & (self.truth == true))) for true in labels]
+            for predicted in labels
+        ]
         return np.asarray(rows, dtype=int)
 
     def interval(
-        self, score: Callable[[Labels, Labels], float], confidence: float = 0.95, repeats: int = 1000, seed: int = 0
+        self,
+        score: Callable[[Labels, Labels], float],
+        confidence: float = 0.95,
+        repeats: int = 1000,
+        seed: int = 0,
     ) -> tuple[float, float]:
         """Interval of `score(truth, predicted)` by drawing whole objects with replacement.
 
-        Movements of one object resemble each other, so drawing them one by one would promise too much. Fails (too narrow) for
-        fewer than about ten objects.
+        Movements of one object resemble each other, so drawing them one by one would promise too
+        much. Fails (too narrow) for fewer than about ten objects.
         """
         rng = np.random.default_rng(seed)
         names = np.unique(self.objects)
@@ -73,28 +87,46 @@ class Validation:
 
 
 def balanced_accuracy(truth: Labels, predicted: Labels) -> float:
-    """Mean over the true classes of the share that was found; predictions may hold classes that the truth has not (`unknown`)."""
-    return float(np.mean([np.mean(predicted[truth == label] == label) for label in np.unique(truth)]))
+    """Mean over the true classes of the share that was found; predictions may hold classes that the
+    truth has not (`unknown`).
+    """
+    return float(
+        np.mean([np.mean(predicted[truth == label] == label) for label in np.unique(truth)])
+    )
 
 
-def object_wise(estimator: BaseEstimator, X: Matrix, y: Sequence[str], objects: Sequence[object]) -> Validation:
-    """Object-wise cross-validation (A.7): each object is predicted by an estimator trained on all others.
+def object_wise(
+    estimator: BaseEstimator, X: Matrix, y: Sequence[str], objects: Sequence[object]
+) -> Validation:
+    """Object-wise cross-validation (A.7): each object is predicted by an estimator trained on all
+    others.
 
     Raises BadInput with fewer than two objects.
     """
     names = np.asarray(objects)
     if np.unique(names).shape[0] < 2:
-        raise BadInput("object-wise validation: all observations come from one object; at least two are needed")
+        raise BadInput(
+            "object-wise validation: all observations come from one object; at least two are needed"
+        )
     predicted = cross_val_predict(estimator, X, np.asarray(y), groups=names, cv=LeaveOneGroupOut())
     return Validation(np.asarray(y), predicted, names)
 
 
 def mixed_folds(
-    estimator: BaseEstimator, X: Matrix, y: Sequence[str], objects: Sequence[object], folds: int = 10, seed: int = 0
+    estimator: BaseEstimator,
+    X: Matrix,
+    y: Sequence[str],
+    objects: Sequence[object],
+    folds: int = 10,
+    seed: int = 0,
 ) -> Validation:
-    """Stratified random folds, as the source validates: every object is in training and test, which flatters new objects."""
+    """Stratified random folds, as the source validates: every object is in training and test, which
+    flatters new objects.
+    """
     cv = StratifiedKFold(folds, shuffle=True, random_state=seed)
-    return Validation(np.asarray(y), cross_val_predict(estimator, X, np.asarray(y), cv=cv), np.asarray(objects))
+    return Validation(
+        np.asarray(y), cross_val_predict(estimator, X, np.asarray(y), cv=cv), np.asarray(objects)
+    )
 
 
 def learning_curve(
@@ -106,7 +138,9 @@ def learning_curve(
     repeats: int = 10,
     seed: int = 0,
 ) -> list[tuple[int, float, float]]:
-    """(objects trained on, mean, standard deviation of the balanced accuracy on all other objects) for each size."""
+    """(objects trained on, mean, standard deviation of the balanced accuracy on all other objects)
+    for each size.
+    """
     rng = np.random.default_rng(seed)
     labels, names = np.asarray(y), np.asarray(objects)
     curve = []
@@ -121,7 +155,8 @@ def learning_curve(
 
 
 def proportion_interval(events: int, trials: int, confidence: float = 0.95) -> tuple[float, float]:
-    """Clopper–Pearson interval of a proportion: covers at least at its confidence, whatever the proportion.
+    """Clopper–Pearson interval of a proportion: covers at least at its confidence, whatever the
+    proportion.
 
     >>> low, high = proportion_interval(0, 3000)
     >>> low, round(high, 5)
@@ -137,8 +172,11 @@ Fit = Callable[[Sequence[int]], Diagnoser]
 """Trains a fresh diagnoser on the records of these numbers."""
 
 
-def validate_object_wise(fit: Fit, records: Sequence[Record], labels: Sequence[str], objects: Sequence[str]) -> Validation:
-    """Object-wise cross-validation (A.7) of any diagnoser: each object's records are judged by one trained on all others.
+def validate_object_wise(
+    fit: Fit, records: Sequence[Record], labels: Sequence[str], objects: Sequence[str]
+) -> Validation:
+    """Object-wise cross-validation (A.7) of any diagnoser: each object's records are judged by one
+    trained on all others.
 
     Raises BadInput with fewer than two objects, and what training raises.
     """
@@ -155,7 +193,8 @@ def validate_object_wise(fit: Fit, records: Sequence[Record], labels: Sequence[s
 
 @dataclass(frozen=True)
 class Bootstrap:
-    """The .632+ estimate of the error on new objects, and what it is made of; all are shares of records.
+    """The .632+ estimate of the error on new objects, and what it is made of; all are shares of
+    records.
 
     Attributes
     ----------
@@ -180,9 +219,15 @@ class Bootstrap:
 
 
 def bootstrap_632_plus(
-    fit: Fit, records: Sequence[Record], labels: Sequence[str], objects: Sequence[str], repeats: int = 25, seed: int = 0
+    fit: Fit,
+    records: Sequence[Record],
+    labels: Sequence[str],
+    objects: Sequence[str],
+    repeats: int = 25,
+    seed: int = 0,
 ) -> Bootstrap:
-    """Efron and Tibshirani, J. Amer. Stat. Assoc. 92 (1997) 548–560, whole objects drawn instead of records; A.2 of the source.
+    """Efron and Tibshirani, J. Amer. Stat. Assoc. 92 (1997) 548–560, whole objects drawn instead of
+    records; A.2 of the source.
 
     A sample that lacks what training needs (a class, enough records) is left out.
 
@@ -210,17 +255,24 @@ def bootstrap_632_plus(
             wrong[k].append(said(judge, records[k]) != truth[k])
     counted = [float(np.mean(misses)) for misses in wrong if misses]
     if not counted:
-        raise BadInput("bootstrap: no sample of objects could be trained on; more objects of every class are needed")
+        raise BadInput(
+            "bootstrap: no sample of objects could be trained on; more objects of every class are"
+            " needed"
+        )
     return _combined(truth, own, float(np.mean(counted)), trained)
 
 
 def said(judge: Diagnoser, record: Record) -> str:
-    """The class that a diagnoser gives a record: `healthy`, the fault's, or the verdict where there is no class."""
+    """The class that a diagnoser gives a record: `healthy`, the fault's, or the verdict where there
+    is no class.
+    """
     finding = judge.score(record)
     return finding.fault_class or str(finding.verdict.value)
 
 
-def _combined(truth: Labels, own: npt.NDArray[np.str_], out_of_bag: float, trained: int) -> Bootstrap:
+def _combined(
+    truth: Labels, own: npt.NDArray[np.str_], out_of_bag: float, trained: int
+) -> Bootstrap:
     apparent = float(np.mean(own != truth))
     classes = np.unique(np.concatenate([truth, own]))
     shares = [(float(np.mean(truth == name)), float(np.mean(own == name))) for name in classes]

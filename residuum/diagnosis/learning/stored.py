@@ -1,4 +1,6 @@
-"""What a trained diagnoser is stored as: a zip of JSON, NumPy arrays and skops estimators; never pickle."""
+"""What a trained diagnoser is stored as: a zip of JSON, NumPy arrays and skops estimators; never
+pickle.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,9 @@ from residuum.identification.npy_header import npy_header
 
 _FORMAT = "residuum-diagnoser"
 _HEADER = "header.json"
-_LARGEST = 1 << 30  # bytes unpacked; a stored diagnoser is kilobytes, so more is a damaged or hostile file
+_LARGEST = (
+    1 << 30
+)  # bytes unpacked; a stored diagnoser is kilobytes, so more is a damaged or hostile file
 _READABLE = "fiub?"
 _UNREADABLE = (
     zipfile.BadZipFile, zlib.error, KeyError, ValueError, TypeError, EOFError, OSError, RuntimeError, NotImplementedError,
@@ -32,7 +36,9 @@ _UNREADABLE = (
 
 @dataclass(frozen=True)
 class Stored:
-    """Content of a stored diagnoser: `kind` (its name), format `version`, `meta` (JSON), arrays and estimators by name."""
+    """Content of a stored diagnoser: `kind` (its name), format `version`, `meta` (JSON), arrays and
+    estimators by name.
+    """
 
     kind: str
     version: int
@@ -49,7 +55,8 @@ def save_stored(
     arrays: Mapping[str, npt.ArrayLike] | None = None,
     estimators: Mapping[str, Any] | None = None,
 ) -> None:
-    """Write a diagnoser to `path`, whole or not at all (a temporary file beside it is renamed over it).
+    """Write a diagnoser to `path`, whole or not at all (a temporary file beside it is renamed over
+    it).
 
     Parameters
     ----------
@@ -68,7 +75,11 @@ def save_stored(
         The folder does not exist or cannot be written.
     """
     path = Path(path)
-    header = json.dumps({"format": _FORMAT, "kind": kind, "version": version, "meta": meta}, allow_nan=False, indent=1)
+    header = json.dumps(
+        {"format": _FORMAT, "kind": kind, "version": version, "meta": meta},
+        allow_nan=False,
+        indent=1,
+    )
     try:
         descriptor, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
     except OSError as error:
@@ -96,8 +107,8 @@ def load_stored(path: str | Path, kind: str) -> Stored:
     Raises
     ------
     BadInput
-        No such file, not a stored diagnoser, of another kind, damaged, or it holds an estimator of a type that is
-        not known to be safe. Nothing of the file is executed.
+        No such file, not a stored diagnoser, of another kind, damaged, or it holds an estimator of
+        a type that is not known to be safe. Nothing of the file is executed.
 
     Examples
     --------
@@ -116,14 +127,16 @@ def load_stored(path: str | Path, kind: str) -> Stored:
         with zipfile.ZipFile(path) as archive:
             if sum(info.file_size for info in archive.infolist()) > _LARGEST:
                 raise BadInput(
-                    f"{path}: unpacks to more than {_LARGEST >> 20} MiB; is not a stored diagnoser; `residuum train` writes one"
+                    f"{path}: unpacks to more than {_LARGEST >> 20} MiB; is not a stored diagnoser;"
+                    " `residuum train` writes one"
                 )
             return _read(archive, str(path), kind)
     except _UNREADABLE as error:
         if isinstance(error, BadInput):
             raise
         raise BadInput(
-            f"{path}: is not a stored diagnoser, as `residuum train` writes one: {' '.join(str(error).split())[:120]}"
+            f"{path}: is not a stored diagnoser, as `residuum train` writes one:"
+            f" {' '.join(str(error).split())[:120]}"
         ) from None
 
 
@@ -134,7 +147,11 @@ def stored_kind(path: str | Path) -> str | None:
             header = json.loads(archive.read(_HEADER))
     except _UNREADABLE:
         return None
-    return str(header.get("kind")) if isinstance(header, dict) and header.get("format") == _FORMAT else None
+    return (
+        str(header.get("kind"))
+        if isinstance(header, dict) and header.get("format") == _FORMAT
+        else None
+    )
 
 
 def _read(archive: zipfile.ZipFile, path: str, kind: str) -> Stored:
@@ -147,9 +164,13 @@ def _read(archive: zipfile.ZipFile, path: str, kind: str) -> Stored:
     for name in archive.namelist():
         folder, _, member = name.partition("/")
         if folder == "arrays":
-            stored.arrays[member.removesuffix(".npy")] = _from_npy(archive.read(name), f"{path}, array {member!r}")
+            stored.arrays[member.removesuffix(".npy")] = _from_npy(
+                archive.read(name), f"{path}, array {member!r}"
+            )
         elif folder == "estimators":
-            stored.estimators[member.removesuffix(".skops")] = _estimator(archive.read(name), f"{path}, estimator {member!r}")
+            stored.estimators[member.removesuffix(".skops")] = _estimator(
+                archive.read(name), f"{path}, estimator {member!r}"
+            )
     return stored
 
 
@@ -160,10 +181,18 @@ def _to_npy(array: npt.ArrayLike) -> bytes:
 
 
 def _from_npy(data: bytes, where: str) -> npt.NDArray[Any]:
-    """The array in `data`; its header is held against the bytes there are before anything is allocated."""
+    """The array in `data`; its header is held against the bytes there are before anything is
+    allocated.
+    """
     header = npy_header(data)
-    if header.dtype.kind not in _READABLE or header.fortran_order or header.size != len(data) - header.start:
-        raise BadInput(f"{where}: header says {header.dtype} {header.shape}, which the member does not hold")
+    if (
+        header.dtype.kind not in _READABLE
+        or header.fortran_order
+        or header.size != len(data) - header.start
+    ):
+        raise BadInput(
+            f"{where}: header says {header.dtype} {header.shape}, which the member does not hold"
+        )
     return np.frombuffer(data, header.dtype, offset=header.start).reshape(header.shape).copy()
 
 
@@ -175,5 +204,7 @@ def _estimator(data: bytes, where: str) -> Any:
 
 
 def _skops() -> Any:
-    """What stores estimators, imported where there is one: it imports all of scikit-learn, which takes seconds."""
+    """What stores estimators, imported where there is one: it imports all of scikit-learn, which
+    takes seconds.
+    """
     return import_module("skops.io")

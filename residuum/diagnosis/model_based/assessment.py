@@ -1,4 +1,6 @@
-"""One window against a baseline: whether it can be judged, whether it differs, why, and by how much."""
+"""One window against a baseline: whether it can be judged, whether it differs, why, and by how
+much.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,13 @@ from residuum.diagnosis.finding import Finding, Verdict
 from residuum.diagnosis.model_based.baseline import Baseline, alone, wide_prior
 from residuum.diagnosis.model_based.causes import Cause, causes
 from residuum.diagnosis.model_based.hypotheses import Hypothesis
-from residuum.diagnosis.model_based.policy import COMPLETE, FEWEST_IN_A_WINDOW, LEAST_EXCITED, SHORTEST, STILL
+from residuum.diagnosis.model_based.policy import (
+    COMPLETE,
+    FEWEST_IN_A_WINDOW,
+    LEAST_EXCITED,
+    SHORTEST,
+    STILL,
+)
 from residuum.diagnosis.model_based.variant import Variant
 from residuum.diagnosis.model_based.window_fit import Fit, information
 from residuum.diagnosis.thresholds.false_alarm_rate import SECONDS_A_DAY
@@ -24,19 +32,19 @@ from residuum.identification.physics import Experiment, match
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.noise import stretches
 
-# Whether a window is healthy, at one rate of false alarms: its values by Hotelling's T² and each by itself, its error power, and
-# offsets of its readings.
+# Whether a window is healthy, at one rate of false alarms: its values by Hotelling's T² and each by
+# itself, its error power, and offsets of its readings.
 #
-# References
-# ----------
-# H. Hotelling, Ann. Math. Stat. 2 (1931) 360; C. R. Rao, *Linear Statistical Inference*, 2nd ed. 1973, 8c (one direction of T²).
+# References ---------- H. Hotelling, Ann. Math. Stat. 2 (1931) 360; C. R. Rao, *Linear Statistical
+# Inference*, 2nd ed. 1973, 8c (one direction of T²).
 
 _TESTS = 4
 
 
 @dataclass(frozen=True, eq=False)
 class Detected:
-    """`p` that a healthy window of such a run looks like this; of its values the mean (values,) and covariance there.
+    """`p` that a healthy window of such a run looks like this; of its values the mean (values,) and
+    covariance there.
 
     `surprise` is how far error power lies above the usual (2 · outputs,) [standard deviations].
     """
@@ -47,24 +55,32 @@ class Detected:
     surprise: FloatArray
 
 
-def detected(baseline: Baseline, fit: Fit, offsets: tuple[FloatArray, FloatArray], features: FloatArray) -> Detected:
-    """Hold the window's own estimate, its error and its offsets (with the information on them) against healthy ones;
-    Bonferroni's bound over the tests.
+def detected(
+    baseline: Baseline, fit: Fit, offsets: tuple[FloatArray, FloatArray], features: FloatArray
+) -> Detected:
+    """Hold the window's own estimate, its error and its offsets (with the information on them)
+    against healthy ones; Bonferroni's bound over the tests.
     """
     mean, covariance = baseline.values.at(features)
     z, freedom = baseline.surprise(features, fit), baseline.values.freedom
     p_values = [len(z) * float(stats.t.sf(z, baseline.errors.freedom).min(initial=1.0))]
     usual, scatter = baseline.offsets.at(features)
-    t = np.abs(offsets[0] - usual) / np.sqrt(np.diag(scatter) + 1.0 / np.maximum(offsets[1], 1e-300))
+    t = np.abs(offsets[0] - usual) / np.sqrt(
+        np.diag(scatter) + 1.0 / np.maximum(offsets[1], 1e-300)
+    )
     p_values.append(2.0 * len(t) * float(stats.t.sf(t, baseline.offsets.freedom).min(initial=1.0)))
     if k := len(mean):
         d, H = fit.others - mean, information(fit, k)
-        T = H - H @ np.linalg.solve(H + np.linalg.inv(covariance), H)  # (S + H⁻¹)⁻¹, where H may be singular
+        T = H - H @ np.linalg.solve(
+            H + np.linalg.inv(covariance), H
+        )  # (S + H⁻¹)⁻¹, where H may be singular
         t2 = max(float(d @ T @ d), 0.0)
         m = max(freedom - k + 1.0, 1.0)
         alone = (T @ d) ** 2 / np.maximum(np.diag(T), 1e-300)  # what one value alone explains of it
         p_values.append(float(stats.f.sf(t2 * m / (k * freedom), k, m)))
-        p_values.append(k * float(stats.f.sf(alone * m / np.maximum(freedom + t2 - alone, 1e-12), 1, m).min()))
+        p_values.append(
+            k * float(stats.f.sf(alone * m / np.maximum(freedom + t2 - alone, 1e-12), 1, m).min())
+        )
     return Detected(min(1.0, _TESTS * min(p_values)), mean, covariance, z)
 
 
@@ -77,8 +93,8 @@ class NotAssessable(Exception):
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """A window in the baseline's terms, its features, its own values, the offset that each reading seems to have, and the
-    information on that.
+    """A window in the baseline's terms, its features, its own values, the offset that each reading
+    seems to have, and the information on that.
     """
 
     window: Experiment
@@ -89,12 +105,16 @@ class Seen:
 
 @one_thread()
 def assess(name: str, baseline: Baseline, record: Record, false_alarms_per_day: float) -> Finding:
-    """The finding on one window; its indicator is the rarity of such a window among healthy ones, as a normal deviation.
+    """The finding on one window; its indicator is the rarity of such a window among healthy ones,
+    as a normal deviation.
 
-    A window with holes is judged by its longest stretch without one, where that is longer than half a healthy window.
+    A window with holes is judged by its longest stretch without one, where that is longer than half
+    a healthy window.
     """
     whole = record
-    record = complete_stretch(whole, _required(baseline), COMPLETE * baseline.seconds / baseline.sample_time)
+    record = complete_stretch(
+        whole, _required(baseline), COMPLETE * baseline.seconds / baseline.sample_time
+    )
     try:
         observed = seen_window(baseline, record)
     except NotAssessable as refused:
@@ -115,12 +135,29 @@ def assess(name: str, baseline: Baseline, record: Record, false_alarms_per_day: 
     }
     reason = _reason(baseline, max(deviation, 0.0), limit, cause_rows, false_alarms_per_day)
     if record is not whole:
-        evidence["judged"] = {"from": record.t0, "to": record.t0 + record.duration, "samples": record.n, "of": whole.n}
-        reason += f"; judged by the {record.n} of {whole.n} samples from {record.t0:.6g} s on, between which none is missing"
+        evidence["judged"] = {
+            "from": record.t0,
+            "to": record.t0 + record.duration,
+            "samples": record.n,
+            "of": whole.n,
+        }
+        reason += (
+            f"; judged by the {record.n} of {whole.n} samples from {record.t0:.6g} s on, between"
+            " which none is missing"
+        )
     fault_class = _class(listed[0]) if listed else None
     verdict = Verdict.FAULTY if faulty else Verdict.HEALTHY
     indicators = {"deviation": max(deviation, 0.0)}
-    return Finding(name, verdict, fault_class, indicators, {"deviation": max(limit, 0.0)}, {"deviation": "σ"}, evidence, reason)
+    return Finding(
+        name,
+        verdict,
+        fault_class,
+        indicators,
+        {"deviation": max(limit, 0.0)},
+        {"deviation": "σ"},
+        evidence,
+        reason,
+    )
 
 
 def seen_window(baseline: Baseline, record: Record) -> Seen:
@@ -135,18 +172,23 @@ def seen_window(baseline: Baseline, record: Record) -> Seen:
     """
     window = _experiment(baseline, record)
     if _stands_still(baseline, window):
-        raise NotAssessable("the machine stands still or hardly moves: nothing can be compared with the model")
+        raise NotAssessable(
+            "the machine stands still or hardly moves: nothing can be compared with the model"
+        )
     features = baseline.kind.features(window)
     fitter = baseline.fitter(window, features)
     usual = fitter.fit(Variant(baseline.model))
     fit = alone(baseline.model, window, fitter.mean, baseline.whitening, usual)
     if fit is None:
         raise NotAssessable("the model diverges along the window")
-    loud = max(1.0, float(fit.power.mean(axis=0).max()))  # a large error weighs less in the information, however much moves
+    loud = max(
+        1.0, float(fit.power.mean(axis=0).max())
+    )  # a large error weighs less in the information, however much moves
     info = loud * np.diag(information(fit, len(baseline.free)))
     if info.size and np.all(info < LEAST_EXCITED * np.maximum(baseline.information, 1e-300)):
         raise NotAssessable(
-            "the window says next to nothing of any value of the model: let its inputs move as they did in the healthy windows"
+            "the window says next to nothing of any value of the model: let its inputs move as they"
+            " did in the healthy windows"
         )
     return Seen(window, features, fit, baseline.offsets_in(fitter, usual))
 
@@ -154,16 +196,23 @@ def seen_window(baseline: Baseline, record: Record) -> Seen:
 def _required(baseline: Baseline) -> list[str]:
     """The signals that a window must have."""
     inputs = [n for n, s in baseline.model.inputs.items() if not s.absent]
-    return inputs + [n for n, known in zip(baseline.model.outputs, baseline.measured, strict=True) if known]
+    return inputs + [
+        n for n, known in zip(baseline.model.outputs, baseline.measured, strict=True) if known
+    ]
 
 
 def _experiment(baseline: Baseline, record: Record) -> Experiment:
     model, Ts, required = baseline.model, baseline.sample_time, _required(baseline)
     for name in required:
         if name not in record.names:
-            raise BadRecord(f"record {record.source!r}: channel {name!r} is missing; the columns are {', '.join(record.names)}")
+            raise BadRecord(
+                f"record {record.source!r}: channel {name!r} is missing; the columns are"
+                f" {', '.join(record.names)}"
+            )
     if abs(record.sample_time / Ts - 1.0) > 1e-3:
-        raise NotAssessable(f"sampled every {record.sample_time:g} s; the baseline was trained at {Ts:g} s")
+        raise NotAssessable(
+            f"sampled every {record.sample_time:g} s; the baseline was trained at {Ts:g} s"
+        )
     shortest = max(FEWEST_IN_A_WINDOW, int(SHORTEST * baseline.seconds / Ts))
     if record.n < shortest:
         raise NotAssessable(f"{record.n} samples; at least {shortest} are needed")
@@ -171,45 +220,65 @@ def _experiment(baseline: Baseline, record: Record) -> Experiment:
         missing = np.flatnonzero(record.missing(name))
         if missing.size:
             at = record.time[int(missing[0])]
-            raise NotAssessable(f"channel {name!r} has {missing.size} missing samples, the first at {at:.6g} s")
+            raise NotAssessable(
+                f"channel {name!r} has {missing.size} missing samples, the first at {at:.6g} s"
+            )
     _, (experiment,) = match(model, [record])
-    return replace(experiment, hold=baseline.hold, Y=np.where(baseline.measured, experiment.Y, np.nan))
+    return replace(
+        experiment, hold=baseline.hold, Y=np.where(baseline.measured, experiment.Y, np.nan)
+    )
 
 
 def _stands_still(baseline: Baseline, window: Experiment) -> bool:
     """Whether neither an input nor an output moves."""
     driven = [i for i, signal in enumerate(baseline.model.inputs.values()) if not signal.absent]
     inputs = np.ptp(window.U[:, driven], axis=0) <= STILL * baseline.input_spans[driven]
-    outputs = np.ptp(window.Y[:, baseline.measured], axis=0) <= STILL * baseline.spans[baseline.measured]
+    outputs = (
+        np.ptp(window.Y[:, baseline.measured], axis=0) <= STILL * baseline.spans[baseline.measured]
+    )
     return bool(np.all(inputs) and np.all(outputs))
 
 
 def rate_alone(baseline: Baseline) -> float:
-    """False alarms a day that the healthy windows by themselves vouch for: one in so many and one more."""
+    """False alarms a day that the healthy windows by themselves vouch for: one in so many and one
+    more.
+    """
     return SECONDS_A_DAY / baseline.seconds / (baseline.windows + 1.0)
 
 
 def missing_physics(baseline: Baseline) -> list[dict[str, Any]]:
-    """Effects that healthy windows show too, and the model file lacks: what was found is no fault of the machine."""
+    """Effects that healthy windows show too, and the model file lacks: what was found is no fault
+    of the machine.
+    """
     values, known, missing = baseline.model.values, baseline.model.all_parameters, []
     for use in baseline.stand_ins:
-        sizes = {n: {"value": values[f"{use.label}.{n}"], "unit": known[f"{use.label}.{n}"].unit} for n in use.parameters}
+        sizes = {
+            n: {"value": values[f"{use.label}.{n}"], "unit": known[f"{use.label}.{n}"].unit}
+            for n in use.parameters
+        }
         missing.append({"effect": use.id, "place": use.target, "parameters": sizes})
     return missing
 
 
 def _parameters(baseline: Baseline, observed: Seen, detection: Detected) -> dict[str, Any]:
-    """Every value as this window tells it, all at once, with its 95 % band in healthy windows of such a run."""
+    """Every value as this window tells it, all at once, with its 95 % band in healthy windows of
+    such a run.
+    """
     k = len(baseline.free)
     H = information(observed.fit, k) + np.linalg.inv(wide_prior(detection.mean))
     std = np.sqrt(np.diag(np.linalg.pinv(H, hermitian=True)))
-    reach = float(stats.t.ppf(0.975, baseline.values.freedom)) * np.sqrt(np.diag(detection.covariance) + std**2)
+    reach = float(stats.t.ppf(0.975, baseline.values.freedom)) * np.sqrt(
+        np.diag(detection.covariance) + std**2
+    )
     return {
         name: {
             "value": float(observed.fit.others[j]),
             "std": float(std[j]),
             "unit": baseline.model.all_parameters[name].unit,
-            "healthy": {"low": float(detection.mean[j] - reach[j]), "high": float(detection.mean[j] + reach[j])},
+            "healthy": {
+                "low": float(detection.mean[j] - reach[j]),
+                "high": float(detection.mean[j] + reach[j]),
+            },
         }
         for j, name in enumerate(baseline.free)
     }
@@ -221,13 +290,20 @@ def _told(baseline: Baseline, detection: Detected, record: Record, cause: Cause)
     onset = record.t0 + cause.onset * record.sample_time if cause.onset else None
     value = std = None
     healthy: tuple[float, float] | None = None
-    if h is not None and len(cause.size) and np.isfinite(cause.std[0]):  # a size of which nothing is known is not told
+    if (
+        h is not None and len(cause.size) and np.isfinite(cause.std[0])
+    ):  # a size of which nothing is known is not told
         times = record.sample_time if h.in_samples else 1.0
         value, std = float(cause.size[0]) * times, float(cause.std[0]) * times
         healthy = _usual_band(baseline, detection, h.label, times)
     size = None
     if value is not None and std is not None and h is not None:
-        size = {"value": value, "std": std, "unit": h.unit, "band_95": [value - 1.96 * std, value + 1.96 * std]}
+        size = {
+            "value": value,
+            "std": std,
+            "unit": h.unit,
+            "band_95": [value - 1.96 * std, value + 1.96 * std],
+        }
     return {
         "kind": "unknown" if h is None else h.kind,
         "name": "unknown" if h is None else h.name,
@@ -238,21 +314,37 @@ def _told(baseline: Baseline, detection: Detected, record: Record, cause: Cause)
         "value": size,
         "healthy": None if healthy is None else {"low": healthy[0], "high": healthy[1]},
         "onset_time": onset,
-        "says": said(h, value, std, healthy, "" if onset is None else f", since {onset - record.t0:.4g} s into the window"),
+        "says": said(
+            h,
+            value,
+            std,
+            healthy,
+            "" if onset is None else f", since {onset - record.t0:.4g} s into the window",
+        ),
     }
 
 
-def _usual_band(baseline: Baseline, detection: Detected, label: str, times: float) -> tuple[float, float] | None:
-    """95 % of a value, or of a hypothesis' first size, in healthy windows; None where it was not tried there."""
+def _usual_band(
+    baseline: Baseline, detection: Detected, label: str, times: float
+) -> tuple[float, float] | None:
+    """95 % of a value, or of a hypothesis' first size, in healthy windows; None where it was not
+    tried there.
+    """
     if label in baseline.free:
         j = baseline.free.index(label)
-        reach = float(stats.t.ppf(0.975, baseline.values.freedom)) * float(np.sqrt(detection.covariance[j, j]))
+        reach = float(stats.t.ppf(0.975, baseline.values.freedom)) * float(
+            np.sqrt(detection.covariance[j, j])
+        )
         return float(detection.mean[j]) - reach, float(detection.mean[j]) + reach
     usual = baseline.usual.get(label)
     if usual is None or len(usual.sizes) < 3:
         return None
     first = usual.sizes[:, 0] * times
-    reach = float(stats.t.ppf(0.975, len(first) - 1)) * float(first.std(ddof=1)) * float(np.sqrt(1.0 + 1.0 / len(first)))
+    reach = (
+        float(stats.t.ppf(0.975, len(first) - 1))
+        * float(first.std(ddof=1))
+        * float(np.sqrt(1.0 + 1.0 / len(first)))
+    )
     return float(first.mean()) - reach, float(first.mean()) + reach
 
 
@@ -273,26 +365,38 @@ def _class(cause: Cause) -> str:
     return h.kind if h.kind in CLASSES else "effect"
 
 
-def _reason(baseline: Baseline, deviation: float, limit: float, cause_rows: list[dict[str, Any]], rate: float) -> str:
+def _reason(
+    baseline: Baseline,
+    deviation: float,
+    limit: float,
+    cause_rows: list[dict[str, Any]],
+    rate: float,
+) -> str:
     beyond = "beyond" if deviation > limit else "within"
-    words = f"the window lies {deviation:.1f} σ from healthy ones, {beyond} the limit of {limit:.1f}"
+    words = (
+        f"the window lies {deviation:.1f} σ from healthy ones, {beyond} the limit of {limit:.1f}"
+    )
     if cause_rows:
         first = cause_rows[0]
-        alike = f" (or {', '.join(first['indistinguishable_from'])})" if first["indistinguishable_from"] else ""
+        alike = (
+            f" (or {', '.join(first['indistinguishable_from'])})"
+            if first["indistinguishable_from"]
+            else ""
+        )
         also = f", and {cause_rows[1]['says']}" if first["beside"] else ""
         words = f"{first['says']}{alike}{also}; {words}"
     if missing := missing_physics(baseline):
         names = " and ".join(f"{m['effect']}@{m['place']}" for m in missing)
         words += (
-            f"; healthy windows show {names} too, which the model lacks: find it with `residuum explain`, add it with "
-            "`residuum improve` and train again"
+            f"; healthy windows show {names} too, which the model lacks: find it with `residuum"
+            " explain`, add it with `residuum improve` and train again"
         )
     allowed = rate_alone(baseline)
     if rate < allowed:
         many = int(np.ceil(SECONDS_A_DAY / baseline.seconds / rate))
         words += (
-            f"; {baseline.windows} healthy windows by themselves allow {allowed:.3g} false alarms a day, {rate:g} a day is "
-            f"extrapolated ({many} windows would show it)"
+            f"; {baseline.windows} healthy windows by themselves allow {allowed:.3g} false alarms a"
+            f" day, {rate:g} a day is extrapolated ({many} windows would show it)"
         )
     return words
 
@@ -301,10 +405,11 @@ def _reason(baseline: Baseline, deviation: float, limit: float, cause_rows: list
 
 
 def complete_stretch(record: Record, signals: Iterable[str], fewest: float) -> Record:
-    """The longest stretch without a missing sample of these signals; the record itself where that is not longer than `fewest`.
+    """The longest stretch without a missing sample of these signals; the record itself where that
+    is not longer than `fewest`.
 
-    A polled bus loses a sample now and then. A simulation cannot go on over a missing input, and none is invented; but what was
-    read before it, or after it, is as good as any window.
+    A polled bus loses a sample now and then. A simulation cannot go on over a missing input, and
+    none is invented; but what was read before it, or after it, is as good as any window.
     """
     lost = np.zeros(record.n, dtype=bool)
     for name in signals:
@@ -344,7 +449,9 @@ def number(value: float, std: float | None = None) -> str:
         return f"{value:.4g}"
     figures = max(2, min(6, 2 + _decades(value) - _decades(std)))
     shown = f"{value:.{figures}g}"
-    return f"{float(shown):g} ± {std:.2g}" if "e" not in shown else f"{float(shown):.0f} ± {std:.2g}"
+    return (
+        f"{float(shown):g} ± {std:.2g}" if "e" not in shown else f"{float(shown):.0f} ± {std:.2g}"
+    )
 
 
 def _decades(value: float) -> int:
@@ -352,7 +459,11 @@ def _decades(value: float) -> int:
 
 
 def said(
-    hypothesis: Hypothesis | None, value: float | None, std: float | None, healthy: tuple[float, float] | None, since: str
+    hypothesis: Hypothesis | None,
+    value: float | None,
+    std: float | None,
+    healthy: tuple[float, float] | None,
+    since: str,
 ) -> str:
     """One sentence: what, how much, what is usual when healthy, since when."""
     if hypothesis is None:
@@ -360,7 +471,11 @@ def said(
     h = hypothesis
     unit = "" if h.unit in ("", "1") else f" {h.unit}"
     size = "" if value is None else number(value, 1.96 * std if std else None) + unit
-    words = {"place": h.place, "value": size, "percent": "" if value is None else f"{100 * value:.3g} %"}
+    words = {
+        "place": h.place,
+        "value": size,
+        "percent": "" if value is None else f"{100 * value:.3g} %",
+    }
     templates = {"sensor": _SENSOR, "actuator": _ACTUATOR}.get(h.kind, {})
     if h.name in templates:
         return f"{h.kind} {templates[h.name].format(**words)}{since}"

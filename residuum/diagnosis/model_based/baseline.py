@@ -1,4 +1,6 @@
-"""What training leaves: the healthy model, how its values and errors scatter, and what hypotheses gain in healthy windows."""
+"""What training leaves: the healthy model, how its values and errors scatter, and what hypotheses
+gain in healthy windows.
+"""
 
 from __future__ import annotations
 
@@ -19,16 +21,31 @@ from residuum.diagnosis.model_based.hypotheses import Hypothesis, hypotheses
 from residuum.diagnosis.model_based.kind_of_run import KindOfRun
 from residuum.diagnosis.model_based.policy import FIT_STEPS, VISIBLE_POWER, WIDE
 from residuum.diagnosis.model_based.variant import Variant, edited, shifted
-from residuum.diagnosis.model_based.window_fit import Fit, Scatter, Whitening, WindowFitter, information_on_size, log_power
+from residuum.diagnosis.model_based.window_fit import (
+    Fit,
+    Scatter,
+    Whitening,
+    WindowFitter,
+    information_on_size,
+    log_power,
+)
 from residuum.identification.errors import BadInput
-from residuum.identification.physics import EffectUse, Experiment, PhysicalModel, read_model, write_model
+from residuum.identification.physics import (
+    EffectUse,
+    Experiment,
+    PhysicalModel,
+    read_model,
+    write_model,
+)
 
 _VERSION = 6
 
 
 @dataclass(frozen=True, eq=False)
 class Usual:
-    """What a hypothesis shows in healthy windows: its mean gain [nat], and its sizes there, shape (windows, sizes)."""
+    """What a hypothesis shows in healthy windows: its mean gain [nat], and its sizes there, shape
+    (windows, sizes).
+    """
 
     gain: float
     sizes: FloatArray
@@ -48,10 +65,12 @@ class Baseline:
     asked : PhysicalModel
         The user's.
     model : PhysicalModel
-        With its healthy values and the effects `mended` (labels) that every healthy window lacks beside it.
+        With its healthy values and the effects `mended` (labels) that every healthy window lacks
+        beside it.
     kind : KindOfRun
     values, errors, offsets : Scatter
-        Of the free values, of the logarithms of error power, and of the offset that each output seems to have.
+        Of the free values, of the logarithms of error power, and of the offset that each output
+        seems to have.
     usual : mapping of hypothesis to Usual
     information : array, shape (values,)
         Least of a healthy window on each value.
@@ -92,7 +111,9 @@ class Baseline:
     @cached_property
     def hypotheses(self) -> list[Hypothesis]:
         """What may happen to the machine; values that healthy windows left open may change, too."""
-        return hypotheses(self.model, [*self.free, *(name for name in self.asked.free if name not in self.free)])
+        return hypotheses(
+            self.model, [*self.free, *(name for name in self.asked.free if name not in self.free)]
+        )
 
     @property
     def stand_ins(self) -> tuple[EffectUse, ...]:
@@ -103,24 +124,35 @@ class Baseline:
         """What fits hypotheses to a window of a run of this kind."""
         (mean, covariance), log = self.values.at(features), self.errors.at(features)[0]
         known = self.model.all_parameters
-        mean = np.clip(mean, [known[n].lower for n in self.free], [known[n].upper for n in self.free])
-        whitening = replace(self.whitening, sigma=self.whitening.sigma * np.exp(log[len(log) // 2 :]))
+        mean = np.clip(
+            mean, [known[n].lower for n in self.free], [known[n].upper for n in self.free]
+        )
+        whitening = replace(
+            self.whitening, sigma=self.whitening.sigma * np.exp(log[len(log) // 2 :])
+        )
         model = self.model.with_values(dict(zip(self.free, mean.tolist(), strict=True)))
         return WindowFitter(model, window, mean, covariance, whitening, self.values.freedom)
 
     def surprise(self, features: FloatArray, fit: Fit) -> FloatArray:
-        """How far error power lies above the usual [standard deviations], of errors as they are and whitened, (2 · outputs,)."""
+        """How far error power lies above the usual [standard deviations], of errors as they are and
+        whitened, (2 · outputs,).
+        """
         log, covariance = self.errors.at(features)
         measured = np.tile(self.measured, 2)
         return np.where(measured, (log_power(fit) - log) / np.sqrt(np.diag(covariance)), 0.0)
 
-    def offsets_in(self, fitter: WindowFitter, healthy: Fit | None) -> tuple[FloatArray, FloatArray]:
-        """The offset of each output that explains a window best beside values in their healthy scatter, and its information.
-        Each has shape (outputs,). Begun where the healthy model's fit ended.
+    def offsets_in(
+        self, fitter: WindowFitter, healthy: Fit | None
+    ) -> tuple[FloatArray, FloatArray]:
+        """The offset of each output that explains a window best beside values in their healthy
+        scatter, and its information. Each has shape (outputs,). Begun where the healthy model's fit
+        ended.
         """
         offsets, offset_info = np.zeros((2, len(self.model.outputs)))
         for o in np.flatnonzero(self.measured):
-            moved = Variant(self.model, sizes=(0.0,), lower=(-np.inf,), reading=edited(int(o), shifted))
+            moved = Variant(
+                self.model, sizes=(0.0,), lower=(-np.inf,), reading=edited(int(o), shifted)
+            )
             fit = fitter.fit(moved, FIT_STEPS, beside=healthy)
             if fit is not None:
                 offsets[o], offset_info[o] = fit.own[0], information_on_size(fit, fitter.covariance)
@@ -132,11 +164,15 @@ class Baseline:
         return known.gain if known else 0.0
 
     def smallest_visible(self, level: float) -> dict[str, float]:
-        """The least change of each value that one usual window shows with probability 0.9, at this chance of a false alarm."""
+        """The least change of each value that one usual window shows with probability 0.9, at this
+        chance of a false alarm.
+        """
         if not self.free:
             return {}
         std = np.sqrt(np.diag(self.values.S) + 1.0 / np.maximum(self.typical, 1e-300))
-        reach = stats.t.isf(min(0.5, level / (6.0 * len(self.free))), self.values.freedom) + stats.norm.ppf(VISIBLE_POWER)
+        reach = stats.t.isf(
+            min(0.5, level / (6.0 * len(self.free))), self.values.freedom
+        ) + stats.norm.ppf(VISIBLE_POWER)
         return dict(zip(self.free, (reach * std).tolist(), strict=True))
 
     def save(self, path: str | Path, kind: str, settings: Mapping[str, Any]) -> None:
@@ -147,7 +183,10 @@ class Baseline:
             "absent": [name for name, signal in self.model.inputs.items() if signal.absent],
             "mended": list(self.mended),
             "beside": list(self.kind.beside),
-            "usual": {label: {"gain": u.gain, "sizes": u.sizes.tolist()} for label, u in self.usual.items()},
+            "usual": {
+                label: {"gain": u.gain, "sizes": u.sizes.tolist()}
+                for label, u in self.usual.items()
+            },
             "freedom": [self.values.freedom, self.errors.freedom, self.offsets.freedom],
             "sample_time": self.sample_time,
             "seconds": self.seconds,
@@ -157,18 +196,30 @@ class Baseline:
             "settings": dict(settings),
         }
         scatters = {"values": self.values, "errors": self.errors, "offsets": self.offsets}
-        arrays = {f"{name}_{part}": getattr(scatter, part) for name, scatter in scatters.items() for part in ("B", "S", "M")}
-        arrays |= {part: getattr(self.whitening, part) for part in ("filters", "sigma", "inflation", "steps", "most_steps")}
+        arrays = {
+            f"{name}_{part}": getattr(scatter, part)
+            for name, scatter in scatters.items()
+            for part in ("B", "S", "M")
+        }
+        arrays |= {
+            part: getattr(self.whitening, part)
+            for part in ("filters", "sigma", "inflation", "steps", "most_steps")
+        }
         arrays |= {"centre": self.kind.centre, "spread": self.kind.spread}
         own = ("information", "typical", "input_spans", "spans", "measured", "hold")
-        save_stored(path, kind, _VERSION, meta, arrays | {name: getattr(self, name) for name in own})
+        save_stored(
+            path, kind, _VERSION, meta, arrays | {name: getattr(self, name) for name in own}
+        )
 
     @classmethod
     def load(cls, path: str | Path, kind: str) -> tuple[Baseline, dict[str, Any]]:
         """The baseline and settings that `save` stored; BadInput for another file."""
         stored = load_stored(path, kind)
         if stored.version != _VERSION:
-            raise BadInput(f"{path}: was trained by another version of Residuum; train it again with its healthy records")
+            raise BadInput(
+                f"{path}: was trained by another version of Residuum; train it again with its"
+                " healthy records"
+            )
         meta, arrays = stored.meta, stored.arrays
         try:
             return _read(meta, arrays, str(path)), dict(meta["settings"])
@@ -177,18 +228,29 @@ class Baseline:
 
 
 def _read(meta: Mapping[str, Any], arrays: Mapping[str, FloatArray], source: str) -> Baseline:
-    asked, model = (with_absent(read_model(meta[name], source), meta["absent"]) for name in ("asked", "model"))
+    asked, model = (
+        with_absent(read_model(meta[name], source), meta["absent"]) for name in ("asked", "model")
+    )
     values, errors, offsets = (
         Scatter(arrays[f"{name}_B"], arrays[f"{name}_S"], arrays[f"{name}_M"], float(freedom))
         for name, freedom in zip(("values", "errors", "offsets"), meta["freedom"], strict=True)
     )
-    usual = {label: Usual(float(u["gain"]), np.array(u["sizes"], dtype=float)) for label, u in meta["usual"].items()}
+    usual = {
+        label: Usual(float(u["gain"]), np.array(u["sizes"], dtype=float))
+        for label, u in meta["usual"].items()
+    }
     return Baseline(
         asked,
         model,
         tuple(meta["mended"]),
         KindOfRun(tuple(meta["beside"]), arrays["centre"], arrays["spread"]),
-        Whitening(arrays["filters"], arrays["sigma"], arrays["inflation"], arrays["steps"], arrays["most_steps"]),
+        Whitening(
+            arrays["filters"],
+            arrays["sigma"],
+            arrays["inflation"],
+            arrays["steps"],
+            arrays["most_steps"],
+        ),
         values,
         errors,
         offsets,
@@ -213,14 +275,25 @@ def wide_prior(values: FloatArray) -> FloatArray:
 
 
 def alone(
-    model: PhysicalModel, window: Experiment, mean: FloatArray, whitening: Whitening, begin: Fit | None = None
+    model: PhysicalModel,
+    window: Experiment,
+    mean: FloatArray,
+    whitening: Whitening,
+    begin: Fit | None = None,
 ) -> Fit | None:
-    """The window's own values of the healthy model, all of them free; the lower of the descents from their mean and from a fit
-    to begin with.
+    """The window's own values of the healthy model, all of them free; the lower of the descents
+    from their mean and from a fit to begin with.
     """
     fitter = WindowFitter(model, window, mean, wide_prior(mean), whitening, 1e6)
-    fits = [fitter.fit(Variant(model), 2 * FIT_STEPS, start) for start in ([None] if begin is None else [None, begin])]
-    return min((fit for fit in fits if fit is not None), key=lambda fit: float(np.mean(fit.power)), default=None)
+    fits = [
+        fitter.fit(Variant(model), 2 * FIT_STEPS, start)
+        for start in ([None] if begin is None else [None, begin])
+    ]
+    return min(
+        (fit for fit in fits if fit is not None),
+        key=lambda fit: float(np.mean(fit.power)),
+        default=None,
+    )
 
 
 def with_absent(model: PhysicalModel, absent: Sequence[str]) -> PhysicalModel:

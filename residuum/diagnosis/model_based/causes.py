@@ -1,4 +1,6 @@
-"""Which cause: all hypotheses weighed in nats, their probabilities counted over resampled blocks, what is alike in one group."""
+"""Which cause: all hypotheses weighed in nats, their probabilities counted over resampled blocks,
+what is alike in one group.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,9 @@ from residuum.identification.unseen_blocks.policy import BLOCKS, DRAWS, TIE
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """Two hypotheses in one fit; of each its parameters of the model, and which of the fit's sizes are its own."""
+    """Two hypotheses in one fit; of each its parameters of the model, and which of the fit's sizes
+    are its own.
+    """
 
     both: tuple[Hypothesis, Hypothesis]
     fit: Fit
@@ -44,9 +48,18 @@ class Pair:
 
 
 def pairs(baseline: Baseline, fitter: WindowFitter, singles: Iterable[Tried]) -> list[Pair]:
-    """The best pairs of the likeliest hypotheses and of all values and offsets: what one alone hides shows beside another."""
-    ranked = sorted(filter(_combines, singles), key=lambda t: fitter.nats(t.fit) + baseline.usual_gain(t.hypothesis))
-    plain = [t for t in ranked[PAIRED:] if t.hypothesis.kind == "parameter" or t.hypothesis.name == "offset"]
+    """The best pairs of the likeliest hypotheses and of all values and offsets: what one alone
+    hides shows beside another.
+    """
+    ranked = sorted(
+        filter(_combines, singles),
+        key=lambda t: fitter.nats(t.fit) + baseline.usual_gain(t.hypothesis),
+    )
+    plain = [
+        t
+        for t in ranked[PAIRED:]
+        if t.hypothesis.kind == "parameter" or t.hypothesis.name == "offset"
+    ]
     looks = []
     for a, b in combinations([*ranked[:PAIRED], *plain], 2):
         if set(a.fit.variant.own) & set(b.fit.variant.own):
@@ -54,7 +67,14 @@ def pairs(baseline: Baseline, fitter: WindowFitter, singles: Iterable[Tried]) ->
         first, second = _ended(a.fit), b.fit.variant
         fit = fitter.fit(beside(fitter.model, first, second), PAIR_STEPS, beside=a.fit)
         if fit is not None:
-            looks.append(Pair((a.hypothesis, b.hypothesis), fit, (first.own, second.own), _whose(first, second)))
+            looks.append(
+                Pair(
+                    (a.hypothesis, b.hypothesis),
+                    fit,
+                    (first.own, second.own),
+                    _whose(first, second),
+                )
+            )
     looks.sort(key=lambda pair: fitter.nats(pair.fit))
     return [_fitted(fitter, pair) for pair in looks[:FITTED_PAIRS]]
 
@@ -66,7 +86,9 @@ def _combines(tried: Tried) -> bool:
 
 def _fitted(fitter: WindowFitter, pair: Pair) -> Pair:
     fit = fitter.fit(pair.fit.variant, begin=pair.fit)
-    return pair if fit is None or fitter.nats(fit) > fitter.nats(pair.fit) else replace(pair, fit=fit)
+    return (
+        pair if fit is None or fitter.nats(fit) > fitter.nats(pair.fit) else replace(pair, fit=fit)
+    )
 
 
 def _ended(fit: Fit) -> Variant:
@@ -81,7 +103,9 @@ def beside(model: PhysicalModel, first: Variant, second: Variant) -> Variant:
     known, larger = {use.label for use in model.effects}, first.model
     for use in second.model.effects:
         if use.label not in known:
-            larger = larger.with_effect(*use.key, {name: p.value for name, p in use.parameters.items()})
+            larger = larger.with_effect(
+                *use.key, {name: p.value for name, p in use.parameters.items()}
+            )
     n = len(first.sizes)
     return Variant(
         larger,
@@ -125,8 +149,8 @@ _LARGEST = 1e100
 
 @dataclass(frozen=True, eq=False)
 class Cause:
-    """A hypothesis (None: `unknown`), its probability, sizes, their standard deviations, where it began, what is alike, and what
-    happened beside it.
+    """A hypothesis (None: `unknown`), its probability, sizes, their standard deviations, where it
+    began, what is alike, and what happened beside it.
     """
 
     hypothesis: Hypothesis | None
@@ -144,12 +168,16 @@ def causes(baseline: Baseline, window: Experiment, features: FloatArray) -> list
 
 
 def of_some_size(listed: Sequence[Cause]) -> list[Cause]:
-    """Without causes of size zero, which leave the window as it is: what they were said to explain has an unknown cause."""
+    """Without causes of size zero, which leave the window as it is: what they were said to explain
+    has an unknown cause.
+    """
     none = [cause for cause in listed if _is_of_size_zero(cause)]
     if not none:
         return list(listed)
     names = {cause.hypothesis.label for cause in none if cause.hypothesis is not None}
-    unknown = sum(cause.probability for cause in listed if cause in none or cause.hypothesis is None)
+    unknown = sum(
+        cause.probability for cause in listed if cause in none or cause.hypothesis is None
+    )
     sized = [
         replace(
             cause,
@@ -165,9 +193,16 @@ def of_some_size(listed: Sequence[Cause]) -> list[Cause]:
 
 
 def _is_of_size_zero(cause: Cause) -> bool:
-    """Whether what a cause adds is nothing. A changed parameter, or where a sensor sticks, may well be zero."""
+    """Whether what a cause adds is nothing. A changed parameter, or where a sensor sticks, may well
+    be zero.
+    """
     h = cause.hypothesis
-    if h is None or h.kind not in ("effect", "sensor", "actuator") or h.name == "stuck" or not len(cause.size):
+    if (
+        h is None
+        or h.kind not in ("effect", "sensor", "actuator")
+        or h.name == "stuck"
+        or not len(cause.size)
+    ):
         return False
     return bool(np.all(np.abs(cause.size) <= _NOTHING * np.nan_to_num(cause.std)))
 
@@ -180,30 +215,50 @@ def _causes(baseline: Baseline, window: Experiment, features: FloatArray) -> lis
     best = _cheapest(baseline, fitter, trials.values())
     whole = list(trials.values())
     left = float(baseline.surprise(features, best.fit).max())
-    if best.hypothesis.seen is None and (left > UNEXPLAINED or len(best.fit.own) > 2):  # many sizes may stand for a beginning
+    if best.hypothesis.seen is None and (
+        left > UNEXPLAINED or len(best.fit.own) > 2
+    ):  # many sizes may stand for a beginning
         for label, beginning in begun(baseline, fitter, features).items():
-            trials[label] = _cheapest(baseline, fitter, [beginning, *([trials[label]] if label in trials else [])])
+            trials[label] = _cheapest(
+                baseline, fitter, [beginning, *([trials[label]] if label in trials else [])]
+            )
     listed = list(trials.values())
     weighed = _weighed(baseline, fitter, listed)
     best = _cheapest(baseline, fitter, listed)
-    unknown = 0.0 if best.hypothesis.seen is not None else _unknown(baseline, fitter, features, healthy, best.fit)
+    unknown = (
+        0.0
+        if best.hypothesis.seen is not None
+        else _unknown(baseline, fitter, features, healthy, best.fit)
+    )
     if not unknown:
         return weighed
     if (two := _two(baseline, fitter, whole, listed)) is not None:
         alone = 1.0 - two[2]
-        weighed = [*two[1], *(replace(c, probability=alone * c.probability) for c in weighed if c.hypothesis not in two[0].both)]
+        weighed = [
+            *two[1],
+            *(
+                replace(c, probability=alone * c.probability)
+                for c in weighed
+                if c.hypothesis not in two[0].both
+            ),
+        ]
         unknown = _unknown(baseline, fitter, features, healthy, two[0].fit)
     lead = 1 if two is None else 2
     scaled = [replace(c, probability=(1.0 - unknown) * c.probability) for c in weighed]
     nobody = [Cause(None, unknown, np.zeros(0), np.zeros(0), 0)] if unknown else []
-    return [*nobody, *scaled] if unknown > scaled[0].probability else [*scaled[:lead], *nobody, *scaled[lead:]]
+    return (
+        [*nobody, *scaled]
+        if unknown > scaled[0].probability
+        else [*scaled[:lead], *nobody, *scaled[lead:]]
+    )
 
 
 def _two(
     baseline: Baseline, fitter: WindowFitter, whole: Sequence[Tried], listed: Sequence[Tried]
 ) -> tuple[Pair, list[Cause], float] | None:
-    """The best pair of causes that may have acted all window long, where it costs less than any single hypothesis. Beside it
-    stands the probability of any pair; that of a cause is of all pairs which hold it.
+    """The best pair of causes that may have acted all window long, where it costs less than any
+    single hypothesis. Beside it stands the probability of any pair; that of a cause is of all pairs
+    which hold it.
     """
     candidates = pairs(baseline, fitter, whole)
     if not candidates:
@@ -224,7 +279,9 @@ def _two(
     std = _open(fitter, best.fit)
     for k, (h, own, at) in enumerate(zip(best.both, best.own, best.sizes, strict=True)):
         partner = best.both[1 - k].label
-        alike = tuple(name for j in rivals if partner in names[j] for name in names[j] - {partner, h.label})
+        alike = tuple(
+            name for j in rivals if partner in names[j] for name in names[j] - {partner, h.label}
+        )
         p = sum(float(wins[j]) for j in range(len(candidates)) if h.label in names[j])
         doubt = np.sqrt(std[at] ** 2 + _scatter(baseline, fitter, h, own, len(at)))
         pair_causes.append(Cause(h, min(p, 1.0), best.fit.own[at], doubt, 0, alike, (partner,)))
@@ -235,8 +292,11 @@ def _cheapest(baseline: Baseline, fitter: WindowFitter, fits: Iterable[Tried]) -
     return min(fits, key=lambda t: fitter.nats(t.fit) + baseline.usual_gain(t.hypothesis))
 
 
-def _unknown(baseline: Baseline, fitter: WindowFitter, features: FloatArray, healthy: Fit, best: Fit) -> float:
-    """Probability that something else is there too: the part of the excess that the best fit leaves; 0 where that is usual.
+def _unknown(
+    baseline: Baseline, fitter: WindowFitter, features: FloatArray, healthy: Fit, best: Fit
+) -> float:
+    """Probability that something else is there too: the part of the excess that the best fit
+    leaves; 0 where that is usual.
 
     Not asked of noise and lost readings: they are what is left, and take nothing away from it.
     """
@@ -248,8 +308,8 @@ def _unknown(baseline: Baseline, fitter: WindowFitter, features: FloatArray, hea
 
 
 def _weighed(baseline: Baseline, fitter: WindowFitter, listed: Sequence[Tried]) -> list[Cause]:
-    """Probability by how often each is the cheapest over resampled blocks; whoever is near the leading one, and no richer, is
-    alike.
+    """Probability by how often each is the cheapest over resampled blocks; whoever is near the
+    leading one, and no richer, is alike.
     """
     fits = [t.fit for t in listed]
     logs = np.array([fitter.logs(fit) for fit in fits])
@@ -259,21 +319,35 @@ def _weighed(baseline: Baseline, fitter: WindowFitter, listed: Sequence[Tried]) 
     lead = int(np.lexsort((total, -wins.round(2)))[0])
     group = _near(logs, total, lead) & (sizes <= sizes[lead])
     group[lead] = True
-    changed = [0 if set(t.fit.variant.own) & set(baseline.free) else _RANK[t.hypothesis.kind] for t in listed]
+    changed = [
+        0 if set(t.fit.variant.own) & set(baseline.free) else _RANK[t.hypothesis.kind]
+        for t in listed
+    ]
     same = total - total[group].min() < 0.5 * TIE
-    order = np.lexsort((total, np.where(group & same, changed, 9), -np.where(group, 1.0, wins), ~group))
+    order = np.lexsort(
+        (total, np.where(group & same, changed, 9), -np.where(group, 1.0, wins), ~group)
+    )
     names = [listed[k].hypothesis.label for k in order if group[k]]
     causes = []
     for k in order[:TOLD].tolist():
         look = listed[k]
         alike = tuple(n for n in names if n != look.hypothesis.label) if group[k] else ()
-        causes.append(Cause(look.hypothesis, float(wins[k]), look.fit.own, _doubt(baseline, fitter, look), look.fit.onset, alike))
+        causes.append(
+            Cause(
+                look.hypothesis,
+                float(wins[k]),
+                look.fit.own,
+                _doubt(baseline, fitter, look),
+                look.fit.onset,
+                alike,
+            )
+        )
     return causes
 
 
 def _wins(logs: FloatArray, fixed: FloatArray, sizes: FloatArray | None = None) -> FloatArray:
-    """How often each is the cheapest over resampled blocks; those within a factor of twenty share a draw, of them the ones of
-    fewest sizes.
+    """How often each is the cheapest over resampled blocks; those within a factor of twenty share a
+    draw, of them the ones of fewest sizes.
     """
     rng, wins = np.random.default_rng(0), np.zeros(len(logs))
     for _ in range(DRAWS):
@@ -292,13 +366,17 @@ def _near(logs: FloatArray, total: FloatArray, lead: int) -> npt.NDArray[np.bool
 
 
 def _doubt(baseline: Baseline, fitter: WindowFitter, tried: Tried) -> FloatArray:
-    """Standard deviation of the sizes: what the window leaves open, and how the same sizes scatter in healthy windows."""
+    """Standard deviation of the sizes: what the window leaves open, and how the same sizes scatter
+    in healthy windows.
+    """
     fit, h = tried.fit, tried.hypothesis
     variance = _scatter(baseline, fitter, h, fit.variant.own, len(fit.own))
     return np.sqrt(variance) if h.seen is not None else np.sqrt(_open(fitter, fit) ** 2 + variance)
 
 
-def _scatter(baseline: Baseline, fitter: WindowFitter, h: Hypothesis, own: Sequence[str], sizes: int) -> FloatArray:
+def _scatter(
+    baseline: Baseline, fitter: WindowFitter, h: Hypothesis, own: Sequence[str], sizes: int
+) -> FloatArray:
     """Variance of a hypothesis' sizes from one healthy window to the next, shape (sizes,)."""
     if own and own[0] in fitter.free:
         return np.diag(fitter.covariance)[[fitter.free.index(name) for name in own]]
@@ -308,36 +386,56 @@ def _scatter(baseline: Baseline, fitter: WindowFitter, h: Hypothesis, own: Seque
 
 
 def _open(fitter: WindowFitter, fit: Fit) -> FloatArray:
-    """Standard deviation of the sizes that the window leaves open; NaN where nothing can be said of it."""
+    """Standard deviation of the sizes that the window leaves open; NaN where nothing can be said of
+    it.
+    """
     k, own = len(fit.others), fit.variant.own
     H = information(fit, k + len(fit.own))
     keep = [j for j, name in enumerate(fitter.free) if name not in own]
     H[:k, :k] += np.linalg.inv(fitter.covariance[np.ix_(keep, keep)])
     if not np.all(np.abs(H) < _LARGEST) or np.any(np.diag(H)[k:] < 1.0 / _LARGEST):
-        return np.full(len(fit.own), np.nan)  # at sizes where the slopes overflow or vanish nothing is known of them
+        return np.full(
+            len(fit.own), np.nan
+        )  # at sizes where the slopes overflow or vanish nothing is known of them
     scale = np.sqrt(np.maximum(np.diag(H), 1.0 / _LARGEST))
     values, vectors = np.linalg.eigh(H / np.outer(scale, scale))  # what nothing tells is wide open
-    return np.asarray(np.sqrt(np.sum(vectors**2 / np.maximum(values, 1e-12), axis=1) / scale**2)[k:])
+    return np.asarray(
+        np.sqrt(np.sum(vectors**2 / np.maximum(values, 1e-12), axis=1) / scale**2)[k:]
+    )
 
 
-# Things that began within a window: healthy up to a sample, and from the states there on with the hypothesis.
+# Things that began within a window: healthy up to a sample, and from the states there on with the
+# hypothesis.
 
 _SHORTEST = 10
 """[samples] Before and after a beginning."""
 
 
 def begun(baseline: Baseline, fitter: WindowFitter, features: FloatArray) -> dict[str, Tried]:
-    """The best beginning of each hypothesis, found on a coarse grid; those that promise most halved in."""
+    """The best beginning of each hypothesis, found on a coarse grid; those that promise most halved
+    in.
+    """
     window, beginnings = fitter.window, dict[str, Tried]()
     listed = [h for h in baseline.hypotheses if not (h.seen or h.begin or h.kind == "disturbance")]
     for part in range(1, PARTS):
-        _keep(beginnings, _beginning_at(baseline, fitter, features, window.n * part // PARTS, listed, LOOK_STEPS), fitter)
+        _keep(
+            beginnings,
+            _beginning_at(baseline, fitter, features, window.n * part // PARTS, listed, LOOK_STEPS),
+            fitter,
+        )
     steps = window.n // PARTS
     while (steps := steps // 2) > window.n // WINDOW_PARTS:
-        ranked = sorted(beginnings.values(), key=lambda t: fitter.nats(t.fit) + baseline.usual_gain(t.hypothesis))
+        ranked = sorted(
+            beginnings.values(),
+            key=lambda t: fitter.nats(t.fit) + baseline.usual_gain(t.hypothesis),
+        )
         for t in ranked[:BEGINNINGS_FOLLOWED]:
             for at in (t.fit.onset - steps, t.fit.onset, t.fit.onset + steps):
-                _keep(beginnings, _beginning_at(baseline, fitter, features, at, [t.hypothesis], FIT_STEPS), fitter)
+                _keep(
+                    beginnings,
+                    _beginning_at(baseline, fitter, features, at, [t.hypothesis], FIT_STEPS),
+                    fitter,
+                )
     return beginnings
 
 
@@ -349,7 +447,12 @@ def _keep(cheapest: dict[str, Tried], new: Sequence[Tried], fitter: WindowFitter
 
 
 def _beginning_at(
-    baseline: Baseline, fitter: WindowFitter, features: FloatArray, at: int, listed: Sequence[Hypothesis], steps: int
+    baseline: Baseline,
+    fitter: WindowFitter,
+    features: FloatArray,
+    at: int,
+    listed: Sequence[Hypothesis],
+    steps: int,
 ) -> list[Tried]:
     window = fitter.window
     if not _SHORTEST < at < window.n - _SHORTEST:
@@ -359,7 +462,10 @@ def _beginning_at(
     if head is None:
         return []
     end = before.states(head)[-1]
-    tail = replace(window.window(at, window.n), known=dict(zip(before.model.states, end.tolist(), strict=False)))
+    tail = replace(
+        window.window(at, window.n),
+        known=dict(zip(before.model.states, end.tolist(), strict=False)),
+    )
     after, X, trials = baseline.fitter(tail, features), np.repeat(end[None], tail.n, axis=0), []
     for h in listed:
         for variant in h.variants(tail, X):
@@ -369,5 +475,17 @@ def _beginning_at(
             white = np.concatenate([head.white[:-1], fit.white])
             error = np.concatenate([head.error[:-1], fit.error])
             paid = fit.paid + head.paid
-            trials.append(Tried(h, replace(fit, white=white, error=error, power=fitter.blocks(white), paid=paid, onset=at)))
+            trials.append(
+                Tried(
+                    h,
+                    replace(
+                        fit,
+                        white=white,
+                        error=error,
+                        power=fitter.blocks(white),
+                        paid=paid,
+                        onset=at,
+                    ),
+                )
+            )
     return trials

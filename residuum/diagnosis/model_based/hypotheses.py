@@ -1,4 +1,6 @@
-"""What may have happened to a healthy machine: a value changed, an effect more, a sensor's or an actuator's fault, a load."""
+"""What may have happened to a healthy machine: a value changed, an effect more, a sensor's or an
+actuator's fault, a load.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,14 @@ from residuum.diagnosis.model_based.policy import (
 from residuum.diagnosis.model_based.variant import Variant, amplified, delayed, edited, held
 from residuum.diagnosis.model_based.window_fit import Fit, WindowFitter
 from residuum.identification.errors import BadInput, BadRecord
-from residuum.identification.physics import Experiment, Key, PhysicalModel, candidates, conditions_at, find_effect
+from residuum.identification.physics import (
+    Experiment,
+    Key,
+    PhysicalModel,
+    candidates,
+    conditions_at,
+    find_effect,
+)
 
 UNKNOWN_LOAD = "unknown-load"
 _LATE = (0.5, 3.0, 12.0)
@@ -67,7 +76,9 @@ class Hypothesis:
 
 
 def hypotheses(model: PhysicalModel, values: Sequence[str]) -> list[Hypothesis]:
-    """Everything that may have happened to a machine with this model, of which these values may change."""
+    """Everything that may have happened to a machine with this model, of which these values may
+    change.
+    """
     listed = [_value(model, name) for name in values]
     listed += [_new_effect(model, key) for key in candidates(model) if model.records(key)]
     for o, (name, output) in enumerate(model.outputs.items()):
@@ -79,13 +90,21 @@ def hypotheses(model: PhysicalModel, values: Sequence[str]) -> list[Hypothesis]:
 
 
 def _load(model: PhysicalModel, balance: str) -> Hypothesis:
-    return Hypothesis("disturbance", UNKNOWN_LOAD, balance, "", lambda e, X: [_unknown_load(model, balance)])
+    return Hypothesis(
+        "disturbance", UNKNOWN_LOAD, balance, "", lambda e, X: [_unknown_load(model, balance)]
+    )
 
 
 def _value(model: PhysicalModel, name: str) -> Hypothesis:
     effect, _, place = name.rpartition(".")[0].partition("@")
     unit = model.all_parameters[name].unit
-    return Hypothesis("effect" if effect else "parameter", effect or name, place, unit, lambda e, X: [Variant(model, (name,))])
+    return Hypothesis(
+        "effect" if effect else "parameter",
+        effect or name,
+        place,
+        unit,
+        lambda e, X: [Variant(model, (name,))],
+    )
 
 
 def _new_effect(model: PhysicalModel, key: Key) -> Hypothesis:
@@ -94,19 +113,29 @@ def _new_effect(model: PhysicalModel, key: Key) -> Hypothesis:
     parameters = {p.name: p for p in effect.parameters(model.site(key.target, effect))}
     unit = parameters[effect.sizes[0]].unit if effect.sizes else ""
     name = key.effect.removeprefix(f"{effect.place}-")
-    return Hypothesis(kind, name, key.target, unit, lambda e, X: _beginnings(model, key, e, X), key=key)
+    return Hypothesis(
+        kind, name, key.target, unit, lambda e, X: _beginnings(model, key, e, X), key=key
+    )
 
 
 def _beginnings(model: PhysicalModel, key: Key, e: Experiment, X: FloatArray) -> list[Variant]:
     """An effect at each of its first shapes, small: the fit finds its sizes."""
     effect, variants = find_effect(key.effect), []
     try:
-        for start in list(effect.starts(conditions_at(model, effect, key.target, e, X)))[:SHAPES_LOOKED_AT]:
-            small = {name: value * FIRST_SIZE if name in effect.sizes else value for name, value in start.items()}
+        for start in list(effect.starts(conditions_at(model, effect, key.target, e, X)))[
+            :SHAPES_LOOKED_AT
+        ]:
+            small = {
+                name: value * FIRST_SIZE if name in effect.sizes else value
+                for name, value in start.items()
+            }
             larger = model.with_effect(*key, small)
             use = larger.effects[-1]
             # the size first: it is what is told
-            own = sorted((n for n, p in use.parameters.items() if not p.fixed), key=lambda n: n not in effect.sizes)
+            own = sorted(
+                (n for n, p in use.parameters.items() if not p.fixed),
+                key=lambda n: n not in effect.sizes,
+            )
             if own:
                 variants.append(Variant(larger, tuple(f"{use.label}.{name}" for name in own)))
     except BadInput:
@@ -117,7 +146,11 @@ def _beginnings(model: PhysicalModel, key: Key, e: Experiment, X: FloatArray) ->
 def _sensor(model: PhysicalModel, o: int, name: str, unit: str) -> list[Hypothesis]:
     own = np.arange(len(model.outputs)) == o
     gain = Variant(
-        model, sizes=(0.0,), lower=(-0.95,), reading=edited(o, amplified), louder=lambda s: np.asarray(1.0 + s[0] * own)
+        model,
+        sizes=(0.0,),
+        lower=(-0.95,),
+        reading=edited(o, amplified),
+        louder=lambda s: np.asarray(1.0 + s[0] * own),
     )
     late = [Variant(model, sizes=(k,), lower=(0.0,), reading=edited(o, delayed)) for k in _LATE]
 
@@ -127,7 +160,10 @@ def _sensor(model: PhysicalModel, o: int, name: str, unit: str) -> list[Hypothes
         return Variant(model, sizes=(value,), lower=(-np.inf,), onset=t, reading=edited(o, held, t))
 
     def anywhere(e: Experiment, X: FloatArray) -> list[Variant]:
-        return [stuck(e, t) for t in sorted({_longest_run(e.Y[:, o]), *range(0, e.n - 2, max(e.n // GRID, 1))})]
+        return [
+            stuck(e, t)
+            for t in sorted({_longest_run(e.Y[:, o]), *range(0, e.n - 2, max(e.n // GRID, 1))})
+        ]
 
     return [
         Hypothesis("sensor", "gain", name, "", lambda e, X: [gain]),
@@ -142,7 +178,9 @@ def _actuator(model: PhysicalModel, i: int, name: str, unit: str) -> list[Hypoth
     gain = Variant(model, sizes=(0.0,), lower=(-0.95,), inputs=edited(i, amplified))
 
     def stuck(e: Experiment, t: int) -> Variant:
-        return Variant(model, sizes=(float(e.U[t, i]),), lower=(-np.inf,), onset=t, inputs=edited(i, held, t))
+        return Variant(
+            model, sizes=(float(e.U[t, i]),), lower=(-np.inf,), onset=t, inputs=edited(i, held, t)
+        )
 
     def anywhere(e: Experiment, X: FloatArray) -> list[Variant]:
         return [stuck(e, t) for t in range(0, e.n - 2, max(e.n // GRID, 1))]
@@ -163,26 +201,41 @@ def _unknown_load(model: PhysicalModel, balance: str) -> Variant:
     """A load that nobody recorded: a line between knots."""
     larger, inputs = model, len(model.inputs)
     for k in range(KNOTS):
-        larger = larger.with_input(f"knot{k}", "").with_effect("forgotten-input", f"{balance}(knot{k})", {"gain": 0.0})
+        larger = larger.with_input(f"knot{k}", "").with_effect(
+            "forgotten-input", f"{balance}(knot{k})", {"gain": 0.0}
+        )
 
     def hats(U: FloatArray, sizes: FloatArray) -> FloatArray:
         at = np.linspace(0.0, KNOTS - 1.0, len(U))
-        return np.column_stack([U[:, :inputs], *(np.interp(at, np.arange(KNOTS), hat) for hat in np.eye(KNOTS))])
+        return np.column_stack(
+            [U[:, :inputs], *(np.interp(at, np.arange(KNOTS), hat) for hat in np.eye(KNOTS))]
+        )
 
-    return Variant(larger, tuple(f"{use.label}.gain" for use in larger.effects[-KNOTS:]), inputs=hats)
+    return Variant(
+        larger, tuple(f"{use.label}.gain" for use in larger.effects[-KNOTS:]), inputs=hats
+    )
 
 
 def _noisier(o: int, fitter: WindowFitter, healthy: Fit) -> Fit | None:
-    """White error beyond the healthy one; its size is that of the noise that was added, in the output's unit."""
+    """White error beyond the healthy one; its size is that of the noise that was added, in the
+    output's unit.
+    """
     louder = float(fitter.louder(healthy.white)[o])
     power = healthy.power.copy()
-    power[:, o] /= louder  # half of what the likelihood would give: what has a structure is told by what explains it
+    power[:, o] /= (
+        # half of what the likelihood would give: what has a structure is told by what explains it
+        louder
+    )
     more = max(float(fitter.steps(healthy.white)[o] - fitter.whitening.steps[o]), 0.0)
-    return replace(healthy, power=power, own=np.array([np.sqrt(more / fitter.whitening.amplified[o])]))
+    return replace(
+        healthy, power=power, own=np.array([np.sqrt(more / fitter.whitening.amplified[o])])
+    )
 
 
 def _dropped(o: int, fitter: WindowFitter, healthy: Fit) -> Fit | None:
-    """Readings far away that all stand at one value were lost: the healthy fit without them; its size is their share."""
+    """Readings far away that all stand at one value were lost: the healthy fit without them; its
+    size is their share.
+    """
     r, Y = healthy.error[:, o], fitter.window.Y.copy()
     if not fitter.count[o]:
         return None
@@ -220,7 +273,8 @@ def tried(
     healthy = fitter.fit(Variant(fitter.model))
     if healthy is None:
         raise BadRecord(
-            f"record {fitter.window.source!r}: the model diverges along it; `residuum compare` shows how far off it is"
+            f"record {fitter.window.source!r}: the model diverges along it; `residuum compare`"
+            " shows how far off it is"
         )
     X, looks = fitter.states(healthy), []
     for h in listed:
@@ -244,7 +298,9 @@ def _fitted(fitter: WindowFitter, healthy: Fit, look: Tried) -> Tried:
     known = [fit for fit in (best, fitter.fit(best.variant, begin=best)) if fit is not None]
     best = min(known, key=fitter.nats)
     while h.begin is not None and (steps := steps // 2):
-        beside = [t for t in (best.onset - steps, best.onset + steps) if 0 <= t < fitter.window.n - 2]
+        beside = [
+            t for t in (best.onset - steps, best.onset + steps) if 0 <= t < fitter.window.n - 2
+        ]
         nearby = [fitter.fit(h.begin(fitter.window, t), LOOK_STEPS, beside=healthy) for t in beside]
         best = min([best, *(fit for fit in nearby if fit is not None)], key=fitter.nats)
     return Tried(h, best)

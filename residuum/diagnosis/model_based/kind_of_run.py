@@ -1,4 +1,6 @@
-"""The kind of a run, told by what was not estimated: its inputs, and the channels recorded beside the model's."""
+"""The kind of a run, told by what was not estimated: its inputs, and the channels recorded beside
+the model's.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,8 @@ from residuum.identification.physics import Experiment
 
 @dataclass(frozen=True, eq=False)
 class KindOfRun:
-    """Features of a window: of every input its mean, its standard deviation and the RMS of its steps, of other channels the mean.
+    """Features of a window: of every input its mean, its standard deviation and the RMS of its
+    steps, of other channels the mean.
 
     Attributes
     ----------
@@ -37,10 +40,21 @@ class KindOfRun:
         return cls(beside, F.mean(axis=0), np.where(spread > 0.0, spread, np.inf))
 
     def features(self, e: Experiment) -> FloatArray:
-        """1 and the features in healthy spreads, shape (1 + features,); usual (0) for a channel that was not recorded."""
-        return np.concatenate([[1.0], np.nan_to_num((_raw(e, self.beside) - self.centre) / self.spread)])
+        """1 and the features in healthy spreads, shape (1 + features,); usual (0) for a channel
+        that was not recorded.
+        """
+        return np.concatenate(
+            [[1.0], np.nan_to_num((_raw(e, self.beside) - self.centre) / self.spread)]
+        )
 
 
 def _raw(e: Experiment, beside: Sequence[str]) -> FloatArray:
     means = [float(e.spare[name].values.mean()) if name in e.spare else np.nan for name in beside]
-    return np.concatenate([e.U.mean(axis=0), e.U.std(axis=0), np.sqrt(np.mean(np.diff(e.U, axis=0) ** 2, axis=0)), means])
+    return np.concatenate(
+        [
+            e.U.mean(axis=0),
+            e.U.std(axis=0),
+            np.sqrt(np.mean(np.diff(e.U, axis=0) ** 2, axis=0)),
+            means,
+        ]
+    )

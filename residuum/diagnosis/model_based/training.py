@@ -1,7 +1,8 @@
 """Training: healthy records and a model → a baseline.
 
-The model's values over all windows together, climbed along the ladder of horizons; the model mended by what every window lacks;
-then each window's own estimate, whose mean and scatter carry all that is inexact.
+The model's values over all windows together, climbed along the ladder of horizons; the model mended
+by what every window lacks; then each window's own estimate, whose mean and scatter carry all that
+is inexact.
 """
 
 from __future__ import annotations
@@ -31,10 +32,23 @@ from residuum.diagnosis.model_based.policy import (
     SEARCHED,
 )
 from residuum.diagnosis.model_based.variant import Variant
-from residuum.diagnosis.model_based.window_fit import Fit, Scatter, Whitening, information, log_power
+from residuum.diagnosis.model_based.window_fit import (
+    Fit,
+    Scatter,
+    Whitening,
+    information,
+    log_power,
+)
 from residuum.identification.blas_threads import one_thread
 from residuum.identification.errors import BadInput, BadRecord, NotIdentifiable
-from residuum.identification.physics import EffectUse, Experiment, Key, PhysicalModel, estimate, match
+from residuum.identification.physics import (
+    EffectUse,
+    Experiment,
+    Key,
+    PhysicalModel,
+    estimate,
+    match,
+)
 from residuum.identification.physics.effects.base import Parameter
 from residuum.identification.physics.estimation import gauss_newton
 from residuum.identification.record import Record
@@ -55,7 +69,9 @@ from residuum.identification.work import at_most
 
 @dataclass(frozen=True, eq=False)
 class _Mended:
-    """A model, how its inputs move between samples, and its fit to each window at the window's own values."""
+    """A model, how its inputs move between samples, and its fit to each window at the window's own
+    values.
+    """
 
     model: PhysicalModel
     windows: Sequence[Experiment]
@@ -63,25 +79,37 @@ class _Mended:
 
     @property
     def log_errors(self) -> FloatArray:
-        """Mean over the outputs of the logarithm of the RMS error in each window, in the model's over all of them; infinite where
-        it diverges.
+        """Mean over the outputs of the logarithm of the RMS error in each window, in the model's
+        over all of them; infinite where it diverges.
 
-        An error a thousand times smaller is none: in a window in which nothing moves any error can be taken away.
+        An error a thousand times smaller is none: in a window in which nothing moves any error can
+        be taken away.
         """
         measured = self.windows[0].measured
         power = [None if f is None else f.power.mean(axis=0) for f in self.fits]
-        return np.array([np.inf if p is None else 0.5 * np.mean(np.log(p + NO_ERROR**2), where=measured) for p in power])
+        return np.array(
+            [
+                np.inf if p is None else 0.5 * np.mean(np.log(p + NO_ERROR**2), where=measured)
+                for p in power
+            ]
+        )
 
     @property
     def told(self) -> FloatArray:
-        """What each window tells of the values, shape (windows, values, values): 0 where the model diverges."""
+        """What each window tells of the values, shape (windows, values, values): 0 where the model
+        diverges.
+        """
         count = len(self.model.free)
-        return np.array([np.zeros((count, count)) if f is None else information(f, count) for f in self.fits])
+        return np.array(
+            [np.zeros((count, count)) if f is None else information(f, count) for f in self.fits]
+        )
 
 
-def mended(model: PhysicalModel, windows: Sequence[Experiment], whitening: Whitening) -> tuple[PhysicalModel, list[Experiment]]:
-    """The model with what healthy windows lack beside it, and the windows at the input timing that suits it. Both stay as they
-    are where nothing is lacking in all of them.
+def mended(
+    model: PhysicalModel, windows: Sequence[Experiment], whitening: Whitening
+) -> tuple[PhysicalModel, list[Experiment]]:
+    """The model with what healthy windows lack beside it, and the windows at the input timing that
+    suits it. Both stay as they are where nothing is lacking in all of them.
 
     Values of new effects that the windows leave open are held.
     """
@@ -101,12 +129,19 @@ def mended(model: PhysicalModel, windows: Sequence[Experiment], whitening: White
 
 def held(model: PhysicalModel, names: Sequence[str]) -> PhysicalModel:
     """The model with these values, by full name, no longer free."""
-    effects = tuple(replace(use, parameters=_fixed(use.parameters, names, f"{use.label}.")) for use in model.effects)
+    effects = tuple(
+        replace(use, parameters=_fixed(use.parameters, names, f"{use.label}."))
+        for use in model.effects
+    )
     return replace(model, parameters=_fixed(model.parameters, names), effects=effects)
 
 
-def _fixed(parameters: Mapping[str, Parameter], names: Sequence[str], prefix: str = "") -> dict[str, Parameter]:
-    return {name: replace(p, fixed=p.fixed or prefix + name in names) for name, p in parameters.items()}
+def _fixed(
+    parameters: Mapping[str, Parameter], names: Sequence[str], prefix: str = ""
+) -> dict[str, Parameter]:
+    return {
+        name: replace(p, fixed=p.fixed or prefix + name in names) for name, p in parameters.items()
+    }
 
 
 def evenly(windows: int, count: int) -> list[int]:
@@ -115,15 +150,23 @@ def evenly(windows: int, count: int) -> list[int]:
 
 
 def _telling(base: _Mended) -> FloatArray:
-    """How much each window tells of the values, shape (windows,): the geometric mean of the information on each of them."""
+    """How much each window tells of the values, shape (windows,): the geometric mean of the
+    information on each of them.
+    """
     precision = np.nan_to_num(np.diagonal(base.told, axis1=1, axis2=2))
-    return np.asarray(np.log(np.maximum(precision, 1e-12 * precision.max(axis=0, initial=0.0)) + 1e-300).sum(axis=1))
+    return np.asarray(
+        np.log(np.maximum(precision, 1e-12 * precision.max(axis=0, initial=0.0)) + 1e-300).sum(
+            axis=1
+        )
+    )
 
 
 def _lacking(
     model: PhysicalModel, windows: Sequence[Experiment], searched: Sequence[int]
 ) -> list[tuple[PhysicalModel, Sequence[Experiment]]]:
-    """The model with what one of the windows that are searched lacks, at either input timing of all windows."""
+    """The model with what one of the windows that are searched lacks, at either input timing of all
+    windows.
+    """
     by_effects: dict[tuple[Key, ...], list[tuple[PhysicalModel, Sequence[Experiment]]]] = {}
     for k in searched:
         try:
@@ -139,7 +182,9 @@ def _lacking(
 
 
 def _physics(outcome: Search) -> PhysicalModel:
-    """The best model without shifts in time by less than a sample: those are how records were taken."""
+    """The best model without shifts in time by less than a sample: those are how records were
+    taken.
+    """
     model = outcome.best.model
     for use in outcome.best.model.effects:
         if use.key in outcome.best.keys and is_timing(use.key, outcome):
@@ -153,19 +198,30 @@ def _fitted(model: PhysicalModel, windows: Sequence[Experiment], whitening: Whit
 
 
 def _settled(best: _Mended, before: PhysicalModel) -> PhysicalModel:
-    """At the middle of the windows' values, each weighing as much as it tells; of new effects held are shapes, which no window
-    changes, and what they leave open.
+    """At the middle of the windows' values, each weighing as much as it tells; of new effects held
+    are shapes, which no window changes, and what they leave open.
     """
     names, known = list(best.model.free), [fit is not None for fit in best.fits]
     window_info = best.told[known]
-    values = _middle(np.array([fit.others for fit in best.fits if fit is not None]), np.diagonal(window_info, axis1=1, axis2=2))
+    values = _middle(
+        np.array([fit.others for fit in best.fits if fit is not None]),
+        np.diagonal(window_info, axis1=1, axis2=2),
+    )
     total = window_info.sum(axis=0)
     std = np.sqrt(np.diag(np.linalg.pinv(total, hermitian=True)))
     fixed = (np.diag(total) > 0.0) & (std < OPEN * np.abs(values))
     shapes = {
-        f"{use.label}.{p}" for use in best.model.effects if use.effect.sizes for p in use.parameters if p not in use.effect.sizes
+        f"{use.label}.{p}"
+        for use in best.model.effects
+        if use.effect.sizes
+        for p in use.parameters
+        if p not in use.effect.sizes
     }
-    new = [name for name, known in zip(names, fixed, strict=True) if name not in before.free and (name in shapes or not known)]
+    new = [
+        name
+        for name, known in zip(names, fixed, strict=True)
+        if name not in before.free and (name in shapes or not known)
+    ]
     return held(best.model.with_values(dict(zip(names, values.tolist(), strict=True))), new)
 
 
@@ -174,12 +230,16 @@ def _middle(values: FloatArray, weights: FloatArray) -> FloatArray:
     order = np.argsort(values, axis=0, kind="stable")
     below = np.cumsum(np.take_along_axis(weights + 1e-300, order, axis=0), axis=0)
     at = np.argmax(below >= 0.5 * below[-1], axis=0)
-    return np.asarray(np.take_along_axis(values, np.take_along_axis(order, at[None], axis=0), axis=0)[0])
+    return np.asarray(
+        np.take_along_axis(values, np.take_along_axis(order, at[None], axis=0), axis=0)[0]
+    )
 
 
 def _falls(gain: FloatArray, times: float = ALWAYS) -> bool:
     """Whether the error falls in windows by more than so many standard errors."""
-    return bool(np.isfinite(gain).all() and gain.mean() > times * gain.std(ddof=1) / np.sqrt(len(gain)))
+    return bool(
+        np.isfinite(gain).all() and gain.mean() > times * gain.std(ddof=1) / np.sqrt(len(gain))
+    )
 
 
 # Whether windows may be used to learn a baseline anew: never where a sensor's fault or a new
@@ -198,8 +258,11 @@ class NothingLearned(BadInput):
 
 
 @one_thread()
-def refuse_recalibration(baseline: Baseline, records: Sequence[Record], accepted: Sequence[Key] = ()) -> None:
-    """Raise NothingLearned where a sensor's fault, an actuator's, a load or a new effect is probable in the windows.
+def refuse_recalibration(
+    baseline: Baseline, records: Sequence[Record], accepted: Sequence[Key] = ()
+) -> None:
+    """Raise NothingLearned where a sensor's fault, an actuator's, a load or a new effect is
+    probable in the windows.
 
     An effect that the user has `accepted` is none of them.
     """
@@ -216,7 +279,10 @@ def refuse_recalibration(baseline: Baseline, records: Sequence[Record], accepted
         for label, trial in trials.items():
             sizes.setdefault(label, []).append(trial.fit.own)
             gains[label] = (
-                gains.get(label, 0.0) + fitter.nats(healthy) - fitter.nats(trial.fit) - baseline.usual_gain(trial.hypothesis)
+                gains.get(label, 0.0)
+                + fitter.nats(healthy)
+                - fitter.nats(trial.fit)
+                - baseline.usual_gain(trial.hypothesis)
             )
     if max(map(len, sizes.values()), default=0) < _FEWEST:
         return
@@ -233,9 +299,10 @@ def refuse_recalibration(baseline: Baseline, records: Sequence[Record], accepted
     place = f" of {likeliest.place}" if likeliest.place else ""
     chance = min(1.0, p[likeliest.label] * len(p))
     raise NothingLearned(
-        f"the model is not learned anew: these {len(records)} windows together show {likeliest.kind} {likeliest.name}{place} "
-        f"(chance that they are healthy: {chance:.1g}), and it would become the new normal; mend it first, or, if it was always "
-        "there, add it to the model with `residuum improve`"
+        f"the model is not learned anew: these {len(records)} windows together show"
+        f" {likeliest.kind} {likeliest.name}{place} (chance that they are healthy: {chance:.1g}),"
+        " and it would become the new normal; mend it first, or, if it was always there, add it to"
+        " the model with `residuum improve`"
     )
 
 
@@ -245,7 +312,9 @@ def _chance(baseline: Baseline, label: str, sizes: Sequence[FloatArray]) -> floa
     if usual is None or len(usual.sizes) < _FEWEST or len(sizes) < _FEWEST:
         return 1.0
     new_sizes, usual_sizes = np.array([s[0] for s in sizes]), usual.sizes[:, 0]
-    least = (1e-9 * float(np.max(np.abs([*new_sizes, *usual_sizes])))) ** 2 + 1e-300  # sizes that are alike to rounding
+    least = (
+        1e-9 * float(np.max(np.abs([*new_sizes, *usual_sizes])))
+    ) ** 2 + 1e-300  # sizes that are alike to rounding
     a, b = (max(float(x.var(ddof=1)), least) / len(x) for x in (new_sizes, usual_sizes))
     t = float(new_sizes.mean() - usual_sizes.mean()) / np.sqrt(a + b)
     share = a / (a + b)
@@ -263,17 +332,22 @@ class Undetermined(NotIdentifiable):
 
 @one_thread()
 def train(
-    model: PhysicalModel, records: Sequence[Record], *, fix_undetermined: bool = False, known: Sequence[EffectUse] = ()
+    model: PhysicalModel,
+    records: Sequence[Record],
+    *,
+    fix_undetermined: bool = False,
+    known: Sequence[EffectUse] = (),
 ) -> Baseline:
     """Learn what is healthy.
 
-    Each record is a window; fewer than 6 are cut into windows of equal length. `known` are effects that healthy windows
-    were found to show before beyond the model: they stay what the model lacks.
+    Each record is a window; fewer than 6 are cut into windows of equal length. `known` are effects
+    that healthy windows were found to show before beyond the model: they stay what the model lacks.
 
     Raises
     ------
     Undetermined
-        Windows leave a free value open (not with `fix_undetermined`, which keeps it at the file's value).
+        Windows leave a free value open (not with `fix_undetermined`, which keeps it at the file's
+        value).
     BadRecord
         Records do not fit the model or each other, or are too short.
     """
@@ -288,10 +362,14 @@ def train(
     while wide := [name for name in _open(fit) if name in asked.parameters]:
         if not fix_undetermined:
             raise _refusal(asked, data, wide)
-        data = data_of(held(data.model, wide[:1]), data.experiments)  # with the widest one held, others may be determined
+        data = data_of(
+            held(data.model, wide[:1]), data.experiments
+        )  # with the widest one held, others may be determined
         fit = climb(data).found
     better, experiments = mended(fit.model, data.experiments, _sized(fit.model, data.experiments))
-    return _calibrated(_learned(asked, better, experiments, [record.source for record in records]), experiments)
+    return _calibrated(
+        _learned(asked, better, experiments, [record.source for record in records]), experiments
+    )
 
 
 def windows_of(records: Sequence[Record]) -> list[Record]:
@@ -305,8 +383,8 @@ def windows_of(records: Sequence[Record]) -> list[Record]:
     if len(parts) < FEWEST_WINDOWS:
         samples = sum(r.n for r in records)
         raise BadRecord(
-            f"model-based: {len(records)} healthy records with {samples} samples; at least {FEWEST_WINDOWS} windows of "
-            f"{FEWEST_IN_A_WINDOW} samples are needed, 20 are good"
+            f"model-based: {len(records)} healthy records with {samples} samples; at least"
+            f" {FEWEST_WINDOWS} windows of {FEWEST_IN_A_WINDOW} samples are needed, 20 are good"
         )
     return parts
 
@@ -316,13 +394,19 @@ def _alike(experiments: Sequence[Experiment]) -> list[Experiment]:
     for e in experiments:
         if abs(e.sample_time / first.sample_time - 1.0) > 1e-3:
             raise BadRecord(
-                f"record {e.source!r}: sampled every {e.sample_time:g} s, {first.source!r} every {first.sample_time:g} s; "
-                "healthy windows must be alike"
+                f"record {e.source!r}: sampled every {e.sample_time:g} s, {first.source!r} every"
+                f" {first.sample_time:g} s; healthy windows must be alike"
             )
         if e.n < FEWEST_IN_A_WINDOW:
-            raise BadRecord(f"record {e.source!r}: {e.n} samples; a healthy window needs at least {FEWEST_IN_A_WINDOW}")
+            raise BadRecord(
+                f"record {e.source!r}: {e.n} samples; a healthy window needs at least"
+                f" {FEWEST_IN_A_WINDOW}"
+            )
         if np.any(e.measured != first.measured):
-            raise BadRecord(f"records {e.source!r} and {first.source!r}: have different outputs; healthy windows must be alike")
+            raise BadRecord(
+                f"records {e.source!r} and {first.source!r}: have different outputs; healthy"
+                " windows must be alike"
+            )
     hold = np.array(np.mean([e.hold for e in experiments], axis=0) >= 0.5, dtype=float)
     return [replace(e, hold=hold) for e in experiments]
 
@@ -330,9 +414,13 @@ def _alike(experiments: Sequence[Experiment]) -> list[Experiment]:
 def _open(fit: gauss_newton.Fit) -> list[str]:
     """Values that all healthy windows together leave open, the widest first."""
     now = fit.model.values
-    share = {name: std / max(abs(now[name]), 1e-300) for name, std in zip(fit.parameters, fit.std.tolist(), strict=True)}
+    share = {
+        name: std / max(abs(now[name]), 1e-300)
+        for name, std in zip(fit.parameters, fit.std.tolist(), strict=True)
+    }
     return sorted(
-        (name for name, wide in share.items() if not wide < OPEN), key=lambda name: -np.nan_to_num(share[name], nan=np.inf)
+        (name for name, wide in share.items() if not wide < OPEN),
+        key=lambda name: -np.nan_to_num(share[name], nan=np.inf),
     )
 
 
@@ -341,9 +429,9 @@ def _refusal(model: PhysicalModel, data: Data, wide: Sequence[str]) -> Undetermi
     lacking = [name for name, known in zip(model.outputs, data.measured, strict=True) if not known]
     more = f", or record {' or '.join(lacking)} too" if lacking else ""
     return Undetermined(
-        f"model {model.name!r}: healthy windows do not determine {', '.join(wide)}: record windows in which {driving} "
-        f"moves faster and over a wider range{more}, or keep {'them' if len(wide) > 1 else 'it'} at the file's value: "
-        "--fix-undetermined",
+        f"model {model.name!r}: healthy windows do not determine {', '.join(wide)}: record windows"
+        f" in which {driving} moves faster and over a wider range{more}, or keep"
+        f" {'them' if len(wide) > 1 else 'it'} at the file's value: --fix-undetermined",
         wide,
     )
 
@@ -360,23 +448,40 @@ class _Windows:
         return np.array([fit.others for fit in self.fits])
 
 
-def _learned(asked: PhysicalModel, model: PhysicalModel, experiments: Sequence[Experiment], sources: Sequence[str]) -> Baseline:
+def _learned(
+    asked: PhysicalModel,
+    model: PhysicalModel,
+    experiments: Sequence[Experiment],
+    sources: Sequence[str],
+) -> Baseline:
     """The baseline before its hypotheses are tried."""
     start = np.array([model.values[name] for name in model.free])
     whitening = _sized(model, experiments)
     for _ in range(2):
-        whitening = Whitening.of([fit.error for fit in _each_alone(model, experiments, start, whitening)])
+        whitening = Whitening.of(
+            [fit.error for fit in _each_alone(model, experiments, start, whitening)]
+        )
     kind = KindOfRun.of(experiments)
-    by_window = _Windows(_each_alone(model, experiments, start, whitening), np.array([kind.features(e) for e in experiments]))
+    by_window = _Windows(
+        _each_alone(model, experiments, start, whitening),
+        np.array([kind.features(e) for e in experiments]),
+    )
     window_info = [information(fit, len(start)) for fit in by_window.fits]
     values = Scatter.of(by_window.F, by_window.theta, window_info, 1e-3 * np.abs(start) + 1e-12)
     power = np.array([log_power(fit) for fit in by_window.fits])
     errors = Scatter.of(by_window.F, power, None, np.full(power.shape[1], 0.01))
     model = model.with_values(dict(zip(model.free, values.B[0].tolist(), strict=True)))
     diagonals = np.array([np.diag(h) for h in window_info]).reshape(len(window_info), len(start))
-    mended = tuple(use.label for use in model.effects if use.label not in [own.label for own in asked.effects])
-    unasked = np.zeros((len(window_info), len(model.outputs)))  # offsets are, once the values' scatter is known
-    input_spans, spans = (np.array([np.ptp(x(e), axis=0) for e in experiments]).min(axis=0) for x in (_inputs, _readings))
+    mended = tuple(
+        use.label for use in model.effects if use.label not in [own.label for own in asked.effects]
+    )
+    unasked = np.zeros(
+        (len(window_info), len(model.outputs))
+    )  # offsets are, once the values' scatter is known
+    input_spans, spans = (
+        np.array([np.ptp(x(e), axis=0) for e in experiments]).min(axis=0)
+        for x in (_inputs, _readings)
+    )
     return Baseline(
         asked,
         model,
@@ -403,16 +508,21 @@ def _learned(asked: PhysicalModel, model: PhysicalModel, experiments: Sequence[E
 
 def _sized(model: PhysicalModel, experiments: Sequence[Experiment]) -> Whitening:
     """Nothing is known of errors yet but their size."""
-    return Whitening.plain(np.maximum(np.nan_to_num(estimate(model, experiments, free=()).rmse), 1e-9))
+    return Whitening.plain(
+        np.maximum(np.nan_to_num(estimate(model, experiments, free=()).rmse), 1e-9)
+    )
 
 
-def _each_alone(model: PhysicalModel, experiments: Sequence[Experiment], start: FloatArray, whitening: Whitening) -> list[Fit]:
+def _each_alone(
+    model: PhysicalModel, experiments: Sequence[Experiment], start: FloatArray, whitening: Whitening
+) -> list[Fit]:
     fits = []
     for e in experiments:
         fit = alone(model, e, start, whitening)
         if fit is None:
             raise BadRecord(
-                f"record {e.source!r}: the model diverges along it; look at it with `residuum compare`, or leave it out"
+                f"record {e.source!r}: the model diverges along it; look at it with `residuum"
+                " compare`, or leave it out"
             )
         fits.append(fit)
     return fits
@@ -429,7 +539,9 @@ def _readings(e: Experiment) -> FloatArray:
 
 
 def _apart(F: FloatArray, x: FloatArray) -> tuple[int, ...]:
-    """Windows that differ from all others in a value or in their error, each held against the scatter of the others."""
+    """Windows that differ from all others in a value or in their error, each held against the
+    scatter of the others.
+    """
     apart, n = [], len(x)
     for k in range(n):
         but_k = np.arange(n) != k
@@ -442,11 +554,18 @@ def _apart(F: FloatArray, x: FloatArray) -> tuple[int, ...]:
 
 
 def _calibrated(baseline: Baseline, experiments: Sequence[Experiment]) -> Baseline:
-    """With what each hypothesis gains in healthy windows, and how its sizes scatter there; offsets in all of them."""
+    """With what each hypothesis gains in healthy windows, and how its sizes scatter there; offsets
+    in all of them.
+    """
     F = np.array([baseline.kind.features(e) for e in experiments])
     fitters = [baseline.fitter(e, f) for e, f in zip(experiments, F, strict=True)]
-    offsets, H = np.array([baseline.offsets_in(fitter, fitter.fit(Variant(baseline.model))) for fitter in fitters]).swapaxes(0, 1)
-    baseline = replace(baseline, offsets=Scatter.of(F, offsets, [np.diag(h) for h in H], 1e-6 * baseline.spans + 1e-300))
+    offsets, H = np.array(
+        [baseline.offsets_in(fitter, fitter.fit(Variant(baseline.model))) for fitter in fitters]
+    ).swapaxes(0, 1)
+    baseline = replace(
+        baseline,
+        offsets=Scatter.of(F, offsets, [np.diag(h) for h in H], 1e-6 * baseline.spans + 1e-300),
+    )
     every = []
     for k in evenly(len(experiments), CALIBRATED):
         healthy, trials = tried(fitters[k], baseline.hypotheses, baseline.usual_gain)
@@ -455,11 +574,15 @@ def _calibrated(baseline: Baseline, experiments: Sequence[Experiment]) -> Baseli
     for h in baseline.hypotheses:
         fitted = [(f, null, t.fit) for f, null, trials in every if (t := trials.get(h.label))]
         gains = [max(null - f.nats(fit) + f.price(fit) - fit.paid, 0.0) for f, null, fit in fitted]
-        usual[h.label] = Usual(float(np.mean(gains)) if gains else 0.0, _sizes([fit for *_, fit in fitted]))
+        usual[h.label] = Usual(
+            float(np.mean(gains)) if gains else 0.0, _sizes([fit for *_, fit in fitted])
+        )
     return replace(baseline, usual=usual)
 
 
 def _sizes(fits: Sequence[Fit]) -> FloatArray:
-    """Shape (windows, sizes); a hypothesis whose number of sizes differs from window to window has none that scatter."""
+    """Shape (windows, sizes); a hypothesis whose number of sizes differs from window to window has
+    none that scatter.
+    """
     counts = {len(fit.own) for fit in fits}
     return np.array([fit.own for fit in fits]) if len(counts) == 1 else np.zeros((0, 1))

@@ -1,4 +1,6 @@
-"""One way to begin with a hypothesis: a model, what is done to its inputs and readings, and which numbers are its sizes."""
+"""One way to begin with a hypothesis: a model, what is done to its inputs and readings, and which
+numbers are its sizes.
+"""
 
 from __future__ import annotations
 

@@ -1,11 +1,13 @@
 """A window fitted with one thing more free than the healthy model has.
 
-Least squares of whitened simulation errors by Gauss-Newton steps; values that the hypothesis does not name keep their healthy
-scatter as a prior, so that a change smaller than that is none. What a fit costs, in nats:
+Least squares of whitened simulation errors by Gauss-Newton steps; values that the hypothesis does
+not name keep their healthy scatter as a prior, so that a change smaller than that is none. What a
+fit costs, in nats:
 
     ½ Σ_b samples_b ln(whitened power_b + 0.05)  +  ½ (ν + k) ln(1 + t²/ν)  +  ½ sizes · ln(samples),
 
-the error power in blocks b, what k other values pay to the prior (Student: their scatter is known from ν windows), and the sizes.
+the error power in blocks b, what k other values pay to the prior (Student: their scatter is known
+from ν windows), and the sizes.
 """
 
 from __future__ import annotations
@@ -18,7 +20,15 @@ import numpy.typing as npt
 from scipy.linalg import toeplitz
 
 from residuum.array_types import FloatArray
-from residuum.diagnosis.model_based.policy import EM_STEPS, EVIDENT, FIT_STEPS, LOOK_STEPS, NO_MERIT, RIDGES, SETTLED
+from residuum.diagnosis.model_based.policy import (
+    EM_STEPS,
+    EVIDENT,
+    FIT_STEPS,
+    LOOK_STEPS,
+    NO_MERIT,
+    RIDGES,
+    SETTLED,
+)
 from residuum.diagnosis.model_based.variant import Variant
 from residuum.identification.errors import BadInput
 from residuum.identification.physics import Experiment, PhysicalModel, Simulator
@@ -45,7 +55,8 @@ class Whitening:
     inflation : array, shape (outputs,)
         By which correlation that is left divides the number of samples.
     steps, most_steps : array, shape (outputs,)
-        Half the mean square of steps from sample to sample, in sigma²: what is usual of their white part, and the most.
+        Half the mean square of steps from sample to sample, in sigma²: what is usual of their white
+        part, and the most.
     """
 
     filters: FloatArray
@@ -55,7 +66,9 @@ class Whitening:
     most_steps: FloatArray
 
     def white(self, values: FloatArray, known: Flags) -> FloatArray:
-        """Values (n, outputs, …) whitened, over their healthy size; zero where nothing was measured."""
+        """Values (n, outputs, …) whitened, over their healthy size; zero where nothing was
+        measured.
+        """
         out = np.empty(values.shape)
         for o, a in enumerate(self.filters):
             measured = known[:, o].reshape((-1,) + (1,) * (values.ndim - 2))
@@ -68,7 +81,9 @@ class Whitening:
 
     @property
     def amplified(self) -> FloatArray:
-        """By how much whitening multiplies the steps' power of white noise, in sigma², shape (outputs,)."""
+        """By how much whitening multiplies the steps' power of white noise, in sigma², shape
+        (outputs,).
+        """
         steps = np.diff(self.filters, axis=1, prepend=0.0, append=0.0)
         return np.asarray(0.5 * np.sum(steps**2, axis=1) / self.sigma**2)
 
@@ -94,7 +109,10 @@ class Whitening:
             steps = [float(np.mean(np.diff(y) ** 2)) / 2.0 / sigma**2 for y in white]
             whitening.filters[o, : len(a)], whitening.sigma[o] = a, sigma
             whitening.inflation[o] = 1.0 + 2.0 * float(rho[1:end].sum())
-            whitening.steps[o], whitening.most_steps[o] = np.mean(steps), np.mean(steps) + 2.0 * np.std(steps)
+            whitening.steps[o], whitening.most_steps[o] = (
+                np.mean(steps),
+                np.mean(steps) + 2.0 * np.std(steps),
+            )
         return whitening
 
 
@@ -102,7 +120,11 @@ def _autoregression(x: Sequence[FloatArray]) -> FloatArray:
     rho, n = _autocorrelation(x, WHITENING + 1), sum(map(len, x))
     best, a = np.inf, np.ones(1)
     for p in range(WHITENING + 1):
-        phi = np.linalg.solve(toeplitz(rho[:p]) + 1e-9 * np.eye(p), rho[1 : p + 1]) if p else np.zeros(0)
+        phi = (
+            np.linalg.solve(toeplitz(rho[:p]) + 1e-9 * np.eye(p), rho[1 : p + 1])
+            if p
+            else np.zeros(0)
+        )
         aic = n * np.log(max(1.0 - float(phi @ rho[1 : p + 1]), 1e-12)) + 2.0 * p
         if aic < best:
             best, a = aic, np.concatenate([[1.0], -phi])
@@ -110,7 +132,9 @@ def _autoregression(x: Sequence[FloatArray]) -> FloatArray:
 
 
 def _autocorrelation(x: Sequence[FloatArray], lags: int) -> FloatArray:
-    total = np.sum([np.fft.irfft(np.abs(np.fft.rfft(y, 2 * len(y))) ** 2)[:lags] for y in x], axis=0)
+    total = np.sum(
+        [np.fft.irfft(np.abs(np.fft.rfft(y, 2 * len(y))) ** 2)[:lags] for y in x], axis=0
+    )
     return np.asarray(total / max(float(total[0]), 1e-300))
 
 
@@ -143,7 +167,13 @@ class Scatter:
     freedom: float
 
     @classmethod
-    def of(cls, F: FloatArray, x: FloatArray, information: Sequence[FloatArray] | None, floor: FloatArray) -> Scatter:
+    def of(
+        cls,
+        F: FloatArray,
+        x: FloatArray,
+        information: Sequence[FloatArray] | None,
+        floor: FloatArray,
+    ) -> Scatter:
         """Learned from windows.
 
         Parameters
@@ -158,7 +188,9 @@ class Scatter:
         ridges = np.full(x.shape[1], RIDGES[0])
         scatter, post = _fitted(F, x, information, floor, ridges)
         for _ in range(2):
-            ridges = np.array([_evident_ridge(F, y, least) for y, least in zip(post.T, floor, strict=True)])
+            ridges = np.array(
+                [_evident_ridge(F, y, least) for y, least in zip(post.T, floor, strict=True)]
+            )
             scatter, post = _fitted(F, x, information, floor, ridges)
         return scatter
 
@@ -169,11 +201,17 @@ class Scatter:
 
 
 def _fitted(
-    F: FloatArray, x: FloatArray, information: Sequence[FloatArray] | None, floor: FloatArray, ridges: FloatArray
+    F: FloatArray,
+    x: FloatArray,
+    information: Sequence[FloatArray] | None,
+    floor: FloatArray,
+    ridges: FloatArray,
 ) -> tuple[Scatter, FloatArray]:
     """The scatter with these ridges, and each window's values as it and the others tell them."""
     n, p = x.shape
-    M = np.array([np.linalg.inv(F.T @ F + np.diag([1e-6] + [ridge] * (F.shape[1] - 1))) for ridge in ridges])
+    M = np.array(
+        [np.linalg.inv(F.T @ F + np.diag([1e-6] + [ridge] * (F.shape[1] - 1))) for ridge in ridges]
+    )
     M = M.reshape(p, F.shape[1], F.shape[1])
     freedom = np.array([max(n - float(np.trace(F @ m @ F.T)), 2.0) for m in M])
     post, V = x, np.zeros((n, p, p))
@@ -187,12 +225,16 @@ def _fitted(
             V = np.array([np.linalg.inv(P + h) for h in information])
             by_window = zip(V, F @ B, information, x, strict=True)
             post = np.array([v @ (P @ mean + h @ y) for v, mean, h, y in by_window]).reshape(n, p)
-    B, S, M = (np.ascontiguousarray(x) for x in (B, S, M))  # as they are loaded: the order decides the last digit
+    B, S, M = (
+        np.ascontiguousarray(x) for x in (B, S, M)
+    )  # as they are loaded: the order decides the last digit
     return Scatter(B, S, M, float(freedom.min(initial=float(n)))), post
 
 
 def _evident_ridge(F: FloatArray, y: FloatArray, floor: float) -> float:
-    """The ridge under which the values of the windows are likeliest; less of it only where that is evident."""
+    """The ridge under which the values of the windows are likeliest; less of it only where that is
+    evident.
+    """
     best, chosen = -np.inf, RIDGES[0]
     r = (y - y.mean()) / max(float(y.std()), float(floor), 1e-300)
     for ridge in RIDGES:
@@ -252,7 +294,12 @@ class WindowFitter:
         freedom: float,
     ) -> None:
         self.model, self.free, self.window = model, list(model.free), window
-        self.mean, self.covariance, self.whitening, self.freedom = mean, covariance, whitening, freedom
+        self.mean, self.covariance, self.whitening, self.freedom = (
+            mean,
+            covariance,
+            whitening,
+            freedom,
+        )
         self.known = np.isfinite(window.Y)
         self.count = self.known.sum(axis=0)
         self.samples = np.maximum(self.count / whitening.inflation, 2.0) * (self.count > 0)
@@ -260,22 +307,32 @@ class WindowFitter:
 
     def of(self, window: Experiment) -> WindowFitter:
         """The same of another window of such a run."""
-        return WindowFitter(self.model, window, self.mean, self.covariance, self.whitening, self.freedom)
+        return WindowFitter(
+            self.model, window, self.mean, self.covariance, self.whitening, self.freedom
+        )
 
     def blocks(self, white: FloatArray) -> FloatArray:
-        """Mean square in each block, shape (blocks, outputs); healthy (1) where nothing was measured."""
+        """Mean square in each block, shape (blocks, outputs); healthy (1) where nothing was
+        measured.
+        """
         square = np.where(self.known, white * white, 0.0)
         total = np.array([np.bincount(self.block, v, BLOCKS) for v in square.T]).T
         count = np.array([np.bincount(self.block, v, BLOCKS) for v in self.known.T]).T
         return np.where(count > 0, total / np.maximum(count, 1), 1.0)
 
     def steps(self, white: FloatArray) -> FloatArray:
-        """Half the mean square of steps from sample to sample in the usual block, shape (outputs,)."""
-        steps = np.concatenate([np.zeros((1, white.shape[1])), np.diff(white, axis=0) / np.sqrt(2.0)])
+        """Half the mean square of steps from sample to sample in the usual block, shape
+        (outputs,).
+        """
+        steps = np.concatenate(
+            [np.zeros((1, white.shape[1])), np.diff(white, axis=0) / np.sqrt(2.0)]
+        )
         return np.asarray(np.median(self.blocks(steps), axis=0))
 
     def louder(self, white: FloatArray) -> FloatArray:
-        """By how much white noise has grown beyond the most that is usual, told by steps, shape (outputs,)."""
+        """By how much white noise has grown beyond the most that is usual, told by steps, shape
+        (outputs,).
+        """
         return np.sqrt(np.maximum(self.steps(white) / self.whitening.most_steps, 1.0))
 
     def logs(self, fit: Fit) -> FloatArray:
@@ -288,20 +345,34 @@ class WindowFitter:
 
     def price(self, fit: Fit) -> float:
         """[nat] What its other values and its sizes cost."""
-        return fit.paid + 0.5 * (len(fit.own) + (fit.onset > 0)) * float(np.log(max(self.samples.sum(), 4.0)))
+        return fit.paid + 0.5 * (len(fit.own) + (fit.onset > 0)) * float(
+            np.log(max(self.samples.sum(), 4.0))
+        )
 
     def nats(self, fit: Fit) -> float:
         """[nat] What it costs."""
         return float(self.logs(fit).sum()) + self.price(fit)
 
-    def fit(self, variant: Variant, steps: int = FIT_STEPS, begin: Fit | None = None, beside: Fit | None = None) -> Fit | None:
-        """From a fit of the same variant, or from the variant's values and the first states of a fit beside it.
+    def fit(
+        self,
+        variant: Variant,
+        steps: int = FIT_STEPS,
+        begin: Fit | None = None,
+        beside: Fit | None = None,
+    ) -> Fit | None:
+        """From a fit of the same variant, or from the variant's values and the first states of a
+        fit beside it.
 
-        A look keeps the steps of that fit too, where it adds no state that may be faster. None where it cannot be simulated.
+        A look keeps the steps of that fit too, where it adds no state that may be faster. None
+        where it cannot be simulated.
         """
         try:
             problem = _Problem(self, variant, begin, None if beside is None else beside.initial)
-            if beside is not None and steps <= LOOK_STEPS and len(problem.x0) == len(beside.initial):
+            if (
+                beside is not None
+                and steps <= LOOK_STEPS
+                and len(problem.x0) == len(beside.initial)
+            ):
                 problem.substeps = beside.substeps
             return problem.solved(steps)
         except (BadInput, np.linalg.LinAlgError):
@@ -311,13 +382,17 @@ class WindowFitter:
         """States along a fit of the healthy model, shape (n, states)."""
         simulator = Simulator(self.model)
         p = simulator.p(dict(zip(self.free, fit.others.tolist(), strict=True)))
-        return np.asarray(simulator.run_each([self.window], [fit.initial], p, substeps=fit.substeps).X)
+        return np.asarray(
+            simulator.run_each([self.window], [fit.initial], p, substeps=fit.substeps).X
+        )
 
 
 class _Problem:
     """Unknowns z: other values, own parameters, first states, sizes of what is done to signals."""
 
-    def __init__(self, fitter: WindowFitter, variant: Variant, begin: Fit | None, first: FloatArray | None) -> None:
+    def __init__(
+        self, fitter: WindowFitter, variant: Variant, begin: Fit | None, first: FloatArray | None
+    ) -> None:
         self.fitter, self.variant = fitter, variant
         self.simulator, known = Simulator(variant.model), variant.model.all_parameters
         keep = [j for j, name in enumerate(fitter.free) if name not in variant.own]
@@ -331,13 +406,20 @@ class _Problem:
         self.slopes = [*names, *(f"initial:{name}" for name in states)]
         free = [-np.inf] * self.nx
         self.lower = np.array([*(known[n].lower for n in names), *free, *variant.lower])
-        self.upper = np.array([*(known[n].upper for n in names), *(-x for x in free), *[np.inf] * len(variant.sizes)])
+        self.upper = np.array(
+            [*(known[n].upper for n in names), *(-x for x in free), *[np.inf] * len(variant.sizes)]
+        )
         self.x0 = begin.initial if begin else self._first_states(first)
         m = len(variant.own)
         if begin:
             z = [begin.others, begin.own[:m], self.x0[self.at], begin.own[m:]]
         else:
-            z = [self.mean, np.array([known[n].value for n in variant.own]), self.x0[self.at], np.array(variant.sizes)]
+            z = [
+                self.mean,
+                np.array([known[n].value for n in variant.own]),
+                self.x0[self.at],
+                np.array(variant.sizes),
+            ]
         self.z = np.clip(np.concatenate(z), self.lower, self.upper)
         self.substeps: list[int] = []
 
@@ -347,12 +429,18 @@ class _Problem:
         if at_z is None:
             return None
         z = self.z
-        for _ in range(1 if steps <= LOOK_STEPS else 2):  # twice: errors beyond the healthy size say less
+        for _ in range(
+            1 if steps <= LOOK_STEPS else 2
+        ):  # twice: errors beyond the healthy size say less
             z, at_z = self._descended(z, at_z, self._weights(at_z[0]), steps)
         return self._told(z, at_z)
 
     def _descended(
-        self, z: FloatArray, at_z: tuple[FloatArray, FloatArray, FloatArray], weights: FloatArray, steps: int
+        self,
+        z: FloatArray,
+        at_z: tuple[FloatArray, FloatArray, FloatArray],
+        weights: FloatArray,
+        steps: int,
     ) -> tuple[FloatArray, tuple[FloatArray, FloatArray, FloatArray]]:
         damping, now = 1e-3, self._cost(z, at_z[0], weights)
         for _ in range(steps):
@@ -361,7 +449,11 @@ class _Problem:
             H[: self.k, : self.k] += self.prior.T @ self.prior
             g[: self.k] -= self.prior.T @ self._paid(z)
             for _ in range(6):
-                trial = np.clip(z + _bounded_step(H, g, z, self.lower, self.upper, damping), self.lower, self.upper)
+                trial = np.clip(
+                    z + _bounded_step(H, g, z, self.lower, self.upper, damping),
+                    self.lower,
+                    self.upper,
+                )
                 at_trial = self._errors(trial)
                 if at_trial is not None and self._cost(trial, at_trial[0], weights) < now:
                     break
@@ -383,7 +475,9 @@ class _Problem:
         x0[self.at] = z[q : q + nx]
         power = fitter.blocks(at_z[0])
         if variant.louder is not None:
-            power = power / np.clip(fitter.louder(at_z[0]), 1.0, np.maximum(variant.louder(z[q + nx :]), 1.0))
+            power = power / np.clip(
+                fitter.louder(at_z[0]), 1.0, np.maximum(variant.louder(z[q + nx :]), 1.0)
+            )
         information = (J.T @ J)[np.ix_(order, order)]
         if not (np.all(np.isfinite(power)) and np.all(np.isfinite(information))):
             return None
@@ -391,7 +485,19 @@ class _Problem:
         worth = 0.5 * (freedom + k) * float(np.log1p(paid @ paid / freedom))
         error = np.where(fitter.known, at_z[2], np.nan)
         own = np.concatenate([z[k:q], z[q + nx :]])
-        return Fit(variant, z[:k], own, power, worth, at_z[0], error, information, x0, self.substeps, variant.onset)
+        return Fit(
+            variant,
+            z[:k],
+            own,
+            power,
+            worth,
+            at_z[0],
+            error,
+            information,
+            x0,
+            self.substeps,
+            variant.onset,
+        )
 
     def _paid(self, z: FloatArray) -> FloatArray:
         return np.asarray(self.prior @ (z[: self.k] - self.mean))
@@ -404,7 +510,9 @@ class _Problem:
         rms = np.sqrt((white**2).sum(axis=0) / np.maximum(self.fitter.count, 1))
         return np.asarray(1.0 / np.sqrt(self.fitter.whitening.inflation) / np.maximum(rms, 1.0))
 
-    def _simulated(self, z: FloatArray, slopes: Sequence[str]) -> tuple[FloatArray, FloatArray | None] | None:
+    def _simulated(
+        self, z: FloatArray, slopes: Sequence[str]
+    ) -> tuple[FloatArray, FloatArray | None] | None:
         q, nx, e = self.q, self.nx, self.fitter.window
         p, x = self.simulator.p(), self.x0.copy()
         p[self.columns], x[self.at] = z[:q], z[q : q + nx]
@@ -417,7 +525,9 @@ class _Problem:
         return (run.Y, run.dY) if run.bounded else None
 
     def _errors(self, z: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-        """Whitened errors, their falling slopes (n, outputs, unknowns), and errors as they are; None where it diverges."""
+        """Whitened errors, their falling slopes (n, outputs, unknowns), and errors as they are;
+        None where it diverges.
+        """
         e, known, white = self.fitter.window, self.fitter.known, self.fitter.whitening.white
         first, variant = self.q + self.nx, self.variant
         run = self._simulated(z, self.slopes)
@@ -425,7 +535,10 @@ class _Problem:
             return None
         Y, dY = run[0], run[1]
         if variant.reading is not None:
-            dY = variant.reading(dY, z[first:]) - variant.reading(np.zeros_like(Y), z[first:])[:, :, None]
+            dY = (
+                variant.reading(dY, z[first:])
+                - variant.reading(np.zeros_like(Y), z[first:])[:, :, None]
+            )
             Y = variant.reading(Y, z[first:])
         for j in range(first, len(z)):  # sizes of what is done to signals: by differences
             moved = z.copy()
@@ -452,14 +565,21 @@ class _Problem:
 
 
 def _root_of_inverse(covariance: FloatArray) -> FloatArray:
-    """R with RᵀR = covariance⁻¹, also where values of very unlike sizes are nearly tied to each other."""
+    """R with RᵀR = covariance⁻¹, also where values of very unlike sizes are nearly tied to each
+    other.
+    """
     size = np.sqrt(np.diag(covariance))
     values, vectors = np.linalg.eigh(covariance / np.outer(size, size))
     return np.asarray((vectors / np.sqrt(np.maximum(values, 1e-9))).T / size)
 
 
 def _bounded_step(
-    H: FloatArray, g: FloatArray, z: FloatArray, lower: FloatArray, upper: FloatArray, damping: float
+    H: FloatArray,
+    g: FloatArray,
+    z: FloatArray,
+    lower: FloatArray,
+    upper: FloatArray,
+    damping: float,
 ) -> FloatArray:
     """The damped step, unknowns at a bound that it would leave held."""
     scale, held = np.sqrt(np.maximum(np.diag(H), 1e-300)), np.zeros(len(z), dtype=bool)
@@ -479,7 +599,9 @@ def information(fit: Fit, keep: int) -> FloatArray:
 
 
 def information_on_size(fit: Fit, covariance: FloatArray) -> float:
-    """Of the only size, beside other values of this prior covariance (others, others); of one that they make up for wholly, 0."""
+    """Of the only size, beside other values of this prior covariance (others, others); of one that
+    they make up for wholly, 0.
+    """
     k = len(fit.others)
     H = fit.information.copy()
     H[:k, :k] += np.linalg.inv(covariance)
@@ -501,5 +623,7 @@ def log_power(fit: Fit) -> FloatArray:
     """Logarithm of the RMS of errors as they are and whitened, shape (2 · outputs,)."""
     known = np.isfinite(fit.error)
     count = np.maximum(known.sum(axis=0), 1)
-    rms = [np.sqrt((np.where(known, x, 0.0) ** 2).sum(axis=0) / count) for x in (fit.error, fit.white)]
+    rms = [
+        np.sqrt((np.where(known, x, 0.0) ** 2).sum(axis=0) / count) for x in (fit.error, fit.white)
+    ]
     return np.asarray(np.log(np.concatenate(rms) + 1e-300))

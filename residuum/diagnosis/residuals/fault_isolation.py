@@ -1,4 +1,6 @@
-"""From features to a class: the source's linear support vector machine, a better classifier, and `unknown`."""
+"""From features to a class: the source's linear support vector machine, a better classifier, and
+`unknown`.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,9 @@ from residuum.diagnosis.residuals.generators.residual_generator import ResidualG
 
 @dataclass(frozen=True, eq=False)
 class FaultContext:
-    """What a signature is computed from: the generator and the record's input as deviation from the operating point."""
+    """What a signature is computed from: the generator and the record's input as deviation from the
+    operating point.
+    """
 
     generator: ResidualGenerator
     u: FloatArray
@@ -48,8 +52,9 @@ class FaultContext:
 class FaultKind:
     """One kind of fault.
 
-    `signature(context, onset)` is the change of the primary residual for size 1, shape (n,). `per` says what the size is
-    counted in: `output`, `input`, `output/s` or `` (a fraction). `shape` is that of the size over time: a step or a ramp.
+    `signature(context, onset)` is the change of the primary residual for size 1, shape (n,). `per`
+    says what the size is counted in: `output`, `input`, `output/s` or `` (a fraction). `shape` is
+    that of the size over time: a step or a ramp.
     """
 
     meaning: str
@@ -68,7 +73,9 @@ def _sensor_drift(context: FaultContext, onset: int) -> FloatArray:
 
 
 def _sensor_gain(context: FaultContext, onset: int) -> FloatArray:
-    """The healthy output is N u here (M = 1); an unstable plant's own output is not known, so its nominal one is taken."""
+    """The healthy output is N u here (M = 1); an unstable plant's own output is not known, so its
+    nominal one is taken.
+    """
     healthy = -context.path(np.zeros_like(context.u), context.u) + context.generator.output_mean
     return context.path(healthy * context.after(onset), np.zeros_like(context.u))
 
@@ -82,13 +89,18 @@ def _actuator_offset(context: FaultContext, onset: int) -> FloatArray:
     return -context.path(np.zeros_like(context.u), context.after(onset))
 
 
-# The commoner kind first: where the data cannot tell two apart, the first is named and the other mentioned.
+# The commoner kind first: where the data cannot tell two apart, the first is named and the other
+# mentioned.
 FAULT_KINDS: dict[str, FaultKind] = {
     "sensor-offset": FaultKind("y reads this much too high", "output", _sensor_offset),
     "actuator-gain": FaultKind("this fraction of the input's effect is lost", "", _actuator_gain),
-    "sensor-drift": FaultKind("y runs away at this rate from the onset on", "output/s", _sensor_drift, "ramp"),
+    "sensor-drift": FaultKind(
+        "y runs away at this rate from the onset on", "output/s", _sensor_drift, "ramp"
+    ),
     "sensor-gain": FaultKind("y is multiplied by 1 + this", "", _sensor_gain),
-    "actuator-offset": FaultKind("the plant gets this much more input than is recorded", "input", _actuator_offset),
+    "actuator-offset": FaultKind(
+        "the plant gets this much more input than is recorded", "input", _actuator_offset
+    ),
 }
 
 
@@ -117,8 +129,8 @@ class FaultEstimate:
     log_likelihood_ratio : float
         log p(residual | this fault) − log p(residual | healthy).
     indistinguishable_from : tuple of str
-        Kinds that explain the residual as well, within 3 units of log likelihood; of these, `kind` is the one that
-        stands first in `FAULT_KINDS`, the commoner one.
+        Kinds that explain the residual as well, within 3 units of log likelihood; of these, `kind`
+        is the one that stands first in `FAULT_KINDS`, the commoner one.
     adequate : bool
         Whether what the fault leaves over is as small as a healthy residual (χ² at 10⁻⁴).
     """
@@ -134,7 +146,9 @@ class FaultEstimate:
 
     @property
     def shape(self) -> str:
-        """How the size goes over time: `step`, `ramp`, or what the kind's own name says (`stuck-sensor`, `plant-change`)."""
+        """How the size goes over time: `step`, `ramp`, or what the kind's own name says
+        (`stuck-sensor`, `plant-change`).
+        """
         return FAULT_KINDS[self.kind].shape if self.kind in FAULT_KINDS else self.kind
 
     def moved(self, samples: int) -> FaultEstimate:
@@ -150,16 +164,18 @@ class FaultEstimate:
 class FaultEstimator:
     """Fits every fault kind to the residual of one stretch of data without gap.
 
-    The whitened residual is Φ δ + f s(t; onset) + ε, with the model error δ ~ N(0, Σ_g) and Φ the whitened input at the
-    model's lags, and a constant of variance 1/n beside them for the operating point taken from n healthy samples, so its
-    covariance is C = I + Φ Σ_g Φᵀ (Σ_g with that variance as its last entry). For each kind and onset the size is the
-    generalised least-squares f̂ = sᵀ C⁻¹ r/sᵀ C⁻¹ s, the log likelihood ratio ½ (sᵀ C⁻¹ r)²/sᵀ C⁻¹ s (Basseville and
-    Nikiforov, Detection of Abrupt Changes, 1993, ch. 7), and the onset is the one of the largest ratio. A stuck sensor is
-    one whose reading does not move at all. When no kind leaves a residual as small as a healthy one, the plant itself has
-    changed.
+    The whitened residual is Φ δ + f s(t; onset) + ε, with the model error δ ~ N(0, Σ_g) and Φ the
+    whitened input at the model's lags, and a constant of variance 1/n beside them for the operating
+    point taken from n healthy samples, so its covariance is C = I + Φ Σ_g Φᵀ (Σ_g with that
+    variance as its last entry). For each kind and onset the size is the generalised least-squares
+    f̂ = sᵀ C⁻¹ r/sᵀ C⁻¹ s, the log likelihood ratio ½ (sᵀ C⁻¹ r)²/sᵀ C⁻¹ s (Basseville and
+    Nikiforov, Detection of Abrupt Changes, 1993, ch. 7), and the onset is the one of the largest
+    ratio. A stuck sensor is one whose reading does not move at all. When no kind leaves a residual
+    as small as a healthy one, the plant itself has changed.
 
-    It fails for two faults at once, and cannot tell apart kinds that the input of this stretch makes look the same; these
-    it names. The size is estimated on samples after the onset's own uncertainty, which would bias it.
+    It fails for two faults at once, and cannot tell apart kinds that the input of this stretch
+    makes look the same; these it names. The size is estimated on samples after the onset's own
+    uncertainty, which would bias it.
 
     Parameters
     ----------
@@ -171,7 +187,11 @@ class FaultEstimator:
     """
 
     def __init__(
-        self, generator: ResidualGenerator, covariance: FloatArray, delay: int, units: tuple[str, str] = ("", "")
+        self,
+        generator: ResidualGenerator,
+        covariance: FloatArray,
+        delay: int,
+        units: tuple[str, str] = ("", ""),
     ) -> None:
         self.generator = generator
         self.covariance = covariance
@@ -186,8 +206,8 @@ class FaultEstimator:
     def estimate(self, u: npt.ArrayLike, y: npt.ArrayLike, alarm: int) -> FaultEstimate | None:
         """The fault that best explains u, y (shape (n,), no gap), begun before sample `alarm`.
 
-        An onset of 0 or less means that the fault was there before the stretch began. None when the stretch is shorter
-        than the generator's memory.
+        An onset of 0 or less means that the fault was there before the stretch began. None when the
+        stretch is shorter than the generator's memory.
         """
         u, y = np.asarray(u, dtype=float), np.asarray(y, dtype=float)
         first = self.generator.warm_up
@@ -198,15 +218,30 @@ class FaultEstimator:
             return stuck
         fits = [fit.best(kind, alarm) for kind in FAULT_KINDS]
         largest = max(item.log_likelihood_ratio for item in fits)
-        best, *rivals = [item for item in fits if item.log_likelihood_ratio >= largest - _INDISTINCT]
+        best, *rivals = [
+            item for item in fits if item.log_likelihood_ratio >= largest - _INDISTINCT
+        ]
         alike = tuple(item.kind for item in rivals)
         adequate, left = fit.leaves_healthy(best)
         if not adequate and left > 0.5:
-            return FaultEstimate(PLANT_CHANGE, left, 0.0, "", best.onset, best.log_likelihood_ratio, (), False)
-        return FaultEstimate(best.kind, best.value, best.std, best.unit, best.onset, best.log_likelihood_ratio, alike, adequate)
+            return FaultEstimate(
+                PLANT_CHANGE, left, 0.0, "", best.onset, best.log_likelihood_ratio, (), False
+            )
+        return FaultEstimate(
+            best.kind,
+            best.value,
+            best.std,
+            best.unit,
+            best.onset,
+            best.log_likelihood_ratio,
+            alike,
+            adequate,
+        )
 
     def _stuck(self, fit: _Fit, y: FloatArray, alarm: int) -> FaultEstimate | None:
-        """A reading that repeats itself exactly up to the alarm, and longer than chance and quantisation allow."""
+        """A reading that repeats itself exactly up to the alarm, and longer than chance and
+        quantisation allow.
+        """
         still = np.flatnonzero(np.diff(y[: alarm + 1]) != 0.0)
         onset = int(still[-1]) + 1 if len(still) else 0
         end = alarm + 1
@@ -220,7 +255,9 @@ class FaultEstimator:
 
 
 class _Fit:
-    """The whitened residual of one stretch, and the generalised least-squares fit of one kind at one onset."""
+    """The whitened residual of one stretch, and the generalised least-squares fit of one kind at
+    one onset.
+    """
 
     def __init__(self, estimator: FaultEstimator, u: FloatArray, y: FloatArray) -> None:
         generator = estimator.generator
@@ -242,21 +279,31 @@ class _Fit:
         return np.convolve(x, self.ar)[: len(x)]
 
     def _shrinkage(self) -> FloatArray:
-        """K of (I + Φ Σ_g Φᵀ)⁻¹ = I − Φ K Φᵀ: K = B (I + Bᵀ Φᵀ Φ B)⁻¹ Bᵀ with Σ_g = B Bᵀ (Woodbury)."""
-        phi = np.lib.stride_tricks.sliding_window_view(self._padded, len(self.estimator.covariance))[self.first :, ::-1]
-        B = linalg.block_diag(self.estimator.root, np.sqrt(1.0 / self.estimator.generator.noise.samples))
+        """K of (I + Φ Σ_g Φᵀ)⁻¹ = I − Φ K Φᵀ: K = B (I + Bᵀ Φᵀ Φ B)⁻¹ Bᵀ with Σ_g = B Bᵀ
+        (Woodbury).
+        """
+        phi = np.lib.stride_tricks.sliding_window_view(
+            self._padded, len(self.estimator.covariance)
+        )[self.first :, ::-1]
+        B = linalg.block_diag(
+            self.estimator.root, np.sqrt(1.0 / self.estimator.generator.noise.samples)
+        )
         scaled = np.column_stack([phi @ self.estimator.root, np.full(len(phi), B[-1, -1])])
         return np.asarray(B @ np.linalg.solve(np.eye(B.shape[1]) + scaled.T @ scaled, B.T))
 
     def _on_lags(self, s: FloatArray) -> FloatArray:
-        """Φᵀ s: the part of a signal that an error of the impulse response, or of the operating point, could explain."""
+        """Φᵀ s: the part of a signal that an error of the impulse response, or of the operating
+        point, could explain.
+        """
         start = int(np.argmax(s != 0.0))
         m = len(self.estimator.covariance)
         lags = np.correlate(self._padded[start : len(s) + m - 1], s[start:], "valid")[::-1]
         return np.append(lags, np.sum(s))
 
     def fit(self, columns: list[FloatArray]) -> tuple[FloatArray, FloatArray, float]:
-        """Sizes, their covariance and the log likelihood ratio of signatures X: f̂ = (Xᵀ C⁻¹ X)⁻¹ Xᵀ C⁻¹ ε."""
+        """Sizes, their covariance and the log likelihood ratio of signatures X: f̂ = (Xᵀ C⁻¹ X)⁻¹
+        Xᵀ C⁻¹ ε.
+        """
         X = np.column_stack(columns)
         W = np.column_stack([self._on_lags(column) for column in columns])
         information = X.T @ X - W.T @ self._shrink @ W
@@ -274,9 +321,15 @@ class _Fit:
         return s
 
     def columns(self, kind: str, onset: int) -> list[FloatArray]:
-        """The signature; with a constant when it is a drift that had run on for an unknown time before the stretch."""
+        """The signature; with a constant when it is a drift that had run on for an unknown time
+        before the stretch.
+        """
         first = [self.signature(kind, onset)]
-        return [*first, self.signature("sensor-offset", 0)] if kind == "sensor-drift" and onset < self.first else first
+        return (
+            [*first, self.signature("sensor-offset", 0)]
+            if kind == "sensor-drift" and onset < self.first
+            else first
+        )
 
     def ratio(self, kind: str, onset: int) -> float:
         """Log likelihood ratio, less the price of a second parameter."""
@@ -284,19 +337,26 @@ class _Fit:
         return self.fit(columns)[2] - 0.5 * (len(columns) - 1) * float(np.log(len(self.white)))
 
     def best(self, kind: str, alarm: int) -> FaultEstimate:
-        """Onset of the largest ratio (coarse grid, then finer between its neighbours), and the size there."""
+        """Onset of the largest ratio (coarse grid, then finer between its neighbours), and the size
+        there.
+        """
         candidates = self._onsets(alarm)
         onset, ratio = int(candidates[0]), -1.0
         for _ in range(12):
             values = [self.ratio(kind, int(candidate)) for candidate in candidates]
             k = int(np.argmax(values))
             onset, ratio = int(candidates[k]), values[k]
-            low, high = int(candidates[max(k - 1, 0)]), int(candidates[min(k + 1, len(candidates) - 1)])
+            low, high = (
+                int(candidates[max(k - 1, 0)]),
+                int(candidates[min(k + 1, len(candidates) - 1)]),
+            )
             if high - low <= 2 or onset == 0:
                 break
             candidates = np.unique(np.linspace(max(low, self.first), high, 9).round().astype(int))
         value, std = self._size(kind, onset)
-        return FaultEstimate(kind, value, std, self.estimator.units[FAULT_KINDS[kind].per], onset, ratio)
+        return FaultEstimate(
+            kind, value, std, self.estimator.units[FAULT_KINDS[kind].per], onset, ratio
+        )
 
     def _onsets(self, alarm: int) -> npt.NDArray[np.int64]:
         """Coarse grid; 0 stands for a fault that was there before the stretch."""
@@ -306,12 +366,15 @@ class _Fit:
         return grid[(grid == 0) | (grid >= self.first)]
 
     def _size(self, kind: str, onset: int) -> tuple[float, float]:
-        """Size from a little after the onset on: the samples that placed the onset would flatter it."""
+        """Size from a little after the onset on: the samples that placed the onset would flatter
+        it.
+        """
         columns = self.columns(kind, onset)
         rough = float(self.fit(columns)[0][0])
         strength = np.cumsum((rough * columns[0]) ** 2)
         if kind == "sensor-drift" and onset >= self.first:
-            # The slope is as uncertain as the onset makes it: only what no constant since the onset explains counts.
+            # The slope is as uncertain as the onset makes it: only what no constant since the onset
+            # explains counts.
             columns.append(self.signature("sensor-offset", onset))
         if onset >= self.first and strength[-1] > 2 * _GUARD:
             guard = int(np.argmax(strength > _GUARD))
@@ -326,10 +389,14 @@ class _Fit:
         return float(sizes[0]), float(np.sqrt(covariance[0, 0]))
 
     def leaves_healthy(self, estimate: FaultEstimate) -> tuple[bool, float]:
-        """Whether what the fault leaves over is as small as a healthy residual, and its share when it is not."""
+        """Whether what the fault leaves over is as small as a healthy residual, and its share when
+        it is not.
+        """
         n = len(self.white) - self.first
         left = self.energy - 2.0 * self.fit(self.columns(estimate.kind, estimate.onset))[2]
-        return left <= _SCALE_SLACK * float(stats.chi2.isf(1e-4, n)), (left - n) / max(self.energy - n, 1e-12)
+        return left <= _SCALE_SLACK * float(stats.chi2.isf(1e-4, n)), (left - n) / max(
+            self.energy - n, 1e-12
+        )
 
 
 def _longest_repeat(y: FloatArray) -> int:
@@ -343,29 +410,34 @@ HEALTHY, PINION_OR_GEAR, RACK, UNKNOWN = "healthy", "pinion-or-gear", "rack", "u
 
 
 def source_classifier() -> Pipeline:
-    """The reference: F₁ and F₂ scaled, then a linear support vector machine (Valceschini, section 7.5.2, decision logic)."""
+    """The reference: F₁ and F₂ scaled, then a linear support vector machine (Valceschini, section
+    7.5.2, decision logic).
+    """
     return make_pipeline(StandardScaler(), SVC(kernel="linear"))
 
 
 def isolation_classifier(C: float = 10.0) -> Pipeline:
-    """Multinomial logistic regression on scaled log-features: linear, so it extrapolates to faults larger than trained.
+    """Multinomial logistic regression on scaled log-features: linear, so it extrapolates to faults
+    larger than trained.
 
-    Its probabilities come true on exemplars that were not trained as long as the faults are of the sizes that were trained: the
-    expected calibration error is about 0.02 then, and neither temperature nor sigmoid scaling lowers it. A classifier that was
-    shown gross faults alone calls small ones healthy, and is wrong to (benchmarks/results/gate_actuator.md).
+    Its probabilities come true on exemplars that were not trained as long as the faults are of the
+    sizes that were trained: the expected calibration error is about 0.02 then, and neither
+    temperature nor sigmoid scaling lowers it. A classifier that was shown gross faults alone calls
+    small ones healthy, and is wrong to (benchmarks/results/gate_actuator.md).
     """
     return make_pipeline(StandardScaler(), LogisticRegression(C=C, max_iter=2000))
 
 
 class RayDistances(TransformerMixin, BaseEstimator):
-    r"""Distance of a point to each class, where a class is a ray from the origin class through the class's mean.
+    r"""Distance of a point to each class, where a class is a ray from the origin class through the
+    class's mean.
 
     .. math:: d_c(x) = \min_{t \ge 0} \lVert x - \mu_0 - t(\mu_c - \mu_0) \rVert_{\Sigma^{-1}}
 
-    μ₀ is the mean of the origin class, Σ the pooled covariance within classes, shrunk after Ledoit and Wolf
-    (2004); the origin's own distance has t = 0. A larger fault of a known kind goes further along its ray and stays near
-    it; what is far from every ray fits no known kind. Fails when a class's features do not move along a line with the
-    size of the fault.
+    μ₀ is the mean of the origin class, Σ the pooled covariance within classes, shrunk after Ledoit
+    and Wolf (2004); the origin's own distance has t = 0. A larger fault of a known kind goes
+    further along its ray and stays near it; what is far from every ray fits no known kind. Fails
+    when a class's features do not move along a line with the size of the fault.
 
     Parameters
     ----------
@@ -384,7 +456,9 @@ class RayDistances(TransformerMixin, BaseEstimator):
         self.origin = origin
 
     @classmethod
-    def of(cls, classes: npt.NDArray[np.str_], means: Matrix, precision: Matrix, origin: object) -> RayDistances:
+    def of(
+        cls, classes: npt.NDArray[np.str_], means: Matrix, precision: Matrix, origin: object
+    ) -> RayDistances:
         """A fitted one from what `fit` learned (for files)."""
         rays = cls(origin)
         rays.classes_, rays.means_, rays.precision_ = classes, means, precision
@@ -397,10 +471,17 @@ class RayDistances(TransformerMixin, BaseEstimator):
         check_classification_targets(labels)
         self.classes_, index = np.unique(labels, return_inverse=True)
         if self.origin is not None and self.origin not in self.classes_:
-            raise ValueError(f"RayDistances, origin {self.origin!r}: is none of the classes {list(self.classes_)}")
-        self.means_ = np.array([points[index == k].mean(axis=0) for k in range(self.classes_.shape[0])])
+            raise ValueError(
+                f"RayDistances, origin {self.origin!r}: is none of the classes"
+                f" {list(self.classes_)}"
+            )
+        self.means_ = np.array(
+            [points[index == k].mean(axis=0) for k in range(self.classes_.shape[0])]
+        )
         within = points - self.means_[index]
-        self.precision_ = np.linalg.pinv(LedoitWolf(assume_centered=True).fit(within).covariance_, hermitian=True)
+        self.precision_ = np.linalg.pinv(
+            LedoitWolf(assume_centered=True).fit(within).covariance_, hermitian=True
+        )
         return self
 
     def transform(self, X: npt.ArrayLike) -> Matrix:
@@ -409,7 +490,9 @@ class RayDistances(TransformerMixin, BaseEstimator):
         points = validate_data(self, X, reset=False, dtype=np.float64)
         origin = 0 if self.origin is None else int(np.flatnonzero(self.classes_ == self.origin)[0])
         from_origin = points - self.means_[origin]
-        return np.column_stack([self._to_ray(from_origin, mean - self.means_[origin]) for mean in self.means_])
+        return np.column_stack(
+            [self._to_ray(from_origin, mean - self.means_[origin]) for mean in self.means_]
+        )
 
     def get_feature_names_out(self, input_features: object = None) -> npt.NDArray[np.object_]:
         """One name a class."""
@@ -418,6 +501,10 @@ class RayDistances(TransformerMixin, BaseEstimator):
 
     def _to_ray(self, from_origin: Matrix, ray: Matrix) -> Matrix:
         length = float(ray @ self.precision_ @ ray)
-        t = np.maximum(from_origin @ self.precision_ @ ray / length, 0.0) if length > 0 else np.zeros(from_origin.shape[0])
+        t = (
+            np.maximum(from_origin @ self.precision_ @ ray / length, 0.0)
+            if length > 0
+            else np.zeros(from_origin.shape[0])
+        )
         off = from_origin - t[:, None] * ray
         return np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", off, self.precision_, off), 0.0))

@@ -39,7 +39,9 @@ def _last(ring, now, count):  # type: ignore[no-untyped-def]
 
 @njit(fastmath={"reassoc"})
 def _square_norm(root, w, total, enough):  # type: ignore[no-untyped-def]
-    """total + ‖Bᵀ w‖², or a part of it that is `enough`: the largest directions come first, so that it soon is."""
+    """total + ‖Bᵀ w‖², or a part of it that is `enough`: the largest directions come first, so that
+    it soon is.
+    """
     for j in range(root.shape[0]):
         row, part = root[j], 0.0
         for k in range(len(w)):
@@ -52,10 +54,11 @@ def _square_norm(root, w, total, enough):  # type: ignore[no-untyped-def]
 
 @njit()
 def model_error(template, white_input, now, count, delay, root, level, enough, shape):  # type: ignore[no-untyped-def]
-    """v (Σ p)² + ‖Bᵀ w‖², Σ_g = B Bᵀ, over the `count` samples that end at ring position `now`, or a part of it that is `enough`.
+    """v (Σ p)² + ‖Bᵀ w‖², Σ_g = B Bᵀ, over the `count` samples that end at ring position `now`, or
+    a part of it that is `enough`.
 
-    `shape` says whether the fault is a step, a ramp or the template; for a step w follows from lag to lag by one sample that
-    enters and one that leaves.
+    `shape` says whether the fault is a step, a ramp or the template; for a step w follows from lag
+    to lag by one sample that enters and one that leaves.
     """
     m = root.shape[1]
     past = _last(white_input, now - delay, count + m)
@@ -97,9 +100,17 @@ def mean_square(white_input, now, count, delay, root):  # type: ignore[no-untype
 OFFSET, GAIN, POWER, RAMPED = 1, 2, 3, 4
 """What alarmed; 0 is nothing."""
 SHORTEST_GAIN = 4  # over one sample the gain statistic is the offset statistic
-SHORTEST_POWER = 8  # below it the cube-root normal of a χ² is too coarse in the far tail, and a ramp is as good as an offset
-HEAD_START = 2.2  # A, nats: the Shiryaev–Roberts statistic then gives nine tenths of the false alarms
-SHORT, SHORT_START = 2, 1.2  # samples, nats: so that one or two samples find a large offset as soon as a test of single samples
+# below it the cube-root normal of a χ² is too coarse in the far tail, and a ramp is as good as an
+# offset
+SHORTEST_POWER = 8
+HEAD_START = (
+    2.2  # A, nats: the Shiryaev–Roberts statistic then gives nine tenths of the false alarms
+)
+SHORT, SHORT_START = (
+    2,
+    1.2,
+    # samples, nats: so that one or two samples find a large offset as soon as a test of single samples
+)
 _EPOCH = 65536  # samples after which time is counted anew
 _LARGEST_RATIO = 1e300
 _LARGEST_SCORE = 600.0  # either way; its exponential, and the inverse of that, still are numbers
@@ -107,7 +118,9 @@ _LAZY = 3.0  # a Shiryaev–Roberts statistic below it need not know the model e
 
 
 class ScanLimits(NamedTuple):
-    """What the statistics of windows of these lengths are held against, shape (windows,) each; `square` is b²."""
+    """What the statistics of windows of these lengths are held against, shape (windows,) each;
+    `square` is b².
+    """
 
     windows: npt.NDArray[np.int64]
     square: float
@@ -122,7 +135,9 @@ class ScanLimits(NamedTuple):
 
 
 class ModelError(NamedTuple):
-    """Rows (r, m) of a root of the response's covariance, variance of the operating point, lag of the first coefficient."""
+    """Rows (r, m) of a root of the response's covariance, variance of the operating point, lag of
+    the first coefficient.
+    """
 
     root: FloatArray
     level: float
@@ -132,8 +147,9 @@ class ModelError(NamedTuple):
 class ScanMemory(NamedTuple):
     """What a scan remembers; changed in place.
 
-    `sums` (5, ring): running Σ s, Σ s p, Σ p², Σ s², Σ τ s; `past` (2, size): p and the whitened input; `steps` (2, 2): up and
-    down, R of Shiryaev and Roberts and the samples since it was below 1; `counts`: samples in the windows, samples in the memory.
+    `sums` (5, ring): running Σ s, Σ s p, Σ p², Σ s², Σ τ s; `past` (2, size): p and the whitened
+    input; `steps` (2, 2): up and down, R of Shiryaev and Roberts and the samples since it was below
+    1; `counts`: samples in the windows, samples in the memory.
     """
 
     sums: FloatArray
@@ -147,12 +163,23 @@ def scan_limits(windows: npt.NDArray[np.int64], b: float, quantile: float) -> Sc
     length = windows.astype(float)
     spread = 2.0 / (9.0 * length)
     power = length * (1.0 - spread + b * np.sqrt(spread)) ** 3
-    return ScanLimits(windows, b * b, spread, power, length * (length + 1.0) * (2.0 * length + 1.0) / 6.0, quantile)
+    return ScanLimits(
+        windows,
+        b * b,
+        spread,
+        power,
+        length * (length + 1.0) * (2.0 * length + 1.0) / 6.0,
+        quantile,
+    )
 
 
 @njit()
-def scan(scores, template, white_input, valid, limits, model, memory, restart, statistic, kind, window):  # type: ignore[no-untyped-def]
-    """Scan the next samples; `statistic`, `kind` and `window` of each are written, the memory goes on."""
+def scan(  # type: ignore[no-untyped-def]
+    scores, template, white_input, valid, limits, model, memory, restart, statistic, kind, window
+):
+    """Scan the next samples; `statistic`, `kind` and `window` of each are written, the memory goes
+    on.
+    """
     for t in range(len(scores)):
         now = _remember(memory, template[t], white_input[t])
         if not valid[t]:
@@ -222,16 +249,52 @@ def _over_windows(limits, model, memory, now, head, local):  # type: ignore[no-u
             start += ring
         offset = sums[0, head] - sums[0, start]
         begins = 2.0 * SHORT_START if length <= SHORT else 0.0
-        largest = _matched(largest, offset, float(length), begins, OFFSET, STEP, length, limits.square, model, memory, now)
+        largest = _matched(
+            largest,
+            offset,
+            float(length),
+            begins,
+            OFFSET,
+            STEP,
+            length,
+            limits.square,
+            model,
+            memory,
+            now,
+        )
         if length < SHORTEST_GAIN:
             continue
         product, energy = sums[1, head] - sums[1, start], sums[2, head] - sums[2, start]
         if energy > 0.0:
-            largest = _matched(largest, product, energy, 0.0, GAIN, TEMPLATE, length, limits.square, model, memory, now)
+            largest = _matched(
+                largest,
+                product,
+                energy,
+                0.0,
+                GAIN,
+                TEMPLATE,
+                length,
+                limits.square,
+                model,
+                memory,
+                now,
+            )
         if length < SHORTEST_POWER:
             continue
         ramp = sums[4, head] - sums[4, start] - (local - length) * offset
-        largest = _matched(largest, ramp, limits.ramp_energy[i], 0.0, RAMPED, RAMP, length, limits.square, model, memory, now)
+        largest = _matched(
+            largest,
+            ramp,
+            limits.ramp_energy[i],
+            0.0,
+            RAMPED,
+            RAMP,
+            length,
+            limits.square,
+            model,
+            memory,
+            now,
+        )
         largest = _of_power(largest, sums[3, head] - sums[3, start], i, limits, model, memory, now)
     return largest
 
@@ -240,7 +303,8 @@ def _over_windows(limits, model, memory, now, head, local):  # type: ignore[no-u
 def _matched(largest, product, energy, begins, kind, shape, length, square, model, memory, now):  # type: ignore[no-untyped-def]
     """(Σ s p)² / (Σ p² + model error) of a template, with a start.
 
-    The model error only lowers it, so it is worked out for the rare windows that would alarm without it.
+    The model error only lowers it, so it is worked out for the rare windows that would alarm
+    without it.
     """
     if product * product <= (largest[0] - begins) * energy:
         return largest
@@ -248,7 +312,14 @@ def _matched(largest, product, energy, begins, kind, shape, length, square, mode
     if z2 + begins > square:
         enough = product * product / (square - begins) - energy
         past, (root, level, delay) = memory.past, model
-        z2 = product * product / (energy + model_error(past[0], past[1], now, length, delay, root, level, enough, shape))
+        z2 = (
+            product
+            * product
+            / (
+                energy
+                + model_error(past[0], past[1], now, length, delay, root, level, enough, shape)
+            )
+        )
     return _larger(largest, z2 + begins, square, kind, length)
 
 
@@ -265,23 +336,37 @@ def _of_power(largest, power, i, limits, model, memory, now):  # type: ignore[no
 
 @njit()
 def _power_score(mean_square, spread):  # type: ignore[no-untyped-def]
-    """Standard normal of a mean square χ²_ℓ/ℓ, by its cube root (Wilson and Hilferty); `spread` = 2/(9 ℓ)."""
+    """Standard normal of a mean square χ²_ℓ/ℓ, by its cube root (Wilson and Hilferty); `spread` =
+    2/(9 ℓ).
+    """
     return (mean_square ** (1.0 / 3.0) - 1.0 + spread) / np.sqrt(spread)
 
 
 @njit()
 def _of_steps(largest, square, model, memory, now, s):  # type: ignore[no-untyped-def]
-    """Go on with R of Shiryaev and Roberts for a step up and one down, and the larger of the finding and theirs."""
+    """Go on with R of Shiryaev and Roberts for a step up and one down, and the larger of the
+    finding and theirs.
+    """
     steps = memory.steps
     up = np.exp(min(max(s, -_LARGEST_SCORE), _LARGEST_SCORE) - 0.5)
     for side in range(2):
-        ratio = min((1.0 + steps[side, 0]) * (up if side == 0 else np.exp(-1.0) / up), _LARGEST_RATIO)
+        ratio = min(
+            (1.0 + steps[side, 0]) * (up if side == 0 else np.exp(-1.0) / up), _LARGEST_RATIO
+        )
         length = int(steps[side, 1]) + 1 if ratio > 1.0 else 0
-        if length >= memory.sums.shape[1]:  # as old as the longest window: what has not shown by now is no step of this size
+        if (
+            length >= memory.sums.shape[1]
+        ):  # as old as the longest window: what has not shown by now is no step of this size
             ratio, length = 0.0, 0
         steps[side, 0], steps[side, 1] = ratio, length
         if length > 0:
-            largest = _larger(largest, _step_score(np.log(ratio), length, square, model, memory, now), square, OFFSET, length)
+            largest = _larger(
+                largest,
+                _step_score(np.log(ratio), length, square, model, memory, now),
+                square,
+                OFFSET,
+                length,
+            )
     return largest
 
 
@@ -301,7 +386,9 @@ def _step_score(log_ratio, length, square, model, memory, now):  # type: ignore[
 
 @njit()
 def _move_origin(sums: Any, head: int) -> None:
-    """Count τ of Σ τ s from here on again, and Σ s from its value here: only differences matter, and they keep their digits."""
+    """Count τ of Σ τ s from here on again, and Σ s from its value here: only differences matter,
+    and they keep their digits.
+    """
     for slot in range(sums.shape[1]):
         sums[4, slot] -= _EPOCH * sums[0, slot]
     for row in range(5):
@@ -314,11 +401,14 @@ def _move_origin(sums: Any, head: int) -> None:
 # model error allowed for.
 
 LONGEST_WINDOW = 1024
-_SHARE = 0.83  # of the sum of their own rates, what windows, templates and Shiryaev–Roberts alarm together
+# of the sum of their own rates, what windows, templates and Shiryaev–Roberts alarm together
+_SHARE = 0.83
 
 
 class BankOutput(NamedTuple):
-    """Per sample: the largest standardised statistic, what alarmed (`window_scan`, 0 = nothing) and its window [samples]."""
+    """Per sample: the largest standardised statistic, what alarmed (`window_scan`, 0 = nothing) and
+    its window [samples].
+    """
 
     statistic: FloatArray
     kind: npt.NDArray[np.int64]
@@ -331,7 +421,9 @@ class BankOutput(NamedTuple):
 
 
 def window_lengths(longest: int = LONGEST_WINDOW) -> npt.NDArray[np.int64]:
-    """1, 2, 3, 4, 6, 8, 12, … samples: steps of about √2, so that some window is nearly as long as any fault has lasted."""
+    """1, 2, 3, 4, 6, 8, 12, … samples: steps of about √2, so that some window is nearly as long as
+    any fault has lasted.
+    """
     powers = 2 ** np.arange(int(np.log2(longest)) + 1)
     lengths = np.union1d(powers, 3 * powers // 2)
     return np.asarray(lengths[lengths <= longest], dtype=np.int64)
@@ -341,13 +433,19 @@ def window_lengths(longest: int = LONGEST_WINDOW) -> npt.NDArray[np.int64]:
 def bank_threshold(rate: float, longest: int = LONGEST_WINDOW) -> float:
     """b of a bank that alarms `rate` times per sample of independent standard normal scores.
 
-    Windows, templates and Shiryaev–Roberts often cross together: of the sum of their own rates the whole bank alarms 0.79 at
-    b = 3.9, 0.82 at 4.3, 0.83 at 4.7 and 5.1 (± 0.02, measured over up to 3·10⁷ samples; 5·10⁻³ … 2·10⁻⁵ alarms a sample).
+    Windows, templates and Shiryaev–Roberts often cross together: of the sum of their own rates the
+    whole bank alarms 0.79 at b = 3.9, 0.82 at 4.3, 0.83 at 4.7 and 5.1 (± 0.02, measured over up to
+    3·10⁷ samples; 5·10⁻³ … 2·10⁻⁵ alarms a sample).
     """
     windows = window_lengths(longest).tolist()
     long = [length for length in windows if length >= SHORTEST_POWER]
     short = [length for length in windows if length <= SHORT]
-    scans = [(2, windows[len(short) :]), (2, [length for length in windows if length >= SHORTEST_GAIN]), (1, long), (2, long)]
+    scans = [
+        (2, windows[len(short) :]),
+        (2, [length for length in windows if length >= SHORTEST_GAIN]),
+        (1, long),
+        (2, long),
+    ]
 
     def excess(b: float) -> float:
         scanned = sum(sides * scan_rate(b, lengths) for sides, lengths in scans if lengths)
@@ -359,28 +457,34 @@ def bank_threshold(rate: float, longest: int = LONGEST_WINDOW) -> float:
 
 
 class LikelihoodRatioBank:
-    """Scans normal scores s(t) for a lasting offset, a ramp, a lost gain and a rise of power, over windows of many lengths.
+    """Scans normal scores s(t) for a lasting offset, a ramp, a lost gain and a rise of power, over
+    windows of many lengths.
 
-    For a window of ℓ samples and a template p (1 for an offset, 1 … ℓ for a ramp, the whitened prediction for a gain),
+    For a window of ℓ samples and a template p (1 for an offset, 1 … ℓ for a ramp, the whitened
+    prediction for a gain),
 
         z = Σ s p / √(Σ p² + wᵀ Σ_g w + v (Σ p)²),   w = Σ p(t) φ(t),
 
-    is standard normal while healthy: φ(t) is the whitened input at the model's lags and Σ_g the covariance of the identified
-    impulse response, so the second term is exactly what the model's own uncertainty adds for the input that was applied; the
-    third is what an operating point adds that was itself estimated, v being 1/n for n Gaussian samples.
-    z²/2 is the log likelihood ratio of a fault of unknown size in that window (Willsky and Jones, 1976), the largest over
-    the windows that of a fault of unknown onset. The power scan compares Σ s² with χ²_ℓ by the cube-root normal of Wilson
-    and Hilferty. Beside the windows run the statistics of Shiryaev and Roberts for an offset of ±1,
+    is standard normal while healthy: φ(t) is the whitened input at the model's lags and Σ_g the
+    covariance of the identified impulse response, so the second term is exactly what the model's
+    own uncertainty adds for the input that was applied; the third is what an operating point adds
+    that was itself estimated, v being 1/n for n Gaussian samples. z²/2 is the log likelihood ratio
+    of a fault of unknown size in that window (Willsky and Jones, 1976), the largest over the
+    windows that of a fault of unknown onset. The power scan compares Σ s² with χ²_ℓ by the
+    cube-root normal of Wilson and Hilferty. Beside the windows run the statistics of Shiryaev and
+    Roberts for an offset of ±1,
 
         R(t) = (1 + R(t − 1)) exp(±s(t) − ½),
 
-    the likelihood ratio added up over all onsets: of all tests it finds a step of just this size in the shortest time on
-    average (Pollak and Tartakovsky, Statistica Sinica 19, 2009). It need not guess size and onset, so it may alarm at A = 2.2
-    nats less, and counts as z = √(2 (ln R + A)); ln R, too, is lowered by what the model error may add. Offsets over one or
-    two samples have a start of 1.2 nats. An alarm is z > b; after it windows and R start empty again.
+    the likelihood ratio added up over all onsets: of all tests it finds a step of just this size in
+    the shortest time on average (Pollak and Tartakovsky, Statistica Sinica 19, 2009). It need not
+    guess size and onset, so it may alarm at A = 2.2 nats less, and counts as z = √(2 (ln R + A));
+    ln R, too, is lowered by what the model error may add. Offsets over one or two samples have a
+    start of 1.2 nats. An alarm is z > b; after it windows and R start empty again.
 
-    The rate of alarms of healthy, independent scores is set through `bank_threshold`. It fails (too many alarms) when
-    scores are not independent: a noise colour that changed, or a model with structured error.
+    The rate of alarms of healthy, independent scores is set through `bank_threshold`. It fails (too
+    many alarms) when scores are not independent: a noise colour that changed, or a model with
+    structured error.
 
     Parameters
     ----------
@@ -412,13 +516,19 @@ class LikelihoodRatioBank:
         restart: bool = True,
     ) -> None:
         if longest < 1:
-            raise BadInput(f"likelihood-ratio bank, longest: is {longest}; must be at least one sample")
+            raise BadInput(
+                f"likelihood-ratio bank, longest: is {longest}; must be at least one sample"
+            )
         self.windows = window_lengths(longest)
         self.b = bank_threshold(rate, longest) if threshold is None else float(threshold)
         self.restart = restart
         self.covariance: FloatArray = np.ascontiguousarray(covariance, dtype=float)
-        self._limits = scan_limits(self.windows, self.b, _upper_mean_square(self.covariance, self.b))
-        self._model = ModelError(covariance_root(self.covariance), float(level_variance), int(delay))
+        self._limits = scan_limits(
+            self.windows, self.b, _upper_mean_square(self.covariance, self.b)
+        )
+        self._model = ModelError(
+            covariance_root(self.covariance), float(level_variance), int(delay)
+        )
         self._ring = int(self.windows[-1]) + 1
         self._memory = self._ring + len(self.covariance) + delay
         self.reset()
@@ -427,7 +537,9 @@ class LikelihoodRatioBank:
         """Empty all windows and forget the input."""
         self._sums: FloatArray = np.zeros((5, self._ring))  # running Σ s, Σ s p, Σ p², Σ s², Σ τ s
         self._past: FloatArray = np.zeros((2, self._memory))  # p and the whitened input
-        self._steps: FloatArray = np.zeros((2, 2))  # up, down: R of Shiryaev and Roberts, and the samples since it was below 1
+        self._steps: FloatArray = np.zeros(
+            (2, 2)
+        )  # up, down: R of Shiryaev and Roberts, and the samples since it was below 1
         self._counts = np.zeros(2, dtype=np.int64)  # samples in the windows, samples in the memory
 
     def process(self, signals: ResidualSignals) -> BankOutput:
@@ -448,8 +560,12 @@ class LikelihoodRatioBank:
 
     def resume(self, state: Mapping[str, Any]) -> None:
         """Continue from a saved `state`; BadInput when it is of another bank."""
-        if state.keys() != self.state.keys() or any(np.shape(state[name]) != np.shape(mine) for name, mine in self.state.items()):
-            raise BadInput("likelihood-ratio bank: the saved state is of another design; start anew without it")
+        if state.keys() != self.state.keys() or any(
+            np.shape(state[name]) != np.shape(mine) for name, mine in self.state.items()
+        ):
+            raise BadInput(
+                "likelihood-ratio bank: the saved state is of another design; start anew without it"
+            )
         self._sums = np.array(state["sums"], dtype=float)
         self._past = np.array(state["past"], dtype=float)
         self._steps = np.array(state["steps"], dtype=float)
@@ -458,7 +574,9 @@ class LikelihoodRatioBank:
 
 @one_thread_if_small(LARGEST_FOR_ONE_THREAD)
 def covariance_root(covariance: FloatArray) -> FloatArray:
-    """Rows of Bᵀ with Σ_g = B Bᵀ, largest first, shape (r, m); what makes up less than 10⁻⁶ of the trace is left out."""
+    """Rows of Bᵀ with Σ_g = B Bᵀ, largest first, shape (r, m); what makes up less than 10⁻⁶ of the
+    trace is left out.
+    """
     eigenvalues, vectors = np.linalg.eigh(covariance)
     eigenvalues = np.maximum(eigenvalues[::-1], 0.0)
     left = np.cumsum(eigenvalues[::-1])[::-1]
@@ -468,7 +586,9 @@ def covariance_root(covariance: FloatArray) -> FloatArray:
 
 
 def _upper_mean_square(covariance: FloatArray, b: float) -> float:
-    """How far δᵀ A δ may exceed its mean at the b-sigma level, δ being the model error with this covariance."""
+    """How far δᵀ A δ may exceed its mean at the b-sigma level, δ being the model error with this
+    covariance.
+    """
     trace, square = float(np.trace(covariance)), float(np.sum(covariance**2))
     if trace <= 0.0:
         return 0.0

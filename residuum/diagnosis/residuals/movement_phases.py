@@ -1,4 +1,6 @@
-"""In which phase of a movement, and in which direction, does a model err? Cells of a heat map, each with its worst moment."""
+"""In which phase of a movement, and in which direction, does a model err? Cells of a heat map, each
+with its worst moment.
+"""
 
 from __future__ import annotations
 
@@ -27,9 +29,10 @@ def phase_cells(
 ) -> dict[str, Any] | None:
     """RMS of an error in every phase and direction of the movement.
 
-    Phases of a velocity v are standstill (|v| under 2 % of its largest), steady (|dv/dt| under a tenth of its 95 % quantile),
-    speeding up and slowing down (d|v|/dt > 0, < 0), directions forward and backward. Of a temperature or level the
-    phases are thirds of its range and the directions rising, falling and steady.
+    Phases of a velocity v are standstill (|v| under 2 % of its largest), steady (|dv/dt| under a
+    tenth of its 95 % quantile), speeding up and slowing down (d|v|/dt > 0, < 0), directions forward
+    and backward. Of a temperature or level the phases are thirds of its range and the directions
+    rising, falling and steady.
 
     Parameters
     ----------
@@ -41,26 +44,46 @@ def phase_cells(
     Returns
     -------
     mapping or None
-        `axis`, `phases`, `directions` and `cells`: `phase`, `direction`, `rms`, `share` of the error's power, `time_share`, and
-        `record` (index) and `time` [s] of the largest error. Cells of fewer than 5 samples are left out. None without a
-        velocity, temperature or level.
+        `axis`, `phases`, `directions` and `cells`: `phase`, `direction`, `rms`, `share` of the
+        error's power, `time_share`, and `record` (index) and `time` [s] of the largest error. Cells
+        of fewer than 5 samples are left out. None without a velocity, temperature or level.
     """
     chosen = [_axis_of_movement(axes) for axes in records]
     first = chosen[0] if chosen else None
     if first is None:
         return None
     label = _movement if first.kind in _MOVING else _storage
-    scale = max((float(np.nanmax(np.abs(axis.values), initial=0.0)) for axis in chosen if axis is not None), default=0.0)
-    labels = [label(axis.values, dt, scale) for axis, dt in zip(chosen, sample_times, strict=True) if axis is not None]
+    scale = max(
+        (float(np.nanmax(np.abs(axis.values), initial=0.0)) for axis in chosen if axis is not None),
+        default=0.0,
+    )
+    labels = [
+        label(axis.values, dt, scale)
+        for axis, dt in zip(chosen, sample_times, strict=True)
+        if axis is not None
+    ]
     phase, direction = np.concatenate(labels, axis=1)
     number = np.repeat(np.arange(len(errors)), [len(error) for error in errors])
-    time = np.concatenate([dt * np.arange(len(error)) for dt, error in zip(sample_times, errors, strict=True)])
+    time = np.concatenate(
+        [dt * np.arange(len(error)) for dt, error in zip(sample_times, errors, strict=True)]
+    )
     power = np.concatenate(errors) ** 2
     known = np.isfinite(power)
     phases, directions = _NAMES[label]
-    inside = {(p, d): known & (phase == p) & (direction == d) for p, d in product(phases, directions)}
-    cells = [_cell(p, d, at, power, known, number, time) for (p, d), at in inside.items() if np.count_nonzero(at) >= _FEWEST]
-    return {"axis": first.name, "phases": list(phases), "directions": list(directions), "cells": cells}
+    inside = {
+        (p, d): known & (phase == p) & (direction == d) for p, d in product(phases, directions)
+    }
+    cells = [
+        _cell(p, d, at, power, known, number, time)
+        for (p, d), at in inside.items()
+        if np.count_nonzero(at) >= _FEWEST
+    ]
+    return {
+        "axis": first.name,
+        "phases": list(phases),
+        "directions": list(directions),
+        "cells": cells,
+    }
 
 
 def _axis_of_movement(axes: Sequence[Axis]) -> Axis | None:
@@ -102,7 +125,9 @@ def _steady(rate: FloatArray) -> npt.NDArray[np.bool_]:
     return np.asarray(np.abs(rate) <= _STEADY * np.quantile(np.abs(rate), 0.95))
 
 
-def _movement(v: FloatArray, sample_time: float, scale: float) -> tuple[npt.NDArray[np.str_], npt.NDArray[np.str_]]:
+def _movement(
+    v: FloatArray, sample_time: float, scale: float
+) -> tuple[npt.NDArray[np.str_], npt.NDArray[np.str_]]:
     rate = _rate(v, sample_time)
     phase = np.where(rate * v > 0, GAINING, LOSING)
     phase = np.where(_steady(rate), STEADY, phase)
@@ -110,7 +135,9 @@ def _movement(v: FloatArray, sample_time: float, scale: float) -> tuple[npt.NDAr
     return phase, np.where(v >= 0, "forward", "backward")
 
 
-def _storage(x: FloatArray, sample_time: float, _scale: float) -> tuple[npt.NDArray[np.str_], npt.NDArray[np.str_]]:
+def _storage(
+    x: FloatArray, sample_time: float, _scale: float
+) -> tuple[npt.NDArray[np.str_], npt.NDArray[np.str_]]:
     rate = _rate(x, sample_time)
     low, span = float(np.nanmin(x)), float(np.ptp(x[np.isfinite(x)]))
     third = np.clip(np.nan_to_num(3 * (x - low) / (span or 1.0)).astype(int), 0, 2)

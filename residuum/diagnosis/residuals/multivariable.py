@@ -21,7 +21,11 @@ from residuum.diagnosis.residuals.residual_design import ROBUST, refuse_other_ra
 from residuum.diagnosis.systems import balanced_truncation, h_infinity_norm, settled_length
 from residuum.diagnosis.thresholds.false_alarm_rate import alarms_per_sample, scan_rate
 from residuum.identification.errors import BadInput, BadModel, BadRecord
-from residuum.identification.kernel_based.multivariable import MultivariableModel, multivariable_from, multivariable_text
+from residuum.identification.kernel_based.multivariable import (
+    MultivariableModel,
+    multivariable_from,
+    multivariable_text,
+)
 from residuum.identification.linear_models.state_space import StateSpace
 from residuum.identification.record import Record
 from residuum.nearest_names import known_names
@@ -63,7 +67,9 @@ class VectorWhitener:
         return np.asarray(np.sqrt(np.sum(self.root**2, axis=1)))
 
     def after(self, impulse: FloatArray) -> FloatArray:
-        """Impulse response of the whitener behind a filter with `impulse`, shape (length, r, p) → (length + k, r, p)."""
+        """Impulse response of the whitener behind a filter with `impulse`, shape (length, r, p) →
+        (length + k, r, p).
+        """
         whitened = np.concatenate([impulse, np.zeros((len(self.past), *impulse.shape[1:]))])
         for k, A in enumerate(self.past, start=1):
             whitened[k : k + len(impulse)] -= A @ impulse
@@ -71,19 +77,27 @@ class VectorWhitener:
 
 
 def fit_whitener(residuals: Sequence[FloatArray]) -> VectorWhitener:
-    """Least squares over healthy residuals, each of shape (n, r) with NaN where it is not known; order by BIC up to 10.
+    """Least squares over healthy residuals, each of shape (n, r) with NaN where it is not known;
+    order by BIC up to 10.
 
     Raises BadRecord where too few samples are known, or a residual does not move.
     """
     orders = [order for order in range(_HIGHEST + 1) if _enough(residuals, order)]
     if not orders:
-        raise BadRecord("healthy records: too short beyond the model's memory to know the residual's noise; give longer ones")
+        raise BadRecord(
+            "healthy records: too short beyond the model's memory to know the residual's noise;"
+            " give longer ones"
+        )
     now, past = _all_rows(residuals, orders[-1])  # the same for all orders that are compared
     size = now.shape[1]
     order = min(orders, key=lambda k: _schwarz(now, past[:, : k * size]))
     now, past = _all_rows(residuals, order)
     A, covariance = _regressed(now, past)
-    return VectorWhitener(A.reshape(size, order, size).transpose(1, 0, 2), np.asarray(np.linalg.cholesky(covariance)), len(now))
+    return VectorWhitener(
+        A.reshape(size, order, size).transpose(1, 0, 2),
+        np.asarray(np.linalg.cholesky(covariance)),
+        len(now),
+    )
 
 
 def _enough(residuals: Sequence[FloatArray], order: int) -> bool:
@@ -95,12 +109,18 @@ def _schwarz(now: FloatArray, past: FloatArray) -> float:
     """Schwarz's criterion of the regression of r(t) on its past."""
     A, _ = _regressed(now, past)
     left = now - past @ A.T
-    return len(now) * float(np.linalg.slogdet(left.T @ left / len(now))[1]) + A.size * float(np.log(len(now)))
+    return len(now) * float(np.linalg.slogdet(left.T @ left / len(now))[1]) + A.size * float(
+        np.log(len(now))
+    )
 
 
 def _regressed(now: FloatArray, past: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Coefficients of r(t) by its past, and the covariance of what is left."""
-    A = np.asarray(np.linalg.lstsq(past, now, rcond=None)[0].T) if past.shape[1] else np.zeros((now.shape[1], 0))
+    A = (
+        np.asarray(np.linalg.lstsq(past, now, rcond=None)[0].T)
+        if past.shape[1]
+        else np.zeros((now.shape[1], 0))
+    )
     left = now - past @ A.T
     covariance = np.asarray(left.T @ left / (len(now) - past.shape[1]))
     sign, log_determinant = np.linalg.slogdet(covariance)
@@ -117,7 +137,11 @@ def _all_rows(residuals: Sequence[FloatArray], order: int) -> tuple[FloatArray, 
 def _rows(r: FloatArray, order: int) -> tuple[FloatArray, FloatArray]:
     """r(t), and r(t−1) … r(t−order) beside each other, where all are known."""
     now = r[order:]
-    past = np.concatenate([r[order - k : len(r) - k] for k in range(1, order + 1)], axis=1) if order else np.zeros((len(r), 0))
+    past = (
+        np.concatenate([r[order - k : len(r) - k] for k in range(1, order + 1)], axis=1)
+        if order
+        else np.zeros((len(r), 0))
+    )
     good = np.isfinite(now).all(axis=1) & np.isfinite(past).all(axis=1)
     return now[good], past[good]
 
@@ -132,7 +156,9 @@ METHODS = (ROBUST, UNKNOWN_INPUT)
 
 
 class VectorResidual(NamedTuple):
-    """Of a record: whitened residual s, (n, r), zero where it is not `valid`, (n,), and u about its mean, (n, q)."""
+    """Of a record: whitened residual s, (n, r), zero where it is not `valid`, (n,), and u about its
+    mean, (n, q).
+    """
 
     scores: FloatArray
     valid: BoolArray
@@ -143,10 +169,11 @@ class VectorResidual(NamedTuple):
 class MultivariableResidual:
     """The residual generator of a multivariable plant, with all that its judgement needs.
 
-    With known inputs u and unknown inputs d the plant is y = G_u u + G_d d + noise. The primary residual e = y − G_u u is free of
-    u; Q, the unknown input observer's own path from y, takes d away too (identity where nothing is unknown), and the whitener
-    makes r = Q e independent standard normals. A sensor fault f in output i shows as W Q e_i f, an actuator fault in input
-    j as W Q G_j f.
+    With known inputs u and unknown inputs d the plant is y = G_u u + G_d d + noise. The primary
+    residual e = y − G_u u is free of u; Q, the unknown input observer's own path from y, takes d
+    away too (identity where nothing is unknown), and the whitener makes r = Q e independent
+    standard normals. A sensor fault f in output i shows as W Q e_i f, an actuator fault in input j
+    as W Q G_j f.
 
     Parameters
     ----------
@@ -190,8 +217,12 @@ class MultivariableResidual:
 
     @property
     def warm_up(self) -> int:
-        """Samples after a start or a gap that are not judged: the memory of the model and of the filters."""
-        return max(path.delay + path.order for row in self.model.models for path in row) + len(self.filter)
+        """Samples after a start or a gap that are not judged: the memory of the model and of the
+        filters.
+        """
+        return max(path.delay + path.order for row in self.model.models for path in row) + len(
+            self.filter
+        )
 
     def residual(self, record: Record) -> VectorResidual:
         """The whitened residual of a record.
@@ -207,7 +238,9 @@ class MultivariableResidual:
         missing = _any_missing(u) | _any_missing(y)
         du, dy = np.nan_to_num(u - self.input_mean), np.nan_to_num(y - self.output_mean)
         scores = filtered(self.filter, dy - _response(self.model, self.known, du))
-        since = np.arange(len(missing)) - np.maximum.accumulate(np.where(missing, np.arange(len(missing)), -1))
+        since = np.arange(len(missing)) - np.maximum.accumulate(
+            np.where(missing, np.arange(len(missing)), -1)
+        )
         valid = since > self.warm_up
         return VectorResidual(np.where(valid[:, None], scores, 0.0), valid, du)
 
@@ -224,7 +257,11 @@ class MultivariableResidual:
         arrays = {f"Q-{name}": getattr(self.Q, name) for name in "ABCD"}
         arrays |= {"whitener-past": self.whitener.past, "whitener-root": self.whitener.root}
         arrays |= {"input-mean": self.input_mean, "output-mean": self.output_mean}
-        meta = {"model": multivariable_text(self.model), "unknown": list(self.unknown), "healthy": self.whitener.n}
+        meta = {
+            "model": multivariable_text(self.model),
+            "unknown": list(self.unknown),
+            "healthy": self.whitener.n,
+        }
         save_stored(path, KIND, VERSION, meta, arrays)
 
     @classmethod
@@ -234,7 +271,11 @@ class MultivariableResidual:
         try:
             model = multivariable_from(json.loads(stored.meta["model"]), Path(path))
             A, B, C, D = (stored.arrays[f"Q-{name}"] for name in "ABCD")
-            whitener = VectorWhitener(stored.arrays["whitener-past"], stored.arrays["whitener-root"], stored.meta["healthy"])
+            whitener = VectorWhitener(
+                stored.arrays["whitener-past"],
+                stored.arrays["whitener-root"],
+                stored.meta["healthy"],
+            )
             return cls(
                 model=model,
                 unknown=tuple(stored.meta["unknown"]),
@@ -244,13 +285,21 @@ class MultivariableResidual:
                 output_mean=stored.arrays["output-mean"],
             )
         except (KeyError, TypeError, ValueError) as error:
-            raise BadInput(f"{path}: is not a residual design, as `residuum residual design` writes one: {error}") from None
+            raise BadInput(
+                f"{path}: is not a residual design, as `residuum residual design` writes one:"
+                f" {error}"
+            ) from None
 
 
 def design_multivariable_residual(
-    model: MultivariableModel, healthy: Sequence[Record], *, method: str = ROBUST, unknown: Sequence[str] = ()
+    model: MultivariableModel,
+    healthy: Sequence[Record],
+    *,
+    method: str = ROBUST,
+    unknown: Sequence[str] = (),
 ) -> MultivariableResidual:
-    """The residual generator of a multivariable model; operating point and noise come from healthy records.
+    """The residual generator of a multivariable model; operating point and noise come from healthy
+    records.
 
     Parameters
     ----------
@@ -273,22 +322,34 @@ def design_multivariable_residual(
     _check(model, healthy, method, unknown)
     p, step = len(model.models), model.models[0][0].sample_time
     Q = unknown_input_decoupling(model, unknown) if unknown else StateSpace.gain(np.eye(p), step)
-    blank = MultivariableResidual(model=model, unknown=tuple(unknown), Q=Q, whitener=VectorWhitener.none(Q.D.shape[0]))
+    blank = MultivariableResidual(
+        model=model, unknown=tuple(unknown), Q=Q, whitener=VectorWhitener.none(Q.D.shape[0])
+    )
     pairs = [blank.signals_of(record) for record in healthy]
     input_mean = np.nanmean(np.concatenate([u for u, _ in pairs]), axis=0)
     memory = max(path.delay + path.order for row in model.models for path in row)
     errors = [y - _response(model, blank.known, np.nan_to_num(u - input_mean)) for u, y in pairs]
     bad = [_any_missing(u) for u, _ in pairs]
-    usable = [np.where((_dilated(missing, memory))[:, None], np.nan, error) for error, missing in zip(errors, bad, strict=True)]
+    usable = [
+        np.where((_dilated(missing, memory))[:, None], np.nan, error)
+        for error, missing in zip(errors, bad, strict=True)
+    ]
     if not any(np.isfinite(error).all(axis=1).any() for error in usable):
-        raise BadRecord(f"healthy records: none is longer than the model's memory, {memory} samples, without a gap")
+        raise BadRecord(
+            f"healthy records: none is longer than the model's memory, {memory} samples, without"
+            " a gap"
+        )
     output_mean = np.nanmean(np.concatenate(usable), axis=0)
     settled = settled_length(Q)
     impulse = Q.impulse_response(settled)
     residuals = []
     for error in usable:
         missing = _dilated(_any_missing(error), settled)
-        residuals.append(np.where(missing[:, None], np.nan, filtered(impulse, np.nan_to_num(error - output_mean))))
+        residuals.append(
+            np.where(
+                missing[:, None], np.nan, filtered(impulse, np.nan_to_num(error - output_mean))
+            )
+        )
     return MultivariableResidual(
         model=model,
         unknown=tuple(unknown),
@@ -299,24 +360,38 @@ def design_multivariable_residual(
     )
 
 
-def _check(model: MultivariableModel, healthy: Sequence[Record], method: str, unknown: Sequence[str]) -> None:
+def _check(
+    model: MultivariableModel, healthy: Sequence[Record], method: str, unknown: Sequence[str]
+) -> None:
     if method not in METHODS:
-        raise BadInput(f"residual method {method!r}: of a model with several inputs or outputs it must be {' or '.join(METHODS)}")
+        raise BadInput(
+            f"residual method {method!r}: of a model with several inputs or outputs it must be"
+            f" {' or '.join(METHODS)}"
+        )
     if (method == UNKNOWN_INPUT) != bool(unknown):
-        raise BadInput(f"residual method {method!r}: unknown inputs belong to {UNKNOWN_INPUT}, which needs at least one")
+        raise BadInput(
+            f"residual method {method!r}: unknown inputs belong to {UNKNOWN_INPUT}, which needs at"
+            " least one"
+        )
     for name in unknown:
         if name not in model.inputs:
             raise BadInput(
-                f"unknown input {name!r}: the model has none of this name; {known_names(name, model.inputs, 'there are')}"
+                f"unknown input {name!r}: the model has none of this name;"
+                f" {known_names(name, model.inputs, 'there are')}"
             )
     if not healthy:
-        raise BadInput("multivariable residual: needs healthy records, for its operating point and its noise")
+        raise BadInput(
+            "multivariable residual: needs healthy records, for its operating point and its noise"
+        )
 
 
 def filtered(impulse: FloatArray, v: FloatArray) -> FloatArray:
-    """Output, shape (n, r), of a filter with this impulse response, shape (length, r, p), to v, shape (n, p), from rest."""
+    """Output, shape (n, r), of a filter with this impulse response, shape (length, r, p), to v,
+    shape (n, p), from rest.
+    """
     columns = [
-        sum(signal.oaconvolve(v[:, i], impulse[:, k, i])[: len(v)] for i in range(v.shape[1])) for k in range(impulse.shape[1])
+        sum(signal.oaconvolve(v[:, i], impulse[:, k, i])[: len(v)] for i in range(v.shape[1]))
+        for k in range(impulse.shape[1])
     ]
     return np.stack(columns, axis=1)
 
@@ -344,11 +419,17 @@ def _dilated(missing: BoolArray, memory: int) -> BoolArray:
 
 def static_gain(model: MultivariableModel) -> FloatArray:
     """G(1), shape (p, q)."""
-    return np.array([[float(np.sum(path.impulse_response)) for path in row] for row in model.models])
+    return np.array(
+        [[float(np.sum(path.impulse_response)) for path in row] for row in model.models]
+    )
 
 
-def own_response(design: MultivariableResidual, place: int, actuator: bool, length: int) -> FloatArray:
-    """What a unit step of a sensor's or an actuator's fault does to the scores from its onset on, shape (length, r)."""
+def own_response(
+    design: MultivariableResidual, place: int, actuator: bool, length: int
+) -> FloatArray:
+    """What a unit step of a sensor's or an actuator's fault does to the scores from its onset on,
+    shape (length, r).
+    """
     p = len(design.model.models)
     step = np.zeros((length, p))
     if actuator:
@@ -360,39 +441,57 @@ def own_response(design: MultivariableResidual, place: int, actuator: bool, leng
     return filtered(design.filter, step)
 
 
-# The post-filter that makes the residual of an identified multivariable model blind to inputs that are not measured.
+# The post-filter that makes the residual of an identified multivariable model blind to inputs that
+# are not measured.
 
 _NEGLIGIBLE = 1e-3  # of the paths' gain
 _CERTAIN = 4.0
-"""Standard deviations by which a first coefficient must differ from zero to be taken for the path's first."""
+"""Standard deviations by which a first coefficient must differ from zero to be taken for the path's
+first.
+"""
 
 
 def unknown_input_decoupling(model: MultivariableModel, unknown: Sequence[str]) -> StateSpace:
-    """Q with Q G_d = 0, G_d the paths from the unknown inputs to all outputs: p inputs, p − (number of unknown) outputs.
+    """Q with Q G_d = 0, G_d the paths from the unknown inputs to all outputs: p inputs, p − (number
+    of unknown) outputs.
 
-    Q is the unknown input observer's path from y to its residual, taken in the directions that d does not reach in one step.
-    Samples by which all paths are late say nothing of Q, since Q z⁻ᵏ G_d = 0 is the same condition; they are left out, and the
-    lags before the first coefficient that is surely not zero count as such. What the model's own error leaves of d in the
-    residual is not known beforehand: healthy records in which d moves teach it as noise.
+    Q is the unknown input observer's path from y to its residual, taken in the directions that d
+    does not reach in one step. Samples by which all paths are late say nothing of Q, since Q z⁻ᵏ
+    G_d = 0 is the same condition; they are left out, and the lags before the first coefficient that
+    is surely not zero count as such. What the model's own error leaves of d in the residual is not
+    known beforehand: healthy records in which d moves teach it as noise.
 
     Raises
     ------
     BadModel
-        As many unknown inputs as outputs, paths that cannot be told apart, or an unstable zero common to all of them.
+        As many unknown inputs as outputs, paths that cannot be told apart, or an unstable zero
+        common to all of them.
     """
     columns = [model.inputs.index(name) for name in unknown]
     if len(columns) >= len(model.models):
         raise BadModel(
-            f"unknown input observer: {len(columns)} unknown inputs use up all {len(model.models)} outputs; no residual is left"
+            f"unknown input observer: {len(columns)} unknown inputs use up all {len(model.models)}"
+            " outputs; no residual is left"
         )
     paths = [[row[j] for j in columns] for row in model.models]
-    late = [min(_first(row[k].impulse_response, row[k].std) for row in paths) for k in range(len(columns))]
+    late = [
+        min(_first(row[k].impulse_response, row[k].std) for row in paths)
+        for k in range(len(columns))
+    ]
     system = _realised(
-        [[path.impulse_response[late[k] :] for k, path in enumerate(row)] for row in paths], paths[0][0].sample_time
+        [[path.impulse_response[late[k] :] for k, path in enumerate(row)] for row in paths],
+        paths[0][0].sample_time,
     )
     small = balanced_truncation(system, _NEGLIGIBLE * h_infinity_norm(system)[0]).system
     observer = unknown_input_observer(
-        StateSpace(small.A, np.zeros((small.order, 0)), small.C, np.zeros((len(paths), 0)), small.sample_time), small.B
+        StateSpace(
+            small.A,
+            np.zeros((small.order, 0)),
+            small.C,
+            np.zeros((len(paths), 0)),
+            small.sample_time,
+        ),
+        small.B,
     )
     free = linalg.null_space((small.C @ small.B).T).T
     uio = observer.filter
@@ -405,9 +504,14 @@ def _first(g: FloatArray, std: FloatArray) -> int:
 
 
 def _realised(taps: Sequence[Sequence[FloatArray]], sample_time: float) -> StateSpace:
-    """Impulse responses from lag 1 on, rows outputs, columns inputs, as a chain of delays an input."""
+    """Impulse responses from lag 1 on, rows outputs, columns inputs, as a chain of delays an
+    input.
+    """
     lengths = [max(len(row[k]) for row in taps) for k in range(len(taps[0]))]
-    C = [np.concatenate([np.r_[g, np.zeros(lengths[k] - len(g))] for k, g in enumerate(row)]) for row in taps]
+    C = [
+        np.concatenate([np.r_[g, np.zeros(lengths[k] - len(g))] for k, g in enumerate(row)])
+        for row in taps
+    ]
     A = linalg.block_diag(*[np.eye(length, k=-1) for length in lengths])
     B = linalg.block_diag(*[np.eye(length, 1) for length in lengths])
     return StateSpace(A, B, np.array(C), np.zeros((len(taps), len(lengths))), sample_time)
@@ -426,7 +530,9 @@ _ALIKE = 3.0
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """A lasting offset of one sensor or one actuator: `kind` is `sensor` or `actuator`, `place` its index."""
+    """A lasting offset of one sensor or one actuator: `kind` is `sensor` or `actuator`, `place` its
+    index.
+    """
 
     kind: str
     place: int
@@ -461,7 +567,9 @@ class IsolatedFault:
 
 @dataclass(frozen=True, eq=False)
 class MultivariableDetection:
-    """What the residual of a record says: its statistic, shape (n,), the threshold b, alarms, and the fault at the first one."""
+    """What the residual of a record says: its statistic, shape (n,), the threshold b, alarms, and
+    the fault at the first one.
+    """
 
     residual: VectorResidual
     statistic: FloatArray
@@ -480,22 +588,26 @@ def detect_multivariable(
 ) -> MultivariableDetection:
     r"""Scan the whitened residual s for a lasting offset of every sensor and every known actuator.
 
-    A fault of unit size moves s by f in the end (W Q e_i, or W Q G(1) e_j), so over a window of ℓ samples
+    A fault of unit size moves s by f in the end (W Q e_i, or W Q G(1) e_j), so over a window of ℓ
+    samples
 
     .. math::
         z = f^\top \sum s \Big/ \sqrt{\ell |f|^2 + \sum_i w_i^\top \Sigma_i w_i + \ell^2 |f|^2/n}
 
-    is standard normal while healthy: Σ_i is the joint covariance of output i's impulse responses, w_i the inputs at the
-    model's lags through the filter and f, summed over the window, and the last term is the error of the operating point, learned
-    from n samples. The threshold is such that all faults, signs and windows together alarm so often; they are added up as if
-    they never alarmed together, so the true rate is lower.
+    is standard normal while healthy: Σ_i is the joint covariance of output i's impulse responses,
+    w_i the inputs at the model's lags through the filter and f, summed over the window, and the
+    last term is the error of the operating point, learned from n samples. The threshold is such
+    that all faults, signs and windows together alarm so often; they are added up as if they never
+    alarmed together, so the true rate is lower.
 
-    It fails (too many alarms) when an unknown input is not in the design or moves in ways that no healthy record showed.
+    It fails (too many alarms) when an unknown input is not in the design or moves in ways that no
+    healthy record showed.
 
     Raises
     ------
     BadInput
-        The record has no stretch without a gap that is longer than the memory; a false-alarm rate out of range.
+        The record has no stretch without a gap that is longer than the memory; a false-alarm rate
+        out of range.
     BadRecord, BadUnit
         As in `MultivariableResidual.residual`.
     """
@@ -503,8 +615,8 @@ def detect_multivariable(
     residual = design.residual(record)
     if not residual.valid.any():
         raise BadInput(
-            f"record {record.source!r}: no stretch without a gap is longer than the memory of model and filters, "
-            f"{design.warm_up} samples"
+            f"record {record.source!r}: no stretch without a gap is longer than the memory of model"
+            f" and filters, {design.warm_up} samples"
         )
     scan = _Scan(design, residual)
     statistic, threshold = scan.statistic(), threshold_of(len(scan.hypotheses), rate)
@@ -535,7 +647,9 @@ class _Scan:
     def _known_part(self, i: int) -> FloatArray:
         paths = self.design.model.models[i]
         starts = np.cumsum([0, *(path.order for path in paths)])
-        columns = np.concatenate([np.zeros(0, int), *(np.arange(starts[j], starts[j + 1]) for j in self.design.known)])
+        columns = np.concatenate(
+            [np.zeros(0, int), *(np.arange(starts[j], starts[j + 1]) for j in self.design.known)]
+        )
         return np.asarray(self.design.model.covariances[i][np.ix_(columns, columns)])
 
     @cached_property
@@ -544,19 +658,29 @@ class _Scan:
         model, direct = self.design.model, self.design.filter.sum(axis=0)
         through = direct @ static_gain(model)
         rows, first = model.models, model.models[0]
-        pairs = [(Hypothesis("sensor", i, row[0].output_name, row[0].output_unit), direct[:, i]) for i, row in enumerate(rows)]
-        pairs += [(Hypothesis("actuator", j, first[j].input_name, first[j].input_unit), through[:, j]) for j in self.design.known]
+        pairs = [
+            (Hypothesis("sensor", i, row[0].output_name, row[0].output_unit), direct[:, i])
+            for i, row in enumerate(rows)
+        ]
+        pairs += [
+            (Hypothesis("actuator", j, first[j].input_name, first[j].input_unit), through[:, j])
+            for j in self.design.known
+        ]
         return [(h, f) for h, f in pairs if np.any(f)]
 
     def statistic(self) -> FloatArray:
-        """Largest |z| over faults and windows that end at each sample, shape (n,); zero where none ends."""
+        """Largest |z| over faults and windows that end at each sample, shape (n,); zero where none
+        ends.
+        """
         largest = np.zeros(self.n)
         for _, f in self.hypotheses:
             sums = np.concatenate([[0.0], np.cumsum(self.residual.scores @ f)])
             moved = self._moved(f)
             for length, last in self._windows():
                 z = np.abs(sums[last + 1] - sums[last + 1 - length])
-                z /= np.sqrt(self._variance(f, length, [m[last + 1] - m[last + 1 - length] for m in moved]))
+                z /= np.sqrt(
+                    self._variance(f, length, [m[last + 1] - m[last + 1 - length] for m in moved])
+                )
                 largest[last] = np.maximum(largest[last], z)
         return largest
 
@@ -574,10 +698,17 @@ class _Scan:
 
     def _model_error(self, w: Sequence[FloatArray]) -> FloatArray:
         """Σ_i wᵀ Σ_i w of w, shape (windows, lags), an output each."""
-        return np.asarray(sum(np.sum((w_i @ root.T) ** 2, axis=-1) for w_i, root in zip(w, self.roots, strict=True)))
+        return np.asarray(
+            sum(
+                np.sum((w_i @ root.T) ** 2, axis=-1)
+                for w_i, root in zip(w, self.roots, strict=True)
+            )
+        )
 
     def _moved(self, f: FloatArray) -> list[FloatArray]:
-        """For each output the running sums of the inputs at its lags through filter and signature, shape (n + 1, lags)."""
+        """For each output the running sums of the inputs at its lags through filter and signature,
+        shape (n + 1, lags).
+        """
         moved = []
         for i, row in enumerate(self.design.model.models):
             columns = [np.zeros((self.n + 1, 0))]
@@ -589,7 +720,9 @@ class _Scan:
         return moved
 
     def isolated(self, alarm: int) -> IsolatedFault | None:
-        """The fault that explains best what the scores do about an alarm, with its course from the onset on."""
+        """The fault that explains best what the scores do about an alarm, with its course from the
+        onset on.
+        """
         stop = min(self.n, alarm + _AFTER)
         broken = np.flatnonzero(~self.residual.valid[alarm:stop])
         stop = alarm + int(broken[0]) if len(broken) else stop
@@ -610,14 +743,20 @@ class _Scan:
         likelihood = np.array([fit[4] for fit in fits])
         chosen = int(np.argmax(likelihood))
         weights = np.exp(likelihood - likelihood.max())
-        alike = tuple(fits[k][0] for k in range(len(fits)) if k != chosen and likelihood[k] > likelihood[chosen] - _ALIKE)
+        alike = tuple(
+            fits[k][0]
+            for k in range(len(fits))
+            if k != chosen and likelihood[k] > likelihood[chosen] - _ALIKE
+        )
         h, onset, value, std, _ = fits[chosen]
         if h.kind == "actuator":
             std = float(np.hypot(std, self._gain_doubt(h, value)))
         return IsolatedFault(h, value, std, onset, float(weights[chosen] / weights.sum()), alike)
 
     def _gain_doubt(self, h: Hypothesis, value: float) -> float:
-        """Part of `std` that the error of the gains from an actuator's input makes: it acts on the fault as on the input."""
+        """Part of `std` that the error of the gains from an actuator's input makes: it acts on the
+        fault as on the input.
+        """
         f = dict(self.hypotheses)[h]
         direct, variance = self.design.filter.sum(axis=0), 0.0
         for i, row in enumerate(self.design.model.models):
@@ -627,10 +766,14 @@ class _Scan:
             variance += gain * float(direct[:, i] @ f) ** 2
         return abs(value) * float(np.sqrt(variance)) / float(f @ f)
 
-    def _course(self, response: FloatArray, constant: Sequence[FloatArray], onset: int, stop: int) -> tuple[float, float, float]:
-        """(size, its standard deviation, log likelihood ratio) of a fault that began at `onset`, seen until `stop`.
+    def _course(
+        self, response: FloatArray, constant: Sequence[FloatArray], onset: int, stop: int
+    ) -> tuple[float, float, float]:
+        """(size, its standard deviation, log likelihood ratio) of a fault that began at `onset`,
+        seen until `stop`.
 
-        The model's error is weighed as if the fault's course were its final one; the course's beginning is short beside it.
+        The model's error is weighed as if the fault's course were its final one; the course's
+        beginning is short beside it.
         """
         f = response[: stop - onset]
         power = float(np.sum(f * f))
@@ -640,15 +783,25 @@ class _Scan:
         length = stop - onset
         final = float(np.sum(response[-1] ** 2))
         scale = power / max(final * length, 1e-300)
-        error = float(self._model_error([(m[stop] - m[onset])[None] for m in constant])[0]) * scale**2
+        error = (
+            float(self._model_error([(m[stop] - m[onset])[None] for m in constant])[0]) * scale**2
+        )
         level = power**2 / (max(final, 1e-300) * max(self.design.whitener.n, 1))
         variance = power + error + level
-        return correlation / power, float(np.sqrt(variance)) / power, 0.5 * correlation**2 / variance
+        return (
+            correlation / power,
+            float(np.sqrt(variance)) / power,
+            0.5 * correlation**2 / variance,
+        )
 
 
 def _lagged(running: FloatArray, delay: int, order: int) -> FloatArray:
-    """Sums up to each sample of a signal's past at lags delay … delay + order − 1, shape (n + 1, order), from running sums."""
+    """Sums up to each sample of a signal's past at lags delay … delay + order − 1, shape (n + 1,
+    order), from running sums.
+    """
     n = len(running)
     padded = np.concatenate([np.zeros(delay + order), running])
-    view = np.lib.stride_tricks.sliding_window_view(padded, order)  # row t: running[t − delay − order … t − delay − 1]
+    view = np.lib.stride_tricks.sliding_window_view(
+        padded, order
+    )  # row t: running[t − delay − order … t − delay − 1]
     return np.asarray(view[: n + 1, ::-1])

@@ -1,4 +1,6 @@
-"""Noise model of a healthy residual: its colour (AR), its size σ and its tails (Gaussian, heavier or lighter)."""
+"""Noise model of a healthy residual: its colour (AR), its size σ and its tails (Gaussian, heavier
+or lighter).
+"""
 
 from __future__ import annotations
 
@@ -27,11 +29,17 @@ _NODES = 60  # of the Gauss–Hermite rule; its outermost lies 14 standard devia
 _RAREST = -1e4  # ln of the smallest probability that is told apart, a score of 141
 _TABLE = np.arcsinh(np.logspace(-3, 9, 400))
 _LIGHT_TABLE = np.arcsinh(np.concatenate([np.linspace(0.01, 4.0, 400), np.logspace(0.61, 9, 200)]))
-_NATS, _APART = np.arange(0.025, 40.0, 0.05), 0.05  # ln of the probabilities at which a law is stood for by single values
+_NATS, _APART = (
+    np.arange(0.025, 40.0, 0.05),
+    0.05,
+)  # ln of the probabilities at which a law is stood for by single values
 _SLIGHT = 1e-2  # σ, to take a slope over
-_STRAIGHT = 1e-6  # of a hazard's growth times a change of variance, below which the tail is as good as exponential
+# of a hazard's growth times a change of variance, below which the tail is as good as exponential
+_STRAIGHT = 1e-6
 _FURTHEST = 1e100
-_LEVELS = 25  # sizes of the model error at which a limit is worked out; between them it is interpolated
+_LEVELS = (
+    25  # sizes of the model error at which a limit is worked out; between them it is interpolated
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,20 +51,25 @@ class NoiseModel:
     ar : array, shape (p + 1,)
         Whitening filter 1, a₁, …, a_p.
     sigma : float
-        σ [unit of the residual]: standard deviation of the innovation for Gaussian noise, scale of Student's t otherwise.
+        σ [unit of the residual]: standard deviation of the innovation for Gaussian noise, scale of
+        Student's t otherwise.
     dof : float
         Degrees of freedom of Student's t; infinite where the tails are no heavier than Gaussian.
     n : int
         Healthy samples it was fitted on; 0 when taken from an identified model.
     shape : float
-        β of exp(−|ε|^β/β): 2 is Gaussian, more are the lighter tails of noise with bounds (Subbotin's exponential power law).
+        β of exp(−|ε|^β/β): 2 is Gaussian, more are the lighter tails of noise with bounds
+        (Subbotin's exponential power law).
     freedom : float
-        Degrees of freedom of σ: it is as uncertain as the root of a mean of that many squared Gaussian samples; infinite = known.
+        Degrees of freedom of σ: it is as uncertain as the root of a mean of that many squared
+        Gaussian samples; infinite = known.
     blur : float
-        Standard deviation, in σ, of the model error that a residual carries besides its noise. Noise with bounds must allow for
-        it: beyond the bound the noise alone has no probability left, and every small error would count as a fault.
+        Standard deviation, in σ, of the model error that a residual carries besides its noise.
+        Noise with bounds must allow for it: beyond the bound the noise alone has no probability
+        left, and every small error would count as a fault.
     tail : HazardTail or None
-        Of |ε| with that model error in it, where healthy samples contradict the form that `dof` and `shape` give.
+        Of |ε| with that model error in it, where healthy samples contradict the form that `dof` and
+        `shape` give.
     """
 
     ar: FloatArray
@@ -71,7 +84,10 @@ class NoiseModel:
     def __post_init__(self) -> None:
         object.__setattr__(self, "ar", np.ascontiguousarray(self.ar, dtype=float))
         if not (np.isfinite(self.sigma) and self.sigma > 0):
-            raise BadInput(f"noise model, sigma: is {self.sigma!r}; must be positive (is the residual constant?)")
+            raise BadInput(
+                f"noise model, sigma: is {self.sigma!r}; must be positive (is the residual"
+                " constant?)"
+            )
 
     @property
     def is_gaussian(self) -> bool:
@@ -83,29 +99,39 @@ class NoiseModel:
         """Standard deviation of σ ε (of a Student t with dof ≤ 2, which has none, its scale)."""
         if np.isinf(self.dof):
             return self.sigma * float(self._law.std())
-        return self.sigma * float(np.sqrt(self.dof / (self.dof - 2))) if self.dof > 2 else self.sigma
+        return (
+            self.sigma * float(np.sqrt(self.dof / (self.dof - 2))) if self.dof > 2 else self.sigma
+        )
 
     def limit(self, rate: float, error: npt.ArrayLike = 0.0) -> FloatArray:
-        """|innovation plus model error| that is exceeded at `rate` per sample, both in standard deviations of the innovation.
+        """|innovation plus model error| that is exceeded at `rate` per sample, both in standard
+        deviations of the innovation.
 
         Parameters
         ----------
         error : array, any shape
-            Standard deviation of the model error at each sample; it is Gaussian and independent of the noise.
+            Standard deviation of the model error at each sample; it is Gaussian and independent of
+            the noise.
 
-        Gaussian noise gives q √(1 + error²), which also stands for noise with heavier tails. With lighter tails, or a tail of its
-        own, the law that is known carries the error `blur`: what a sample carries beyond it is added by convolution,
+        Gaussian noise gives q √(1 + error²), which also stands for noise with heavier tails. With
+        lighter tails, or a tail of its own, the law that is known carries the error `blur`: what a
+        sample carries beyond it is added by convolution,
 
             rate = mean over the law of Q((L − |ε|)/d) + Q((L + |ε|)/d),   d² = error² − blur²,
 
-        and what it lacks is taken off as from a Gaussian tail: h/c (1 − √(1 + c d²)), h the hazard at L and c its growth.
+        and what it lacks is taken off as from a Gaussian tail: h/c (1 − √(1 + c d²)), h the hazard
+        at L and c its growth.
         """
         unit = self.innovation_std / self.sigma
         error = np.asarray(error, dtype=float)
         if self.tail is None and (np.isfinite(self.dof) or self.is_gaussian):
             return np.asarray(float(self._law.isf(rate / 2.0)) / unit * np.hypot(1.0, error))
         errors = np.unique(np.linspace(error.min(), error.max(), _LEVELS))
-        return np.asarray(np.interp(error, errors, [self._limit_with(rate, unit * size) / unit for size in errors]))
+        return np.asarray(
+            np.interp(
+                error, errors, [self._limit_with(rate, unit * size) / unit for size in errors]
+            )
+        )
 
     def _limit_with(self, rate: float, error: float) -> float:
         """|ε| exceeded at `rate` where the model error has this standard deviation, both in σ."""
@@ -117,15 +143,22 @@ class NoiseModel:
         shares = np.exp(-_NATS) * 2.0 * np.sinh(0.5 * _APART)
 
         def excess(level: float) -> float:
-            exceeded = shares @ (special.ndtr((sizes - level) / spread) + special.ndtr(-(sizes + level) / spread))
+            exceeded = shares @ (
+                special.ndtr((sizes - level) / spread) + special.ndtr(-(sizes + level) / spread)
+            )
             return float(np.log(max(exceeded, np.finfo(float).tiny) / rate))
 
         return float(optimize.brentq(excess, 0.0, sizes[-1] + 40.0 * spread))
 
     def _moved(self, size: float, further: float) -> float:
-        """How far the limit `size` moves when the model error's variance changes by `further` ≤ 0."""
+        """How far the limit `size` moves when the model error's variance changes by `further` ≤
+        0.
+        """
         before, at, after = self.log_tail(size + _SLIGHT * np.array([-1.0, 0.0, 1.0]))
-        hazard, growth = float(before - after) / (2.0 * _SLIGHT), float(2.0 * at - before - after) / _SLIGHT**2
+        hazard, growth = (
+            float(before - after) / (2.0 * _SLIGHT),
+            float(2.0 * at - before - after) / _SLIGHT**2,
+        )
         if growth * abs(further) < _STRAIGHT:
             return 0.5 * hazard * further
         return hazard / growth * (float(np.sqrt(max(1.0 + growth * further, 0.0))) - 1.0)
@@ -142,11 +175,14 @@ class NoiseModel:
 
     @property
     def level_variance(self) -> float:
-        """Variance of the scores' mean by the error of an operating point taken from the same samples: 1/n if Gaussian."""
+        """Variance of the scores' mean by the error of an operating point taken from the same
+        samples: 1/n if Gaussian.
+        """
         return (self.score_slope * self.innovation_std / self.sigma) ** 2 / self.samples
 
     def allowing_for_size(self, b: float) -> float:
-        """Limit for scores by an estimated σ that is exceeded as rarely, averaged over the estimates, as b by standard normals.
+        """Limit for scores by an estimated σ that is exceeded as rarely, averaged over the
+        estimates, as b by standard normals.
 
         Scores divided by an estimated σ have the tails of Student's t with its degrees of freedom.
 
@@ -158,9 +194,11 @@ class NoiseModel:
         return float(stats.t.isf(stats.norm.sf(b), self.freedom))
 
     def rate_factor(self, b: float) -> float:
-        """F: the real rate of crossings of b lies between 1/F and F times the chosen one for 95 % of all σ̂.
+        """F: the real rate of crossings of b lies between 1/F and F times the chosen one for 95 %
+        of all σ̂.
 
-        ln φ(b σ̂/σ) changes by b² a relative error of σ̂, whose standard deviation is 1/√(2 freedom).
+        ln φ(b σ̂/σ) changes by b² a relative error of σ̂, whose standard deviation is 1/√(2
+        freedom).
 
         >>> round(NoiseModel(np.ones(1), 1.0, freedom=4000.0).rate_factor(5.0), 2)
         1.73
@@ -168,8 +206,12 @@ class NoiseModel:
         return float(np.exp(stats.norm.ppf(0.975) * b * b / np.sqrt(2.0 * self.freedom)))
 
     def output_std(self, post_filter: FloatArray) -> float:
-        """Standard deviation of the noise after a filter with this impulse response [unit of the residual times its gain]."""
-        coloured = signal.lfilter([1.0], self.ar, np.concatenate([post_filter, np.zeros(max(1000, len(post_filter)))]))
+        """Standard deviation of the noise after a filter with this impulse response [unit of the
+        residual times its gain].
+        """
+        coloured = signal.lfilter(
+            [1.0], self.ar, np.concatenate([post_filter, np.zeros(max(1000, len(post_filter)))])
+        )
         return self.innovation_std * float(np.linalg.norm(coloured))
 
     def whiten(self, e: npt.ArrayLike) -> FloatArray:
@@ -180,7 +222,9 @@ class NoiseModel:
         return white
 
     def normal_scores(self, epsilon: FloatArray) -> FloatArray:
-        """Φ⁻¹(F(ε)): standard normal when ε follows the model, so that Gaussian thresholds hold with any tails."""
+        """Φ⁻¹(F(ε)): standard normal when ε follows the model, so that Gaussian thresholds hold
+        with any tails.
+        """
         if self.is_gaussian:
             return epsilon
         knots, scores = self.score_table
@@ -188,14 +232,18 @@ class NoiseModel:
 
     @cached_property
     def score_table(self) -> tuple[FloatArray, FloatArray]:
-        """Knots in arcsinh|ε| and the normal scores there; computed in logarithms, so far tails keep their order."""
+        """Knots in arcsinh|ε| and the normal scores there; computed in logarithms, so far tails
+        keep their order.
+        """
         knots = _LIGHT_TABLE if np.isinf(self.dof) else _TABLE
         scores = -special.ndtri_exp(np.minimum(self.log_tail(np.sinh(knots)), np.log(0.5)))
         return np.concatenate([[0.0], knots]), np.concatenate([[0.0], scores])
 
     @cached_property
     def score_slope(self) -> float:
-        """E[ds/dε]: by how much a small shift of every ε moves the scores s on average; 1 for Gaussian noise."""
+        """E[ds/dε]: by how much a small shift of every ε moves the scores s on average; 1 for
+        Gaussian noise.
+        """
         if self.is_gaussian:
             return 1.0
         knots, scores = self.score_table
@@ -204,10 +252,16 @@ class NoiseModel:
     @cached_property
     def _law(self) -> Any:
         """Distribution of ε."""
-        return stats.gennorm(self.shape, scale=_unit_scale(self.shape)) if np.isinf(self.dof) else stats.t(self.dof)
+        return (
+            stats.gennorm(self.shape, scale=_unit_scale(self.shape))
+            if np.isinf(self.dof)
+            else stats.t(self.dof)
+        )
 
     def log_tail(self, epsilon: FloatArray) -> FloatArray:
-        """ln P(ε' > ε) for ε ≥ 0, model error included: from `tail` where there is one, the law of `dof` and `shape` below it."""
+        """ln P(ε' > ε) for ε ≥ 0, model error included: from `tail` where there is one, the law of
+        `dof` and `shape` below it.
+        """
         if self.tail is None:
             return self._blurred_log_tail(epsilon)
         start, share = np.array([self.tail.start]), self.tail.share
@@ -218,14 +272,18 @@ class NoiseModel:
         return np.asarray(np.maximum(both, _RAREST))
 
     def _blurred_log_tail(self, epsilon: FloatArray) -> FloatArray:
-        """ln P(ε' + ξ > ε) with ξ ~ N(0, blur²), for ε ≥ 0; heavier tails than Gaussian drown it."""
+        """ln P(ε' + ξ > ε) with ξ ~ N(0, blur²), for ε ≥ 0; heavier tails than Gaussian drown
+        it.
+        """
         if self.blur == 0.0 or np.isfinite(self.dof):
             return self._log_tail(epsilon)
         nodes, weights = np.polynomial.hermite_e.hermegauss(_NODES)
         at = epsilon[:, None] - self.blur * nodes
         tails = self._log_tail(np.abs(at))
         both = np.where(at >= 0.0, tails, np.log1p(-np.exp(np.minimum(tails, np.log(0.5)))))
-        return np.asarray(np.maximum(special.logsumexp(both, axis=1, b=weights / weights.sum()), _RAREST))
+        return np.asarray(
+            np.maximum(special.logsumexp(both, axis=1, b=weights / weights.sum()), _RAREST)
+        )
 
     def _log_tail(self, epsilon: FloatArray) -> FloatArray:
         """ln P(ε' > ε) for ε ≥ 0."""
@@ -242,11 +300,14 @@ def _unit_scale(shape: float) -> float:
     return float(shape ** (1.0 / shape))
 
 
-def fit_noise_model(residuals: Sequence[npt.ArrayLike], *, highest_order: int = _HIGHEST_ORDER) -> NoiseModel:
-    """Noise model of healthy residuals, one array an experiment; NaN marks samples that are missing.
+def fit_noise_model(
+    residuals: Sequence[npt.ArrayLike], *, highest_order: int = _HIGHEST_ORDER
+) -> NoiseModel:
+    """Noise model of healthy residuals, one array an experiment; NaN marks samples that are
+    missing.
 
-    AR order by BIC over least-squares fits up to `highest_order`; tails by maximum likelihood of Student's t and of the
-    exponential power law, kept only where their BIC beats the Gaussian's.
+    AR order by BIC over least-squares fits up to `highest_order`; tails by maximum likelihood of
+    Student's t and of the exponential power law, kept only where their BIC beats the Gaussian's.
 
     Raises
     ------
@@ -260,16 +321,27 @@ def fit_noise_model(residuals: Sequence[npt.ArrayLike], *, highest_order: int = 
     >>> len(model.ar) - 1, round(float(model.ar[1]), 1), model.is_gaussian
     (1, -0.6, True)
     """
-    stretches = [stretch for residual in residuals for stretch in _unbroken(np.asarray(residual, dtype=float))]
+    stretches = [
+        stretch
+        for residual in residuals
+        for stretch in _unbroken(np.asarray(residual, dtype=float))
+    ]
     stretches = [stretch for stretch in stretches if len(stretch) >= _FEWEST]
     if not stretches:
-        raise BadInput(f"noise model: no stretch of {_FEWEST} healthy residual samples without a gap; record more")
+        raise BadInput(
+            f"noise model: no stretch of {_FEWEST} healthy residual samples without a gap; record"
+            " more"
+        )
     n = sum(map(len, stretches))
     if max(float(np.ptp(stretch)) for stretch in stretches) == 0.0:
-        raise BadInput("noise model: the healthy residual does not vary; a noise size cannot be taken from it")
+        raise BadInput(
+            "noise model: the healthy residual does not vary; a noise size cannot be taken from it"
+        )
     ar = _autoregression(stretches, min(highest_order, n // 20))
     p = len(ar) - 1
-    innovations = np.concatenate([np.convolve(stretch, ar)[p : len(stretch)] for stretch in stretches])
+    innovations = np.concatenate(
+        [np.convolve(stretch, ar)[p : len(stretch)] for stretch in stretches]
+    )
     sigma, dof = _heavy_tails(innovations)
     if np.isfinite(dof):
         return NoiseModel(ar, sigma, dof, n)
@@ -284,8 +356,12 @@ def _unbroken(residual: FloatArray) -> list[FloatArray]:
 
 
 def _autoregression(stretches: list[FloatArray], highest_order: int) -> FloatArray:
-    """Least-squares AR of each order on the same rows, the order by BIC; an unstable fit is passed over."""
-    lagged = np.concatenate([np.lib.stride_tricks.sliding_window_view(s, highest_order + 1)[:, ::-1] for s in stretches])
+    """Least-squares AR of each order on the same rows, the order by BIC; an unstable fit is passed
+    over.
+    """
+    lagged = np.concatenate(
+        [np.lib.stride_tricks.sliding_window_view(s, highest_order + 1)[:, ::-1] for s in stretches]
+    )
     n = len(lagged)
     gram = lagged.T @ lagged
     best, least = np.ones(1), n * np.log(gram[0, 0] / n)
@@ -300,34 +376,52 @@ def _autoregression(stretches: list[FloatArray], highest_order: int) -> FloatArr
 
 
 def _light_tails(innovations: FloatArray) -> tuple[float, float]:
-    """σ and β; β = 2 where lighter tails do not beat the Gaussian's BIC. For each β, σ^β = mean |e|^β is the best σ."""
+    """σ and β; β = 2 where lighter tails do not beat the Gaussian's BIC. For each β, σ^β = mean
+    |e|^β is the best σ.
+    """
     size = np.abs(innovations) / float(np.sqrt(np.mean(innovations**2)))
 
     def cost(shape: float) -> float:
         """−ln p per sample, σ at its best."""
         scale = np.log(np.mean(size**shape)) / shape
-        return float(scale + np.log(2.0 * _unit_scale(shape)) + special.gammaln(1.0 + 1.0 / shape) + 1.0 / shape)
+        return float(
+            scale
+            + np.log(2.0 * _unit_scale(shape))
+            + special.gammaln(1.0 + 1.0 / shape)
+            + 1.0 / shape
+        )
 
-    best = optimize.minimize_scalar(cost, bounds=(2.0, STEEPEST), method="bounded", options={"xatol": 1e-3})
+    best = optimize.minimize_scalar(
+        cost, bounds=(2.0, STEEPEST), method="bounded", options={"xatol": 1e-3}
+    )
     n = len(innovations)
     shape = float(best.x) if n * (cost(2.0) - best.fun) > 0.5 * np.log(n) else 2.0
     return float(np.mean(np.abs(innovations) ** shape) ** (1.0 / shape)), shape
 
 
 def _heavy_tails(innovations: FloatArray) -> tuple[float, float]:
-    """σ and degrees of freedom of Student's t; infinite where heavier tails do not beat the Gaussian's BIC."""
+    """σ and degrees of freedom of Student's t; infinite where heavier tails do not beat the
+    Gaussian's BIC.
+    """
     sigma = float(np.sqrt(np.mean(innovations**2)))
     x = innovations / sigma
 
     def cost(parameters: FloatArray) -> float:
         scale, dof = np.exp(parameters)
-        constant = special.gammaln((dof + 1) / 2) - special.gammaln(dof / 2) - 0.5 * np.log(dof * np.pi) - parameters[0]
+        constant = (
+            special.gammaln((dof + 1) / 2)
+            - special.gammaln(dof / 2)
+            - 0.5 * np.log(dof * np.pi)
+            - parameters[0]
+        )
         return -float(len(x) * constant - (dof + 1) / 2 * np.sum(np.log1p((x / scale) ** 2 / dof)))
 
     start = np.log([float(np.median(np.abs(x))) / 0.75 + 1e-3, 6.0])
     sparse = x if len(x) <= 20000 else x[:: len(x) // 20000]
     x, weight = sparse, len(x) / len(sparse)
-    fitted = optimize.minimize(cost, start, method="Nelder-Mead", options={"xatol": 1e-3, "fatol": 1e-2, "maxiter": 200})
+    fitted = optimize.minimize(
+        cost, start, method="Nelder-Mead", options={"xatol": 1e-3, "fatol": 1e-2, "maxiter": 200}
+    )
     gaussian = 0.5 * float(np.sum(x**2) + len(x) * np.log(2 * np.pi))
     scale, dof = np.exp(fitted.x)
     if dof > _LIGHTEST_TAILS or weight * (gaussian - fitted.fun) < 0.5 * np.log(weight * len(x)):
@@ -344,20 +438,25 @@ _MOST = 4  # samples at least for each direction that is fitted
 
 
 def with_unbiased_size(
-    noise: NoiseModel, inputs: Sequence[FloatArray], residuals: Sequence[FloatArray], model: IdentifiedModel
+    noise: NoiseModel,
+    inputs: Sequence[FloatArray],
+    residuals: Sequence[FloatArray],
+    model: IdentifiedModel,
 ) -> NoiseModel:
-    """The noise model with σ corrected for the model's error on these records, and with the degrees of freedom it rests on.
+    """The noise model with σ corrected for the model's error on these records, and with the degrees
+    of freedom it rests on.
 
-    On the records a model was identified from its residual is too small by the k directions it was fitted in, on others
-    too large by its error: e = v − Φ δ with v correlated with δ, or not. What the best impulse response leaves over does
-    not depend on δ, so
+    On the records a model was identified from its residual is too small by the k directions it was
+    fitted in, on others too large by its error: e = v − Φ δ with v correlated with δ, or not. What
+    the best impulse response leaves over does not depend on δ, so
 
         σ̂² = min_δ ‖A (e − Φ δ)‖² / (n − k − p − 1)
 
-    is unbiased for both, k being the directions of Φ that the input excites (the model's most uncertain ones, where there
-    are more than n/4), p the order of A and 1 for the operating point. Heavier tails than Gaussian keep their shape; of lighter
-    ones the shape is found anew without the model's error, which rounds off the bounds. The scale is corrected in the same
-    proportion, and its degrees of freedom count by the Fisher information of a scale.
+    is unbiased for both, k being the directions of Φ that the input excites (the model's most
+    uncertain ones, where there are more than n/4), p the order of A and 1 for the operating point.
+    Heavier tails than Gaussian keep their shape; of lighter ones the shape is found anew without
+    the model's error, which rounds off the bounds. The scale is corrected in the same proportion,
+    and its degrees of freedom count by the Fisher information of a scale.
 
     Parameters
     ----------
@@ -376,14 +475,22 @@ def with_unbiased_size(
     power = (centred.energy - explained) / left
     size = float(np.sqrt(power / (sums.energy / sums.rows)))
     error = float(np.sqrt(np.sum(centred.gram * model.covariance) / sums.rows / power))
-    sharp = replace(noise, shape=shape_without(error, noise, residuals)) if noise.shape > GAUSSIAN_SHAPE else noise
+    sharp = (
+        replace(noise, shape=shape_without(error, noise, residuals))
+        if noise.shape > GAUSSIAN_SHAPE
+        else noise
+    )
     unit = sharp.innovation_std / sharp.sigma
     sigma = size * noise.innovation_std / unit
-    return replace(sharp, sigma=sigma, freedom=_scale_freedom(sharp, float(left)), blur=error * unit)
+    return replace(
+        sharp, sigma=sigma, freedom=_scale_freedom(sharp, float(left)), blur=error * unit
+    )
 
 
 def shape_without(error: float, noise: NoiseModel, residuals: Sequence[FloatArray]) -> float:
-    """β of the noise alone, by maximum likelihood, where the residual also carries a Gaussian model error `error` σ large."""
+    """β of the noise alone, by maximum likelihood, where the residual also carries a Gaussian model
+    error `error` σ large.
+    """
     white = np.concatenate([np.convolve(e, noise.ar)[: len(e)] for e in residuals])
     white = np.abs(white[np.isfinite(white)])
     counts, edges = np.histogram(white / np.sqrt(np.mean(white**2)), bins=_BINS)
@@ -396,13 +503,20 @@ def shape_without(error: float, noise: NoiseModel, residuals: Sequence[FloatArra
         density = law.pdf(at / scale) @ weights / scale
         return -float(counts @ np.log(np.maximum(density, np.finfo(float).tiny)))
 
-    return float(optimize.minimize_scalar(cost, bounds=(GAUSSIAN_SHAPE, STEEPEST), method="bounded").x)
+    return float(
+        optimize.minimize_scalar(cost, bounds=(GAUSSIAN_SHAPE, STEEPEST), method="bounded").x
+    )
 
 
 def _sums(
-    noise: NoiseModel, inputs: Sequence[FloatArray], residuals: Sequence[FloatArray], model: IdentifiedModel
+    noise: NoiseModel,
+    inputs: Sequence[FloatArray],
+    residuals: Sequence[FloatArray],
+    model: IdentifiedModel,
 ) -> RegressionSums:
-    """Sums of the regression of the whitened residual on the whitened input's lags, over all records."""
+    """Sums of the regression of the whitened residual on the whitened input's lags, over all
+    records.
+    """
     whitened = [(np.convolve(u, noise.ar)[: len(u)], np.convolve(e, noise.ar)[: len(e)])
                 for u, e in zip(inputs, residuals, strict=True)]  # fmt: skip
     parts = []
@@ -417,7 +531,9 @@ def _sums(
 
 
 def _explained(sums: RegressionSums, model: IdentifiedModel, most: int) -> tuple[float, int]:
-    """Energy that an error of the impulse response in its `most` most uncertain directions explains; how many are excited."""
+    """Energy that an error of the impulse response in its `most` most uncertain directions
+    explains; how many are excited.
+    """
     _, vectors = np.linalg.eigh(model.covariance)
     basis = vectors[:, ::-1][:, : max(most, 1)]
     eigenvalues, directions = np.linalg.eigh(basis.T @ sums.gram @ basis)
@@ -427,8 +543,12 @@ def _explained(sums: RegressionSums, model: IdentifiedModel, most: int) -> tuple
 
 
 def _scale_freedom(noise: NoiseModel, samples: float) -> float:
-    """Gaussian samples that would tell σ as well: the Fisher information of ln σ is 2 for those, 2 ν/(ν + 3) and β for ours."""
-    return samples * (noise.dof / (noise.dof + 3.0) if np.isfinite(noise.dof) else noise.shape / 2.0)
+    """Gaussian samples that would tell σ as well: the Fisher information of ln σ is 2 for those, 2
+    ν/(ν + 3) and β for ours.
+    """
+    return samples * (
+        noise.dof / (noise.dof + 3.0) if np.isfinite(noise.dof) else noise.shape / 2.0
+    )
 
 
 # What healthy samples say of the tails: of the whitened innovations, and of the robust residual a
@@ -438,9 +558,10 @@ def _scale_freedom(noise: NoiseModel, samples: float) -> float:
 def with_healthy_tail(noise: NoiseModel, residuals: Sequence[FloatArray]) -> NoiseModel:
     """The noise model with a tail of its own where healthy samples contradict the form of its law.
 
-    A model's error on its own records shrinks the innovations, on others it widens them: for lighter tails than exponential they
-    are scaled to the power that new ones have, σ² and the model's error. To the samples of a linear fit this does what leaving
-    each out of it does: its residual over 1 − h, h its leverage, here the mean one.
+    A model's error on its own records shrinks the innovations, on others it widens them: for
+    lighter tails than exponential they are scaled to the power that new ones have, σ² and the
+    model's error. To the samples of a linear fit this does what leaving each out of it does: its
+    residual over 1 − h, h its leverage, here the mean one.
 
     Parameters
     ----------
@@ -453,14 +574,20 @@ def with_healthy_tail(noise: NoiseModel, residuals: Sequence[FloatArray]) -> Noi
     white = np.concatenate([bare.whiten(e) for e in residuals])
     sizes = np.abs(white[np.isfinite(white)])
     if np.isinf(noise.dof):
-        sizes *= float(np.hypot(noise.innovation_std / noise.sigma, noise.blur) / np.sqrt(np.mean(sizes**2)))
+        sizes *= float(
+            np.hypot(noise.innovation_std / noise.sigma, noise.blur) / np.sqrt(np.mean(sizes**2))
+        )
     return replace(noise, tail=differing_tail(sizes, lambda x: np.log(2.0) + bare.log_tail(x)))
 
 
-def single_sample_law(residuals: Sequence[FloatArray], spread: float, errors: FloatArray) -> NoiseModel:
-    """The law of the noise in one sample of a filtered residual, found on the residual itself; its `ar` is 1.
+def single_sample_law(
+    residuals: Sequence[FloatArray], spread: float, errors: FloatArray
+) -> NoiseModel:
+    """The law of the noise in one sample of a filtered residual, found on the residual itself; its
+    `ar` is 1.
 
-    A filter mixes many innovations into one sample, so that noise with bounds, or with heavy tails, comes out nearer to Gaussian.
+    A filter mixes many innovations into one sample, so that noise with bounds, or with heavy tails,
+    comes out nearer to Gaussian.
 
     Parameters
     ----------
@@ -478,7 +605,11 @@ def single_sample_law(residuals: Sequence[FloatArray], spread: float, errors: Fl
     """
     law, error = fit_noise_model(residuals, highest_order=0), float(np.sqrt(np.mean(errors**2)))
     if np.isinf(law.dof):
-        shape = shape_without(error / spread, law, residuals) if law.shape > GAUSSIAN_SHAPE else law.shape
+        shape = (
+            shape_without(error / spread, law, residuals)
+            if law.shape > GAUSSIAN_SHAPE
+            else law.shape
+        )
         law = replace(law, shape=shape)
         law = replace(law, sigma=law.sigma * spread / law.innovation_std)
     return with_healthy_tail(replace(law, blur=error / law.sigma), residuals)

@@ -1,4 +1,6 @@
-"""A designed residual detector: model, weight, post-filter, noise model and healthy reference, as one stored thing."""
+"""A designed residual detector: model, weight, post-filter, noise model and healthy reference, as
+one stored thing.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,11 @@ from residuum.diagnosis.residuals.generators.approximate_fault_detection import 
     noise_path,
 )
 from residuum.diagnosis.residuals.generators.classical_filters import Given, classical_filter
-from residuum.diagnosis.residuals.generators.residual_generator import ResidualGenerator, ResidualSignals, generator_of
+from residuum.diagnosis.residuals.generators.residual_generator import (
+    ResidualGenerator,
+    ResidualSignals,
+    generator_of,
+)
 from residuum.diagnosis.residuals.likelihood_ratio import LikelihoodRatioBank, bank_threshold
 from residuum.diagnosis.residuals.noise_model import (
     NoiseModel,
@@ -75,11 +81,14 @@ class ResidualDesign:
     input_mean, output_mean : float
         Operating point.
     input_bound, noise_bound : float
-        Largest |u − mean| and |e| that the `source` and `peak` thresholds assume; infinite when not known.
+        Largest |u − mean| and |e| that the `source` and `peak` thresholds assume; infinite when not
+        known.
     peaks : mapping of evaluation name to array
-        Healthy peaks (128 samples each) for the `calibrated` threshold; empty without healthy records.
+        Healthy peaks (128 samples each) for the `calibrated` threshold; empty without healthy
+        records.
     structured_p : float
-        Probability that a right model shows healthy scores this far from independent normals; 1 without healthy records.
+        Probability that a right model shows healthy scores this far from independent normals; 1
+        without healthy records.
     """
 
     model: IdentifiedModel
@@ -99,17 +108,23 @@ class ResidualDesign:
 
     @property
     def has_structured_error(self) -> bool:
-        """Whether the healthy record says that a part of the plant is missing: `structured_p` below `STRUCTURED_P`."""
+        """Whether the healthy record says that a part of the plant is missing: `structured_p` below
+        `STRUCTURED_P`.
+        """
         return self.structured_p < STRUCTURED_P
 
     @property
     def generator(self) -> ResidualGenerator:
         """The filters that run on u and y."""
-        return generator_of(self.model, self.post_filter.Q, self.noise, (self.input_mean, self.output_mean))
+        return generator_of(
+            self.model, self.post_filter.Q, self.noise, (self.input_mean, self.output_mean)
+        )
 
     @cached_property
     def peak_gains(self) -> FloatArray:
-        """Σ_k |impulse response| from each fictitious noise [u; e] of (4.5), or e alone, to the robust residual."""
+        """Σ_k |impulse response| from each fictitious noise [u; e] of (4.5), or e alone, to the
+        robust residual.
+        """
         factors = left_coprime(StateSpace.from_transfer_function(self.model.transfer_function()))
         return np.asarray(peak_gain(self.post_filter.Q @ noise_path(factors, self.W_T))[0])
 
@@ -120,26 +135,41 @@ class ResidualDesign:
 
     @property
     def single_sample_noise(self) -> NoiseModel:
-        """`robust_noise`; without healthy records the noise model's own law at the size it has in the robust residual."""
+        """`robust_noise`; without healthy records the noise model's own law at the size it has in
+        the robust residual.
+        """
         if self.robust_noise is not None:
             return self.robust_noise
         noise = self.noise
-        return replace(noise, ar=np.ones(1), sigma=noise.sigma * self.robust_spread / noise.innovation_std)
+        return replace(
+            noise, ar=np.ones(1), sigma=noise.sigma * self.robust_spread / noise.innovation_std
+        )
 
     def robust_error(self, u: FloatArray) -> FloatArray:
-        """√(φ_Qᵀ Σ_g φ_Q), shape (n,): standard deviation of the model error in the robust residual, φ_Q being u through Q."""
+        """√(φ_Qᵀ Σ_g φ_Q), shape (n,): standard deviation of the model error in the robust
+        residual, φ_Q being u through Q.
+        """
         filtered = self.post_filter.Q.modal.simulate((u - self.input_mean)[:, None])[0][:, 0]
         return self.model.simulation_std(filtered)
 
     def bank(self, threshold: float, *, restart: bool = True) -> LikelihoodRatioBank:
-        """A likelihood-ratio bank that knows how uncertain this model and its operating point are."""
+        """A likelihood-ratio bank that knows how uncertain this model and its operating point
+        are.
+        """
         model, level_variance = self.model, self.noise.level_variance
         return LikelihoodRatioBank(
-            1e-3, model.covariance, model.delay, threshold=threshold, level_variance=level_variance, restart=restart
+            1e-3,
+            model.covariance,
+            model.delay,
+            threshold=threshold,
+            level_variance=level_variance,
+            restart=restart,
         )
 
     def bank_threshold(self, rate: float) -> float:
-        """b at which that bank alarms `rate` times per healthy sample, averaged over the healthy records σ may come from."""
+        """b at which that bank alarms `rate` times per healthy sample, averaged over the healthy
+        records σ may come from.
+        """
         return self.noise.allowing_for_size(bank_threshold(rate))
 
     def signals_of(self, record: Record) -> tuple[FloatArray, FloatArray]:
@@ -168,34 +198,61 @@ class ResidualDesign:
         if not (backward > _SWAPPED and forward < backward - _SWAPPED):
             return None
         return (
-            f"record {source!r}: {self.model.input_name!r} and {self.model.output_name!r} look swapped: the model "
-            f"explains {100 * max(forward, 0.0):.0f} % of the output as named, {100 * backward:.0f} % the other way round"
+            f"record {source!r}: {self.model.input_name!r} and {self.model.output_name!r} look"
+            f" swapped: the model explains {100 * max(forward, 0.0):.0f} % of the output as named,"
+            f" {100 * backward:.0f} % the other way round"
         )
 
     def _explained(self, u: FloatArray, y: FloatArray) -> float:
-        """Share of y's variance that the model explains once its memory is full; 0 where y does not move there."""
+        """Share of y's variance that the model explains once its memory is full; 0 where y does not
+        move there.
+        """
         good = np.isfinite(u) & np.isfinite(y)
         m = self.model.order + self.model.delay
         compared = np.flatnonzero(good[m:]) + m
         if good.sum() < 2 * m or not len(compared) or np.ptp(y[compared]) == 0.0:
             return 0.0
-        predicted = self.model.simulate(np.where(good, u - np.mean(u[good]), 0.0)) - self.model.offset
+        predicted = (
+            self.model.simulate(np.where(good, u - np.mean(u[good]), 0.0)) - self.model.offset
+        )
         return 1.0 - float(np.var(y[compared] - predicted[compared]) / np.var(y[compared]))
 
-    def save(self, path: str | Path, *, kind: str = KIND, settings: dict[str, Any] | None = None) -> None:
-        """Store the design (JSON and arrays in a zip), with the settings of a diagnoser that is built on it."""
-        model = {item.name: getattr(self.model, item.name) for item in fields(IdentifiedModel) if item.name != "bands"}
-        arrays = {f"model-{name}": value for name, value in model.items() if isinstance(value, np.ndarray)}
-        arrays |= {f"Q-{name}": getattr(self.post_filter.Q, name) for name in "ABCD"} | {"noise-ar": self.noise.ar}
+    def save(
+        self, path: str | Path, *, kind: str = KIND, settings: dict[str, Any] | None = None
+    ) -> None:
+        """Store the design (JSON and arrays in a zip), with the settings of a diagnoser that is
+        built on it.
+        """
+        model = {
+            item.name: getattr(self.model, item.name)
+            for item in fields(IdentifiedModel)
+            if item.name != "bands"
+        }
+        arrays = {
+            f"model-{name}": value for name, value in model.items() if isinstance(value, np.ndarray)
+        }
+        arrays |= {f"Q-{name}": getattr(self.post_filter.Q, name) for name in "ABCD"} | {
+            "noise-ar": self.noise.ar
+        }
         arrays |= {f"peaks-{name}": value for name, value in self.peaks.items()}
         if self.W_T is not None:
             arrays |= {"W_T-num": self.W_T.num, "W_T-den": self.W_T.den}
-        filter_numbers = {item.name: getattr(self.post_filter, item.name) for item in fields(PostFilter) if item.name != "Q"}
+        filter_numbers = {
+            item.name: getattr(self.post_filter, item.name)
+            for item in fields(PostFilter)
+            if item.name != "Q"
+        }
         meta = {
-            "model": {name: _jsonable(value) for name, value in model.items() if not isinstance(value, np.ndarray)},
+            "model": {
+                name: _jsonable(value)
+                for name, value in model.items()
+                if not isinstance(value, np.ndarray)
+            },
             "post_filter": filter_numbers,
             "noise": _noise_numbers(self.noise),
-            "robust_noise": None if self.robust_noise is None else _noise_numbers(self.robust_noise),
+            "robust_noise": (
+                None if self.robust_noise is None else _noise_numbers(self.robust_noise)
+            ),
             "settings": settings or {},
             "design": {name: _jsonable(getattr(self, name)) for name in _NUMBERS},
         }
@@ -207,12 +264,21 @@ class ResidualDesign:
         return cls.load_with_settings(path, kind=KIND)[0]
 
     @classmethod
-    def load_with_settings(cls, path: str | Path, *, kind: str) -> tuple[ResidualDesign, dict[str, Any]]:
+    def load_with_settings(
+        cls, path: str | Path, *, kind: str
+    ) -> tuple[ResidualDesign, dict[str, Any]]:
         """The design and the settings stored with it under `kind`."""
         stored = load_stored(path, kind)
         try:
-            model_arrays: dict[str, Any] = {name[6:]: value for name, value in stored.arrays.items() if name.startswith("model-")}
-            model = IdentifiedModel(**{name: _number(value) for name, value in stored.meta["model"].items()}, **model_arrays)
+            model_arrays: dict[str, Any] = {
+                name[6:]: value
+                for name, value in stored.arrays.items()
+                if name.startswith("model-")
+            }
+            model = IdentifiedModel(
+                **{name: _number(value) for name, value in stored.meta["model"].items()},
+                **model_arrays,
+            )
             A, B, C, D = (stored.arrays[f"Q-{name}"] for name in "ABCD")
             Q = StateSpace(A, B, C, D, model.sample_time)
             robust_noise = stored.meta.get("robust_noise")
@@ -222,16 +288,36 @@ class ResidualDesign:
                 post_filter=PostFilter(Q=Q, **stored.meta["post_filter"]),
                 noise=_noise_of(stored.arrays["noise-ar"], stored.meta["noise"]),
                 robust_noise=None if robust_noise is None else _noise_of(np.ones(1), robust_noise),
-                W_T=None if weight is None else TransferFunction(weight, stored.arrays["W_T-den"], model.sample_time),
-                peaks={name[6:]: value for name, value in stored.arrays.items() if name.startswith("peaks-")},
+                W_T=(
+                    None
+                    if weight is None
+                    else TransferFunction(weight, stored.arrays["W_T-den"], model.sample_time)
+                ),
+                peaks={
+                    name[6:]: value
+                    for name, value in stored.arrays.items()
+                    if name.startswith("peaks-")
+                },
                 **{name: _number(value) for name, value in stored.meta["design"].items()},
             )
             return design, dict(stored.meta["settings"])
         except (KeyError, TypeError) as error:
-            raise BadInput(f"{path}: is not a residual design, as `residuum residual design` writes one: {error}") from None
+            raise BadInput(
+                f"{path}: is not a residual design, as `residuum residual design` writes one:"
+                f" {error}"
+            ) from None
 
 
-_NUMBERS = ("method", "gamma", "fault", "input_mean", "output_mean", "input_bound", "noise_bound", "structured_p")
+_NUMBERS = (
+    "method",
+    "gamma",
+    "fault",
+    "input_mean",
+    "output_mean",
+    "input_bound",
+    "noise_bound",
+    "structured_p",
+)
 
 
 @one_thread_if_small(LARGEST_FOR_ONE_THREAD)
@@ -244,12 +330,14 @@ def design_residual(
     gamma: float = 0.1,
     method: str = ROBUST,
 ) -> ResidualDesign:
-    """Design the detector of an identified model; Algorithm 5 of the source, then all that healthy records teach.
+    """Design the detector of an identified model; Algorithm 5 of the source, then all that healthy
+    records teach.
 
-    `method` other than "robust" takes the post-filter from `classical_filters`: observer, kalman, parity or h-infinity.
+    `method` other than "robust" takes the post-filter from `classical_filters`: observer, kalman,
+    parity or h-infinity.
 
-    Without healthy records the noise is what the model says (white of variance σ², or its H), and the bounds and the
-    calibrated threshold are not known.
+    Without healthy records the noise is what the model says (white of variance σ², or its H), and
+    the bounds and the calibrated threshold are not known.
 
     Raises
     ------
@@ -267,7 +355,9 @@ def design_residual(
     else:
         inputs = [record.in_unit(model.input_name, model.input_unit) for record in healthy]
         size = float(np.nanvar(np.concatenate(inputs))) if inputs else 1.0
-        post_filter = classical_filter(method, Given.of(plant, factors, W_T, size, model.noise_variance, fault))
+        post_filter = classical_filter(
+            method, Given.of(plant, factors, W_T, size, model.noise_variance, fault)
+        )
         gamma = post_filter.gamma
     noise = model_noise(model)
     bare = ResidualDesign(model=model, post_filter=post_filter, noise=noise, W_T=W_T, gamma=gamma, fault=fault,
@@ -293,22 +383,32 @@ def with_healthy_records(design: ResidualDesign, healthy: Sequence[Record]) -> R
     pairs = [design.signals_of(record) for record in healthy]
     input_mean = float(np.nanmean(np.concatenate([u for u, _ in pairs])))
     gain = float(design.model.frequency_response([0.0])[0].real)
-    first = _replaced(design, input_mean=input_mean, output_mean=design.model.offset + gain * input_mean)
+    first = _replaced(
+        design, input_mean=input_mean, output_mean=design.model.offset + gain * input_mean
+    )
     before = np.concatenate([_primary(first.generator, u, y) for u, y in pairs])
     if not np.isfinite(before).any():
         raise NotIdentifiable(
-            f"residual design: the model remembers {first.generator.warm_up} samples, and no healthy record has more on end "
-            f"({', '.join(str(r.n) for r in healthy)} samples, holes counted); give longer ones, or identify a shorter response"
+            f"residual design: the model remembers {first.generator.warm_up} samples, and no"
+            f" healthy record has more on end ({', '.join(str(r.n) for r in healthy)} samples,"
+            " holes counted); give longer ones, or identify a shorter response"
         )
     level = float(np.nanmean(before))
     centred = _replaced(first, output_mean=first.output_mean + level)
     primary = [_primary(centred.generator, u, y) for u, y in pairs]
-    noise = with_unbiased_size(fit_noise_model(primary), [u - input_mean for u, _ in pairs], primary, design.model)
+    noise = with_unbiased_size(
+        fit_noise_model(primary), [u - input_mean for u, _ in pairs], primary, design.model
+    )
     whitened = _replaced(centred, noise=with_healthy_tail(noise, primary))
     signals = [whitened.generator.run(u, y) for u, y in pairs]
-    second = _replaced(whitened, robust_noise=_robust_noise(whitened, [u for u, _ in pairs], signals))
+    second = _replaced(
+        whitened, robust_noise=_robust_noise(whitened, [u for u, _ in pairs], signals)
+    )
     peaks = {
-        name: block_peaks([evaluate(name, second.bank, part) for part in signals], [part.valid for part in signals])
+        name: block_peaks(
+            [evaluate(name, second.bank, part) for part in signals],
+            [part.valid for part in signals],
+        )
         for name in EVALUATIONS
     }
     return _replaced(
@@ -320,7 +420,9 @@ def with_healthy_records(design: ResidualDesign, healthy: Sequence[Record]) -> R
     )
 
 
-def _robust_noise(design: ResidualDesign, inputs: Sequence[FloatArray], signals: Sequence[ResidualSignals]) -> NoiseModel:
+def _robust_noise(
+    design: ResidualDesign, inputs: Sequence[FloatArray], signals: Sequence[ResidualSignals]
+) -> NoiseModel:
     """Law of the noise in one sample of the robust residual."""
     errors = [
         design.robust_error(np.where(np.isnan(u), design.input_mean, u))[part.valid]
@@ -337,7 +439,9 @@ def _primary(generator: ResidualGenerator, u: FloatArray, y: FloatArray) -> Floa
 
 
 def _structured_p(design: ResidualDesign, signals: Sequence[ResidualSignals]) -> float:
-    """Chance of at least this many alarms over the healthy records, were the model right (0.3 expected)."""
+    """Chance of at least this many alarms over the healthy records, were the model right (0.3
+    expected).
+    """
     n = sum(int(part.valid.sum()) for part in signals)
     if n == 0:
         return 1.0
@@ -350,7 +454,9 @@ def _structured_p(design: ResidualDesign, signals: Sequence[ResidualSignals]) ->
 
 
 def _replaced(design: ResidualDesign, **changes: Any) -> ResidualDesign:
-    return ResidualDesign(**{item.name: getattr(design, item.name) for item in fields(design)} | changes)
+    return ResidualDesign(
+        **{item.name: getattr(design, item.name) for item in fields(design)} | changes
+    )
 
 
 def _noise_numbers(noise: NoiseModel) -> dict[str, Any]:
@@ -381,4 +487,7 @@ def _number(value: Any) -> Any:
 def refuse_other_rate(record: Record, sample_time: float) -> None:
     """BadRecord for a record that was not sampled as a design was."""
     if abs(record.sample_time / sample_time - 1.0) > _RATE_TOLERANCE:
-        raise BadRecord(f"record {record.source!r}: sample time {record.sample_time:g} s; the design needs {sample_time:g} s")
+        raise BadRecord(
+            f"record {record.source!r}: sample time {record.sample_time:g} s; the design needs"
+            f" {sample_time:g} s"
+        )

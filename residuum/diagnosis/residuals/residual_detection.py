@@ -1,4 +1,6 @@
-"""Fault detection on a record with a designed residual: Algorithm 6, with any threshold and evaluation."""
+"""Fault detection on a record with a designed residual: Algorithm 6, with any threshold and
+evaluation.
+"""
 
 from __future__ import annotations
 
@@ -74,10 +76,11 @@ def detect(
     Parameters
     ----------
     evaluation : "point", "rms", "cusum", "glr" or None
-        None: `glr` for `posterior` and `calibrated`, `point` for a classical method, whose filter the others do not use;
-        `source` and `peak` hold for `point` alone.
+        None: `glr` for `posterior` and `calibrated`, `point` for a classical method, whose filter
+        the others do not use; `source` and `peak` hold for `point` alone.
     noise_bound : float or None
-        ē of the `source` and `peak` thresholds; None: the largest healthy residual, or 4 σ without healthy records.
+        ē of the `source` and `peak` thresholds; None: the largest healthy residual, or 4 σ without
+        healthy records.
 
     Raises
     ------
@@ -87,18 +90,29 @@ def detect(
         The threshold does not exist for this evaluation, or not without healthy records.
     """
     if threshold in ("source", "peak") and evaluation not in (None, "point"):
-        raise BadInput(f"threshold {threshold!r}: bounds |r(t)| alone, so its evaluation is point, not {evaluation}")
+        raise BadInput(
+            f"threshold {threshold!r}: bounds |r(t)| alone, so its evaluation is point, not"
+            f" {evaluation}"
+        )
     u, y = design.signals_of(record)
     design.refuse_swapped(record)
     stream = design.generator.stream()
     signals = stream.process(u, y)
     if not signals.valid.any():
         memory = design.generator.warm_up
-        raise BadInput(f"record {record.source!r}: no stretch without a gap is longer than the model's memory, {memory} samples")
+        raise BadInput(
+            f"record {record.source!r}: no stretch without a gap is longer than the model's memory,"
+            f" {memory} samples"
+        )
     own = DEFAULT_EVALUATION[threshold] if design.method == ROBUST else "point"
     chosen = evaluation or own
     limit = _threshold(
-        design, u, threshold, chosen, alarms_per_sample(false_alarms_per_day, design.model.sample_time), noise_bound
+        design,
+        u,
+        threshold,
+        chosen,
+        alarms_per_sample(false_alarms_per_day, design.model.sample_time),
+        noise_bound,
     )
     statistic, alarm = _alarms(design, signals, limit)
     estimate = _estimate(design, u, y, int(np.argmax(alarm))) if alarm.any() else None
@@ -106,16 +120,27 @@ def detect(
 
 
 def _threshold(
-    design: ResidualDesign, u: FloatArray, kind: ThresholdKind, evaluation: EvaluationName, rate: float, noise_bound: float | None
+    design: ResidualDesign,
+    u: FloatArray,
+    kind: ThresholdKind,
+    evaluation: EvaluationName,
+    rate: float,
+    noise_bound: float | None,
 ) -> Threshold:
     if kind == "posterior":
-        return posterior_threshold(design, np.where(np.isnan(u), design.input_mean, u), rate, evaluation)
+        return posterior_threshold(
+            design, np.where(np.isnan(u), design.input_mean, u), rate, evaluation
+        )
     if kind == "calibrated":
         return calibrated(design, rate, evaluation)
-    return (source_threshold if kind == "source" else peak_threshold)(design, *bounds(design, u, noise_bound))
+    return (source_threshold if kind == "source" else peak_threshold)(
+        design, *bounds(design, u, noise_bound)
+    )
 
 
-def _alarms(design: ResidualDesign, signals: ResidualSignals, threshold: Threshold) -> tuple[FloatArray, BoolArray]:
+def _alarms(
+    design: ResidualDesign, signals: ResidualSignals, threshold: Threshold
+) -> tuple[FloatArray, BoolArray]:
     if threshold.evaluation == "glr":
         output = design.bank(threshold.typical).process(signals)
         return output.statistic, output.alarm
@@ -126,13 +151,17 @@ def _alarms(design: ResidualDesign, signals: ResidualSignals, threshold: Thresho
     return statistic, np.asarray((statistic > threshold.level) & signals.valid)
 
 
-def _estimate(design: ResidualDesign, u: FloatArray, y: FloatArray, alarm: int) -> FaultEstimate | None:
+def _estimate(
+    design: ResidualDesign, u: FloatArray, y: FloatArray, alarm: int
+) -> FaultEstimate | None:
     """The fault around the alarm, on the stretch without gap that holds it."""
     broken = np.flatnonzero(np.isnan(u) | np.isnan(y))
     before, after = broken[broken < alarm], broken[broken > alarm]
     start = max(int(before[-1]) + 1 if len(before) else 0, alarm - _AROUND)
     stop = min(int(after[0]) if len(after) else len(u), alarm + _AROUND)
     model = design.model
-    estimator = FaultEstimator(design.generator, model.covariance, model.delay, (model.input_unit, model.output_unit))
+    estimator = FaultEstimator(
+        design.generator, model.covariance, model.delay, (model.input_unit, model.output_unit)
+    )
     fault = estimator.estimate(u[start:stop], y[start:stop], alarm - start)
     return None if fault is None else fault.moved(start)

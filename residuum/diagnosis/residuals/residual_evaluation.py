@@ -27,22 +27,28 @@ class BankAt(Protocol):
 EVALUATIONS: dict[str, Callable[[BankAt, ResidualSignals], FloatArray]] = {
     "point": lambda bank, signals: np.abs(signals.robust),
     "rms": lambda bank, signals: moving_rms(signals),
-    "cusum": lambda bank, signals: cusum(signals.scores, signals.valid, CUSUM_REFERENCE, np.inf).statistic,
+    "cusum": lambda bank, signals: (
+        cusum(signals.scores, signals.valid, CUSUM_REFERENCE, np.inf).statistic
+    ),
     "glr": lambda bank, signals: bank(_LAZY, restart=False).process(signals).statistic,
 }
 
 
 def evaluate(name: str, bank: BankAt, signals: ResidualSignals) -> FloatArray:
-    """Undisturbed statistic (no restart after an alarm) of an evaluation, shape (n,), zero where the residual is not valid.
+    """Undisturbed statistic (no restart after an alarm) of an evaluation, shape (n,), zero where
+    the residual is not valid.
 
-    `point` |r| [output unit × γ]; `rms` root mean square of 50 whitened scores; `cusum` two-sided CUSUM of the scores;
-    `glr` generalised likelihood ratio of offset, gain and power over windows of 1 … 1024 samples, by the design's `bank`.
+    `point` |r| [output unit × γ]; `rms` root mean square of 50 whitened scores; `cusum` two-sided
+    CUSUM of the scores; `glr` generalised likelihood ratio of offset, gain and power over windows
+    of 1 … 1024 samples, by the design's `bank`.
     """
     return np.where(signals.valid, EVALUATIONS[name](bank, signals), 0.0)
 
 
 def moving_rms(signals: ResidualSignals, window: int = RMS_WINDOW) -> FloatArray:
-    """√(mean of the last `window` squared scores), zero until that many valid ones in a row are there."""
+    """√(mean of the last `window` squared scores), zero until that many valid ones in a row are
+    there.
+    """
     squares = np.where(signals.valid, signals.scores**2, 0.0)
     total = np.cumsum(np.concatenate([np.zeros(window), squares]))
     good = np.cumsum(np.concatenate([np.zeros(window), signals.valid]))

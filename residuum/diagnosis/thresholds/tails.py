@@ -32,18 +32,23 @@ class HealthyBand:
 
     @classmethod
     def of(cls, observations: npt.ArrayLike) -> HealthyBand:
-        """From positive indicators, shape (n, …), n ≥ 2; scatter is the larger of standard and quantile-based deviation."""
+        """From positive indicators, shape (n, …), n ≥ 2; scatter is the larger of standard and
+        quantile-based deviation.
+        """
         logs = np.log(np.asarray(observations, dtype=float))
         quantiles = np.quantile(logs, [0.05, 0.5, 0.95], axis=0)
         by_quantiles = (quantiles[2] - quantiles[0]) / 3.29
-        return cls(logs.mean(axis=0), np.maximum(logs.std(axis=0, ddof=1), by_quantiles), logs.shape[0])
+        return cls(
+            logs.mean(axis=0), np.maximum(logs.std(axis=0, ddof=1), by_quantiles), logs.shape[0]
+        )
 
     def upper(self, false_alarm: float, least_change: float | AnyArray = 1.0) -> AnyArray:
         """Limit that one further healthy observation passes with probability `false_alarm`.
 
-        exp(mean + t_{n−1}(1 − false_alarm) √(1 + 1/n) scatter): Student's prediction limit of a log-normal indicator, exact for
-        normal logarithms, high for few observations; never below `least_change` times the healthy median, because
-        a significant change of a few percent is no fault.
+        exp(mean + t_{n−1}(1 − false_alarm) √(1 + 1/n) scatter): Student's prediction limit of a
+        log-normal indicator, exact for normal logarithms, high for few observations; never below
+        `least_change` times the healthy median, because a significant change of a few percent is no
+        fault.
         """
         reach = student.isf(false_alarm, self.n - 1) * np.sqrt(1 + 1 / self.n) * self.scatter
         return np.asarray(np.exp(self.mean + np.maximum(reach, np.log(least_change))))
@@ -63,8 +68,9 @@ class HealthyBand:
 class UpperTail:
     """Median of healthy values and their scatter above it.
 
-    A peak over a random pattern is skewed: its logarithm has a long lower tail, which would inflate a standard deviation and
-    with it the limit. Only what lies above the median says how far healthy values reach upwards (split-normal model).
+    A peak over a random pattern is skewed: its logarithm has a long lower tail, which would inflate
+    a standard deviation and with it the limit. Only what lies above the median says how far healthy
+    values reach upwards (split-normal model).
 
     Attributes
     ----------
@@ -91,14 +97,17 @@ class UpperTail:
         x = np.asarray(values, dtype=float)
         centre = np.median(x, axis=0)
         above = np.where(x > centre, x - centre, np.nan)
-        mean_square = np.nansum(above**2, axis=0) / np.maximum(np.count_nonzero(x > centre, axis=0), 1)
+        mean_square = np.nansum(above**2, axis=0) / np.maximum(
+            np.count_nonzero(x > centre, axis=0), 1
+        )
         return cls(np.asarray(centre), np.sqrt(mean_square), x.shape[0])
 
     def limit(self, rate: float) -> FloatArray:
-        """Value that a further healthy one passes with probability `rate` if the upper tail is normal, shape (…).
+        """Value that a further healthy one passes with probability `rate` if the upper tail is
+        normal, shape (…).
 
-        centre + t(1 − rate) √(1 + 2/n) scatter, t Student's with n − 1 degrees of freedom: high for few values, normal
-        for many.
+        centre + t(1 − rate) √(1 + 2/n) scatter, t Student's with n − 1 degrees of freedom: high for
+        few values, normal for many.
         """
         reach = student.isf(rate, max(1, self.n - 1)) * np.sqrt(1.0 + 2.0 / self.n)
         return np.asarray(self.centre + reach * self.scatter)
@@ -106,10 +115,18 @@ class UpperTail:
 
 # The far tail of a noise, taken from healthy samples instead of from the form of a distribution.
 
-_SAMPLES = (1000, 500, 250, 100, 50)  # in a tail: fewer scatter, more reach to where the hazard bends
+_SAMPLES = (
+    1000,
+    500,
+    250,
+    100,
+    50,
+)  # in a tail: fewer scatter, more reach to where the hazard bends
 _LARGEST_SHARE = 0.05
 _FITS = 0.1  # Cramér–von Mises probability above which a fitted tail is not doubted
-_FARTHEST = 10  # samples that a fitted tail expects beyond a level: what it says of the far end is held against their number
+# samples that a fitted tail expects beyond a level: what it says of the far end is held against
+# their number
+_FARTHEST = 10
 _LIKELY = (5, 16)  # of a Poisson count of 10, with a probability of 94 %
 _STEP = 1e-3  # for the density of the law that a tail is held against
 _PARAMETERS = 3  # of a tail: its share, its hazard and its growth
@@ -119,8 +136,9 @@ _PARAMETERS = 3  # of a tail: its share, its hazard and its growth
 class HazardTail:
     """P(|x| > start + y) = share · exp(−a y − ½ c y²): a hazard a + c y that does not fall.
 
-    One form for every tail that is not heavier than exponential: c = 0 is Laplace noise, c = 1/σ² a Gaussian one, and the sum
-    of a noise with bounds and a small Gaussian error of standard deviation s has c = 1/s² beyond the bound.
+    One form for every tail that is not heavier than exponential: c = 0 is Laplace noise, c = 1/σ² a
+    Gaussian one, and the sum of a noise with bounds and a small Gaussian error of standard
+    deviation s has c = 1/s² beyond the bound.
 
     Attributes
     ----------
@@ -151,13 +169,18 @@ class HazardTail:
     def level(self, probability: npt.ArrayLike) -> FloatArray:
         """What |x| passes with this probability ≤ share, any shape."""
         nats = np.log(self.share / np.asarray(probability, dtype=float))
-        return np.asarray(self.start + 2.0 * nats / (self.hazard + np.sqrt(self.hazard**2 + 2.0 * self.growth * nats)))
+        return np.asarray(
+            self.start
+            + 2.0 * nats / (self.hazard + np.sqrt(self.hazard**2 + 2.0 * self.growth * nats))
+        )
 
 
 def fit_hazard_tail(excess: FloatArray) -> tuple[float, float]:
-    """a and c of greatest likelihood for what the tail's samples exceed its start by, shape (k,), all positive.
+    """a and c of greatest likelihood for what the tail's samples exceed its start by, shape (k,),
+    all positive.
 
-    Σ ln(a + c y) − a Σ y − ½ c Σ y² is concave; along its ridge a Σ y + ½ c Σ y² = k, so only c is searched for.
+    Σ ln(a + c y) − a Σ y − ½ c Σ y² is concave; along its ridge a Σ y + ½ c Σ y² = k, so only c is
+    searched for.
     """
     total, half_square, k = float(np.sum(excess)), 0.5 * float(np.sum(excess**2)), len(excess)
 
@@ -165,20 +188,27 @@ def fit_hazard_tail(excess: FloatArray) -> tuple[float, float]:
         return max(0.0, (k - growth * half_square) / total)
 
     def cost(growth: float) -> float:
-        return -float(np.sum(np.log(np.maximum(hazard(growth) + growth * excess, np.finfo(float).tiny))))
+        return -float(
+            np.sum(np.log(np.maximum(hazard(growth) + growth * excess, np.finfo(float).tiny)))
+        )
 
     most = k / half_square
-    minimum = optimize.minimize_scalar(cost, bounds=(0.0, most), method="bounded", options={"xatol": 1e-6 * most})
+    minimum = optimize.minimize_scalar(
+        cost, bounds=(0.0, most), method="bounded", options={"xatol": 1e-6 * most}
+    )
     growth = float(minimum.x) if minimum.fun < cost(0.0) else 0.0
     return hazard(growth), growth
 
 
-def differing_tail(sizes: npt.ArrayLike, log_tail: Callable[[FloatArray], FloatArray]) -> HazardTail | None:
-    """The tail of healthy samples where it is not that of a law; None while the samples do not contradict the law.
+def differing_tail(
+    sizes: npt.ArrayLike, log_tail: Callable[[FloatArray], FloatArray]
+) -> HazardTail | None:
+    """The tail of healthy samples where it is not that of a law; None while the samples do not
+    contradict the law.
 
-    The most of the largest samples (1000 … 50, never more than 5 % of all) that a tail of non-falling hazard fits are taken
-    where the likelihood of all samples, each known to lie below its start or where it lies, beats that of the law by the
-    tail's three parameters in BIC.
+    The most of the largest samples (1000 … 50, never more than 5 % of all) that a tail of
+    non-falling hazard fits are taken where the likelihood of all samples, each known to lie below
+    its start or where it lies, beats that of the law by the tail's three parameters in BIC.
 
     Parameters
     ----------
@@ -187,10 +217,12 @@ def differing_tail(sizes: npt.ArrayLike, log_tail: Callable[[FloatArray], FloatA
     log_tail : function
         ln P(|x| > ·) of the law.
 
-    It fails where the noise reaches further than its healthy samples show: beyond the largest of them the hazard is extrapolated.
+    It fails where the noise reaches further than its healthy samples show: beyond the largest of
+    them the hazard is extrapolated.
 
-    Source: the form is the linear hazard rate of reliability theory (Bain, Technometrics 16, 1974); the choice of the share by a
-    test of fit follows Bader, Yan and Zhang, Annals of Applied Statistics 12, 2018.
+    Source: the form is the linear hazard rate of reliability theory (Bain, Technometrics 16, 1974);
+    the choice of the share by a test of fit follows Bader, Yan and Zhang, Annals of Applied
+    Statistics 12, 2018.
     """
     ascending = np.sort(np.abs(np.asarray(sizes, dtype=float)))
     n = len(ascending)
@@ -205,16 +237,22 @@ def differing_tail(sizes: npt.ArrayLike, log_tail: Callable[[FloatArray], FloatA
         nats = tail.hazard * excess + 0.5 * tail.growth * excess**2
         if not _fits(nats):
             continue
-        gain = _log_likelihood(tail, excess, n) - _law_log_likelihood(log_tail, start, ascending[n - k :], n)
+        gain = _log_likelihood(tail, excess, n) - _law_log_likelihood(
+            log_tail, start, ascending[n - k :], n
+        )
         if gain > 0.5 * _PARAMETERS * np.log(n):
             return tail
     return None
 
 
 def _fits(nats: FloatArray) -> bool:
-    """Whether a fitted tail's integrated hazards at its samples are exponential, as a whole and at the far end."""
+    """Whether a fitted tail's integrated hazards at its samples are exponential, as a whole and at
+    the far end.
+    """
     far = int(np.count_nonzero(nats > np.log(len(nats) / _FARTHEST)))
-    return bool(_LIKELY[0] <= far <= _LIKELY[1] and stats.cramervonmises(nats, "expon").pvalue >= _FITS)
+    return bool(
+        _LIKELY[0] <= far <= _LIKELY[1] and stats.cramervonmises(nats, "expon").pvalue >= _FITS
+    )
 
 
 def _log_likelihood(tail: HazardTail, excess: FloatArray, n: int) -> float:
@@ -223,7 +261,9 @@ def _log_likelihood(tail: HazardTail, excess: FloatArray, n: int) -> float:
     return below + float(np.sum(hazard + tail.log_probability(tail.start + excess)))
 
 
-def _law_log_likelihood(log_tail: Callable[[FloatArray], FloatArray], start: float, above: FloatArray, n: int) -> float:
+def _law_log_likelihood(
+    log_tail: Callable[[FloatArray], FloatArray], start: float, above: FloatArray, n: int
+) -> float:
     inside, outside = log_tail(above - _STEP), log_tail(above + _STEP)
     hazard = np.maximum((inside - outside) / (2.0 * _STEP), np.finfo(float).tiny)
     below = (n - len(above)) * float(np.log1p(-np.exp(log_tail(np.array([start]))[0])))

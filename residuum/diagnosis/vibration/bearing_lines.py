@@ -22,15 +22,17 @@ from residuum.nearest_names import known_names
 # Fault frequencies of a rolling bearing: from its geometry, as multiples of shaft speed, or in
 # hertz.
 
-CLASS_OF = MappingProxyType({"bpfi": "inner-race", "bpfo": "outer-race", "bsf": "ball", "ftf": "cage"})
+CLASS_OF = MappingProxyType(
+    {"bpfi": "inner-race", "bpfo": "outer-race", "bsf": "ball", "ftf": "cage"}
+)
 
 
 @dataclass(frozen=True)
 class BearingFrequencies:
     """Frequencies [Hz] at which faults of a bearing strike, and the shaft's where it is known.
 
-    `lines` maps `bpfi`, `bpfo`, `bsf`, `ftf` (any of them) to hertz; `bsf` is the ball's own rotation: a spot on it strikes
-    both races, so its impacts come at twice that.
+    `lines` maps `bpfi`, `bpfo`, `bsf`, `ftf` (any of them) to hertz; `bsf` is the ball's own
+    rotation: a spot on it strikes both races, so its impacts come at twice that.
     """
 
     lines: Mapping[str, float]
@@ -45,10 +47,13 @@ class BearingFrequencies:
         return cls({name: order * shaft for name, order in orders.items()}, shaft)
 
     @classmethod
-    def from_hertz(cls, hertz: Mapping[str, float], shaft: float | None = None) -> BearingFrequencies:
+    def from_hertz(
+        cls, hertz: Mapping[str, float], shaft: float | None = None
+    ) -> BearingFrequencies:
         """From hertz; an entry `shaft` is the shaft's own frequency.
 
-        When it is not known but BPFI, BPFO and FTF are, it follows: BPFO = N FTF gives N, BPFI = N (f_shaft − FTF) the shaft.
+        When it is not known but BPFI, BPFO and FTF are, it follows: BPFO = N FTF gives N, BPFI = N
+        (f_shaft − FTF) the shaft.
 
         >>> round(BearingFrequencies.from_hertz({"bpfi": 162.1, "bpfo": 107.3, "ftf": 11.92}).shaft, 1)
         29.9
@@ -63,10 +68,14 @@ class BearingFrequencies:
         return cls(lines, shaft)
 
 
-def orders_from_geometry(balls: int, ball_diameter: float, pitch_diameter: float, contact_angle: float = 0.0) -> dict[str, float]:
-    """Fault frequencies as multiples of shaft speed, inner ring turning, outer ring at rest, no slip.
+def orders_from_geometry(
+    balls: int, ball_diameter: float, pitch_diameter: float, contact_angle: float = 0.0
+) -> dict[str, float]:
+    """Fault frequencies as multiples of shaft speed, inner ring turning, outer ring at rest, no
+    slip.
 
-    With r = (d / D) cos φ: BPFO = N/2 (1 − r), BPFI = N/2 (1 + r), BSF = D/(2d) (1 − r²), FTF = (1 − r)/2.
+    With r = (d / D) cos φ: BPFO = N/2 (1 − r), BPFI = N/2 (1 + r), BSF = D/(2d) (1 − r²), FTF = (1
+    − r)/2.
 
     Parameters
     ----------
@@ -82,7 +91,10 @@ def orders_from_geometry(balls: int, ball_diameter: float, pitch_diameter: float
     {'bpfi': 5.415, 'bpfo': 3.585, 'bsf': 2.357, 'ftf': 0.398}
     """
     if balls < 1 or not 0 < ball_diameter < pitch_diameter:
-        raise BadInput(f"bearing: {balls} balls of {ball_diameter:g} on {pitch_diameter:g}; needs N ≥ 1 and 0 < d < D")
+        raise BadInput(
+            f"bearing: {balls} balls of {ball_diameter:g} on {pitch_diameter:g}; needs N ≥ 1 and 0"
+            " < d < D"
+        )
     r = ball_diameter / pitch_diameter * cos(radians(contact_angle))
     return {
         "bpfi": balls / 2 * (1 + r),
@@ -113,23 +125,37 @@ def _check(lines: Mapping[str, float], subject: str) -> None:
 
 LINES_OF_A_FAMILY = 4
 SLIP = 0.02  # of the fault frequency: slip of the balls and error of the stated speed
-_PERIODS = 140  # of the slowest line a segment: over longer ones slip smears lines faster than the spectrum sharpens
+# of the slowest line a segment: over longer ones slip smears lines faster than the spectrum
+# sharpens
+_PERIODS = 140
 _PERIODS_OF_CAGE = 60
 _FEWEST_PERIODS = 8
 _GRID = 0.00125  # of the frequency
 _FLOOR_CELLS = 15  # resolution cells each side behind the local floor
 _DEEPEST = 3
 _MOST_SEGMENTS = 128
-_FLAT_LINES = 48  # lines of a segment's spectrum that share a median: a gear's line is one of them, a resonance spans many
+# lines of a segment's spectrum that share a median: a gear's line is one of them, a resonance spans
+# many
+_FLAT_LINES = 48
 _FEWEST_FLATTENED = 2  # parts: narrower bands hold few resonances that could outweigh each other
 _WORTH_CLEANING = 2.0  # deciles: below, a family cannot have spoilt its own controls
 _BANDS_CLEANED = 4
 _TONAL = 0.25  # of a band's power in one line: what beats with it is a modulation of no impact
-_STRONG = 20.0  # times the floor: a line that no noise makes, so that cutting it favours no healthy machine
+# times the floor: a line that no noise makes, so that cutting it favours no healthy machine
+_STRONG = 20.0
 _FEWEST_CONTROLS = 50
 _SIDEBANDS = 5
-_RELATED = (0.5, 1.0, 2.0)  # where the harmonics of a fault's lines make a control frequency look alive
-_VARIANTS = {"bpfi": (1.0,), "bpfo": (1.0,), "bsf": (2.0, 1.0), "ftf": (1.0,)}  # a spot on a ball strikes both races
+_RELATED = (
+    0.5,
+    1.0,
+    2.0,
+)  # where the harmonics of a fault's lines make a control frequency look alive
+_VARIANTS = {
+    "bpfi": (1.0,),
+    "bpfo": (1.0,),
+    "bsf": (2.0, 1.0),
+    "ftf": (1.0,),
+}  # a spot on a ball strikes both races
 
 
 @dataclass(frozen=True)
@@ -139,9 +165,11 @@ class LineEvidence:
     Attributes
     ----------
     prominence : float
-        How far the line family stands above the control frequencies: 0 at their median, 1 at their upper decile.
+        How far the line family stands above the control frequencies: 0 at their median, 1 at their
+        upper decile.
     depth : float
-        Modulation depth √Σ (amplitude at k f / mean of the squared envelope)² above the floor, over the harmonics [-].
+        Modulation depth √Σ (amplitude at k f / mean of the squared envelope)² above the floor, over
+        the harmonics [-].
     frequency : float
         Where within the tolerance the family fits best [Hz].
     expected : float
@@ -158,19 +186,23 @@ class LineEvidence:
     high: float
 
 
-def line_evidence(x: npt.ArrayLike, sampling_rate: float, frequencies: BearingFrequencies) -> dict[str, LineEvidence]:
+def line_evidence(
+    x: npt.ArrayLike, sampling_rate: float, frequencies: BearingFrequencies
+) -> dict[str, LineEvidence]:
     r"""Evidence for each line family of a bearing.
 
-    In each band of a binary and ternary division of 0 … fs/2 (the wider ones once more with a flattened spectrum, in which
-    neither gears nor one resonance prevail) the squared envelope is averaged over half-overlapping segments into a
-    spectrum P(α), normalised by the squared mean. With the local median floor N(α) the family at f scores
+    In each band of a binary and ternary division of 0 … fs/2 (the wider ones once more with a
+    flattened spectrum, in which neither gears nor one resonance prevail) the squared envelope is
+    averaged over half-overlapping segments into a spectrum P(α), normalised by the squared mean.
+    With the local median floor N(α) the family at f scores
 
     .. math::
         T(f) = \sum_{k=1}^{4} \ln (1 + P(k f) / N(k f)),
 
-    maximised over ±2 %. The logarithm lets several moderate harmonics count for more than one strong stray line;
-    shaft harmonics are cut down to the floor. T is standardised a band by its median and upper decile over control
-    frequencies, and the best band is taken, for faults and controls alike.
+    maximised over ±2 %. The logarithm lets several moderate harmonics count for more than one
+    strong stray line; shaft harmonics are cut down to the floor. T is standardised a band by its
+    median and upper decile over control frequencies, and the best band is taken, for faults and
+    controls alike.
 
     Parameters
     ----------
@@ -181,8 +213,8 @@ def line_evidence(x: npt.ArrayLike, sampling_rate: float, frequencies: BearingFr
     Returns
     -------
     dict
-        `bpfi`, `bpfo`, `bsf`, `ftf` as far as given. A family whose fundamental cannot be resolved in the record
-        (fewer than 8 periods) is left out.
+        `bpfi`, `bpfo`, `bsf`, `ftf` as far as given. A family whose fundamental cannot be resolved
+        in the record (fewer than 8 periods) is left out.
 
     Raises
     ------
@@ -194,66 +226,109 @@ def line_evidence(x: npt.ArrayLike, sampling_rate: float, frequencies: BearingFr
     cage = {name: f for name, f in frequencies.lines.items() if name == "ftf"}
     non_cage = {name: f for name, f in frequencies.lines.items() if name != "ftf"}
     by_line: dict[str, LineEvidence] = {}
-    for lines, periods in ((non_cage, _PERIODS), (cage, _PERIODS_OF_CAGE)):  # the cage, ten times slower, needs a finer spectrum
-        resolved = {name: f for name, f in lines.items() if signal.shape[0] * f >= _FEWEST_PERIODS * sampling_rate}
+    for lines, periods in (
+        (non_cage, _PERIODS),
+        (cage, _PERIODS_OF_CAGE),
+    ):  # the cage, ten times slower, needs a finer spectrum
+        resolved = {
+            name: f
+            for name, f in lines.items()
+            if signal.shape[0] * f >= _FEWEST_PERIODS * sampling_rate
+        }
         if resolved:
             evidence = _evidence(signal, sampling_rate, resolved, frequencies, periods)
-            if beating := [name for name, line in evidence.items() if _beats(signal, sampling_rate, line)]:
+            if beating := [
+                name for name, line in evidence.items() if _beats(signal, sampling_rate, line)
+            ]:
                 flat = _evidence(signal, sampling_rate, resolved, frequencies, periods, tonal=True)
-                evidence |= {name: min(evidence[name], flat[name], key=lambda line: line.prominence) for name in beating}
+                evidence |= {
+                    name: min(evidence[name], flat[name], key=lambda line: line.prominence)
+                    for name in beating
+                }
             by_line |= evidence
     return by_line
 
 
 def _beats(x: AnyArray, rate: float, line: LineEvidence) -> bool:
     """Whether a family that stands out does so in a band that one line fills."""
-    return line.prominence > _WORTH_CLEANING and strongest_line(x, rate, line.low, line.high)[1] > _TONAL
+    return (
+        line.prominence > _WORTH_CLEANING
+        and strongest_line(x, rate, line.low, line.high)[1] > _TONAL
+    )
 
 
 def _evidence(
-    x: AnyArray, rate: float, lines: Mapping[str, float], frequencies: BearingFrequencies, periods: int, tonal: bool = False
+    x: AnyArray,
+    rate: float,
+    lines: Mapping[str, float],
+    frequencies: BearingFrequencies,
+    periods: int,
+    tonal: bool = False,
 ) -> dict[str, LineEvidence]:
     centres = {name: [variant * f for variant in _VARIANTS[name]] for name, f in lines.items()}
     all_centres = [f for variants in centres.values() for f in variants]
     slowest, fastest = min(all_centres), max(all_centres)
     if fastest * (1 + SLIP) > rate / 8:
         raise BadInput(
-            f"bearing: lines up to {fastest:.4g} Hz need a sampling rate above {8 * fastest:.4g} Hz; it is {rate:g} Hz"
+            f"bearing: lines up to {fastest:.4g} Hz need a sampling rate above {8 * fastest:.4g}"
+            f" Hz; it is {rate:g} Hz"
         )
-    length = fft.prev_fast_len(min(x.shape[0], int(periods / slowest * rate)), real=True)  # a prime length costs ten times more
+    length = fft.prev_fast_len(
+        min(x.shape[0], int(periods / slowest * rate)), real=True
+    )  # a prime length costs ten times more
     grid = np.exp(np.arange(np.log(slowest / 2), np.log(min(2 * fastest, rate / 8)), _GRID))
     control = _is_control(grid, frequencies)
     if control.sum() < _FEWEST_CONTROLS:
-        raise BadInput("bearing: the fault lines leave too few frequencies between them to compare with; are they right?")
+        raise BadInput(
+            "bearing: the fault lines leave too few frequencies between them to compare with; are"
+            " they right?"
+        )
     bands, flattened = _bands(rate, fastest)
     if tonal:
         bands, flattened = [], bands
-    spectra = averaged_spectra(x, rate, bands, length, LINES_OF_A_FAMILY * float(grid[-1]), flattened)
+    spectra = averaged_spectra(
+        x, rate, bands, length, LINES_OF_A_FAMILY * float(grid[-1]), flattened
+    )
     bands += flattened
     floored = [
         _Floored.of(spectrum, rate / length, high - low, frequencies.shaft)
         for spectrum, (low, high) in zip(spectra, bands, strict=True)
     ]
-    scores, depths = (np.array(part) for part in zip(*(floor.families(grid) for floor in floored), strict=True))
+    scores, depths = (
+        np.array(part) for part in zip(*(floor.families(grid) for floor in floored), strict=True)
+    )
     prominence = _prominence(scores, scores, control)
     by_line = {}
     for name, variants in centres.items():
         cleaned = prominence.copy()
-        if max(prominence[:, int(np.abs(grid - f).argmin())].max() for f in variants) > _WORTH_CLEANING:
+        if (
+            max(prominence[:, int(np.abs(grid - f).argmin())].max() for f in variants)
+            > _WORTH_CLEANING
+        ):
             for f in variants:
                 _clean(cleaned, floored, scores, grid, control, f, frequencies)
         by_line[name] = _best(variants, grid, bands, cleaned, scores, depths)
     return by_line
 
 
-def _bands(rate: float, fastest: float) -> tuple[list[tuple[float, float]], list[tuple[float, float]]]:
+def _bands(
+    rate: float, fastest: float
+) -> tuple[list[tuple[float, float]], list[tuple[float, float]]]:
     """(bands that can carry lines up to `fastest`, those of them wide enough to be flattened)."""
-    bands = [band for band in division(rate) if band == (0.0, rate / 2) or band[1] - band[0] >= 2 * fastest]
-    return bands, [band for band in bands if band[1] - band[0] >= rate / 2 / _FEWEST_FLATTENED * (1 - 1e-9)]
+    bands = [
+        band
+        for band in division(rate)
+        if band == (0.0, rate / 2) or band[1] - band[0] >= 2 * fastest
+    ]
+    return bands, [
+        band for band in bands if band[1] - band[0] >= rate / 2 / _FEWEST_FLATTENED * (1 - 1e-9)
+    ]
 
 
 def _prominence(scores: AnyArray, of_controls: AnyArray, control: AnyArray) -> AnyArray:
-    """Scores maximised over the tolerance, in deciles above the median of the control frequencies, a band a row."""
+    """Scores maximised over the tolerance, in deciles above the median of the control frequencies,
+    a band a row.
+    """
     window = 2 * round(SLIP / _GRID) + 1
     T = maximum_filter1d(scores, window, axis=1)
     T_controls = T if of_controls is scores else maximum_filter1d(of_controls, window, axis=1)
@@ -272,8 +347,8 @@ def _clean(
 ) -> None:
     """Judge a family in its best bands against controls that do not contain its own lines.
 
-    The harmonics of a strong fault and their sidebands are lines of many control frequencies too: the stronger the fault,
-    the less it would stand out from them.
+    The harmonics of a strong fault and their sidebands are lines of many control frequencies too:
+    the stronger the fault, the less it would stand out from them.
     """
     j = int(np.abs(grid - f).argmin())
     near = np.flatnonzero(np.abs(grid / f - 1) <= SLIP)
@@ -295,8 +370,9 @@ def _best(
 ) -> LineEvidence:
     """The best band, and the best variant of the fundamental.
 
-    Looking at two variants for one part finds chance lines twice as often. The scores of chance fall from one half at the median
-    (0 deciles) to a tenth at 1 decile, by a factor of five a decile: that is what so many looks cost.
+    Looking at two variants for one part finds chance lines twice as often. The scores of chance
+    fall from one half at the median (0 deciles) to a tenth at 1 decile, by a factor of five a
+    decile: that is what so many looks cost.
     """
     candidates, looks = [], float(np.log(len(centres)) / np.log(5.0))
     for centre in centres:
@@ -305,14 +381,23 @@ def _best(
         near = np.flatnonzero(np.abs(grid / centre - 1) <= SLIP)
         at = int(near[scores[band, near].argmax()])
         candidates.append(
-            LineEvidence(float(prominence[band, j]) - looks, float(depths[band, at]), float(grid[at]), centre, *bands[band])
+            LineEvidence(
+                float(prominence[band, j]) - looks,
+                float(depths[band, at]),
+                float(grid[at]),
+                centre,
+                *bands[band],
+            )
         )
     return max(candidates, key=lambda evidence: evidence.prominence)
 
 
 def division(rate: float) -> list[tuple[float, float]]:
     """Bands [Hz] that the lines are looked for in: 0 … fs/2 in 1, 2, 3, 4, 6 and 8 equal parts."""
-    parts = sorted({1 << level for level in range(_DEEPEST + 1)} | {3 << level for level in range(_DEEPEST - 1)})
+    parts = sorted(
+        {1 << level for level in range(_DEEPEST + 1)}
+        | {3 << level for level in range(_DEEPEST - 1)}
+    )
     return [(k * rate / 2 / n, (k + 1) * rate / 2 / n) for n in parts for k in range(n)]
 
 
@@ -324,11 +409,13 @@ def averaged_spectra(
     reach: float,
     flattened: Sequence[tuple[float, float]] = (),
 ) -> list[tuple[float, AnyArray]]:
-    """Squared-envelope power spectra, normalised by the squared mean: (line spacing [Hz], powers from 0 to `reach`) a band.
+    """Squared-envelope power spectra, normalised by the squared mean: (line spacing [Hz], powers
+    from 0 to `reach`) a band.
 
-    Hann window, half overlap (of longer records 128 segments evenly spread), twice the lines that the segment resolves; a
-    full modulation has power 1. After those of `bands` come those of the bands `flattened`, in which gears, shafts and the
-    supply have no lines and no resonance outweighs the others.
+    Hann window, half overlap (of longer records 128 segments evenly spread), twice the lines that
+    the segment resolves; a full modulation has power 1. After those of `bands` come those of the
+    bands `flattened`, in which gears, shafts and the supply have no lines and no resonance
+    outweighs the others.
     """
     step = max(1, length // 2, (x.shape[0] - length) // _MOST_SEGMENTS)
     starts = range(0, x.shape[0] - length + 1, step)
@@ -340,25 +427,39 @@ def averaged_spectra(
         for part, divided in ((spectrum, bands), (flat, flattened)):
             for low, high in divided:
                 envelope = envelope_of_spectrum(part, padded, length, rate, low, high)
-                powers.append(_normalised_power(envelope.values, int(2 * length * reach / rate) + 2))
-        sums = powers if not sums else [total + power for total, power in zip(sums, powers, strict=True)]
+                powers.append(
+                    _normalised_power(envelope.values, int(2 * length * reach / rate) + 2)
+                )
+        sums = (
+            powers
+            if not sums
+            else [total + power for total, power in zip(sums, powers, strict=True)]
+        )
     return [(rate / (2 * length), total / len(starts)) for total in sums]
 
 
 def _flat(spectrum: AnyArray) -> AnyArray:
-    """A spectrum over its local median amplitude, with what stands more than three times above it cut down to that."""
+    """A spectrum over its local median amplitude, with what stands more than three times above it
+    cut down to that.
+    """
     amplitude = np.abs(spectrum)
     blocks = amplitude.shape[0] // _FLAT_LINES
     if blocks < 2:
         return spectrum
     medians = np.median(amplitude[: blocks * _FLAT_LINES].reshape(blocks, _FLAT_LINES), axis=1)
-    floor = np.interp(np.arange(amplitude.shape[0]), (np.arange(blocks) + 0.5) * _FLAT_LINES, medians)
-    usual = np.maximum(np.maximum(floor, amplitude / 3), 1e-12 * float(amplitude.max()) + np.finfo(float).tiny)
+    floor = np.interp(
+        np.arange(amplitude.shape[0]), (np.arange(blocks) + 0.5) * _FLAT_LINES, medians
+    )
+    usual = np.maximum(
+        np.maximum(floor, amplitude / 3), 1e-12 * float(amplitude.max()) + np.finfo(float).tiny
+    )
     return np.asarray(spectrum / usual.astype(amplitude.dtype))
 
 
 def _normalised_power(envelope: AnyArray, lines: int) -> AnyArray:
-    """|DFT of Hann-windowed (|c|² / mean − 1)|², two lines a resolution cell, the first `lines` of them."""
+    """|DFT of Hann-windowed (|c|² / mean − 1)|², two lines a resolution cell, the first `lines` of
+    them.
+    """
     square = envelope * envelope
     mean = square.mean()
     if not mean > 0:
@@ -377,7 +478,9 @@ def _hann(n: int) -> AnyArray:
 
 @dataclass(frozen=True, eq=False)
 class _Floored:
-    """One band's spectrum beside its local floor: line spacing, resolution cell, band width [Hz], P − N, and P/N."""
+    """One band's spectrum beside its local floor: line spacing, resolution cell, band width [Hz], P
+    − N, and P/N.
+    """
 
     df: float
     cell: float
@@ -386,7 +489,9 @@ class _Floored:
     ratio: AnyArray
 
     @classmethod
-    def of(cls, spectrum: tuple[float, AnyArray], cell: float, width: float, shaft: float | None) -> _Floored:
+    def of(
+        cls, spectrum: tuple[float, AnyArray], cell: float, width: float, shaft: float | None
+    ) -> _Floored:
         df, P = spectrum
         half = max(1, int(_FLOOR_CELLS * cell / df))
         floor = np.maximum(median_filter(P, 2 * half + 1, mode="nearest") / np.log(2), 1e-12)
@@ -398,12 +503,16 @@ class _Floored:
         return cls(df, cell, width, np.maximum(P - floor, 0.0), ratio)
 
     def without(self, f: float, sides: list[float]) -> _Floored:
-        """The same with the strong ones of f's harmonics and of five sidebands each side of them cut down to the floor.
+        """The same with the strong ones of f's harmonics and of five sidebands each side of them
+        cut down to the floor.
 
         A short load zone makes many sidebands.
         """
         ratio, harmonics = self.ratio.copy(), np.arange(f, self.ratio.shape[0] * self.df, f)
-        for offset in (0.0, *(k * side for side in sides for k in range(-_SIDEBANDS, _SIDEBANDS + 1) if k)):
+        for offset in (
+            0.0,
+            *(k * side for side in sides for k in range(-_SIDEBANDS, _SIDEBANDS + 1) if k),
+        ):
             lines = harmonics + offset
             _cut(ratio, self.df, self.cell, lines[lines > 0], _STRONG)
         return replace(self, ratio=ratio)
@@ -411,13 +520,15 @@ class _Floored:
     def families(self, grid: AnyArray) -> tuple[AnyArray, AnyArray]:
         """T(f) and the modulation depth at every frequency of the grid.
 
-        A squared envelope holds nothing beyond the width of its band, where a line and its floor are both rounding: harmonics
-        from there on count as noise does on average, ln 2.
+        A squared envelope holds nothing beyond the width of its band, where a line and its floor
+        are both rounding: harmonics from there on count as noise does on average, ln 2.
         """
         T, depth = np.zeros_like(grid), np.zeros_like(grid)
         for k in range(1, LINES_OF_A_FAMILY + 1):
             index = np.rint(k * grid / self.df).astype(int)
-            inside = (index < self.ratio.shape[0]) & (k * grid < self.width - _FLOOR_CELLS * self.cell)
+            inside = (index < self.ratio.shape[0]) & (
+                k * grid < self.width - _FLOOR_CELLS * self.cell
+            )
             index = np.minimum(index, self.ratio.shape[0] - 1)
             T += np.where(inside, np.log1p(self.ratio[index]), np.log(2))
             depth += np.where(inside, self.above[index], 0.0)
@@ -425,7 +536,9 @@ class _Floored:
 
 
 def _cut(ratio: AnyArray, df: float, cell: float, lines: AnyArray, above: float) -> None:
-    """No line at these frequencies that stood `above` times the floor, or more, stands out any more."""
+    """No line at these frequencies that stood `above` times the floor, or more, stands out any
+    more.
+    """
     for line in lines:
         around = _around(line, df, cell)
         if ratio[around].max(initial=0.0) > above:
@@ -451,10 +564,18 @@ def _is_control(grid: AnyArray, frequencies: BearingFrequencies) -> AnyArray:
     """Frequencies of the grid that neither a fault, its sidebands, nor the shaft explains."""
     control = np.ones(grid.shape, dtype=bool)
     explained = [
-        related * variant * f for name, f in frequencies.lines.items() for variant in _VARIANTS[name] for related in _RELATED
+        related * variant * f
+        for name, f in frequencies.lines.items()
+        for variant in _VARIANTS[name]
+        for related in _RELATED
     ]
     if frequencies.shaft:
-        explained += [f + k * frequencies.shaft for name, f in frequencies.lines.items() if name != "ftf" for k in (-2, -1, 1, 2)]
+        explained += [
+            f + k * frequencies.shaft
+            for name, f in frequencies.lines.items()
+            if name != "ftf"
+            for k in (-2, -1, 1, 2)
+        ]
         for harmonic in np.arange(frequencies.shaft, grid[-1], frequencies.shaft):
             control &= np.abs(grid / harmonic - 1) > SLIP
     for f in explained:

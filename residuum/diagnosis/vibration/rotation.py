@@ -19,7 +19,9 @@ from residuum.identification.units import convert, parse_unit
 # Two recorders with clocks of their own, brought onto one time base by the synchronisation pulses
 # that both see.
 
-LARGEST_DRIFT = 1e-3  # crystal clocks differ by 1e-4 at most; more means that the pulses were paired wrongly
+LARGEST_DRIFT = (
+    1e-3  # crystal clocks differ by 1e-4 at most; more means that the pulses were paired wrongly
+)
 _SHORTEST_BASE = 20.0  # spacings: over fewer the reading error of one edge would pass for drift
 
 
@@ -54,15 +56,20 @@ class ClockAlignment:
 
     def to_other(self, time: npt.ArrayLike) -> AnyArray:
         """Readings of the reference clock [s] as readings of the other clock [s]."""
-        return self.middle + (np.asarray(time, dtype=float) - self.middle - self.offset) / (1 + self.drift)
+        return self.middle + (np.asarray(time, dtype=float) - self.middle - self.offset) / (
+            1 + self.drift
+        )
 
 
-def align_clocks(reference: npt.ArrayLike, aligned: npt.ArrayLike, expected_offset: float = 0.0) -> ClockAlignment:
+def align_clocks(
+    reference: npt.ArrayLike, aligned: npt.ArrayLike, expected_offset: float = 0.0
+) -> ClockAlignment:
     """Least-squares line through the paired pulse times of two clocks.
 
-    Each pulse is paired with the nearest one of the other clock after shifting by `expected_offset`, which must therefore be
-    known to less than half the pulse spacing. Pairs more than a fifth of the spacing off the median are left out
-    (a pulse that only one recorder saw). The drift is estimated only over at least 20 spacings, otherwise taken as 0.
+    Each pulse is paired with the nearest one of the other clock after shifting by
+    `expected_offset`, which must therefore be known to less than half the pulse spacing. Pairs more
+    than a fifth of the spacing off the median are left out (a pulse that only one recorder saw).
+    The drift is estimated only over at least 20 spacings, otherwise taken as 0.
 
     Parameters
     ----------
@@ -92,20 +99,28 @@ def align_clocks(reference: npt.ArrayLike, aligned: npt.ArrayLike, expected_offs
     t, d = aligned[paired], difference[paired]
     middle = float(t.mean())
     long_enough = t.size >= 3 and np.ptp(t) >= _SHORTEST_BASE * spacing
-    drift = float(np.polynomial.Polynomial.fit(t - middle, d, 1).convert().coef[1]) if long_enough else 0.0
+    drift = (
+        float(np.polynomial.Polynomial.fit(t - middle, d, 1).convert().coef[1])
+        if long_enough
+        else 0.0
+    )
     if abs(drift) > LARGEST_DRIFT:
         raise BadRecord(
-            f"clock alignment: the clocks drift by {1e6 * drift:.0f} ppm; at most {1e6 * LARGEST_DRIFT:.0f} is plausible"
+            f"clock alignment: the clocks drift by {1e6 * drift:.0f} ppm; at most"
+            f" {1e6 * LARGEST_DRIFT:.0f} is plausible"
         )
     residuals = d - d.mean() - drift * (t - middle)
     return ClockAlignment(float(d.mean()), drift, middle, float(residuals.std()), int(t.size))
 
 
-def on_clock_of(reference: Record, added: Record, alignment: ClockAlignment, names: Iterable[str] | None = None) -> Record:
-    """`reference` with channels of `added` added, each held from its last sample before; NaN where `added` has none.
+def on_clock_of(
+    reference: Record, added: Record, alignment: ClockAlignment, names: Iterable[str] | None = None
+) -> Record:
+    """`reference` with channels of `added` added, each held from its last sample before; NaN where
+    `added` has none.
 
-    Holding (not interpolating) keeps two-valued signals two-valued; the error is less than one of other's sample times.
-    A channel name that `reference` has already is left as it is.
+    Holding (not interpolating) keeps two-valued signals two-valued; the error is less than one of
+    other's sample times. A channel name that `reference` has already is left as it is.
     """
     at = (alignment.to_other(reference.time) - added.t0) / added.sample_time
     index = np.floor(at + 1e-9).astype(int)
@@ -124,9 +139,11 @@ def on_clock_of(reference: Record, added: Record, alignment: ClockAlignment, nam
 
 
 def angle_from_speed(speed_rpm: npt.ArrayLike, sampling_rate: float) -> AnyArray:
-    """Turned revolutions ψ(t)/2π at every sample, shape (n,): the trapezoidal integral of a speed signal [rpm].
+    """Turned revolutions ψ(t)/2π at every sample, shape (n,): the trapezoidal integral of a speed
+    signal [rpm].
 
-    Raises BadInput when the speed has gaps or is not positive throughout (the angle would not be a time axis).
+    Raises BadInput when the speed has gaps or is not positive throughout (the angle would not be a
+    time axis).
     """
     speed = np.asarray(speed_rpm, dtype=float)
     if not (np.isfinite(speed).all() and (speed > 0).all()):
@@ -138,9 +155,10 @@ def angle_from_speed(speed_rpm: npt.ArrayLike, sampling_rate: float) -> AnyArray
 def at_even_angle(x: npt.ArrayLike, angle: AnyArray, samples_per_revolution: float) -> AnyArray:
     """The signal resampled at even steps of angle by cubic splines.
 
-    With `samples_per_revolution` the mean number that the record has, a line at k times shaft speed, whatever the speed does,
-    becomes a sharp line at k orders; a resonance, fixed in hertz, is smeared by the share the speed varies. Components
-    above a fifth of the sampling rate lose amplitude (cubic interpolation).
+    With `samples_per_revolution` the mean number that the record has, a line at k times shaft
+    speed, whatever the speed does, becomes a sharp line at k orders; a resonance, fixed in hertz,
+    is smeared by the share the speed varies. Components above a fifth of the sampling rate lose
+    amplitude (cubic interpolation).
 
     Examples
     --------
@@ -163,19 +181,23 @@ def at_even_angle(x: npt.ArrayLike, angle: AnyArray, samples_per_revolution: flo
 # Rounds overlapped with the healthy band: where in the round does a machine differ from its
 # healthy self?
 
-PLACES_OF_A_ROUND = 200  # along a round: 10 ms of a round of 2 s, long against a ring, short against a quadrant
+PLACES_OF_A_ROUND = (
+    200  # along a round: 10 ms of a round of 2 s, long against a ring, short against a quadrant
+)
 
 
 @dataclass(frozen=True, eq=False)
 class RoundComparison:
-    """Envelope RMS along the round, now and in health (the overlap of Fig. 76; `quadrant_rms` gives the boxes of Fig. 77).
+    """Envelope RMS along the round, now and in health (the overlap of Fig. 76; `quadrant_rms` gives
+    the boxes of Fig. 77).
 
     Attributes
     ----------
     place : array, shape (places,)
         Middle of each place, in quadrants: 2.5 is the middle of the third.
     middle, upper : arrays, shape (places,)
-        Healthy median and the limit that a healthy place passes with the chosen probability, shared over the places.
+        Healthy median and the limit that a healthy place passes with the chosen probability, shared
+        over the places.
     rounds : array, shape (rounds, places)
         Of the record compared.
     quadrant_rms : array, shape (rounds, quadrants)
@@ -194,17 +216,29 @@ class RoundComparison:
 
 
 def round_profile(segments: Sequence[AnyArray]) -> AnyArray:
-    """RMS in equal places of a round, from its segments in quadrant order, shape (PLACES_OF_A_ROUND,)."""
+    """RMS in equal places of a round, from its segments in quadrant order, shape
+    (PLACES_OF_A_ROUND,).
+    """
     places = PLACES_OF_A_ROUND // len(segments)
-    return np.array([np.sqrt(np.mean(part * part)) for segment in segments for part in np.array_split(segment, places)])
+    return np.array(
+        [
+            np.sqrt(np.mean(part * part))
+            for segment in segments
+            for part in np.array_split(segment, places)
+        ]
+    )
 
 
-def compare_rounds(healthy: HealthyBand, profiles: AnyArray, false_alarm: float, quadrants: int) -> RoundComparison:
+def compare_rounds(
+    healthy: HealthyBand, profiles: AnyArray, false_alarm: float, quadrants: int
+) -> RoundComparison:
     """Profiles of a record's rounds, shape (rounds, PLACES_OF_A_ROUND), beside the healthy ones."""
     place = (np.arange(PLACES_OF_A_ROUND) + 0.5) * quadrants / PLACES_OF_A_ROUND
     square = profiles.reshape(profiles.shape[0], quadrants, -1) ** 2
     upper = healthy.upper(false_alarm / PLACES_OF_A_ROUND, 1.3)
-    return RoundComparison(place, np.exp(healthy.mean), upper, profiles, np.sqrt(square.mean(axis=2)))
+    return RoundComparison(
+        place, np.exp(healthy.mean), upper, profiles, np.sqrt(square.mean(axis=2))
+    )
 
 
 # Rounds and quadrants of a rotating machine, cut by the pulses of its indicator signal.
@@ -220,9 +254,11 @@ class Rounds:
     Attributes
     ----------
     edges : array of int, shape (rounds, quadrants + 1)
-        Segment s of round r is samples edges[r, s] … edges[r, s+1] − 1; the first starts at the record's first pulse.
+        Segment s of round r is samples edges[r, s] … edges[r, s+1] − 1; the first starts at the
+        record's first pulse.
     phase : int or None
-        Quadrant (0 …) that the first segment is, counted from the longer pulse; None when no pulse is longer.
+        Quadrant (0 …) that the first segment is, counted from the longer pulse; None when no pulse
+        is longer.
     """
 
     edges: AnyArray
@@ -239,21 +275,25 @@ class Rounds:
 
 
 def cut_rounds(indicator: npt.ArrayLike, quadrants: int = 4) -> Rounds:
-    """Cut a record into rounds of `quadrants` segments, each from one rising edge of i(t) to the next.
+    """Cut a record into rounds of `quadrants` segments, each from one rising edge of i(t) to the
+    next.
 
-    A record that starts inside a pulse starts with its edge; a record that ends where the next edge is due (within a
-    tenth of a quadrant) ends with it, so that a window cut from pulse to pulse is one round. When one pulse in
-    every round is longer than the others (Remark 6.2), it opens the first quadrant.
+    A record that starts inside a pulse starts with its edge; a record that ends where the next edge
+    is due (within a tenth of a quadrant) ends with it, so that a window cut from pulse to pulse is
+    one round. When one pulse in every round is longer than the others (Remark 6.2), it opens the
+    first quadrant.
 
     Parameters
     ----------
     indicator : array, shape (n,)
-        Binary signal at any two levels (the middle between its least and greatest value is the threshold).
+        Binary signal at any two levels (the middle between its least and greatest value is the
+        threshold).
 
     Raises
     ------
     BadInput
-        Missing samples, no pulse, or uneven spacing (a pulse lost or extra): the message says which.
+        Missing samples, no pulse, or uneven spacing (a pulse lost or extra): the message says
+        which.
 
     Examples
     --------
@@ -272,20 +312,23 @@ def cut_rounds(indicator: npt.ArrayLike, quadrants: int = 4) -> Rounds:
     if uneven.any():
         at = int(np.argmax(uneven))
         raise BadInput(
-            f"indicator: pulses at samples {rising[at]} and {rising[at + 1]} are {spacing[at] / quadrant:.2f} usual spacings "
-            "apart; a pulse is lost or extra"
+            f"indicator: pulses at samples {rising[at]} and {rising[at + 1]} are"
+            f" {spacing[at] / quadrant:.2f} usual spacings apart; a pulse is lost or extra"
         )
     if abs(i.shape[0] - rising[-1] - spacing[-1]) <= _END_TOLERANCE * quadrant:
         rising = np.append(rising, i.shape[0])
     count = (rising.shape[0] - 1) // quadrants
     if count < 1:
-        raise BadInput(f"indicator: shows {rising.shape[0] - 1} complete quadrants; a round needs {quadrants}")
+        raise BadInput(
+            f"indicator: shows {rising.shape[0] - 1} complete quadrants; a round needs {quadrants}"
+        )
     starts = quadrants * np.arange(count)
     return Rounds(rising[starts[:, None] + np.arange(quadrants + 1)], _phase(width, quadrants))
 
 
 def pulses(indicator: AnyArray) -> tuple[AnyArray, AnyArray]:
-    """First sample and width [samples] of each pulse; a pulse that the record's end cuts has width −1.
+    """First sample and width [samples] of each pulse; a pulse that the record's end cuts has width
+    −1.
 
     Raises BadInput when samples are missing or the signal never changes.
     """
@@ -325,27 +368,35 @@ class ShaftPattern:
     Parameters
     ----------
     turns : array, shape (n_turns, POINTS_OF_A_TURN)
-        The signal on an even grid of shaft angle: order tracking, so a speed that is not constant does not smear orders.
+        The signal on an even grid of shaft angle: order tracking, so a speed that is not constant
+        does not smear orders.
     """
 
     turns: Signal
 
     @property
     def typical(self) -> Signal:
-        """Median over the turns, shape (POINTS_OF_A_TURN,): an average in which an event in one turn alone leaves no trace."""
+        """Median over the turns, shape (POINTS_OF_A_TURN,): an average in which an event in one
+        turn alone leaves no trace.
+        """
         return np.asarray(np.median(self.turns, axis=0))
 
     @property
     def single(self) -> Signal:
-        """What the turns do not share: each minus the typical turn, shape (n_turns, POINTS_OF_A_TURN)."""
+        """What the turns do not share: each minus the typical turn, shape (n_turns,
+        POINTS_OF_A_TURN).
+        """
         return np.asarray(self.turns - self.typical)
 
     def orders(self) -> Signal:
-        """Amplitude of each order of the typical turn [unit of the signal], shape (POINTS_OF_A_TURN/2 + 1,)."""
+        """Amplitude of each order of the typical turn [unit of the signal], shape
+        (POINTS_OF_A_TURN/2 + 1,).
+        """
         return np.asarray(np.abs(np.fft.rfft(self.typical)) * 2.0 / POINTS_OF_A_TURN)
 
     def band(self, low: int, high: int) -> npt.NDArray[np.complex128]:
-        """Analytic signal of the typical turn with the orders low … high alone, shape (POINTS_OF_A_TURN,), complex.
+        """Analytic signal of the typical turn with the orders low … high alone, shape
+        (POINTS_OF_A_TURN,), complex.
 
         Its real part is the band-limited turn, its magnitude the envelope (McFadden 1986).
         """
@@ -384,8 +435,8 @@ _SAME = 0.005  # of the speed: two channels that differ by less tell of one shaf
 def turns_per_minute(values: npt.ArrayLike, unit: str, *, what: str = "speed") -> FloatArray:
     """Values of a channel that is said to be a speed of rotation [rpm].
 
-    A unit that names an angle (rad/s, °/s, rpm) is converted; one that only counts in time (Hz, 1/s, min^-1) counts turns,
-    for a shaft that goes round 30 times a second is written as 30 Hz.
+    A unit that names an angle (rad/s, °/s, rpm) is converted; one that only counts in time (Hz,
+    1/s, min^-1) counts turns, for a shaft that goes round 30 times a second is written as 30 Hz.
 
     Raises BadInput for a unit that is neither.
 
@@ -393,7 +444,10 @@ def turns_per_minute(values: npt.ArrayLike, unit: str, *, what: str = "speed") -
     [1800.0, 30.0, 30.0, 5.0]
     """
     if not is_turning(unit):
-        raise BadInput(f"{what}: {unit!r} is no unit of a speed of rotation; known are rpm, 1/min, Hz, 1/s, rad/s, °/s")
+        raise BadInput(
+            f"{what}: {unit!r} is no unit of a speed of rotation; known are rpm, 1/min, Hz, 1/s,"
+            " rad/s, °/s"
+        )
     if "radian" in parse_unit(unit).base:
         return convert(values, unit, "rpm", what=what)
     return np.asarray(values, dtype=float) * (60.0 * parse_unit(unit).scale)
@@ -406,13 +460,18 @@ def is_turning(unit: str) -> bool:
     [True, True, True, False, False, False, False]
     """
     parsed = parse_unit(unit)
-    return parsed.base in ({"second": -1.0}, {"second": -1.0, "radian": 1.0}) and "%" not in parsed.symbols
+    return (
+        parsed.base in ({"second": -1.0}, {"second": -1.0, "radian": 1.0})
+        and "%" not in parsed.symbols
+    )
 
 
 def speed_channel(record: Record) -> str | None:
-    """The channel that tells the speed of the shaft: its name says so, and its unit is one of rotation; None without one.
+    """The channel that tells the speed of the shaft: its name says so, and its unit is one of
+    rotation; None without one.
 
-    Raises BadInput when several tell different speeds, for then nobody knows which of them is the bearing's shaft.
+    Raises BadInput when several tell different speeds, for then nobody knows which of them is the
+    bearing's shaft.
     """
     turning = [name for name in _named_so(record) if is_turning(record.units[name])]
     if "speed" in turning:
@@ -428,12 +487,16 @@ def speed_channel(record: Record) -> str | None:
 
 
 def speed_in_rpm(record: Record, name: str) -> FloatArray:
-    """The magnitude of the shaft's speed at every sample [rpm], shape (n,); missing samples stay missing."""
+    """The magnitude of the shaft's speed at every sample [rpm], shape (n,); missing samples stay
+    missing.
+    """
     return np.abs(turns_per_minute(record[name], record.units[name], what=f"channel {name!r}"))
 
 
 def only_speed_channel(record: Record) -> str | None:
-    """The speed channel; none of several, which are no reason to refuse a record whose speed was said apart."""
+    """The speed channel; none of several, which are no reason to refuse a record whose speed was
+    said apart.
+    """
     try:
         return speed_channel(record)
     except BadInput:
@@ -446,10 +509,19 @@ def usual_speed(record: Record, name: str | None) -> float | None:
 
 
 def unusable_speeds(record: Record) -> tuple[str, list[Way]]:
-    """What is wrong with channels whose name tells of a speed (no unit, or none of rotation), and what may be said of them."""
-    units = {name: record.units[name] for name in _named_so(record) if not is_turning(record.units[name])}
-    reasons = [f"channel {name!r} " + (f"is in {unit!r}" if unit else "has no unit") for name, unit in units.items()]
-    return "; ".join(reasons), [("units", {name: "rpm"}) for name, unit in units.items() if not unit]
+    """What is wrong with channels whose name tells of a speed (no unit, or none of rotation), and
+    what may be said of them.
+    """
+    units = {
+        name: record.units[name] for name in _named_so(record) if not is_turning(record.units[name])
+    }
+    reasons = [
+        f"channel {name!r} " + (f"is in {unit!r}" if unit else "has no unit")
+        for name, unit in units.items()
+    ]
+    return "; ".join(reasons), [
+        ("units", {name: "rpm"}) for name, unit in units.items() if not unit
+    ]
 
 
 def _named_so(record: Record) -> list[str]:
@@ -466,13 +538,21 @@ def _usual(record: Record, name: str) -> float | None:
 # not.
 
 _STEADY = 0.005  # speed range [-] below which lines are looked for in time, above in angle
-_LONGEST_GAP = 1.0  # s without a reading: the speed of a shaft does little in between that its two neighbours do not tell
+# s without a reading: the speed of a shaft does little in between that its two neighbours do not
+# tell
+_LONGEST_GAP = 1.0
 
 
 def at_steady_speed(
-    x: AnyArray, record: Record, name: str | None, said_rpm: float | None = None, *, in_hertz: bool = False
+    x: AnyArray,
+    record: Record,
+    name: str | None,
+    said_rpm: float | None = None,
+    *,
+    in_hertz: bool = False,
 ) -> AnyArray:
-    """The signal at even steps of shaft angle, as many a turn as it has on average; as it is when the speed is steady.
+    """The signal at even steps of shaft angle, as many a turn as it has on average; as it is when
+    the speed is steady.
 
     Parameters
     ----------
@@ -490,7 +570,8 @@ def at_steady_speed(
     Raises
     ------
     BadInput
-        What was said cannot hold for a shaft that changes its speed, or the speed has gaps of more than a second.
+        What was said cannot hold for a shaft that changes its speed, or the speed has gaps of more
+        than a second.
     """
     if name is None:
         return x
@@ -498,19 +579,27 @@ def at_steady_speed(
     known = speed[np.isfinite(speed)]
     if not known.size or np.ptp(known) <= _STEADY * float(np.median(known)):
         return x
-    middle, change = float(np.median(known)), f"channel {name!r} goes from {known.min():.4g} to {known.max():.4g} rpm"
+    middle, change = (
+        float(np.median(known)),
+        f"channel {name!r} goes from {known.min():.4g} to {known.max():.4g} rpm",
+    )
     if in_hertz:
         if np.ptp(known) <= 2 * SLIP * middle:
             return x
         raise BadInput(f"bearing: {change}, but lines in hertz hold for one speed; give orders")
     if said_rpm is not None and abs(said_rpm / middle - 1) > SLIP:
-        raise BadInput(f"bearing: speed_rpm is {said_rpm:g}, but {change}; leave speed_rpm out, or that channel")
+        raise BadInput(
+            f"bearing: speed_rpm is {said_rpm:g}, but {change}; leave speed_rpm out, or that"
+            " channel"
+        )
     turned = angle_from_speed(_bridged(speed, record.sampling_rate), record.sampling_rate)
     return at_even_angle(x, turned, 60 * record.sampling_rate / middle)
 
 
 def _bridged(speed: AnyArray, rate: float) -> AnyArray:
-    """Missing readings on the straight line between their neighbours; those of longer gaps stay missing."""
+    """Missing readings on the straight line between their neighbours; those of longer gaps stay
+    missing.
+    """
     known = np.flatnonzero(np.isfinite(speed))
     lengths = np.diff(np.concatenate([[-1], known, [speed.shape[0]]]))
     if lengths.max() > _LONGEST_GAP * rate + 1:

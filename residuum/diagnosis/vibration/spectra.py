@@ -31,7 +31,9 @@ from residuum.kept_loops import njit
 
 @dataclass(frozen=True, eq=False)
 class AmplitudeSpectrum:
-    """Amplitudes [unit of the signal] at 0, step, 2·step … [Hz]; `resolution` is the window's half-power width [Hz]."""
+    """Amplitudes [unit of the signal] at 0, step, 2·step … [Hz]; `resolution` is the window's
+    half-power width [Hz].
+    """
 
     step: float
     amplitude: FloatArray
@@ -41,8 +43,9 @@ class AmplitudeSpectrum:
 def amplitude_spectrum(signal: npt.NDArray[Any], sample_time: float) -> AmplitudeSpectrum:
     """Amplitude spectrum |X(f)|: a sine of amplitude A at a bin shows as A.
 
-    Mean removed, Hann window w, X = 2 |FFT(w x)| / Σw. Missing samples count as the mean. The length is padded to
-    one the FFT likes, so a long prime-length window costs no more than its neighbour.
+    Mean removed, Hann window w, X = 2 |FFT(w x)| / Σw. Missing samples count as the mean. The
+    length is padded to one the FFT likes, so a long prime-length window costs no more than its
+    neighbour.
 
     >>> t = np.arange(1000) / 1000
     >>> float(amplitude_spectrum(3 * np.sin(2 * np.pi * 50 * t), 1e-3).amplitude.max().round(2))
@@ -50,7 +53,9 @@ def amplitude_spectrum(signal: npt.NDArray[Any], sample_time: float) -> Amplitud
     """
     n = signal.shape[0]
     padded = fft.next_fast_len(n, real=True)
-    x = np.zeros(padded)  # all that is held of a long signal, beside its spectrum: the rest is done in place
+    x = np.zeros(
+        padded
+    )  # all that is held of a long signal, beside its spectrum: the rest is done in place
     x[:n] = signal
     missing = np.isnan(x)
     count = n - np.count_nonzero(missing)
@@ -65,7 +70,9 @@ def amplitude_spectrum(signal: npt.NDArray[Any], sample_time: float) -> Amplitud
         x[:n] *= window
         del window
     amplitude = np.abs(fft.rfft(x, overwrite_x=True))
-    amplitude *= 2 / (n / 2 if n > 2 else n)  # over Σw, which is n/2 for a Hann window over whole periods
+    amplitude *= 2 / (
+        n / 2 if n > 2 else n
+    )  # over Σw, which is n/2 for a Hann window over whole periods
     return AmplitudeSpectrum(1 / (padded * sample_time), amplitude, 1.44 / (n * sample_time))
 
 
@@ -83,7 +90,9 @@ _BLOCK = 32
 
 
 def length_for_long(n: int, multiple: int = 2 * _ROWS) -> int:
-    """The least number from n on that is `multiple` times a product of small primes; `long_rfft` needs multiples of 64."""
+    """The least number from n on that is `multiple` times a product of small primes; `long_rfft`
+    needs multiples of 64.
+    """
     return multiple * int(fft.next_fast_len(-(-n // multiple)))
 
 
@@ -130,12 +139,16 @@ def _turn(parts: AnyArray, n: int) -> None:
             for j in range(min(_SPAN, parts.shape[1] - start)):
                 a, b = re * real[j] - im * imag[j], re * imag[j] + im * real[j]
                 value = parts[row, start + j]
-                parts[row, start + j] = complex(value.real * a - value.imag * b, value.real * b + value.imag * a)
+                parts[row, start + j] = complex(
+                    value.real * a - value.imag * b, value.real * b + value.imag * a
+                )
 
 
 @njit()
 def _in_order(parts: AnyArray, gain: float, lines: AnyArray) -> None:
-    """Line k₁ + 32 k₂ from element (k₁, k₂), where k₁ > 16 from its mirror; columns in blocks, for the cache."""
+    """Line k₁ + 32 k₂ from element (k₁, k₂), where k₁ > 16 from its mirror; columns in blocks, for
+    the cache.
+    """
     columns = parts.shape[1]
     for start in range(0, columns // 2, _BLOCK):
         stop = min(columns // 2, start + _BLOCK)
@@ -171,11 +184,14 @@ class Envelope:
     low: float
     high: float
 
-    def spectrum(self, kind: Literal["squared", "amplitude"] = "squared") -> tuple[AnyArray, AnyArray]:
-        """Frequencies [Hz] and one-sided amplitudes of the (squared) envelope, its mean included at 0 Hz.
+    def spectrum(
+        self, kind: Literal["squared", "amplitude"] = "squared"
+    ) -> tuple[AnyArray, AnyArray]:
+        """Frequencies [Hz] and one-sided amplitudes of the (squared) envelope, its mean included at
+        0 Hz.
 
-        The amplitude of the squared envelope at α, divided by that at 0, is the modulation at α: 1 for full modulation.
-        A length with a large prime factor is padded by less than 1 %.
+        The amplitude of the squared envelope at α, divided by that at 0, is the modulation at α: 1
+        for full modulation. A length with a large prime factor is padded by less than 1 %.
         """
         y = self.values * self.values if kind == "squared" else self.values
         n = y.shape[0]
@@ -186,11 +202,14 @@ class Envelope:
         return np.arange(amplitude.shape[0]) * (self.sampling_rate / padded), amplitude
 
 
-def band_envelope(x: npt.ArrayLike, sampling_rate: float, low: float, high: float, *, decimate: bool = True) -> Envelope:
+def band_envelope(
+    x: npt.ArrayLike, sampling_rate: float, low: float, high: float, *, decimate: bool = True
+) -> Envelope:
     """Envelope of the band low … high of a signal, by one forward and one short inverse FFT.
 
-    The band is cut with straight edges (zero phase). `decimate` keeps twice the samples that the band needs,
-    which represents the squared envelope without aliasing; otherwise the signal's own rate is kept.
+    The band is cut with straight edges (zero phase). `decimate` keeps twice the samples that the
+    band needs, which represents the squared envelope without aliasing; otherwise the signal's own
+    rate is kept.
 
     Parameters
     ----------
@@ -215,28 +234,47 @@ def band_envelope(x: npt.ArrayLike, sampling_rate: float, low: float, high: floa
     """
     x = np.asarray(x)
     spectrum, padded = padded_spectrum(x)
-    return envelope_of_spectrum(spectrum, padded, x.shape[0], sampling_rate, low, high, decimate=decimate)
+    return envelope_of_spectrum(
+        spectrum, padded, x.shape[0], sampling_rate, low, high, decimate=decimate
+    )
 
 
 def padded_spectrum(x: AnyArray) -> tuple[AnyArray, int]:
-    """rfft of a signal at a length without large prime factors (of a long one all but the last line), and that length."""
+    """rfft of a signal at a length without large prime factors (of a long one all but the last
+    line), and that length.
+    """
     if x.shape[0] >= LONG:
         padded = length_for_long(x.shape[0])
-        return long_rfft(x if x.dtype == np.float32 else np.asarray(x, dtype=np.float64), padded), padded
+        return (
+            long_rfft(x if x.dtype == np.float32 else np.asarray(x, dtype=np.float64), padded),
+            padded,
+        )
     padded = fft.next_fast_len(x.shape[0], real=True)
     return np.asarray(fft.rfft(x, padded)), padded
 
 
 def envelope_of_spectrum(
-    spectrum: AnyArray, padded: int, n: int, sampling_rate: float, low: float, high: float, *, decimate: bool = True
+    spectrum: AnyArray,
+    padded: int,
+    n: int,
+    sampling_rate: float,
+    low: float,
+    high: float,
+    *,
+    decimate: bool = True,
 ) -> Envelope:
-    """`band_envelope` of a signal of n samples from its `padded_spectrum` (for many bands of one signal)."""
+    """`band_envelope` of a signal of n samples from its `padded_spectrum` (for many bands of one
+    signal).
+    """
     if not 0 <= low < high <= sampling_rate / 2 * (1 + 1e-9):
         raise BadInput(f"band {low:g} … {high:g} Hz: must lie inside 0 … {sampling_rate / 2:g} Hz")
     first = max(1, int(np.ceil(low * padded / sampling_rate)))
     last = min(int(np.ceil(high * padded / sampling_rate)), spectrum.shape[0])
     if last - first < 4:
-        raise BadInput(f"band {low:g} … {high:g} Hz: is narrower than four lines of {sampling_rate / padded:g} Hz")
+        raise BadInput(
+            f"band {low:g} … {high:g} Hz: is narrower than four lines of"
+            f" {sampling_rate / padded:g} Hz"
+        )
     m = min(fft.next_fast_len(_OVERSAMPLING * (last - first)), padded) if decimate else padded
     band = np.zeros(m, spectrum.dtype)
     band[: last - first] = spectrum[first:last]
@@ -253,7 +291,9 @@ DEEPEST_LEVEL = 12
 
 @dataclass(frozen=True)
 class Band:
-    """A frequency band: centre f_c and whole width b [Hz], level log₂(number of bands), and its kurtosis."""
+    """A frequency band: centre f_c and whole width b [Hz], level log₂(number of bands), and its
+    kurtosis.
+    """
 
     centre: float
     width: float
@@ -296,14 +336,20 @@ class Kurtogram:
 
     @cached_property
     def kurtosis(self) -> AnyArray:
-        """K = E|c|⁴ / (E|c|²)² − 2 a band (−3 instead of −2 for the real signal, level 0), shape (bands,); 0 = Gaussian."""
+        """K = E|c|⁴ / (E|c|²)² − 2 a band (−3 instead of −2 for the real signal, level 0), shape
+        (bands,); 0 = Gaussian.
+        """
         return self._kurtosis(self.moments.sum(axis=1), self.count)
 
     @cached_property
     def kurtosis_of_segments(self) -> AnyArray:
         """The same a band and time segment, shape (bands, segments)."""
         return np.stack(
-            [self._kurtosis(part, self.count / self.moments.shape[1]) for part in np.moveaxis(self.moments, 1, 0)], axis=1
+            [
+                self._kurtosis(part, self.count / self.moments.shape[1])
+                for part in np.moveaxis(self.moments, 1, 0)
+            ],
+            axis=1,
         )
 
     @cached_property
@@ -313,13 +359,20 @@ class Kurtogram:
 
     def _kurtosis(self, moments: AnyArray, count: AnyArray) -> AnyArray:
         second, fourth = moments[:, 0] / count, moments[:, 1] / count
-        ratio = np.divide(fourth, second**2, out=np.zeros_like(second), where=second > np.finfo(float).tiny ** 0.5)
+        ratio = np.divide(
+            fourth, second**2, out=np.zeros_like(second), where=second > np.finfo(float).tiny ** 0.5
+        )
         gaussian = np.where(self.level == 0, 3.0, 2.0)
         return np.where(ratio > 0, ratio - gaussian, 0.0)
 
     def band(self, index: int) -> Band:
         """The band of that row."""
-        return Band(float(self.centre[index]), float(self.width[index]), float(self.level[index]), float(self.kurtosis[index]))
+        return Band(
+            float(self.centre[index]),
+            float(self.width[index]),
+            float(self.level[index]),
+            float(self.kurtosis[index]),
+        )
 
     @property
     def best(self) -> Band:
@@ -327,21 +380,31 @@ class Kurtogram:
         return self.band(int(np.argmax(self.kurtosis)))
 
     def in_order(self, merit: AnyArray | None = None) -> Iterator[Band]:
-        """Bands from the best down by `merit` (default: kurtosis), leaving out those whose centre a better one covers."""
+        """Bands from the best down by `merit` (default: kurtosis), leaving out those whose centre a
+        better one covers.
+        """
         taken: list[Band] = []
         for index in np.argsort(-(self.kurtosis if merit is None else merit), kind="stable"):
             band = self.band(int(index))
-            if not any(better.low < band.centre < better.high or band.low < better.centre < band.high for better in taken):
+            if not any(
+                better.low < band.centre < better.high or band.low < better.centre < band.high
+                for better in taken
+            ):
                 taken.append(band)
                 yield band
 
     def as_map(self, merit: AnyArray | None = None) -> tuple[AnyArray, AnyArray, AnyArray]:
-        """Levels, frequencies [Hz] and the picture of the kurtogram, shape (levels, 3 · 2^deepest); a cell a band repeated."""
+        """Levels, frequencies [Hz] and the picture of the kurtogram, shape (levels, 3 · 2^deepest);
+        a cell a band repeated.
+        """
         values = self.kurtosis if merit is None else merit
         levels = np.unique(self.level)
         columns = 3 << int(levels.max())
         frequency = (np.arange(columns) + 0.5) * self.sampling_rate / 2 / columns
-        rows = [np.repeat(values[self.level == level], columns // int((self.level == level).sum())) for level in levels]
+        rows = [
+            np.repeat(values[self.level == level], columns // int((self.level == level).sum()))
+            for level in levels
+        ]
         return levels, frequency, np.stack(rows)
 
 
@@ -355,12 +418,13 @@ def kurtogram(
 ) -> Kurtogram:
     """The fast kurtogram of a signal on the ⅓-binary tree.
 
-    Levels 0, 1, …, `levels` halve the band 0 … fs/2 again and again; each band above the deepest is also cut in
-    three (levels log₂3, 1 + log₂3, …). In each band the kurtosis of the complex envelope is taken; a train of short impacts
-    that excites a resonance gives its largest value where the band just holds the resonance.
+    Levels 0, 1, …, `levels` halve the band 0 … fs/2 again and again; each band above the deepest is
+    also cut in three (levels log₂3, 1 + log₂3, …). In each band the kurtosis of the complex
+    envelope is taken; a train of short impacts that excites a resonance gives its largest value
+    where the band just holds the resonance.
 
-    When it fails: a few random impacts fool it (K grows with rarity), and at low signal-to-noise ratio a narrow band
-    wins by chance; see `band_selection` for remedies.
+    When it fails: a few random impacts fool it (K grows with rarity), and at low signal-to-noise
+    ratio a narrow band wins by chance; see `band_selection` for remedies.
 
     Parameters
     ----------
@@ -370,15 +434,17 @@ def kurtogram(
     levels : int or None
         Deepest level; None: the deepest, up to 7, whose bands keep 32 samples.
     segments : int
-        Equal time segments for which moments are kept too (for robust choices and time-local power).
+        Equal time segments for which moments are kept too (for robust choices and time-local
+        power).
     method : "filter-bank" or "fft"
-        The paper's 17- and 25-tap filters, or brick-wall bands cut out of one FFT: about three times faster, with
-        edges that ring.
+        The paper's 17- and 25-tap filters, or brick-wall bands cut out of one FFT: about three
+        times faster, with edges that ring.
 
     Raises
     ------
     BadInput
-        Not a vector, a missing sample, fewer than 128 samples, or more levels than the length allows.
+        Not a vector, a missing sample, fewer than 128 samples, or more levels than the length
+        allows.
 
     References
     ----------
@@ -398,13 +464,22 @@ def kurtogram(
     x = _checked(x)
     deepest = _deepest(x.shape[0], levels)
     if segments < 1 or segments * FEWEST_OF_A_BAND > x.shape[0]:
-        raise BadInput(f"kurtogram: segments is {segments}; must be at least 1 and leave {FEWEST_OF_A_BAND} samples each")
+        raise BadInput(
+            f"kurtogram: segments is {segments}; must be at least 1 and leave {FEWEST_OF_A_BAND}"
+            " samples each"
+        )
     if method not in ("filter-bank", "fft"):
         raise BadInput(f"kurtogram: method is {method!r}; must be 'filter-bank' or 'fft'")
-    rows = _by_fft(x, deepest, segments) if method == "fft" else _by_filter_bank(x, deepest, segments)
-    level, index, count, moments = (np.array(column) for column in zip(*sorted(rows, key=lambda row: row[:2]), strict=True))
+    rows = (
+        _by_fft(x, deepest, segments) if method == "fft" else _by_filter_bank(x, deepest, segments)
+    )
+    level, index, count, moments = (
+        np.array(column) for column in zip(*sorted(rows, key=lambda row: row[:2]), strict=True)
+    )
     width = sampling_rate / 2 / np.rint(2.0**level)
-    return Kurtogram(level, (index + 0.5) * width, width, count.astype(float), moments, float(sampling_rate))
+    return Kurtogram(
+        level, (index + 0.5) * width, width, count.astype(float), moments, float(sampling_rate)
+    )
 
 
 Row = tuple[float, int, int, AnyArray]  # level, index of the band in it, samples, moments
@@ -413,7 +488,9 @@ Row = tuple[float, int, int, AnyArray]  # level, index of the band in it, sample
 def _checked(x: npt.ArrayLike) -> AnyArray:
     x = np.asarray(x)
     if x.ndim != 1 or x.shape[0] < 128:
-        raise BadInput(f"kurtogram: signal has shape {x.shape}; must be a vector of at least 128 samples")
+        raise BadInput(
+            f"kurtogram: signal has shape {x.shape}; must be a vector of at least 128 samples"
+        )
     if x.dtype != np.float32:
         x = x.astype(np.float64, copy=False)
     mean = x.mean(dtype=np.float64)
@@ -435,7 +512,9 @@ def _deepest(n: int, levels: int | None) -> int:
     if levels is None:
         return min(possible, 7)
     if not 1 <= levels <= possible:
-        raise BadInput(f"kurtogram: levels is {levels}; a signal of {n} samples allows 1 … {possible}")
+        raise BadInput(
+            f"kurtogram: levels is {levels}; a signal of {n} samples allows 1 … {possible}"
+        )
     return levels
 
 
@@ -458,7 +537,9 @@ def _by_filter_bank(x: AnyArray, deepest: int, segments: int) -> list[Row]:
 
 
 def _by_fft(x: AnyArray, deepest: int, segments: int) -> list[Row]:
-    """Bands cut out of one spectrum in the signal's precision; each is transformed back in single, so none drowns in another."""
+    """Bands cut out of one spectrum in the signal's precision; each is transformed back in single,
+    so none drowns in another.
+    """
     n = x.shape[0]
     scale = float(np.abs(x).max()) or 1.0
     if n < LONG:
@@ -474,19 +555,24 @@ def _by_fft(x: AnyArray, deepest: int, segments: int) -> list[Row]:
         envelope = fft.ifft(spectrum.reshape(bands, -1), axis=1)
         count = n * envelope.shape[1] // padded  # what lies beyond is padding
         return [
-            (level, index, count, moments * unit) for index, moments in enumerate(_moments_of_rows(envelope, count, segments))
+            (level, index, count, moments * unit)
+            for index, moments in enumerate(_moments_of_rows(envelope, count, segments))
         ]
 
     rows: list[Row] = [(0.0, 0, n, _moments_of_signal(x, segments))]
     if n < LONG:
         return rows + [row for division in _divisions(deepest) for row in of_level(division)]
-    with ThreadPoolExecutor(os.cpu_count()) as pool:  # transforms and moments leave the interpreter free
+    with ThreadPoolExecutor(
+        os.cpu_count()
+    ) as pool:  # transforms and moments leave the interpreter free
         return rows + [row for group in pool.map(of_level, _divisions(deepest)) for row in group]
 
 
 @njit(fastmath={"contract", "nsz", "reassoc"})
 def _moments_of_rows(c: AnyArray, count: int, segments: int) -> AnyArray:
-    """Σ|c|² and Σ|c|⁴ of the first `count` samples of each row, by time segment, shape (rows, segments, 2)."""
+    """Σ|c|² and Σ|c|⁴ of the first `count` samples of each row, by time segment, shape (rows,
+    segments, 2).
+    """
     moments = np.zeros((c.shape[0], segments, 2))
     for row in range(c.shape[0]):
         for segment in range(segments):
@@ -527,9 +613,11 @@ _FEWEST_LINES = 8
 
 
 def octave_edges(sampling_rate: float, duration: float) -> AnyArray:
-    """Edges [Hz] of the bands that a record of this rate and duration [s] can resolve, the last one fs/2.
+    """Edges [Hz] of the bands that a record of this rate and duration [s] can resolve, the last one
+    fs/2.
 
-    The topmost band is cut at fs/2; when less than a quarter octave of it is left it joins the one below.
+    The topmost band is cut at fs/2; when less than a quarter octave of it is left it joins the one
+    below.
 
     >>> octave_edges(12000, 1.0).tolist()
     [15.625, 31.25, 62.5, 125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0, 6000.0]
@@ -538,12 +626,16 @@ def octave_edges(sampling_rate: float, duration: float) -> AnyArray:
     top = sampling_rate / 2
     highest = int(np.floor(np.log2(top / 2**0.25 / _ANCHOR)))
     if highest < lowest:
-        raise BadInput(f"octave bands: {duration:g} s at {sampling_rate:g} Hz is too short for one band")
+        raise BadInput(
+            f"octave bands: {duration:g} s at {sampling_rate:g} Hz is too short for one band"
+        )
     return np.append(_ANCHOR * 2.0 ** np.arange(lowest, highest + 1), top)
 
 
 def octave_rms(x: npt.ArrayLike, sampling_rate: float, edges: AnyArray) -> AnyArray:
-    """RMS of a signal in the bands between the edges, shape (bands,), by Parseval's sum over a Hann-windowed spectrum."""
+    """RMS of a signal in the bands between the edges, shape (bands,), by Parseval's sum over a
+    Hann-windowed spectrum.
+    """
     x = np.asarray(x)
     window = np.hanning(x.shape[0]).astype(x.dtype)
     padded = fft.next_fast_len(x.shape[0], real=True)

@@ -26,8 +26,8 @@ from residuum.nearest_names import known_names
 # Vibration severity in zones A–D: broadband velocity RMS from acceleration, against the limits of
 # a machine class.
 
-# Upper limits of zones A, B, C [mm/s RMS]. Classes I–IV: small, medium, large on rigid, large on soft foundations;
-# groups 1 and 2: large and medium industrial machines.
+# Upper limits of zones A, B, C [mm/s RMS]. Classes I–IV: small, medium, large on rigid, large on
+# soft foundations; groups 1 and 2: large and medium industrial machines.
 LIMITS = MappingProxyType(
     {
         "I": (0.71, 1.8, 4.5),
@@ -44,7 +44,9 @@ LIMITS = MappingProxyType(
 
 @dataclass(frozen=True)
 class Severity:
-    """Velocity RMS [mm/s], zone (A new, B unrestricted, C limited, D damaging) and the limits of A, B, C [mm/s]."""
+    """Velocity RMS [mm/s], zone (A new, B unrestricted, C limited, D damaging) and the limits of A,
+    B, C [mm/s].
+    """
 
     velocity: float
     zone: str
@@ -66,21 +68,28 @@ def severity(acceleration: npt.ArrayLike, sampling_rate: float, machine_class: s
     (7.07, 'C')
     """
     if machine_class not in LIMITS:
-        raise BadInput(f"severity: machine class {machine_class!r} is not known; {known_names(machine_class, LIMITS)}")
+        raise BadInput(
+            f"severity: machine class {machine_class!r} is not known;"
+            f" {known_names(machine_class, LIMITS)}"
+        )
     velocity = 1000 * velocity_rms(acceleration, sampling_rate)
     limits = LIMITS[machine_class]
     return Severity(velocity, "ABCD"[int(np.searchsorted(limits, velocity))], limits)
 
 
-def velocity_rms(acceleration: npt.ArrayLike, sampling_rate: float, low: float = 10.0, high: float = 1000.0) -> float:
-    """RMS of velocity [m/s] between low and high [Hz]: each line of the spectrum divided by its 2πf (Parseval).
+def velocity_rms(
+    acceleration: npt.ArrayLike, sampling_rate: float, low: float = 10.0, high: float = 1000.0
+) -> float:
+    """RMS of velocity [m/s] between low and high [Hz]: each line of the spectrum divided by its 2πf
+    (Parseval).
 
     The Hann window keeps what lies below `low` from leaking in, where 1/f would magnify it.
     """
     a: AnyArray = np.asarray(acceleration, dtype=float)
     if sampling_rate < 2 * high or a.shape[0] < 4 * sampling_rate / low:
         raise BadInput(
-            f"severity: {a.shape[0]} samples of {sampling_rate:g} Hz; {low:g} … {high:g} Hz need {2 * high:g} Hz, {4 / low:g} s"
+            f"severity: {a.shape[0]} samples of {sampling_rate:g} Hz; {low:g} … {high:g} Hz need"
+            f" {2 * high:g} Hz, {4 / low:g} s"
         )
     window = np.hanning(a.shape[0])
     padded = fft.next_fast_len(a.shape[0], real=True)
@@ -97,9 +106,11 @@ Signal = npt.NDArray[np.float64]
 
 
 def autoregressive_whitener(x: Signal, order: int) -> Signal:
-    """Coefficients [1, a₁, …, a_p] of the prediction error filter A(z) of x by Yule–Walker, shape (order + 1,).
+    """Coefficients [1, a₁, …, a_p] of the prediction error filter A(z) of x by Yule–Walker, shape
+    (order + 1,).
 
-    A x is then white as far as an order-p model goes. A ridge of 10⁻⁹ of the power keeps a noise-free x solvable.
+    A x is then white as far as an order-p model goes. A ridge of 10⁻⁹ of the power keeps a
+    noise-free x solvable.
     """
     centred = x - np.mean(x)
     n = centred.shape[0]
@@ -110,10 +121,11 @@ def autoregressive_whitener(x: Signal, order: int) -> Signal:
 
 
 def pulse_templates(widths: Sequence[float], T: float, sample_time: float) -> list[Signal]:
-    """Speed of a first-order drive after a load pulse, for each width [s]: one-signed, and a drop followed by a catch-up.
+    """Speed of a first-order drive after a load pulse, for each width [s]: one-signed, and a drop
+    followed by a catch-up.
 
-    A missing tooth unloads the drive while its place passes (one-signed) and is met again with a blow (opposite sign);
-    which of the two rules depends on the backlash, so both shapes are tried.
+    A missing tooth unloads the drive while its place passes (one-signed) and is met again with a
+    blow (opposite sign); which of the two rules depends on the backlash, so both shapes are tried.
     """
     a = float(np.exp(-sample_time / T))
     templates = []
@@ -122,22 +134,27 @@ def pulse_templates(widths: Sequence[float], T: float, sample_time: float) -> li
         tail = round(4 * T / sample_time)
         one_signed = np.concatenate([np.ones(samples), np.zeros(tail)])
         drop_and_blow = np.concatenate([np.ones(samples), -np.ones(samples), np.zeros(tail)])
-        templates += [np.asarray(lfilter([1.0 - a], [1.0, -a], load)) for load in (one_signed, drop_and_blow)]
+        templates += [
+            np.asarray(lfilter([1.0 - a], [1.0, -a], load)) for load in (one_signed, drop_and_blow)
+        ]
     return templates
 
 
 def matched_filter(x: Signal, whitener: Signal, template: Signal) -> tuple[Signal, float]:
-    """Amplitude of `template` at every start, in standard deviations, shape (n,), and that deviation [unit of x].
+    """Amplitude of `template` at every start, in standard deviations, shape (n,), and that
+    deviation [unit of x].
 
-    Both are whitened, so that z(t) = ⟨A s(·−t), A x⟩ / (σ ‖A s‖) is standard normal where there is no pulse; σ is the robust
-    (median) deviation of A x, which a few pulses do not raise.
+    Both are whitened, so that z(t) = ⟨A s(·−t), A x⟩ / (σ ‖A s‖) is standard normal where there is
+    no pulse; σ is the robust (median) deviation of A x, which a few pulses do not raise.
     """
     innovation = np.asarray(lfilter(whitener, [1.0], x - np.mean(x)))
     innovation[: whitener.shape[0]] = 0.0
     shape = np.asarray(lfilter(whitener, [1.0], template))
     sigma = 1.4826 * float(np.median(np.abs(innovation))) + np.finfo(float).tiny
     length = next_fast_len(x.shape[0] + shape.shape[0], real=True)
-    correlation = irfft(rfft(innovation, length) * np.conj(rfft(shape, length)), length)[: x.shape[0]]
+    correlation = irfft(rfft(innovation, length) * np.conj(rfft(shape, length)), length)[
+        : x.shape[0]
+    ]
     energy = float(np.sqrt(shape @ shape))
     return np.asarray(correlation / (sigma * energy)), sigma / energy
 
@@ -161,13 +178,16 @@ def blocks_of(record: Record, longest: int = LONGEST) -> Iterator[Record]:
     return (record.window(start, stop) for start, stop in pairwise(edges))
 
 
-def score_in_blocks(name: str, score: Callable[[Record], Finding], record: Record, longest: int = LONGEST) -> Finding:
+def score_in_blocks(
+    name: str, score: Callable[[Record], Finding], record: Record, longest: int = LONGEST
+) -> Finding:
     """One finding of the blocks' own.
 
-    Faulty when at least 2 blocks, and 5 % of them, are (a single block of many may be a false alarm; a fault that began
-    during the recording still counts), with the class that most of these name. A block that cannot be judged makes the whole not
-    assessable, unless others show a fault: a recording with a gap is never healthy. Indicators are medians over the
-    blocks that decide; `evidence` says which these are.
+    Faulty when at least 2 blocks, and 5 % of them, are (a single block of many may be a false
+    alarm; a fault that began during the recording still counts), with the class that most of these
+    name. A block that cannot be judged makes the whole not assessable, unless others show a fault:
+    a recording with a gap is never healthy. Indicators are medians over the blocks that decide;
+    `evidence` says which these are.
 
     Parameters
     ----------
@@ -183,7 +203,9 @@ def score_in_blocks(name: str, score: Callable[[Record], Finding], record: Recor
         findings.append(score(block))
         seconds.append(float(block.t0 - record.t0))
     faulty = [k for k, finding in enumerate(findings) if finding.verdict is Verdict.FAULTY]
-    unusable = [k for k, finding in enumerate(findings) if finding.verdict is Verdict.NOT_ASSESSABLE]
+    unusable = [
+        k for k, finding in enumerate(findings) if finding.verdict is Verdict.NOT_ASSESSABLE
+    ]
     needed = min(len(findings), max(_FEWEST_FAULTY, int(np.ceil(_FAULTY_SHARE * len(findings)))))
     evidence = {"blocks": len(findings), "block_seconds": record.duration / len(findings)}
     if len(faulty) >= needed:
@@ -191,23 +213,48 @@ def score_in_blocks(name: str, score: Callable[[Record], Finding], record: Recor
         deciding = [findings[k] for k in faulty if findings[k].fault_class == named]
         evidence |= {"faulty_blocks": len(faulty), "first_faulty_block_s": seconds[faulty[0]]}
         says = (
-            f"{len(faulty)} of {len(findings)} blocks are faulty, the first at {seconds[faulty[0]]:.0f} s: {deciding[0].reason}"
+            f"{len(faulty)} of {len(findings)} blocks are faulty, the first at"
+            f" {seconds[faulty[0]]:.0f} s: {deciding[0].reason}"
         )
         return _together(name, Verdict.FAULTY, named, deciding, evidence, says)
     if unusable:
         k = unusable[0]
         return Finding.not_assessable(
-            name, f"block {k + 1} of {len(findings)}, at {seconds[k]:.0f} s: {findings[k].reason}", **evidence
+            name,
+            f"block {k + 1} of {len(findings)}, at {seconds[k]:.0f} s: {findings[k].reason}",
+            **evidence,
         )
-    reason = next((f"at {seconds[k]:.0f} s: {finding.reason}" for k, finding in enumerate(findings) if finding.reason), None)
-    return _together(name, Verdict.HEALTHY, None, findings, evidence | {"faulty_blocks": len(faulty)}, reason)
+    reason = next(
+        (
+            f"at {seconds[k]:.0f} s: {finding.reason}"
+            for k, finding in enumerate(findings)
+            if finding.reason
+        ),
+        None,
+    )
+    return _together(
+        name, Verdict.HEALTHY, None, findings, evidence | {"faulty_blocks": len(faulty)}, reason
+    )
 
 
 def _together(
-    name: str, verdict: Verdict, named: str | None, findings: Sequence[Finding], evidence: Mapping[str, Any], says: str | None
+    name: str,
+    verdict: Verdict,
+    named: str | None,
+    findings: Sequence[Finding],
+    evidence: Mapping[str, Any],
+    says: str | None,
 ) -> Finding:
     def median(key: str, part: str) -> float:
-        return float(np.median([getattr(finding, part)[key] for finding in findings if key in getattr(finding, part)]))
+        return float(
+            np.median(
+                [
+                    getattr(finding, part)[key]
+                    for finding in findings
+                    if key in getattr(finding, part)
+                ]
+            )
+        )
 
     first = findings[0]
     return Finding(
@@ -224,7 +271,8 @@ def _together(
 
 @dataclass(frozen=True)
 class Indicators:
-    """Scalars of a signal x of n samples; all but `rms`, `peak` and `mean` are free of unit and gain.
+    """Scalars of a signal x of n samples; all but `rms`, `peak` and `mean` are free of unit and
+    gain.
 
     Attributes
     ----------
@@ -245,7 +293,8 @@ class Indicators:
 
 
 def indicators(x: npt.ArrayLike) -> Indicators:
-    """The indicators of a vector of at least one sample, in two passes with double sums (no double copy of float32).
+    """The indicators of a vector of at least one sample, in two passes with double sums (no double
+    copy of float32).
 
     >>> found = indicators([1.0, -1.0, 1.0, -1.0])
     >>> found.rms, found.kurtosis, found.crest
@@ -257,9 +306,13 @@ def indicators(x: npt.ArrayLike) -> Indicators:
     mean, square, absolute, peak = _first_pass(x)
     second, fourth = _central_moments(x, mean)
     rms = float(np.sqrt(square))
-    constant = not second > 0 or float(np.ptp(x)) == 0  # rounding of the mean leaves a second moment in equal samples
+    constant = (
+        not second > 0 or float(np.ptp(x)) == 0
+    )  # rounding of the mean leaves a second moment in equal samples
     kurtosis = np.nan if constant else fourth / second**2
-    return Indicators(rms, float(kurtosis), float(peak), _ratio(peak, rms), _ratio(peak, absolute), float(mean))
+    return Indicators(
+        rms, float(kurtosis), float(peak), _ratio(peak, rms), _ratio(peak, absolute), float(mean)
+    )
 
 
 def _ratio(numerator: float, denominator: float) -> float:

@@ -1,1 +1,3 @@
-"""Compare a model with measurements: where it fails, which effect is missing, what adding it does."""
+"""Compare a model with measurements: where it fails, which effect is missing, what adding it
+does.
+"""

@@ -1,8 +1,10 @@
-"""Compile what comparing and explaining would compile at their first use: `python -m …compile_ahead [--with-parent]`.
+"""Compile what comparing and explaining would compile at their first use: `python -m …compile_ahead
+[--with-parent]`.
 
-The loops are compiled once for all models and kept on disk; that takes about a minute, in which a user would wait for a first
-answer. A running service has it done behind itself. A model's own equations are compiled when they are met.
-With `--with-parent` it ends when standard input closes, that is, with the program that started it, however that ended.
+The loops are compiled once for all models and kept on disk; that takes about a minute, in which a
+user would wait for a first answer. A running service has it done behind itself. A model's own
+equations are compiled when they are met. With `--with-parent` it ends when standard input closes,
+that is, with the program that started it, however that ended.
 """
 
 from __future__ import annotations
@@ -25,18 +27,26 @@ from residuum.kept_loops import made_of
 if TYPE_CHECKING:
     from residuum.identification.physics import PhysicalModel
 
-# What is compiled is imported where it is: whether it was compiled is also asked by a service that never explains.
+# What is compiled is imported where it is: whether it was compiled is also asked by a service that
+# never explains.
 
 
 def compile_ahead() -> None:
     """Compare and explain a small record of the built-in drive, whose friction the model lacks."""
     from residuum.identification.discrepancy.explain import explain  # noqa: PLC0415
-    from residuum.identification.physics import block_means, candidates, find_effect, load_model  # noqa: PLC0415
+    from residuum.identification.physics import (  # noqa: PLC0415
+        block_means,
+        candidates,
+        find_effect,
+        load_model,
+    )
     from residuum.identification.residual_analysis.compare import compare  # noqa: PLC0415
 
     model = load_model("gate-drive")
     sticks = next(key for key in candidates(model) if find_effect(key.effect).rest > 0.0)
-    record = _record(model.with_effect(*sticks, dict.fromkeys(find_effect(sticks.effect).sizes, 0.02)))
+    record = _record(
+        model.with_effect(*sticks, dict.fromkeys(find_effect(sticks.effect).sizes, 0.02))
+    )
     compare(model, [record])
     explain(model, [record])
     block_means(np.zeros((2, 1)), 2)  # so short a record is not averaged
@@ -48,7 +58,8 @@ def is_compiled() -> bool:
 
 
 def ensure_compiled(tell: Tell = untold) -> None:
-    """`compile_ahead` where nothing was compiled for these sources yet, so that no search's time is spent on it.
+    """`compile_ahead` where nothing was compiled for these sources yet, so that no search's time is
+    spent on it.
 
     Of several processes that ask at once, one compiles and the others wait for it.
     """
@@ -71,13 +82,20 @@ def _record(truth: PhysicalModel) -> Record:
     from residuum.identification.physics import Simulator, match  # noqa: PLC0415
 
     rng, samples = np.random.default_rng(0), 600
-    inputs = {name: np.repeat(rng.normal(scale=6.0, size=samples // 20), 20) for name in truth.inputs}
-    units = {n: signal.unit for n, signal in truth.inputs.items()} | {n: output.unit for n, output in truth.outputs.items()}
+    inputs = {
+        name: np.repeat(rng.normal(scale=6.0, size=samples // 20), 20) for name in truth.inputs
+    }
+    units = {n: signal.unit for n, signal in truth.inputs.items()} | {
+        n: output.unit for n, output in truth.outputs.items()
+    }
     nothing = {name: np.zeros(samples) for name in truth.outputs}
     empty = Record({**inputs, **nothing}, units, sample_time=5e-3)
     _, (experiment,) = match(truth, [empty])
     Y = Simulator(truth).run(experiment).Y
-    measured = {name: y + rng.normal(scale=0.02 * np.std(y), size=y.size) for name, y in zip(truth.outputs, Y.T, strict=True)}
+    measured = {
+        name: y + rng.normal(scale=0.02 * np.std(y), size=y.size)
+        for name, y in zip(truth.outputs, Y.T, strict=True)
+    }
     return replace(empty, channels={**inputs, **measured})
 
 

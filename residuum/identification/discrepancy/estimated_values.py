@@ -11,7 +11,9 @@ from residuum.identification.physics import PhysicalModel
 
 @dataclass(frozen=True)
 class EstimatedValue:
-    """A free parameter of the model: its value in the file, and as estimated, with the standard deviation."""
+    """A free parameter of the model: its value in the file, and as estimated, with the standard
+    deviation.
+    """
 
     name: str
     file: float
@@ -25,14 +27,19 @@ class EstimatedValue:
         return abs(self.value - self.file) > OTHER_VALUE * self.std
 
 
-def estimated_values(model: PhysicalModel, best: PhysicalModel, stds: Mapping[str, float]) -> tuple[EstimatedValue, ...]:
+def estimated_values(
+    model: PhysicalModel, best: PhysicalModel, stds: Mapping[str, float]
+) -> tuple[EstimatedValue, ...]:
     """Free parameters of `model` in the structure that was found best.
 
-    Where they explain the error without any effect, the machine or the file has changed, and no physics is missing.
+    Where they explain the error without any effect, the machine or the file has changed, and no
+    physics is missing.
     """
     values = best.values
     return tuple(
-        EstimatedValue(name, model.values[name], values[name], stds[name], model.all_parameters[name].unit)
+        EstimatedValue(
+            name, model.values[name], values[name], stds[name], model.all_parameters[name].unit
+        )
         for name in model.free
         if name in values and name in stds
     )

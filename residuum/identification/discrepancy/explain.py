@@ -34,7 +34,8 @@ def explain(
     Parameters
     ----------
     model : PhysicalModel
-        Its free parameters are re-estimated; its structure is what is judged, and whether a fixed value explains more.
+        Its free parameters are re-estimated; its structure is what is judged, and whether a fixed
+        value explains more.
     records : sequence of Record
         Each is an experiment with its own initial states.
     mapping : mapping of model name to column
@@ -43,7 +44,8 @@ def explain(
     learned : bool
         Consider curves to be learned over one signal, too.
     seconds : float, optional
-        Time after which the search is left as well as after its work; the answer then depends on the machine, and says so.
+        Time after which the search is left as well as after its work; the answer then depends on
+        the machine, and says so.
     tell : callable
         Told how far the work is.
 
@@ -54,7 +56,8 @@ def explain(
     Raises
     ------
     BadRecord, BadUnit, BadModel
-        Columns that do not fit the model; fewer than 40 samples in all; an effect that is not in the catalogue.
+        Columns that do not fit the model; fewer than 40 samples in all; an effect that is not in
+        the catalogue.
     NotIdentifiable
         The model diverges on a record.
 
@@ -63,11 +66,18 @@ def explain(
     Effects are named by what they take away on blocks of the records that no fit has seen: in power while what is left is not its
     own noise, in the likelihood of that noise from there on.
 
-    Fails where a disturbance is synchronous with the input, and where two effects act alike in this experiment (they are
-    then named as a group).
+    Fails where a disturbance is synchronous with the input, and where two effects act alike in this
+    experiment (they are then named as a group).
     """
     check_length(records)
-    return explained(model, records, mapping, Wanted(None if effects is None else tuple(effects), learned), seconds, tell)
+    return explained(
+        model,
+        records,
+        mapping,
+        Wanted(None if effects is None else tuple(effects), learned),
+        seconds,
+        tell,
+    )
 
 
 def check_length(records: Sequence[Record]) -> None:
@@ -76,8 +86,8 @@ def check_length(records: Sequence[Record]) -> None:
     if samples < FEWEST_TO_JUDGE:
         names = ", ".join(repr(record.source) for record in records)
         raise BadRecord(
-            f"record {names}: {samples} samples; at least {FEWEST_TO_JUDGE} are needed to tell what is missing from noise: "
-            "record longer or faster, or give several records"
+            f"record {names}: {samples} samples; at least {FEWEST_TO_JUDGE} are needed to tell what"
+            " is missing from noise: record longer or faster, or give several records"
         )
 
 
@@ -94,6 +104,8 @@ def explained(
         began = time.perf_counter()
         model = informed(model, records, mapping, wanted)
         left = None if seconds is None else seconds - (time.perf_counter() - began)
-        search = searched(model, records, mapping, wanted, seconds=left, tell=part_of(tell, 0.0, 0.9))
+        search = searched(
+            model, records, mapping, wanted, seconds=left, tell=part_of(tell, 0.0, 0.9)
+        )
         tell(0.9, "drawing what no effect explains")
         return answer_on_blocks(search, wanted, records, mapping, began)

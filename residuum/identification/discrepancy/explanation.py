@@ -24,8 +24,8 @@ class Explanation:
     verdict : str
         `missing-effect`, `adequate` or `unknown-effect`.
     candidates : tuple of Candidate
-        The accepted effects first, the verdict's before all; probabilities of one step sum with those of "nothing" and
-        "unknown" to at most one.
+        The accepted effects first, the verdict's before all; probabilities of one step sum with
+        those of "nothing" and "unknown" to at most one.
     probability_none, probability_unknown : float
     unexplained_share : float
         Part of what could be explained that no candidate explains.
@@ -38,18 +38,21 @@ class Explanation:
     drifting : bool
         Whether an unknown load or offset that drifts is taken to be there, whatever else is.
     left : mapping of output
-        What the model with the accepted effects leaves of each measured output: RMS error, its unit, and how often that is what
-        its own past cannot predict (`SLOW` and more: something slow is missing, or drifts).
+        What the model with the accepted effects leaves of each measured output: RMS error, its
+        unit, and how often that is what its own past cannot predict (`SLOW` and more: something
+        slow is missing, or drifts).
     values : tuple of EstimatedValue
         The model's own free parameters, estimated with the accepted effects, beside the file's.
     held : tuple of HeldValue
-        Parameters that the model holds fixed and that were freed, for another value does more than any effect.
+        Parameters that the model holds fixed and that were freed, for another value does more than
+        any effect.
     remaining : Remaining
         What that model leaves on unseen blocks.
     blocks : BlockErrors
         Errors block by block before and after, and with each candidate alone.
     work : Work
-        Samples simulated, fits made, and what was not tried, since the work or the user's seconds were over.
+        Samples simulated, fits made, and what was not tried, since the work or the user's seconds
+        were over.
     found : Search
         What was tried.
     """
@@ -76,5 +79,7 @@ class Explanation:
 
     @property
     def by_share(self) -> bool:
-        """Whether effects were named by the share that they take away: what they leave is more than its own noise."""
+        """Whether effects were named by the share that they take away: what they leave is more than
+        its own noise.
+        """
         return not self.found.court.scale.nats

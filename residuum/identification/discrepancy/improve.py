@@ -1,4 +1,6 @@
-"""Improve: add effects to a model, re-estimate it, and count the error on data that were not used for it."""
+"""Improve: add effects to a model, re-estimate it, and count the error on data that were not used
+for it.
+"""
 
 from __future__ import annotations
 
@@ -12,11 +14,24 @@ from residuum.identification.blas_threads import one_thread
 from residuum.identification.discrepancy.explain import check_length, explained
 from residuum.identification.discrepancy.explanation import Explanation
 from residuum.identification.discrepancy.improvement import Improvement, Step, with_provenance
-from residuum.identification.discrepancy.kept_aside import Split, is_noted, matched_at, rmse_aside, split, testing_of
+from residuum.identification.discrepancy.kept_aside import (
+    Split,
+    is_noted,
+    matched_at,
+    rmse_aside,
+    split,
+    testing_of,
+)
 from residuum.identification.discrepancy.on_blocks import doubts_of
 from residuum.identification.discrepancy.policy import EXPLAINING_TIME, KEPT_RISE
 from residuum.identification.errors import BadModel, NotIdentifiable
-from residuum.identification.physics import Estimate, Key, PhysicalModel, estimate, with_coloured_noise
+from residuum.identification.physics import (
+    Estimate,
+    Key,
+    PhysicalModel,
+    estimate,
+    with_coloured_noise,
+)
 from residuum.identification.physics.model import find_effect, fitting, tied_to
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.compare import compare
@@ -46,10 +61,12 @@ _Step = tuple[Key, Judged, Judged]
 
 @dataclass(frozen=True, eq=False)
 class Joined:
-    """The model on everything, and how its error on data kept `aside` fell by `history`, the first that of the model as it was.
+    """The model on everything, and how its error on data kept `aside` fell by `history`, the first
+    that of the model as it was.
 
-    `refused` are effects that are real on the blocks, and simulate the end of the records worse. `std` are the standard
-    deviations of its parameters by full name, `output` the one whose errors are told.
+    `refused` are effects that are real on the blocks, and simulate the end of the records worse.
+    `std` are the standard deviations of its parameters by full name, `output` the one whose errors
+    are told.
     """
 
     model: PhysicalModel
@@ -68,38 +85,66 @@ def joined_of(
     asked: Sequence[Key] | None = None,
     was: PhysicalModel | None = None,
 ) -> Joined:
-    """What a search found, step by step, as far as it holds at the end of the records; or all that was `asked`, in its order.
+    """What a search found, step by step, as far as it holds at the end of the records; or all that
+    was `asked`, in its order.
 
     `was` is the model before values of it were set free.
     """
-    every = chain(search, [key for key in search.best.keys if key.effect != HELD]) if asked is None else _in_order(search, asked)
+    every = (
+        chain(search, [key for key in search.best.keys if key.effect != HELD])
+        if asked is None
+        else _in_order(search, asked)
+    )
     steps = every if asked is not None else _that_hold(every, search, records, mapping)
     rows = [(None, search.base), *((key.effect, after) for key, _, after in steps)]
     final = steps[-1][2] if steps else search.base
     if was is not None:
         rows = [*_before(search, was), *rows[1:]]
     noted, o = is_noted(records), _told(search)
-    errors = _on_the_rest([fit for _, fit in rows], o, search, records, mapping) if noted else [fit.rms[o] for _, fit in rows]
+    errors = (
+        _on_the_rest([fit for _, fit in rows], o, search, records, mapping)
+        if noted
+        else [fit.rms[o] for _, fit in rows]
+    )
     history = [
         Step(name, float(error), remaining(rows[0][1], fit, search.court))
         for (name, fit), error in zip(rows, errors, strict=True)
     ]
-    data = _every_sample(search, records, mapping) if noted else search.court.data.finer or search.court.data
+    data = (
+        _every_sample(search, records, mapping)
+        if noted
+        else search.court.data.finer or search.court.data
+    )
     model, std = _final(search, final, data, noted=noted)
-    refused = [key.effect for key, _, _ in every if key not in {accepted for accepted, _, _ in steps}]
+    refused = [
+        key.effect for key, _, _ in every if key not in {accepted for accepted, _, _ in steps}
+    ]
     aside = split(records).aside if noted else ASIDE
     return Joined(model, history, refused, std, list(search.best.model.outputs)[o], aside)
 
 
 def _that_hold(
-    steps: Sequence[_Step], search: Search, records: Sequence[Record], mapping: Mapping[str, str] | None
+    steps: Sequence[_Step],
+    search: Search,
+    records: Sequence[Record],
+    mapping: Mapping[str, str] | None,
 ) -> Sequence[_Step]:
-    """All steps where they hold at the ends kept aside; else all but one effect, or the first of them."""
+    """All steps where they hold at the ends kept aside; else all but one effect, or the first of
+    them.
+    """
     keys = [key for key, _, _ in steps]
-    tried = [keys, *([k for k in keys if k != out] for out in reversed(keys)), *(keys[:n] for n in range(len(keys) - 2, 0, -1))]
+    tried = [
+        keys,
+        *([k for k in keys if k != out] for out in reversed(keys)),
+        *(keys[:n] for n in range(len(keys) - 2, 0, -1)),
+    ]
     tried = [some for number, some in enumerate(tried) if some and some not in tried[:number]]
-    models = [(some, judged.model) for some in tried if (judged := with_only(search, some)) is not None]
-    index = first_that_holds(search.base.model, [model for _, model in models], search, records, mapping)
+    models = [
+        (some, judged.model) for some in tried if (judged := with_only(search, some)) is not None
+    ]
+    index = first_that_holds(
+        search.base.model, [model for _, model in models], search, records, mapping
+    )
     return [] if index is None else chain(search, models[index][0])
 
 
@@ -109,39 +154,63 @@ def _in_order(search: Search, keys: Sequence[Key]) -> list[_Step]:
     for key in keys:
         after = with_only(search, (*before.keys, key))
         if after is None:
-            raise NotIdentifiable(f"effect {key.effect!r} at {key.target!r}: the model diverges with it alone")
+            raise NotIdentifiable(
+                f"effect {key.effect!r} at {key.target!r}: the model diverges with it alone"
+            )
         steps.append((key, before, after))
         before = after
     return steps
 
 
 def _before(search: Search, was: PhysicalModel) -> list[tuple[str | None, Judged]]:
-    """The model with values held that the base has free, judged like that, and the base once a value."""
-    names = [name for name, p in was.parameters.items() if p.fixed and not search.base.model.parameters[name].fixed]
+    """The model with values held that the base has free, judged like that, and the base once a
+    value.
+    """
+    names = [
+        name
+        for name, p in was.parameters.items()
+        if p.fixed and not search.base.model.parameters[name].fixed
+    ]
     held = {**search.base.model.parameters, **{name: was.parameters[name] for name in names}}
     base = search.base.structure
     before = search.court.judge(
-        Structure((), replace(base.model, parameters=held), base.states, base.steps), steps=15, tolerance=1e-5
+        Structure((), replace(base.model, parameters=held), base.states, base.steps),
+        steps=15,
+        tolerance=1e-5,
     )
     return [(None, before or search.base), *((f"{name} freed", search.base) for name in names)]
 
 
 def _on_the_rest(
-    fits: Sequence[Judged], o: int, search: Search, records: Sequence[Record], mapping: Mapping[str, str] | None
+    fits: Sequence[Judged],
+    o: int,
+    search: Search,
+    records: Sequence[Record],
+    mapping: Mapping[str, str] | None,
 ) -> list[float]:
     """Errors of an output on the part that a user keeps aside."""
-    testing = testing_of(search.base.model, split(records), mapping, search.court.data.experiments[0].hold)
+    testing = testing_of(
+        search.base.model, split(records), mapping, search.court.data.experiments[0].hold
+    )
     return [float(rmse_aside(fit.model, testing)[o]) for fit in fits]
 
 
-def _every_sample(search: Search, records: Sequence[Record], mapping: Mapping[str, str] | None) -> Data:
+def _every_sample(
+    search: Search, records: Sequence[Record], mapping: Mapping[str, str] | None
+) -> Data:
     """All records at the input timing of the search."""
-    return data_of(*matched_at(search.court.data.model, records, mapping, search.court.data.experiments[0].hold))
+    return data_of(
+        *matched_at(
+            search.court.data.model, records, mapping, search.court.data.experiments[0].hold
+        )
+    )
 
 
-def _final(search: Search, final: Judged, data: Data, *, noted: bool) -> tuple[PhysicalModel, Mapping[str, float]]:
-    """The model on all the data, and its standard deviations. One that nothing joins is estimated at its least simulation error
-    over whole records, which a search in windows does not seek.
+def _final(
+    search: Search, final: Judged, data: Data, *, noted: bool
+) -> tuple[PhysicalModel, Mapping[str, float]]:
+    """The model on all the data, and its standard deviations. One that nothing joins is estimated
+    at its least simulation error over whole records, which a search in windows does not seek.
     """
     if not final.keys and (alone := _estimated(final.model, data)) is not None:
         return alone.model, dict(zip(alone.parameters, alone.std.tolist(), strict=True))
@@ -171,11 +240,12 @@ def _told(search: Search) -> int:
     return int(np.nanargmin(np.where(np.isfinite(ratio), ratio, np.inf)))
 
 
-# The last question to an improvement: does it simulate better what none of it was estimated on, the end of a record, or of
-# several the most different one?
+# The last question to an improvement: does it simulate better what none of it was estimated on, the
+# end of a record, or of several the most different one?
 #
-# Blocks between others are interpolated. Values that go astray outside of what was seen show at the end of a record, or on
-# another one, so the model is estimated without it once more, with the effects and without them.
+# Blocks between others are interpolated. Values that go astray outside of what was seen show at the
+# end of a record, or on another one, so the model is estimated without it once more, with the
+# effects and without them.
 
 
 def first_that_holds(
@@ -185,34 +255,46 @@ def first_that_holds(
     records: Sequence[Record],
     mapping: Mapping[str, str] | None,
 ) -> int | None:
-    """The first of the `models` that leaves no more error than `base` where data are kept aside: at the end, and on the most
-    different record; nor over whole records, where they were judged in windows. None where none does; the first of all where the
-    records are too short to ask.
+    """The first of the `models` that leaves no more error than `base` where data are kept aside: at
+    the end, and on the most different record; nor over whole records, where they were judged in
+    windows. None where none does; the first of all where the records are too short to ask.
     """
     asked = _kept_aside(records)
     if search.court.last.windows > 1:  # whose first states hide where a model goes in the long run
         asked.append(Split(list(records), [(record, 0) for record in records]))
-    asked = [parts for parts in asked if parts.testing and long_enough([r.n for r in parts.training])]
+    asked = [
+        parts for parts in asked if parts.testing and long_enough([r.n for r in parts.training])
+    ]
     most = [KEPT_RISE * _error(base, search, parts, mapping) for parts in asked]
     for number, model in enumerate(models):
-        if all(_error(model, search, parts, mapping) <= limit for parts, limit in zip(asked, most, strict=True)):
+        if all(
+            _error(model, search, parts, mapping) <= limit
+            for parts, limit in zip(asked, most, strict=True)
+        ):
             return number
     return None
 
 
 def _kept_aside(records: Sequence[Record]) -> list[Split]:
-    """The usual part, and of several records the one that goes furthest beyond the others, where the usual part is not that."""
+    """The usual part, and of several records the one that goes furthest beyond the others, where
+    the usual part is not that.
+    """
     usual = split(records)
     if len(records) < 2:
         return [usual]
-    most = max(records, key=lambda record: _beyond(record, [peer for peer in records if peer is not record]))
+    most = max(
+        records,
+        key=lambda record: _beyond(record, [peer for peer in records if peer is not record]),
+    )
     if [record for record, _ in usual.testing] == [most]:
         return [usual]
     return [usual, Split([record for record in records if record is not most], [(most, 0)])]
 
 
 def _beyond(record: Record, peers: Sequence[Record]) -> float:
-    """By how much a record's signals leave the range of the same signals of the others, in units of that range, at most."""
+    """By how much a record's signals leave the range of the same signals of the others, in units of
+    that range, at most.
+    """
     far = 0.0
     for name, values in record.channels.items():
         known = [peer.channels[name] for peer in peers if name in peer.channels]
@@ -224,16 +306,22 @@ def _beyond(record: Record, peers: Sequence[Record]) -> float:
     return far
 
 
-def _error(model: PhysicalModel, search: Search, parts: Split, mapping: Mapping[str, str] | None) -> float:
-    """Simulation error over what is kept aside, estimated on the rest, the outputs in units of the first model's errors; infinite
-    where it diverges.
+def _error(
+    model: PhysicalModel, search: Search, parts: Split, mapping: Mapping[str, str] | None
+) -> float:
+    """Simulation error over what is kept aside, estimated on the rest, the outputs in units of the
+    first model's errors; infinite where it diverges.
     """
     hold, scale = search.court.data.experiments[0].hold, search.court.scale
     data = data_of(*matched_at(model, parts.training, mapping, hold))
-    estimated = fitted(data.model, data.rung(search.court.last.windows), None, scale, steps=20, tolerance=1e-5)
+    estimated = fitted(
+        data.model, data.rung(search.court.last.windows), None, scale, steps=20, tolerance=1e-5
+    )
     if estimated is None:
         return np.inf
-    return scale.error(rmse_aside(estimated.model, testing_of(estimated.model, parts, mapping, hold)))
+    return scale.error(
+        rmse_aside(estimated.model, testing_of(estimated.model, parts, mapping, hold))
+    )
 
 
 @dataclass(frozen=True)
@@ -259,21 +347,24 @@ def improve(
     seconds: float | None = None,
     tell: Tell = untold,
 ) -> Improvement:
-    """Add the effects `add` (id or id@target), or with None those that `explain` accepts, one after the other.
+    """Add the effects `add` (id or id@target), or with None those that `explain` accepts, one after
+    the other.
 
-    Every block of the records is kept aside in turn, and what `explain` accepts joins as far as it simulates the end of the
-    records, and of several the most different one, no worse. Where a user notes which part of a record is for training, effects
-    are sought there, and their errors told on the rest. Effects that are asked for join whether they help or not.
+    Every block of the records is kept aside in turn, and what `explain` accepts joins as far as it
+    simulates the end of the records, and of several the most different one, no worse. Where a user
+    notes which part of a record is for training, effects are sought there, and their errors told on
+    the rest. Effects that are asked for join whether they help or not.
 
-    The returned model is re-estimated on everything. Where all that `explain` accepts would leave a larger error than the model
-    as it was leaves, nothing joins (`refused` names it). Values that the model fixes stay, but for those named in `free`. The
-    verdict is that of `compare` on the returned model: `adequate` where its error is not structured.
+    The returned model is re-estimated on everything. Where all that `explain` accepts would leave a
+    larger error than the model as it was leaves, nothing joins (`refused` names it). Values that
+    the model fixes stay, but for those named in `free`. The verdict is that of `compare` on the
+    returned model: `adequate` where its error is not structured.
 
     Raises
     ------
     BadModel
-        An effect that is not in the catalogue, does not fit the model, or fits several places and names none; a name in `free`
-        that is no fixed parameter.
+        An effect that is not in the catalogue, does not fit the model, or fits several places and
+        names none; a name in `free` that is no fixed parameter.
     BadRecord
         Records too short to keep parts of them aside.
     NotIdentifiable
@@ -284,7 +375,11 @@ def improve(
     wanted = Wanted(None if effects is None else tuple(effects), learned)
     how = Request(mapping, wanted, free, None if seconds is None else EXPLAINING_TIME * seconds)
     with at_most() as work:
-        improvement = _as_explained(model, records, how, tell) if add is None else _as_asked(model, records, add, how, tell)
+        improvement = (
+            _as_explained(model, records, how, tell)
+            if add is None
+            else _as_asked(model, records, add, how, tell)
+        )
     return replace(improvement, work=work)
 
 
@@ -292,25 +387,37 @@ def _check_fixed(model: PhysicalModel, names: Sequence[str]) -> None:
     fixed = [name for name, p in model.parameters.items() if p.fixed]
     if unknown := [name for name in names if name not in fixed]:
         hint = known_names(unknown[0], fixed, "there are")
-        raise BadModel(f"free {unknown[0]!r}: is no parameter that model {model.name!r} holds fixed; {hint}")
+        raise BadModel(
+            f"free {unknown[0]!r}: is no parameter that model {model.name!r} holds fixed; {hint}"
+        )
 
 
-def _as_explained(model: PhysicalModel, records: Sequence[Record], how: Request, tell: Tell) -> Improvement:
+def _as_explained(
+    model: PhysicalModel, records: Sequence[Record], how: Request, tell: Tell
+) -> Improvement:
     """The model with what `explain` accepts, without values that only it frees."""
     check_length(records)
     training, before = _training(records), freed(model, how.free)
-    explanation = explained(before, training, how.mapping, how.wanted, how.seconds, part_of(tell, 0.0, 0.8))
+    explanation = explained(
+        before, training, how.mapping, how.wanted, how.seconds, part_of(tell, 0.0, 0.8)
+    )
     search = explanation.found
-    if any(key.effect == HELD for key in search.best.keys):  # what is found beside them as they are held
+    if any(
+        key.effect == HELD for key in search.best.keys
+    ):  # what is found beside them as they are held
         held = replace(how.wanted, held=False)
         before = _with_inputs_of(before, search.court.data.model)
-        search = searched(before, training, how.mapping, held, seconds=how.seconds, tell=part_of(tell, 0.8, 0.9))
+        search = searched(
+            before, training, how.mapping, held, seconds=how.seconds, tell=part_of(tell, 0.8, 0.9)
+        )
     tell(0.9, "estimating on everything")
     joined = joined_of(search, records, how.mapping, was=model if how.free else None)
     return _improvement(model, records, joined, how, explanation)
 
 
-def _as_asked(model: PhysicalModel, records: Sequence[Record], ids: Sequence[str], how: Request, tell: Tell) -> Improvement:
+def _as_asked(
+    model: PhysicalModel, records: Sequence[Record], ids: Sequence[str], how: Request, tell: Tell
+) -> Improvement:
     """The model with all the effects that a user names."""
     knowing = _with_columns_of(model, records, ids)
     keys = [_resolved(knowing, id) for id in ids]
@@ -327,22 +434,45 @@ def _training(records: Sequence[Record]) -> Sequence[Record]:
 
 
 def _improvement(
-    model: PhysicalModel, records: Sequence[Record], joined: Joined, how: Request, explanation: Explanation | None = None
+    model: PhysicalModel,
+    records: Sequence[Record],
+    joined: Joined,
+    how: Request,
+    explanation: Explanation | None = None,
 ) -> Improvement:
     """The improvement by what an explanation found, or else by what was asked for."""
     unit = joined.model.outputs[joined.output].unit
-    improved = with_provenance(joined.model, joined.std, records, joined.history, joined.output, unit)
+    improved = with_provenance(
+        joined.model, joined.std, records, joined.history, joined.output, unit
+    )
     improved, history = without_idle(improved, model), tuple(joined.history)
     if explanation is None:
         verdict = "improved" if history[-1].error < history[0].error else "not-improved"
     else:
         verdict = _verdict(improved, records, how.mapping)
-    return Improvement(improved, history, verdict, joined.output, unit, explanation, joined.aside, tuple(joined.refused))
+    return Improvement(
+        improved,
+        history,
+        verdict,
+        joined.output,
+        unit,
+        explanation,
+        joined.aside,
+        tuple(joined.refused),
+    )
 
 
-def _verdict(improved: PhysicalModel, records: Sequence[Record], mapping: Mapping[str, str] | None) -> str:
-    """That of `compare` on the model as it will be written: `adequate`, or what is left has no name."""
-    return "unknown-effect" if compare(improved, records, mapping, refuse_unstable=False).present else "adequate"
+def _verdict(
+    improved: PhysicalModel, records: Sequence[Record], mapping: Mapping[str, str] | None
+) -> str:
+    """That of `compare` on the model as it will be written: `adequate`, or what is left has no
+    name.
+    """
+    return (
+        "unknown-effect"
+        if compare(improved, records, mapping, refuse_unstable=False).present
+        else "adequate"
+    )
 
 
 def _with_inputs_of(model: PhysicalModel, knowing: PhysicalModel) -> PhysicalModel:
@@ -352,8 +482,12 @@ def _with_inputs_of(model: PhysicalModel, knowing: PhysicalModel) -> PhysicalMod
     return model
 
 
-def _with_columns_of(model: PhysicalModel, records: Sequence[Record], ids: Sequence[str]) -> PhysicalModel:
-    """The model with those columns of the records among its inputs that a forgotten input is to be tied to."""
+def _with_columns_of(
+    model: PhysicalModel, records: Sequence[Record], ids: Sequence[str]
+) -> PhysicalModel:
+    """The model with those columns of the records among its inputs that a forgotten input is to be
+    tied to.
+    """
     for name in [n for id in ids for n in tied_to(id) if find_effect(_parts(id)[0]).takes_columns]:
         if name not in model.inputs and all(name in record.names for record in records):
             model = model.with_input(name, records[0].units.get(name, ""))

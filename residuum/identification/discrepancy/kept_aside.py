@@ -1,4 +1,6 @@
-"""Which data a model is estimated from, which are kept aside to judge it, and its error on those."""
+"""Which data a model is estimated from, which are kept aside to judge it, and its error on
+those.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,9 @@ from residuum.identification.residual_analysis.policy import STANDS_STILL, TRAIN
 
 @dataclass(frozen=True, eq=False)
 class Split:
-    """`training` records, and `testing` ones each with the sample from which it counts (0: the whole record)."""
+    """`training` records, and `testing` ones each with the sample from which it counts (0: the
+    whole record).
+    """
 
     training: list[Record]
     testing: list[tuple[Record, int]]
@@ -26,18 +30,28 @@ class Split:
     @property
     def aside(self) -> str:
         """What is kept aside, in words."""
-        spans = [(r.t0 + first * r.sample_time, r.t0 + r.n * r.sample_time, Path(r.source).name) for r, first in self.testing]
-        return ", ".join(f"{start:.4g} to {end:.4g} s of {name or 'the record'}" for start, end, name in spans)
+        spans = [
+            (r.t0 + first * r.sample_time, r.t0 + r.n * r.sample_time, Path(r.source).name)
+            for r, first in self.testing
+        ]
+        return ", ".join(
+            f"{start:.4g} to {end:.4g} s of {name or 'the record'}" for start, end, name in spans
+        )
 
 
 def split(records: Sequence[Record]) -> Split:
-    """Several records: every third is kept aside (of two, the second). One: its end, by its note `split: 0.7` or 30 %.
+    """Several records: every third is kept aside (of two, the second). One: its end, by its note
+    `split: 0.7` or 30 %.
 
-    A part in which the record stands still judges nothing: then the beginning is kept aside, or the middle.
+    A part in which the record stands still judges nothing: then the beginning is kept aside, or the
+    middle.
     """
     if len(records) > 1:
         testing = [k for k in range(len(records)) if k % 3 == 2] or [len(records) - 1]
-        return Split([r for k, r in enumerate(records) if k not in testing], [(records[k], 0) for k in testing])
+        return Split(
+            [r for k, r in enumerate(records) if k not in testing],
+            [(records[k], 0) for k in testing],
+        )
     record = records[0]
     first = int(record.n * (record.split or TRAINING_SHARE))
     aside, middle = record.n - first, first // 2
@@ -46,7 +60,11 @@ def split(records: Sequence[Record]) -> Split:
     begin, stop = next((span for span in wanted if _moves(record, *span)), wanted[0])
     if stop == record.n:
         return Split([record.window(0, begin)], [(record, begin)])
-    training = [record.window(0, begin), record.window(stop, record.n)] if begin else [record.window(stop, record.n)]
+    training = (
+        [record.window(0, begin), record.window(stop, record.n)]
+        if begin
+        else [record.window(stop, record.n)]
+    )
     return Split(training, [(record.window(begin, stop), 0)])
 
 
@@ -56,7 +74,10 @@ def is_noted(records: Sequence[Record]) -> bool:
 
 
 def matched_at(
-    model: PhysicalModel, records: Sequence[Record], mapping: Mapping[str, str] | None, hold: FloatArray
+    model: PhysicalModel,
+    records: Sequence[Record],
+    mapping: Mapping[str, str] | None,
+    hold: FloatArray,
 ) -> tuple[PhysicalModel, list[Experiment]]:
     """`match` at an input timing that is known: `hold` (inputs,), 0 held and 1 moving evenly."""
     matched, experiments = match(model, records, mapping)
@@ -75,7 +96,10 @@ def _moves(record: Record, begin: int, stop: int) -> bool:
     """Whether every channel that changes in the record does so in this part of it too."""
     with np.errstate(invalid="ignore"):
         for values in record.channels.values():
-            whole, part = np.nanstd(values), np.nanstd(values[begin:stop]) if np.isfinite(values[begin:stop]).any() else 0.0
+            whole, part = (
+                np.nanstd(values),
+                np.nanstd(values[begin:stop]) if np.isfinite(values[begin:stop]).any() else 0.0,
+            )
             if whole > 0.0 and part < STANDS_STILL * whole:
                 return False
     return True
@@ -84,15 +108,21 @@ def _moves(record: Record, begin: int, stop: int) -> bool:
 def rmse_aside(model: PhysicalModel, testing: Sequence[tuple[Experiment, int]]) -> FloatArray:
     """RMS simulation error of each output over the samples that count; ∞ where the model diverges.
 
-    Initial states come from the samples before those that count, or where all count from the experiment itself.
+    Initial states come from the samples before those that count, or where all count from the
+    experiment itself.
     """
     simulator, experiments = Simulator(model), [e for e, _ in testing]
-    beginnings = [replace(e, Y=np.where(np.arange(e.n)[:, None] < first, e.Y, np.nan)) if first else e for e, first in testing]
+    beginnings = [
+        replace(e, Y=np.where(np.arange(e.n)[:, None] < first, e.Y, np.nan)) if first else e
+        for e, first in testing
+    ]
     try:
         start = estimate(model, beginnings, free=(), settings=STATES_ALONE)
     except NotIdentifiable:
         return np.full(len(model.outputs), np.inf)
     runs = simulator.run_each(experiments, start.initial, simulator.p(), substeps=start.substeps)
-    joined = np.concatenate([(e.Y - run.Y)[first:] for (e, first), run in zip(testing, runs, strict=True)])
+    joined = np.concatenate(
+        [(e.Y - run.Y)[first:] for (e, first), run in zip(testing, runs, strict=True)]
+    )
     count = np.isfinite(joined).sum(axis=0)
     return np.where(count > 0, np.sqrt(np.nansum(joined**2, axis=0) / np.maximum(count, 1)), np.nan)

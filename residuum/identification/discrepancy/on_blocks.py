@@ -34,13 +34,19 @@ from residuum.identification.work import begun
 
 
 def answer_on_blocks(
-    search: Search, wanted: Wanted, records: Sequence[Record], mapping: Mapping[str, str] | None, began: float
+    search: Search,
+    wanted: Wanted,
+    records: Sequence[Record],
+    mapping: Mapping[str, str] | None,
+    began: float,
 ) -> Explanation:
     """The answer by errors on unseen blocks."""
     best, stds, steps = search.best, doubts_of(search), steps_of(search)
     free = free_terms(search.base, search.court)
     left = _left(search)
-    slow = any(times > SLOW for _, _, times in left.values())  # few answers to few steps look like a walk at random
+    slow = any(
+        times > SLOW for _, _, times in left.values()
+    )  # few answers to few steps look like a walk at random
     adequate = not slow and not compare(best.model, records, mapping, refuse_unstable=False).present
     verdict = verdict_on(search, steps, free, stds, adequate=adequate)
     free_beside = free_terms(best, search.court) if best.keys else free
@@ -54,7 +60,9 @@ def answer_on_blocks(
         free=next(iter(free_beside), None),
         undetectable=undetectable(search, wanted, search.along, named),
         next_experiment=next_experiments(search, verdict.candidates),
-        accepted=tuple(s.key for s in steps if s.key.effect != HELD and not is_timing(s.key, search)),
+        accepted=tuple(
+            s.key for s in steps if s.key.effect != HELD and not is_timing(s.key, search)
+        ),
         timing=tuple(s.key for s in steps if is_timing(s.key, search)),
         drifting=verdict.unknown > UNKNOWN_LEADS and bool(free) and free[0].axis == "time",
         left=left,
@@ -70,14 +78,22 @@ def answer_on_blocks(
 
 def _block_errors(search: Search, candidates: Sequence[Candidate]) -> BlockErrors:
     data, base = search.court.data, search.base
-    alone = {c.key: search.every[(c.key,)].squares for c in candidates if c.step == 0 and (c.key,) in search.every}
+    alone = {
+        c.key: search.every[(c.key,)].squares
+        for c in candidates
+        if c.step == 0 and (c.key,) in search.every
+    }
     records = [block * len(data.experiments) // data.blocks for block in range(data.blocks)]
     times = [data.times_of(block) for block in range(data.blocks)]
-    return block_errors(data.model, records, times, base.count, base.squares, search.best.squares, alone)
+    return block_errors(
+        data.model, records, times, base.count, base.squares, search.best.squares, alone
+    )
 
 
 def doubts_of(search: Search) -> dict[str, float]:
-    """Standard deviations of the best structure's parameters by full name, in noise of the colour that is left."""
+    """Standard deviations of the best structure's parameters by full name, in noise of the colour
+    that is left.
+    """
     fit = search.court.begun(search.best.structure)
     if fit is None:
         return {}
@@ -101,7 +117,11 @@ def _left(search: Search) -> dict[str, tuple[float, str, float]]:
         if search.court.data.measured[o]:
             errors = [p[:, o] for p in parts]
             rms = float(np.sqrt(np.nanmean(np.concatenate(errors) ** 2)))
-            left[output.name] = (rms, output.unit, rms / max(float(np.sqrt(innovation_variance(errors))), 1e-300))
+            left[output.name] = (
+                rms,
+                output.unit,
+                rms / max(float(np.sqrt(innovation_variance(errors))), 1e-300),
+            )
     return left
 
 
@@ -109,8 +129,14 @@ def _held(step: Step, search: Search, stds: Mapping[str, float]) -> HeldValue:
     """The fixed value that is doubted; of several that do as much the first of the model."""
     model, tied = search.court.data.model, {step.key.target: search}
     for rival in step.group:
-        tied |= {k.target: replace(search, best=rival) for k in rival.keys if k.effect == HELD and k not in search.best.keys}
+        tied |= {
+            k.target: replace(search, best=rival)
+            for k in rival.keys
+            if k.effect == HELD and k not in search.best.keys
+        }
     first, *alike = sorted(tied, key=list(model.parameters).index)
     doubt = stds if tied[first] is search else doubts_of(tied[first])
     before, now = model.parameters[first], tied[first].best.model.parameters[first]
-    return HeldValue(first, before.value, now.value, float(doubt.get(first, 0.0)), now.unit, tuple(alike))
+    return HeldValue(
+        first, before.value, now.value, float(doubt.get(first, 0.0)), now.unit, tuple(alike)
+    )

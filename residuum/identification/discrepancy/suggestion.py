@@ -28,8 +28,9 @@ LIBRARY: Mapping[str, Callable[[FloatArray], FloatArray]] = {
 
 @dataclass(frozen=True)
 class Suggestion:
-    """A sum of library functions: `formula` (coefficients in the term's unit), `largest` = the axis value that z = 1 stands for,
-    and the `share` of the curve's variance that it follows."""
+    """A sum of library functions: `formula` (coefficients in the term's unit), `largest` = the axis
+    value that z = 1 stands for, and the `share` of the curve's variance that it follows.
+    """
 
     formula: str
     largest: float
@@ -37,10 +38,12 @@ class Suggestion:
 
 
 def nearest_formula(at: FloatArray, value: FloatArray) -> Suggestion | None:
-    """The sparse regression of a curve, `value` (knots,) over `at` (knots,); None for one without any spread.
+    """The sparse regression of a curve, `value` (knots,) over `at` (knots,); None for one without
+    any spread.
 
-    Every sum of up to three functions is tried (the library is small); Schwarz's criterion on the knots chooses. It is a
-    description, not a law: a function of the wrong axis is described as willingly.
+    Every sum of up to three functions is tried (the library is small); Schwarz's criterion on the
+    knots chooses. It is a description, not a law: a function of the wrong axis is described as
+    willingly.
     """
     largest = float(np.max(np.abs(at)))
     spread = float(np.sum((value - value.mean()) ** 2))
@@ -52,7 +55,9 @@ def nearest_formula(at: FloatArray, value: FloatArray) -> Suggestion | None:
     for count in range(1, FORMULA_TERMS + 1):
         for names in combinations(columns, count):
             design: FloatArray = np.column_stack([columns[name] for name in names])
-            coefficients: FloatArray = np.asarray(np.linalg.lstsq(design, value, rcond=None)[0], dtype=np.float64)
+            coefficients: FloatArray = np.asarray(
+                np.linalg.lstsq(design, value, rcond=None)[0], dtype=np.float64
+            )
             squares = float(np.sum((value - design @ coefficients) ** 2))
             criterion = float(n * np.log(squares / spread + 1e-6) + count * np.log(n))
             if best is None or criterion < best[0]:

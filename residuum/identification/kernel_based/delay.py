@@ -1,8 +1,9 @@
 """Input delay: which lag the response begins at, by the marginal likelihood of each candidate.
 
-Of a gentle beginning, or one that a single step or pulse hardly tells, the likelihood is flat over several candidates. A delay
-too long leaves out lags that answer, and what lies there is pressed into those behind them, with a narrow band; one too short
-leaves lags more to estimate. So the shortest is taken that the data do not speak against.
+Of a gentle beginning, or one that a single step or pulse hardly tells, the likelihood is flat over
+several candidates. A delay too long leaves out lags that answer, and what lies there is pressed
+into those behind them, with a narrow band; one too short leaves lags more to estimate. So the
+shortest is taken that the data do not speak against.
 """
 
 from __future__ import annotations
@@ -15,7 +16,11 @@ import numpy.typing as npt
 
 from residuum.identification.blas_threads import one_thread_if_small
 from residuum.identification.errors import BadInput
-from residuum.identification.kernel_based.impulse_response import check_settings, maximise, scaled_sums
+from residuum.identification.kernel_based.impulse_response import (
+    check_settings,
+    maximise,
+    scaled_sums,
+)
 from residuum.identification.kernel_based.kernels import KERNELS
 from residuum.identification.kernel_based.lagged_data import lagged_data
 from residuum.identification.kernel_based.marginal_likelihood import marginal_likelihood
@@ -27,8 +32,8 @@ _ABOUT_AS_LIKELY = 2.0
 
 @dataclass(frozen=True, eq=False)
 class DelayEstimate:
-    """The shortest delay [samples] that is about as likely as the most likely one, and for every candidate 0 … longest its −log p
-    and probability.
+    """The shortest delay [samples] that is about as likely as the most likely one, and for every
+    candidate 0 … longest its −log p and probability.
     """
 
     delay: int
@@ -36,7 +41,9 @@ class DelayEstimate:
 
     @property
     def probability(self) -> npt.NDArray[np.float64]:
-        """Posterior probability of each candidate, all being equally likely beforehand, shape (longest + 1,)."""
+        """Posterior probability of each candidate, all being equally likely beforehand, shape
+        (longest + 1,).
+        """
         likelihood = np.exp(self.negative_log_likelihood.min() - self.negative_log_likelihood)
         return np.asarray(likelihood / likelihood.sum())
 
@@ -53,9 +60,9 @@ def estimate_delay(
 ) -> DelayEstimate:
     """The lag of the first impulse-response coefficient, among 0 … `longest` samples.
 
-    Every candidate explains the same output samples with `order` coefficients from its lag on, and is judged by its
-    largest marginal likelihood: a prior that decays from its first coefficient is penalised for zeros there. The
-    regression sums are computed once, for all lags.
+    Every candidate explains the same output samples with `order` coefficients from its lag on, and
+    is judged by its largest marginal likelihood: a prior that decays from its first coefficient is
+    penalised for zeros there. The regression sums are computed once, for all lags.
 
     Raises what `identify_impulse_response` raises.
 

@@ -1,9 +1,10 @@
-"""Sums of a lagged regression, y(t) = Σ_j Σ_i g_ji u_j(t − delay − i): all that a Gaussian likelihood needs of the data.
+"""Sums of a lagged regression, y(t) = Σ_j Σ_i g_ji u_j(t − delay − i): all that a Gaussian
+likelihood needs of the data.
 
-The Gram matrix of lagged signals is Toeplitz up to its edges: the first row and column are correlations (blocks of
-FFTs, memory independent of n), every other entry follows along its diagonal by one product that enters and one that
-leaves. Rows with a missing sample are left out, so gaps cut a record into runs, and runs, records and streamed
-blocks simply add up; no row spans a seam.
+The Gram matrix of lagged signals is Toeplitz up to its edges: the first row and column are
+correlations (blocks of FFTs, memory independent of n), every other entry follows along its diagonal
+by one product that enters and one that leaves. Rows with a missing sample are left out, so gaps cut
+a record into runs, and runs, records and streamed blocks simply add up; no row spans a seam.
 """
 
 from __future__ import annotations
@@ -24,9 +25,11 @@ _ROWS_AT_ONCE = 1 << 18
 
 @dataclass(frozen=True, eq=False)
 class RegressionSums:
-    """ΦᵀΦ, Φᵀy, yᵀy, Φᵀ1, 1ᵀy over `rows` complete rows; columns are ordered input by input, lag by lag.
+    """ΦᵀΦ, Φᵀy, yᵀy, Φᵀ1, 1ᵀy over `rows` complete rows; columns are ordered input by input, lag by
+    lag.
 
-    `fitted_offsets` counts the constants that `centred` has already removed (each takes one degree of freedom).
+    `fitted_offsets` counts the constants that `centred` has already removed (each takes one degree
+    of freedom).
     """
 
     gram: FloatArray
@@ -59,7 +62,9 @@ class RegressionSums:
         )
 
     def centred(self) -> RegressionSums:
-        """The sums after an unknown constant was eliminated from these rows (regression on deviations from the mean)."""
+        """The sums after an unknown constant was eliminated from these rows (regression on
+        deviations from the mean).
+        """
         if self.rows == 0:
             return self
         mean = self.regressor_sum / self.rows
@@ -126,7 +131,8 @@ def regression_sums(
     y = np.asarray(output)
     if any(signal.shape != y.shape for signal in signals):
         raise BadRecord(
-            f"inputs of {[len(signal) for signal in signals]} samples and an output of {len(y)}: lengths must be equal"
+            f"inputs of {[len(signal) for signal in signals]} samples and an output of {len(y)}:"
+            " lengths must be equal"
         )
     reach = delay + order - 1
     levels = [0.0] * len(signals) if input_levels is None else input_levels
@@ -139,13 +145,17 @@ def regression_sums(
                 np.subtract(signal[k - reach : end - delay], level, dtype=float)
                 for signal, level in zip(signals, levels, strict=True)
             ]
-            # Beyond its own lags a signal may be missing; what stands there is in columns that are left out.
-            past = [stretch if own == order else np.nan_to_num(stretch) for stretch, own in zip(past, lags, strict=True)]
+            # Beyond its own lags a signal may be missing; what stands there is in columns that are
+            # left out.
+            past = [
+                stretch if own == order else np.nan_to_num(stretch)
+                for stretch, own in zip(past, lags, strict=True)
+            ]
             total = total + _run_sums(past, np.subtract(y[k:end], output_level, dtype=float), order)
     if total.rows == 0:
         raise NotIdentifiable(
-            f"record of {len(y)} samples: order {order} with delay {delay} needs {reach + 1} samples in a row without a gap; "
-            "record longer, or take a smaller order"
+            f"record of {len(y)} samples: order {order} with delay {delay} needs {reach + 1}"
+            " samples in a row without a gap; record longer, or take a smaller order"
         )
     if orders is None:
         return total
@@ -155,7 +165,9 @@ def regression_sums(
 def _complete_runs(
     inputs: Sequence[FloatArray], lags: Sequence[int], y: FloatArray, order: int, delay: int
 ) -> list[tuple[int, int]]:
-    """Runs [start, stop) of output samples whose own value and whose whole past, `lags` of each input, are there."""
+    """Runs [start, stop) of output samples whose own value and whose whole past, `lags` of each
+    input, are there.
+    """
     n, reach = len(y), delay + order - 1
     if n <= reach:
         return []
@@ -172,7 +184,9 @@ def _complete_runs(
 
 
 def _run_sums(x: list[FloatArray], y: FloatArray, order: int) -> RegressionSums:
-    """Sums of one run: y (L,), each x (L + order − 1,), row k holding x[k + order − 1 − i] for lag i."""
+    """Sums of one run: y (L,), each x (L + order − 1,), row k holding x[k + order − 1 − i] for lag
+    i.
+    """
     gram, cross = (_direct_products if len(y) < order else _toeplitz_products)(x, y, order)
     sums = np.concatenate([_regressor_sum(signal, len(y), order) for signal in x])
     return RegressionSums(gram, cross, float(y @ y), len(y), sums, float(y.sum()))
@@ -185,17 +199,25 @@ def _regressor_sum(x: FloatArray, rows: int, order: int) -> FloatArray:
 
 
 def _edges(x: FloatArray, rows: int, order: int) -> tuple[FloatArray, FloatArray]:
-    """From one lag to the next, the sample that enters a sum over the rows and the one that leaves it, shapes (order − 1,)."""
+    """From one lag to the next, the sample that enters a sum over the rows and the one that leaves
+    it, shapes (order − 1,).
+    """
     return x[order - 2 :: -1][: order - 1], x[: rows - 1 : -1]
 
 
-def _direct_products(x: list[FloatArray], y: FloatArray, order: int) -> tuple[FloatArray, FloatArray]:
+def _direct_products(
+    x: list[FloatArray], y: FloatArray, order: int
+) -> tuple[FloatArray, FloatArray]:
     """ΦᵀΦ and Φᵀy of a run shorter than the order, where the structure saves nothing."""
-    Phi = np.hstack([np.lib.stride_tricks.sliding_window_view(signal, order)[:, ::-1] for signal in x])
+    Phi = np.hstack(
+        [np.lib.stride_tricks.sliding_window_view(signal, order)[:, ::-1] for signal in x]
+    )
     return Phi.T @ Phi, Phi.T @ y
 
 
-def _toeplitz_products(x: list[FloatArray], y: FloatArray, order: int) -> tuple[FloatArray, FloatArray]:
+def _toeplitz_products(
+    x: list[FloatArray], y: FloatArray, order: int
+) -> tuple[FloatArray, FloatArray]:
     """ΦᵀΦ and Φᵀy from the correlations and the two edges of the run."""
     products = _lagged_products([*(signal[order - 1 :] for signal in x), y], x, order)
     gram = np.empty((len(x) * order, len(x) * order))
@@ -207,10 +229,14 @@ def _toeplitz_products(x: list[FloatArray], y: FloatArray, order: int) -> tuple[
     return gram, products[-1].ravel()
 
 
-def _along_diagonals(first: FloatArray, second: FloatArray, column: FloatArray, row: FloatArray, rows: int) -> FloatArray:
+def _along_diagonals(
+    first: FloatArray, second: FloatArray, column: FloatArray, row: FloatArray, rows: int
+) -> FloatArray:
     """R with R_{i+1,k+1} = R_{ik} + (the product that enters) − (the product that leaves)."""
     order = len(row)
-    (entering, leaving), (entering_too, leaving_too) = (_edges(signal, rows, order) for signal in (first, second))
+    (entering, leaving), (entering_too, leaving_too) = (
+        _edges(signal, rows, order) for signal in (first, second)
+    )
     R = np.empty((order, order))
     R[0], R[1:, 0] = row, column[1:]
     R[1:, 1:] = np.outer(entering, entering_too) - np.outer(leaving, leaving_too)
@@ -220,7 +246,9 @@ def _along_diagonals(first: FloatArray, second: FloatArray, column: FloatArray, 
 
 
 def _lagged_products(signals: list[FloatArray], x: list[FloatArray], order: int) -> FloatArray:
-    """Σ_k a[k] x_j[k + order − 1 − i], shape (len(signals), len(x), order), by overlap-save over blocks."""
+    """Σ_k a[k] x_j[k + order − 1 − i], shape (len(signals), len(x), order), by overlap-save over
+    blocks.
+    """
     rows = len(signals[0])
     size = fft.next_fast_len(min(max(1024, 8 * order), rows + order - 1), real=True)
     step = size - order + 1
@@ -228,7 +256,10 @@ def _lagged_products(signals: list[FloatArray], x: list[FloatArray], order: int)
     for start in range(0, rows, step * _BLOCKS_AT_ONCE):
         stop = min(start + step * _BLOCKS_AT_ONCE, rows)
         blocks = -(-(stop - start) // step)
-        X = [fft.rfft(_blocks(signal[start : stop + order - 1], blocks, size, step), axis=1) for signal in x]
+        X = [
+            fft.rfft(_blocks(signal[start : stop + order - 1], blocks, size, step), axis=1)
+            for signal in x
+        ]
         for index, a in enumerate(signals):
             A = fft.rfft(_blocks(a[start:stop], blocks, step, step), n=size, axis=1).conj()
             for j, X_j in enumerate(X):
@@ -237,7 +268,9 @@ def _lagged_products(signals: list[FloatArray], x: list[FloatArray], order: int)
 
 
 def _blocks(signal: FloatArray, blocks: int, size: int, step: int) -> FloatArray:
-    """Overlapping blocks of `size` samples, `step` apart, the last one padded with zeros, shape (blocks, size)."""
+    """Overlapping blocks of `size` samples, `step` apart, the last one padded with zeros, shape
+    (blocks, size).
+    """
     padded = np.zeros((blocks - 1) * step + size)
     padded[: len(signal)] = signal
     return np.lib.stride_tricks.sliding_window_view(padded, size)[::step]

@@ -1,8 +1,9 @@
 """Kernel-based identification: a regularised impulse response with its posterior covariance.
 
-y(t) = Σ_i g_i u(t − delay − i) + offset + e(t) with the prior g ~ N(0, λ K(η)); η, λ and σ² by marginal likelihood
-(empirical Bayes), the posterior by (A.17). Chen, Ohlsson, Ljung, Automatica 48 (2012) 1525–1535; Pillonetto et al., Automatica 50
-(2014) 657–682; (2.19)–(2.20), (A.14)–(A.20) of the source.
+y(t) = Σ_i g_i u(t − delay − i) + offset + e(t) with the prior g ~ N(0, λ K(η)); η, λ and σ² by
+marginal likelihood (empirical Bayes), the posterior by (A.17). Chen, Ohlsson, Ljung, Automatica 48
+(2012) 1525–1535; Pillonetto et al., Automatica 50 (2014) 657–682; (2.19)–(2.20), (A.14)–(A.20) of
+the source.
 """
 
 from __future__ import annotations
@@ -21,7 +22,11 @@ from residuum.identification.errors import BadInput, NotIdentifiable
 from residuum.identification.kernel_based.gram import RegressionSums
 from residuum.identification.kernel_based.kernels import KERNELS
 from residuum.identification.kernel_based.lagged_data import LaggedData, lagged_data
-from residuum.identification.kernel_based.marginal_bands import MOST_COEFFICIENTS, HyperMixture, PointwiseBands
+from residuum.identification.kernel_based.marginal_bands import (
+    MOST_COEFFICIENTS,
+    HyperMixture,
+    PointwiseBands,
+)
 from residuum.identification.kernel_based.marginal_likelihood import (
     RESOLUTION,
     MarginalLikelihood,
@@ -44,7 +49,9 @@ _ROUNDING = 1e-20
 
 @dataclass(frozen=True, eq=False)
 class ImpulseResponseFit:
-    """Posterior of the impulse responses of one output, all inputs stacked: mean (p,), covariance (p, p)."""
+    """Posterior of the impulse responses of one output, all inputs stacked: mean (p,), covariance
+    (p, p).
+    """
 
     mean: FloatArray
     covariance: FloatArray
@@ -75,9 +82,9 @@ def identify_impulse_response(
     Parameters
     ----------
     records : Record or sequence of Record
-        Experiments with the same channels, units and sample time. Each counts with an initial state of its own: a row
-        is used when the output sample and the `order` input samples before it are all there, so the
-        unknown past, gaps and seams are left out, never filled.
+        Experiments with the same channels, units and sample time. Each counts with an initial state
+        of its own: a row is used when the output sample and the `order` input samples before it are
+        all there, so the unknown past, gaps and seams are left out, never filled.
     input, output : str
         Channel names.
     kernel : {"tc", "dc", "ss", "di"}
@@ -86,26 +93,32 @@ def identify_impulse_response(
     delay : int
         Lag of the first coefficient (1 = no direct feedthrough); see `estimate_delay`.
     noise_variance : {"marginal", "least-squares"} or float
-        σ² as a hyper-parameter, from the unregularised least-squares fit (needs more rows than coefficients), or known
-        [output unit²].
+        σ² as a hyper-parameter, from the unregularised least-squares fit (needs more rows than
+        coefficients), or known [output unit²].
     offset : bool
-        Whether each record has an unknown constant level (eliminated from its rows); False = signals are deviations.
+        Whether each record has an unknown constant level (eliminated from its rows); False =
+        signals are deviations.
     tail : int or None
-        Coefficients beyond the order that are estimated too and left out of the result, so that what the order cuts off
-        does not act as noise. None: half the order, at most one in a hundred samples; 0: the textbook problem.
+        Coefficients beyond the order that are estimated too and left out of the result, so that
+        what the order cuts off does not act as noise. None: half the order, at most one in a
+        hundred samples; 0: the textbook problem.
     hyper_uncertainty : bool
-        Whether the covariance also holds what the unknown hyper-parameters add (first order); False: (A.17c) alone.
+        Whether the covariance also holds what the unknown hyper-parameters add (first order);
+        False: (A.17c) alone.
     cover_cut : bool
-        Whether a response that outlasts the order gets a longer one beside it (`longer_response`), which random models and
-        bounds on the error are drawn from; False: they know nothing of what the order cuts off.
+        Whether a response that outlasts the order gets a longer one beside it (`longer_response`),
+        which random models and bounds on the error are drawn from; False: they know nothing of what
+        the order cuts off.
     like : IdentifiedModel or None
-        A model of this kernel from records of the same plant: the search of the hyper-parameters begins at its.
+        A model of this kernel from records of the same plant: the search of the hyper-parameters
+        begins at its.
 
     Returns
     -------
     IdentifiedModel
-        Its `warnings` say when the input hardly excites, the response outlasts the order, or there is none.
-        `hyper_parameters` are `alpha` (and `rho`) and `scale` λ [output unit²/input unit²].
+        Its `warnings` say when the input hardly excites, the response outlasts the order, or there
+        is none. `hyper_parameters` are `alpha` (and `rho`) and `scale` λ [output unit²/input
+        unit²].
 
     Raises
     ------
@@ -135,14 +148,22 @@ def identify_impulse_response(
     if tail is None:
         tail = min(order // 2, sum(record.n for record in experiments) // 100)
     data = lagged_data(experiments, [input], output, order + tail, delay, offset=offset)
-    fit = fit_impulse_response(data.sums, kernel, 1, noise_variance, hyper_uncertainty=hyper_uncertainty, like=like)
+    fit = fit_impulse_response(
+        data.sums, kernel, 1, noise_variance, hyper_uncertainty=hyper_uncertainty, like=like
+    )
 
     def refit(length: int) -> tuple[FloatArray, FloatArray]:
         sums = lagged_data(experiments, [input], output, length, delay, offset=offset).sums
-        again = fit_impulse_response(sums, kernel, 1, noise_variance, hyper_uncertainty=hyper_uncertainty)
+        again = fit_impulse_response(
+            sums, kernel, 1, noise_variance, hyper_uncertainty=hyper_uncertainty
+        )
         return again.mean, again.covariance
 
-    longer = longer_response((fit.mean, fit.covariance), order, data.sums.rows, refit) if cover_cut else None
+    longer = (
+        longer_response((fit.mean, fit.covariance), order, data.sums.rows, refit)
+        if cover_cut
+        else None
+    )
     return IdentifiedModel(
         method=f"kernel-{kernel}",
         sample_time=data.sample_time,
@@ -174,7 +195,8 @@ def fit_impulse_response(
     hyper_uncertainty: bool = True,
     like: IdentifiedModel | None = None,
 ) -> ImpulseResponseFit:
-    """Posterior of the impulse responses from regression sums alone; parameters as in `identify_impulse_response`.
+    """Posterior of the impulse responses from regression sums alone; parameters as in
+    `identify_impulse_response`.
 
     >>> from residuum.identification.kernel_based.gram import regression_sums
     >>> rng = np.random.default_rng(0)
@@ -186,7 +208,8 @@ def fit_impulse_response(
     order = len(sums.cross) // n_inputs
     if sums.degrees_of_freedom < 4 + 3 * n_inputs:
         raise NotIdentifiable(
-            f"{sums.rows} complete rows: kernel identification needs at least {4 + 3 * n_inputs} (+1 an offset)"
+            f"{sums.rows} complete rows: kernel identification needs at least {4 + 3 * n_inputs}"
+            " (+1 an offset)"
         )
     with one_thread_if_small(len(sums.cross)):
         scaled, input_scale, output_scale = scaled_sums(sums, n_inputs)
@@ -208,12 +231,20 @@ def fit_impulse_response(
         _named(likelihood, x, posterior.noise_variance * ratio**2),
         value + likelihood.n * math.log(output_scale),
         tuple(_warnings(likelihood, posterior, value, excited)),
-        HyperMixture(likelihood, x, per_coefficient) if hyper_uncertainty and len(per_coefficient) <= MOST_COEFFICIENTS else None,
+        (
+            HyperMixture(likelihood, x, per_coefficient)
+            if hyper_uncertainty and len(per_coefficient) <= MOST_COEFFICIENTS
+            else None
+        ),
     )
 
 
-def _named(likelihood: MarginalLikelihood, x: FloatArray, units: FloatArray) -> tuple[dict[str, float], ...]:
-    """The hyper-parameters of each input by name, κ brought to the scale λ in the units of the data."""
+def _named(
+    likelihood: MarginalLikelihood, x: FloatArray, units: FloatArray
+) -> tuple[dict[str, float], ...]:
+    """The hyper-parameters of each input by name, κ brought to the scale λ in the units of the
+    data.
+    """
     names = [item.name for item in likelihood.kernel.parameters]
     return tuple(
         {**dict(zip(names, map(float, eta), strict=True)), "scale": float(kappa * unit)}
@@ -221,8 +252,12 @@ def _named(likelihood: MarginalLikelihood, x: FloatArray, units: FloatArray) -> 
     )
 
 
-def _variables(likelihood: MarginalLikelihood, like: IdentifiedModel, input_scale: float) -> FloatArray:
-    """The search variables that a model's hyper-parameters are: the inverse of `_named` for one input."""
+def _variables(
+    likelihood: MarginalLikelihood, like: IdentifiedModel, input_scale: float
+) -> FloatArray:
+    """The search variables that a model's hyper-parameters are: the inverse of `_named` for one
+    input.
+    """
     values = like.hyper_parameters
     kappa = values["scale"] * input_scale**2 / max(like.noise_variance, np.finfo(float).tiny)
     eta = [item.free(values[item.name]) for item in likelihood.kernel.parameters]
@@ -234,8 +269,8 @@ def maximise(
 ) -> tuple[FloatArray, float]:
     """Search variables of the largest marginal likelihood and −log p there.
 
-    A coarse grid of time constants and signal-to-noise ratios (or `start`), then L-BFGS-B on the exact gradient. It neither
-    begins where the likelihood is no number nor goes there.
+    A coarse grid of time constants and signal-to-noise ratios (or `start`), then L-BFGS-B on the
+    exact gradient. It neither begins where the likelihood is no number nor goes there.
 
     Raises
     ------
@@ -246,8 +281,8 @@ def maximise(
     x = _finite_start(likelihood, _starts(likelihood)) if given is None else given
     if x is None:
         raise NotIdentifiable(
-            "the likelihood is no number at any start of its search, so that the record tells no response: record while the "
-            "input moves, or scale the signals to about 1"
+            "the likelihood is no number at any start of its search, so that the record tells no"
+            " response: record while the input moves, or scale the signals to about 1"
         )
     decay = [item.bounds for item in likelihood.kernel.parameters]
     kappa = [(value - 40.0, value + 40.0) for value in x.reshape(likelihood.n_inputs, -1)[:, -1]]
@@ -263,7 +298,9 @@ def maximise(
     return np.asarray(optimum.x), float(optimum.fun)
 
 
-def _finite_start(likelihood: MarginalLikelihood, starts: Sequence[FloatArray]) -> FloatArray | None:
+def _finite_start(
+    likelihood: MarginalLikelihood, starts: Sequence[FloatArray]
+) -> FloatArray | None:
     """Of the starts the likeliest; None where the likelihood is a number at none."""
     values = [likelihood.value(x) if np.all(np.isfinite(x)) else np.inf for x in starts]
     known = [(value, k) for k, value in enumerate(values) if np.isfinite(value)]
@@ -271,7 +308,9 @@ def _finite_start(likelihood: MarginalLikelihood, starts: Sequence[FloatArray]) 
 
 
 def _finite(value: float, gradient: FloatArray) -> tuple[float, FloatArray]:
-    """Value and gradient, or a wall where they are no numbers, from which a line search turns back."""
+    """Value and gradient, or a wall where they are no numbers, from which a line search turns
+    back.
+    """
     if np.isfinite(value) and np.all(np.isfinite(gradient)):
         return value, gradient
     return _WALL, np.zeros_like(gradient)
@@ -281,18 +320,25 @@ def _starts(likelihood: MarginalLikelihood) -> list[FloatArray]:
     starts = []
     for time_constant in np.geomspace(min(2.0, likelihood.order), max(likelihood.order, 4.0), 4):
         alpha = math.exp(-1.0 / time_constant)
-        free = [item.free(alpha if item.name == "alpha" else math.sqrt(alpha)) for item in likelihood.kernel.parameters]
+        free = [
+            item.free(alpha if item.name == "alpha" else math.sqrt(alpha))
+            for item in likelihood.kernel.parameters
+        ]
         x = np.tile([*free, 0.0], likelihood.n_inputs)
         gain = likelihood.gain(x)
         for signal_to_noise in (1.0, 100.0):
             x = x.copy()
-            x[len(free) :: len(free) + 1] = np.log(signal_to_noise / np.maximum(gain, np.finfo(float).tiny))
+            x[len(free) :: len(free) + 1] = np.log(
+                signal_to_noise / np.maximum(gain, np.finfo(float).tiny)
+            )
             starts.append(x)
     return starts
 
 
 def scaled_sums(sums: RegressionSums, n_inputs: int) -> tuple[RegressionSums, FloatArray, float]:
-    """The sums with every signal at unit mean square, and the scales; refuses signals that do not move."""
+    """The sums with every signal at unit mean square, and the scales; refuses signals that do not
+    move.
+    """
     n = sums.degrees_of_freedom
     power = np.diag(sums.gram).reshape(n_inputs, -1).mean(axis=1) / n
     level = np.square(sums.regressor_sum / max(sums.rows, 1)).reshape(n_inputs, -1).mean(axis=1)
@@ -302,19 +348,26 @@ def scaled_sums(sums: RegressionSums, n_inputs: int) -> tuple[RegressionSums, Fl
         raise NotIdentifiable("the output does not move: an impulse response needs a response")
     if not np.all(np.square(input_scale) > 0):
         raise NotIdentifiable(
-            "the input does not move in the rows whose whole past is there (persistently exciting of order 0): take a smaller "
-            "order, or record longer before and after what moves it"
+            "the input does not move in the rows whose whole past is there (persistently exciting"
+            " of order 0): take a smaller order, or record longer before and after what moves it"
         )
     scale = np.repeat(input_scale, len(sums.cross) // n_inputs)
     gram = sums.gram / scale / scale[:, None]
     if not (np.isfinite(gram).all() and np.isfinite(output_scale)):
-        raise NotIdentifiable("the sums of the regression are not finite: the signals are too large for double precision")
+        raise NotIdentifiable(
+            "the sums of the regression are not finite: the signals are too large for double"
+            " precision"
+        )
     cross = sums.cross / scale / output_scale
-    scaled = RegressionSums(gram, cross, float(n), sums.rows, sums.regressor_sum, sums.output_sum, sums.fitted_offsets)
+    scaled = RegressionSums(
+        gram, cross, float(n), sums.rows, sums.regressor_sum, sums.output_sum, sums.fitted_offsets
+    )
     return scaled, input_scale, output_scale
 
 
-def _known_variance(scaled: RegressionSums, setting: NoiseVariance, output_scale: float, excited: int) -> float | None:
+def _known_variance(
+    scaled: RegressionSums, setting: NoiseVariance, output_scale: float, excited: int
+) -> float | None:
     if setting == "marginal":
         return None
     if isinstance(setting, int | float):
@@ -322,27 +375,45 @@ def _known_variance(scaled: RegressionSums, setting: NoiseVariance, output_scale
     spare = scaled.degrees_of_freedom - excited
     if spare < 1:
         raise NotIdentifiable(
-            f"{scaled.rows} complete rows: the least-squares noise variance needs more rows than coefficients, here {excited}"
+            f"{scaled.rows} complete rows: the least-squares noise variance needs more rows than"
+            f" coefficients, here {excited}"
         )
     solution = np.linalg.lstsq(scaled.gram, scaled.cross, rcond=1e-12)[0]
     return max(scaled.energy - float(solution @ scaled.cross), RESOLUTION * scaled.energy) / spare
 
 
-def _warnings(likelihood: MarginalLikelihood, posterior: Posterior, value: float, excited: int) -> list[str]:
+def _warnings(
+    likelihood: MarginalLikelihood, posterior: Posterior, value: float, excited: int
+) -> list[str]:
     columns = likelihood.order * likelihood.n_inputs
     texts = []
     if excited < columns:
-        texts.append(f"the input is persistently exciting of order {excited} only; {columns} coefficients rest on the prior")
+        texts.append(
+            f"the input is persistently exciting of order {excited} only; {columns} coefficients"
+            " rest on the prior"
+        )
     if posterior.noise_variance <= 2 * RESOLUTION:
-        texts.append("the noise is below what double precision can resolve; its variance is a bound, not an estimate")
-    variance = likelihood.energy / likelihood.n if likelihood.noise_variance is None else likelihood.noise_variance
+        texts.append(
+            "the noise is below what double precision can resolve; its variance is a bound, not an"
+            " estimate"
+        )
+    variance = (
+        likelihood.energy / likelihood.n
+        if likelihood.noise_variance is None
+        else likelihood.noise_variance
+    )
     silent = 0.5 * (likelihood.energy / variance + likelihood.n * math.log(2 * math.pi * variance))
     if silent - value < 3.0 + math.log(likelihood.n):
         texts.append("the output shows no significant response to the input")
     for g in np.abs(posterior.mean).reshape(likelihood.n_inputs, -1):
-        left = float(np.sqrt(np.mean(g[-max(1, len(g) // 20) :] ** 2)) / max(g.max(), np.finfo(float).tiny))
+        left = float(
+            np.sqrt(np.mean(g[-max(1, len(g) // 20) :] ** 2)) / max(g.max(), np.finfo(float).tiny)
+        )
         if len(g) > 1 and left > 0.05:
-            texts.append(f"the response has not decayed within {len(g)} samples: {100 * left:.0f} % of its largest value is left")
+            texts.append(
+                f"the response has not decayed within {len(g)} samples: {100 * left:.0f} % of its"
+                " largest value is left"
+            )
     return texts
 
 
@@ -352,27 +423,34 @@ def uncovered(longer: Longer | None, delay: int, n_inputs: int = 1) -> list[str]
         return []
     last = delay + len(longer.mean) // n_inputs - 1
     return [
-        f"bounds on the model's error do not cover what lies beyond lag {last}, for the response lasts longer than the records "
-        "can tell: record longer, or identify with arx or oe"
+        f"bounds on the model's error do not cover what lies beyond lag {last}, for the response"
+        " lasts longer than the records can tell: record longer, or identify with arx or oe"
     ]
 
 
 def check_settings(kernel: str, order: int, delay: int, noise_variance: NoiseVariance) -> None:
     """Refuse settings that no data could satisfy."""
     if kernel not in KERNELS:
-        raise BadInput(f"kernel {kernel!r}: there is none of this name; {known_names(kernel, KERNELS)}")
+        raise BadInput(
+            f"kernel {kernel!r}: there is none of this name; {known_names(kernel, KERNELS)}"
+        )
     if not 1 <= order <= _LONGEST_ORDER:
         raise BadInput(f"order {order}: must lie between 1 and {_LONGEST_ORDER}")
     if delay < 0:
         raise BadInput(f"delay {delay}: must be a number of samples ≥ 0")
     if isinstance(noise_variance, str):
         if noise_variance not in NOISE_VARIANCE_METHODS:
-            raise BadInput(f"noise variance {noise_variance!r}: must be a number or one of {', '.join(NOISE_VARIANCE_METHODS)}")
+            raise BadInput(
+                f"noise variance {noise_variance!r}: must be a number or one of"
+                f" {', '.join(NOISE_VARIANCE_METHODS)}"
+            )
     elif not (math.isfinite(noise_variance) and noise_variance > 0):
         raise BadInput(f"noise variance {noise_variance}: must be positive and finite")
 
 
-def provenance(data: LaggedData, noise_variance: NoiseVariance, started: float) -> dict[str, object]:
+def provenance(
+    data: LaggedData, noise_variance: NoiseVariance, started: float
+) -> dict[str, object]:
     """What a result was made of."""
     return {
         "records": list(data.sources),

@@ -20,7 +20,9 @@ from residuum.identification.errors import BadInput
 
 @dataclass(frozen=True)
 class Decay:
-    """A decay per sample, 0 < α < 1, searched as x = ln τ with the time constant τ = −1/ln α in samples."""
+    """A decay per sample, 0 < α < 1, searched as x = ln τ with the time constant τ = −1/ln α in
+    samples.
+    """
 
     name: str = "alpha"
     longest: float = 1e5
@@ -82,7 +84,9 @@ class Kernel(ABC):
 
     @abstractmethod
     def factor(self, m: int, eta: npt.ArrayLike) -> tuple[FloatArray, list[FloatArray]]:
-        """F with F Fᵀ = K, and for each hyper-parameter E_k = F⁻¹ (∂K/∂η_k) F⁻ᵀ, all of shape (m, m)."""
+        """F with F Fᵀ = K, and for each hyper-parameter E_k = F⁻¹ (∂K/∂η_k) F⁻ᵀ, all of shape (m,
+        m).
+        """
 
     def check(self, m: int, eta: npt.ArrayLike) -> FloatArray:
         """`eta` as an array; BadInput when its length or a value does not suit the kernel."""
@@ -90,17 +94,22 @@ class Kernel(ABC):
         if eta.shape != (len(self.parameters),) or m < 1:
             names = ", ".join(item.name for item in self.parameters)
             raise BadInput(
-                f"kernel {self.name}: needs an order ≥ 1 and the hyper-parameters {names}; got order {m}, {eta.tolist()}"
+                f"kernel {self.name}: needs an order ≥ 1 and the hyper-parameters {names}; got"
+                f" order {m}, {eta.tolist()}"
             )
         for item, value in zip(self.parameters, eta, strict=True):
             lower = 0.0 if isinstance(item, Decay) else -1.0
             if not lower < value < 1.0:
-                raise BadInput(f"kernel {self.name}, {item.name}: is {value}; must lie between {lower:g} and 1")
+                raise BadInput(
+                    f"kernel {self.name}, {item.name}: is {value}; must lie between {lower:g} and 1"
+                )
         return eta
 
 
 class DiagonalKernel(Kernel):
-    """A kernel that is diagonal in a fixed basis, K = U diag(w(η)) Uᵀ: one diagonal then gives the whole gradient."""
+    """A kernel that is diagonal in a fixed basis, K = U diag(w(η)) Uᵀ: one diagonal then gives the
+    whole gradient.
+    """
 
     @abstractmethod
     def to_basis(self, array: FloatArray) -> FloatArray:
@@ -158,10 +167,11 @@ class Diagonal(DiagonalKernel):
 
 
 class DiagonalCorrelated(Kernel):
-    """K_ij = α^((i+j)/2) ρ^|i−j|: decay and correlation of neighbours chosen apart; ρ = √α is the TC kernel.
+    """K_ij = α^((i+j)/2) ρ^|i−j|: decay and correlation of neighbours chosen apart; ρ = √α is the
+    TC kernel.
 
-    g_i = α^{i/2} x_i where x is a first-order autoregression run backwards from x_m, hence a closed triangular factor.
-    Chen, Ohlsson, Ljung, Automatica 48 (2012) 1525–1535.
+    g_i = α^{i/2} x_i where x is a first-order autoregression run backwards from x_m, hence a closed
+    triangular factor. Chen, Ohlsson, Ljung, Automatica 48 (2012) 1525–1535.
 
     >>> DiagonalCorrelated().matrix(2, [0.25, 0.5]).tolist()
     [[0.25, 0.0625], [0.0625, 0.0625]]
@@ -174,7 +184,9 @@ class DiagonalCorrelated(Kernel):
         """K(η), shape (m, m)."""
         alpha, rho = self.check(m, eta)
         i = np.arange(1.0, m + 1.0)
-        return np.asarray(alpha ** (np.add.outer(i, i) / 2) * rho ** np.abs(np.subtract.outer(i, i)))
+        return np.asarray(
+            alpha ** (np.add.outer(i, i) / 2) * rho ** np.abs(np.subtract.outer(i, i))
+        )
 
     def factor(self, m: int, eta: npt.ArrayLike) -> tuple[FloatArray, list[FloatArray]]:
         """F = diag(α^{i/2}) T with T the factor of the autoregression; E_α, E_ρ in closed form."""
@@ -187,7 +199,9 @@ class DiagonalCorrelated(Kernel):
 
 
 def _autoregression_factor(m: int, rho: float) -> tuple[FloatArray, FloatArray]:
-    """Upper triangular T with T Tᵀ = ρ^|i−j|, from x_i = ρ x_{i+1} + √(1−ρ²) w_i, x_m = w_m; and ∂T/∂ρ."""
+    """Upper triangular T with T Tᵀ = ρ^|i−j|, from x_i = ρ x_{i+1} + √(1−ρ²) w_i, x_m = w_m; and
+    ∂T/∂ρ.
+    """
     c, k = np.sqrt(1.0 - rho**2), np.arange(m)
     power = rho**k
     slope = k * np.concatenate([[0.0], power[:-1]])
@@ -212,10 +226,12 @@ _NUGGET = 1e-12
 
 
 class StableSpline(Kernel):
-    """K_ij = α^(i+j+max(i,j))/2 − α^(3 max(i,j))/6: an integrated Wiener process in the time α^i, smoother than TC.
+    """K_ij = α^(i+j+max(i,j))/2 − α^(3 max(i,j))/6: an integrated Wiener process in the time α^i,
+    smoother than TC.
 
-    Pillonetto, De Nicolao, Automatica 46 (2010) 81–93. Written as D C D with D = diag(α^{3i/2}/√3) and the stationary
-    correlation C_ij = (3 α^{|i−j|/2} − α^{3|i−j|/2})/2, it can be factored at any order without underflow.
+    Pillonetto, De Nicolao, Automatica 46 (2010) 81–93. Written as D C D with D = diag(α^{3i/2}/√3)
+    and the stationary correlation C_ij = (3 α^{|i−j|/2} − α^{3|i−j|/2})/2, it can be factored at
+    any order without underflow.
 
     >>> StableSpline().matrix(1, [0.5]).round(6).tolist()
     [[0.041667]]
@@ -242,7 +258,9 @@ class StableSpline(Kernel):
         by_scale = linalg.solve_triangular(T, scaled, lower=True, check_finite=False)
         half = linalg.solve_triangular(T, dC, lower=True, check_finite=False)
         by_correlation = linalg.solve_triangular(T, half.T, lower=True, check_finite=False)
-        return (alpha ** (1.5 * i) / np.sqrt(3))[:, None] * T, [by_scale + by_scale.T + by_correlation]
+        return (alpha ** (1.5 * i) / np.sqrt(3))[:, None] * T, [
+            by_scale + by_scale.T + by_correlation
+        ]
 
 
 # TC: the tuned/correlated kernel, also known as first-order stable spline.
@@ -251,9 +269,9 @@ class StableSpline(Kernel):
 class TunedCorrelated(DiagonalKernel):
     """K_ij = α^max(i,j), i, j = 1…m: responses that decay like α^(i/2), neighbours correlated.
 
-    The increments d of g_i = Σ_{k≥i} d_k are independent with variance w_k = α^k − α^{k+1} (k < m), w_m = α^m, so the
-    kernel is diagonal in first-difference coordinates. Chen, Ohlsson, Ljung, Automatica 48 (2012) 1525–1535; (2.19)
-    of the source.
+    The increments d of g_i = Σ_{k≥i} d_k are independent with variance w_k = α^k − α^{k+1} (k < m),
+    w_m = α^m, so the kernel is diagonal in first-difference coordinates. Chen, Ohlsson, Ljung,
+    Automatica 48 (2012) 1525–1535; (2.19) of the source.
 
     >>> TunedCorrelated().matrix(2, [0.5]).tolist()
     [[0.5, 0.25], [0.25, 0.25]]

@@ -1,15 +1,17 @@
 """Bands of single coefficients, with the hyper-parameters marginalised.
 
-The prior's standard deviation decays exponentially along the lags, so a small error of the decay is a large one of the band
-far out: at the estimated hyper-parameters 95 % bands hold 71 to 87 % of the coefficients, and what a first-order term adds is
-little, for it moves the mean alone. Over their posterior the variance is
+The prior's standard deviation decays exponentially along the lags, so a small error of the decay is
+a large one of the band far out: at the estimated hyper-parameters 95 % bands hold 71 to 87 % of the
+coefficients, and what a first-order term adds is little, for it moves the mean alone. Over their
+posterior the variance is
 
     var g_k = E[var(g_k | η)] + var E[g_k | η],
 
-which the slowest plausible decays rule far out. Search variables are drawn from Laplace's approximation, widened so that these
-are among them, and weighted by the exact marginal likelihood.
+which the slowest plausible decays rule far out. Search variables are drawn from Laplace's
+approximation, widened so that these are among them, and weighted by the exact marginal likelihood.
 
-Fails where no prior of one decay fits: of a fast mode with a weak slow one beside it, the bands held 53 to 67 %.
+Fails where no prior of one decay fits: of a fast mode with a weak slow one beside it, the bands
+held 53 to 67 %.
 """
 
 from __future__ import annotations
@@ -23,10 +25,19 @@ from residuum.identification.blas_threads import one_thread_if_small
 from residuum.identification.kernel_based.marginal_likelihood import MarginalLikelihood
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 
-COVERAGE = {"tc": "94 to 97", "dc": "94 to 98", "di": "94 to 96", "ss": "81 to 95 (81 where noise is as strong as signal)"}
-"""Measured share [%] within 1.96 standard deviations, variance ratios 1, 10, 100 (benchmarks/results/identification.md)."""
+COVERAGE = {
+    "tc": "94 to 97",
+    "dc": "94 to 98",
+    "di": "94 to 96",
+    "ss": "81 to 95 (81 where noise is as strong as signal)",
+}
+"""Measured share [%] within 1.96 standard deviations, variance ratios 1, 10, 100
+(benchmarks/results/identification.md).
+"""
 WEAK_SLOW_MODE = {"tc": 67, "dc": 53, "di": 60, "ss": 57}
-"""The same where a weak slow mode lies beside a fast one: the likelihood settles for the fast decay, and rules the other out."""
+"""The same where a weak slow mode lies beside a fast one: the likelihood settles for the fast
+decay, and rules the other out.
+"""
 MOST_COEFFICIENTS = 1000
 """Coefficients up to which bands are marginalised; beyond, sixty factorisations cost too much."""
 _PAIRS, _STEP, _WIDEST, _WIDENED = 30, 1e-3, 2.0, 2.0
@@ -34,7 +45,8 @@ _FEWEST = 8.0  # effective draws; weights that leave fewer are flattened
 
 
 class HyperMixture:
-    """Posteriors of the coefficients at hyper-parameters drawn from their own posterior; computed when first asked for.
+    """Posteriors of the coefficients at hyper-parameters drawn from their own posterior; computed
+    when first asked for.
 
     Parameters
     ----------
@@ -62,10 +74,17 @@ class HyperMixture:
         return np.asarray(self._scale * np.sqrt(_weights(np.array(log_weight)) @ np.array(squares)))
 
     def _proposals(self) -> tuple[FloatArray, FloatArray]:
-        """Search variables drawn from Laplace's approximation within their bounds, and ln of its density up to a constant."""
+        """Search variables drawn from Laplace's approximation within their bounds, and ln of its
+        density up to a constant.
+        """
         x = self._x
         gradient = self._likelihood.value_and_gradient(x)[1]
-        H = np.array([(self._likelihood.value_and_gradient(x + e)[1] - gradient) / _STEP for e in _STEP * np.eye(len(x))])
+        H = np.array(
+            [
+                (self._likelihood.value_and_gradient(x + e)[1] - gradient) / _STEP
+                for e in _STEP * np.eye(len(x))
+            ]
+        )
         curvature, axes = np.linalg.eigh(0.5 * (H + H.T))
         spread = 1.0 / np.sqrt(np.maximum(curvature, 0.0) + 1.0 / _WIDEST**2)
         half = np.random.default_rng(1).standard_normal((_PAIRS, len(x)))
@@ -73,21 +92,28 @@ class HyperMixture:
         points = x + _WIDENED * (z * spread) @ axes.T
         decay = [item.bounds for item in self._likelihood.kernel.parameters]
         low, high = (
-            np.tile([*(pair[k] for pair in decay), sign * np.inf], self._likelihood.n_inputs) for k, sign in ((0, -1), (1, 1))
+            np.tile([*(pair[k] for pair in decay), sign * np.inf], self._likelihood.n_inputs)
+            for k, sign in ((0, -1), (1, 1))
         )
         return np.clip(points, low, high), -0.5 * np.square(z).sum(axis=1)
 
 
 def band_says(model: IdentifiedModel) -> str | None:
-    """What a 95 % band of single coefficients is known to cover; None for a model that no kernel made."""
+    """What a 95 % band of single coefficients is known to cover; None for a model that no kernel
+    made.
+    """
     kernel = model.method.removeprefix("kernel-")
     if kernel not in COVERAGE:
         return None
     if model.pointwise_std is None and model.bands is None:
-        return "bands at the estimated hyper-parameters: 95 % ones hold 48 to 89 % of single coefficients where it was measured"
+        return (
+            "bands at the estimated hyper-parameters: 95 % ones hold 48 to 89 % of single"
+            " coefficients where it was measured"
+        )
     return (
-        f"hyper-parameters marginalised: 95 % bands held {COVERAGE[kernel]} % of single coefficients of random systems, but "
-        f"{WEAK_SLOW_MODE[kernel]} % where a weak slow mode lay beside a fast one"
+        f"hyper-parameters marginalised: 95 % bands held {COVERAGE[kernel]} % of single"
+        f" coefficients of random systems, but {WEAK_SLOW_MODE[kernel]} % where a weak slow mode"
+        " lay beside a fast one"
     )
 
 

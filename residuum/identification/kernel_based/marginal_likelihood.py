@@ -1,4 +1,6 @@
-"""Marginal likelihood of a Gaussian impulse-response prior, with its exact gradient, from regression sums alone."""
+"""Marginal likelihood of a Gaussian impulse-response prior, with its exact gradient, from
+regression sums alone.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,9 @@ _RAISES = 10
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """Mean, shape (p,), and covariance, shape (p, p), of the coefficients, and σ², in the units of the sums."""
+    """Mean, shape (p,), and covariance, shape (p, p), of the coefficients, and σ², in the units of
+    the sums.
+    """
 
     mean: FloatArray
     covariance: FloatArray
@@ -35,7 +39,8 @@ class Posterior:
 
 
 class MarginalLikelihood(ABC):
-    """−log p(y | η, κ) of y = Φ g + e with g_j ~ N(0, σ² κ_j K(η_j)) for each input j and e ~ N(0, σ² I); (A.16)–(A.18).
+    """−log p(y | η, κ) of y = Φ g + e with g_j ~ N(0, σ² κ_j K(η_j)) for each input j and e ~ N(0,
+    σ² I); (A.16)–(A.18).
 
     With the prior factor F (σ² F Fᵀ = P) and A = I + FᵀΦᵀΦF = L Lᵀ, z = L⁻¹FᵀΦᵀy:
 
@@ -57,7 +62,9 @@ class MarginalLikelihood(ABC):
         σ² in the units of the sums; None = hyper-parameter.
     """
 
-    def __init__(self, sums: RegressionSums, kernel: Kernel, n_inputs: int, noise_variance: float | None) -> None:
+    def __init__(
+        self, sums: RegressionSums, kernel: Kernel, n_inputs: int, noise_variance: float | None
+    ) -> None:
         self.kernel, self.noise_variance, self.n_inputs = kernel, noise_variance, n_inputs
         self.order = len(sums.cross) // n_inputs
         self.n, self.energy = sums.degrees_of_freedom, sums.energy
@@ -70,7 +77,9 @@ class MarginalLikelihood(ABC):
         """A and FᵀΦᵀy at `x`."""
 
     @abstractmethod
-    def slopes(self, x: FloatArray, inverse_root: FloatArray, solved: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def slopes(
+        self, x: FloatArray, inverse_root: FloatArray, solved: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
         """Derivatives of q and log|Z| by `x`, from L⁻¹ and L⁻ᵀz."""
 
     @abstractmethod
@@ -79,7 +88,9 @@ class MarginalLikelihood(ABC):
 
     @abstractmethod
     def gain(self, x: FloatArray) -> FloatArray:
-        """Mean square of the output that each input's prior gives, in units of σ², shape (n_inputs,)."""
+        """Mean square of the output that each input's prior gives, in units of σ², shape
+        (n_inputs,).
+        """
 
     def value(self, x: npt.ArrayLike) -> float:
         """−log p(y) at the search variables `x`."""
@@ -100,10 +111,12 @@ class MarginalLikelihood(ABC):
         return Posterior(root @ z, variance * (root @ root.T), variance)
 
     def hyper_parameter_spread(self, x: npt.ArrayLike) -> FloatArray:
-        """Part of the covariance of g that comes from not knowing the hyper-parameters, shape (p, p).
+        """Part of the covariance of g that comes from not knowing the hyper-parameters, shape (p,
+        p).
 
-        To first order J H⁻¹ Jᵀ with J = ∂ĝ/∂x and H = −∂² log p/∂x² by differences of the exact gradient (Laplace's
-        approximation), under a wide prior of the search variables that keeps flat directions finite.
+        To first order J H⁻¹ Jᵀ with J = ∂ĝ/∂x and H = −∂² log p/∂x² by differences of the exact
+        gradient (Laplace's approximation), under a wide prior of the search variables that keeps
+        flat directions finite.
         """
         x = np.asarray(x, dtype=float)
         gradient, mean = self._gradient_and_mean(x)
@@ -131,10 +144,18 @@ class MarginalLikelihood(ABC):
         """(η_j, κ_j) of every input."""
         rows = np.asarray(x, dtype=float).reshape(self.n_inputs, -1)
         items = self.kernel.parameters
-        return [(np.array([item.value(v) for item, v in zip(items, row, strict=False)]), math.exp(row[-1])) for row in rows]
+        return [
+            (
+                np.array([item.value(v) for item, v in zip(items, row, strict=False)]),
+                math.exp(row[-1]),
+            )
+            for row in rows
+        ]
 
     def _solve(self, x: FloatArray) -> tuple[FloatArray, float, float, FloatArray]:
-        """L, q, log det A and z; the last result is kept, as value, gradient and posterior ask for it in turn."""
+        """L, q, log det A and z; the last result is kept, as value, gradient and posterior ask for
+        it in turn.
+        """
         if self._solved is None or self._solved[0] != x.tobytes():
             A, b = self.whitened(x)
             L = cholesky(A)
@@ -156,13 +177,26 @@ class MarginalLikelihood(ABC):
     def _free_slopes(self, x: FloatArray) -> FloatArray:
         """∂η/∂x of the kernel's variables, shape (n_inputs, len(η))."""
         rows = x.reshape(self.n_inputs, -1)
-        return np.array([[item.slope(v) for item, v in zip(self.kernel.parameters, row, strict=False)] for row in rows])
+        return np.array(
+            [
+                [item.slope(v) for item, v in zip(self.kernel.parameters, row, strict=False)]
+                for row in rows
+            ]
+        )
 
 
 class DiagonalLikelihood(MarginalLikelihood):
-    """For kernels diagonal in a fixed basis: the sums go to that basis once, a gradient needs diag(A⁻¹) only."""
+    """For kernels diagonal in a fixed basis: the sums go to that basis once, a gradient needs
+    diag(A⁻¹) only.
+    """
 
-    def __init__(self, sums: RegressionSums, kernel: DiagonalKernel, n_inputs: int, noise_variance: float | None) -> None:
+    def __init__(
+        self,
+        sums: RegressionSums,
+        kernel: DiagonalKernel,
+        n_inputs: int,
+        noise_variance: float | None,
+    ) -> None:
         super().__init__(sums, kernel, n_inputs, noise_variance)
         self._prior = kernel
         self.cross = self._blockwise(kernel.to_basis, sums.cross)
@@ -177,12 +211,20 @@ class DiagonalLikelihood(MarginalLikelihood):
         np.einsum("ii->i", A)[...] += 1.0
         return A, root_v * self.cross
 
-    def slopes(self, x: FloatArray, inverse_root: FloatArray, solved: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """∂q/∂ ln v_k = −s_k², ∂ log|Z|/∂ ln v_k = 1 − (A⁻¹)_kk, chained to the search variables."""
-        by_log_v = np.stack([-np.square(solved), 1.0 - np.einsum("ik,ik->k", inverse_root, inverse_root)])
+    def slopes(
+        self, x: FloatArray, inverse_root: FloatArray, solved: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """∂q/∂ ln v_k = −s_k², ∂ log|Z|/∂ ln v_k = 1 − (A⁻¹)_kk, chained to the search
+        variables.
+        """
+        by_log_v = np.stack(
+            [-np.square(solved), 1.0 - np.einsum("ik,ik->k", inverse_root, inverse_root)]
+        )
         by_input = by_log_v.reshape(2, self.n_inputs, self.order)
         slopes = []
-        for j, ((eta, _), free) in enumerate(zip(self.hyper_parameters(x), self._free_slopes(x), strict=True)):
+        for j, ((eta, _), free) in enumerate(
+            zip(self.hyper_parameters(x), self._free_slopes(x), strict=True)
+        ):
             by_eta = by_input[:, j] @ self._prior.log_variances(self.order, eta)[1].T * free
             slopes.append(np.hstack([by_eta, by_input[:, j].sum(axis=1, keepdims=True)]))
         both = np.hstack(slopes)
@@ -200,16 +242,25 @@ class DiagonalLikelihood(MarginalLikelihood):
 
     def _log_variances(self, x: FloatArray) -> FloatArray:
         pairs = self.hyper_parameters(x)
-        return np.concatenate([self._prior.log_variances(self.order, eta)[0] + math.log(kappa) for eta, kappa in pairs])
+        return np.concatenate(
+            [
+                self._prior.log_variances(self.order, eta)[0] + math.log(kappa)
+                for eta, kappa in pairs
+            ]
+        )
 
-    def _blockwise(self, transform: Callable[[FloatArray], FloatArray], array: FloatArray) -> FloatArray:
+    def _blockwise(
+        self, transform: Callable[[FloatArray], FloatArray], array: FloatArray
+    ) -> FloatArray:
         return np.concatenate([transform(block) for block in np.split(array, self.n_inputs)])
 
 
 class DenseLikelihood(MarginalLikelihood):
     """For any kernel that gives its factor F and its E = F⁻¹ (∂K/∂η) F⁻ᵀ."""
 
-    def __init__(self, sums: RegressionSums, kernel: Kernel, n_inputs: int, noise_variance: float | None) -> None:
+    def __init__(
+        self, sums: RegressionSums, kernel: Kernel, n_inputs: int, noise_variance: float | None
+    ) -> None:
         super().__init__(sums, kernel, n_inputs, noise_variance)
         self._last: tuple[bytes, FloatArray, list[list[FloatArray]]] = (b"", np.empty(0), [])
 
@@ -221,11 +272,15 @@ class DenseLikelihood(MarginalLikelihood):
         np.einsum("ii->i", A)[...] += 1.0
         return A, F.T @ self.cross
 
-    def slopes(self, x: FloatArray, inverse_root: FloatArray, solved: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def slopes(
+        self, x: FloatArray, inverse_root: FloatArray, solved: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
         """tr((I − A⁻¹) E) and −sᵀ E s on the block of each input."""
         spread = np.eye(len(solved)) - inverse_root.T @ inverse_root
         dq, dlog_det = [], []
-        for j, (changes, free) in enumerate(zip(self._prior(x)[1], self._free_slopes(x), strict=True)):
+        for j, (changes, free) in enumerate(
+            zip(self._prior(x)[1], self._free_slopes(x), strict=True)
+        ):
             block = slice(j * self.order, (j + 1) * self.order)
             for E, slope in zip(changes, free, strict=True):
                 dq.append(-slope * float(solved[block] @ E @ solved[block]))
@@ -245,10 +300,19 @@ class DenseLikelihood(MarginalLikelihood):
         return np.asarray(by_column.reshape(self.n_inputs, -1).sum(axis=1) / self.n)
 
     def _prior(self, x: FloatArray) -> tuple[FloatArray, list[list[FloatArray]]]:
-        """F of all inputs and the E of each; the last one is kept, as value, gradient and posterior ask in turn."""
+        """F of all inputs and the E of each; the last one is kept, as value, gradient and posterior
+        ask in turn.
+        """
         if self._last[0] != x.tobytes():
-            factors = [(math.sqrt(kappa), *self.kernel.factor(self.order, eta)) for eta, kappa in self.hyper_parameters(x)]
-            self._last = (x.tobytes(), block_diag(*(root * F for root, F, _ in factors)), [changes for _, _, changes in factors])
+            factors = [
+                (math.sqrt(kappa), *self.kernel.factor(self.order, eta))
+                for eta, kappa in self.hyper_parameters(x)
+            ]
+            self._last = (
+                x.tobytes(),
+                block_diag(*(root * F for root, F, _ in factors)),
+                [changes for _, _, changes in factors],
+            )
         return self._last[1], self._last[2]
 
 
@@ -262,13 +326,17 @@ def marginal_likelihood(
 
 
 def cholesky(A: FloatArray) -> FloatArray:
-    """Lower factor of A, positive definite but for rounding, which a slight raise of the diagonal repairs.
+    """Lower factor of A, positive definite but for rounding, which a slight raise of the diagonal
+    repairs.
 
     Raises NotIdentifiable when A is not finite.
     """
     size = float(A.trace())
     if not math.isfinite(size):
-        raise NotIdentifiable("the sums of the regression are not finite: the signals are too large for double precision")
+        raise NotIdentifiable(
+            "the sums of the regression are not finite: the signals are too large for double"
+            " precision"
+        )
     raised = 0.0
     if np.isfinite(A).all():
         for _ in range(_RAISES):
@@ -276,4 +344,7 @@ def cholesky(A: FloatArray) -> FloatArray:
             if info == 0:
                 return np.asarray(L)
             raised = 100 * raised or 1e-16 * size
-    raise NotIdentifiable("the sums of the regression are no Gram matrix: the signals are too large or too small to tell")
+    raise NotIdentifiable(
+        "the sums of the regression are no Gram matrix: the signals are too large or too small to"
+        " tell"
+    )

@@ -1,4 +1,6 @@
-"""Several inputs, several outputs: kernel identification with a block prior, one posterior for each output."""
+"""Several inputs, several outputs: kernel identification with a block prior, one posterior for each
+output.
+"""
 
 from __future__ import annotations
 
@@ -24,23 +26,30 @@ from residuum.identification.kernel_based.impulse_response import (
 from residuum.identification.kernel_based.lagged_data import lagged_data
 from residuum.identification.kernel_based.marginal_bands import PointwiseBands
 from residuum.identification.kernel_based.outlasting import Longer, longer_response
-from residuum.identification.linear_models.identified_model import IdentifiedModel, identified_from, identified_object, read_json
+from residuum.identification.linear_models.identified_model import (
+    IdentifiedModel,
+    identified_from,
+    identified_object,
+    read_json,
+)
 from residuum.identification.record import Record
 
 
 @dataclass(frozen=True, eq=False)
 class MultivariableModel:
-    """A grid of identified models, and for each output the joint covariance of its responses to all inputs.
+    """A grid of identified models, and for each output the joint covariance of its responses to all
+    inputs.
 
     Attributes
     ----------
     models : tuple of tuple of IdentifiedModel
-        `models[i][j]` leads from input j to output i; each is a model of its own with its marginal covariance.
+        `models[i][j]` leads from input j to output i; each is a model of its own with its marginal
+        covariance.
     covariances : tuple of array, shape (n_u·m, n_u·m)
         For every output, over the stacked impulse responses [g_1 … g_nu].
     longer : tuple of Longer or None
-        For every output the stacked longer responses, where those of the models cut something off; random models that bounds on
-        the error are made from come from them.
+        For every output the stacked longer responses, where those of the models cut something off;
+        random models that bounds on the error are made from come from them.
     """
 
     models: tuple[tuple[IdentifiedModel, ...], ...]
@@ -60,39 +69,65 @@ class MultivariableModel:
     def frequency_response(self, omega: npt.ArrayLike) -> ComplexArray:
         """G(e^{jωTs}), shape (len(omega), n_y, n_u)."""
         omega = np.atleast_1d(np.asarray(omega, dtype=float))
-        return np.stack([np.stack([model.frequency_response(omega) for model in row], axis=-1) for row in self.models], axis=-2)
+        return np.stack(
+            [
+                np.stack([model.frequency_response(omega) for model in row], axis=-1)
+                for row in self.models
+            ],
+            axis=-2,
+        )
 
     def simulate(self, record: Record) -> dict[str, FloatArray]:
         """Noise-free outputs by name, shape (n,), for the inputs of `record` from rest."""
         simulated = {}
         for row in self.models:
             level = np.full(record.n, row[0].offset)
-            simulated[row[0].output_name] = sum((model.simulate(record[model.input_name]) - model.offset for model in row), level)
+            simulated[row[0].output_name] = sum(
+                (model.simulate(record[model.input_name]) - model.offset for model in row), level
+            )
         return simulated
 
     def sample(self, n: int, seed: int | np.random.Generator) -> FloatArray:
-        """Impulse responses of `n` random models, shape (n, n_y, n_u, m); responses to different inputs are drawn jointly."""
+        """Impulse responses of `n` random models, shape (n, n_y, n_u, m); responses to different
+        inputs are drawn jointly.
+        """
         rng = np.random.default_rng(seed)
-        return np.stack([_drawn(n, *self._posterior(i), rng, len(row)) for i, row in enumerate(self.models)], axis=1)
+        return np.stack(
+            [_drawn(n, *self._posterior(i), rng, len(row)) for i, row in enumerate(self.models)],
+            axis=1,
+        )
 
     def sample_longer(self, n: int, seed: int | np.random.Generator) -> FloatArray:
-        """The same as long as the data can tell, shape (n, n_y, n_u, M); zeros behind those that have decayed earlier."""
+        """The same as long as the data can tell, shape (n, n_y, n_u, M); zeros behind those that
+        have decayed earlier.
+        """
         rng, drawn = np.random.default_rng(seed), []
         for i, row in enumerate(self.models):
             longer = self.longer[i] if self.longer else None
-            mean, covariance = self._posterior(i) if longer is None else (longer.mean, longer.covariance)
+            mean, covariance = (
+                self._posterior(i) if longer is None else (longer.mean, longer.covariance)
+            )
             drawn.append(_drawn(n, mean, covariance, rng, len(row)))
         M = max(draw.shape[2] for draw in drawn)
-        return np.stack([np.pad(draw, ((0, 0), (0, 0), (0, M - draw.shape[2]))) for draw in drawn], axis=1)
+        return np.stack(
+            [np.pad(draw, ((0, 0), (0, 0), (0, M - draw.shape[2]))) for draw in drawn], axis=1
+        )
 
     def _posterior(self, i: int) -> tuple[FloatArray, FloatArray]:
-        return np.concatenate([model.impulse_response for model in self.models[i]]), self.covariances[i]
+        return (
+            np.concatenate([model.impulse_response for model in self.models[i]]),
+            self.covariances[i],
+        )
 
 
-def _drawn(n: int, mean: FloatArray, covariance: FloatArray, rng: np.random.Generator, n_inputs: int) -> FloatArray:
+def _drawn(
+    n: int, mean: FloatArray, covariance: FloatArray, rng: np.random.Generator, n_inputs: int
+) -> FloatArray:
     """`n` stacked responses, shape (n, n_inputs, length)."""
     eigenvalues, vectors = np.linalg.eigh(covariance)
-    deviation = rng.standard_normal((n, len(mean))) @ (vectors * np.sqrt(np.maximum(eigenvalues, 0.0))).T
+    deviation = (
+        rng.standard_normal((n, len(mean))) @ (vectors * np.sqrt(np.maximum(eigenvalues, 0.0))).T
+    )
     return np.asarray((mean + deviation).reshape(n, n_inputs, -1))
 
 
@@ -110,10 +145,11 @@ def identify_multivariable(
 ) -> MultivariableModel:
     """Identify the impulse responses from every input to every output.
 
-    Each output is a regression on the lags of all inputs with the block-diagonal prior diag(λ_1 K(η_1), …, λ_nu K(η_nu)): every
-    path has hyper-parameters of its own, all found together by the marginal likelihood. Outputs are independent given
-    the inputs (their noises may be correlated; that is not used). Parameters and refusals as in
-    `identify_impulse_response`; `cover_cut` makes the `longer` responses of an output together, for its paths trade off.
+    Each output is a regression on the lags of all inputs with the block-diagonal prior diag(λ_1
+    K(η_1), …, λ_nu K(η_nu)): every path has hyper-parameters of its own, all found together by the
+    marginal likelihood. Outputs are independent given the inputs (their noises may be correlated;
+    that is not used). Parameters and refusals as in `identify_impulse_response`; `cover_cut` makes
+    the `longer` responses of an output together, for its paths trade off.
 
     Examples
     --------
@@ -137,7 +173,9 @@ def identify_multivariable(
         longer = None
         if cover_cut:
             refit = _refit(records, inputs, output, kernel, delay, noise_variance, offset)
-            longer = longer_response((fit.mean, fit.covariance), order, data.sums.rows, refit, len(inputs))
+            longer = longer_response(
+                (fit.mean, fit.covariance), order, data.sums.rows, refit, len(inputs)
+            )
         longest.append(longer)
         paths = []
         for j, name in enumerate(inputs):
@@ -217,12 +255,20 @@ def is_multivariable(path: str | Path) -> bool:
 def load_multivariable(path: str | Path) -> MultivariableModel:
     """Read the file of a MultivariableModel.
 
-    Raises BadModel, naming the file and the rule, when it is not one, or a path or a covariance does not fit.
+    Raises BadModel, naming the file and the rule, when it is not one, or a path or a covariance
+    does not fit.
     """
     path = Path(path)
     content = read_json(path)
-    if not isinstance(content, dict) or content.get("format") != FORMAT or content.get("version") != VERSION:
-        raise BadModel(f"{path}: is not the file of a multivariable model ('format' must be {FORMAT!r}, 'version' {VERSION})")
+    if (
+        not isinstance(content, dict)
+        or content.get("format") != FORMAT
+        or content.get("version") != VERSION
+    ):
+        raise BadModel(
+            f"{path}: is not the file of a multivariable model ('format' must be {FORMAT!r},"
+            f" 'version' {VERSION})"
+        )
     try:
         return multivariable_from(content, path)
     except (KeyError, TypeError, ValueError) as error:
@@ -231,21 +277,32 @@ def load_multivariable(path: str | Path) -> MultivariableModel:
 
 def multivariable_from(content: dict[str, Any], path: Path) -> MultivariableModel:
     """The model of a file's content; `path` names the file in what is refused."""
-    models = tuple(tuple(identified_from(encoded, path) for encoded in row) for row in content["models"])
+    models = tuple(
+        tuple(identified_from(encoded, path) for encoded in row) for row in content["models"]
+    )
     covariances = tuple(np.asarray(encoded, dtype=float) for encoded in content["covariances"])
     if not models or len({len(row) for row in models}) != 1 or len(covariances) != len(models):
         raise BadModel(f"{path}: models must be a full grid, with one covariance an output")
     for row, covariance in zip(models, covariances, strict=True):
         size = sum(model.order for model in row)
         if covariance.shape != (size, size):
-            raise BadModel(f"{path}: covariance of {row[0].output_name!r} has shape {covariance.shape}; must be ({size}, {size})")
-    longer = tuple(_longer_from(encoded, path) for encoded in content.get("longer", []))  # files of older versions have none
+            raise BadModel(
+                f"{path}: covariance of {row[0].output_name!r} has shape {covariance.shape}; must"
+                f" be ({size}, {size})"
+            )
+    longer = tuple(
+        _longer_from(encoded, path) for encoded in content.get("longer", [])
+    )  # files of older versions have none
     if longer and len(longer) != len(models):
         raise BadModel(f"{path}: longer must have an entry an output")
     for row, model in zip(models, longer, strict=False):
-        if model is not None and (len(model.mean) % len(row) or model.covariance.shape != (len(model.mean), len(model.mean))):
+        if model is not None and (
+            len(model.mean) % len(row)
+            or model.covariance.shape != (len(model.mean), len(model.mean))
+        ):
             raise BadModel(
-                f"{path}: longer responses of {row[0].output_name!r} do not fit {len(row)} inputs and their covariance"
+                f"{path}: longer responses of {row[0].output_name!r} do not fit {len(row)} inputs"
+                " and their covariance"
             )
     return MultivariableModel(models, covariances, longer)
 
@@ -253,7 +310,11 @@ def multivariable_from(content: dict[str, Any], path: Path) -> MultivariableMode
 def _longer_object(longer: Longer | None) -> dict[str, Any] | None:
     if longer is None:
         return None
-    return {"mean": longer.mean.tolist(), "covariance": longer.covariance.tolist(), "negligible": longer.negligible}
+    return {
+        "mean": longer.mean.tolist(),
+        "covariance": longer.covariance.tolist(),
+        "negligible": longer.negligible,
+    }
 
 
 def _longer_from(content: dict[str, Any] | None, path: Path) -> Longer | None:

@@ -1,7 +1,9 @@
-"""What an impulse response of finite length cuts off, and the longer one that a bound on the error must be drawn from.
+"""What an impulse response of finite length cuts off, and the longer one that a bound on the error
+must be drawn from.
 
-A response of m coefficients says nothing of those after them. Where it has not decayed by then, its posterior knows neither the
-part that is missing nor how the missing part moved the rest, and a bound that is drawn from it alone lies below the true error.
+A response of m coefficients says nothing of those after them. Where it has not decayed by then, its
+posterior knows neither the part that is missing nor how the missing part moved the rest, and a
+bound that is drawn from it alone lies below the true error.
 """
 
 from __future__ import annotations
@@ -23,7 +25,9 @@ Posterior = tuple[FloatArray, FloatArray]
 
 @dataclass(frozen=True, eq=False)
 class Longer:
-    """Mean (M,) and covariance (M, M) of a longer response, and whether what it still cuts off is negligible."""
+    """Mean (M,) and covariance (M, M) of a longer response, and whether what it still cuts off is
+    negligible.
+    """
 
     mean: FloatArray
     covariance: FloatArray
@@ -31,10 +35,12 @@ class Longer:
 
 
 def outlasting(mean: FloatArray, covariance: FloatArray) -> float:
-    """max_ω L(ω)/s(ω): L = |Σ_k g_k e^{−jωk}| over the last fifth of the coefficients, s² = φᴴ Σ φ of all of them.
+    """max_ω L(ω)/s(ω): L = |Σ_k g_k e^{−jωk}| over the last fifth of the coefficients, s² = φᴴ Σ φ
+    of all of them.
 
-    A response that decays has a last fifth larger than what follows it, so a small ratio says that what was cut off is lost in
-    what is uncertain anyway. Fails for a response that begins anew after the last coefficient.
+    A response that decays has a last fifth larger than what follows it, so a small ratio says that
+    what was cut off is lost in what is uncertain anyway. Fails for a response that begins anew
+    after the last coefficient.
 
     >>> g = 0.5 ** np.arange(40)
     >>> outlasting(g, 1e-4 * np.eye(40)) < 1e-3, outlasting(np.ones(40), 1e-4 * np.eye(40)) > 100
@@ -49,17 +55,22 @@ def outlasting(mean: FloatArray, covariance: FloatArray) -> float:
     return float(np.max(np.abs(last) / np.sqrt(np.maximum(variance, np.finfo(float).tiny))))
 
 
-def longer_response(first: Posterior, order: int, rows: int, fit: Callable[[int], Posterior], n_inputs: int = 1) -> Longer | None:
-    """The response by which what `order` cuts off is negligible; None when nothing is left at `order` itself.
+def longer_response(
+    first: Posterior, order: int, rows: int, fit: Callable[[int], Posterior], n_inputs: int = 1
+) -> Longer | None:
+    """The response by which what `order` cuts off is negligible; None when nothing is left at
+    `order` itself.
 
-    Of several inputs, the stacked responses to all of them, of one length; the one that lasts longest decides.
+    Of several inputs, the stacked responses to all of them, of one length; the one that lasts
+    longest decides.
 
     Parameters
     ----------
     first : mean (n_inputs·p,) and covariance (n_inputs·p, n_inputs·p)
         The fit at hand, p ≥ order coefficients an input.
     rows : int
-        Rows of the regression: a third as many coefficients, and 600, are the most that are tried, of all inputs together.
+        Rows of the regression: a third as many coefficients, and 600, are the most that are tried,
+        of all inputs together.
     fit : callable
         Number of coefficients an input → their mean and covariance.
     """

@@ -13,25 +13,33 @@ from residuum.identification.errors import NotIdentifiable
 
 
 def autocovariance(values: npt.ArrayLike, lags: int) -> FloatArray:
-    """Biased sample autocovariance R(0) … R(lags) about the mean, shape (lags + 1,); missing samples are skipped.
+    """Biased sample autocovariance R(0) … R(lags) about the mean, shape (lags + 1,); missing
+    samples are skipped.
 
-    A missing sample takes part in no product; each lag is scaled by its own number of pairs, times (n − lag)/n.
+    A missing sample takes part in no product; each lag is scaled by its own number of pairs, times
+    (n − lag)/n.
     """
     values = np.asarray(values, dtype=float)
     known = ~np.isnan(values)
     if known.sum() <= lags:
-        raise NotIdentifiable(f"{int(known.sum())} samples: an autocovariance up to lag {lags} needs more")
+        raise NotIdentifiable(
+            f"{int(known.sum())} samples: an autocovariance up to lag {lags} needs more"
+        )
     deviation = np.where(known, values - np.mean(values[known]), 0.0)
     size = scipy.fft.next_fast_len(len(values) + lags, real=True)
     products = scipy.fft.irfft(np.abs(scipy.fft.rfft(deviation, size)) ** 2, size)[: lags + 1]
     if known.all():
         return np.asarray(products / len(values))
-    pairs = np.round(scipy.fft.irfft(np.abs(scipy.fft.rfft(known.astype(float), size)) ** 2, size)[: lags + 1])
+    pairs = np.round(
+        scipy.fft.irfft(np.abs(scipy.fft.rfft(known.astype(float), size)) ** 2, size)[: lags + 1]
+    )
     taper = 1 - np.arange(lags + 1) / len(values)
     return np.asarray(products / np.maximum(pairs, 1.0) * taper)
 
 
-def fit_autoregression(values: npt.ArrayLike, highest: int | None = None) -> tuple[FloatArray, float]:
+def fit_autoregression(
+    values: npt.ArrayLike, highest: int | None = None
+) -> tuple[FloatArray, float]:
     """A = [1, a₁, …, a_p] and the variance of e, by Levinson's recursion; p ≤ `highest` by BIC.
 
     A is stable (all reflection coefficients below 1) also when samples are missing.
@@ -63,7 +71,9 @@ def fit_autoregression(values: npt.ArrayLike, highest: int | None = None) -> tup
 
 
 def whitened(values: npt.ArrayLike, A: FloatArray) -> FloatArray:
-    """A(q) applied to `values`, shape (n,): NaN for the first samples and wherever a missing sample is touched."""
+    """A(q) applied to `values`, shape (n,): NaN for the first samples and wherever a missing sample
+    is touched.
+    """
     values = np.asarray(values, dtype=float)
     filtered = scipy.signal.lfilter(A, [1.0], np.where(np.isnan(values), 0.0, values))
     touched = scipy.signal.lfilter(np.ones(len(A)), [1.0], np.isnan(values).astype(float)) > 0.5

@@ -2,10 +2,12 @@
 
 y(t) = G'(q) U(t) + level + ramp + noise,   U(t) = Σ_{s ≤ t} (u(s) − mean u)
 
-G' is stable, any method finds it, and the noise keeps its own colour, which differences of the output would not leave it. The
-input at which the plant stands still is unknown: its error adds a ramp, so that U and y are taken from their straight lines.
+G' is stable, any method finds it, and the noise keeps its own colour, which differences of the
+output would not leave it. The input at which the plant stands still is unknown: its error adds a
+ramp, so that U and y are taken from their straight lines.
 
-Fails for a plant that does not integrate: then G' has a zero at one, and `integrator_test` says nothing of the kind.
+Fails for a plant that does not integrate: then G' has a zero at one, and `integrator_test` says
+nothing of the kind.
 """
 
 from __future__ import annotations
@@ -35,8 +37,8 @@ def _summed(record: Record, input: str, output: str) -> Record:
     if missing.size:
         where = record.source or "record"
         raise BadRecord(
-            f"{where}, channel {input!r}: sample {int(missing[0])} is missing; an integrating plant sums every sample of its "
-            "input: leave the record's part with holes out"
+            f"{where}, channel {input!r}: sample {int(missing[0])} is missing; an integrating plant"
+            " sums every sample of its input: leave the record's part with holes out"
         )
     channels = {input: from_straight_line(np.cumsum(u - u.mean())), output: from_straight_line(y)}
     units = {name: record.units[name] for name in (input, output)}
@@ -55,7 +57,9 @@ def from_straight_line(values: FloatArray) -> FloatArray:
 
 
 def integrated(summed: IdentifiedModel) -> IdentifiedModel:
-    """The model from u of one from the summed input: a pole at one more, impulse responses summed."""
+    """The model from u of one from the summed input: a pole at one more, impulse responses
+    summed.
+    """
     system = summed.transfer_function()
     total = np.tri(summed.order)
     longer, longer_covariance = summed.longer_response, summed.longer_covariance

@@ -1,4 +1,6 @@
-"""What data say of the plant itself before a model is made: dead time, feedback, integrators, unstable poles, excitation."""
+"""What data say of the plant itself before a model is made: dead time, feedback, integrators,
+unstable poles, excitation.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,10 @@ from residuum.identification.errors import BadRecord, NotIdentifiable
 from residuum.identification.kernel_based.gram import RegressionSums, regression_sums
 from residuum.identification.kernel_based.lagged_data import record_sums
 from residuum.identification.linear_models.identified_model import IdentifiedModel
-from residuum.identification.linear_models.validation import input_correlation_test, simulated_beside
+from residuum.identification.linear_models.validation import (
+    input_correlation_test,
+    simulated_beside,
+)
 from residuum.identification.record import Record
 
 # A long autoregression with input, the common ground of the tests: it needs no knowledge of
@@ -50,7 +55,8 @@ class LongAutoregression:
     leading : array, shape (Q + 1 − first_lag,)
         θ₁ᵀ Σ₁₁⁻¹ θ₁ of the first 1, 2, … input weights, χ² where they are zero.
     factor : array, shape (P + Q + 1 − first_lag,) squared
-        Lower Cholesky factor of the inverse of the covariance; the columns are α₁ … α_P, then b from the last lag to the first.
+        Lower Cholesky factor of the inverse of the covariance; the columns are α₁ … α_P, then b
+        from the last lag to the first.
     first_lag : int
         0 where the input may act within its own sample, else 1.
     inputs, innovations : list of array
@@ -76,9 +82,15 @@ class LongAutoregression:
 
 @one_thread_if_small(SHORT_REACH)
 def long_autoregression(
-    records: Sequence[Record], input: str, output: str, *, first_lag: int = 1, reach: int = SHORT_REACH
+    records: Sequence[Record],
+    input: str,
+    output: str,
+    *,
+    first_lag: int = 1,
+    reach: int = SHORT_REACH,
 ) -> LongAutoregression:
-    """Estimate it over all records, each with a level of its own; at most their first 20 000 samples count.
+    """Estimate it over all records, each with a level of its own; at most their first 20 000
+    samples count.
 
     Parameters
     ----------
@@ -89,9 +101,13 @@ def long_autoregression(
     Raises
     ------
     NotIdentifiable
-        Fewer than 120 samples, a signal that does not move, or too few rows without a missing sample.
+        Fewer than 120 samples, a signal that does not move, or too few rows without a missing
+        sample.
     """
-    us, ys = ([np.asarray(r[name], dtype=float)[: _MOST_ROWS // len(records)] for r in records] for name in (input, output))
+    us, ys = (
+        [np.asarray(r[name], dtype=float)[: _MOST_ROWS // len(records)] for r in records]
+        for name in (input, output)
+    )
     n = sum(map(len, ys))
     if n < _FEWEST:
         raise NotIdentifiable(f"{n} samples: a test of the plant needs at least {_FEWEST}")
@@ -99,37 +115,59 @@ def long_autoregression(
     Q = max(1, min(reach, n // _SAMPLES_A_LAG))
     sums = _sums(us, ys, first_lag, Q)
     if sums.rows < 2 * len(sums.cross):
-        raise NotIdentifiable(f"{sums.rows} complete rows: a test of the plant needs {2 * len(sums.cross)}")
+        raise NotIdentifiable(
+            f"{sums.rows} complete rows: a test of the plant needs {2 * len(sums.cross)}"
+        )
     longest = OUTPUT_LAGS[-1]
     P = _output_lags(sums, longest)
     chosen = np.r_[0:P, len(sums.cross) - 1 : longest - 1 : -1]
     factor, explained = factored(sums.columns(chosen))
     theta = linalg.solve_triangular(factor, explained, lower=True, trans="T")
     alpha, b = theta[:P], theta[: P - 1 : -1]
-    innovations = [_innovations(u, y, alpha, b, first_lag, max(longest, Q)) for u, y in zip(us, ys, strict=True)]
+    innovations = [
+        _innovations(u, y, alpha, b, first_lag, max(longest, Q))
+        for u, y in zip(us, ys, strict=True)
+    ]
     energy = sum(float(np.nansum(e**2)) for e in innovations)
     variance = max(energy / max(sums.rows - len(chosen), 1), _RESOLUTION)
     leading = np.cumsum(explained[: P - 1 : -1] ** 2) / variance
     return LongAutoregression(
-        alpha, b, leading, factor / np.sqrt(variance), first_lag, us, innovations, energy / sums.rows > _RESOLUTION
+        alpha,
+        b,
+        leading,
+        factor / np.sqrt(variance),
+        first_lag,
+        us,
+        innovations,
+        energy / sums.rows > _RESOLUTION,
     )
 
 
 def _scaled(parts: Sequence[FloatArray], name: str) -> list[FloatArray]:
     centred = [part - np.nanmean(part) if np.isfinite(part).any() else part for part in parts]
-    power = float(np.nanmean(np.concatenate(centred) ** 2)) if any(np.isfinite(part).any() for part in centred) else 0.0
+    power = (
+        float(np.nanmean(np.concatenate(centred) ** 2))
+        if any(np.isfinite(part).any() for part in centred)
+        else 0.0
+    )
     if not power > 0:
         raise NotIdentifiable(f"channel {name!r}: does not move; nothing can be tested")
     return [part / np.sqrt(power) for part in centred]
 
 
-def _sums(us: Sequence[FloatArray], ys: Sequence[FloatArray], first_lag: int, Q: int) -> RegressionSums:
-    """Of outputs 1 … 30 lags back, then inputs `first_lag` … Q lags back, each record about its means."""
+def _sums(
+    us: Sequence[FloatArray], ys: Sequence[FloatArray], first_lag: int, Q: int
+) -> RegressionSums:
+    """Of outputs 1 … 30 lags back, then inputs `first_lag` … Q lags back, each record about its
+    means.
+    """
     orders = [lags + 1 - first_lag for lags in (OUTPUT_LAGS[-1], Q)]
     parts = []
     for u, y in zip(us, ys, strict=True):
         try:
-            parts.append(regression_sums([y, u], y, max(orders), first_lag, orders=orders).centred())
+            parts.append(
+                regression_sums([y, u], y, max(orders), first_lag, orders=orders).centred()
+            )
         except NotIdentifiable:
             continue  # a record without a complete row adds nothing
     total = reduce(add, parts, RegressionSums.zero(sum(orders)))
@@ -141,11 +179,18 @@ def _output_lags(sums: RegressionSums, longest: int) -> int:
     inputs_first = np.r_[longest : len(sums.cross), 0:longest]
     _, explained = factored(sums.columns(inputs_first))
     left = sums.energy - np.cumsum(explained**2)[-longest - 1 :]
-    return min(OUTPUT_LAGS, key=lambda P: sums.rows * float(np.log(max(float(left[P]), _RESOLUTION))) + P * np.log(sums.rows))
+    return min(
+        OUTPUT_LAGS,
+        key=lambda P: (
+            sums.rows * float(np.log(max(float(left[P]), _RESOLUTION))) + P * np.log(sums.rows)
+        ),
+    )
 
 
 def factored(sums: RegressionSums) -> tuple[FloatArray, FloatArray]:
-    """L of the Gram matrix, raised so little that columns which say the same have a factor, too, and L⁻¹ Φᵀy."""
+    """L of the Gram matrix, raised so little that columns which say the same have a factor, too,
+    and L⁻¹ Φᵀy.
+    """
     gram = sums.gram.copy()
     size = float(gram.trace()) / max(len(gram), 1)
     gram[np.diag_indices_from(gram)] += _RIDGE * (np.diag(gram) + max(size, 1.0))
@@ -153,7 +198,9 @@ def factored(sums: RegressionSums) -> tuple[FloatArray, FloatArray]:
     return factor, linalg.solve_triangular(factor, sums.cross, lower=True)
 
 
-def _innovations(u: FloatArray, y: FloatArray, alpha: FloatArray, b: FloatArray, first_lag: int, reach: int) -> FloatArray:
+def _innovations(
+    u: FloatArray, y: FloatArray, alpha: FloatArray, b: FloatArray, first_lag: int, reach: int
+) -> FloatArray:
     """e about its mean; NaN where the past is not whole."""
     n = len(y)
     e = np.convolve(y, np.r_[1.0, -alpha])[:n] - np.convolve(u, np.r_[np.zeros(first_lag), b])[:n]
@@ -180,7 +227,10 @@ def dead_time(regression: LongAutoregression) -> int | None:
     >>> dead_time(long_autoregression([record], "u", "y"))
     40
     """
-    refused = np.flatnonzero(stats.chi2.sf(regression.leading, np.arange(1, len(regression.leading) + 1)) < _LEVEL_OF_DEAD_TIME)
+    refused = np.flatnonzero(
+        stats.chi2.sf(regression.leading, np.arange(1, len(regression.leading) + 1))
+        < _LEVEL_OF_DEAD_TIME
+    )
     return regression.first_lag + int(refused[0]) if refused.size else None
 
 
@@ -201,7 +251,9 @@ _THERE = 3.3
 
 @dataclass(frozen=True)
 class ExcitationTest:
-    """Directions that the record tells, of how many lags, and the static gain with its standard deviation."""
+    """Directions that the record tells, of how many lags, and the static gain with its standard
+    deviation.
+    """
 
     order: int
     lags: int
@@ -215,8 +267,11 @@ class ExcitationTest:
 
 
 @one_thread_if_small(_LAGS)
-def excitation_test(records: Sequence[Record], input: str, output: str, first_lag: int = 1) -> ExcitationTest:
-    """The test over all records, each with a level of its own; at most their first 10 000 samples count.
+def excitation_test(
+    records: Sequence[Record], input: str, output: str, first_lag: int = 1
+) -> ExcitationTest:
+    """The test over all records, each with a level of its own; at most their first 10 000 samples
+    count.
 
     Raises NotIdentifiable where no row is complete, or a signal does not move.
 
@@ -229,8 +284,16 @@ def excitation_test(records: Sequence[Record], input: str, output: str, first_la
     (2, False)
     """
     short = [record.window(0, min(record.n, _MOST_SAMPLES // len(records))) for record in records]
-    lags = max(_FEWEST_LAGS, min(_LAGS, sum(record.n for record in short) // _SAMPLES_A_LAG_OF_AN_INPUT))
-    sums = reduce(add, [record_sums(record, [input], output, lags, first_lag, offset=True)[0].centred() for record in short])
+    lags = max(
+        _FEWEST_LAGS, min(_LAGS, sum(record.n for record in short) // _SAMPLES_A_LAG_OF_AN_INPUT)
+    )
+    sums = reduce(
+        add,
+        [
+            record_sums(record, [input], output, lags, first_lag, offset=True)[0].centred()
+            for record in short
+        ],
+    )
     power, answer = max(float(np.diag(sums.gram).mean()), 1e-300), max(sums.energy, 1e-300)
     scaled = RegressionSums(
         sums.gram * (sums.rows / power),
@@ -242,9 +305,15 @@ def excitation_test(records: Sequence[Record], input: str, output: str, first_la
         sums.fitted_offsets,
     )
     factor, explained = factored(scaled)
-    noise = max(1.0 - float(explained @ explained) / sums.rows, 0.0) * sums.rows / max(sums.degrees_of_freedom - lags, 1)
+    noise = (
+        max(1.0 - float(explained @ explained) / sums.rows, 0.0)
+        * sums.rows
+        / max(sums.degrees_of_freedom - lags, 1)
+    )
     g = linalg.solve_triangular(factor, explained, lower=True, trans="T")
-    spread = float(np.sqrt(noise) * np.linalg.norm(linalg.solve_triangular(factor, np.ones(lags), lower=True)))
+    spread = float(
+        np.sqrt(noise) * np.linalg.norm(linalg.solve_triangular(factor, np.ones(lags), lower=True))
+    )
     resolved = np.linalg.eigvalsh(scaled.gram) > max(noise, 1e-9 * sums.rows)
     return ExcitationTest(int(np.count_nonzero(resolved)), lags, float(g.sum()), spread)
 
@@ -292,7 +361,13 @@ def feedback_test(regression: LongAutoregression) -> FeedbackTest | None:
     """
     if not regression.resolved:
         return None
-    sums = reduce(add, [_sums_over_innovations(u, e) for u, e in zip(regression.inputs, regression.innovations, strict=True)])
+    sums = reduce(
+        add,
+        [
+            _sums_over_innovations(u, e)
+            for u, e in zip(regression.inputs, regression.innovations, strict=True)
+        ],
+    )
     own = np.arange(1, _INPUT_PAST + 1)
     noise = _INPUT_PAST + 1 + np.arange(1 - regression.first_lag, _NOISE_PAST)
     columns = np.r_[own, noise]
@@ -309,7 +384,9 @@ def feedback_test(regression: LongAutoregression) -> FeedbackTest | None:
 
 
 def _sums_over_innovations(u: FloatArray, e: FloatArray) -> RegressionSums:
-    """Of the input on itself and on the innovations, lags 0 … 30 of both, about the means of one record."""
+    """Of the input on itself and on the innovations, lags 0 … 30 of both, about the means of one
+    record.
+    """
     try:
         return regression_sums([u, e], u, _INPUT_PAST + 1, 0).centred()
     except NotIdentifiable:
@@ -403,20 +480,29 @@ class KeptAside:
 
     @property
     def fails(self) -> bool:
-        """Worse than a constant, or more than a tenth of the response's power (a third of its size) is missing."""
-        return self.fit_percent < _WORSE_THAN_A_CONSTANT or (self.missing > _TOO_MUCH and self.p_value < _LEVEL_KEPT_ASIDE)
+        """Worse than a constant, or more than a tenth of the response's power (a third of its size)
+        is missing.
+        """
+        return self.fit_percent < _WORSE_THAN_A_CONSTANT or (
+            self.missing > _TOO_MUCH and self.p_value < _LEVEL_KEPT_ASIDE
+        )
 
 
 @one_thread_if_small(_MOST_LAGS)
 def kept_aside(model: IdentifiedModel, record: Record, first: int = 0) -> KeptAside:
-    """The model on the samples of `record` from `first` on; those before only give the input its past.
+    """The model on the samples of `record` from `first` on; those before only give the input its
+    past.
 
-    Raises BadRecord for a part too short to have a fit, or one in whose past and present the input stands still.
+    Raises BadRecord for a part too short to have a fit, or one in whose past and present the input
+    stands still.
     """
-    past_input = np.asarray(record[model.input_name], dtype=float)[max(first - model.delay - model.order + 1, 0) :]
+    past_input = np.asarray(record[model.input_name], dtype=float)[
+        max(first - model.delay - model.order + 1, 0) :
+    ]
     if first and not np.nanmax(past_input) > np.nanmin(past_input):
         raise BadRecord(
-            f"{record.source or 'record'}: the input stands still in the part kept aside, which therefore tells nothing"
+            f"{record.source or 'record'}: the input stands still in the part kept aside, which"
+            " therefore tells nothing"
         )
     y, residual = simulated_beside(model, record, first)
     fit = 100 * (1 - float(np.nanstd(residual) / np.nanstd(y)))
@@ -458,12 +544,16 @@ def _explained(residual: FloatArray, u: FloatArray, lags: int) -> float:
 _OUTSIDE = 5.0
 """Standard deviations outside the unit circle."""
 _GROWTH = 3.0
-"""e-folds within the record that a root at least means: a slower one is as good as an integrator's."""
+"""e-folds within the record that a root at least means: a slower one is as good as an
+integrator's.
+"""
 
 
 @dataclass(frozen=True)
 class UnstableTest:
-    """The root of largest size, the standard deviation of its size, and the e-folds that it grows in the record."""
+    """The root of largest size, the standard deviation of its size, and the e-folds that it grows
+    in the record.
+    """
 
     pole: complex
     spread: float
@@ -481,8 +571,15 @@ class UnstableTest:
         'pole at 1.162 ± 0.003, which grows e-fold in 0.0333 s'
         """
         real = abs(self.pole.imag) < 1e-9 * abs(self.pole)
-        at = f"{self.pole.real:.4g}" if real else f"{self.pole.real:.4g} ± {abs(self.pole.imag):.4g}i (size {abs(self.pole):.4g})"
-        return f"pole at {at} ± {self.spread:.1g}, which grows e-fold in {sample_time / np.log(abs(self.pole)):.3g} s"
+        at = (
+            f"{self.pole.real:.4g}"
+            if real
+            else f"{self.pole.real:.4g} ± {abs(self.pole.imag):.4g}i (size {abs(self.pole):.4g})"
+        )
+        return (
+            f"pole at {at} ± {self.spread:.1g}, which grows e-fold in"
+            f" {sample_time / np.log(abs(self.pole)):.3g} s"
+        )
 
 
 def unstable_test(regression: LongAutoregression) -> UnstableTest | None:
@@ -510,5 +607,7 @@ def unstable_test(regression: LongAutoregression) -> UnstableTest | None:
     by_size = np.real(np.conj(pole) / abs(pole) * by_weight)
     samples = sum(len(u) for u in regression.inputs) / len(regression.inputs)
     return UnstableTest(
-        pole, regression.spread(by_size, np.zeros_like(regression.input_weights)), float(np.log(abs(pole)) * samples)
+        pole,
+        regression.spread(by_size, np.zeros_like(regression.input_weights)),
+        float(np.log(abs(pole)) * samples),
     )

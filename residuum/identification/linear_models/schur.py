@@ -16,7 +16,8 @@ def is_schur(polynomial: npt.ArrayLike) -> bool:
     polynomial : array, shape (n + 1,)
         Highest power first.
 
-    Costs O(n²), a hundredth of an eigenvalue problem at n = 100; loses digits when roots crowd at the circle.
+    Costs O(n²), a hundredth of an eigenvalue problem at n = 100; loses digits when roots crowd at
+    the circle.
 
     >>> is_schur([1.0, -0.5]), is_schur([1.0, -1.0])
     (True, False)

@@ -41,12 +41,16 @@ class FeasibleSet:
 
     @property
     def empty(self) -> bool:
-        """True when no parameter vector agrees with the data: the bound or the structure is wrong."""
+        """True when no parameter vector agrees with the data: the bound or the structure is
+        wrong.
+        """
         return self.smallest_bound > self.bound
 
     @property
     def centre(self) -> FloatArray:
-        """Central estimate (β^u + β^l)/2, shape (p,): the smallest worst-case error in every parameter, (1.123) corrected."""
+        """Central estimate (β^u + β^l)/2, shape (p,): the smallest worst-case error in every
+        parameter, (1.123) corrected.
+        """
         return (self.upper + self.lower) / 2
 
     @property
@@ -55,11 +59,14 @@ class FeasibleSet:
         return (self.upper - self.lower) / 2
 
 
-def feasible_set(Phi: npt.ArrayLike, y: npt.ArrayLike, bound: float, *, norm: str = "inf") -> FeasibleSet:
+def feasible_set(
+    Phi: npt.ArrayLike, y: npt.ArrayLike, bound: float, *, norm: str = "inf"
+) -> FeasibleSet:
     """The feasible parameter set of a linear regression with bounded noise.
 
-    ∞-norm, |e_t| ≤ ε for every t: a polytope; its intervals (1.120)–(1.121) are 2p linear programs, and the smallest feasible
-    bound is the Chebyshev fit. 2-norm, ‖e‖ ≤ ε: an ellipsoid about least squares, β_ls ± √((ε² − ‖y − Φβ_ls‖²) (ΦᵀΦ)⁻¹_jj).
+    ∞-norm, |e_t| ≤ ε for every t: a polytope; its intervals (1.120)–(1.121) are 2p linear programs,
+    and the smallest feasible bound is the Chebyshev fit. 2-norm, ‖e‖ ≤ ε: an ellipsoid about least
+    squares, β_ls ± √((ε² − ‖y − Φβ_ls‖²) (ΦᵀΦ)⁻¹_jj).
 
     Parameters
     ----------
@@ -72,7 +79,8 @@ def feasible_set(Phi: npt.ArrayLike, y: npt.ArrayLike, bound: float, *, norm: st
     Raises
     ------
     BadInput
-        Shapes that do not fit, missing or infinite values, a bound that is not positive, unknown norm.
+        Shapes that do not fit, missing or infinite values, a bound that is not positive, unknown
+        norm.
     NotIdentifiable
         Fewer rows than parameters, or dependent columns: the set is unbounded.
 
@@ -88,14 +96,22 @@ def feasible_set(Phi: npt.ArrayLike, y: npt.ArrayLike, bound: float, *, norm: st
     """
     Phi, y = _checked(Phi, y, bound, norm)
     scale = np.linalg.norm(Phi, axis=0)
-    if Phi.shape[0] < Phi.shape[1] or np.linalg.matrix_rank(Phi / np.where(scale > 0, scale, 1.0)) < Phi.shape[1]:
-        raise NotIdentifiable(f"feasible_set: {Phi.shape[1]} parameters are not determined by these {Phi.shape[0]} rows")
+    if (
+        Phi.shape[0] < Phi.shape[1]
+        or np.linalg.matrix_rank(Phi / np.where(scale > 0, scale, 1.0)) < Phi.shape[1]
+    ):
+        raise NotIdentifiable(
+            f"feasible_set: {Phi.shape[1]} parameters are not determined by these {Phi.shape[0]}"
+            " rows"
+        )
     solve = _polytope if norm == "inf" else _ellipsoid
     smallest, lower, upper = solve(Phi / scale, y, bound)
     return FeasibleSet(norm, float(bound), smallest, lower / scale, upper / scale)
 
 
-def _ellipsoid(Phi: FloatArray, y: FloatArray, bound: float) -> tuple[float, FloatArray, FloatArray]:
+def _ellipsoid(
+    Phi: FloatArray, y: FloatArray, bound: float
+) -> tuple[float, FloatArray, FloatArray]:
     beta = np.linalg.lstsq(Phi, y, rcond=None)[0]
     smallest = float(np.linalg.norm(y - Phi @ beta))
     if smallest > bound:
@@ -108,7 +124,12 @@ def _polytope(Phi: FloatArray, y: FloatArray, bound: float) -> tuple[float, Floa
     p = Phi.shape[1]
     size = float(np.abs(y).max()) or 1.0
     A, b = np.vstack([Phi, -Phi]), np.concatenate([y, -y]) / size
-    chebyshev = linprog(np.r_[np.zeros(p), 1.0], A_ub=np.c_[A, -np.ones(len(A))], b_ub=b, bounds=[(None, None)] * p + [(0, None)])
+    chebyshev = linprog(
+        np.r_[np.zeros(p), 1.0],
+        A_ub=np.c_[A, -np.ones(len(A))],
+        b_ub=b,
+        bounds=[(None, None)] * p + [(0, None)],
+    )
     smallest = float(chebyshev.x[-1]) * size
     if smallest > bound:
         return smallest, *_nothing(Phi)
@@ -128,14 +149,18 @@ def _nothing(Phi: FloatArray) -> tuple[FloatArray, FloatArray]:
     return np.full(Phi.shape[1], np.nan), np.full(Phi.shape[1], np.nan)
 
 
-def _checked(Phi: npt.ArrayLike, y: npt.ArrayLike, bound: float, norm: str) -> tuple[FloatArray, FloatArray]:
+def _checked(
+    Phi: npt.ArrayLike, y: npt.ArrayLike, bound: float, norm: str
+) -> tuple[FloatArray, FloatArray]:
     Phi, y = np.asarray(Phi, dtype=float), np.asarray(y, dtype=float)
     if norm not in ("inf", "2"):
         raise BadInput(f"feasible_set, norm: is {norm!r}; must be 'inf' or '2'")
     if not (np.isfinite(bound) and bound > 0):
         raise BadInput(f"feasible_set, bound: is {bound!r}; must be a positive number")
     if Phi.ndim != 2 or y.shape != Phi.shape[:1]:
-        raise BadInput(f"feasible_set: Phi has shape {Phi.shape} and y {y.shape}; must be (n, p) and (n,)")
+        raise BadInput(
+            f"feasible_set: Phi has shape {Phi.shape} and y {y.shape}; must be (n, p) and (n,)"
+        )
     if not (np.isfinite(Phi).all() and np.isfinite(y).all()):
         raise BadInput("feasible_set: Phi and y must have no missing or infinite value")
     return Phi, y
@@ -153,7 +178,9 @@ def _checked(Phi: npt.ArrayLike, y: npt.ArrayLike, bound: float, norm: str) -> t
 # Bounds grow wider than confidence bands, since they allow for noise that conspires.
 
 LAGS, MOST_LAGS = 20, 60
-"""Length of the response that nobody chose, and the longest: each coefficient costs two linear programs."""
+"""Length of the response that nobody chose, and the longest: each coefficient costs two linear
+programs.
+"""
 _ROWS = 4000
 _ROOM = 1.1
 
@@ -173,7 +200,8 @@ def identify_set_membership(
     Parameters
     ----------
     records : sequence of Record
-        Of over 4000 complete rows, 4000 evenly spaced ones count: fewer constraints allow more, never less.
+        Of over 4000 complete rows, 4000 evenly spaced ones count: fewer constraints allow more,
+        never less.
     order : int or None
         m; None: 20.
     noise_bound : float or None
@@ -182,28 +210,33 @@ def identify_set_membership(
     Returns
     -------
     IdentifiedModel
-        `impulse_response` is the centre c, `covariance` diag(r²/3), that of a uniform spread over the intervals c ± r: they end
-        √3 standard deviations from the centre. `hyper_parameters` holds `noise_bound` and `smallest_noise_bound`.
+        `impulse_response` is the centre c, `covariance` diag(r²/3), that of a uniform spread over
+        the intervals c ± r: they end √3 standard deviations from the centre. `hyper_parameters`
+        holds `noise_bound` and `smallest_noise_bound`.
 
     Raises
     ------
     BadInput
         An order over 60, a bound that is not positive.
     NotIdentifiable
-        Too few rows, an input that does not move, a bound that nothing agrees with; says the smallest that something does.
+        Too few rows, an input that does not move, a bound that nothing agrees with; says the
+        smallest that something does.
     """
     started = time.perf_counter()
     m = LAGS if order is None else order
     if not 1 <= m <= MOST_LAGS:
-        raise BadInput(f"set-membership, order: is {m}; must be 1 to {MOST_LAGS}, for each coefficient costs two linear programs")
+        raise BadInput(
+            f"set-membership, order: is {m}; must be 1 to {MOST_LAGS}, for each coefficient costs"
+            " two linear programs"
+        )
     data = lagged_data(records, [input], output, m, delay, offset=offset)
     Phi, y = _rows(records, input, output, m, delay)
     if offset:
         Phi = np.column_stack([Phi, np.ones(len(y))])
     if len(y) < 2 * Phi.shape[1]:
         raise NotIdentifiable(
-            f"set-membership: {len(y)} complete rows for {m} coefficients; at least {2 * Phi.shape[1]} are needed: record "
-            "longer, or take a smaller order"
+            f"set-membership: {len(y)} complete rows for {m} coefficients; at least"
+            f" {2 * Phi.shape[1]} are needed: record longer, or take a smaller order"
         )
     smallest = feasible_set(Phi, y, 1e-12 * (float(np.abs(y).max()) or 1.0)).smallest_bound
     bound = _ROOM * smallest if noise_bound is None else noise_bound
@@ -211,8 +244,9 @@ def identify_set_membership(
     unit = f" {data.output_unit}" if data.output_unit else ""
     if feasible.empty:
         raise NotIdentifiable(
-            f"set-membership: with noise of at most {bound:.4g}{unit} no impulse response of {m} coefficients agrees with the "
-            f"records; the smallest bound that leaves one is {smallest:.4g}{unit}"
+            f"set-membership: with noise of at most {bound:.4g}{unit} no impulse response of {m}"
+            " coefficients agrees with the records; the smallest bound that leaves one is"
+            f" {smallest:.4g}{unit}"
         )
     residual = y - Phi @ feasible.centre
     lasts = abs(feasible.centre[m - 1]) > feasible.radius[m - 1]
@@ -229,24 +263,43 @@ def identify_set_membership(
         delay=delay,
         offset=float(feasible.centre[m]) if offset else 0.0,
         hyper_parameters={"noise_bound": float(bound), "smallest_noise_bound": smallest},
-        warnings=_said(bound, smallest, unit, given=noise_bound is not None, outlasts=m if lasts else None),
-        provenance={"records": [record.source for record in records], "n": len(y), "seconds": time.perf_counter() - started},
+        warnings=_said(
+            bound, smallest, unit, given=noise_bound is not None, outlasts=m if lasts else None
+        ),
+        provenance={
+            "records": [record.source for record in records],
+            "n": len(y),
+            "seconds": time.perf_counter() - started,
+        },
     )
 
 
-def _said(bound: float, smallest: float, unit: str, *, given: bool, outlasts: int | None) -> tuple[str, ...]:
-    known = f"the smallest bound possible is {smallest:.4g}{unit}" if given else "the bound is 1.1 times the smallest possible"
+def _said(
+    bound: float, smallest: float, unit: str, *, given: bool, outlasts: int | None
+) -> tuple[str, ...]:
+    known = (
+        f"the smallest bound possible is {smallest:.4g}{unit}"
+        if given
+        else "the bound is 1.1 times the smallest possible"
+    )
     says = [
-        f"set membership: if the noise is at most {bound:.4g}{unit} in every sample, each coefficient lies within √3 of its "
-        f"standard deviations for certain; {known}"
+        f"set membership: if the noise is at most {bound:.4g}{unit} in every sample, each"
+        f" coefficient lies within √3 of its standard deviations for certain; {known}"
     ]
     if outlasts is not None:
-        says.append(f"the response has not decayed within {outlasts} lags; what lies beyond counts as noise: take a larger order")
+        says.append(
+            f"the response has not decayed within {outlasts} lags; what lies beyond counts as"
+            " noise: take a larger order"
+        )
     return tuple(says)
 
 
-def _rows(records: Sequence[Record], input: str, output: str, m: int, delay: int) -> tuple[FloatArray, FloatArray]:
-    """Lagged inputs (n, m) and outputs (n,) of all complete rows, at most 4000 evenly spaced ones."""
+def _rows(
+    records: Sequence[Record], input: str, output: str, m: int, delay: int
+) -> tuple[FloatArray, FloatArray]:
+    """Lagged inputs (n, m) and outputs (n,) of all complete rows, at most 4000 evenly spaced
+    ones.
+    """
     rows, targets = [], []
     for record in records:
         u, y = np.asarray(record[input], dtype=float), np.asarray(record[output], dtype=float)
@@ -258,5 +311,9 @@ def _rows(records: Sequence[Record], input: str, output: str, m: int, delay: int
         rows.append(past[known])
         targets.append(y[first:][known])
     Phi, y = np.concatenate(rows), np.concatenate(targets)
-    spaced = np.unique(np.linspace(0, len(y) - 1, min(len(y), _ROWS)).round().astype(int)) if len(y) else np.zeros(0, dtype=int)
+    spaced = (
+        np.unique(np.linspace(0, len(y) - 1, min(len(y), _ROWS)).round().astype(int))
+        if len(y)
+        else np.zeros(0, dtype=int)
+    )
     return Phi[spaced], y[spaced]

@@ -53,7 +53,10 @@ class StateSpace:
         n, (p, q) = self.A.shape[0], self.D.shape
         if self.A.shape != (n, n) or self.B.shape != (n, q) or self.C.shape != (p, n):
             shapes = [getattr(self, name).shape for name in "ABCD"]
-            raise BadModel(f"StateSpace: A, B, C, D have shapes {shapes}; they must be (n, n), (n, q), (p, n), (p, q)")
+            raise BadModel(
+                f"StateSpace: A, B, C, D have shapes {shapes}; they must be (n, n), (n, q), (p, n),"
+                " (p, q)"
+            )
         if not all(np.isfinite(getattr(self, name)).all() for name in "ABCD"):
             raise BadModel("StateSpace: has a non-finite entry; all must be finite")
         if not self.sample_time > 0:
@@ -63,15 +66,24 @@ class StateSpace:
     def gain(cls, D: npt.ArrayLike, sample_time: float) -> StateSpace:
         """The system without memory w = D v."""
         D = np.atleast_2d(np.asarray(D, dtype=float))
-        return cls(np.zeros((0, 0)), np.zeros((0, D.shape[1])), np.zeros((D.shape[0], 0)), D, sample_time)
+        return cls(
+            np.zeros((0, 0)), np.zeros((0, D.shape[1])), np.zeros((D.shape[0], 0)), D, sample_time
+        )
 
     @classmethod
     def from_transfer_function(cls, system: TransferFunction) -> StateSpace:
-        """Controllable companion form of a proper discrete-time transfer function; BadModel for any other."""
+        """Controllable companion form of a proper discrete-time transfer function; BadModel for any
+        other.
+        """
         if system.sample_time is None:
-            raise BadModel("StateSpace: the transfer function is continuous-time; discretise it first")
+            raise BadModel(
+                "StateSpace: the transfer function is continuous-time; discretise it first"
+            )
         if not system.is_proper:
-            raise BadModel("StateSpace: the transfer function is not proper; its numerator's degree exceeds its denominator's")
+            raise BadModel(
+                "StateSpace: the transfer function is not proper; its numerator's degree exceeds"
+                " its denominator's"
+            )
         n = len(system.den) - 1
         a = system.den[1:] / system.den[0]
         b = np.concatenate([np.zeros(n + 1 - len(system.num)), system.num]) / system.den[0]
@@ -97,15 +109,21 @@ class StateSpace:
 
     def frequency_response(self, omega: npt.ArrayLike) -> ComplexArray:
         """Response at ω [rad/s], shape (len(omega), p, q)."""
-        return self.response(np.exp(1j * np.atleast_1d(np.asarray(omega, dtype=float)) * self.sample_time))
+        return self.response(
+            np.exp(1j * np.atleast_1d(np.asarray(omega, dtype=float)) * self.sample_time)
+        )
 
     def response(self, z: ComplexArray) -> ComplexArray:
-        """C (z − A)⁻¹ B + D at points z of the plane, shape (len(z), p, q), through the complex Schur form (n² a point)."""
+        """C (z − A)⁻¹ B + D at points z of the plane, shape (len(z), p, q), through the complex
+        Schur form (n² a point).
+        """
         if not self.order:
             return np.repeat(self.D[None].astype(complex), len(z), axis=0)
         T, U = linalg.schur(self.A, output="complex")
         B, C = U.conj().T @ self.B, self.C @ U
-        X = np.empty((self.order, len(z) * B.shape[1]), dtype=complex)  # (z − T)⁻¹ B by back substitution, all ω at once
+        X = np.empty(
+            (self.order, len(z) * B.shape[1]), dtype=complex
+        )  # (z − T)⁻¹ B by back substitution, all ω at once
         points = np.repeat(z, B.shape[1])
         for i in range(self.order - 1, -1, -1):
             X[i] = (np.tile(B[i], len(z)) + T[i, i + 1 :] @ X[i + 1 :]) / (points - T[i, i])
@@ -153,12 +171,22 @@ class StateSpace:
         if p != q or np.linalg.matrix_rank(self.D) < p:
             raise BadModel("StateSpace.inverse: D must be square and regular")
         inverse: FloatArray = np.linalg.inv(self.D).astype(float)
-        return StateSpace(self.A - self.B @ inverse @ self.C, self.B @ inverse, -inverse @ self.C, inverse, self.sample_time)
+        return StateSpace(
+            self.A - self.B @ inverse @ self.C,
+            self.B @ inverse,
+            -inverse @ self.C,
+            inverse,
+            self.sample_time,
+        )
 
-    def simulate(self, v: npt.ArrayLike, state: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
-        """Output, shape (len, p), for input `v`, shape (len, q), and the final state, from `state` (zero when not given).
+    def simulate(
+        self, v: npt.ArrayLike, state: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Output, shape (len, p), for input `v`, shape (len, q), and the final state, from `state`
+        (zero when not given).
 
-        The recursion is sample by sample in a fixed order, so cutting `v` into blocks changes no bit of the result.
+        The recursion is sample by sample in a fixed order, so cutting `v` into blocks changes no
+        bit of the result.
         """
         v = np.ascontiguousarray(v, dtype=float).reshape(-1, self.D.shape[1])
         x = np.zeros(self.order) if state is None else np.array(state, dtype=float)
@@ -180,7 +208,9 @@ class StateSpace:
 
     @cached_property
     def _diagonals(self) -> FloatArray | None:
-        """Rows: A below, on and above its diagonal, B, C, shape (5, n); None unless A is tridiagonal, one input, one output."""
+        """Rows: A below, on and above its diagonal, B, C, shape (5, n); None unless A is
+        tridiagonal, one input, one output.
+        """
         A, n = self.A, self.order
         if not n or self.D.shape != (1, 1) or np.any(np.triu(A, 2)) or np.any(np.tril(A, -2)):
             return None
@@ -191,15 +221,22 @@ class StateSpace:
 
     @cached_property
     def modal(self) -> StateSpace:
-        """The same system with A block diagonal, a real mode or a complex pair a block: n, not n², products a sample.
+        """The same system with A block diagonal, a real mode or a complex pair a block: n, not n²,
+        products a sample.
 
-        Where the modes are too nearly parallel to be told apart without losing digits, A is upper triangular instead.
+        Where the modes are too nearly parallel to be told apart without losing digits, A is upper
+        triangular instead.
         """
         if self.order < _WORTH_MODES:
             return self
         eigenvalues, vectors = np.linalg.eig(self.A)
         upper, real = eigenvalues.imag > 0, eigenvalues.imag == 0
-        T = np.column_stack([vectors[:, real].real, *(part for v in vectors[:, upper].T for part in (v.real, v.imag))])
+        T = np.column_stack(
+            [
+                vectors[:, real].real,
+                *(part for v in vectors[:, upper].T for part in (v.real, v.imag)),
+            ]
+        )
         if T.shape[1] != self.order or np.linalg.cond(T) > _PARALLEL_MODES:
             A, T = linalg.schur(self.A, output="real")
             return StateSpace(A, T.T @ self.B, self.C @ T, self.D, self.sample_time)
@@ -209,9 +246,7 @@ class StateSpace:
 
 
 @njit()
-def _recursion(  # type: ignore[no-untyped-def]
-    A, B, C, D, bands, x, v, w
-) -> None:
+def _recursion(A, B, C, D, bands, x, v, w) -> None:  # type: ignore[no-untyped-def]
     n, (p, q) = A.shape[0], D.shape
     following = np.empty(n)
     for t in range(v.shape[0]):
@@ -234,9 +269,17 @@ def _recursion(  # type: ignore[no-untyped-def]
 
 @njit(fastmath={"reassoc"})
 def _tridiagonal_recursion(diagonals, d, x, v, w):  # type: ignore[no-untyped-def]
-    """All states at once, which the modes of a system allow; the sum of an output has one order, whatever the blocks."""
+    """All states at once, which the modes of a system allow; the sum of an output has one order,
+    whatever the blocks.
+    """
     n = diagonals.shape[1]
-    lower, diagonal, upper, b, c = diagonals[0], diagonals[1], diagonals[2], diagonals[3], diagonals[4]
+    lower, diagonal, upper, b, c = (
+        diagonals[0],
+        diagonals[1],
+        diagonals[2],
+        diagonals[3],
+        diagonals[4],
+    )
     now, following = np.zeros(n + 2), np.zeros(n + 2)  # a zero at either end
     now[1 : n + 1] = x
     for t in range(len(v)):
@@ -244,7 +287,12 @@ def _tridiagonal_recursion(diagonals, d, x, v, w):  # type: ignore[no-untyped-de
         before, current, after, new = now[:n], now[1 : n + 1], now[2:], following[1 : n + 1]
         for i in range(n):
             total += c[i] * current[i]
-            new[i] = diagonal[i] * current[i] + lower[i] * before[i] + upper[i] * after[i] + b[i] * entering
+            new[i] = (
+                diagonal[i] * current[i]
+                + lower[i] * before[i]
+                + upper[i] * after[i]
+                + b[i] * entering
+            )
         w[t] = total + d * entering
         now, following = following, now
     x[:] = now[1 : n + 1]

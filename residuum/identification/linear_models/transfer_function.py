@@ -44,12 +44,19 @@ class TransferFunction:
         for name in ("num", "den"):
             coefficients = np.atleast_1d(np.asarray(getattr(self, name), dtype=float))
             if coefficients.ndim != 1 or not np.isfinite(coefficients).all():
-                raise BadModel(f"TransferFunction, {name}: must be a one-dimensional list of finite coefficients")
-            object.__setattr__(self, name, np.trim_zeros(coefficients, "f") if coefficients.any() else np.zeros(1))
+                raise BadModel(
+                    f"TransferFunction, {name}: must be a one-dimensional list of finite"
+                    " coefficients"
+                )
+            object.__setattr__(
+                self, name, np.trim_zeros(coefficients, "f") if coefficients.any() else np.zeros(1)
+            )
         if not self.den.any():
             raise BadModel("TransferFunction, den: must not be zero")
         if self.sample_time is not None and not self.sample_time > 0:
-            raise BadModel(f"TransferFunction, sample_time: {self.sample_time!r}; must be positive or None")
+            raise BadModel(
+                f"TransferFunction, sample_time: {self.sample_time!r}; must be positive or None"
+            )
 
     @property
     def is_proper(self) -> bool:
@@ -84,10 +91,14 @@ class TransferFunction:
         if self.sample_time is None or not self.is_proper:
             raise BadModel("TransferFunction.simulate: needs a proper discrete-time system")
         delayed = np.concatenate([np.zeros(len(self.den) - len(self.num)), self.num])
-        return np.asarray(signal.lfilter(delayed, self.den, np.asarray(u, dtype=float)), dtype=float)
+        return np.asarray(
+            signal.lfilter(delayed, self.den, np.asarray(u, dtype=float)), dtype=float
+        )
 
     def discretise(self, sample_time: float, method: str = "zoh") -> TransferFunction:
-        """The sampled system (`zoh`, `bilinear`, …; scipy.signal.cont2discrete) of a continuous one."""
+        """The sampled system (`zoh`, `bilinear`, …; scipy.signal.cont2discrete) of a continuous
+        one.
+        """
         if self.sample_time is not None:
             raise BadModel("TransferFunction.discretise: the system is already discrete-time")
         num, den, _ = signal.cont2discrete((self.num, self.den), sample_time, method=method)
@@ -97,4 +108,8 @@ class TransferFunction:
         """The same system as a python-control `TransferFunction` (needs the package `control`)."""
         import control  # noqa: PLC0415  optional, only for users who have it
 
-        return control.tf(self.num, self.den) if self.sample_time is None else control.tf(self.num, self.den, self.sample_time)
+        return (
+            control.tf(self.num, self.den)
+            if self.sample_time is None
+            else control.tf(self.num, self.den, self.sample_time)
+        )

@@ -1,7 +1,8 @@
-"""Uncertainty weight W_T: from the distribution of an identified model to a bound on its relative error (Algorithm 1).
+"""Uncertainty weight W_T: from the distribution of an identified model to a bound on its relative
+error (Algorithm 1).
 
-Random models are drawn from the distribution of the estimate, Ω(ω) is the largest error among them at each frequency
-(2.21), and a stable proper transfer function is fitted above it (2.22), (2.23).
+Random models are drawn from the distribution of the estimate, Ω(ω) is the largest error among them
+at each frequency (2.21), and a stable proper transfer function is fitted above it (2.22), (2.23).
 """
 
 from __future__ import annotations
@@ -15,7 +16,11 @@ import numpy.typing as npt
 
 from residuum.array_types import ComplexArray, FloatArray
 from residuum.identification.errors import BadInput
-from residuum.identification.linear_models.error_bounds.error_models import FORMS, DrawnErrors, refined_grid
+from residuum.identification.linear_models.error_bounds.error_models import (
+    FORMS,
+    DrawnErrors,
+    refined_grid,
+)
 from residuum.identification.linear_models.error_bounds.magnitude_fit import fit_magnitude
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.linear_models.transfer_function import TransferFunction
@@ -38,9 +43,11 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True)
 class Certificate:
-    """Where the largest error over the weight lies on a whole band: `seen` ≤ sup_ω max_i |A_i|/|B_i W| ≤ `bound`.
+    """Where the largest error over the weight lies on a whole band: `seen` ≤ sup_ω max_i |A_i|/|B_i
+    W| ≤ `bound`.
 
-    `proven` tells whether the search ended; otherwise `bound` is infinite, and nothing is promised between the points.
+    `proven` tells whether the search ended; otherwise `bound` is infinite, and nothing is promised
+    between the points.
     """
 
     seen: float
@@ -48,7 +55,9 @@ class Certificate:
     proven: bool
 
 
-def largest_excess(errors: DrawnErrors, weight: TransferFunction, omega: npt.ArrayLike) -> Certificate:
+def largest_excess(
+    errors: DrawnErrors, weight: TransferFunction, omega: npt.ArrayLike
+) -> Certificate:
     """Bound the largest error over |weight| on the whole band that the grid `omega` [rad/s] spans.
 
     Parameters
@@ -77,7 +86,9 @@ def largest_excess(errors: DrawnErrors, weight: TransferFunction, omega: npt.Arr
     return Certificate(attained, np.inf, False)
 
 
-def _bounds(errors: DrawnErrors, weight: TransferFunction, left: FloatArray, right: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _bounds(
+    errors: DrawnErrors, weight: TransferFunction, left: FloatArray, right: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Of each interval of angles: the ratio at its centre, and a bound on it within."""
     at_centre, bound = np.empty(len(left)), np.empty(len(left))
     step = max(1, _VALUES_AT_ONCE // len(errors.numerators))
@@ -94,7 +105,9 @@ def _bounds(errors: DrawnErrors, weight: TransferFunction, left: FloatArray, rig
     return at_centre, bound
 
 
-def _line(rows: FloatArray, centre: FloatArray, half: FloatArray) -> tuple[ComplexArray, ComplexArray, FloatArray]:
+def _line(
+    rows: FloatArray, centre: FloatArray, half: FloatArray
+) -> tuple[ComplexArray, ComplexArray, FloatArray]:
     """F(c), h F'(c) and ½ h² Σ (k − k₀)² |a_k| of each row and interval."""
     k = np.arange(rows.shape[1]) - 0.5 * (rows.shape[1] - 1)
     phase = np.multiply.outer(k, centre)
@@ -108,7 +121,9 @@ def _line(rows: FloatArray, centre: FloatArray, half: FloatArray) -> tuple[Compl
 def _above(rows: FloatArray, centre: FloatArray, half: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(bound from above, value at the centre) of |F|."""
     value, change, remainder = _line(rows, centre, half)
-    ends = np.maximum(np.abs(value + change), np.abs(value - change))  # of a line the ends are furthest from zero
+    ends = np.maximum(
+        np.abs(value + change), np.abs(value - change)
+    )  # of a line the ends are furthest from zero
     return ends + remainder, np.abs(value)
 
 
@@ -120,8 +135,12 @@ def _below(rows: FloatArray, centre: FloatArray, half: FloatArray) -> tuple[Floa
     return np.abs(value + nearest * change) - remainder, np.abs(value)
 
 
-def _least_change(weight: TransferFunction, left: FloatArray, right: FloatArray, centre: FloatArray) -> FloatArray:
-    """Bound from below of |W|/|W(c)| over the arc: each zero's least distance and each pole's largest one, over those from c."""
+def _least_change(
+    weight: TransferFunction, left: FloatArray, right: FloatArray, centre: FloatArray
+) -> FloatArray:
+    """Bound from below of |W|/|W(c)| over the arc: each zero's least distance and each pole's
+    largest one, over those from c.
+    """
     least = np.ones(len(centre))
     for root in weight.zeros:
         cosine = np.maximum(np.cos(left - np.angle(root)), np.cos(right - np.angle(root)))
@@ -163,7 +182,8 @@ class UncertaintyWeight:
     promise : str
         What n_samples guarantees, in one sentence.
     certified : bool
-        Whether |weight| ≥ Ω was proven at *every* frequency from the first of the grid to π/Ts (`weight_certificate`).
+        Whether |weight| ≥ Ω was proven at *every* frequency from the first of the grid to π/Ts
+        (`weight_certificate`).
     """
 
     weight: TransferFunction
@@ -182,10 +202,12 @@ class UncertaintyWeight:
 
 
 def chernoff_samples(accuracy: float, confidence: float) -> int:
-    """n ≥ ln(2/ζ)/(2ε²) with ε = `accuracy`, ζ = 1 − `confidence`; (2.24), (2.28), Hoeffding's inequality.
+    """n ≥ ln(2/ζ)/(2ε²) with ε = `accuracy`, ζ = 1 − `confidence`; (2.24), (2.28), Hoeffding's
+    inequality.
 
-    Promises that the *fraction* of random models with any property fixed beforehand differs from its probability by less
-    than ε, with confidence 1 − ζ. The source reads it as a bound on the gap between Ŵ_T and W_T; it is not.
+    Promises that the *fraction* of random models with any property fixed beforehand differs from
+    its probability by less than ε, with confidence 1 − ζ. The source reads it as a bound on the gap
+    between Ŵ_T and W_T; it is not.
 
     >>> chernoff_samples(0.05, 0.95), chernoff_samples(0.01, 0.95)
     (738, 18445)
@@ -197,8 +219,8 @@ def chernoff_samples(accuracy: float, confidence: float) -> int:
 def worst_case_samples(accuracy: float, confidence: float) -> int:
     """n ≥ ln(1/ζ)/ln(1/(1−ε)); Tempo, Bai, Dabbene, Systems & Control Letters 30 (1997) 237–242.
 
-    Promises that one more random model exceeds the largest value among n with probability at most ε, with confidence
-    1 − ζ: the bound that suits Ω(ω), at each single frequency.
+    Promises that one more random model exceeds the largest value among n with probability at most
+    ε, with confidence 1 − ζ: the bound that suits Ω(ω), at each single frequency.
 
     >>> worst_case_samples(0.05, 0.95)
     59
@@ -212,7 +234,10 @@ def worst_case_accuracy(n_samples: int, confidence: float) -> float:
     return -math.expm1(math.log(1 - confidence) / n_samples)
 
 
-SAMPLE_SIZE_RULES: dict[str, Callable[[float, float], int]] = {"chernoff": chernoff_samples, "worst-case": worst_case_samples}
+SAMPLE_SIZE_RULES: dict[str, Callable[[float, float], int]] = {
+    "chernoff": chernoff_samples,
+    "worst-case": worst_case_samples,
+}
 
 
 def design_uncertainty_weight(
@@ -233,9 +258,10 @@ def design_uncertainty_weight(
     model : IdentifiedModel
         Nominal model Ĝ₀ and the distribution that random models are drawn from.
     omega : array or None
-        Frequencies [rad/s], increasing, up to π/Ts, that Ω is wanted at; None: over five and a half decades below π/Ts. The fit
-        adds points until the envelope hides nothing between them (`refined_grid`), and the weight is then raised until it is
-        proven above Ω between the points too (`largest_excess`).
+        Frequencies [rad/s], increasing, up to π/Ts, that Ω is wanted at; None: over five and a half
+        decades below π/Ts. The fit adds points until the envelope hides nothing between them
+        (`refined_grid`), and the weight is then raised until it is proven above Ω between the
+        points too (`largest_excess`).
     accuracy, confidence : float
         ε and 1 − ζ of the sample-size rule.
     rule : {"chernoff", "worst-case"}
@@ -248,7 +274,8 @@ def design_uncertainty_weight(
     Raises
     ------
     BadModel
-        The nominal response (or a random one, for the inverse form) is zero at a frequency, where a relative error means nothing.
+        The nominal response (or a random one, for the inverse form) is zero at a frequency, where a
+        relative error means nothing.
 
     Examples
     --------
@@ -260,12 +287,15 @@ def design_uncertainty_weight(
     """
     if rule not in SAMPLE_SIZE_RULES or form not in FORMS:
         raise BadInput(
-            f"uncertainty weight: rule {rule!r} must be one of {list(SAMPLE_SIZE_RULES)}, form {form!r} one of {list(FORMS)}"
+            f"uncertainty weight: rule {rule!r} must be one of {list(SAMPLE_SIZE_RULES)}, form"
+            f" {form!r} one of {list(FORMS)}"
         )
     n_samples = SAMPLE_SIZE_RULES[rule](accuracy, confidence)
     errors = drawn_errors(model, n_samples, form=form, seed=seed)
     asked = None if omega is None else np.asarray(omega, dtype=float)
-    frequencies, magnitude = refined_grid(errors.envelope, model.frequency_response, _lags(model), model.sample_time, asked)
+    frequencies, magnitude = refined_grid(
+        errors.envelope, model.frequency_response, _lags(model), model.sample_time, asked
+    )
     weight, proven = weight_above(errors, frequencies, magnitude, order)
     if asked is not None:
         frequencies, magnitude = asked, magnitude[np.searchsorted(frequencies, asked)]
@@ -276,8 +306,12 @@ def design_uncertainty_weight(
 def weight_above(
     errors: DrawnErrors, omega: FloatArray, magnitude: FloatArray, order: int | None
 ) -> tuple[TransferFunction, bool]:
-    """The weight fitted above Ω on a grid, raised until it is above the errors between the points too; whether that is proven."""
-    weight = fit_magnitude(omega, magnitude, order=order, bound="above", sample_time=errors.sample_time)
+    """The weight fitted above Ω on a grid, raised until it is above the errors between the points
+    too; whether that is proven.
+    """
+    weight = fit_magnitude(
+        omega, magnitude, order=order, bound="above", sample_time=errors.sample_time
+    )
     certificate = largest_excess(errors, weight, omega)
     factor = max(1.0, certificate.bound if certificate.proven else certificate.seen)
     return replace(weight, num=weight.num * factor), certificate.proven
@@ -292,20 +326,30 @@ def _lags(model: IdentifiedModel) -> int:
 
 
 def drawn_errors(
-    model: IdentifiedModel, n_samples: int, *, form: str = "multiplicative", seed: int | np.random.Generator = 0
+    model: IdentifiedModel,
+    n_samples: int,
+    *,
+    form: str = "multiplicative",
+    seed: int | np.random.Generator = 0,
 ) -> DrawnErrors:
     """The errors of `n_samples` random models against the model itself."""
-    return DrawnErrors.of(model.sample_polynomials(n_samples, seed), model.polynomials(), model.sample_time, form)
+    return DrawnErrors.of(
+        model.sample_polynomials(n_samples, seed), model.polynomials(), model.sample_time, form
+    )
 
 
 def _promise(rule: str, accuracy: float, confidence: float, n_samples: int) -> str:
     confident = f"with confidence {confidence:g}"
     if rule == "worst-case":
-        return f"a further random model exceeds Ω at a given frequency with probability at most {accuracy:g}, {confident}"
+        return (
+            "a further random model exceeds Ω at a given frequency with probability at most"
+            f" {accuracy:g}, {confident}"
+        )
     implied = worst_case_accuracy(n_samples, confidence)
     return (
-        f"the fraction of random models with a property fixed beforehand is within {accuracy:g} of its probability, {confident}; "
-        f"for Ω at a given frequency: exceeded with probability at most {implied:.2g}"
+        f"the fraction of random models with a property fixed beforehand is within {accuracy:g} of"
+        f" its probability, {confident}; for Ω at a given frequency: exceeded with probability at"
+        f" most {implied:.2g}"
     )
 
 

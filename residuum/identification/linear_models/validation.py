@@ -1,4 +1,6 @@
-"""What data say against an identified model: residual tests, the model of its error, the error on new data."""
+"""What data say against an identified model: residual tests, the model of its error, the error on
+new data.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,11 @@ from residuum.identification.errors import BadInput, BadRecord, NotIdentifiable
 from residuum.identification.kernel_based.gram import regression_sums
 from residuum.identification.kernel_based.impulse_response import identify_impulse_response
 from residuum.identification.kernel_based.lagged_data import past_at_rest
-from residuum.identification.linear_models.autoregression import autocovariance, fit_autoregression, whitened
+from residuum.identification.linear_models.autoregression import (
+    autocovariance,
+    fit_autoregression,
+    whitened,
+)
 from residuum.identification.linear_models.excitation import excitation_order
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.linear_models.integrating import from_straight_line
@@ -26,10 +32,12 @@ from residuum.identification.record import Record
 
 
 def simulation_fit(model: IdentifiedModel, record: Record) -> float:
-    """100 (1 − ‖y − ŷ‖/‖y − mean y‖) [%] of the simulation, over the samples whose whole past input is in the record.
+    """100 (1 − ‖y − ŷ‖/‖y − mean y‖) [%] of the simulation, over the samples whose whole past input
+    is in the record.
 
-    The level of ŷ is the one that fits best, since a constant offset belongs to the record, not to the model; of a model that
-    integrates its straight line too, since the input at which the plant stands still does.
+    The level of ŷ is the one that fits best, since a constant offset belongs to the record, not to
+    the model; of a model that integrates its straight line too, since the input at which the plant
+    stands still does.
 
     Raises BadRecord when no sample has its whole past, or the output does not move.
 
@@ -41,24 +49,40 @@ def simulation_fit(model: IdentifiedModel, record: Record) -> float:
     return float(100 * (1 - np.nanstd(residual) / np.nanstd(y)))
 
 
-def simulated_beside(model: IdentifiedModel, record: Record, first: int = 0) -> tuple[FloatArray, FloatArray]:
-    """y and y − ŷ from sample `first` on, shape (n − first,); NaN where the input's past is not whole.
+def simulated_beside(
+    model: IdentifiedModel, record: Record, first: int = 0
+) -> tuple[FloatArray, FloatArray]:
+    """y and y − ŷ from sample `first` on, shape (n − first,); NaN where the input's past is not
+    whole.
 
-    A past at rest is whole (`past_at_rest`). A model that is not stable shows its one-step predictions: its simulation tells of
-    rounding alone.
+    A past at rest is whole (`past_at_rest`). A model that is not stable shows its one-step
+    predictions: its simulation tells of rounding alone.
 
     Raises BadRecord as `simulation_fit` does.
     """
-    u, y = np.asarray(record[model.input_name], dtype=float), np.asarray(record[model.output_name], dtype=float)
+    u, y = (
+        np.asarray(record[model.input_name], dtype=float),
+        np.asarray(record[model.output_name], dtype=float),
+    )
     reach = model.delay + model.order - 1
     at_rest = past_at_rest([u], reach) > 0
     known = np.concatenate([np.full(reach, at_rest), ~np.isnan(u)])
     complete = np.lib.stride_tricks.sliding_window_view(known, reach + 1).all(axis=1) & ~np.isnan(y)
-    level = float(np.nanmean(u)) if model.integrates and known.any() else float(u[0]) if at_rest else 0.0
+    level = (
+        float(np.nanmean(u))
+        if model.integrates and known.any()
+        else float(u[0])
+        if at_rest
+        else 0.0
+    )
     if model.diverges:
-        residual = np.where(complete, y - _predicted(model, u, y, record.source or "record"), np.nan)[first:]
+        residual = np.where(
+            complete, y - _predicted(model, u, y, record.source or "record"), np.nan
+        )[first:]
     else:
-        residual = np.where(complete, y - model.simulate(np.where(np.isnan(u), 0.0, u - level)), np.nan)[first:]
+        residual = np.where(
+            complete, y - model.simulate(np.where(np.isnan(u), 0.0, u - level)), np.nan
+        )[first:]
     shown = np.where(complete, y, np.nan)[first:]
     if model.integrates:
         residual = from_straight_line(residual)
@@ -66,15 +90,18 @@ def simulated_beside(model: IdentifiedModel, record: Record, first: int = 0) -> 
     if not spread > 0:
         where = record.source or "record"
         raise BadRecord(
-            f"{where}: cannot be validated on: too few output samples have {reach} samples of input before them, "
-            "or the output is constant"
+            f"{where}: cannot be validated on: too few output samples have {reach} samples of input"
+            " before them, or the output is constant"
         )
     return shown, residual
 
 
 def _predicted(model: IdentifiedModel, u: FloatArray, y: FloatArray, where: str) -> FloatArray:
     if not (np.isfinite(u).all() and np.isfinite(y).all()):
-        raise BadRecord(f"{where}: a model that is not stable is judged by its predictions, which need every sample")
+        raise BadRecord(
+            f"{where}: a model that is not stable is judged by its predictions, which need every"
+            " sample"
+        )
     return model.predict(u, y)
 
 
@@ -114,12 +141,16 @@ class ResidualTest:
         return self.p_value >= self.level
 
 
-def whiteness_test(residual: npt.ArrayLike, *, lags: int = 25, n_parameters: int = 0, level: float = 0.01) -> ResidualTest:
-    """Ljung–Box test: Q = n(n+2) Σ r_k²/(n−k) is χ² with `lags` − `n_parameters` degrees of freedom if the residual is white.
+def whiteness_test(
+    residual: npt.ArrayLike, *, lags: int = 25, n_parameters: int = 0, level: float = 0.01
+) -> ResidualTest:
+    """Ljung–Box test: Q = n(n+2) Σ r_k²/(n−k) is χ² with `lags` − `n_parameters` degrees of freedom
+    if the residual is white.
 
     A prediction error should pass; a simulation error need not (output noise may be coloured).
 
-    Ljung, Box, Biometrika 65 (1978) 297–303. Missing samples are skipped, which keeps the test slightly conservative.
+    Ljung, Box, Biometrika 65 (1978) 297–303. Missing samples are skipped, which keeps the test
+    slightly conservative.
 
     Parameters
     ----------
@@ -134,7 +165,9 @@ def whiteness_test(residual: npt.ArrayLike, *, lags: int = 25, n_parameters: int
     """
     _check(lags, level)
     if lags <= n_parameters:
-        raise BadInput(f"whiteness test: {lags} lags must exceed the {n_parameters} estimated parameters")
+        raise BadInput(
+            f"whiteness test: {lags} lags must exceed the {n_parameters} estimated parameters"
+        )
     covariance = autocovariance(residual, lags)
     if not covariance[0] > 0:
         raise NotIdentifiable("whiteness test: the residual is constant")
@@ -143,7 +176,9 @@ def whiteness_test(residual: npt.ArrayLike, *, lags: int = 25, n_parameters: int
     statistic = float(n * (n + 2) * np.sum(correlation**2 / (n - k)))
     band = float(stats.norm.isf(level / 2)) / math.sqrt(n)
     freedom = lags - n_parameters
-    return ResidualTest(k, correlation, band, statistic, freedom, float(stats.chi2.sf(statistic, freedom)), level, 0)
+    return ResidualTest(
+        k, correlation, band, statistic, freedom, float(stats.chi2.sf(statistic, freedom)), level, 0
+    )
 
 
 def input_correlation_test(
@@ -155,15 +190,17 @@ def input_correlation_test(
     level: float = 0.01,
     coloured: bool = True,
 ) -> ResidualTest:
-    """Does the residual still contain the input? Regression of ε on u(t − first_lag) … u(t − first_lag − lags + 1).
+    """Does the residual still contain the input? Regression of ε on u(t − first_lag) … u(t −
+    first_lag − lags + 1).
 
-    With coloured noise the correlations of ε and u scatter more than 1/√n, and a test that ignores it rejects good
-    models. Both signals are therefore filtered with A(q), the autoregression of ε, which leaves their relation
-    unchanged and the noise white: the explained sum of squares over σ² is then χ² in the rank of the input's Gram
-    matrix, whatever the colour of the input. Söderström, Stoica, System Identification (1989), section 11.2.
+    With coloured noise the correlations of ε and u scatter more than 1/√n, and a test that ignores
+    it rejects good models. Both signals are therefore filtered with A(q), the autoregression of ε,
+    which leaves their relation unchanged and the noise white: the explained sum of squares over σ²
+    is then χ² in the rank of the input's Gram matrix, whatever the colour of the input. Söderström,
+    Stoica, System Identification (1989), section 11.2.
 
-    Fails (reports too small a p-value) when parameters were fitted to the same data with more freedom than n can bear; use
-    validation data then.
+    Fails (reports too small a p-value) when parameters were fitted to the same data with more
+    freedom than n can bear; use validation data then.
 
     Parameters
     ----------
@@ -190,22 +227,36 @@ def input_correlation_test(
         delay = first_lag
     sums = regression_sums([u], residual, lags, delay).centred()
     if sums.degrees_of_freedom <= 2 * lags:
-        raise NotIdentifiable(f"input correlation test: {sums.rows} complete rows for {lags} lags; needs more than twice as many")
+        raise NotIdentifiable(
+            f"input correlation test: {sums.rows} complete rows for {lags} lags; needs more than"
+            " twice as many"
+        )
     eigenvalues, vectors = linalg.eigh(sums.gram)
     rank = excitation_order(sums.gram)
     projected = (vectors.T @ sums.cross)[len(eigenvalues) - rank :]
-    explained = float(np.sum(projected**2 / eigenvalues[len(eigenvalues) - rank :])) if eigenvalues[-1] > 0 else 0.0
+    explained = (
+        float(np.sum(projected**2 / eigenvalues[len(eigenvalues) - rank :]))
+        if eigenvalues[-1] > 0
+        else 0.0
+    )
     freedom = sums.degrees_of_freedom - rank
     statistic = explained / max((sums.energy - explained) / freedom, np.finfo(float).tiny)
-    correlation = sums.cross / np.sqrt(np.maximum(np.diag(sums.gram) * sums.energy, np.finfo(float).tiny))
+    correlation = sums.cross / np.sqrt(
+        np.maximum(np.diag(sums.gram) * sums.energy, np.finfo(float).tiny)
+    )
     band = float(stats.norm.isf(level / 2)) / math.sqrt(sums.degrees_of_freedom)
     p_value = float(stats.f.sf(statistic / rank, rank, freedom)) if rank else 1.0
-    return ResidualTest(first_lag + np.arange(lags), correlation, band, statistic, rank, p_value, level, len(A) - 1)
+    return ResidualTest(
+        first_lag + np.arange(lags), correlation, band, statistic, rank, p_value, level, len(A) - 1
+    )
 
 
 def _check(lags: int, level: float) -> None:
     if lags < 1 or not 0 < level < 1:
-        raise BadInput(f"residual test: {lags} lags and level {level}; needs lags ≥ 1 and a level between 0 and 1")
+        raise BadInput(
+            f"residual test: {lags} lags and level {level}; needs lags ≥ 1 and a level between 0"
+            " and 1"
+        )
 
 
 # Model error model: what of the residual the input still explains, with a band; is the model
@@ -233,9 +284,11 @@ class ModelErrorModel:
     response : array, shape (k,)
         Estimated error at ω.
     distance : array, shape (k,)
-        How far zero lies from the estimate, in standard deviations (Mahalanobis, of the complex value).
+        How far zero lies from the estimate, in standard deviations (Mahalanobis, of the complex
+        value).
     limit : float
-        The distance that no frequency exceeds with probability 1 − level when the band is right (simultaneous band).
+        The distance that no frequency exceeds with probability 1 − level when the band is right
+        (simultaneous band).
     correlation : tuple of ResidualTest
         For every record the test that the residual is free of the input.
     """
@@ -259,7 +312,9 @@ class ModelErrorModel:
 
     @property
     def magnitude_bound(self) -> FloatArray:
-        """|error| plus the half width of its band, shape (k,): additive uncertainty that covers bias and variance."""
+        """|error| plus the half width of its band, shape (k,): additive uncertainty that covers
+        bias and variance.
+        """
         largest = np.linalg.eigvalsh(self.error.frequency_covariance(self.omega))[:, 1]
         return np.asarray(np.abs(self.response) + self.limit * np.sqrt(np.maximum(largest, 0.0)))
 
@@ -282,13 +337,15 @@ def model_error_model(
         Names the channels of input and output.
     records : Record or sequence of Record
     order : int or None
-        Length of the error's impulse response; None: that of the model, at most a quarter of the samples.
+        Length of the error's impulse response; None: that of the model, at most a quarter of the
+        samples.
     kernel : str
         Prior of the error.
     omega : array or None
         Frequencies [rad/s]; None: 200, log-spaced over three decades below π/Ts.
     level : float
-        Probability that a true model is called falsified somewhere (the band is simultaneous over `omega`).
+        Probability that a true model is called falsified somewhere (the band is simultaneous over
+        `omega`).
     seed : int
         Of the draws that give the simultaneous band.
 
@@ -319,8 +376,15 @@ def model_error_model(
     order = min(model.order, shortest // 4) if order is None else order
     error = _whitened_fit(model, residuals, order, kernel)
     nyquist = np.pi / model.sample_time
-    frequencies = np.geomspace(nyquist / 1e3, nyquist, 200) if omega is None else np.asarray(omega, dtype=float)
-    response, covariance = error.frequency_response(frequencies), error.frequency_covariance(frequencies)
+    frequencies = (
+        np.geomspace(nyquist / 1e3, nyquist, 200)
+        if omega is None
+        else np.asarray(omega, dtype=float)
+    )
+    response, covariance = (
+        error.frequency_response(frequencies),
+        error.frequency_covariance(frequencies),
+    )
     lags = min(25, shortest // 10)
     return ModelErrorModel(
         error,
@@ -330,7 +394,11 @@ def model_error_model(
         _simultaneous_limit(error, frequencies, covariance, level, seed),
         tuple(
             input_correlation_test(
-                record[model.output_name], record[model.input_name], lags=lags, first_lag=model.delay, level=level
+                record[model.output_name],
+                record[model.input_name],
+                lags=lags,
+                first_lag=model.delay,
+                level=level,
             )
             for record in residuals
         ),
@@ -339,9 +407,14 @@ def model_error_model(
 
 def residual_record(model: IdentifiedModel, record: Record) -> Record:
     """The record with the output replaced by y − ŷ; NaN where the past input is not known."""
-    u, y = np.asarray(record[model.input_name], dtype=float), np.asarray(record[model.output_name], dtype=float)
+    u, y = (
+        np.asarray(record[model.input_name], dtype=float),
+        np.asarray(record[model.output_name], dtype=float),
+    )
     known = np.concatenate([np.zeros(model.delay + model.order - 1, dtype=bool), ~np.isnan(u)])
-    whole_past = np.lib.stride_tricks.sliding_window_view(known, model.delay + model.order).all(axis=1)
+    whole_past = np.lib.stride_tricks.sliding_window_view(known, model.delay + model.order).all(
+        axis=1
+    )
     residual = np.where(whole_past, y - model.simulate(np.where(np.isnan(u), 0.0, u)), np.nan)
     return replace(
         record,
@@ -350,13 +423,22 @@ def residual_record(model: IdentifiedModel, record: Record) -> Record:
     )
 
 
-def _whitened_fit(model: IdentifiedModel, residuals: Sequence[Record], order: int, kernel: str) -> IdentifiedModel:
-    """The impulse response from input to residual; the noise filter comes from what the fit before left over."""
+def _whitened_fit(
+    model: IdentifiedModel, residuals: Sequence[Record], order: int, kernel: str
+) -> IdentifiedModel:
+    """The impulse response from input to residual; the noise filter comes from what the fit before
+    left over.
+    """
     remainders, channels = residuals, (model.input_name, model.output_name)
     for _ in range(_PASSES):
         A = _joint_autoregression([record[model.output_name] for record in remainders])
-        filtered = [replace(record, channels={name: whitened(record[name], A) for name in channels}) for record in residuals]
-        error = identify_impulse_response(filtered, *channels, kernel=kernel, order=order, delay=model.delay, cover_cut=False)
+        filtered = [
+            replace(record, channels={name: whitened(record[name], A) for name in channels})
+            for record in residuals
+        ]
+        error = identify_impulse_response(
+            filtered, *channels, kernel=kernel, order=order, delay=model.delay, cover_cut=False
+        )
         remainders = [residual_record(error, record) for record in residuals]
     return error
 
@@ -367,16 +449,26 @@ def _joint_autoregression(residuals: Sequence[npt.NDArray[np.floating]]) -> Floa
 
 
 def _distance(response: ComplexArray, covariance: FloatArray) -> FloatArray:
-    """√(vᵀ C⁻¹ v) with v = (Re, Im) of `response`, shape (…, k), and C of every frequency, shape (k, 2, 2)."""
+    """√(vᵀ C⁻¹ v) with v = (Re, Im) of `response`, shape (…, k), and C of every frequency, shape
+    (k, 2, 2).
+    """
     # A frequency of 0 or π/Ts has no imaginary part: the pseudo-inverse leaves that direction out.
     inverse = np.linalg.pinv(covariance, rcond=1e-12, hermitian=True)
     real, imaginary = response.real, response.imag
-    squared = inverse[:, 0, 0] * real**2 + 2 * inverse[:, 0, 1] * real * imaginary + inverse[:, 1, 1] * imaginary**2
+    squared = (
+        inverse[:, 0, 0] * real**2
+        + 2 * inverse[:, 0, 1] * real * imaginary
+        + inverse[:, 1, 1] * imaginary**2
+    )
     return np.asarray(np.sqrt(np.maximum(squared, 0.0)))
 
 
-def _simultaneous_limit(error: IdentifiedModel, omega: FloatArray, covariance: FloatArray, level: float, seed: int) -> float:
-    """The 1 − level quantile of the largest distance over ω between a random error and the estimate."""
+def _simultaneous_limit(
+    error: IdentifiedModel, omega: FloatArray, covariance: FloatArray, level: float, seed: int
+) -> float:
+    """The 1 − level quantile of the largest distance over ω between a random error and the
+    estimate.
+    """
     drawn = error.sample_frequency_responses(_DRAWS, omega, seed) - error.frequency_response(omega)
     return float(np.quantile(_distance(drawn, covariance).max(axis=1), 1 - level))
 
@@ -400,7 +492,8 @@ _SETTLED = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class ResidualCheck:
-    """The tests of one part; None where it is too short for a test, or the model has no answer to it.
+    """The tests of one part; None where it is too short for a test, or the model has no answer to
+    it.
 
     Attributes
     ----------
@@ -423,11 +516,16 @@ class ResidualCheck:
     def passed(self) -> bool:
         """Whether no test speaks against the model."""
         tests = [test for test in (self.whiteness, self.input) if test is not None]
-        return all(test.passed for test in tests) and not (self.model_error is not None and self.model_error.falsified)
+        return all(test.passed for test in tests) and not (
+            self.model_error is not None and self.model_error.falsified
+        )
 
 
-def residual_check(model: IdentifiedModel, record: Record, first: int = 0, level: float = LEVEL) -> ResidualCheck:
-    """Test a model on the samples of `record` from `first` on; those before only give the input its past.
+def residual_check(
+    model: IdentifiedModel, record: Record, first: int = 0, level: float = LEVEL
+) -> ResidualCheck:
+    """Test a model on the samples of `record` from `first` on; those before only give the input its
+    past.
 
     Raises
     ------
@@ -450,31 +548,43 @@ def residual_check(model: IdentifiedModel, record: Record, first: int = 0, level
     free: ResidualTest | None
     wrong: ModelErrorModel | None
     try:
-        white = whiteness_test(e, lags=lags, level=level) if model.noise_numerator is not None else None
+        white = (
+            whiteness_test(e, lags=lags, level=level) if model.noise_numerator is not None else None
+        )
     except BadInput:
         white = None
     try:
-        free = input_correlation_test(e, u, lags=min(max(lags, reached), longest), first_lag=min(model.delay, 1), level=level)
+        free = input_correlation_test(
+            e, u, lags=min(max(lags, reached), longest), first_lag=min(model.delay, 1), level=level
+        )
     except BadInput:
         free = None
     try:
-        wrong = None if model.integrates else model_error_model(model, record.window(first, record.n), level=level)
+        wrong = (
+            None
+            if model.integrates
+            else model_error_model(model, record.window(first, record.n), level=level)
+        )
     except BadInput:
         wrong = None
     return ResidualCheck(white, free, wrong, n)
 
 
 def prediction_errors(model: IdentifiedModel, record: Record) -> FloatArray:
-    """ε about its mean, shape (n,): H⁻¹ (y − G u), H = 1 where there is no noise model; NaN where the past is not whole.
+    """ε about its mean, shape (n,): H⁻¹ (y − G u), H = 1 where there is no noise model; NaN where
+    the past is not whole.
 
-    H⁻¹ begins anew behind every gap, and its first samples, until an unknown past has faded to a thousandth, are left out.
+    H⁻¹ begins anew behind every gap, and its first samples, until an unknown past has faded to a
+    thousandth, are left out.
 
-    Raises BadRecord as `simulated_beside` does, NotIdentifiable for a model whose simulation diverges.
+    Raises BadRecord as `simulated_beside` does, NotIdentifiable for a model whose simulation
+    diverges.
     """
     _, residual = simulated_beside(model, record)
     if not np.isfinite(residual[~np.isnan(residual)]).all():
         raise NotIdentifiable(
-            f"model {model.method}: its simulation diverges, so its residuals tell nothing; take another order or method"
+            f"model {model.method}: its simulation diverges, so its residuals tell nothing; take"
+            " another order or method"
         )
     residual = residual - np.nanmean(residual)
     if model.noise_numerator is None or model.noise_denominator is None:
@@ -530,14 +640,16 @@ def weighed(apparent: float, out_of_bag: float, no_information: float) -> tuple[
 
 @dataclass(frozen=True)
 class BlockBootstrap:
-    """Mean squares of prediction errors [output unit²] about each block's level, and what they are made of.
+    """Mean squares of prediction errors [output unit²] about each block's level, and what they are
+    made of.
 
     Attributes
     ----------
     error, apparent, out_of_bag, no_information, overfitting
         As in the equation above.
     samples, blocks : int
-        Bootstrap samples that a model could be identified from, and blocks that they were drawn from.
+        Bootstrap samples that a model could be identified from, and blocks that they were drawn
+        from.
     """
 
     error: float
@@ -561,7 +673,8 @@ def block_bootstrap(
     model : IdentifiedModel
         Of all `records`.
     records : sequence of Record
-        Cut into blocks, some twenty in all, of at least three times the past that a prediction needs.
+        Cut into blocks, some twenty in all, of at least three times the past that a prediction
+        needs.
 
     Raises
     ------
@@ -590,10 +703,14 @@ def block_bootstrap(
     counted = [float(np.mean(block_mse)) for block_mse in left if block_mse]
     if not counted:
         raise NotIdentifiable(
-            "bootstrap: no sample of blocks has enough data for the model; record longer, or take a smaller order"
+            "bootstrap: no sample of blocks has enough data for the model; record longer, or take a"
+            " smaller order"
         )
     own = float(np.mean([np.nanmean(e**2) for e in apparent]))
-    out_of_bag, no_information = float(np.mean(counted)), float(np.mean(energy) + np.mean(predicted))
+    out_of_bag, no_information = (
+        float(np.mean(counted)),
+        float(np.mean(energy) + np.mean(predicted)),
+    )
     error, overfitting = weighed(own, out_of_bag, no_information)
     return BlockBootstrap(error, own, out_of_bag, no_information, overfitting, trained, len(blocks))
 
@@ -610,14 +727,19 @@ def cut_into_blocks(model: IdentifiedModel, records: Sequence[Record]) -> list[R
         blocks += [record.window(first, last) for first, last in pairwise(edges)]
     if len(blocks) < _FEWEST_BLOCKS:
         raise NotIdentifiable(
-            f"bootstrap: {n} samples make {len(blocks)} blocks of {length}, three times the past that a prediction needs; at "
-            f"least {_FEWEST_BLOCKS} are needed: record longer, or take a smaller order"
+            f"bootstrap: {n} samples make {len(blocks)} blocks of {length}, three times the past"
+            f" that a prediction needs; at least {_FEWEST_BLOCKS} are needed: record longer, or"
+            " take a smaller order"
         )
     return blocks
 
 
-def _errors(model: IdentifiedModel, blocks: Sequence[Record]) -> tuple[list[FloatArray], list[FloatArray]]:
-    """Prediction errors and outputs of each block about their levels; NaN where the past is not whole."""
+def _errors(
+    model: IdentifiedModel, blocks: Sequence[Record]
+) -> tuple[list[FloatArray], list[FloatArray]]:
+    """Prediction errors and outputs of each block about their levels; NaN where the past is not
+    whole.
+    """
     errors, outputs = [], []
     for block in blocks:
         e = prediction_errors(model, block)

@@ -1,4 +1,5 @@
-"""Models made of balances: model file → equations → compiled kernel → simulation, sensitivities, estimation.
+"""Models made of balances: model file → equations → compiled kernel → simulation, sensitivities,
+estimation.
 
 The way through::
 
@@ -9,13 +10,13 @@ The way through::
     unknown = missing_terms(result.model, experiments, result.initial)   # each balance's smoothed missing term with band
     text = write_model(result.model)                       # YAML again, with effects and provenance
 
-`candidates(model)` lists every (effect id, target) that fits; `Simulator(model).run(experiment, slopes=[…])` gives outputs
-with their exact derivatives by parameters (full names as in `model.all_parameters`), initial states (`initial:x`) and the
-additive
-missing term of each balance (`missing@balance`). Modules: `expression`, `dimension`, `yaml_tree`, `model_file`, `consistency`
-(reading), `model` (the type), `composition`, `code_generation`, `kernel` (compiling), `integration`,
-`kalman_recursions` (compiled once), `experiment`, `simulation`, `estimation`, `coloured_covariance`, `kalman`,
-`likelihood_estimation` (using), `effects/` (the catalogue).
+`candidates(model)` lists every (effect id, target) that fits; `Simulator(model).run(experiment,
+slopes=[…])` gives outputs with their exact derivatives by parameters (full names as in
+`model.all_parameters`), initial states (`initial:x`) and the additive missing term of each balance
+(`missing@balance`). Modules: `expression`, `dimension`, `yaml_tree`, `model_file`, `consistency`
+(reading), `model` (the type), `composition`, `code_generation`, `kernel` (compiling),
+`integration`, `kalman_recursions` (compiled once), `experiment`, `simulation`, `estimation`,
+`coloured_covariance`, `kalman`, `likelihood_estimation` (using), `effects/` (the catalogue).
 
 Every name is loaded when it is first used: who asks for the catalogue needs no compiler.
 """
@@ -24,14 +25,36 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from residuum.identification.physics.estimation.estimation import Estimate, Settings, estimate, windows
+    from residuum.identification.physics.estimation.estimation import (
+        Estimate,
+        Settings,
+        estimate,
+        windows,
+    )
     from residuum.identification.physics.estimation.least_squares import FlatDirection
-    from residuum.identification.physics.estimation.likelihood_estimation import estimate_by_likelihood
-    from residuum.identification.physics.files.model_file import BUILT_IN, load_model, read_model, write_model
-    from residuum.identification.physics.model import EffectUse, Key, PhysicalModel, candidates, find_effect
+    from residuum.identification.physics.estimation.likelihood_estimation import (
+        estimate_by_likelihood,
+    )
+    from residuum.identification.physics.files.model_file import (
+        BUILT_IN,
+        load_model,
+        read_model,
+        write_model,
+    )
+    from residuum.identification.physics.model import (
+        EffectUse,
+        Key,
+        PhysicalModel,
+        candidates,
+        find_effect,
+    )
     from residuum.identification.physics.simulate.block_means import block_means
     from residuum.identification.physics.simulate.coloured_covariance import with_coloured_noise
-    from residuum.identification.physics.simulate.experiment import Experiment, match, measured_parts
+    from residuum.identification.physics.simulate.experiment import (
+        Experiment,
+        match,
+        measured_parts,
+    )
     from residuum.identification.physics.simulate.kalman import (
         Filter,
         MissingTerm,
@@ -41,7 +64,10 @@ if TYPE_CHECKING:
         noise_floor,
         tune,
     )
-    from residuum.identification.physics.simulate.operating_conditions import balance_variables, conditions_at
+    from residuum.identification.physics.simulate.operating_conditions import (
+        balance_variables,
+        conditions_at,
+    )
     from residuum.identification.physics.simulate.simulation import Simulation, Simulator
 
 __all__ = [
@@ -87,7 +113,15 @@ _PLACES = {
     "simulate.block_means": ("block_means",),
     "simulate.coloured_covariance": ("with_coloured_noise",),
     "simulate.experiment": ("Experiment", "match", "measured_parts"),
-    "simulate.kalman": ("Filter", "MissingTerm", "Noise", "Smoothed", "missing_terms", "noise_floor", "tune"),
+    "simulate.kalman": (
+        "Filter",
+        "MissingTerm",
+        "Noise",
+        "Smoothed",
+        "missing_terms",
+        "noise_floor",
+        "tune",
+    ),
     "simulate.operating_conditions": ("balance_variables", "conditions_at"),
     "simulate.simulation": ("Simulation", "Simulator"),
 }

@@ -1,4 +1,6 @@
-"""PhysicalModel: a model made of balances, each `storage = sum of terms`, with the physical effects added to it."""
+"""PhysicalModel: a model made of balances, each `storage = sum of terms`, with the physical effects
+added to it.
+"""
 
 from __future__ import annotations
 
@@ -42,12 +44,16 @@ CHANNELS = ("conveyor", "door")
 
 
 CLOCK = "clock"
-"""Default of an input that is the time since the record's begin, where records have no column for it."""
+"""Default of an input that is the time since the record's begin, where records have no column for
+it.
+"""
 
 
 @dataclass(frozen=True)
 class Input:
-    """A recorded input. `default` (a number, a parameter, `clock`) stands in when records lack it (`absent`); None: required."""
+    """A recorded input. `default` (a number, a parameter, `clock`) stands in when records lack it
+    (`absent`); None: required.
+    """
 
     name: str
     unit: str
@@ -62,7 +68,9 @@ class Input:
 
 @dataclass(frozen=True)
 class State:
-    """A state; `rate` names the state that is its derivative (None: a balance gives the derivative)."""
+    """A state; `rate` names the state that is its derivative (None: a balance gives the
+    derivative).
+    """
 
     name: str
     unit: str
@@ -80,7 +88,8 @@ class Output:
 
 @dataclass(frozen=True)
 class Balance:
-    """`storage = sum of terms`; `variables` maps roles (velocity, current, …) to names; `unit` is that of its terms.
+    """`storage = sum of terms`; `variables` maps roles (velocity, current, …) to names; `unit` is
+    that of its terms.
 
     Of a balance that is not linear in the variable it defines, Newton's method begins at `start`.
     """
@@ -96,13 +105,17 @@ class Balance:
     @property
     def defines(self) -> str | None:
         """The name of the variable that a balance without storage defines."""
-        return next(iter(self.variables.values()), None) if self.storage.text in ("0", "0.0") else None
+        return (
+            next(iter(self.variables.values()), None) if self.storage.text in ("0", "0.0") else None
+        )
 
 
 class Key(NamedTuple):
-    """An effect of the catalogue at a place: what is asked for, tried, found or ruled out, whatever its parameters.
+    """An effect of the catalogue at a place: what is asked for, tried, found or ruled out, whatever
+    its parameters.
 
-    `target` is a balance, an input or an output, with the signals that the effect is tied to in brackets: `tank(next)`.
+    `target` is a balance, an input or an output, with the signals that the effect is tied to in
+    brackets: `tank(next)`.
     """
 
     effect: str
@@ -116,8 +129,8 @@ class Key(NamedTuple):
 class EffectUse:
     """An effect of the catalogue at its place in a model.
 
-    `target` names the balance, input or output; `instance` tells several of one id at one place apart;
-    `provenance` is what was known when it was added (file, date, error before and after).
+    `target` names the balance, input or output; `instance` tells several of one id at one place
+    apart; `provenance` is what was known when it was added (file, date, error before and after).
     """
 
     id: str
@@ -134,7 +147,9 @@ class EffectUse:
 
     @property
     def place(self) -> str:
-        """The balance, input or output that it acts on: its target without the signals that it is tied to."""
+        """The balance, input or output that it acts on: its target without the signals that it is
+        tied to.
+        """
         return place_of(self.target)
 
     @property
@@ -144,7 +159,9 @@ class EffectUse:
 
     @property
     def label(self) -> str:
-        """`coulomb-friction@shaft`, with `#2` for a second instance; parameter names are `label.name`."""
+        """`coulomb-friction@shaft`, with `#2` for a second instance; parameter names are
+        `label.name`.
+        """
         return f"{self.id}@{self.target}" + (f"#{self.instance}" if self.instance > 1 else "")
 
 
@@ -152,8 +169,8 @@ class EffectUse:
 class PhysicalModel:
     """A model made of balances. Immutable; `with_…` return changed copies.
 
-    Build one with `load_model` (built-in name or file) or `read_model` (text). Everything that can be wrong with a model
-    is refused there, with line and column.
+    Build one with `load_model` (built-in name or file) or `read_model` (text). Everything that can
+    be wrong with a model is refused there, with line and column.
 
     Attributes
     ----------
@@ -174,10 +191,14 @@ class PhysicalModel:
 
     @property
     def all_parameters(self) -> dict[str, Parameter]:
-        """Every parameter by its full name: the model's own, then `effect@target.name` of each effect."""
+        """Every parameter by its full name: the model's own, then `effect@target.name` of each
+        effect.
+        """
         own = dict(self.parameters)
         for use in self.effects:
-            own.update({f"{use.label}.{name}": parameter for name, parameter in use.parameters.items()})
+            own.update(
+                {f"{use.label}.{name}": parameter for name, parameter in use.parameters.items()}
+            )
         return own
 
     @property
@@ -191,9 +212,11 @@ class PhysicalModel:
         return tuple(name for name, parameter in self.all_parameters.items() if not parameter.fixed)
 
     def site(self, target: str, effect: Effect) -> Site:
-        """The balance, input or output of this name as an effect sees it; BadModel when there is none.
+        """The balance, input or output of this name as an effect sees it; BadModel when there is
+        none.
 
-        A balance, an input and an output may share a name: the one that the effect acts on is meant.
+        A balance, an input and an output may share a name: the one that the effect acts on is
+        meant.
         """
         if effect.signals or effect.joins(target):
             return self._tied_site(target, effect)
@@ -214,21 +237,36 @@ class PhysicalModel:
         if place not in self.balances or len(tied) != (effect.signals or 1):
             form = "balance(other balance)" if effect.joins(target) else "balance(signal)"
             balances = ", ".join(self.balances)
-            raise BadModel(f"effect {effect.id!r} at {target!r}: say where as {form}; the balances are {balances}")
-        known = self.balances if effect.joins(target) else {**self.inputs, **self.states, **self._defined()}
+            raise BadModel(
+                f"effect {effect.id!r} at {target!r}: say where as {form}; the balances are"
+                f" {balances}"
+            )
+        known = (
+            self.balances
+            if effect.joins(target)
+            else {**self.inputs, **self.states, **self._defined()}
+        )
         for name in tied:
             if name not in known or name == place:
                 raise BadModel(
-                    f"effect {effect.id!r} at {target!r}: cannot be tied to {name!r}; {known_names(name, known, 'there are')}"
+                    f"effect {effect.id!r} at {target!r}: cannot be tied to {name!r};"
+                    f" {known_names(name, known, 'there are')}"
                 )
         balance = self.balances[place]
         if effect.joins(target) and self.balances[tied[0]].kind != balance.kind:
-            raise BadModel(f"effect {effect.id!r} at {target!r}: {place!r} and {tied[0]!r} are balances of different kinds")
-        units = self._roles(balance) | ({} if effect.joins(target) else {name: self.unit_of(name) for name in tied})
+            raise BadModel(
+                f"effect {effect.id!r} at {target!r}: {place!r} and {tied[0]!r} are balances of"
+                " different kinds"
+            )
+        units = self._roles(balance) | (
+            {} if effect.joins(target) else {name: self.unit_of(name) for name in tied}
+        )
         return Site(balance.kind, target, balance.unit, units, tied)
 
     def _defined(self) -> dict[str, str]:
-        return {name: balance.kind for balance in self.balances.values() if (name := balance.defines)}
+        return {
+            name: balance.kind for balance in self.balances.values() if (name := balance.defines)
+        }
 
     def records(self, key: Key) -> bool:
         """Whether the record says when this effect acts at its target."""
@@ -251,16 +289,24 @@ class PhysicalModel:
         """The first input that a term of the balance contains."""
         for term in balance.terms.values():
             for name, signal in self.inputs.items():
-                if name in term.names and name not in balance.variables.values() and not signal.is_clock:
+                if (
+                    name in term.names
+                    and name not in balance.variables.values()
+                    and not signal.is_clock
+                ):
                     return name
         return None
 
     def unit_of(self, name: str) -> str:
-        """Unit of a state, input or parameter, or of the variable that a balance without storage defines."""
+        """Unit of a state, input or parameter, or of the variable that a balance without storage
+        defines.
+        """
         for family in (self.states, self.inputs, self.parameters):
             if name in family:
                 return str(family[name].unit)
-        return {"voltage": "A", "heat": "K", "volume": "m", "torque": "rad/s", "force": "m/s"}.get(self._definer(name), "")
+        return {"voltage": "A", "heat": "K", "volume": "m", "torque": "rad/s", "force": "m/s"}.get(
+            self._definer(name), ""
+        )
 
     def with_effect(
         self,
@@ -272,47 +318,68 @@ class PhysicalModel:
         priors: Mapping[str, Prior | None] | None = None,
         provenance: Mapping[str, Any] | None = None,
     ) -> PhysicalModel:
-        """The model with one more effect at `target`; `values` and `priors` by the effect's own parameter names.
+        """The model with one more effect at `target`; `values` and `priors` by the effect's own
+        parameter names.
 
         Raises
         ------
         BadModel
-            Unknown effect or target, effect that does not fit there, unknown parameter name, value outside its bounds.
+            Unknown effect or target, effect that does not fit there, unknown parameter name, value
+            outside its bounds.
         """
         effect = find_effect(id)
         if not (effect.signals or effect.joins(target)) and tied_to(target):
-            raise BadModel(f"effect {id!r} at {target!r}: is tied to no signal; say where as {place_of(target)!r}")
+            raise BadModel(
+                f"effect {id!r} at {target!r}: is tied to no signal; say where as"
+                f" {place_of(target)!r}"
+            )
         site = self.site(target, effect)
         if not effect.fits(site):
             raise BadModel(f"effect {id!r} does not fit {site.kind} {target!r}: {_acts_on(effect)}")
         declared = _declared(effect, site, dict(values or {}), tuple(fixed))
-        declared |= {name: replace(declared[name], prior=prior) for name, prior in (priors or {}).items()}
+        declared |= {
+            name: replace(declared[name], prior=prior) for name, prior in (priors or {}).items()
+        }
         instance = 1 + sum(use.id == id and use.target == target for use in self.effects)
         own = effect if EFFECTS.is_here(id) else None
-        use = EffectUse(id, target, MappingProxyType(declared), instance, dict(provenance or {}), own)
+        use = EffectUse(
+            id, target, MappingProxyType(declared), instance, dict(provenance or {}), own
+        )
         return replace(self, effects=(*self.effects, use))
 
     def without_effect(self, label: str) -> PhysicalModel:
-        """The model without the effect of this label (`id@target`, or the id alone when it occurs once)."""
+        """The model without the effect of this label (`id@target`, or the id alone when it occurs
+        once).
+        """
         uses = [use for use in self.effects if label in (use.label, use.id)]
         if len(uses) != 1:
             hint = known_names(label, [use.label for use in self.effects], "there are")
-            raise BadModel(f"model {self.name!r}: effect {label!r} occurs {len(uses)} times; {hint}")
+            raise BadModel(
+                f"model {self.name!r}: effect {label!r} occurs {len(uses)} times; {hint}"
+            )
         return replace(self, effects=tuple(use for use in self.effects if use is not uses[0]))
 
     def with_values(self, values: Mapping[str, float]) -> PhysicalModel:
-        """The model with these parameter values, by full name (values are taken as they are, bounds are not checked)."""
+        """The model with these parameter values, by full name (values are taken as they are, bounds
+        are not checked).
+        """
         if unknown := [name for name in values if name not in self.all_parameters]:
             raise BadModel(
-                f"model {self.name!r}: no parameter {unknown[0]!r}; {known_names(unknown[0], self.all_parameters, 'there are')}"
+                f"model {self.name!r}: no parameter {unknown[0]!r};"
+                f" {known_names(unknown[0], self.all_parameters, 'there are')}"
             )
-        own = {name: replace(p, value=float(values.get(name, p.value))) for name, p in self.parameters.items()}
+        own = {
+            name: replace(p, value=float(values.get(name, p.value)))
+            for name, p in self.parameters.items()
+        }
         effects = tuple(replace(use, parameters=_revalued(use, values)) for use in self.effects)
         return replace(self, parameters=own, effects=effects)
 
     def with_provenance(self, label: str, provenance: Mapping[str, Any]) -> PhysicalModel:
         """The model with a note on where the effect `label` came from."""
-        effects = tuple(replace(u, provenance=dict(provenance)) if u.label == label else u for u in self.effects)
+        effects = tuple(
+            replace(u, provenance=dict(provenance)) if u.label == label else u for u in self.effects
+        )
         return replace(self, effects=effects)
 
     def _roles(self, balance: Balance) -> dict[str, str]:
@@ -324,21 +391,30 @@ class PhysicalModel:
         return roles | {name: self.inputs[name].unit for name in CHANNELS if name in self.inputs}
 
     def _definer(self, name: str) -> str:
-        return next((balance.kind for balance in self.balances.values() if balance.defines == name), "")
+        return next(
+            (balance.kind for balance in self.balances.values() if balance.defines == name), ""
+        )
 
 
-def _declared(effect: Effect, site: Site, given: Mapping[str, float], fixed: tuple[str, ...]) -> dict[str, Parameter]:
+def _declared(
+    effect: Effect, site: Site, given: Mapping[str, float], fixed: tuple[str, ...]
+) -> dict[str, Parameter]:
     """An effect's parameters at a site, with the values given and those held that are to be."""
     declared = {parameter.name: parameter for parameter in effect.parameters(site)}
     if unknown := [name for name in [*given, *fixed] if name not in declared]:
-        raise BadModel(f"effect {effect.id!r}: no parameter {unknown[0]!r}; {known_names(unknown[0], declared, 'there are')}")
+        raise BadModel(
+            f"effect {effect.id!r}: no parameter {unknown[0]!r};"
+            f" {known_names(unknown[0], declared, 'there are')}"
+        )
     for name, value in given.items():
-        declared[name] = replace(declared[name], value=checked_value(f"effect {effect.id!r}", declared[name], value))
+        declared[name] = replace(
+            declared[name], value=checked_value(f"effect {effect.id!r}", declared[name], value)
+        )
     for low, high in effect.ordered:
         if not declared[low].value < declared[high].value:
             raise BadModel(
-                f"effect {effect.id!r}: parameter {low!r} is {declared[low].value:g} and {high!r} is {declared[high].value:g}; "
-                f"{low!r} must be below {high!r}"
+                f"effect {effect.id!r}: parameter {low!r} is {declared[low].value:g} and {high!r}"
+                f" is {declared[high].value:g}; {low!r} must be below {high!r}"
             )
     return declared | {name: replace(declared[name], fixed=True) for name in fixed}
 
@@ -375,12 +451,14 @@ def _acts_on(effect: Effect) -> str:
 
 
 def fitting(model: PhysicalModel, id: str) -> list[Key]:
-    """The keys of one effect that fit the model; BadModel where it fits nowhere, or is in it already."""
+    """The keys of one effect that fit the model; BadModel where it fits nowhere, or is in it
+    already.
+    """
     keys = candidates(model, [id])
     if not keys:
         raise BadModel(
-            f"effect {id!r}: fits no balance, input or output of model {model.name!r}, or is in it already: "
-            f"{_acts_on(find_effect(id))}"
+            f"effect {id!r}: fits no balance, input or output of model {model.name!r}, or is in it"
+            f" already: {_acts_on(find_effect(id))}"
         )
     return keys
 
@@ -388,28 +466,53 @@ def fitting(model: PhysicalModel, id: str) -> list[Key]:
 def candidates(model: PhysicalModel, ids: Iterable[str] | None = None) -> list[Key]:
     """All keys of effects that fit the model and are not in it yet; `ids` restricts the effects.
 
-    Targets are balances, outputs, and inputs that drive: without a default, and no condition of a balance (its surroundings).
-    Couplings are proposed between balances that know nothing of each other, forgotten inputs where the model has an idle one.
+    Targets are balances, outputs, and inputs that drive: without a default, and no condition of a
+    balance (its surroundings). Couplings are proposed between balances that know nothing of each
+    other, forgotten inputs where the model has an idle one.
     """
     present = {use.key for use in model.effects}
-    chosen = [find_effect(id) for id in ids] if ids is not None else [*EFFECTS.values(), *STRUCTURAL.values()]
+    chosen = (
+        [find_effect(id) for id in ids]
+        if ids is not None
+        else [*EFFECTS.values(), *STRUCTURAL.values()]
+    )
     keys = _on_single_targets(model, [e for e in chosen if not (e.signals or e.between)])
-    keys += [Key(e.id, target) for e in chosen if e.between or e.reaches for target in _pairs_of_balances(model, e)]
+    keys += [
+        Key(e.id, target)
+        for e in chosen
+        if e.between or e.reaches
+        for target in _pairs_of_balances(model, e)
+    ]
     columns = [(balance, name) for balance in model.balances for name in idle_inputs(model)]
-    keys += [Key(e.id, f"{balance}({name})") for e in chosen if e.takes_columns for balance, name in columns]
+    keys += [
+        Key(e.id, f"{balance}({name})")
+        for e in chosen
+        if e.takes_columns
+        for balance, name in columns
+    ]
     return [key for key in keys if key not in present]
 
 
 def _on_single_targets(model: PhysicalModel, effects: Iterable[Effect]) -> list[Key]:
     targets = _targets(model)
     pairs = [(effect, target) for effect in effects for target in targets[effect.place]]
-    return [Key(effect.id, target) for effect, target in pairs if effect.fits(model.site(target, effect))]
+    return [
+        Key(effect.id, target)
+        for effect, target in pairs
+        if effect.fits(model.site(target, effect))
+    ]
 
 
 def _targets(model: PhysicalModel) -> dict[str, list[str]]:
     """Where effects of each kind of place may be put: balances, inputs that drive, outputs."""
-    no_drive = {name for balance in model.balances.values() for name in balance.variables.values()} | set(idle_inputs(model))
-    inputs = [name for name, signal in model.inputs.items() if signal.default is None and name not in no_drive]
+    no_drive = {
+        name for balance in model.balances.values() for name in balance.variables.values()
+    } | set(idle_inputs(model))
+    inputs = [
+        name
+        for name, signal in model.inputs.items()
+        if signal.default is None and name not in no_drive
+    ]
     return {"balance": list(model.balances), "input": inputs, "output": list(model.outputs)}
 
 
@@ -418,23 +521,33 @@ def idle_inputs(model: PhysicalModel) -> list[str]:
     expressions = [*(t for b in model.balances.values() for t in (b.storage, *b.terms.values()))]
     expressions += [output.value for output in model.outputs.values()]
     used = {name for e in expressions for name in e.names}
-    used |= {name for balance in model.balances.values() for name in balance.variables.values()} | set(CHANNELS)
+    used |= {
+        name for balance in model.balances.values() for name in balance.variables.values()
+    } | set(CHANNELS)
     used |= {name for use in model.effects for name in (use.target, *tied_to(use.target))}
     return [name for name in model.inputs if name not in used]
 
 
 def _pairs_of_balances(model: PhysicalModel, effect: Effect) -> list[str]:
-    """Targets `one(other)` of balances of one kind: both ways where what one gives may run into the other, else those that know
-    nothing of each other's variables.
+    """Targets `one(other)` of balances of one kind: both ways where what one gives may run into the
+    other, else those that know nothing of each other's variables.
     """
     known = {
-        b.name: {n for term in b.terms.values() for n in term.names} | set(b.variables.values()) for b in model.balances.values()
+        b.name: {n for term in b.terms.values() for n in term.names} | set(b.variables.values())
+        for b in model.balances.values()
     }
     targets = []
-    storing, couples = [b for b in model.balances.values() if b.defines is None], permutations if effect.reaches else combinations
+    storing, couples = (
+        [b for b in model.balances.values() if b.defines is None],
+        permutations if effect.reaches else combinations,
+    )
     for first, second in couples(storing, 2):
         apart = effect.reaches or not (known[first.name] & known[second.name] & set(model.states))
-        if first.kind == second.kind and apart and effect.fits(model.site(f"{first.name}({second.name})", effect)):
+        if (
+            first.kind == second.kind
+            and apart
+            and effect.fits(model.site(f"{first.name}({second.name})", effect))
+        ):
             targets.append(f"{first.name}({second.name})")
     return targets
 
@@ -445,7 +558,9 @@ def find_effect(id: str) -> Effect:
         return STRUCTURAL[id]
     if id not in EFFECTS:
         asked = did_you_mean(id, [*EFFECTS, *STRUCTURAL])
-        raise BadModel(f"effect {id!r} is not in the catalogue; {asked}`residuum effects` lists all")
+        raise BadModel(
+            f"effect {id!r} is not in the catalogue; {asked}`residuum effects` lists all"
+        )
     return EFFECTS[id]
 
 
@@ -454,11 +569,16 @@ def checked_value(where: str, parameter: Parameter, value: float) -> float:
     number = float(value)
     if not math.isfinite(number) or not parameter.lower <= number <= parameter.upper:
         bounds = f"{parameter.lower:g} to {parameter.upper:g} {parameter.unit}"
-        raise BadModel(f"{where}: parameter {parameter.name!r} is {value:g}; it must be within {bounds}")
+        raise BadModel(
+            f"{where}: parameter {parameter.name!r} is {value:g}; it must be within {bounds}"
+        )
     return number
 
 
 def _revalued(use: EffectUse, values: Mapping[str, float]) -> Mapping[str, Parameter]:
     return MappingProxyType(
-        {name: replace(p, value=float(values.get(f"{use.label}.{name}", p.value))) for name, p in use.parameters.items()}
+        {
+            name: replace(p, value=float(values.get(f"{use.label}.{name}", p.value)))
+            for name, p in use.parameters.items()
+        }
     )

@@ -35,7 +35,9 @@ OLDER = {".mdf": read_mdf}
 MAY_CRASH = (".mat", ".mf4", ".mdf")
 """Formats whose readers a damaged file can end with a segmentation fault (see `read_apart`)."""
 CAN_LOGS = (".blf", ".asc", ".log", ".trc")
-"""Logs of CAN buses: a DBC file says what is in them, and the service, which knows buses, reads them."""
+"""Logs of CAN buses: a DBC file says what is in them, and the service, which knows buses, reads
+them.
+"""
 WRITERS: dict[str, Callable[[Record, str | Path], None]] = {
     ".csv": write_csv,
     ".npz": write_npz,
@@ -54,16 +56,22 @@ _LONGEST = 1000
 def read_record(path: str | Path, options: ReadOptions = ReadOptions()) -> Record:
     """Read a record file; its ending says the format.
 
-    Raises BadRecord for an ending that is not listed, a file that is not there, and a file that the format's reader refuses
-    or breaks on: what a library raises for a damaged file is of any kind, and only sometimes one line.
+    Raises BadRecord for an ending that is not listed, a file that is not there, and a file that the
+    format's reader refuses or breaks on: what a library raises for a damaged file is of any kind,
+    and only sometimes one line.
     """
     path = Path(path)
     ending = path.suffix.lower()
     reader = (READERS | LOGGERS | OLDER).get(ending)
     if ending in CAN_LOGS:
-        raise BadRecord(f"{path}: is a CAN log, read by the commands with the DBC file of its bus (--dbc FILE)")
+        raise BadRecord(
+            f"{path}: is a CAN log, read by the commands with the DBC file of its bus (--dbc FILE)"
+        )
     if reader is None:
-        raise BadRecord(f"{path}: ending {ending!r} is not a record format; {known_names(ending, [*READERS, *LOGGERS, *OLDER])}")
+        raise BadRecord(
+            f"{path}: ending {ending!r} is not a record format;"
+            f" {known_names(ending, [*READERS, *LOGGERS, *OLDER])}"
+        )
     if not path.is_file():
         raise BadRecord(f"{path}: no such file")
     try:
@@ -75,15 +83,21 @@ def read_record(path: str | Path, options: ReadOptions = ReadOptions()) -> Recor
     except MemoryError:
         raise
     except Exception as error:
-        raise BadRecord(f"{path}: is damaged or not a {ending} file ({in_one_line(error)})") from error
+        raise BadRecord(
+            f"{path}: is damaged or not a {ending} file ({in_one_line(error)})"
+        ) from error
 
 
 def write_record(record: Record, path: str | Path) -> None:
-    """Write a record file in the format that the ending names; a failed write leaves no file behind."""
+    """Write a record file in the format that the ending names; a failed write leaves no file
+    behind.
+    """
     path = Path(path)
     ending = path.suffix.lower()
     if ending not in WRITERS:
-        raise BadRecord(f"{path}: ending {ending!r} cannot be written; {known_names(ending, WRITERS)}")
+        raise BadRecord(
+            f"{path}: ending {ending!r} cannot be written; {known_names(ending, WRITERS)}"
+        )
     if not path.parent.is_dir():
         raise BadRecord(f"{path}: folder {str(path.parent)!r} does not exist")
     WRITERS[ending](record, path)

@@ -31,13 +31,16 @@ _EMPTY_CELL = re.compile(rb"(?<=,)(?=[ \t]*(?:,|\r?\n|$))|(?<=\n)(?=,)")
 
 
 def read_csv(path: str | Path, options: ReadOptions = ReadOptions()) -> Record:
-    """Read a record from a CSV file, or what a logger wrote where its text leaves no doubt how to read it.
+    """Read a record from a CSV file, or what a logger wrote where its text leaves no doubt how to
+    read it.
 
-    In a file of ours the first column is `time [s]`, and commas cut its cells. Where more is said of it, it is a logger's.
+    In a file of ours the first column is `time [s]`, and commas cut its cells. Where more is said
+    of it, it is a logger's.
 
-    The first line that does not begin with `#` names the columns; `# …` lines before it become notes.
-    An empty cell or `nan` is a missing sample. Time must be even: a step that differs from the median by
-    more than 1 % is refused with its row, unless `options.resample` asks for interpolation onto even instants.
+    The first line that does not begin with `#` names the columns; `# …` lines before it become
+    notes. An empty cell or `nan` is a missing sample. Time must be even: a step that differs from
+    the median by more than 1 % is refused with its row, unless `options.resample` asks for
+    interpolation onto even instants.
 
     Raises BadRecord with the file and, where there is one, the row and column.
     """
@@ -49,18 +52,27 @@ def read_csv(path: str | Path, options: ReadOptions = ReadOptions()) -> Record:
     if is_scope_csv(content):
         return parse_scope_csv(content, str(path), options)
     ours = is_ours(content) and not options.of_a_logger
-    return parse_csv(content, str(path), options) if ours else _from_logger(content, str(path), options)
+    return (
+        parse_csv(content, str(path), options)
+        if ours
+        else _from_logger(content, str(path), options)
+    )
 
 
 def is_ours(content: bytes) -> bool:
-    """Whether nothing is guessed: all is UTF-8, the first line that is no note begins with `time [s],`, and no quotes follow.
+    """Whether nothing is guessed: all is UTF-8, the first line that is no note begins with `time
+    [s],`, and no quotes follow.
 
     A first line that is too long for any header is left to the reader that says so.
     """
     start = content[: 3 * _LONGEST_HEADER].removeprefix(b"\xef\xbb\xbf")
     lines = (line for line in start.splitlines() if line.strip() and not line.startswith(b"#"))
     head, first = next(lines, b""), next(lines, b"")
-    return not head or len(head) > _LONGEST_HEADER or (bool(_OURS.match(head)) and b'"' not in head + first and _is_utf8(start))
+    return (
+        not head
+        or len(head) > _LONGEST_HEADER
+        or (bool(_OURS.match(head)) and b'"' not in head + first and _is_utf8(start))
+    )
 
 
 def _is_utf8(start: bytes) -> bool:
@@ -72,7 +84,9 @@ def _is_utf8(start: bytes) -> bool:
 
 
 def _from_logger(content: bytes, source: str, options: ReadOptions) -> Record:
-    """A logger's file by what is understood of it; BadRecord, with the way to settle it, where that is not sure."""
+    """A logger's file by what is understood of it; BadRecord, with the way to settle it, where that
+    is not sure.
+    """
     mapping = understand(
         content,
         source,
@@ -85,29 +99,47 @@ def _from_logger(content: bytes, source: str, options: ReadOptions) -> Record:
         heads=options.names,
     ).mapping
     record = parse_logger(content, source, mapping, options)
-    habits = f"cells cut by {mapping.delimiter!r}, decimal sign {mapping.decimal!r}, {_times(mapping)}"
+    habits = (
+        f"cells cut by {mapping.delimiter!r}, decimal sign {mapping.decimal!r}, {_times(mapping)}"
+    )
     note = f"{AS_LOGGER}: {habits}"
     return replace(record, notes=(note, *record.notes))
 
 
 def _times(mapping: LoggerMapping) -> str:
-    return f"times {mapping.time_form}" if mapping.time else f"rows of {mapping.sample_time:g} s, as was said"
+    return (
+        f"times {mapping.time_form}"
+        if mapping.time
+        else f"rows of {mapping.sample_time:g} s, as was said"
+    )
 
 
 def parse_csv(content: bytes, source: str, options: ReadOptions = ReadOptions()) -> Record:
-    """Read a record from the bytes of a CSV file (see `read_csv`); `source` names it in messages."""
+    """Read a record from the bytes of a CSV file (see `read_csv`); `source` names it in
+    messages.
+    """
     notes, header, body, first_row = _split(content, source)
     names, units = column_heads(header.split(","), source)
     table = _numbers(body, len(names), first_row, source)
     _refuse_rounded_times(table[:, 0], first_row, source)
-    return table_record(names, units, np.ascontiguousarray(table.T), source, options, notes=notes, first_row=first_row)
+    return table_record(
+        names,
+        units,
+        np.ascontiguousarray(table.T),
+        source,
+        options,
+        notes=notes,
+        first_row=first_row,
+    )
 
 
 def _refuse_rounded_times(time: npt.NDArray[np.float64], first_row: int, source: str) -> None:
     """Refuse times that were written with too few digits, so that neighbours are the same."""
     if (same := np.diff(time) == 0).any():
         row = first_row + 1 + int(np.argmax(same))
-        says = f"{source}, row {row}: time does not increase, {time[row - first_row]:g} s stands twice"
+        says = (
+            f"{source}, row {row}: time does not increase, {time[row - first_row]:g} s stands twice"
+        )
         raise BadRecord(f"{says}; write times with more digits, or", way_on=[DUPLICATES])
 
 
@@ -120,7 +152,9 @@ def column_heads(cells: list[str], source: str) -> tuple[list[str], list[str]]:
         match = _HEAD.match(cell.strip().strip('"').strip())
         name = match.group("name").strip() if match else ""
         if not name:
-            raise BadRecord(f"{source}, header, column {position}: has no name; write 'name [unit]'")
+            raise BadRecord(
+                f"{source}, header, column {position}: has no name; write 'name [unit]'"
+            )
         if name in names:
             raise BadRecord(f"{source}, header, column {position}: name {name!r} stands twice")
         unit = (match.group("unit") or "").strip() if match else ""
@@ -128,7 +162,9 @@ def column_heads(cells: list[str], source: str) -> tuple[list[str], list[str]]:
         names.append(name)
         units.append(unit)
     if len(names) < 2:
-        raise BadRecord(f"{source}: has the one column {names[0]!r}; time and at least one channel are needed")
+        raise BadRecord(
+            f"{source}: has the one column {names[0]!r}; time and at least one channel are needed"
+        )
     return names, units
 
 
@@ -142,7 +178,9 @@ def table_record(
     notes: tuple[str, ...] = (),
     first_row: int = 0,
 ) -> Record:
-    """The record of a table whose first column is `time [s]`; `columns` has shape (1 + channels, n)."""
+    """The record of a table whose first column is `time [s]`; `columns` has shape (1 + channels,
+    n).
+    """
     if names[0] != "time":
         raise BadRecord(f"{source}: first column is {names[0]!r}; it must be 'time [s]'")
     if units[0] != "s":
@@ -150,13 +188,26 @@ def table_record(
     for name, column in zip(names, columns, strict=True):
         if (infinite := np.isinf(column)).any():
             row = first_row + int(np.argmax(infinite))
-            raise BadRecord(f"{source}, row {row}, column {name!r}: infinite value; must be finite or empty (missing)")
+            raise BadRecord(
+                f"{source}, row {row}, column {name!r}: infinite value; must be finite or empty"
+                " (missing)"
+            )
     remarks: list[str] = []
-    step, columns = even_columns(columns, source, resample=options.resample, first_row=first_row, told=remarks, names=names[1:])
+    step, columns = even_columns(
+        columns,
+        source,
+        resample=options.resample,
+        first_row=first_row,
+        told=remarks,
+        names=names[1:],
+    )
     options.settle_sample_time(step, source)
     return Record(
         dict(zip(names[1:], columns[1:], strict=True)),
-        {name: options.unit_of(name, unit) for name, unit in zip(names[1:], units[1:], strict=True)},
+        {
+            name: options.unit_of(name, unit)
+            for name, unit in zip(names[1:], units[1:], strict=True)
+        },
         step,
         t0=float(columns[0][0]),
         notes=(*notes, *remarks),
@@ -166,7 +217,9 @@ def table_record(
 
 def write_csv(record: Record, path: str | Path) -> None:
     """Write a record so that `read_csv` gives it back (values to 10 significant digits)."""
-    heads = ["time [s]"] + [f"{name} [{unit}]" if unit else name for name, unit in record.units.items()]
+    heads = ["time [s]"] + [
+        f"{name} [{unit}]" if unit else name for name, unit in record.units.items()
+    ]
     lines = [f"# {note}" for note in record.notes] + [",".join(heads)]
     decimals = max(6, int(np.ceil(-np.log10(record.sample_time))) + 4)
     formats = [f"%.{decimals}f"] + ["%.10g"] * len(record.names)
@@ -185,7 +238,10 @@ def _split(content: bytes, source: str) -> tuple[tuple[str, ...], str, bytes, in
         end = len(content) if end < 0 else end
         row += 1
         if end - position > _LONGEST_HEADER:
-            raise BadRecord(f"{source}, row {row}: header of {end - position} bytes; at most {_LONGEST_HEADER} are read")
+            raise BadRecord(
+                f"{source}, row {row}: header of {end - position} bytes; at most {_LONGEST_HEADER}"
+                " are read"
+            )
         try:
             line = content[position:end].decode("utf-8").strip()
         except UnicodeDecodeError:
@@ -216,7 +272,9 @@ def _numbers(body: bytes, width: int, first_row: int, source: str) -> npt.NDArra
 
 
 def _may_lack_a_cell(body: bytes) -> bool:
-    """Whether two separators stand side by side: to look for empty cells one by one takes twice as long as to read numbers."""
+    """Whether two separators stand side by side: to look for empty cells one by one takes twice as
+    long as to read numbers.
+    """
     compact = body.translate(None, b" \t\r")
     return compact.endswith(b",") or any(pair in compact for pair in (b",,", b",\n", b"\n,"))
 

@@ -1,4 +1,6 @@
-"""LabVIEW measurement files (LVM): their head says separator, decimal sign, units, start and step; nothing is guessed."""
+"""LabVIEW measurement files (LVM): their head says separator, decimal sign, units, start and step;
+nothing is guessed.
+"""
 
 import re
 from collections.abc import Sequence
@@ -10,7 +12,12 @@ from residuum.identification.errors import BadRecord
 from residuum.identification.record import Record
 from residuum.identification.record_formats.csv import read_csv
 from residuum.identification.record_formats.loggers.logger_head import unit_of_head, unit_word
-from residuum.identification.record_formats.loggers.logger_text import MISSING, decoded, number, plain
+from residuum.identification.record_formats.loggers.logger_text import (
+    MISSING,
+    decoded,
+    number,
+    plain,
+)
 from residuum.identification.record_formats.options import ReadOptions
 from residuum.identification.record_formats.time_bases import NOT_READ, TimedChannel, on_one_base
 
@@ -23,11 +30,14 @@ _SEPARATORS = {"tab": "\t", "comma": ",", "semicolon": ";"}
 
 
 def read_lvm(path: str | Path, options: ReadOptions = ReadOptions()) -> Record:
-    """Read the channels of a LabVIEW measurement file; a file without both of LabVIEW's heads is read as any logger's.
+    """Read the channels of a LabVIEW measurement file; a file without both of LabVIEW's heads is
+    read as any logger's.
 
-    Times are its X column (seconds), or `X0` and `Delta_X` where it has none. A column `Comment` and cells of text are not read.
+    Times are its X column (seconds), or `X0` and `Delta_X` where it has none. A column `Comment`
+    and cells of text are not read.
 
-    Raises BadRecord with the row for a file of several segments, a row of the wrong width, a cell that is no number.
+    Raises BadRecord with the row for a file of several segments, a row of the wrong width, a cell
+    that is no number.
     """
     path = Path(path)
     try:
@@ -40,7 +50,9 @@ def read_lvm(path: str | Path, options: ReadOptions = ReadOptions()) -> Record:
 
 
 def has_head(content: bytes) -> bool:
-    """Whether a file has both of LabVIEW's heads, which say how it is read; its first `LONGEST_HEAD` bytes are enough."""
+    """Whether a file has both of LabVIEW's heads, which say how it is read; its first
+    `LONGEST_HEAD` bytes are enough.
+    """
     start = plain(content[:LONGEST_HEAD])
     return start.startswith(_FIRST) and start.count(_END.encode()) >= 2
 
@@ -50,14 +62,21 @@ def parse_lvm(content: bytes, source: str, options: ReadOptions = ReadOptions())
     lines = decoded(content, source)[0].splitlines()
     ends = [row for row, line in enumerate(lines) if line.startswith(_END)]
     if len(ends) != 2:
-        raise BadRecord(f"{source}: has {max(0, len(ends) - 1)} segments; one is read, save one file a segment")
+        raise BadRecord(
+            f"{source}: has {max(0, len(ends) - 1)} segments; one is read, save one file a segment"
+        )
     general = _keys(lines[: ends[0]], None)
     separator = general.get("Separator", ["tab"])[0].strip("\t,; ")
     if (cut := _SEPARATORS.get(separator.lower())) is None:
-        raise BadRecord(f"{source}: its head says the separator {separator!r}; it must be one of {', '.join(_SEPARATORS)}")
+        raise BadRecord(
+            f"{source}: its head says the separator {separator!r}; it must be one of"
+            f" {', '.join(_SEPARATORS)}"
+        )
     decimal = general.get("Decimal_Separator", ["."])[0][:1] or "."
     if decimal not in (".", ","):
-        raise BadRecord(f"{source}: its head says the decimal sign {decimal!r}; it must be a point or a comma")
+        raise BadRecord(
+            f"{source}: its head says the decimal sign {decimal!r}; it must be a point or a comma"
+        )
     segment = _keys(lines[ends[0] + 1 : ends[1]], cut)
     heads = [cell.strip() for cell in "".join(lines[ends[1] + 1 : ends[1] + 2]).split(cut)]
     count_cell = segment.get("Channels", ["0"])[0]
@@ -74,17 +93,25 @@ def parse_lvm(content: bytes, source: str, options: ReadOptions = ReadOptions())
         if np.isnan(times).all():
             start, step = (_said(segment, key, k, decimal, source) for key in ("X0", "Delta_X"))
             if not step > 0:
-                raise BadRecord(f"{source}: says neither times nor a Delta_X above 0; write one into its head")
+                raise BadRecord(
+                    f"{source}: says neither times nor a Delta_X above 0; write one into its head"
+                )
             times = start + step * np.arange(len(table))
         known = ~np.isnan(times)
         channels.append(TimedChannel(name, own, times[known], table[known, at_y]))
     beside = any(any(map(str.strip, line.split(cut)[width:])) for line in lines[ends[1] + 2 :])
-    notes = (f"{NOT_READ}{', '.join(heads[width:]) or 'what stands beside the channels'} (text)",) if beside else ()
+    notes = (
+        (f"{NOT_READ}{', '.join(heads[width:]) or 'what stands beside the channels'} (text)",)
+        if beside
+        else ()
+    )
     return on_one_base(channels, source, options, notes)
 
 
 def _keys(lines: Sequence[str], cut: str | None) -> dict[str, list[str]]:
-    """Key → its values, of the lines of a head; the general one does not say yet what cuts its cells."""
+    """Key → its values, of the lines of a head; the general one does not say yet what cuts its
+    cells.
+    """
     keys = {}
     for line in lines:
         cells = line.split(cut) if cut else re.split(r"[\t;,]", line, maxsplit=1)
@@ -97,11 +124,20 @@ def _places(x_columns: str, n: int, source: str) -> list[tuple[int, int]]:
     if n < 1 or n > 1000:
         raise BadRecord(f"{source}: its head says {n} channels; 1 to 1000 are read")
     if x_columns not in _X_COLUMNS:
-        raise BadRecord(f"{source}: its head says X_Columns {x_columns!r}; it must be one of {', '.join(_X_COLUMNS)}")
-    return [(2 * k, 2 * k + 1) for k in range(n)] if x_columns == "multi" else [(0, k + 1) for k in range(n)]
+        raise BadRecord(
+            f"{source}: its head says X_Columns {x_columns!r}; it must be one of"
+            f" {', '.join(_X_COLUMNS)}"
+        )
+    return (
+        [(2 * k, 2 * k + 1) for k in range(n)]
+        if x_columns == "multi"
+        else [(0, k + 1) for k in range(n)]
+    )
 
 
-def _table(lines: Sequence[str], cut: str, decimal: str, width: int, first_row: int, source: str) -> np.ndarray:
+def _table(
+    lines: Sequence[str], cut: str, decimal: str, width: int, first_row: int, source: str
+) -> np.ndarray:
     rows = []
     for row, line in enumerate(lines, start=first_row):
         if not line.strip():
@@ -110,9 +146,13 @@ def _table(lines: Sequence[str], cut: str, decimal: str, width: int, first_row: 
         if len(cells) < width:
             raise BadRecord(f"{source}, row {row}: {len(cells)} cells; its head says {width}")
         try:
-            rows.append([np.nan if cell.lower() in MISSING else number(cell, decimal) for cell in cells])
+            rows.append(
+                [np.nan if cell.lower() in MISSING else number(cell, decimal) for cell in cells]
+            )
         except ValueError:
-            raise BadRecord(f"{source}, row {row}: holds a cell that is no number with decimal sign {decimal!r}") from None
+            raise BadRecord(
+                f"{source}, row {row}: holds a cell that is no number with decimal sign {decimal!r}"
+            ) from None
     if len(rows) < 2:
         raise BadRecord(f"{source}: has {len(rows)} data rows; at least 2 are needed")
     return np.array(rows)
@@ -125,5 +165,7 @@ def _said(segment: dict[str, list[str]], key: str, k: int, decimal: str, source:
     try:
         return number(cell, decimal) if cell else 0.0
     except ValueError:
-        fault = f"{key} of channel {k + 1} is {cell[:40]!r}, no number with decimal sign {decimal!r}"
+        fault = (
+            f"{key} of channel {k + 1} is {cell[:40]!r}, no number with decimal sign {decimal!r}"
+        )
         raise BadRecord(f"{source}: {fault}; mend the head") from None

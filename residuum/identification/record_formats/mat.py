@@ -11,28 +11,36 @@ from residuum.identification.errors import BadRecord
 from residuum.identification.record import Record
 from residuum.identification.record_formats.even_time import FloatArray, on_grid
 from residuum.identification.record_formats.loggers.logger_time import seconds_of
-from residuum.identification.record_formats.mat_variables import SHORTEST_SIGNAL, MatVariables, variables_of
+from residuum.identification.record_formats.mat_variables import (
+    SHORTEST_SIGNAL,
+    MatVariables,
+    variables_of,
+)
 from residuum.identification.record_formats.options import ReadOptions
 from residuum.identification.record_formats.time_bases import NOT_READ, TimedChannel, on_one_base
 
 _TIME = re.compile(r"(?i)(time|t|tout|zeit|timestamps?)(?:_?(s|sec|seconds|ms|msec|us|min|h))?")
 _OWN_TIME = re.compile(r"(?i)(time|t)_\w+|\w+_(time|t)")
-"""Names of times of some channels only (`t_fast`); they are taken for times where they rise evenly."""
+"""Names of times of some channels only (`t_fast`); they are taken for times where they rise
+evenly.
+"""
 _RATE = ("fs", "Fs", "FS", "sampling_rate", "samplingRate", "SamplingRate", "sr", "SR")
 _STEP = ("sample_time", "sampleTime", "SampleTime", "Ts", "dt")
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 
 
 def read_mat(path: str | Path, options: ReadOptions = ReadOptions()) -> Record:
-    """Read the numeric vectors of the file, and the columns of matrices that are as long as a time (structs are searched).
+    """Read the numeric vectors of the file, and the columns of matrices that are as long as a time
+    (structs are searched).
 
-    Times are vectors called `time`, `t`, `tout`, … (in seconds, or in the unit that `units_<time>` or the name's end says), each
-    for the channels of its struct and length; Simulink's "structure with time" is understood. Without one the sample time is a
-    scalar `sample_time`/`Ts`/`dt`, a scalar `fs`/`Fs`/`sampling_rate`, or `options.sample_time`, for the longest vectors. Units
-    come from `units_<channel>` strings or `options.units`. What is not read is named in the notes.
+    Times are vectors called `time`, `t`, `tout`, … (in seconds, or in the unit that `units_<time>`
+    or the name's end says), each for the channels of its struct and length; Simulink's "structure
+    with time" is understood. Without one the sample time is a scalar `sample_time`/`Ts`/`dt`, a
+    scalar `fs`/`Fs`/`sampling_rate`, or `options.sample_time`, for the longest vectors. Units come
+    from `units_<channel>` strings or `options.units`. What is not read is named in the notes.
 
-    Raises BadRecord when the file is no MAT file, holds no signal, says no sample time or two of them, or counts instead of
-    telling times; with what to save instead.
+    Raises BadRecord when the file is no MAT file, holds no signal, says no sample time or two of
+    them, or counts instead of telling times; with what to save instead.
     """
     content = _load(path)
     saved = variables_of(content)
@@ -40,34 +48,54 @@ def read_mat(path: str | Path, options: ReadOptions = ReadOptions()) -> Record:
     if times:
         return _timed_record(saved, times, str(path), options)
     if not saved.vectors:
-        raise BadRecord(f"{path}: holds no numeric vector of at least {SHORTEST_SIGNAL} samples{_instead(saved, content)}")
+        raise BadRecord(
+            f"{path}: holds no numeric vector of at least {SHORTEST_SIGNAL}"
+            f" samples{_instead(saved, content)}"
+        )
     length = max(map(len, saved.vectors.values()))
-    channels = {name: vector.astype(float) for name, vector in saved.vectors.items() if len(vector) == length}
+    channels = {
+        name: vector.astype(float)
+        for name, vector in saved.vectors.items()
+        if len(vector) == length
+    }
     units = {name: _unit(saved, name, options) for name in channels}
     step = options.settle_sample_time(_scalar_step(saved, str(path)), str(path))
     return Record(channels, units, step, notes=_left_out(saved, [*channels]), source=str(path))
 
 
 def _times(saved: MatVariables, source: str, options: ReadOptions) -> dict[str, FloatArray]:
-    """The vectors that are times [s]; those of one length in one place that say the same count once."""
+    """The vectors that are times [s]; those of one length in one place that say the same count
+    once.
+    """
     times: dict[str, FloatArray] = {}
     for name, vector in list(saved.vectors.items()):
         short = name.rpartition(".")[2]
         named = None if _is_quantity(name, vector.astype(float), saved) else _TIME.fullmatch(short)
         if named or (_OWN_TIME.fullmatch(short) and on_grid(vector.astype(float)) is not None):
-            times[name] = _in_seconds(name, vector.astype(float), (named and named[2]) or "", saved, source, options)
+            times[name] = _in_seconds(
+                name, vector.astype(float), (named and named[2]) or "", saved, source, options
+            )
             del saved.vectors[name]
     return times
 
 
 def _is_quantity(name: str, vector: FloatArray, saved: MatVariables) -> bool:
-    """Whether a vector that is called as times are is another quantity: by its unit, or a `T` that does not rise (torque)."""
+    """Whether a vector that is called as times are is another quantity: by its unit, or a `T` that
+    does not rise (torque).
+    """
     unit = saved.texts.get(f"units_{name}", "")
     falls = not (np.diff(vector) > 0).all()
     return bool(unit and seconds_of(unit) is None) or (name.rpartition(".")[2] == "T" and falls)
 
 
-def _in_seconds(name: str, vector: FloatArray, ending: str, saved: MatVariables, source: str, options: ReadOptions) -> FloatArray:
+def _in_seconds(
+    name: str,
+    vector: FloatArray,
+    ending: str,
+    saved: MatVariables,
+    source: str,
+    options: ReadOptions,
+) -> FloatArray:
     unit = saved.texts.get(f"units_{name}", "") or saved.texts.get("TimeUnit", "") or ending
     if unit:
         return vector * _seconds(unit, name, source)
@@ -85,29 +113,48 @@ def _in_seconds(name: str, vector: FloatArray, ending: str, saved: MatVariables,
 
 def _seconds(unit: str, name: str, source: str) -> float:
     if (seconds := seconds_of(unit)) is None:
-        raise BadRecord(f"{source}: {name!r} is in {unit!r}, which is no unit of time; save it in seconds")
+        raise BadRecord(
+            f"{source}: {name!r} is in {unit!r}, which is no unit of time; save it in seconds"
+        )
     return seconds
 
 
-def _timed_record(saved: MatVariables, times: dict[str, FloatArray], source: str, options: ReadOptions) -> Record:
+def _timed_record(
+    saved: MatVariables, times: dict[str, FloatArray], source: str, options: ReadOptions
+) -> Record:
     channels, read = [], []
     for name, vector in saved.vectors.items():
         clock = _clock(saved, name, len(vector), times, source)
         if clock is not None:
-            channels.append(TimedChannel(name, _unit(saved, name, options), times[clock], vector.astype(float)))
+            channels.append(
+                TimedChannel(name, _unit(saved, name, options), times[clock], vector.astype(float))
+            )
             read.append(name)
     for name, matrix in saved.matrices.items():
         for number, column in enumerate(_columns(saved, name, matrix, times, source), start=1):
             own = f"{name}_{number}"
             clock = _clock(saved, name, len(column), times, source)
-            channels.append(TimedChannel(own, _unit(saved, own, options), times[clock or ""], column.astype(float)))
+            channels.append(
+                TimedChannel(
+                    own, _unit(saved, own, options), times[clock or ""], column.astype(float)
+                )
+            )
             read.append(name)
     if not channels:
-        lengths = "".join(f"; {name} has {len(vector)} values" for name, vector in saved.vectors.items())
-        raise BadRecord(f"{source}: holds time ({', '.join(times)}) but no channel of its length{lengths}")
+        lengths = "".join(
+            f"; {name} has {len(vector)} values" for name, vector in saved.vectors.items()
+        )
+        raise BadRecord(
+            f"{source}: holds time ({', '.join(times)}) but no channel of its length{lengths}"
+        )
     step = _scalar_step(saved, source)
     record = on_one_base(channels, source, options, _left_out(saved, read))
-    if step is not None and len(times) == 1 and options.sample_time is None and abs(step - record.sample_time) > 0.01 * step:
+    if (
+        step is not None
+        and len(times) == 1
+        and options.sample_time is None
+        and abs(step - record.sample_time) > 0.01 * step
+    ):
         raise BadRecord(
             f"{source}: its time says {record.sample_time:.6g} s a sample, its scalar {step:.6g} s",
             way_on=[("sample_time", "SECONDS")],
@@ -115,24 +162,45 @@ def _timed_record(saved: MatVariables, times: dict[str, FloatArray], source: str
     return record
 
 
-def _clock(saved: MatVariables, name: str, length: int, times: dict[str, FloatArray], source: str) -> str | None:
+def _clock(
+    saved: MatVariables, name: str, length: int, times: dict[str, FloatArray], source: str
+) -> str | None:
     """The time of a channel: of its length, in its struct before one outside."""
     fitting = [clock for clock, time in times.items() if len(time) == length]
     near = [clock for clock in fitting if saved.home[clock] == saved.home[name]] or fitting
     if any(not np.array_equal(times[clock], times[near[0]]) for clock in near[1:]):
-        raise BadRecord(f"{source}: several times of {length} samples, {', '.join(near)}, for {name!r}; save one file a time")
+        raise BadRecord(
+            f"{source}: several times of {length} samples, {', '.join(near)}, for {name!r}; save"
+            " one file a time"
+        )
     return near[0] if near else None
 
 
-def _columns(saved: MatVariables, name: str, matrix: np.ndarray, times: dict[str, FloatArray], source: str) -> list[np.ndarray]:
-    """The signals of a matrix: along the side that is as long as a time, which one side alone must be."""
-    sides = [side for side in (0, 1) if _clock(saved, name, matrix.shape[side], times, source) is not None]
+def _columns(
+    saved: MatVariables, name: str, matrix: np.ndarray, times: dict[str, FloatArray], source: str
+) -> list[np.ndarray]:
+    """The signals of a matrix: along the side that is as long as a time, which one side alone must
+    be.
+    """
+    sides = [
+        side
+        for side in (0, 1)
+        if _clock(saved, name, matrix.shape[side], times, source) is not None
+    ]
     return list(matrix.T if sides == [0] else matrix) if len(sides) == 1 else []
 
 
 def _left_out(saved: MatVariables, read: list[str]) -> tuple[str, ...]:
-    vectors = [f"{name} ({len(vector)} values)" for name, vector in saved.vectors.items() if name not in read]
-    matrices = [f"{name} ({' × '.join(map(str, m.shape))})" for name, m in saved.matrices.items() if name not in read]
+    vectors = [
+        f"{name} ({len(vector)} values)"
+        for name, vector in saved.vectors.items()
+        if name not in read
+    ]
+    matrices = [
+        f"{name} ({' × '.join(map(str, m.shape))})"
+        for name, m in saved.matrices.items()
+        if name not in read
+    ]
     left = [*vectors, *matrices, *saved.rest]
     return (f"{NOT_READ}{', '.join(left)}",) if left else ()
 
@@ -142,11 +210,17 @@ def _instead(saved: MatVariables, content: dict[str, Any]) -> str:
     if saved.matrices:
         name, matrix = next(iter(saved.matrices.items()))
         how = f"time = {name}(:,1); u = {name}(:,2); save('file.mat', 'time', 'u')"
-        return f", but the matrix {name} ({' × '.join(map(str, matrix.shape))}); save its columns under their names: {how}"
+        return (
+            f", but the matrix {name} ({' × '.join(map(str, matrix.shape))}); save its columns"
+            f" under their names: {how}"
+        )
     if saved.rest or "__function_workspace__" in content:
         objects = ", ".join(saved.rest[:4]) or "objects of MATLAB"
         how = "save their parts, time = ts.Time; y = ts.Data; save('file.mat', 'time', 'y')"
-        return f" ({objects}); objects (timeseries, timetable, Dataset) are read by MATLAB alone: {how}"
+        return (
+            f" ({objects}); objects (timeseries, timetable, Dataset) are read by MATLAB alone:"
+            f" {how}"
+        )
     return ""
 
 
@@ -155,17 +229,27 @@ def _unit(saved: MatVariables, name: str, options: ReadOptions) -> str:
 
 
 def write_mat(record: Record, path: str | Path) -> None:
-    """Write a MAT file of version 5 that `read_mat` gives back: channels, `time`, `units_<channel>`."""
-    content: dict[str, Any] = {name: np.asarray(signal)[:, None] for name, signal in record.channels.items()}
+    """Write a MAT file of version 5 that `read_mat` gives back: channels, `time`,
+    `units_<channel>`.
+    """
+    content: dict[str, Any] = {
+        name: np.asarray(signal)[:, None] for name, signal in record.channels.items()
+    }
     content |= {f"units_{name}": unit for name, unit in record.units.items() if unit}
-    scipy.io.savemat(path, content | {"time": record.time[:, None], "units_time": "s"}, long_field_names=True)
+    scipy.io.savemat(
+        path, content | {"time": record.time[:, None], "units_time": "s"}, long_field_names=True
+    )
 
 
 def _load(path: str | Path) -> dict[str, Any]:
     try:
         with open(path, "rb") as file:
             is_hdf5 = _HDF5 in file.read(1024)
-        return _load_hdf5(path) if is_hdf5 else scipy.io.loadmat(path, squeeze_me=True, simplify_cells=True)
+        return (
+            _load_hdf5(path)
+            if is_hdf5
+            else scipy.io.loadmat(path, squeeze_me=True, simplify_cells=True)
+        )
     except (
         OSError,
         ValueError,
@@ -176,21 +260,31 @@ def _load(path: str | Path) -> dict[str, Any]:
         EOFError,
         MemoryError,
     ) as error:
-        raise BadRecord(f"{path}: is not a MAT file: {' '.join(str(error).split())[:120]}") from None
+        raise BadRecord(
+            f"{path}: is not a MAT file: {' '.join(str(error).split())[:120]}"
+        ) from None
 
 
 def _load_hdf5(path: str | Path) -> dict[str, Any]:
     try:
         import h5py  # noqa: PLC0415  optional: the extra `formats`
     except ImportError:
-        raise BadRecord(f"{path}: MAT version 7.3 needs an extra: pip install 'residuum[formats]'") from None
+        raise BadRecord(
+            f"{path}: MAT version 7.3 needs an extra: pip install 'residuum[formats]'"
+        ) from None
     content: dict[str, Any] = {}
 
     def keep(name: str, node: Any) -> None:
-        if isinstance(node, h5py.Dataset) and node.dtype.kind in "fiu" and not name.startswith("#refs#"):
+        if (
+            isinstance(node, h5py.Dataset)
+            and node.dtype.kind in "fiu"
+            and not name.startswith("#refs#")
+        ):
             is_text = node.attrs.get("MATLAB_class") == b"char"
             value = node[()]
-            content[name.replace("/", ".")] = "".join(map(chr, np.ravel(value))) if is_text else np.squeeze(value)
+            content[name.replace("/", ".")] = (
+                "".join(map(chr, np.ravel(value))) if is_text else np.squeeze(value)
+            )
 
     with h5py.File(path, "r") as file:
         file.visititems(keep)
@@ -205,8 +299,12 @@ def _scalar_step(saved: MatVariables, source: str) -> float | None:
     unit = saved.texts.get("TimeUnit", "s")
     steps = {name: saved.numbers[name] for name in _STEP if saved.numbers.get(name, 0.0) > 0}
     sample_times = {name: step * _seconds(unit, name, source) for name, step in steps.items()}
-    sample_times |= {name: 1.0 / saved.numbers[name] for name in _RATE if saved.numbers.get(name, 0.0) > 0}
+    sample_times |= {
+        name: 1.0 / saved.numbers[name] for name in _RATE if saved.numbers.get(name, 0.0) > 0
+    }
     if sample_times and max(sample_times.values()) > 1.01 * min(sample_times.values()):
         both = ", ".join(f"{name} {step:.6g} s" for name, step in sample_times.items())
-        raise BadRecord(f"{source}: its scalars say several sample times ({both}); save one of them")
+        raise BadRecord(
+            f"{source}: its scalars say several sample times ({both}); save one of them"
+        )
     return next(iter(sample_times.values()), None)

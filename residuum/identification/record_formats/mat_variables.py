@@ -1,4 +1,6 @@
-"""What a MAT file holds, by name: vectors, columns of matrices, numbers and texts, structs and Simulink's logs taken apart."""
+"""What a MAT file holds, by name: vectors, columns of matrices, numbers and texts, structs and
+Simulink's logs taken apart.
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -12,10 +14,12 @@ SHORTEST_SIGNAL = 3
 
 @dataclass
 class MatVariables:
-    """Variables by name; a field of a struct has its own name where that is free, else `struct.field`.
+    """Variables by name; a field of a struct has its own name where that is free, else
+    `struct.field`.
 
-    `vectors` are one-dimensional, `matrices` two-dimensional (their rows or their columns are the samples), `rest` says of every
-    other array why it is no signal. `home` is the struct that a vector stands in, `""` for none.
+    `vectors` are one-dimensional, `matrices` two-dimensional (their rows or their columns are the
+    samples), `rest` says of every other array why it is no signal. `home` is the struct that a
+    vector stands in, `""` for none.
     """
 
     vectors: dict[str, np.ndarray] = field(default_factory=dict)
@@ -51,16 +55,22 @@ def _leaves(content: dict[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
 
 
 def _simulink(path: str, log: dict[str, Any]) -> Iterator[tuple[str, Any]]:
-    """The time and the signals of Simulink's "structure with time"; several columns of a signal have labels, or numbers."""
+    """The time and the signals of Simulink's "structure with time"; several columns of a signal
+    have labels, or numbers.
+    """
     yield f"{path}.time", log.get("time", np.empty(0))
     signals = log["signals"]
-    for number, signal in enumerate([signals] if isinstance(signals, dict) else list(signals), start=1):
+    for number, signal in enumerate(
+        [signals] if isinstance(signals, dict) else list(signals), start=1
+    ):
         values = np.asarray(signal.get("values", np.empty(0)))
         columns = values.reshape(len(values), -1).T if values.ndim == 2 else [values]
         labels = [part.strip(" <>") for part in str(signal.get("label", "")).split(",")]
         single = labels[0] or f"signal{number}"
         named = (
-            labels if len(labels) == len(columns) > 1 and all(labels) else [f"{single}_{k}" for k in range(1, len(columns) + 1)]
+            labels
+            if len(labels) == len(columns) > 1 and all(labels)
+            else [f"{single}_{k}" for k in range(1, len(columns) + 1)]
         )
         for name, column in zip([single] if len(columns) == 1 else named, columns, strict=True):
             yield f"{path}.{name.replace('.', '_')}", column
@@ -69,7 +79,9 @@ def _simulink(path: str, log: dict[str, Any]) -> Iterator[tuple[str, Any]]:
 def _sort(saved: MatVariables, name: str, value: Any) -> None:
     if isinstance(value, str):
         saved.texts[name] = value
-    elif isinstance(value, bool | int | float | np.number) or (isinstance(value, np.ndarray) and value.ndim == 0):
+    elif isinstance(value, bool | int | float | np.number) or (
+        isinstance(value, np.ndarray) and value.ndim == 0
+    ):
         array = np.asarray(value)
         if array.dtype.kind in "fiub":
             saved.numbers[name] = float(array)
@@ -86,4 +98,6 @@ def _sort(saved: MatVariables, name: str, value: Any) -> None:
 
 def _kind(value: Any) -> str:
     kind = getattr(getattr(value, "dtype", None), "kind", "O")
-    return {"c": "complex numbers", "U": "text", "S": "text", "V": "an object of MATLAB"}.get(kind, "cells or objects")
+    return {"c": "complex numbers", "U": "text", "S": "text", "V": "an object of MATLAB"}.get(
+        kind, "cells or objects"
+    )

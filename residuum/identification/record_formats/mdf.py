@@ -9,16 +9,22 @@ from residuum.identification.errors import BadRecord
 from residuum.identification.record import Record
 from residuum.identification.record_formats.optional_package import need
 from residuum.identification.record_formats.options import ReadOptions
-from residuum.identification.record_formats.time_bases import NOT_READ, TimedChannel, among, on_one_base
+from residuum.identification.record_formats.time_bases import (
+    NOT_READ,
+    TimedChannel,
+    among,
+    on_one_base,
+)
 
 
 def read_mdf(path: str | Path, options: ReadOptions = ReadOptions()) -> Record:
-    """Read the numeric channels of an MDF file (version 3 or 4), each at its own times (see `on_one_base`).
+    """Read the numeric channels of an MDF file (version 3 or 4), each at its own times (see
+    `on_one_base`).
 
     Channels of text, of arrays and of fewer than two samples are named in the notes.
 
-    Raises BadRecord when the file is no MDF file, or its channels have several time bases that only `options.resample` brings
-    together.
+    Raises BadRecord when the file is no MDF file, or its channels have several time bases that only
+    `options.resample` brings together.
     """
     signals, left_out = _signals(path)
     if not signals:
@@ -40,9 +46,15 @@ def _signals(path: str | Path) -> tuple[list[Any], list[str]]:
     try:
         with asammdf.MDF(path) as file:
             every = list(file.iter_channels(skip_master=True))
-    except Exception as error:  # the reader raises its own, struct's, NumPy's and zlib's errors on damaged files
-        raise BadRecord(f"{path}: is not an MDF file: {' '.join(str(error).split())[:120]}") from None
-    return [signal for signal in every if _is_signal(signal)], [_why_not(signal) for signal in every if not _is_signal(signal)]
+    except (
+        Exception
+    ) as error:  # the reader raises its own, struct's, NumPy's and zlib's errors on damaged files
+        raise BadRecord(
+            f"{path}: is not an MDF file: {' '.join(str(error).split())[:120]}"
+        ) from None
+    return [signal for signal in every if _is_signal(signal)], [
+        _why_not(signal) for signal in every if not _is_signal(signal)
+    ]
 
 
 def _why_not(signal: Any) -> str:
@@ -55,7 +67,9 @@ def write_mdf(record: Record, path: str | Path) -> None:
     """Write a record so that `read_mdf` gives it back."""
     asammdf = need("asammdf", path)
     signals = [
-        asammdf.Signal(samples=np.asarray(signal), timestamps=record.time, name=name, unit=record.units[name])
+        asammdf.Signal(
+            samples=np.asarray(signal), timestamps=record.time, name=name, unit=record.units[name]
+        )
         for name, signal in record.channels.items()
     ]
     with asammdf.MDF(version="4.10") as file:
@@ -64,7 +78,11 @@ def write_mdf(record: Record, path: str | Path) -> None:
 
 
 def _is_signal(signal: Any) -> bool:
-    return signal.samples.ndim == 1 and signal.samples.dtype.kind in "fiu" and len(signal.timestamps) > 1
+    return (
+        signal.samples.ndim == 1
+        and signal.samples.dtype.kind in "fiu"
+        and len(signal.timestamps) > 1
+    )
 
 
 def _finite(signal: Any) -> tuple[np.ndarray, np.ndarray]:

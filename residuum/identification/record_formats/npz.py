@@ -54,15 +54,22 @@ def read_npz(path: str | Path, options: ReadOptions = ReadOptions()) -> Record:
         with open(path, "rb") as file, np.load(file, allow_pickle=False) as archive:
             stored: dict[str, Any] = {name: archive[name] for name in archive.files}
     except (OSError, ValueError, zipfile.BadZipFile, EOFError) as error:
-        raise BadRecord(f"{path}: is not an NPZ file of plain arrays: {in_one_line(error)}") from None
+        raise BadRecord(
+            f"{path}: is not an NPZ file of plain arrays: {in_one_line(error)}"
+        ) from None
     step = _scalar(stored["sample_time"], "sample_time", path) if "sample_time" in stored else None
     channels = {name: array for name, array in stored.items() if name not in _RESERVED}
     return Record(
         channels,
-        {name: options.unit_of(name, unit) for name, unit in _units(stored.get("units"), channels, path).items()},
+        {
+            name: options.unit_of(name, unit)
+            for name, unit in _units(stored.get("units"), channels, path).items()
+        },
         sample_time=options.settle_sample_time(step, str(path)),
         t0=_scalar(stored.get("t0", np.array(0.0)), "t0", path),
-        notes=tuple(str(note) for note in np.atleast_1d(stored.get("notes", np.array([], dtype=str)))),
+        notes=tuple(
+            str(note) for note in np.atleast_1d(stored.get("notes", np.array([], dtype=str)))
+        ),
         source=str(path),
     )
 
@@ -74,9 +81,14 @@ def write_npz(record: Record, path: str | Path) -> None:
 
 
 def write_npz_in_pieces(
-    path: str | Path, described: Described, dtypes: Mapping[str, str], pieces: Callable[[str], Iterable[npt.NDArray[Any]]]
+    path: str | Path,
+    described: Described,
+    dtypes: Mapping[str, str],
+    pieces: Callable[[str], Iterable[npt.NDArray[Any]]],
 ) -> None:
-    """Write a record whose samples come piece by piece, for each channel of `dtypes`, so that they are never held as a whole."""
+    """Write a record whose samples come piece by piece, for each channel of `dtypes`, so that they
+    are never held as a whole.
+    """
     extra: dict[str, Any] = {
         "sample_time": np.float64(described.sample_time),
         "t0": np.float64(described.t0),

@@ -12,4 +12,6 @@ def need(package: str, path: str | Path) -> Any:
     try:
         return import_module(package)
     except ImportError:
-        raise BadRecord(f"{path}: this format needs {package!r}: pip install 'residuum[formats]'") from None
+        raise BadRecord(
+            f"{path}: this format needs {package!r}: pip install 'residuum[formats]'"
+        ) from None

@@ -1,4 +1,6 @@
-"""Records as Parquet tables (extra `formats`): columns `name [unit]`, `time [s]` first, as in CSV."""
+"""Records as Parquet tables (extra `formats`): columns `name [unit]`, `time [s]` first, as in
+CSV.
+"""
 
 from pathlib import Path
 from typing import Any
@@ -21,12 +23,18 @@ def read_parquet(path: str | Path, options: ReadOptions = ReadOptions()) -> Reco
     try:
         described = parquet.ParquetFile(path)
         if described.metadata.num_columns > MOST_COLUMNS:
-            raise BadRecord(f"{path}: {described.metadata.num_columns} columns; at most {MOST_COLUMNS} are read")
+            raise BadRecord(
+                f"{path}: {described.metadata.num_columns} columns; at most {MOST_COLUMNS} are read"
+            )
         table = described.read()
     except (OSError, pyarrow.lib.ArrowException) as error:
-        raise BadRecord(f"{path}: is not a Parquet table: {' '.join(str(error).split())[:120]}") from None
+        raise BadRecord(
+            f"{path}: is not a Parquet table: {' '.join(str(error).split())[:120]}"
+        ) from None
     names, units = column_heads(table.column_names, str(path))
-    columns = np.stack([_numbers(column, name, path) for column, name in zip(table.columns, names, strict=True)])
+    columns = np.stack(
+        [_numbers(column, name, path) for column, name in zip(table.columns, names, strict=True)]
+    )
     notes = (table.schema.metadata or {}).get(b"residuum.notes", b"").decode("utf-8").splitlines()
     return table_record(names, units, columns, str(path), options, notes=tuple(notes))
 
@@ -35,8 +43,12 @@ def write_parquet(record: Record, path: str | Path) -> None:
     """Write a record so that `read_parquet` gives it back."""
     pyarrow, parquet = need("pyarrow", path), need("pyarrow.parquet", path)
     heads = [f"{name} [{unit}]" if unit else name for name, unit in record.units.items()]
-    table = pyarrow.table({"time [s]": record.time, **dict(zip(heads, record.channels.values(), strict=True))})
-    parquet.write_table(table.replace_schema_metadata({"residuum.notes": "\n".join(record.notes)}), path)
+    table = pyarrow.table(
+        {"time [s]": record.time, **dict(zip(heads, record.channels.values(), strict=True))}
+    )
+    parquet.write_table(
+        table.replace_schema_metadata({"residuum.notes": "\n".join(record.notes)}), path
+    )
 
 
 def _numbers(column: Any, name: str, path: str | Path) -> np.ndarray:

@@ -1,10 +1,13 @@
-"""Files whose readers are C code are read in a process of its own: a damaged one can end that process, and nothing else.
+"""Files whose readers are C code are read in a process of its own: a damaged one can end that
+process, and nothing else.
 
-SciPy's reader of MAT files and the one of MDF files have been ended by damaged files with a segmentation fault, which no `except`
-sees. The process costs half a second; other formats are read by Python, or by libraries that withstood mutated files.
+SciPy's reader of MAT files and the one of MDF files have been ended by damaged files with a
+segmentation fault, which no `except` sees. The process costs half a second; other formats are read
+by Python, or by libraries that withstood mutated files.
 
-As a program (`python -m residuum.identification.record_formats.read_apart FILE FOLDER OPTIONS`) it leaves the record in FOLDER; a
-refusal is its class and its parts, JSON on standard output, and exit status 2.
+As a program (`python -m residuum.identification.record_formats.read_apart FILE FOLDER OPTIONS`) it
+leaves the record in FOLDER; a refusal is its class and its parts, JSON on standard output, and exit
+status 2.
 """
 
 import json
@@ -19,7 +22,11 @@ from residuum.identification import errors
 from residuum.identification.errors import BadInput, BadRecord
 from residuum.identification.record import Record
 from residuum.identification.record_formats import MAY_CRASH, read_record
-from residuum.identification.record_formats.loggers.logger_mapping import ENDING, read_logger_file, read_mapping
+from residuum.identification.record_formats.loggers.logger_mapping import (
+    ENDING,
+    read_logger_file,
+    read_mapping,
+)
 from residuum.identification.record_formats.options import ReadOptions
 from residuum.identification.record_formats.plain_arrays import keep_plain, load_plain
 
@@ -28,10 +35,18 @@ _HERE = str(Path(__file__).resolve().parents[3])
 """Where this package is found: the process imports the same one."""
 
 
-def read_mapped(path: Path, options: ReadOptions = ReadOptions(), mapping: Path | None = None) -> Record:
-    """`read_safely`, or a logger's file by its mapping: the one that is named, or FILE.mapping.yaml beside it."""
+def read_mapped(
+    path: Path, options: ReadOptions = ReadOptions(), mapping: Path | None = None
+) -> Record:
+    """`read_safely`, or a logger's file by its mapping: the one that is named, or FILE.mapping.yaml
+    beside it.
+    """
     chosen = mapping or mapping_beside(path)
-    return read_safely(path, options) if chosen is None else read_logger_file(path, read_mapping(chosen), options)
+    return (
+        read_safely(path, options)
+        if chosen is None
+        else read_logger_file(path, read_mapping(chosen), options)
+    )
 
 
 def mapping_beside(path: Path) -> Path | None:
@@ -41,7 +56,8 @@ def mapping_beside(path: Path) -> Path | None:
 
 
 def read_safely(path: str | Path, options: ReadOptions = ReadOptions()) -> Record:
-    """`read_record`, in a process of its own where the file's reader is C code that a damaged file may end.
+    """`read_record`, in a process of its own where the file's reader is C code that a damaged file
+    may end.
 
     Raises what `read_record` raises, and BadRecord where reading ended the process.
     """
@@ -53,7 +69,8 @@ def read_safely(path: str | Path, options: ReadOptions = ReadOptions()) -> Recor
         python_path = os.environ.get("PYTHONPATH")
         done = subprocess.run(
             [sys.executable, "-m", __name__, str(path), folder, arguments],
-            env=os.environ | {"PYTHONPATH": _HERE + (os.pathsep + python_path if python_path else "")},
+            env=os.environ
+            | {"PYTHONPATH": _HERE + (os.pathsep + python_path if python_path else "")},
             stdin=subprocess.DEVNULL,
             capture_output=True,
             check=False,
@@ -64,7 +81,8 @@ def read_safely(path: str | Path, options: ReadOptions = ReadOptions()) -> Recor
         kind, parts = json.loads(done.stdout)
         raise getattr(errors, kind, BadRecord)(**parts)
     raise BadRecord(
-        f"{path}: reading it ended the process that did ({_ending(done.returncode)}): the file is damaged; save it anew"
+        f"{path}: reading it ended the process that did ({_ending(done.returncode)}): the file is"
+        " damaged; save it anew"
     )
 
 
@@ -82,7 +100,9 @@ def main(file: str, folder: str, arguments: str) -> int:
         out.flush()
         return _REFUSED
     except MemoryError:
-        json.dump(["BadRecord", {"what": f"{file}: reading it takes more memory than there is"}], out)
+        json.dump(
+            ["BadRecord", {"what": f"{file}: reading it takes more memory than there is"}], out
+        )
         out.flush()
         return _REFUSED
     return 0

@@ -11,17 +11,26 @@ from residuum.identification.record import Record
 from residuum.identification.record_formats.loggers.logger_time import seconds_of
 from residuum.identification.record_formats.optional_package import need
 from residuum.identification.record_formats.options import ReadOptions
-from residuum.identification.record_formats.time_bases import NOT_READ, TimedChannel, among, on_one_base
+from residuum.identification.record_formats.time_bases import (
+    NOT_READ,
+    TimedChannel,
+    among,
+    on_one_base,
+)
 
-_TIME_NAME = re.compile(r"(?i)time|timestamps?|zeit|zeitstempel|t|x[-_ ]?values?|elapsed[ _]time|time[ _](axis|stamp|base)")
+_TIME_NAME = re.compile(
+    r"(?i)time|timestamps?|zeit|zeitstempel|t|x[-_ ]?values?|elapsed[ _]time|time["
+    r" _](axis|stamp|base)"
+)
 
 
 def read_tdms(path: str | Path, options: ReadOptions = ReadOptions()) -> Record:
     """Read the numeric channels, each at its own times (see `on_one_base`).
 
-    Its times are said by `wf_increment` and `wf_start_offset`, else by a channel of times in its group, as long as it, that holds
-    stamps or is called `time`; else by `options.sample_time`. Units are `unit_string` or `NI_UnitDescription`. Channels of one
-    name in several groups become `group.name`. What is not read is named in the notes.
+    Its times are said by `wf_increment` and `wf_start_offset`, else by a channel of times in its
+    group, as long as it, that holds stamps or is called `time`; else by `options.sample_time`.
+    Units are `unit_string` or `NI_UnitDescription`. Channels of one name in several groups become
+    `group.name`. What is not read is named in the notes.
 
     Raises BadRecord when the file is no TDMS file, or nothing says the times of a channel.
     """
@@ -36,9 +45,15 @@ def read_tdms(path: str | Path, options: ReadOptions = ReadOptions()) -> Record:
             name = channel.name if plain.count(channel.name) == 1 else f"{group}.{channel.name}"
             if _is_signal(channel):
                 values = np.asarray(channel[:], dtype=float)
-                timed.append(TimedChannel(name, _unit(channel), _times(channel, clock, options, str(path)), values))
+                timed.append(
+                    TimedChannel(
+                        name, _unit(channel), _times(channel, clock, options, str(path)), values
+                    )
+                )
             else:
-                left_out.append(f"{name} ({'no numbers' if len(channel) > 1 else f'{len(channel)} samples'})")
+                left_out.append(
+                    f"{name} ({'no numbers' if len(channel) > 1 else f'{len(channel)} samples'})"
+                )
     if not timed:
         raise BadRecord(f"{path}: holds no numeric channel{among(left_out)}")
     notes = (f"{NOT_READ}{', '.join(left_out)}",) if left_out else ()
@@ -50,8 +65,18 @@ def _groups(path: str | Path) -> dict[str, list[Any]]:
     try:
         file = nptdms.TdmsFile.read(path)
         return {group.name: list(group.channels()) for group in file.groups()}
-    except (OSError, ValueError, KeyError, TypeError, OverflowError, MemoryError, EOFError) as error:
-        raise BadRecord(f"{path}: is not a TDMS file: {' '.join(str(error).split())[:120]}") from None
+    except (
+        OSError,
+        ValueError,
+        KeyError,
+        TypeError,
+        OverflowError,
+        MemoryError,
+        EOFError,
+    ) as error:
+        raise BadRecord(
+            f"{path}: is not a TDMS file: {' '.join(str(error).split())[:120]}"
+        ) from None
 
 
 def _clock(channels: list[Any], source: str) -> Any:
@@ -66,10 +91,16 @@ def _clock(channels: list[Any], source: str) -> Any:
 def _tells_time(channel: Any) -> bool:
     if channel.dtype.kind == "M":
         return True
-    if channel.properties.get("wf_increment"):  # sampled at times of its own: a signal, whatever it is called
+    if channel.properties.get(
+        "wf_increment"
+    ):  # sampled at times of its own: a signal, whatever it is called
         return False
     unit = _unit(channel)
-    return channel.dtype.kind in "fiu" and bool(_TIME_NAME.fullmatch(channel.name)) and (not unit or seconds_of(unit) is not None)
+    return (
+        channel.dtype.kind in "fiu"
+        and bool(_TIME_NAME.fullmatch(channel.name))
+        and (not unit or seconds_of(unit) is not None)
+    )
 
 
 def _times(channel: Any, clock: Any, options: ReadOptions, source: str) -> np.ndarray:
@@ -81,8 +112,8 @@ def _times(channel: Any, clock: Any, options: ReadOptions, source: str) -> np.nd
         return _instants(clock, source)
     if options.sample_time is None:
         raise BadRecord(
-            f"{source}: nothing says the sample time of channel {channel.name!r} (no wf_increment, no channel of times as long "
-            "as it in its group)",
+            f"{source}: nothing says the sample time of channel {channel.name!r} (no wf_increment,"
+            " no channel of times as long as it in its group)",
             way_on=[("sample_time", "SECONDS")],
         )
     return start + options.sample_time * np.arange(len(channel))
@@ -103,7 +134,9 @@ def _instants(clock: Any, source: str) -> np.ndarray:
 
 
 def _unit(channel: Any) -> str:
-    return str(channel.properties.get("unit_string") or channel.properties.get("NI_UnitDescription") or "").strip()
+    return str(
+        channel.properties.get("unit_string") or channel.properties.get("NI_UnitDescription") or ""
+    ).strip()
 
 
 def write_tdms(record: Record, path: str | Path) -> None:

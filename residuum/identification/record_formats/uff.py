@@ -15,17 +15,24 @@ _TIME_RESPONSE = 1
 
 
 def read_uff(path: str | Path, options: ReadOptions = ReadOptions()) -> Record:
-    """Read the time responses of a UFF58 file; a channel is named by `id1`, its unit by the ordinate label.
+    """Read the time responses of a UFF58 file; a channel is named by `id1`, its unit by the
+    ordinate label.
 
-    Raises BadRecord when the file is no UFF58 file, or its responses differ in length or sample time.
+    Raises BadRecord when the file is no UFF58 file, or its responses differ in length or sample
+    time.
     """
-    sets = [data for data in _data_sets(path) if data.get("type") == 58 and data.get("func_type") == _TIME_RESPONSE]
+    sets = [
+        data
+        for data in _data_sets(path)
+        if data.get("type") == 58 and data.get("func_type") == _TIME_RESPONSE
+    ]
     if not sets:
         raise BadRecord(f"{path}: holds no time response (UFF data set 58, function type 1)")
     steps = {float(data["abscissa_inc"]) for data in sets}
     if len(steps) > 1:
         raise BadRecord(
-            f"{path}: responses differ in sample time {sorted(steps)}; one record has one; export them as files of their own"
+            f"{path}: responses differ in sample time {sorted(steps)}; one record has one; export"
+            " them as files of their own"
         )
     names = [_name(data, position) for position, data in enumerate(sets)]
     if len(set(names)) != len(names):
@@ -42,11 +49,13 @@ def read_uff(path: str | Path, options: ReadOptions = ReadOptions()) -> Record:
 def write_uff(record: Record, path: str | Path) -> None:
     """Write one data set 58 a channel as text of 12 digits, so that `read_uff` gives it back.
 
-    Raises BadRecord for missing samples: the format has none, and its library writes zeros for them.
+    Raises BadRecord for missing samples: the format has none, and its library writes zeros for
+    them.
     """
     if lacking := [name for name in record.names if record.missing(name).any()]:
         raise BadRecord(
-            f"{path}: UFF 58 keeps no missing samples, and channel {lacking[0]!r} has some; write .csv, .npz or .parquet"
+            f"{path}: UFF 58 keeps no missing samples, and channel {lacking[0]!r} has some; write"
+            " .csv, .npz or .parquet"
         )
     pyuff = need("pyuff", path)
     file = pyuff.UFF(str(path))
@@ -86,7 +95,9 @@ def _data_sets(path: str | Path) -> list[dict[str, Any]]:
             warnings.simplefilter("ignore")  # deprecations of the reader's own dependencies
             sets = pyuff.UFF(str(path)).read_sets()
     except Exception as error:  # the reader raises bare Exception on damaged files
-        raise BadRecord(f"{path}: is not a UFF file: {' '.join(str(error).split())[:120]}") from None
+        raise BadRecord(
+            f"{path}: is not a UFF file: {' '.join(str(error).split())[:120]}"
+        ) from None
     return sets if isinstance(sets, list) else [sets]
 
 

@@ -1,4 +1,6 @@
-"""Records as WAV: channels `channel_1`, `channel_2`, … scaled to ±1 of full scale (dimensionless)."""
+"""Records as WAV: channels `channel_1`, `channel_2`, … scaled to ±1 of full scale
+(dimensionless).
+"""
 
 import warnings
 from pathlib import Path
@@ -15,7 +17,9 @@ def read_wav(path: str | Path, options: ReadOptions = ReadOptions()) -> Record:
     """Read a WAV file; integer samples are divided by full scale, 8-bit ones centred first."""
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", scipy.io.wavfile.WavFileWarning)  # chunks that are not audio
+            warnings.simplefilter(
+                "ignore", scipy.io.wavfile.WavFileWarning
+            )  # chunks that are not audio
             rate, data = scipy.io.wavfile.read(path)
     except (OSError, ValueError, EOFError) as error:
         raise BadRecord(f"{path}: is not a WAV file: {error}") from None
@@ -33,8 +37,13 @@ def write_wav(record: Record, path: str | Path) -> None:
     """Write the channels as 32-bit float samples; units are not kept by the format."""
     rate = round(record.sampling_rate)
     if abs(rate - record.sampling_rate) > 1e-6 * record.sampling_rate:
-        raise BadRecord(f"{path}: sampling rate {record.sampling_rate:.6g} Hz is not whole, as WAV needs; write .csv or .npz")
-    scipy.io.wavfile.write(path, rate, np.stack(list(record.channels.values()), axis=1).astype(np.float32))
+        raise BadRecord(
+            f"{path}: sampling rate {record.sampling_rate:.6g} Hz is not whole, as WAV needs; write"
+            " .csv or .npz"
+        )
+    scipy.io.wavfile.write(
+        path, rate, np.stack(list(record.channels.values()), axis=1).astype(np.float32)
+    )
 
 
 def _full_scale(data: np.ndarray) -> np.ndarray:

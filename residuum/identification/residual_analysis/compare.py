@@ -10,7 +10,14 @@ import numpy as np
 from residuum.array_types import FloatArray
 from residuum.identification.blas_threads import one_thread
 from residuum.identification.errors import NotIdentifiable
-from residuum.identification.physics import Estimate, Experiment, PhysicalModel, Simulator, estimate, match
+from residuum.identification.physics import (
+    Estimate,
+    Experiment,
+    PhysicalModel,
+    Simulator,
+    estimate,
+    match,
+)
 from residuum.identification.physics.files.expression import Name, Node, walk
 from residuum.identification.physics.simulate.initial_values import begins_elsewhere
 from residuum.identification.physics.simulate.kalman import Filter, Smoothed, tune
@@ -19,8 +26,18 @@ from residuum.identification.record import Record
 from residuum.identification.residual_analysis.feedback import at_likelier_timing
 from residuum.identification.residual_analysis.followed import check_followed
 from residuum.identification.residual_analysis.noise import Floor, floor_under_drift, noise_floor
-from residuum.identification.residual_analysis.odd_readings import OddReadings, codes_of_inputs, odd_readings, without_odd
-from residuum.identification.residual_analysis.places.locate import Axis, Region, regions, signal_axes
+from residuum.identification.residual_analysis.odd_readings import (
+    OddReadings,
+    codes_of_inputs,
+    odd_readings,
+    without_odd,
+)
+from residuum.identification.residual_analysis.places.locate import (
+    Axis,
+    Region,
+    regions,
+    signal_axes,
+)
 from residuum.identification.residual_analysis.policy import (
     BEYOND_NOISE,
     HORIZONS,
@@ -43,11 +60,12 @@ from residuum.identification.residual_analysis.value_doubt import at_likeliest_v
 
 @dataclass(frozen=True)
 class OutputError:
-    """How one output is met: `rmse`, `bias`, `noise_floor` and the k-step errors in `unit`, `fit_percent` of the simulation.
+    """How one output is met: `rmse`, `bias`, `noise_floor` and the k-step errors in `unit`,
+    `fit_percent` of the simulation.
 
-    `noise_at_most` says that the noise is that or less: the error's own tail may be as large. `least_floor` is the least noise
-    that any reading of the error gives: places are held against it. `k_step` maps a horizon in samples to the RMS error of
-    predictions so far ahead.
+    `noise_at_most` says that the noise is that or less: the error's own tail may be as large.
+    `least_floor` is the least noise that any reading of the error gives: places are held against
+    it. `k_step` maps a horizon in samples to the RMS error of predictions so far ahead.
     """
 
     unit: str
@@ -62,7 +80,9 @@ class OutputError:
 
 @dataclass(frozen=True)
 class BalanceError:
-    """What one balance lacks: RMS of its smoothed missing term, in `unit` and relative to its driven terms."""
+    """What one balance lacks: RMS of its smoothed missing term, in `unit` and relative to its
+    driven terms.
+    """
 
     unit: str
     missing_rms: float
@@ -76,7 +96,9 @@ def output_errors(
     ahead: Mapping[int, FloatArray],
     structured: Mapping[str, StructuredError],
 ) -> dict[str, OutputError]:
-    """Of each measured output; `ahead` are the errors of predictions, `structured` the tests that say what of it is noise."""
+    """Of each measured output; `ahead` are the errors of predictions, `structured` the tests that
+    say what of it is noise.
+    """
     by_output = {}
     for k, output in enumerate(model.outputs.values()):
         errors = [residual[:, k] for residual in simulation.residuals]
@@ -90,7 +112,9 @@ def output_errors(
         test = structured.get(output.name)
         if test is not None and test.present:
             floor = floor_under_drift(errors)
-            least = min(noise_floor(errors, lowest=UNDER_STRUCTURE), _unstructured(rmse, test), floor.rms)
+            least = min(
+                noise_floor(errors, lowest=UNDER_STRUCTURE), _unstructured(rmse, test), floor.rms
+            )
         else:
             least = noise_floor(errors)
             least = rmse if test is not None and rmse < BEYOND_NOISE * least else least
@@ -109,33 +133,57 @@ def output_errors(
 
 
 def _unstructured(rmse: float, test: StructuredError) -> float:
-    """RMS of an error without its structured part, which the test knows from means over blocks: `noise_rms` is what they keep."""
+    """RMS of an error without its structured part, which the test knows from means over blocks:
+    `noise_rms` is what they keep.
+    """
     structured = test.noise_rms**2 * test.share / max(1.0 - test.share, 1e-300)
     return float(np.sqrt(max(rmse**2 - structured, test.noise_rms**2)))
 
 
-def prediction_errors(kalman: Filter, experiments: list[Experiment], smoothed: list[Smoothed]) -> dict[int, FloatArray]:
-    """RMS error of each output predicted 1, 10 and 100 samples ahead, missing terms held at their last estimate."""
+def prediction_errors(
+    kalman: Filter, experiments: list[Experiment], smoothed: list[Smoothed]
+) -> dict[int, FloatArray]:
+    """RMS error of each output predicted 1, 10 and 100 samples ahead, missing terms held at their
+    last estimate.
+    """
     by_horizon = {}
     for steps in HORIZONS:
-        long_enough = [(e, s) for e, s in zip(experiments, smoothed, strict=True) if e.n > 2 * steps]
+        long_enough = [
+            (e, s) for e, s in zip(experiments, smoothed, strict=True) if e.n > 2 * steps
+        ]
         if not long_enough:
             continue
-        errors = np.concatenate([_ahead(kalman, e, s, steps, PREDICTED_SAMPLES // len(long_enough)) for e, s in long_enough])
+        errors = np.concatenate(
+            [
+                _ahead(kalman, e, s, steps, PREDICTED_SAMPLES // len(long_enough))
+                for e, s in long_enough
+            ]
+        )
         count = np.isfinite(errors).sum(axis=0)
-        by_horizon[steps] = np.sqrt(np.nansum(errors**2, axis=0) / np.where(count > 0, count, np.nan))
+        by_horizon[steps] = np.sqrt(
+            np.nansum(errors**2, axis=0) / np.where(count > 0, count, np.nan)
+        )
     return by_horizon
 
 
-def _ahead(kalman: Filter, experiment: Experiment, smoothed: Smoothed, steps: int, most: int) -> FloatArray:
-    """Prediction errors on a stretch from the record's middle, at most `most` samples and twice the horizon."""
+def _ahead(
+    kalman: Filter, experiment: Experiment, smoothed: Smoothed, steps: int, most: int
+) -> FloatArray:
+    """Prediction errors on a stretch from the record's middle, at most `most` samples and twice the
+    horizon.
+    """
     length = min(experiment.n, max(most, 2 * steps))
     start = (experiment.n - length) // 2
-    part, filtered = experiment.window(start, start + length), smoothed.filtered[start : start + length]
+    part, filtered = (
+        experiment.window(start, start + length),
+        smoothed.filtered[start : start + length],
+    )
     return part.Y - kalman.predict(part, replace(smoothed, filtered=filtered), steps)
 
 
-def balance_errors(model: PhysicalModel, experiments: list[Experiment], smoothed: list[Smoothed]) -> dict[str, BalanceError]:
+def balance_errors(
+    model: PhysicalModel, experiments: list[Experiment], smoothed: list[Smoothed]
+) -> dict[str, BalanceError]:
     """Of each balance whose missing term was estimated."""
     simulator = Simulator(model)
     looks = [simulator.look(e, s.X) for e, s in zip(experiments, smoothed, strict=True)]
@@ -145,26 +193,37 @@ def balance_errors(model: PhysicalModel, experiments: list[Experiment], smoothed
         if not terms:
             continue
         rms = float(np.sqrt(np.mean(np.concatenate(terms) ** 2)))
-        driven = [f"{name}.{term}" for term, value in balance.terms.items() if _is_driven(model, value.tree)]
-        drive = np.concatenate([sum((look[key] for key in driven), np.zeros(1)) * np.ones(1) for look in looks])
+        driven = [
+            f"{name}.{term}"
+            for term, value in balance.terms.items()
+            if _is_driven(model, value.tree)
+        ]
+        drive = np.concatenate(
+            [sum((look[key] for key in driven), np.zeros(1)) * np.ones(1) for look in looks]
+        )
         size = float(np.sqrt(np.mean(drive**2)))
-        by_balance[name] = BalanceError(balance.unit, rms, 100.0 * rms / size if size > 0 else float("nan"))
+        by_balance[name] = BalanceError(
+            balance.unit, rms, 100.0 * rms / size if size > 0 else float("nan")
+        )
     return by_balance
 
 
 def _is_driven(model: PhysicalModel, tree: Node) -> bool:
     """Whether a term contains an input or a current."""
     currents = {b.variables["current"] for b in model.balances.values() if "current" in b.variables}
-    return any(isinstance(node, Name) and node.name in {*model.inputs, *currents} for node in walk(tree))
+    return any(
+        isinstance(node, Name) and node.name in {*model.inputs, *currents} for node in walk(tree)
+    )
 
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
     """A model held against records.
 
-    `simulation` is the model with its parameters as they are and estimated initial states; `smoothed` has each balance's
-    missing term with its band, one a record; `axes` are the signals along which errors were located, one list a record;
-    `structured` is the structured-error test of each measured output; `driven_by_codes` says which inputs hold error codes.
+    `simulation` is the model with its parameters as they are and estimated initial states;
+    `smoothed` has each balance's missing term with its band, one a record; `axes` are the signals
+    along which errors were located, one list a record; `structured` is the structured-error test of
+    each measured output; `driven_by_codes` says which inputs hold error codes.
     """
 
     model: PhysicalModel
@@ -182,13 +241,30 @@ class Comparison:
 
     @property
     def odd_samples(self) -> bool:
-        """Whether samples that no sensor measured make most of an output's error, which no test of noise judges then."""
+        """Whether samples that no sensor measured make most of an output's error, which no test of
+        noise judges then.
+        """
         for k, name in enumerate(self.model.outputs):
             odd = whole = 0.0
             for source, residuals in zip(self.records, self.simulation.residuals, strict=True):
                 error = np.nan_to_num(residuals[:, k]) ** 2
-                readings = (reading for reading in self.odd if (reading.output, reading.source) == (name, source))
-                odd += float(error[sorted({row for reading in readings for row in reading.rows if row < len(error)})].sum())
+                readings = (
+                    reading
+                    for reading in self.odd
+                    if (reading.output, reading.source) == (name, source)
+                )
+                odd += float(
+                    error[
+                        sorted(
+                            {
+                                row
+                                for reading in readings
+                                for row in reading.rows
+                                if row < len(error)
+                            }
+                        )
+                    ].sum()
+                )
                 whole += float(error.sum())
             if odd > 0.5 * whole:
                 return True
@@ -201,36 +277,58 @@ class Comparison:
 
     @property
     def p_value(self) -> float:
-        """Of "every output's error is noise of some colour" (Bonferroni over the outputs); 1 where no output could be tested."""
-        return min((1.0, *(len(self.structured) * test.p_value for test in self.structured.values())))
+        """Of "every output's error is noise of some colour" (Bonferroni over the outputs); 1 where
+        no output could be tested.
+        """
+        return min(
+            (1.0, *(len(self.structured) * test.p_value for test in self.structured.values()))
+        )
 
     def times_noise(self, name: str) -> float:
-        """RMS of the structured part of an output's error over the least that its noise can be; infinite without noise."""
+        """RMS of the structured part of an output's error over the least that its noise can be;
+        infinite without noise.
+        """
         structured = self.outputs[name].rmse * max(self.structured[name].share, 0.0) ** 0.5
         floor = self.outputs[name].least_floor
         return structured / floor if floor > 0.0 else np.inf if structured > 0.0 else 0.0
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What of the model the records contradict before anything is simulated, and what a sensor says without a value."""
+        """What of the model the records contradict before anything is simulated, and what a sensor
+        says without a value.
+        """
         says = (text for odd in self.odd for text in odd.says())
-        before = (*begins_elsewhere(self.model, self.experiments), *leaves_tables(self.model, self.experiments))
+        before = (
+            *begins_elsewhere(self.model, self.experiments),
+            *leaves_tables(self.model, self.experiments),
+        )
         return (*before, *says, *self.driven_by_codes)
 
     @property
     def not_recorded(self) -> dict[str, tuple[str, ...]]:
         """Outputs that were not compared, each with the records that have no value of it."""
         lacking = {
-            name: tuple(source for source, e in zip(self.records, self.experiments, strict=True) if not e.measured[k])
+            name: tuple(
+                source
+                for source, e in zip(self.records, self.experiments, strict=True)
+                if not e.measured[k]
+            )
             for k, name in enumerate(self.model.outputs)
         }
         return {name: records for name, records in lacking.items() if records}
 
     @property
     def share(self) -> float:
-        """Part of the residual's power that is structured, outputs weighted by their error in units of noise."""
+        """Part of the residual's power that is structured, outputs weighted by their error in units
+        of noise.
+        """
         errors = [self.outputs[name] for name in self.structured]
-        times = np.array([output.rmse / max(output.least_floor, 1e-12 * output.rmse, 1e-300) for output in errors])
+        times = np.array(
+            [
+                output.rmse / max(output.least_floor, 1e-12 * output.rmse, 1e-300)
+                for output in errors
+            ]
+        )
         shares = [test.share for test in self.structured.values()]
         return float(np.average(shares, weights=times**2)) if times.any() else 0.0
 
@@ -256,7 +354,8 @@ def compare(
     level : float
         False-alarm probability of the structured-error verdict.
     refuse_unstable : bool
-        Whether a model that is unstable along a record which its simulation leaves is refused; not where it was fitted before.
+        Whether a model that is unstable along a record which its simulation leaves is refused; not
+        where it was fitted before.
 
     Raises
     ------
@@ -268,7 +367,9 @@ def compare(
     model, experiments = match(model, records, mapping)
     experiments, odd = without_odd(model, experiments)
     try:
-        experiments, simulation = at_likelier_timing(experiments, lambda turned: estimate(model, turned, free=()))
+        experiments, simulation = at_likelier_timing(
+            experiments, lambda turned: estimate(model, turned, free=())
+        )
     except NotIdentifiable:
         if refuse_unstable:
             check_followed(model, experiments)
@@ -278,15 +379,25 @@ def compare(
     kalman = Filter(model, tune(model, experiments, simulation.initial))
     runs = list(zip(experiments, simulation.initial, simulation.substeps, strict=True))
     smoothed = [kalman.run(e, x0, substeps=steps) for e, x0, steps in runs]
-    axes = [signal_axes(model, run[0], simulated_states(model, *run), r) for run, r in zip(runs, records, strict=True)]
+    axes = [
+        signal_axes(model, run[0], simulated_states(model, *run), r)
+        for run, r in zip(runs, records, strict=True)
+    ]
     refitted = refitted_difference(model, experiments, simulation)
     tested = at_likeliest_values(model, experiments, simulation)
-    structured = structured_errors(experiments, tested, axes, model, refitted, level=level, seed=seed)
+    structured = structured_errors(
+        experiments, tested, axes, model, refitted, level=level, seed=seed
+    )
     in_parts = structured_in_windows(model, experiments, structured, level, seed)
-    structured |= in_parts or beyond_noise(model, experiments, simulation.residuals, axes, structured)
+    structured |= in_parts or beyond_noise(
+        model, experiments, simulation.residuals, axes, structured
+    )
     ahead = prediction_errors(kalman, experiments, smoothed)
     outputs = output_errors(model, experiments, simulation, ahead, structured)
-    smoothed_axes = [signal_axes(model, e, s.X, record) for e, s, record in zip(experiments, smoothed, records, strict=True)]
+    smoothed_axes = [
+        signal_axes(model, e, s.X, record)
+        for e, s, record in zip(experiments, smoothed, records, strict=True)
+    ]
     floors = {name: output.least_floor for name, output in outputs.items()}
     return Comparison(
         model=model,
@@ -300,13 +411,21 @@ def compare(
         axes=smoothed_axes,
         odd=_beside(model, experiments, simulation, odd),
         driven_by_codes=codes_of_inputs(model, records, mapping),
-        where=regions(model, experiments, simulation.residuals, smoothed, smoothed_axes, floors, structured),
+        where=regions(
+            model, experiments, simulation.residuals, smoothed, smoothed_axes, floors, structured
+        ),
     )
 
 
 def _beside(
-    model: PhysicalModel, experiments: Sequence[Experiment], simulation: Estimate, left_out: Sequence[OddReadings]
+    model: PhysicalModel,
+    experiments: Sequence[Experiment],
+    simulation: Estimate,
+    left_out: Sequence[OddReadings],
 ) -> tuple[OddReadings, ...]:
     """What was left out, and what stands out of the rest beside the simulation."""
-    simulated = [experiment.Y - residual for experiment, residual in zip(experiments, simulation.residuals, strict=True)]
+    simulated = [
+        experiment.Y - residual
+        for experiment, residual in zip(experiments, simulation.residuals, strict=True)
+    ]
     return (*left_out, *odd_readings(model, experiments, simulated))

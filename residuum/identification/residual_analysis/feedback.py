@@ -1,8 +1,9 @@
-"""Feedback: whether an input answers the noise of an output, as a controller's does that acts on the measurement.
+"""Feedback: whether an input answers the noise of an output, as a controller's does that acts on
+the measurement.
 
-Then means over several samples are no innovations: the input that moved within them knows their noise, and what acts there (a
-lag) would seem to explain it. And the input was held: one that moved towards its next value would have known what is measured
-then.
+Then means over several samples are no innovations: the input that moved within them knows their
+noise, and what acts there (a lag) would seem to explain it. And the input was held: one that moved
+towards its next value would have known what is measured then.
 """
 
 from __future__ import annotations
@@ -38,22 +39,29 @@ def turned_timing(experiments: Sequence[Experiment]) -> list[Experiment]:
 
 
 def each_turned(experiments: Sequence[Experiment]) -> list[list[Experiment]]:
-    """The other timing of one input alone, once for each of several that change; of a single one nothing more than all turned."""
+    """The other timing of one input alone, once for each of several that change; of a single one
+    nothing more than all turned.
+    """
     changes = np.any([np.ptp(e.U, axis=0) > 0 for e in experiments], axis=0)
     if changes.sum() < 2:
         return []
-    return [[e.turned(np.arange(len(changes)) == k) for e in experiments] for k in np.flatnonzero(changes)]
+    return [
+        [e.turned(np.arange(len(changes)) == k) for e in experiments]
+        for k in np.flatnonzero(changes)
+    ]
 
 
 def at_likelier_timing(
     experiments: Sequence[Experiment], fitted: Callable[[list[Experiment]], Estimate]
 ) -> tuple[list[Experiment], Estimate]:
-    """What is fitted with inputs held over their samples or moving evenly between them, whichever leaves the smaller innovations.
+    """What is fitted with inputs held over their samples or moving evenly between them, whichever
+    leaves the smaller innovations.
 
-    The two conventions differ by half a sample. A good record shows the wrong one as a structured error of its own, and as
-    parameters that lie many standard deviations beside the truth. Where noise is slow the error itself does not tell them apart:
-    half a sample is fast. All inputs are turned at once, then each of several for itself: one may be a controller's, which holds,
-    and another a measured one.
+    The two conventions differ by half a sample. A good record shows the wrong one as a structured
+    error of its own, and as parameters that lie many standard deviations beside the truth. Where
+    noise is slow the error itself does not tell them apart: half a sample is fast. All inputs are
+    turned at once, then each of several for itself: one may be a controller's, which holds, and
+    another a measured one.
     """
 
     def tried(turned: list[Experiment]) -> tuple[list[Experiment], Estimate] | NotIdentifiable:
@@ -69,20 +77,28 @@ def at_likelier_timing(
     return _likelier([best, *side_by_side(tried, each_turned(best[0]))])
 
 
-def _likelier(tried: Sequence[tuple[list[Experiment], Estimate] | NotIdentifiable]) -> tuple[list[Experiment], Estimate]:
+def _likelier(
+    tried: Sequence[tuple[list[Experiment], Estimate] | NotIdentifiable],
+) -> tuple[list[Experiment], Estimate]:
     fits = [trial for trial in tried if not isinstance(trial, NotIdentifiable)]
     return min(fits, key=lambda fit: innovations_of(fit[1].residuals))
 
 
 def innovations_of(residuals: Sequence[FloatArray]) -> float:
-    """Logarithm of the variance of residuals' innovations, summed over the outputs that were measured."""
+    """Logarithm of the variance of residuals' innovations, summed over the outputs that were
+    measured.
+    """
     outputs = range(residuals[0].shape[1])
-    logarithms = [np.log(max(innovation_variance([r[:, o] for r in residuals]), 1e-300)) for o in outputs]
+    logarithms = [
+        np.log(max(innovation_variance([r[:, o] for r in residuals]), 1e-300)) for o in outputs
+    ]
     return float(np.nansum(logarithms))
 
 
 def innovation_variance(residuals: Sequence[FloatArray]) -> float:
-    """Of one output's residuals; their own where they are too few to tell a colour, NaN where they were not measured."""
+    """Of one output's residuals; their own where they are too few to tell a colour, NaN where they
+    were not measured.
+    """
     try:
         return lasting_noise(residuals, NOISE_ORDER).innovation_variance
     except BadInput:
@@ -90,10 +106,14 @@ def innovation_variance(residuals: Sequence[FloatArray]) -> float:
         return float(np.mean(known**2)) if known.size else np.nan
 
 
-def feeds_back(model: PhysicalModel, experiments: Sequence[Experiment], residuals: Sequence[FloatArray]) -> bool:
-    """Whether an input's innovations answer those of an output's `residuals` (n, outputs) of each experiment, at every sample.
+def feeds_back(
+    model: PhysicalModel, experiments: Sequence[Experiment], residuals: Sequence[FloatArray]
+) -> bool:
+    """Whether an input's innovations answer those of an output's `residuals` (n, outputs) of each
+    experiment, at every sample.
 
-    What an output feels at once (a current its voltage) may correlate with it for other reasons; there only later answers count.
+    What an output feels at once (a current its voltage) may correlate with it for other reasons;
+    there only later answers count.
     """
     at_once, most = _felt_at_once(model, experiments[0]), -(-ANSWER_SAMPLES // len(experiments))
     inputs = _innovations([e.U[:most] for e in experiments])
@@ -109,25 +129,36 @@ def _felt_at_once(model: PhysicalModel, experiment: Experiment) -> npt.NDArray[n
     """Which outputs change with the inputs of the same sample."""
     simulator, first = Simulator(model), experiment.window(0, 2)
     stepped = replace(first, U=first.U + np.std(experiment.U, axis=0))
-    runs = [simulator.run_vectors(e, simulator.x0(), simulator.p(), substeps=1) for e in (first, stepped)]
+    runs = [
+        simulator.run_vectors(e, simulator.x0(), simulator.p(), substeps=1)
+        for e in (first, stepped)
+    ]
     return np.asarray(runs[0].Y[0] != runs[1].Y[0])
 
 
 def _innovations(signals: Sequence[FloatArray]) -> list[FloatArray | None]:
-    """What the past of each signal does not predict of it, in units of its spread, outliers drawn in; None if that is nothing."""
+    """What the past of each signal does not predict of it, in units of its spread, outliers drawn
+    in; None if that is nothing.
+    """
     by_output: list[FloatArray | None] = []
     for o, noise in enumerate(fit_noises(signals, NOISE_ORDER)):
         if noise is None:
             by_output.append(None)
             continue
-        e = np.concatenate([_in_place(noise.whiten(np.ascontiguousarray(v[:, o])), len(v)) for v in signals])
+        e = np.concatenate(
+            [_in_place(noise.whiten(np.ascontiguousarray(v[:, o])), len(v)) for v in signals]
+        )
         spread = np.nanmedian(np.abs(e)) / NORMAL_MEDIAN if e.size else 0.0
-        by_output.append(np.clip(e / spread, -OUTLYING_INNOVATION, OUTLYING_INNOVATION) if spread > 0.0 else None)
+        by_output.append(
+            np.clip(e / spread, -OUTLYING_INNOVATION, OUTLYING_INNOVATION) if spread > 0.0 else None
+        )
     return by_output
 
 
 def _in_place(e: FloatArray, n: int) -> FloatArray:
-    """Innovations at their own samples: the first have no past, and how many depends on the noise's order, so on the signal."""
+    """Innovations at their own samples: the first have no past, and how many depends on the noise's
+    order, so on the signal.
+    """
     return np.r_[np.full(n - len(e), np.nan), e]
 
 

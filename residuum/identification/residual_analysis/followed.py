@@ -1,13 +1,16 @@
-"""Whether a simulation can follow a record at all: an unstable plant's cannot, however right its model is.
+"""Whether a simulation can follow a record at all: an unstable plant's cannot, however right its
+model is.
 
-A plant that a controller holds where it would run away (a ball below a magnet, a pendulum on its head) is recorded without harm,
-but a simulation from its inputs leaves the record: what noise and the last digits change grows as e^(λt). Then the error of a
-simulation says nothing of what the model lacks, and each parameter that slows the growth seems to explain it.
+A plant that a controller holds where it would run away (a ball below a magnet, a pendulum on its
+head) is recorded without harm, but a simulation from its inputs leaves the record: what noise and
+the last digits change grows as e^(λt). Then the error of a simulation says nothing of what the
+model lacks, and each parameter that slows the growth seems to explain it.
 
-Told by the linearisation along the states that a filter finds in the record (not those of a simulation, which has left them):
-the largest difference δ there, dδ/dt = ∂f/∂x δ, over the second half of the record, since an integrator's grows in the first
-half and hardly on. Only of a model whose simulation is no nearer to the record than its mean. Fails for an experiment whose
-states the outputs do not tell.
+Told by the linearisation along the states that a filter finds in the record (not those of a
+simulation, which has left them): the largest difference δ there, dδ/dt = ∂f/∂x δ, over the second
+half of the record, since an integrator's grows in the first half and hardly on. Only of a model
+whose simulation is no nearer to the record than its mean. Fails for an experiment whose states the
+outputs do not tell.
 """
 
 from __future__ import annotations
@@ -27,8 +30,11 @@ _MOST_GROWTH = np.log(1e3)
 _LOOKS = 2000
 
 
-def check_followed(model: PhysicalModel, experiments: Sequence[Experiment], simulated: Estimate | None = None) -> None:
-    """Raise NotIdentifiable where a model is unstable along a record that its simulation does not follow.
+def check_followed(
+    model: PhysicalModel, experiments: Sequence[Experiment], simulated: Estimate | None = None
+) -> None:
+    """Raise NotIdentifiable where a model is unstable along a record that its simulation does not
+    follow.
 
     `simulated` is the model as it is on these experiments, where it is known.
     """
@@ -37,23 +43,33 @@ def check_followed(model: PhysicalModel, experiments: Sequence[Experiment], simu
     except NotIdentifiable:
         near = [False] * len(experiments)
     else:
-        near = [_is_near(e.Y, residual) for e, residual in zip(experiments, simulated.residuals, strict=True)]
+        near = [
+            _is_near(e.Y, residual)
+            for e, residual in zip(experiments, simulated.residuals, strict=True)
+        ]
     for e in (e for e, is_near in zip(experiments, near, strict=True) if not is_near):
         lasts, growth = e.n * e.sample_time, growth_over_second_half(model, e)
         if growth > _MOST_GROWTH:
-            times = f"a difference grows e-fold in {0.5 * lasts / growth:.3g} s, the record lasts {lasts:.4g} s"
+            times = (
+                f"a difference grows e-fold in {0.5 * lasts / growth:.3g} s, the record lasts"
+                f" {lasts:.4g} s"
+            )
             raise NotIdentifiable(
-                f"model {model.name!r}: is unstable along record {e.source!r} ({times}), so that no simulation stays with it, "
-                "however right the model is, and nothing tells what it lacks; where a controller holds the plant, "
-                "`estimate --method prediction` begins anew every few samples and tells its values; where the plant is stable, "
-                f"{MAY_DIVERGE}"
+                f"model {model.name!r}: is unstable along record {e.source!r} ({times}), so that no"
+                " simulation stays with it, however right the model is, and nothing tells what it"
+                " lacks; where a controller holds the plant, `estimate --method prediction` begins"
+                " anew every few samples and tells its values; where the plant is stable,"
+                f" {MAY_DIVERGE}"
             )
 
 
 def _is_near(measured: FloatArray, residual: FloatArray) -> bool:
     """Whether the simulation of some output is nearer to it than its mean."""
     with np.errstate(over="ignore", invalid="ignore"):
-        error, spread = np.nansum(residual**2, axis=0), np.nansum((measured - _means(measured)) ** 2, axis=0)
+        error, spread = (
+            np.nansum(residual**2, axis=0),
+            np.nansum((measured - _means(measured)) ** 2, axis=0),
+        )
     return bool(np.any(error < spread))
 
 
@@ -63,8 +79,13 @@ def _means(measured: FloatArray) -> FloatArray:
 
 
 def growth_over_second_half(model: PhysicalModel, experiment: Experiment) -> float:
-    """Logarithm of the factor by which the largest difference grows there, along the filtered states; 0 where nothing filters."""
-    from scipy.linalg import expm  # noqa: PLC0415  a fifth of a second, for the few models that a simulation leaves
+    """Logarithm of the factor by which the largest difference grows there, along the filtered
+    states; 0 where nothing filters.
+    """
+    # a fifth of a second, for the few models that a simulation leaves
+    from scipy.linalg import (  # noqa: PLC0415
+        expm,
+    )
 
     simulator = Simulator(model)
     if not simulator.states:

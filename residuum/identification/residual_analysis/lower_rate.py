@@ -1,9 +1,10 @@
 """Records sampled much more finely than anything moves in them, at a rate that loses nothing.
 
-Work grows with the samples, and a controller's kilohertz says no more of a slide that moves for seconds than a hundred hertz do.
-Readings are taken at every k-th sample; inputs are means over the k samples that follow it where they are held, centred ones
-where they move evenly. Whether that loses anything is not guessed from spectra: the model is simulated on both, and the
-difference has to be nothing beside its error.
+Work grows with the samples, and a controller's kilohertz says no more of a slide that moves for
+seconds than a hundred hertz do. Readings are taken at every k-th sample; inputs are means over the
+k samples that follow it where they are held, centred ones where they move evenly. Whether that
+loses anything is not guessed from spectra: the model is simulated on both, and the difference has
+to be nothing beside its error.
 """
 
 from __future__ import annotations
@@ -20,10 +21,13 @@ from residuum.identification.residual_analysis.policy import ENOUGH_SAMPLES, FEW
 
 
 def at_lower_rate(
-    model: PhysicalModel, experiments: Sequence[Experiment], initial: Sequence[FloatArray] | None = None
+    model: PhysicalModel,
+    experiments: Sequence[Experiment],
+    initial: Sequence[FloatArray] | None = None,
 ) -> tuple[list[Experiment], int]:
-    """The experiments at the lowest rate 1/2, 1/4, … of theirs that loses nothing and leaves enough samples; and how many samples
-    one of it stands for. The model begins at its own first states, or at those `initial`.
+    """The experiments at the lowest rate 1/2, 1/4, … of theirs that loses nothing and leaves enough
+    samples; and how many samples one of it stands for. The model begins at its own first states, or
+    at those `initial`.
     """
     counts = [e.n for e in experiments]
     most = min(sum(counts) // ENOUGH_SAMPLES, min(counts) // FEWEST_AT_A_RATE)
@@ -44,7 +48,10 @@ def _at_every(e: Experiment, k: int) -> Experiment:
     for j, hold in enumerate(e.hold):
         if not (e.clocks and e.clocks[j]):
             U[:, j] = _means(e.U[:, j], k, n, centred=hold > 0.0)
-    spare = {name: replace(s, values=_means(s.values, k, n, centred=False)) for name, s in e.spare.items()}
+    spare = {
+        name: replace(s, values=_means(s.values, k, n, centred=False))
+        for name, s in e.spare.items()
+    }
     return replace(e, U=U, Y=e.Y[: n * k : k], sample_time=k * e.sample_time, spare=spare)
 
 
@@ -59,13 +66,23 @@ def _means(values: FloatArray, k: int, n: int, *, centred: bool) -> FloatArray:
     return np.asarray(values[: n * k].reshape(n, k).mean(axis=1))
 
 
-def _loses_nothing(fine: Sequence[FloatArray], coarse: Sequence[Experiment], slow: Sequence[FloatArray] | None, k: int) -> bool:
-    """Whether the model's outputs at the coarse rate differ by next to nothing of its error from the fine ones."""
+def _loses_nothing(
+    fine: Sequence[FloatArray],
+    coarse: Sequence[Experiment],
+    slow: Sequence[FloatArray] | None,
+    k: int,
+) -> bool:
+    """Whether the model's outputs at the coarse rate differ by next to nothing of its error from
+    the fine ones.
+    """
     if slow is None:
         return False
     for e, y, z in zip(coarse, (y[::k] for y in fine), slow, strict=True):
         error, lost = e.Y - y[: e.n], z - y[: e.n]
-        if np.any(np.nansum(np.where(np.isfinite(error), lost, 0.0) ** 2, axis=0) > LOST * np.nansum(error**2, axis=0)):
+        if np.any(
+            np.nansum(np.where(np.isfinite(error), lost, 0.0) ** 2, axis=0)
+            > LOST * np.nansum(error**2, axis=0)
+        ):
             return False
     return True
 
@@ -75,9 +92,14 @@ def _outputs(
 ) -> list[FloatArray] | None:
     """The model's outputs along experiments; None where it diverges."""
     simulator = Simulator(model)
-    p, first = simulator.p(), initial if initial is not None else [simulator.x0(e.known) for e in experiments]
+    p, first = (
+        simulator.p(),
+        initial if initial is not None else [simulator.x0(e.known) for e in experiments],
+    )
     try:
-        runs = simulator.run_each(experiments, first, p, substeps=simulator.substeps_each(experiments, first, p))
+        runs = simulator.run_each(
+            experiments, first, p, substeps=simulator.substeps_each(experiments, first, p)
+        )
     except BadInput:
         return None
     return [run.Y for run in runs] if runs.bounded else None

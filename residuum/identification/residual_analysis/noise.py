@@ -44,7 +44,9 @@ from residuum.kept_loops import njit
 
 @njit(error_model="numpy")
 def within(a, radius):  # type: ignore[no-untyped-def]  # compiled
-    """Coefficients of A(z) with its zeros drawn onto the circle of this radius where they lie beyond, and whether any did."""
+    """Coefficients of A(z) with its zeros drawn onto the circle of this radius where they lie
+    beyond, and whether any did.
+    """
     if stable(a / radius ** np.arange(1, a.shape[0] + 1)):
         return a, False
     expanded = np.zeros(a.shape[0] + 1, dtype=np.complex128)
@@ -61,7 +63,8 @@ def within(a, radius):  # type: ignore[no-untyped-def]  # compiled
 
 @njit(error_model="numpy")
 def first_predictors(a, stable):  # type: ignore[no-untyped-def]  # compiled
-    """Levinson's recursion downwards: rows of the scaled predictors of the first p samples, and the logarithms of their spreads.
+    """Levinson's recursion downwards: rows of the scaled predictors of the first p samples, and the
+    logarithms of their spreads.
 
     Reflection coefficients are kept within ±`stable`.
     """
@@ -80,7 +83,9 @@ def first_predictors(a, stable):  # type: ignore[no-untyped-def]  # compiled
 
 @njit(error_model="numpy")
 def stable(a):  # type: ignore[no-untyped-def]  # compiled
-    """Whether all poles of 1/A(z) lie within the unit circle (Levinson's recursion downwards: reflections below one)."""
+    """Whether all poles of 1/A(z) lie within the unit circle (Levinson's recursion downwards:
+    reflections below one).
+    """
     a = a.copy()
     for k in range(a.shape[0], 0, -1):
         reflection = a[k - 1]
@@ -99,7 +104,9 @@ _FAST = {"reassoc", "contract", "arcp"}  # sums in any order; missing samples st
 
 @njit(error_model="numpy", fastmath=_FAST)
 def whitened(rows, a):  # type: ignore[no-untyped-def]  # compiled
-    """A(z) x of each row x without the first p samples, shape (rows, n − p); NaN where one of its samples is missing."""
+    """A(z) x of each row x without the first p samples, shape (rows, n − p); NaN where one of its
+    samples is missing.
+    """
     order, count, n = a.shape[0], rows.shape[0], rows.shape[1]
     innovations = np.empty((count, max(n - order, 0)))
     for row in range(count):
@@ -109,7 +116,9 @@ def whitened(rows, a):  # type: ignore[no-untyped-def]  # compiled
 
 @njit(error_model="numpy", fastmath=_FAST)
 def whiten(x, a, e):  # type: ignore[no-untyped-def]  # compiled
-    """e(t) = x(t) + Σ aᵢ x(t − i) from the sample p on, lag by lag in stretches that stay in the cache."""
+    """e(t) = x(t) + Σ aᵢ x(t − i) from the sample p on, lag by lag in stretches that stay in the
+    cache.
+    """
     order = a.shape[0]
     for begin in range(0, e.shape[0], INNOVATION_STRETCH):
         end = min(begin + INNOVATION_STRETCH, e.shape[0])
@@ -123,8 +132,8 @@ def whiten(x, a, e):  # type: ignore[no-untyped-def]  # compiled
 
 @njit(error_model="numpy", fastmath=_FAST)
 def add_lag_products(v, a, variance, G, g):  # type: ignore[no-untyped-def]  # compiled
-    """Add Σ w·φφᵀ (its lower half) to G and Σ w·φ·v(t) to g, where φ = v(t−1) … v(t−p). w is the weight of Student's t of the
-    innovation (1 for variance 0, 0 where a sample is missing).
+    """Add Σ w·φφᵀ (its lower half) to G and Σ w·φ·v(t) to g, where φ = v(t−1) … v(t−p). w is the
+    weight of Student's t of the innovation (1 for variance 0, 0 where a sample is missing).
 
     Returns how many complete rows there were.
     """
@@ -139,7 +148,11 @@ def add_lag_products(v, a, variance, G, g):  # type: ignore[no-untyped-def]  # c
         e = innovations[t]
         complete = np.isfinite(e)
         rows += complete
-        w[t] = 0.0 if not complete else (1.0 if variance == 0.0 else (FREEDOM + 1.0) / (FREEDOM + e * e / variance))
+        w[t] = (
+            0.0
+            if not complete
+            else (1.0 if variance == 0.0 else (FREEDOM + 1.0) / (FREEDOM + e * e / variance))
+        )
     weighted = np.empty(count)
     for i in range(order):
         past = known[order - i - 1 :]
@@ -162,10 +175,12 @@ def product(x, y, count):  # type: ignore[no-untyped-def]  # compiled
 
 @njit(error_model="numpy", fastmath=_FAST)
 def squared_scale(e, near, floor):  # type: ignore[no-untyped-def]  # compiled
-    """Maximum-likelihood squared scale of t-distributed innovations (none missing), sought from `near` on (0: anywhere).
+    """Maximum-likelihood squared scale of t-distributed innovations (none missing), sought from
+    `near` on (0: anywhere).
 
-    It is at least a part of `floor`, the variance that coarse steps hide; and where most innovations are zero (a machine that
-    stands) a part of theirs. Otherwise the likelihood has no top.
+    It is at least a part of `floor`, the variance that coarse steps hide; and where most
+    innovations are zero (a machine that stands) a part of theirs. Otherwise the likelihood has no
+    top.
     """
     n = e.shape[0]
     square = e * e
@@ -189,7 +204,9 @@ def squared_scale(e, near, floor):  # type: ignore[no-untyped-def]  # compiled
 
 @njit(error_model="numpy")
 def scale_of(x, starts, a, near, floor):  # type: ignore[no-untyped-def]  # compiled
-    """`squared_scale` of the innovations A(z) x of several signals, signal j being x[starts[j]] … x[starts[j + 1] − 1]."""
+    """`squared_scale` of the innovations A(z) x of several signals, signal j being x[starts[j]] …
+    x[starts[j + 1] − 1].
+    """
     e, count = np.empty(x.shape[0]), 0
     for j in range(starts.shape[0] - 1):
         v = x[starts[j] : starts[j + 1]]
@@ -204,10 +221,11 @@ def scale_of(x, starts, a, near, floor):  # type: ignore[no-untyped-def]  # comp
 
 @njit(error_model="numpy")
 def reweighted(x, starts, a, variance, turns, floor):  # type: ignore[no-untyped-def]  # compiled
-    """Coefficients and squared scale after so many turns of reweighted least squares, signals laid out as in `scale_of`.
+    """Coefficients and squared scale after so many turns of reweighted least squares, signals laid
+    out as in `scale_of`.
 
-    White noise of the variance `floor` is taken to lie over the signals, beside what they show of it. No coefficients where
-    missing samples leave too few complete rows for them.
+    White noise of the variance `floor` is taken to lie over the signals, beside what they show of
+    it. No coefficients where missing samples leave too few complete rows for them.
     """
     order = a.shape[0]
     for _ in range(turns):
@@ -229,7 +247,9 @@ def reweighted(x, starts, a, variance, turns, floor):  # type: ignore[no-untyped
 
 @njit(error_model="numpy")
 def autoregression(x, starts, a, variance, turns, floor, radius):  # type: ignore[no-untyped-def]  # compiled
-    """`reweighted`, its poles kept within the circle of this radius and the scale found again where that moved them."""
+    """`reweighted`, its poles kept within the circle of this radius and the scale found again where
+    that moved them.
+    """
     a, variance = reweighted(x, starts, a, variance, turns, floor)
     a, moved = within(a, radius)
     return a, scale_of(x, starts, a, variance, floor) if moved else variance
@@ -252,7 +272,8 @@ class ColouredNoise:
     Parameters
     ----------
     a : array, shape (p,)
-        Coefficients of the whitening filter A(z) = 1 + a₁ z⁻¹ + …, all roots inside the unit circle.
+        Coefficients of the whitening filter A(z) = 1 + a₁ z⁻¹ + …, all roots inside the unit
+        circle.
     innovation_variance : float
         σ², in the square of the signal's unit.
     floor : float
@@ -269,21 +290,26 @@ class ColouredNoise:
         return int(self.a.shape[0])
 
     def whiten(self, x: FloatArray) -> FloatArray:
-        """A(z) x along axis 0, without the first p samples; shape (n − p, …). NaN spreads over p samples."""
+        """A(z) x along axis 0, without the first p samples; shape (n − p, …). NaN spreads over p
+        samples.
+        """
         rows = np.ascontiguousarray(np.reshape(x, (len(x), -1)).T, dtype=float)
         return np.asarray(whitened(rows, self.a).T.reshape(-1, *x.shape[1:]))
 
     def innovations(self, x: FloatArray) -> FloatArray:
-        """A(z) x along axis 0 with the first p samples too: each has its own predictor from those before it, and is scaled to
-        the innovations' variance. Shape of x; NaN spreads over p samples.
+        """A(z) x along axis 0 with the first p samples too: each has its own predictor from those
+        before it, and is scaled to the innovations' variance. Shape of x; NaN spreads over p
+        samples.
         """
         known = min(self.order, len(x))
-        return np.concatenate([np.tensordot(self.first[0][:known, :known], x[:known], 1), self.whiten(x)])
+        return np.concatenate(
+            [np.tensordot(self.first[0][:known, :known], x[:known], 1), self.whiten(x)]
+        )
 
     @cached_property
     def first(self) -> tuple[FloatArray, FloatArray]:
-        """Rows of the scaled predictors of the first p samples (Levinson's recursion), and the logarithms of how far their errors
-        spread, over the innovations.
+        """Rows of the scaled predictors of the first p samples (Levinson's recursion), and the
+        logarithms of how far their errors spread, over the innovations.
         """
         rows, spreads = first_predictors(self.a, LARGEST_REFLECTION)
         return np.asarray(rows), np.asarray(spreads)
@@ -303,7 +329,9 @@ class ColouredNoise:
         return 0.0 if slowest <= 0 else 1.0 / max(-np.log(min(slowest, 1 - 1e-12)), 1e-12)
 
 
-def fit_coloured_noise(segments: Sequence[FloatArray], order: int | None = None, *, highest_order: int = 16) -> ColouredNoise:
+def fit_coloured_noise(
+    segments: Sequence[FloatArray], order: int | None = None, *, highest_order: int = 16
+) -> ColouredNoise:
     """Fit the AR model by Burg's method to signal segments (no product is taken across a seam).
 
     Parameters
@@ -326,7 +354,10 @@ def fit_coloured_noise(segments: Sequence[FloatArray], order: int | None = None,
     limit = highest_order if order is None else order
     usable = [np.asarray(segment, dtype=float) for segment in segments if len(segment) > 2 * limit]
     if not usable:
-        raise BadInput(f"coloured noise of order {limit}: needs a stretch of more than {2 * limit} samples without a gap")
+        raise BadInput(
+            f"coloured noise of order {limit}: needs a stretch of more than {2 * limit} samples"
+            " without a gap"
+        )
     power = sum(float(segment @ segment) for segment in usable) / sum(map(len, usable))
     forward, backward = usable, usable
     a = np.zeros(0)
@@ -347,14 +378,19 @@ def fit_coloured_noise(segments: Sequence[FloatArray], order: int | None = None,
         candidates.append((a, power))
     if order is not None:
         return ColouredNoise(*candidates[order])
-    akaike = [n * np.log(max(variance, 1e-300)) + 2 * len(coefficients) for coefficients, variance in candidates]
+    akaike = [
+        n * np.log(max(variance, 1e-300)) + 2 * len(coefficients)
+        for coefficients, variance in candidates
+    ]
     return ColouredNoise(*candidates[int(np.argmin(akaike))])
 
 
 def stretches(present: npt.NDArray[np.bool_]) -> list[slice]:
     """The runs of True in a mask, as slices in order."""
     edges = np.flatnonzero(np.diff(np.r_[False, present, False].astype(np.int8)))
-    return [slice(int(start), int(stop)) for start, stop in zip(edges[::2], edges[1::2], strict=True)]
+    return [
+        slice(int(start), int(stop)) for start, stop in zip(edges[::2], edges[1::2], strict=True)
+    ]
 
 
 def longest_memory(samples: int, longest: int) -> float:
@@ -371,7 +407,9 @@ def pole_radius(memory: float) -> float:
 
 
 def forgetting(a: FloatArray, memory: float) -> FloatArray:
-    """The autoregression with its poles kept within the radius that forgets over `memory` samples."""
+    """The autoregression with its poles kept within the radius that forgets over `memory`
+    samples.
+    """
     return np.asarray(within(a, pole_radius(memory))[0])
 
 
@@ -381,7 +419,9 @@ def forgetting(a: FloatArray, memory: float) -> FloatArray:
 # and every effect drowns in it.
 
 Noises = tuple[ColouredNoise | None, ...]
-"""The noise of each output (`innovation_variance` is the squared scale); None for an output that was not measured."""
+"""The noise of each output (`innovation_variance` is the squared scale); None for an output that
+was not measured.
+"""
 
 
 def fit_noises(
@@ -392,11 +432,13 @@ def fit_noises(
     near: Noises | None = None,
     reading: FloatArray | None = None,
 ) -> Noises:
-    """The noise of every output's residuals (one array (n, outputs) an experiment, NaN where missing).
+    """The noise of every output's residuals (one array (n, outputs) an experiment, NaN where
+    missing).
 
-    Noise that is `drifting` may be integrated (a load that walks at random); other noise forgets within the data.
-    Autoregression by iteratively reweighted least squares, the maximum likelihood of t-distributed innovations; a noise it
-    is `near` saves one turn. `reading` are the variances of what coarse steps hide of each output.
+    Noise that is `drifting` may be integrated (a load that walks at random); other noise forgets
+    within the data. Autoregression by iteratively reweighted least squares, the maximum likelihood
+    of t-distributed innovations; a noise it is `near` saves one turn. `reading` are the variances
+    of what coarse steps hide of each output.
     """
     signals = [[r[:, o] for r in residuals] for o in range(residuals[0].shape[1])]
     known = [None] * len(signals) if near is None else near
@@ -405,13 +447,19 @@ def fit_noises(
     return tuple(_fit(signal, order, drifting, noise, floor) for signal, noise, floor in per_output)
 
 
-def _fit(signals: list[FloatArray], order: int, drifting: bool, near: ColouredNoise | None, floor: float) -> ColouredNoise | None:
+def _fit(
+    signals: list[FloatArray], order: int, drifting: bool, near: ColouredNoise | None, floor: float
+) -> ColouredNoise | None:
     x, starts = _end_to_end(signals)
     known = int(np.isfinite(x).sum())
     if known == 0:
         return None
     longest = max(map(len, signals))
-    a, variance, turns = np.zeros(max(0, min(order, longest // 4, known // 20))), 0.0, NOISE_REWEIGHTINGS
+    a, variance, turns = (
+        np.zeros(max(0, min(order, longest // 4, known // 20))),
+        0.0,
+        NOISE_REWEIGHTINGS,
+    )
     if near is not None and near.order == a.size:
         a, variance, turns = near.a, near.innovation_variance, NOISE_REWEIGHTINGS - 1
     radius = pole_radius(DRIFT_MEMORY if drifting else longest_memory(known, longest))
@@ -427,11 +475,16 @@ def _end_to_end(signals: Sequence[FloatArray]) -> tuple[FloatArray, npt.NDArray[
 # Noise floor of a channel: how much of a model's error can be measurement noise.
 
 
-def noise_floor(residuals: Sequence[FloatArray], slowest: float = 1.0, lowest: Sequence[float] = (LOWEST_FREQUENCY,)) -> float:
+def noise_floor(
+    residuals: Sequence[FloatArray],
+    slowest: float = 1.0,
+    lowest: Sequence[float] = (LOWEST_FREQUENCY,),
+) -> float:
     """RMS of the noise in a model's error, read from its fast part alone.
 
-    A model's error is slow against the sampling rate, noise is not: an AR(1) spectrum σ²(1 − ρ²)/|1 − ρ e^{−jω}|² is fitted
-    (Whittle's likelihood) to the periodogram above 2 % of the sampling rate and σ is given, its slow part included.
+    A model's error is slow against the sampling rate, noise is not: an AR(1) spectrum σ²(1 − ρ²)/|1
+    − ρ e^{−jω}|² is fitted (Whittle's likelihood) to the periodogram above 2 % of the sampling rate
+    and σ is given, its slow part included.
 
     Parameters
     ----------
@@ -471,22 +524,27 @@ def noise_floor(residuals: Sequence[FloatArray], slowest: float = 1.0, lowest: S
 
 @dataclass(frozen=True)
 class Floor:
-    """RMS of the noise in an error; `at_most` where the error's own tail may be as large: the noise is then that or less."""
+    """RMS of the noise in an error; `at_most` where the error's own tail may be as large: the noise
+    is then that or less.
+    """
 
     rms: float
     at_most: bool
 
 
 def floor_under_drift(residuals: Sequence[FloatArray]) -> Floor:
-    """The noise in an error that drifts, steps and lags, told as a size where the spectrum tells it, else as a bound.
+    """The noise in an error that drifts, steps and lags, told as a size where the spectrum tells
+    it, else as a bound.
 
-    Above 5 % of the sampling rate a structured error is the tail of what it does below: c |1 − e^{−jω}|^{−2} for steps and
-    walks, the power −4 for what passed through a machine. Beside it stands AR(1) noise of variance σ². Every pair (ρ, c) gives
-    its likeliest σ; all that are nearly as likely as the best are believed. Where they agree within a quarter their middle is
-    the noise, otherwise the largest is a bound: the tail of a walk and slow noise are alike.
+    Above 5 % of the sampling rate a structured error is the tail of what it does below: c |1 −
+    e^{−jω}|^{−2} for steps and walks, the power −4 for what passed through a machine. Beside it
+    stands AR(1) noise of variance σ². Every pair (ρ, c) gives its likeliest σ; all that are nearly
+    as likely as the best are believed. Where they agree within a quarter their middle is the noise,
+    otherwise the largest is a bound: the tail of a walk and slow noise are alike.
 
-    Of 144 drawn errors (noise white, coloured, quantised; error none, ramp, sine, drift, steps, lagged steps, lagged noise, walk)
-    106 were told as a size, all within 20 %, and none of the bounds was under .9 of the noise.
+    Of 144 drawn errors (noise white, coloured, quantised; error none, ramp, sine, drift, steps,
+    lagged steps, lagged noise, walk) 106 were told as a size, all within 20 %, and none of the
+    bounds was under .9 of the noise.
 
     Parameters
     ----------
@@ -510,7 +568,11 @@ def floor_under_drift(residuals: Sequence[FloatArray]) -> Floor:
     independent = len(windows) / 1.05 * fast.sum() / 1.5
     believed = np.minimum(sizes[2.0 * independent * (cost - cost.min()) < STILL_LIKELY], rms)
     least, largest = float(believed.min()), float(believed.max())
-    return Floor(largest, at_most=True) if largest > AGREED * least else Floor(float(np.sqrt(least * largest)), at_most=False)
+    return (
+        Floor(largest, at_most=True)
+        if largest > AGREED * least
+        else Floor(float(np.sqrt(least * largest)), at_most=False)
+    )
 
 
 def _parts_and_rms(residuals: Sequence[FloatArray]) -> tuple[list[FloatArray], float]:
@@ -521,7 +583,9 @@ def _parts_and_rms(residuals: Sequence[FloatArray]) -> tuple[list[FloatArray], f
 
 
 def _whittle_sizes(frequency: FloatArray, power: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """σ of AR(1) noise beside a power of the frequency, and what its fit costs, of every colour and tail."""
+    """σ of AR(1) noise beside a power of the frequency, and what its fit costs, of every colour and
+    tail.
+    """
     step = np.abs(1.0 - np.exp(-2j * np.pi * frequency)) ** 2
     sizes, costs = [], []
     for slow in (DRIFTS[:, None] / step, DRIFTS[:, None] / step**2):
@@ -543,21 +607,32 @@ def fast_floor(residuals: Sequence[FloatArray]) -> float:
 
 def times_the_noise(residuals: Sequence[FloatArray]) -> float:
     """RMS of an output's residuals over its `fast_floor`; 0 if not measured."""
-    known, floor = np.concatenate([residual[np.isfinite(residual)] for residual in residuals]), fast_floor(residuals)
+    known, floor = (
+        np.concatenate([residual[np.isfinite(residual)] for residual in residuals]),
+        fast_floor(residuals),
+    )
     return float(np.sqrt(np.mean(known**2))) / floor if floor > 0 else 0.0
 
 
 def _whole_parts(residual: FloatArray) -> list[FloatArray]:
-    return [residual[part] for part in stretches(np.isfinite(residual)) if part.stop - part.start >= FEWEST_FOR_A_FLOOR]
+    return [
+        residual[part]
+        for part in stretches(np.isfinite(residual))
+        if part.stop - part.start >= FEWEST_FOR_A_FLOOR
+    ]
 
 
 def _windows(part: FloatArray, length: int) -> FloatArray:
     """Stretches of this length, each half over the next; shape (windows, length)."""
-    return np.asarray(np.lib.stride_tricks.sliding_window_view(part, length)[:: length - length // 2])
+    return np.asarray(
+        np.lib.stride_tricks.sliding_window_view(part, length)[:: length - length // 2]
+    )
 
 
 def _spectra(windows: FloatArray) -> FloatArray:
-    """One-sided power of each window a unit of relative frequency: its straight line taken out, under a Hann window (Welch)."""
+    """One-sided power of each window a unit of relative frequency: its straight line taken out,
+    under a Hann window (Welch).
+    """
     length = windows.shape[1]
     slope = np.arange(length) - 0.5 * (length - 1)
     line = np.stack([np.full(length, length**-0.5), slope / np.linalg.norm(slope)])
@@ -569,14 +644,20 @@ def _spectra(windows: FloatArray) -> FloatArray:
 
 
 def _fast_frequencies(length: int, lowest: float) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
-    """Relative frequencies of a window's spectrum, and which of them belong to an error's fast part."""
+    """Relative frequencies of a window's spectrum, and which of them belong to an error's fast
+    part.
+    """
     frequency = np.asarray(np.fft.rfftfreq(length), dtype=np.float64)
     return frequency, (frequency >= lowest) & (frequency < 0.5)
 
 
 def _whittle_variance(frequency: FloatArray, power: FloatArray, colours: FloatArray) -> float:
-    """Variance of the AR(1) process whose spectrum fits best (one-sided `power` a unit of relative frequency)."""
-    shape = (1 - colours[:, None] ** 2) / np.abs(1 - colours[:, None] * np.exp(-2j * np.pi * frequency)) ** 2
+    """Variance of the AR(1) process whose spectrum fits best (one-sided `power` a unit of relative
+    frequency).
+    """
+    shape = (1 - colours[:, None] ** 2) / np.abs(
+        1 - colours[:, None] * np.exp(-2j * np.pi * frequency)
+    ) ** 2
     variance = np.mean(power / shape, axis=1) / 2.0
     if not np.all(variance > 0):
         return 0.0

@@ -1,18 +1,21 @@
-"""Readings in which a sensor says that it has nothing to say: single rows far beside their neighbours, spans that stand still.
+"""Readings in which a sensor says that it has nothing to say: single rows far beside their
+neighbours, spans that stand still.
 
-A row is far beside where it lies off the median of the five rows about it by more than ten robust spreads of the steps between
-rows and by more than half of the range of all other values; a step is none, for the median follows it. Equal values that follow
-one another are one reading there, so that a code which stands for several rows is seen, if it lies beyond the range of all other
-values and is one that sensors write for none: a machine that is off reads 0 for as long. A value that comes again among such rows
-is an error code (−127, 85, −999.9 …): no plant gives the very same number twice where it should give none.
-A span stands still where it is several times longer than any usual run of equal values, while the model moves by far more than a
-digit. A sensor held it where the reading then jumps to where the machine went meanwhile, or where it is noisy and repeats no
-value otherwise; a machine that sticks goes on from where it stands.
-A position, or a speed of none, needs one of these to be named: friction, which the model may lack, lets a machine rest.
+A row is far beside where it lies off the median of the five rows about it by more than ten robust
+spreads of the steps between rows and by more than half of the range of all other values; a step is
+none, for the median follows it. Equal values that follow one another are one reading there, so that
+a code which stands for several rows is seen, if it lies beyond the range of all other values and is
+one that sensors write for none: a machine that is off reads 0 for as long. A value that comes again
+among such rows is an error code (−127, 85, −999.9 …): no plant gives the very same number twice
+where it should give none. A span stands still where it is several times longer than any usual run
+of equal values, while the model moves by far more than a digit. A sensor held it where the reading
+then jumps to where the machine went meanwhile, or where it is noisy and repeats no value otherwise;
+a machine that sticks goes on from where it stands. A position, or a speed of none, needs one of
+these to be named: friction, which the model may lack, lets a machine rest.
 
-Codes, held spans and single rows far beside are left out of whatever is judged or estimated; a row where the model itself jumps
-for a sample is told, and stays. Fails for a plant that jumps for single samples of which its model knows nothing: a sentence says
-which rows were left out.
+Codes, held spans and single rows far beside are left out of whatever is judged or estimated; a row
+where the model itself jumps for a sample is told, and stays. Fails for a plant that jumps for
+single samples of which its model knows nothing: a sentence says which rows were left out.
 """
 
 from __future__ import annotations
@@ -34,9 +37,13 @@ _ABOUT = 5
 _SPREADS, _OF_RANGE = 10.0, 0.5
 _MOST, _MOST_CODED = 0.05, 0.3
 """Part of all rows that spikes, and known error codes, may be: of more, they are no exceptions."""
-_ENDS = tuple(whole * digit for whole in (32767, 32768, 65535) for digit in (1.0, 0.5, 0.125, 0.1, 0.01))
+_ENDS = tuple(
+    whole * digit for whole in (32767, 32768, 65535) for digit in (1.0, 0.5, 0.125, 0.1, 0.01)
+)
 _MARKS = (127.0, 850.0, 999.0, 9999.0, 99999.0, 999.9, 9999.9, *_ENDS)
-"""Sizes of values that are written for none: DS18B20, Pt100, loggers, and the ends of 16 bits in usual scalings."""
+"""Sizes of values that are written for none: DS18B20, Pt100, loggers, and the ends of 16 bits in
+usual scalings.
+"""
 POWER_ON = 85.0
 _ZERO_CELSIUS = 273.15
 _LONG, _TIMES, _DIGITS = 20, 5.0, 5.0
@@ -44,9 +51,13 @@ _LONG, _TIMES, _DIGITS = 20, 5.0, 5.0
 _JUMP = 3.0
 """Usual large steps by which a reading that was held jumps on."""
 _JUMPS_TOO = 0.2
-"""Part of a reading's distance from its neighbours by which a model that jumps there, too, is beside its own."""
+"""Part of a reading's distance from its neighbours by which a model that jumps there, too, is
+beside its own.
+"""
 _REPEATED, _NOISY = 0.01, 3.0
-"""Part of a noisy reading's rows that may repeat the one before, and its usual second difference, in least steps."""
+"""Part of a noisy reading's rows that may repeat the one before, and its usual second difference,
+in least steps.
+"""
 _RESTS = 1e-6
 """Part of its size by which a simulation that rests may move."""
 _FEWEST = 30
@@ -55,8 +66,9 @@ _SHOWN = 12
 
 @dataclass(frozen=True, eq=False)
 class OddReadings:
-    """Of one output in one record: rows far beside (numbers from 0), those that are error codes, the codes, still spans, those
-    among them that a sensor held, and the rows far beside that the model knows nothing of.
+    """Of one output in one record: rows far beside (numbers from 0), those that are error codes,
+    the codes, still spans, those among them that a sensor held, and the rows far beside that the
+    model knows nothing of.
     """
 
     output: str
@@ -78,7 +90,9 @@ class OddReadings:
     @property
     def left_out(self) -> npt.NDArray[np.intp]:
         """Rows that no sensor measured."""
-        return np.union1d(np.union1d(self.coded, self.spikes), np.array(_rows_of(self.held), dtype=np.intp))
+        return np.union1d(
+            np.union1d(self.coded, self.spikes), np.array(_rows_of(self.held), dtype=np.intp)
+        )
 
     @property
     def only_left_out(self) -> OddReadings:
@@ -96,14 +110,17 @@ class OddReadings:
         if self.coded.size:
             values, leave_out = _values_and_command(self.codes)
             texts.append(
-                f"{where}: {_told_rows(self.coded, '')} read {values} {self.unit}, an error code beside their neighbours; they "
-                f"are left out here; {leave_out} leaves them out everywhere"
+                f"{where}: {_told_rows(self.coded, '')} read {values} {self.unit}, an error code"
+                f" beside their neighbours; they are left out here; {leave_out} leaves them out"
+                " everywhere"
             )
         alone = np.setdiff1d(self.beside, self.coded)
         if alone.size:
             near, far = self.distance
             lie = f"lie {near:.3g} to {far:.3g}" if len(alone) > 1 else f"lies {near:.3g}"
-            text = f"{where}: {_told_rows(alone, 'single ')} {lie} {self.unit} beside the neighbours"
+            text = (
+                f"{where}: {_told_rows(alone, 'single ')} {lie} {self.unit} beside the neighbours"
+            )
             if np.isin(alone, self.spikes).all():
                 texts.append(f"{text}, where the model does not jump; they are left out here")
             else:
@@ -113,17 +130,23 @@ class OddReadings:
                 )
         if self.held:
             texts.append(
-                f"{where}: stands still in samples {_spans(self.held)} while the model moves, as no machine at rest does: a "
-                "sensor that held its last value; they are left out here"
+                f"{where}: stands still in samples {_spans(self.held)} while the model moves, as no"
+                " machine at rest does: a sensor that held its last value; they are left out here"
             )
         if self._merely_still:
             spans = _spans(self._merely_still)
-            texts.append(f"{where}: stands still in samples {spans} while the model moves: a sensor that held its last value?")
+            texts.append(
+                f"{where}: stands still in samples {spans} while the model moves: a sensor that"
+                " held its last value?"
+            )
         return texts
 
 
 def _told_rows(rows: npt.NDArray[np.intp], kind: str) -> str:
-    shown, many = ", ".join(map(str, rows[:_SHOWN])) + ", …" * (len(rows) > _SHOWN), "s" * (len(rows) > 1)
+    shown, many = (
+        ", ".join(map(str, rows[:_SHOWN])) + ", …" * (len(rows) > _SHOWN),
+        "s" * (len(rows) > 1),
+    )
     return f"{len(rows)} {kind}sample{many} (number{many} {shown})"
 
 
@@ -139,10 +162,14 @@ def _rows_of(spans: Sequence[tuple[int, int]]) -> list[int]:
 
 
 def _spans(spans: Sequence[tuple[int, int]]) -> str:
-    return ", ".join(f"{first} to {last}" for first, last in spans[:_SHOWN]) + ", …" * (len(spans) > _SHOWN)
+    return ", ".join(f"{first} to {last}" for first, last in spans[:_SHOWN]) + ", …" * (
+        len(spans) > _SHOWN
+    )
 
 
-def odd_readings(model: PhysicalModel, experiments: Sequence[Experiment], simulated: Sequence[FloatArray]) -> list[OddReadings]:
+def odd_readings(
+    model: PhysicalModel, experiments: Sequence[Experiment], simulated: Sequence[FloatArray]
+) -> list[OddReadings]:
     """What stands out of every measured output, beside `simulated` (n, outputs) an experiment."""
     readings = []
     for experiment, beside in zip(experiments, simulated, strict=True):
@@ -157,22 +184,46 @@ def odd_readings(model: PhysicalModel, experiments: Sequence[Experiment], simula
             single = np.where(np.isin(np.arange(len(y)), rows), np.nan, y)
             still = _still(single, beside[:, k])
             noisy = _never_repeats(single, still)
-            held = tuple(s for s in still if (noisy and single[s[0]] != 0.0) or _jumps_on(single, beside[:, k], s, still))
-            still = tuple(span for span in still if span in held or not _may_rest(model, name, single, span))
+            held = tuple(
+                s
+                for s in still
+                if (noisy and single[s[0]] != 0.0) or _jumps_on(single, beside[:, k], s, still)
+            )
+            still = tuple(
+                span for span in still if span in held or not _may_rest(model, name, single, span)
+            )
             if rows.size or still:
                 unit = str(model.outputs[name].unit)
                 spikes = np.setdiff1d(rows[~_jumps(beside[:, k], rows, off)], coded)
-                readings.append(OddReadings(name, unit, experiment.source, rows, codes, coded, still, distance, held, spikes))
+                readings.append(
+                    OddReadings(
+                        name,
+                        unit,
+                        experiment.source,
+                        rows,
+                        codes,
+                        coded,
+                        still,
+                        distance,
+                        held,
+                        spikes,
+                    )
+                )
     return readings
 
 
-def without_odd(model: PhysicalModel, experiments: Sequence[Experiment]) -> tuple[list[Experiment], list[OddReadings]]:
-    """The experiments with error codes, held spans and single rows far beside missing, and what was left out.
+def without_odd(
+    model: PhysicalModel, experiments: Sequence[Experiment]
+) -> tuple[list[Experiment], list[OddReadings]]:
+    """The experiments with error codes, held spans and single rows far beside missing, and what was
+    left out.
 
-    The model is simulated without any of them, and then says which rows it jumps at itself and which spans it moves in. A model
-    that diverges tells no spans; whoever simulates it says so.
+    The model is simulated without any of them, and then says which rows it jumps at itself and
+    which spans it moves in. A model that diverges tells no spans; whoever simulates it says so.
     """
-    without, readings = _left_out(model, experiments, [np.full_like(experiment.Y, np.nan) for experiment in experiments])
+    without, readings = _left_out(
+        model, experiments, [np.full_like(experiment.Y, np.nan) for experiment in experiments]
+    )
     try:
         simulated = estimate(model, without, free=()).predicted
     except NotIdentifiable:
@@ -185,23 +236,35 @@ def without_odd(model: PhysicalModel, experiments: Sequence[Experiment]) -> tupl
 def records_without_odd(
     model: PhysicalModel, records: Sequence[Record], mapping: Mapping[str, str] | None = None
 ) -> tuple[list[Record], tuple[str, ...]]:
-    """The records with error codes and held spans of the outputs missing, and a sentence of each kind that was left out."""
+    """The records with error codes and held spans of the outputs missing, and a sentence of each
+    kind that was left out.
+    """
     matched, experiments = match(model, records, mapping)
     without, odd = without_odd(matched, experiments)
     columns = {(mapping or {}).get(name, name): k for k, name in enumerate(matched.outputs)}
     mended = []
     for record, was, now in zip(records, experiments, without, strict=True):
         out = np.isnan(now.Y) & np.isfinite(was.Y)
-        lacking = {name: np.where(out[:, k], np.nan, record[name]) for name, k in columns.items() if out[:, k].any()}
-        mended.append(replace(record, channels={**record.channels, **lacking}) if lacking else record)
+        lacking = {
+            name: np.where(out[:, k], np.nan, record[name])
+            for name, k in columns.items()
+            if out[:, k].any()
+        }
+        mended.append(
+            replace(record, channels={**record.channels, **lacking}) if lacking else record
+        )
     says = (text for reading in odd for text in reading.says())
     return mended, (*says, *codes_of_inputs(model, records, mapping))
 
 
-def codes_of_inputs(model: PhysicalModel, records: Sequence[Record], mapping: Mapping[str, str] | None = None) -> tuple[str, ...]:
-    """A sentence of each input that holds error codes, in the record's own unit; they stay, for a simulation needs a value.
+def codes_of_inputs(
+    model: PhysicalModel, records: Sequence[Record], mapping: Mapping[str, str] | None = None
+) -> tuple[str, ...]:
+    """A sentence of each input that holds error codes, in the record's own unit; they stay, for a
+    simulation needs a value.
 
-    A code lies beyond the range of all other values by half of it: the steps of an input are as large as its range.
+    A code lies beyond the range of all other values by half of it: the steps of an input are as
+    large as its range.
     """
     says = []
     for record in records:
@@ -214,13 +277,16 @@ def codes_of_inputs(model: PhysicalModel, records: Sequence[Record], mapping: Ma
             if not marked.any() or not unmarked.size:
                 continue
             apart = _OF_RANGE * np.ptp(unmarked)
-            rows = np.flatnonzero(marked & ((u < unmarked.min() - apart) | (u > unmarked.max() + apart)))
+            rows = np.flatnonzero(
+                marked & ((u < unmarked.min() - apart) | (u > unmarked.max() + apart))
+            )
             if rows.size:
                 values, leave_out = _values_and_command(sorted(set(u[rows].tolist())))
                 says.append(
-                    f"{record.source}, {column}: {_told_rows(rows, '')} read {values} {record.units.get(column, '')}, an error "
-                    f"code beside all other values, and drive the model; nothing here is to be trusted before {leave_out} "
-                    "leaves them out"
+                    f"{record.source}, {column}: {_told_rows(rows, '')} read {values}"
+                    f" {record.units.get(column, '')}, an error code beside all other values, and"
+                    f" drive the model; nothing here is to be trusted before {leave_out} leaves"
+                    " them out"
                 )
     return tuple(says)
 
@@ -240,8 +306,11 @@ def _left_out(
     return mended, readings
 
 
-def far_beside(y: FloatArray, unit: str = "") -> tuple[npt.NDArray[np.intp], tuple[float, ...], FloatArray]:
-    """Rows far beside the median of those about them, the values that come again among these, and how far each row is.
+def far_beside(
+    y: FloatArray, unit: str = ""
+) -> tuple[npt.NDArray[np.intp], tuple[float, ...], FloatArray]:
+    """Rows far beside the median of those about them, the values that come again among these, and
+    how far each row is.
 
     >>> y = np.sin(np.arange(200) / 20)
     >>> y[[30, 90, 150]] = 85.0, -127.0, 85.0
@@ -260,40 +329,61 @@ def far_beside(y: FloatArray, unit: str = "") -> tuple[npt.NDArray[np.intp], tup
     low, high = np.quantile(values[~far], [0.005, 0.995]) if not far.all() else (0.0, 0.0)
     apart = _OF_RANGE * float(high - low)
     first = np.arange(len(values)) == 0
-    out = ((values < low - apart) | (values > high + apart)) & (is_mark(values) | (first & _is_power_on(values, unit)))
+    out = ((values < low - apart) | (values > high + apart)) & (
+        is_mark(values) | (first & _is_power_on(values, unit))
+    )
     large = far & (off > apart) & ((lengths == 1) | out)
     read = Counter(np.repeat(values[large], lengths[large]).tolist())
     codes = tuple(sorted(value for value, count in read.items() if count > 1))
-    coded = np.isin(values, codes) & (out | (far & (lengths == 1)))  # one near what the sensor should show is one, too
+    coded = np.isin(values, codes) & (
+        out | (far & (lengths == 1))
+    )  # one near what the sensor should show is one, too
     unusual = (large | coded) & ~(coded & out)
-    if lengths[unusual].sum() > _MOST * len(every) or lengths[coded].sum() > _MOST_CODED * len(every):
+    if lengths[unusual].sum() > _MOST * len(every) or lengths[coded].sum() > _MOST_CODED * len(
+        every
+    ):
         return known[:0], (), every[:0]
     odd = np.repeat(large | coded, lengths)
     return known[odd], codes, np.repeat(off, lengths)[odd]
 
 
 def is_mark(values: FloatArray) -> npt.NDArray[np.bool_]:
-    """Whether values are what sensors and their buses write for none, in kelvin too where a record in degC was."""
-    near = [np.isclose(np.abs(values + shift), mark, rtol=1e-9) for mark in _MARKS for shift in (0.0, -_ZERO_CELSIUS)]
+    """Whether values are what sensors and their buses write for none, in kelvin too where a record
+    in degC was.
+    """
+    near = [
+        np.isclose(np.abs(values + shift), mark, rtol=1e-9)
+        for mark in _MARKS
+        for shift in (0.0, -_ZERO_CELSIUS)
+    ]
     return np.asarray(np.any(near, axis=0))
 
 
-def _jumps(simulated: FloatArray, rows: npt.NDArray[np.intp], off: FloatArray) -> npt.NDArray[np.bool_]:
-    """Whether a simulation lies at these rows as far beside its own neighbours as the reading, in part."""
+def _jumps(
+    simulated: FloatArray, rows: npt.NDArray[np.intp], off: FloatArray
+) -> npt.NDArray[np.bool_]:
+    """Whether a simulation lies at these rows as far beside its own neighbours as the reading, in
+    part.
+    """
     return np.asarray(_beside_neighbours(simulated)[rows] > _JUMPS_TOO * off)
 
 
 def _beside_neighbours(values: FloatArray) -> FloatArray:
     """How far each value lies from the median of those about it."""
-    from scipy.ndimage import median_filter  # noqa: PLC0415  of a question alone: starting is for all
+    # of a question alone: starting is for all
+    from scipy.ndimage import (  # noqa: PLC0415
+        median_filter,
+    )
 
     return np.abs(values - median_filter(values, _ABOUT, mode="mirror"))
 
 
 def _never_repeats(y: FloatArray, still: Sequence[tuple[int, int]]) -> bool:
-    """Whether a reading, outside its still spans, is noisy and repeats no value: then a value that stays is held.
+    """Whether a reading, outside its still spans, is noisy and repeats no value: then a value that
+    stays is held.
 
-    Counts of a smooth motion do not repeat either where it is fast; their second differences are of the size of a count.
+    Counts of a smooth motion do not repeat either where it is fast; their second differences are of
+    the size of a count.
     """
     y = y[~np.isin(np.arange(len(y)), _rows_of(still))]
     y = y[np.isfinite(y)]
@@ -301,32 +391,55 @@ def _never_repeats(y: FloatArray, still: Sequence[tuple[int, int]]) -> bool:
         return False
     steps = np.abs(np.diff(y))
     digit = float(steps[steps > 0].min()) if (steps > 0).any() else 0.0
-    return bool(np.mean(steps == 0) < _REPEATED and np.median(np.abs(np.diff(y, 2))) > _NOISY * digit > 0)
+    return bool(
+        np.mean(steps == 0) < _REPEATED and np.median(np.abs(np.diff(y, 2))) > _NOISY * digit > 0
+    )
 
 
 def _is_power_on(values: FloatArray, unit: str) -> npt.NDArray[np.bool_]:
-    """Whether values are what a 1-wire thermometer reads before its first conversion, 85 °C, for as long as it takes."""
+    """Whether values are what a 1-wire thermometer reads before its first conversion, 85 °C, for as
+    long as it takes.
+    """
     temperature = bool(unit) and compatible(unit, "degC")
-    return np.asarray(np.isclose(values, float(convert(POWER_ON, "degC", unit)) if temperature else np.inf, rtol=1e-9))
+    return np.asarray(
+        np.isclose(
+            values, float(convert(POWER_ON, "degC", unit)) if temperature else np.inf, rtol=1e-9
+        )
+    )
 
 
 def _may_rest(model: PhysicalModel, output: str, y: FloatArray, span: tuple[int, int]) -> bool:
-    """Whether the machine itself may stand still there, as friction holds it: at any position, at a speed of none."""
+    """Whether the machine itself may stand still there, as friction holds it: at any position, at a
+    speed of none.
+    """
     names = model.outputs[output].value.names
-    moves = {role for balance in model.balances.values() for role, name in balance.variables.items() if name in names}
+    moves = {
+        role
+        for balance in model.balances.values()
+        for role, name in balance.variables.items()
+        if name in names
+    }
     steps = np.abs(np.diff(y[np.isfinite(y)]))
     digit = float(steps[steps > 0].min()) if (steps > 0).any() else 0.0
     return moves == {"position"} or ("velocity" in moves and abs(float(y[span[0]])) <= digit)
 
 
-def _jumps_on(y: FloatArray, simulated: FloatArray, span: tuple[int, int], still: Sequence[tuple[int, int]]) -> bool:
-    """Whether the reading after a span lies far from it, in usual steps of the machine and the model's as it sets out."""
+def _jumps_on(
+    y: FloatArray, simulated: FloatArray, span: tuple[int, int], still: Sequence[tuple[int, int]]
+) -> bool:
+    """Whether the reading after a span lies far from it, in usual steps of the machine and the
+    model's as it sets out.
+    """
     known = np.flatnonzero(np.isfinite(y))
     after = known[known > span[1]]
     if not after.size:
         return False
     follows = ~np.isin(known, _rows_of([(first, last + 1) for first, last in still]))
-    usual = float(np.quantile(np.abs(np.diff(y[known[follows]])), 0.99)) if follows.sum() > _FEWEST else np.inf
+    usual = (
+        float(np.quantile(np.abs(np.diff(y[known[follows]])), 0.99))
+        if follows.sum() > _FEWEST
+        else np.inf
+    )
     driven = np.abs(np.diff(simulated[max(span[1] - 1, 0) : after[0] + 2]))
     usual = max(usual, float(np.nanmax(driven, initial=0.0)))
     return bool(abs(float(y[after[0]] - y[span[0]])) > _JUMP * usual > 0)
@@ -351,7 +464,9 @@ def _still(y: FloatArray, simulated: FloatArray) -> tuple[tuple[int, int], ...]:
     spans = []
     for first, length in zip(starts, lengths, strict=True):
         part = simulated[first : first + length]
-        moves = np.isfinite(part).any() and float(np.nanmax(part) - np.nanmin(part)) > _DIGITS * digit
+        moves = (
+            np.isfinite(part).any() and float(np.nanmax(part) - np.nanmin(part)) > _DIGITS * digit
+        )
         if length >= max(_LONG, _TIMES * usual) and digit and moves:
             spans.append((int(first), int(first + length - 1)))
     return tuple(spans)

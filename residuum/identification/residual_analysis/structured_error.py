@@ -1,7 +1,8 @@
 """Is a model's error structured, or only (coloured) noise?
 
-A whiteness test answers another question: real noise is coloured, and a correct model then fails it. Here the error
-may have any colour; it is called structured when functions of the model's own signals predict it.
+A whiteness test answers another question: real noise is coloured, and a correct model then fails
+it. Here the error may have any colour; it is called structured when functions of the model's own
+signals predict it.
 """
 
 from __future__ import annotations
@@ -38,9 +39,10 @@ from residuum.identification.residual_analysis.policy import (
 class StructuredError:
     """Outcome of the test on one output.
 
-    `present` at the chosen level, `p_value` under "the error is noise of some colour", `share` = part of the error's
-    power that the model's signals predict, `noise_rms` = what remains (unit of the output), `predicted` = the
-    structured part, one array a record, `noise` = the colour of what remains.
+    `present` at the chosen level, `p_value` under "the error is noise of some colour", `share` =
+    part of the error's power that the model's signals predict, `noise_rms` = what remains (unit of
+    the output), `predicted` = the structured part, one array a record, `noise` = the colour of what
+    remains.
     """
 
     present: bool
@@ -64,10 +66,11 @@ def test_structured_error(
 ) -> StructuredError:
     """Test whether `features` predict `residuals` beyond what coloured noise would allow.
 
-    Likelihood ratio of two regressions, e = v and e = X c + v, v autoregressive with its own coefficients in each,
-    T = N log(σ₀²/σ₁²). The null distribution is that of T on noise drawn from the fitted AR model (parametric
-    bootstrap), summarised by a gamma distribution of the same two moments, because the χ² approximation is too
-    light-tailed when the noise is nearly integrated; at most `n_bootstrap` draws, fewer where a few of them decide.
+    Likelihood ratio of two regressions, e = v and e = X c + v, v autoregressive with its own
+    coefficients in each, T = N log(σ₀²/σ₁²). The null distribution is that of T on noise drawn from
+    the fitted AR model (parametric bootstrap), summarised by a gamma distribution of the same two
+    moments, because the χ² approximation is too light-tailed when the noise is nearly integrated;
+    at most `n_bootstrap` draws, fewer where a few of them decide.
 
     Parameters
     ----------
@@ -80,9 +83,11 @@ def test_structured_error(
     order : int
         AR order of the noise.
     drifting : bool
-        Whether noise may be integrated. It then explains every slow error; otherwise it forgets within the data.
+        Whether noise may be integrated. It then explains every slow error; otherwise it forgets
+        within the data.
     least_share : float
-        Of no interest is what takes less of the error's power: then not `present`, and without a p-value (NaN).
+        Of no interest is what takes less of the error's power: then not `present`, and without a
+        p-value (NaN).
 
     Raises
     ------
@@ -102,22 +107,35 @@ def test_structured_error(
     segments, designs = _complete(residuals, features)
     n = sum(map(len, segments))
     if n < 4 * (q + order):
-        raise BadInput(f"structured-error test: has {n} samples; {q} features with noise of order {order} need {4 * (q + order)}")
+        raise BadInput(
+            f"structured-error test: has {n} samples; {q} features with noise of order {order} need"
+            f" {4 * (q + order)}"
+        )
     designs = _orthonormal(designs)
     null = _noise(segments, order, drifting)
     statistic, coefficients, noise = _likelihood_ratio(segments, designs, null, drifting)
     predicted = [design @ coefficients for design in designs]
     total = sum(float(segment @ segment) for segment in segments)
-    left_power = sum(float(np.sum((segment - part) ** 2)) for segment, part in zip(segments, predicted, strict=True))
+    left_power = sum(
+        float(np.sum((segment - part) ** 2))
+        for segment, part in zip(segments, predicted, strict=True)
+    )
     share, p_value = max(0.0, 1.0 - left_power / total) if total > 0 else 0.0, np.nan
     if share >= least_share:
         rng = np.random.default_rng(seed)
         lengths, draws = [len(segment) for segment in segments], np.zeros(0)
-        while draws.size < n_bootstrap and not (p_value < RARE_DRAW * level or p_value > ORDINARY_DRAW):
-            more = [_null_draw(null, lengths, designs, drifting, rng) for _ in range(min(STRUCTURE_DRAWS, n_bootstrap))]
+        while draws.size < n_bootstrap and not (
+            p_value < RARE_DRAW * level or p_value > ORDINARY_DRAW
+        ):
+            more = [
+                _null_draw(null, lengths, designs, drifting, rng)
+                for _ in range(min(STRUCTURE_DRAWS, n_bootstrap))
+            ]
             draws = np.r_[draws, more]
             p_value = _tail(statistic, draws, designs[0].shape[1])
-        share *= max(statistic - float(draws.mean()), 0.0) / max(statistic, 1e-300)  # what pure noise would also have given
+        share *= max(statistic - float(draws.mean()), 0.0) / max(
+            statistic, 1e-300
+        )  # what pure noise would also have given
     return StructuredError(
         present=bool(p_value < level),
         p_value=p_value,
@@ -133,11 +151,15 @@ test_structured_error.__test__ = False  # type: ignore[attr-defined]  # a statis
 
 def lasting_noise(residuals: Sequence[FloatArray], order: int) -> ColouredNoise:
     """The colour of residuals (NaN where missing) as noise that forgets within them."""
-    return _noise([r[part] for r in residuals for part in stretches(np.isfinite(r))], order, drifting=False)
+    return _noise(
+        [r[part] for r in residuals for part in stretches(np.isfinite(r))], order, drifting=False
+    )
 
 
 def _noise(segments: list[FloatArray], order: int, drifting: bool) -> ColouredNoise:
-    """The colour of the segments, unless it may drift with no more memory than their length can show."""
+    """The colour of the segments, unless it may drift with no more memory than their length can
+    show.
+    """
     noise = fit_coloured_noise(segments, order)
     if drifting:
         return noise
@@ -149,12 +171,17 @@ def _noise(segments: list[FloatArray], order: int, drifting: bool) -> ColouredNo
     return ColouredNoise(a, float(np.mean(e**2)))
 
 
-def _complete(residuals: Sequence[FloatArray], features: Sequence[FloatArray]) -> tuple[list[FloatArray], list[FloatArray]]:
+def _complete(
+    residuals: Sequence[FloatArray], features: Sequence[FloatArray]
+) -> tuple[list[FloatArray], list[FloatArray]]:
     """Residuals and features on the stretches where both are present."""
     segments, designs = [], []
     for residual, feature in zip(residuals, features, strict=True):
         if feature.shape[0] != residual.shape[0]:
-            raise BadInput(f"structured-error test: {residual.shape[0]} residuals but {feature.shape[0]} feature rows")
+            raise BadInput(
+                f"structured-error test: {residual.shape[0]} residuals but {feature.shape[0]}"
+                " feature rows"
+            )
         for part in stretches(_present(residual, feature)):
             segments.append(residual[part])
             designs.append(feature[part])
@@ -165,7 +192,9 @@ def _present(residual: FloatArray, feature: FloatArray) -> npt.NDArray[np.bool_]
     return np.isfinite(residual) & np.isfinite(feature).all(axis=1)
 
 
-def _spread(residuals: Sequence[FloatArray], features: Sequence[FloatArray], parts: list[FloatArray]) -> tuple[FloatArray, ...]:
+def _spread(
+    residuals: Sequence[FloatArray], features: Sequence[FloatArray], parts: list[FloatArray]
+) -> tuple[FloatArray, ...]:
     """The predicted parts back on the records' samples, NaN where nothing could be predicted."""
     remaining = iter(parts)
     spread = []
@@ -193,9 +222,10 @@ def _likelihood_ratio(
 ) -> tuple[float, FloatArray, ColouredNoise]:
     """(T, regression coefficients, noise of the alternative).
 
-    The likelihood has two basins when noise and features are both slow: noise nearly integrated with free
-    coefficients, or noise less coloured with small ones. Generalised least squares runs from both ends. Coefficients and noise
-    that belong together are given where they are likelier than the null; T counts the null's own noise too.
+    The likelihood has two basins when noise and features are both slow: noise nearly integrated
+    with free coefficients, or noise less coloured with small ones. Generalised least squares runs
+    from both ends. Coefficients and noise that belong together are given where they are likelier
+    than the null; T counts the null's own noise too.
     """
     n = sum(max(len(segment) - null.order, 0) for segment in segments)
     before = sum(float(np.sum(null.whiten(segment) ** 2)) for segment in segments)
@@ -204,19 +234,30 @@ def _likelihood_ratio(
     for noise in (white, null):
         for _ in range(NOISE_PASSES):
             coefficients = _generalised_least_squares(segments, designs, noise)
-            residuals = [segment - design @ coefficients for segment, design in zip(segments, designs, strict=True)]
+            residuals = [
+                segment - design @ coefficients
+                for segment, design in zip(segments, designs, strict=True)
+            ]
             beside, noise = noise, _noise(residuals, null.order, drifting)
             after = sum(float(np.sum(noise.whiten(part) ** 2)) for part in residuals)
             if after < best[0]:
                 best = (after, coefficients, noise)
-            if beside.order == null.order:  # Burg's noise of the rest is not always likelier than that before it
+            if (
+                beside.order == null.order
+            ):  # Burg's noise of the rest is not always likelier than that before it
                 same = sum(float(np.sum(beside.whiten(part) ** 2)) for part in residuals)
                 least = min(least, (same, coefficients, beside), key=itemgetter(0))
     _, coefficients, noise = best if best[0] < before else least
-    return n * float(np.log(max(before, 1e-300) / max(min(least[0], best[0]), 1e-300))), coefficients, noise
+    return (
+        n * float(np.log(max(before, 1e-300) / max(min(least[0], best[0]), 1e-300))),
+        coefficients,
+        noise,
+    )
 
 
-def _generalised_least_squares(segments: list[FloatArray], designs: list[FloatArray], noise: ColouredNoise) -> FloatArray:
+def _generalised_least_squares(
+    segments: list[FloatArray], designs: list[FloatArray], noise: ColouredNoise
+) -> FloatArray:
     y = np.concatenate([noise.whiten(segment) for segment in segments])
     x = np.concatenate([noise.whiten(design) for design in designs])
     gram = x.T @ x
@@ -225,7 +266,11 @@ def _generalised_least_squares(segments: list[FloatArray], designs: list[FloatAr
 
 
 def _null_draw(
-    null: ColouredNoise, lengths: list[int], designs: list[FloatArray], drifting: bool, rng: np.random.Generator
+    null: ColouredNoise,
+    lengths: list[int],
+    designs: list[FloatArray],
+    drifting: bool,
+    rng: np.random.Generator,
 ) -> float:
     segments = [null.simulate(n, rng) for n in lengths]
     refitted = _noise(segments, null.order, drifting)
@@ -233,10 +278,11 @@ def _null_draw(
 
 
 def _tail(statistic: float, draws: FloatArray, q: int) -> float:
-    """Chance of at least this statistic under a gamma distribution of the draws' two moments, at least those of χ²(q).
+    """Chance of at least this statistic under a gamma distribution of the draws' two moments, at
+    least those of χ²(q).
 
-    χ² is what the ratio has where noise is hardly coloured; few draws that happen to lie close together would tell a tail far
-    below it.
+    χ² is what the ratio has where noise is hardly coloured; few draws that happen to lie close
+    together would tell a tail far below it.
     """
     mean, variance = max(float(draws.mean()), float(q)), max(float(draws.var(ddof=1)), 2.0 * q)
     return float(gammaincc(mean**2 / variance, max(statistic, 0.0) * mean / variance))

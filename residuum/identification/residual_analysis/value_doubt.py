@@ -1,12 +1,14 @@
 """What other values of a model, within their doubt, would take away of its error: no structure.
 
-Values that were estimated by least squares beside coloured noise are not the likeliest ones. What they miss follows the model's
-own signals, as the error of a missing effect does, and is smooth where the innovations of the noise are small: a test for
-structure sees it. So the error is tested at the likeliest values (generalised least squares beside noise of its own colour) where
-these lie within the doubt of estimated ones, H⁻¹ JᵀΓJ H⁻¹. Values further away are wrong, and their error is structured. First
-states are always estimated on the records themselves.
+Values that were estimated by least squares beside coloured noise are not the likeliest ones. What
+they miss follows the model's own signals, as the error of a missing effect does, and is smooth
+where the innovations of the noise are small: a test for structure sees it. So the error is tested
+at the likeliest values (generalised least squares beside noise of its own colour) where these lie
+within the doubt of estimated ones, H⁻¹ JᵀΓJ H⁻¹. Values further away are wrong, and their error is
+structured. First states are always estimated on the records themselves.
 
-Reference: A. C. Aitken, Proc. R. Soc. Edinb. 55 (1936) 42; W. K. Newey, K. D. West, Econometrica 55 (1987) 703.
+Reference: A. C. Aitken, Proc. R. Soc. Edinb. 55 (1936) 42; W. K. Newey, K. D. West, Econometrica 55
+(1987) 703.
 """
 
 from __future__ import annotations
@@ -26,21 +28,32 @@ from residuum.identification.residual_analysis.policy import NOISE_ORDER, STRUCT
 from residuum.identification.residual_analysis.structured_error import lasting_noise
 
 
-def at_likeliest_values(model: PhysicalModel, experiments: Sequence[Experiment], simulation: Estimate) -> list[FloatArray]:
-    """Residuals of a simulation with the model's values and estimated first states, less what likelier ones within their doubt
-    take away; (n, outputs) an experiment, NaN where missing. To first order in the values, each output's by itself.
+def at_likeliest_values(
+    model: PhysicalModel, experiments: Sequence[Experiment], simulation: Estimate
+) -> list[FloatArray]:
+    """Residuals of a simulation with the model's values and estimated first states, less what
+    likelier ones within their doubt take away; (n, outputs) an experiment, NaN where missing. To
+    first order in the values, each output's by itself.
 
     Notes
     -----
     Fails where two outputs contradict each other about one value within its doubt by one of them alone: either takes its own. The
     doubt is that of the estimate, and not of its difference from the likeliest values, which is less: a generous bound.
     """
-    slopes = [_slopes(model, *run) for run in zip(experiments, simulation.initial, simulation.substeps, strict=True)]
+    slopes = [
+        _slopes(model, *run)
+        for run in zip(experiments, simulation.initial, simulation.substeps, strict=True)
+    ]
     residuals = [residual.copy() for residual in simulation.residuals]
     if not slopes[0].shape[-1]:  # nothing is free
         return residuals
-    for o in map(int, np.flatnonzero(np.any([np.isfinite(r).any(axis=0) for r in residuals], axis=0))):
-        errors = [_Slope(r[:, o], J[:, o], len(model.free)) for r, J in zip(residuals, slopes, strict=True)]
+    for o in map(
+        int, np.flatnonzero(np.any([np.isfinite(r).any(axis=0) for r in residuals], axis=0))
+    ):
+        errors = [
+            _Slope(r[:, o], J[:, o], len(model.free))
+            for r, J in zip(residuals, slopes, strict=True)
+        ]
         for r, change in zip(residuals, _changes(errors), strict=True):
             r[:, o] -= change
     return residuals
@@ -48,7 +61,9 @@ def at_likeliest_values(model: PhysicalModel, experiments: Sequence[Experiment],
 
 @dataclass(frozen=True, eq=False)
 class _Slope:
-    """One output's error e in an experiment, and its slopes J by the values, the first `values` of them, and the first states."""
+    """One output's error e in an experiment, and its slopes J by the values, the first `values` of
+    them, and the first states.
+    """
 
     e: FloatArray
     J: FloatArray
@@ -70,8 +85,12 @@ class _Slope:
         return projected[:, 0], projected[:, 1:]
 
 
-def _slopes(model: PhysicalModel, experiment: Experiment, x0: FloatArray, substeps: int) -> FloatArray:
-    """Slopes of the outputs by the free values and first states, (n, outputs, values + states); zero where not measured."""
+def _slopes(
+    model: PhysicalModel, experiment: Experiment, x0: FloatArray, substeps: int
+) -> FloatArray:
+    """Slopes of the outputs by the free values and first states, (n, outputs, values + states);
+    zero where not measured.
+    """
     simulator = Simulator(model)
     names = [*model.free, *(f"initial:{name}" for name in simulator.free_states)]
     run = simulator.run_vectors(experiment, x0, simulator.p(), slopes=names, substeps=substeps)
@@ -81,22 +100,32 @@ def _slopes(model: PhysicalModel, experiment: Experiment, x0: FloatArray, subste
 
 
 def _changes(errors: Sequence[_Slope]) -> list[FloatArray]:
-    """What the likeliest values and first states change of one output's error, an array an experiment."""
+    """What the likeliest values and first states change of one output's error, an array an
+    experiment.
+    """
     missing = [np.where(np.isfinite(slope.e), 0.0, np.nan) for slope in errors]
     changes = missing
     for _ in range(2):
         try:
-            noise = lasting_noise([slope.e - change for slope, change in zip(errors, changes, strict=True)], NOISE_ORDER)
+            noise = lasting_noise(
+                [slope.e - change for slope, change in zip(errors, changes, strict=True)],
+                NOISE_ORDER,
+            )
         except BadInput:  # too short to tell a colour
             return missing
         white = [slope.whitened(noise) for slope in errors]
         by = _values(errors, white, noise)
-        changes = [slope.J @ np.r_[by, w.of_states(w.e - w.J[:, : by.size] @ by)] for slope, w in zip(errors, white, strict=True)]
+        changes = [
+            slope.J @ np.r_[by, w.of_states(w.e - w.J[:, : by.size] @ by)]
+            for slope, w in zip(errors, white, strict=True)
+        ]
     return changes
 
 
 def _values(errors: Sequence[_Slope], white: Sequence[_Slope], noise: ColouredNoise) -> FloatArray:
-    """By how much the likeliest values differ; zero where that is beyond the doubt of values that were estimated."""
+    """By how much the likeliest values differ; zero where that is beyond the doubt of values that
+    were estimated.
+    """
     projected = [slope.without_states() for slope in white]
     H, g = sum(J.T @ J for _, J in projected), sum(J.T @ e for e, J in projected)
     change = np.asarray(np.linalg.lstsq(H, g, rcond=None)[0])

@@ -20,8 +20,11 @@ from residuum.identification.work import Tell, untold
 _OTHERWISE = "start from other values, or leave it out"
 
 
-def with_asked(data: Data, keys: Sequence[Key], tell: Tell = untold, *, turn: bool = True) -> Search:
-    """The data's model with these effects, one after the other, at the likelier input timing where it may be turned.
+def with_asked(
+    data: Data, keys: Sequence[Key], tell: Tell = untold, *, turn: bool = True
+) -> Search:
+    """The data's model with these effects, one after the other, at the likelier input timing where
+    it may be turned.
 
     Raises
     ------
@@ -34,7 +37,9 @@ def with_asked(data: Data, keys: Sequence[Key], tell: Tell = untold, *, turn: bo
         tell(0.1 + 0.8 * number / len(keys), f"adding {key.effect} to {key.target}")
         after = _joined(search, key)
         if after is None:
-            raise NotIdentifiable(f"effect {key.effect!r} at {key.target!r}: the model diverges with it; {_OTHERWISE}")
+            raise NotIdentifiable(
+                f"effect {key.effect!r} at {key.target!r}: the model diverges with it; {_OTHERWISE}"
+            )
         search.best, search.every[after.keys] = after, after
         if turn and (retimed := at_the_timing_it_suits(search)) is not None:
             return with_asked(retimed, keys, tell, turn=False)

@@ -27,7 +27,8 @@ def searched(
 ) -> Search:
     """The search for what records show that a model lacks; in noise, at the rate of the records.
 
-    It is the model as it is alone where the work, or the seconds that a user gave, are over before anything else is known.
+    It is the model as it is alone where the work, or the seconds that a user gave, are over before
+    anything else is known.
 
     Raises
     ------
@@ -46,7 +47,9 @@ def searched(
 
 
 def at_its_rate(data: Data, seek: Callable[[Data], Search]) -> Search:
-    """What is sought in data, at a lower rate that loses nothing; in noise, where every sample counts, at their own."""
+    """What is sought in data, at a lower rate that loses nothing; in noise, where every sample
+    counts, at their own.
+    """
     outcome = seek(coarser(data))
     if outcome.court.scale.nats and (finer := outcome.court.data.finer) is not None:
         try:

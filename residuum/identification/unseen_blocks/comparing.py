@@ -27,7 +27,9 @@ from residuum.identification.unseen_blocks.scale import Scale
 
 
 def share(before: FloatArray, after: FloatArray) -> tuple[float, float]:
-    """Part of the error's power (blocks, outputs) that is taken away, the outputs alike, and its scatter over blocks."""
+    """Part of the error's power (blocks, outputs) that is taken away, the outputs alike, and its
+    scatter over blocks.
+    """
     total = before.sum(axis=0)
     if not (total > 0.0).any():
         return 0.0, 0.0  # there was no error
@@ -48,7 +50,9 @@ class OnBlocks(Protocol):
 
 
 def paired(new: OnBlocks, old: OnBlocks, scale: Scale) -> tuple[float, float]:
-    """Mean over blocks of the logarithm by which the new one's error is smaller, and its standard error."""
+    """Mean over blocks of the logarithm by which the new one's error is smaller, and its standard
+    error.
+    """
     p, q = scale.by_block(new.power), scale.by_block(old.power)
     floor = MERITLESS * min(float(p.mean()), float(q.mean())) + 1e-300
     d = 0.5 * (np.log(q + floor) - np.log(p + floor))
@@ -56,8 +60,9 @@ def paired(new: OnBlocks, old: OnBlocks, scale: Scale) -> tuple[float, float]:
 
 
 def ahead(new: OnBlocks, old: OnBlocks, scale: Scale) -> float:
-    """Standard errors by which the new one's error is smaller. They are of the paired logarithms, or of the ratio of totals
-    where a few blocks hold most of the error (a machine that stands still in the others).
+    """Standard errors by which the new one's error is smaller. They are of the paired logarithms,
+    or of the ratio of totals where a few blocks hold most of the error (a machine that stands still
+    in the others).
     """
     p, q = scale.by_block(new.power), scale.by_block(old.power)
     pick = np.random.default_rng(0).integers(0, len(p), (DRAWS, len(p)))
@@ -67,13 +72,17 @@ def ahead(new: OnBlocks, old: OnBlocks, scale: Scale) -> float:
 
 
 def block_by_block(new: OnBlocks, old: OnBlocks, scale: Scale) -> float:
-    """Standard errors by which the new one's error is smaller in one block as in another, however much of it a block holds."""
+    """Standard errors by which the new one's error is smaller in one block as in another, however
+    much of it a block holds.
+    """
     mean, std = paired(new, old, scale)
     return mean / max(std, 1e-12)
 
 
 def evidence(new: OnBlocks, old: OnBlocks, scale: Scale) -> float:
-    """Log odds for the new one: nats gained on unseen blocks, or half the square of the standard errors that it is ahead."""
+    """Log odds for the new one: nats gained on unseen blocks, or half the square of the standard
+    errors that it is ahead.
+    """
     if scale.nats:
         return old.cost - new.cost
     t = ahead(new, old, scale)
@@ -81,9 +90,9 @@ def evidence(new: OnBlocks, old: OnBlocks, scale: Scale) -> float:
 
 
 def corrected(new: Judged, old: Judged) -> float:
-    """Standard errors by which what the new one corrects on unseen blocks goes along with the old one's errors. They are
-    summed over pieces as long as the errors are correlated, and self-normalised: an effect may show in few places, not in one
-    alone.
+    """Standard errors by which what the new one corrects on unseen blocks goes along with the old
+    one's errors. They are summed over pieces as long as the errors are correlated, and
+    self-normalised: an effect may show in few places, not in one alone.
     """
     rows = (old.left * (old.left - new.left)).sum(axis=1)
     e = old.left.sum(axis=1)
@@ -98,24 +107,34 @@ def corrected(new: Judged, old: Judged) -> float:
 
 
 def is_real(new: Judged, old: Judged, base: Judged, scale: Scale, tried: int) -> bool:
-    """Whether what the new one corrects on unseen blocks is real after so many were tried, and worth it; a rare effect more.
+    """Whether what the new one corrects on unseen blocks is real after so many were tried, and
+    worth it; a rare effect more.
 
-    What fits the seen blocks no better is ahead on unseen ones by chance: where one block alone tells a value, another value left
-    out with it lies anywhere.
+    What fits the seen blocks no better is ahead on unseen ones by chance: where one block alone
+    tells a value, another value left out with it lies anywhere.
     """
     gain = old.cost - new.cost if new.seen < old.seen else 0.0
     if scale.nats:
-        return gain > np.log(max(tried, 1)) + TIE and max(corrected(new, old), block_by_block(new, old, scale)) > EVERYWHERE
+        return (
+            gain > np.log(max(tried, 1)) + TIE
+            and max(corrected(new, old), block_by_block(new, old, scale)) > EVERYWHERE
+        )
     left, rarer = max(old.cost - scale.floor, 1e-9), max(new.rarity - old.rarity, 0.0)
     least = 0.0 if is_nothing(old, base, scale) else SMALL * (base.cost - scale.floor)
     worth = max(WORTH * (1.0 + rarer) * left, least)
     return gain > worth and ahead(new, old, scale) > REAL
 
 
-def real_ones(ranked: Sequence[Judged], old: Judged, base: Judged, scale: Scale, tried: int) -> list[Judged]:
+def real_ones(
+    ranked: Sequence[Judged], old: Judged, base: Judged, scale: Scale, tried: int
+) -> list[Judged]:
     """Those that are real, without rare ones that do no better than one that is less rare."""
     real = [fit for fit in ranked if is_real(fit, old, base, scale, tried)]
-    return [fit for fit in real if not any(rival.rarity < fit.rarity and rival.cost <= fit.cost for rival in ranked)]
+    return [
+        fit
+        for fit in real
+        if not any(rival.rarity < fit.rarity and rival.cost <= fit.cost for rival in ranked)
+    ]
 
 
 def is_nothing(left: Judged, base: Judged, scale: Scale) -> bool:
@@ -124,22 +143,28 @@ def is_nothing(left: Judged, base: Judged, scale: Scale) -> bool:
 
 
 def simplest(ranked: Sequence[Judged], scale: Scale) -> Judged:
-    """The fewest parameters among those that the best does not stand before; of what noise cannot tell apart the physics of a
-    balance before the path of an input.
+    """The fewest parameters among those that the best does not stand before; of what noise cannot
+    tell apart the physics of a balance before the path of an input.
     """
     lead = min(ranked, key=lambda rival: rival.cost)
     if scale.nats:
         near = [rival for rival in ranked if rival is lead or rival.cost < lead.cost + TIE]
     else:
-        near = [rival for rival in ranked if rival is lead or rival.cost < 1.1 * lead.cost or _beside(rival, lead, scale)]
+        near = [
+            rival
+            for rival in ranked
+            if rival is lead or rival.cost < 1.1 * lead.cost or _beside(rival, lead, scale)
+        ]
     chosen = min(near, key=lambda rival: (rival.parameters, rival.cost))
     return _physics_first(chosen, ranked, scale) if scale.nats else chosen
 
 
 def _physics_first(chosen: Judged, ranked: Sequence[Judged], scale: Scale) -> Judged:
-    """What is as likely as the chosen one, no rarer, and has a balance's effect in the place of one on an input.
+    """What is as likely as the chosen one, no rarer, and has a balance's effect in the place of one
+    on an input.
 
-    A power law of a heater and of the command that it follows are one equation: nothing but a parameter's price would choose.
+    A power law of a heater and of the command that it follows are one equation: nothing but a
+    parameter's price would choose.
     """
     least = chosen.cost - scale.price * chosen.parameters + TIE
     same = [
@@ -153,7 +178,9 @@ def _physics_first(chosen: Judged, ranked: Sequence[Judged], scale: Scale) -> Ju
 
 
 def _on_inputs(candidate: Judged) -> int:
-    return sum(key.effect != HELD and find_effect(key.effect).place == "input" for key in candidate.keys)
+    return sum(
+        key.effect != HELD and find_effect(key.effect).place == "input" for key in candidate.keys
+    )
 
 
 def _beside(rival: Judged, lead: Judged, scale: Scale) -> bool:
@@ -162,7 +189,9 @@ def _beside(rival: Judged, lead: Judged, scale: Scale) -> bool:
 
 
 def is_alike(rival: Judged, chosen: Judged, before: Judged | None, scale: Scale) -> bool:
-    """Whether the data cannot tell another structure from the chosen one, both in the place of `before`."""
+    """Whether the data cannot tell another structure from the chosen one, both in the place of
+    `before`.
+    """
     if not scale.nats:
         mean, std = paired(chosen, rival, scale)
         return mean <= 2.0 * std and rival.cost < 1.5 * chosen.cost
@@ -178,7 +207,11 @@ def going_on(ranked: Sequence[Judged], scale: Scale) -> list[Judged]:
     lead = ranked[0]
     if scale.nats:
         return [rival for rival in ranked if rival.cost < lead.cost + TIE][:BEAM]
-    near = [rival for rival in ranked if rival is lead or rival.cost < 1.2 * lead.cost or _within_three(rival, lead, scale)]
+    near = [
+        rival
+        for rival in ranked
+        if rival is lead or rival.cost < 1.2 * lead.cost or _within_three(rival, lead, scale)
+    ]
     return near[:BEAM]
 
 

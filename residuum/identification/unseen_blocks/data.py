@@ -1,4 +1,6 @@
-"""Records matched once: experiments at the likelier input timing, blocks, and windows from short to the whole record."""
+"""Records matched once: experiments at the likelier input timing, blocks, and windows from short to
+the whole record.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,9 @@ Integers = npt.NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class Rung:
-    """All records in so many `windows` each; `block` (rows,) is each row's block, `experiment` (parts,) where a part lies."""
+    """All records in so many `windows` each; `block` (rows,) is each row's block, `experiment`
+    (parts,) where a part lies.
+    """
 
     windows: int
     parts: list[Experiment]
@@ -50,11 +54,15 @@ class Rung:
         return Cells.of(self.parts, self.block)
 
     def thinned(self, samples: int, errors: FloatArray | None = None) -> tuple[Rung, list[int]]:
-        """About so many samples of the parts, and which parts those are: evenly, or, where these hold little of the
-        errors (parts,), those that hold most.
+        """About so many samples of the parts, and which parts those are: evenly, or, where these
+        hold little of the errors (parts,), those that hold most.
         """
-        every = np.arange(len(self.parts))[:: max(1, round(sum(part.n for part in self.parts) / samples))]
-        if errors is not None and np.mean(errors[every] - errors.min()) < BLIND * np.mean(errors - errors.min()):
+        every = np.arange(len(self.parts))[
+            :: max(1, round(sum(part.n for part in self.parts) / samples))
+        ]
+        if errors is not None and np.mean(errors[every] - errors.min()) < BLIND * np.mean(
+            errors - errors.min()
+        ):
             every = np.sort(np.argsort(-errors)[: len(every)])
         rows = np.isin(np.repeat(np.arange(len(self.parts)), np.diff(self.starts)), every)
         parts = [self.parts[k] for k in every]
@@ -95,14 +103,18 @@ class Data:
         return len(self.fold)
 
     def rung(self, windows: int) -> Rung:
-        """The rung with so many windows a record; whole records, where these are too short for so many."""
+        """The rung with so many windows a record; whole records, where these are too short for so
+        many.
+        """
         return next((rung for rung in self.rungs if rung.windows == windows), self.rungs[-1])
 
     def times_of(self, block: int) -> tuple[float, float]:
         """Begin and end of a block [s], in its record's time."""
         per_experiment = self.blocks // len(self.experiments)
         e, k = self.experiments[block // per_experiment], block % per_experiment
-        return tuple(e.t0 + e.sample_time * np.ceil(e.n * edge / per_experiment) for edge in (k, k + 1))
+        return tuple(
+            e.t0 + e.sample_time * np.ceil(e.n * edge / per_experiment) for edge in (k, k + 1)
+        )
 
     def rows(self, rung: Rung) -> Integers:
         """Of each row of a rung the row among all experiments, one after the other."""
@@ -110,11 +122,15 @@ class Data:
         indices = []
         for part, number in zip(rung.parts, rung.experiment, strict=True):
             e = self.experiments[number]
-            indices.append(begins[number] + round((part.t0 - e.t0) / e.sample_time) + np.arange(part.n))
+            indices.append(
+                begins[number] + round((part.t0 - e.t0) / e.sample_time) + np.arange(part.n)
+            )
         return np.concatenate(indices)
 
 
-def matched(model: PhysicalModel, records: Sequence[Record], mapping: Mapping[str, str] | None) -> Data:
+def matched(
+    model: PhysicalModel, records: Sequence[Record], mapping: Mapping[str, str] | None
+) -> Data:
     """The records matched to the model.
 
     Raises
@@ -129,7 +145,10 @@ def matched(model: PhysicalModel, records: Sequence[Record], mapping: Mapping[st
     if not long_enough([e.n for e in experiments]):
         e = min(experiments, key=lambda e: e.n)
         least = f"at least {FEWEST_TO_JUDGE} in all and {FOLDS} in each record are needed"
-        raise BadRecord(f"record {e.source!r}: {e.n} samples; {least}, to keep parts aside that judge what the rest explains")
+        raise BadRecord(
+            f"record {e.source!r}: {e.n} samples; {least}, to keep parts aside that judge what the"
+            " rest explains"
+        )
     check_followed(model, experiments)
     return data_of(model, experiments)
 
@@ -148,18 +167,25 @@ def data_of(model: PhysicalModel, experiments: list[Experiment]) -> Data:
     spread[~(spread > 0.0)] = 1.0
     shortest = min(e.n for e in experiments)
     per_experiment, fold = folds_of(len(experiments), shortest)
-    rungs = tuple(_rung(experiments, k, per_experiment) for k in LADDER if shortest // k >= WINDOW_SAMPLES or k == LADDER[-1])
+    rungs = tuple(
+        _rung(experiments, k, per_experiment)
+        for k in LADDER
+        if shortest // k >= WINDOW_SAMPLES or k == LADDER[-1]
+    )
     return Data(model, experiments, measured, spread, rungs, fold)
 
 
 def folds_of(count: int, shortest: int) -> tuple[int, Integers]:
-    """How many blocks each of so many experiments has, the shortest with so many samples, and which blocks are left out together
-    (blocks,).
+    """How many blocks each of so many experiments has, the shortest with so many samples, and which
+    blocks are left out together (blocks,).
     """
     blocks = BLOCKS if count == 1 else FOLDS * -(-BLOCKS // (FOLDS * count))
     blocks = max(FOLDS, min(blocks, FOLDS * (shortest // (FOLDS * BLOCK_SAMPLES))))
     block = np.arange(blocks * count)
-    return blocks, (block // blocks if count >= FOLDS - 1 else block) % FOLDS  # whole records where there are several
+    return (
+        blocks,
+        (block // blocks if count >= FOLDS - 1 else block) % FOLDS,
+    )  # whole records where there are several
 
 
 def _rung(experiments: Sequence[Experiment], count: int, blocks: int) -> Rung:
@@ -167,7 +193,9 @@ def _rung(experiments: Sequence[Experiment], count: int, blocks: int) -> Rung:
     block, at = [], []
     for number, e in enumerate(experiments):
         shortest = -(-e.n // LADDER[0])  # so that every window begins where a shorter one does
-        for part in windows(e, shortest * (LADDER[0] // count)) if count > 1 else [replace(e, block=1)]:
+        for part in (
+            windows(e, shortest * (LADDER[0] // count)) if count > 1 else [replace(e, block=1)]
+        ):
             row = round((part.t0 - e.t0) / e.sample_time) + np.arange(part.n)
             block.append(np.minimum(row * blocks // e.n, blocks - 1) + number * blocks)
             parts.append(part)
@@ -178,7 +206,10 @@ def _rung(experiments: Sequence[Experiment], count: int, blocks: int) -> Rung:
 def check_moves(experiments: Sequence[Experiment]) -> None:
     """Raise BadRecord where no signal of any experiment changes."""
     if not any(map(_changes, experiments)):
-        raise BadRecord(f"record {experiments[0].source!r}: no input and no output changes in it; standstill explains nothing")
+        raise BadRecord(
+            f"record {experiments[0].source!r}: no input and no output changes in it; standstill"
+            " explains nothing"
+        )
 
 
 def _changes(experiment: Experiment) -> bool:
@@ -191,19 +222,25 @@ def _changes(experiment: Experiment) -> bool:
 
 
 def coarser(data: Data) -> Data:
-    """The data at the lowest rate 1/2, 1/4, … of theirs that loses nothing and leaves enough samples, else themselves."""
+    """The data at the lowest rate 1/2, 1/4, … of theirs that loses nothing and leaves enough
+    samples, else themselves.
+    """
     experiments, step = at_lower_rate(data.model, data.experiments)
     return data if step == 1 else replace(data_of(data.model, experiments), finer=data)
 
 
 def turned(data: Data) -> Data:
-    """The data at the other input timing: inputs that were held move evenly, and those that moved are held."""
+    """The data at the other input timing: inputs that were held move evenly, and those that moved
+    are held.
+    """
     return _timed(data, turned_timing((data.finer or data).experiments))
 
 
 def one_turned(data: Data) -> list[Data]:
     """The data with one of several inputs turned, each once."""
-    return [_timed(data, experiments) for experiments in each_turned((data.finer or data).experiments)]
+    return [
+        _timed(data, experiments) for experiments in each_turned((data.finer or data).experiments)
+    ]
 
 
 def _timed(data: Data, experiments: list[Experiment]) -> Data:

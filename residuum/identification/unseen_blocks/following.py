@@ -1,8 +1,9 @@
-"""Where the machine was and what its balances lacked, as the measurements show them; and effects regressed on that.
+"""Where the machine was and what its balances lacked, as the measurements show them; and effects
+regressed on that.
 
-A simulation that has gone astray (an arm without its weight, an axis that a cog holds) does not point to the effect. The Kalman
-filter stays with the machine: along its states, the term of an effect that is missing resembles the missing term of its
-balance.
+A simulation that has gone astray (an arm without its weight, an axis that a cog holds) does not
+point to the effect. The Kalman filter stays with the machine: along its states, the term of an
+effect that is missing resembles the missing term of its balance.
 """
 
 from __future__ import annotations
@@ -25,10 +26,11 @@ from residuum.identification.unseen_blocks.policy import ROWS
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """All experiments, one after the other: `experiment` (inputs and outputs), states X (n, states), what each balance lacked.
+    """All experiments, one after the other: `experiment` (inputs and outputs), states X (n,
+    states), what each balance lacked.
 
-    `errors` (n, outputs) are those of the model's simulation, 0 where nothing is known of them; `longest` are the rows of the
-    longest experiment.
+    `errors` (n, outputs) are those of the model's simulation, 0 where nothing is known of them;
+    `longest` are the rows of the longest experiment.
     """
 
     model: PhysicalModel
@@ -42,21 +44,34 @@ class Track:
     def thinned(self) -> Track:
         """At most about `ROWS` of its rows."""
         every = slice(None, None, max(1, self.experiment.n // ROWS))
-        e = replace(self.experiment, U=self.experiment.U[every], Y=self.experiment.Y[every], spare={})
+        e = replace(
+            self.experiment, U=self.experiment.U[every], Y=self.experiment.Y[every], spare={}
+        )
         missing = {b: w[every] for b, w in self.missing.items()}
-        return replace(self, experiment=e, X=self.X[every], missing=missing, errors=self.errors[every])
+        return replace(
+            self, experiment=e, X=self.X[every], missing=missing, errors=self.errors[every]
+        )
 
 
-def followed(model: PhysicalModel, data: Data, errors: FloatArray | None = None, rung: Rung | None = None) -> Track | None:
-    """The model's smoothed states in every experiment, and what its balances lacked; None where the filter diverges.
+def followed(
+    model: PhysicalModel, data: Data, errors: FloatArray | None = None, rung: Rung | None = None
+) -> Track | None:
+    """The model's smoothed states in every experiment, and what its balances lacked; None where the
+    filter diverges.
 
     `errors` (rows, outputs) are those of its simulation on a rung, where they are known.
     """
     kalman, simulator = Filter(model, first_noise(model, data.experiments)), Simulator(model)
     smoothed = [kalman.run(e, simulator.x0(e.known)) for e in data.experiments]
-    if not all(np.all(np.isfinite(s.X)) and all(np.all(np.isfinite(m.value)) for m in s.missing.values()) for s in smoothed):
+    if not all(
+        np.all(np.isfinite(s.X)) and all(np.all(np.isfinite(m.value)) for m in s.missing.values())
+        for s in smoothed
+    ):
         return None
-    lacks = [{b: s.missing[b].value if b in s.missing else np.zeros(len(s.X)) for b in model.balances} for s in smoothed]
+    lacks = [
+        {b: s.missing[b].value if b in s.missing else np.zeros(len(s.X)) for b in model.balances}
+        for s in smoothed
+    ]
     along = joined(model, data.experiments, [s.X for s in smoothed], lacks)
     if errors is not None and rung is not None:
         along.errors[data.rows(rung)] = np.nan_to_num(errors)
@@ -69,7 +84,9 @@ def joined(
     states: Sequence[FloatArray],
     lacks: Sequence[Mapping[str, FloatArray]],
 ) -> Track:
-    """The track of all experiments, from the states in each and what each balance lacked there; no errors are known."""
+    """The track of all experiments, from the states in each and what each balance lacked there; no
+    errors are known.
+    """
     lengths = [e.n for e in experiments]
     longest = int(np.argmax(lengths))
     begin, whole = sum(lengths[:longest]), _joined(experiments)
@@ -80,22 +97,35 @@ def joined(
 
 def _joined(experiments: Sequence[Experiment]) -> Experiment:
     first, *later = experiments
-    names = [n for n, s in first.spare.items() if all(n in e.spare and e.spare[n].unit == s.unit for e in later)]
+    names = [
+        n
+        for n, s in first.spare.items()
+        if all(n in e.spare and e.spare[n].unit == s.unit for e in later)
+    ]
     spare: dict[str, Spare] = {
-        n: replace(first.spare[n], values=np.concatenate([e.spare[n].values for e in experiments])) for n in names
+        n: replace(first.spare[n], values=np.concatenate([e.spare[n].values for e in experiments]))
+        for n in names
     }
     U, Y = np.concatenate([e.U for e in experiments]), np.concatenate([e.Y for e in experiments])
     return replace(first, U=U, Y=Y, known={}, spare=spare)
 
 
-def regressed(key: Key, start: Mapping[str, float], along: Track) -> tuple[float, PhysicalModel] | None:
-    """The effect in the sizes that what its balance lacked asks for: (share of it that it explains, model).
+def regressed(
+    key: Key, start: Mapping[str, float], along: Track
+) -> tuple[float, PhysicalModel] | None:
+    """The effect in the sizes that what its balance lacked asks for: (share of it that it explains,
+    model).
 
-    Least squares of the missing term on the effect's term, each size by itself, beside the balance's own terms, whose
-    parameters may be off. None for an effect with states of its own, without sizes or with none inside its bounds.
+    Least squares of the missing term on the effect's term, each size by itself, beside the
+    balance's own terms, whose parameters may be off. None for an effect with states of its own,
+    without sizes or with none inside its bounds.
     """
     effect, model = find_effect(key.effect), along.model
-    if effect.place != "balance" or not effect.sizes or effect.states(model.site(key.target, effect)):
+    if (
+        effect.place != "balance"
+        or not effect.sizes
+        or effect.states(model.site(key.target, effect))
+    ):
         return None
     few, place = along.thinned, place_of(key.target)
     own = own_terms(model, place, few)
@@ -108,13 +138,20 @@ def regressed(key: Key, start: Mapping[str, float], along: Track) -> tuple[float
     if solution is None or not power > 0.0:
         return None
     values, left = solution
-    return 1.0 - float(left @ left) / power, model.with_effect(*key, dict(start) | dict.fromkeys(sizes, 0.0) | values)
+    return 1.0 - float(left @ left) / power, model.with_effect(
+        *key, dict(start) | dict.fromkeys(sizes, 0.0) | values
+    )
 
 
 def _inside_bounds(
-    columns: Mapping[str, FloatArray], lack: FloatArray, sizes: Mapping[str, float], known: Mapping[str, Parameter]
+    columns: Mapping[str, FloatArray],
+    lack: FloatArray,
+    sizes: Mapping[str, float],
+    known: Mapping[str, Parameter],
 ) -> tuple[dict[str, float], FloatArray] | None:
-    """Values whose columns come nearest to `lack`, without those that would lie outside their bounds, and what is left of it."""
+    """Values whose columns come nearest to `lack`, without those that would lie outside their
+    bounds, and what is left of it.
+    """
     while columns:
         C = np.column_stack(list(columns.values()))
         factors = np.linalg.lstsq(C, lack, rcond=None)[0]
@@ -129,11 +166,19 @@ def _inside_bounds(
 def own_terms(model: PhysicalModel, balance: str, along: Track) -> FloatArray:
     """Orthonormal basis of the balance's terms along the states."""
     look = Simulator(model).look(along.experiment, along.X)
-    terms = [z for name, z in look.items() if name.startswith(f"{balance}.") and name != f"{balance}.missing" and np.any(z)]
+    terms = [
+        z
+        for name, z in look.items()
+        if name.startswith(f"{balance}.") and name != f"{balance}.missing" and np.any(z)
+    ]
     if not terms or not np.all(np.isfinite(terms)):
         return np.zeros((len(along.X), 0))
-    scaled = [z / np.abs(z).max() for z in terms]  # the squares of what is next to nothing would be nothing
-    u, s, _ = np.linalg.svd(np.column_stack([z / np.linalg.norm(z) for z in scaled]), full_matrices=False)
+    scaled = [
+        z / np.abs(z).max() for z in terms
+    ]  # the squares of what is next to nothing would be nothing
+    u, s, _ = np.linalg.svd(
+        np.column_stack([z / np.linalg.norm(z) for z in scaled]), full_matrices=False
+    )
     return np.asarray(u[:, s > 1e-9 * s[0]])
 
 
@@ -144,10 +189,15 @@ def beside(basis: FloatArray, v: FloatArray) -> FloatArray:
 
 def _column(key: Key, start: Mapping[str, float], size: str, along: Track) -> FloatArray | None:
     """The effect's term with one of its sizes alone."""
-    alone = {n: 0.0 if n in find_effect(key.effect).sizes and n != size else value for n, value in start.items()}
+    alone = {
+        n: 0.0 if n in find_effect(key.effect).sizes and n != size else value
+        for n, value in start.items()
+    }
     try:
         used = along.model.with_effect(*key, alone)
-        term = Simulator(used).look(along.experiment, along.X)[f"{place_of(key.target)}.{term_name(used.effects[-1])}"]
+        term = Simulator(used).look(along.experiment, along.X)[
+            f"{place_of(key.target)}.{term_name(used.effects[-1])}"
+        ]
     except BadInput:
         return None
     return term if np.all(np.isfinite(term)) else None

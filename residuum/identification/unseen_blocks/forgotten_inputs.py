@@ -1,4 +1,6 @@
-"""Inputs that a model may have forgotten: spare columns of the records, taken up before anything is searched."""
+"""Inputs that a model may have forgotten: spare columns of the records, taken up before anything is
+searched.
+"""
 
 from __future__ import annotations
 
@@ -16,22 +18,32 @@ from residuum.identification.unseen_blocks.tried import Wanted
 
 
 def _check_fitting(model: PhysicalModel, wanted: Wanted) -> None:
-    """BadModel for an effect that was asked for, is not in the model, and can act nowhere in it, whatever columns there are."""
+    """BadModel for an effect that was asked for, is not in the model, and can act nowhere in it,
+    whatever columns there are.
+    """
     present = {use.id for use in model.effects}
     for id in wanted.effects or ():
         if id not in present and not find_effect(id).takes_columns:
             fitting(model, id)
 
 
-def informed(model: PhysicalModel, records: Sequence[Record], mapping: Mapping[str, str] | None, wanted: Wanted) -> PhysicalModel:
+def informed(
+    model: PhysicalModel,
+    records: Sequence[Record],
+    mapping: Mapping[str, str] | None,
+    wanted: Wanted,
+) -> PhysicalModel:
     """The model with those spare columns as idle inputs that what a balance lacks resembles.
 
-    Nothing is known of that where the records are short, or where neither the model nor its filter follows them.
+    Nothing is known of that where the records are short, or where neither the model nor its filter
+    follows them.
     """
     asked = wanted.effects is None or any(find_effect(id).takes_columns for id in wanted.effects)
     matched, experiments = match(model, records, mapping)
     _check_fitting(matched, wanted)
-    if not (asked and any(e.spare for e in experiments)) or not long_enough([e.n for e in experiments]):
+    if not (asked and any(e.spare for e in experiments)) or not long_enough(
+        [e.n for e in experiments]
+    ):
         return model
     data = data_of(matched, experiments)
     try:

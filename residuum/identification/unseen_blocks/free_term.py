@@ -1,9 +1,11 @@
-"""The free term: what any smooth function of one signal, in one balance, would take away on unseen blocks.
+"""The free term: what any smooth function of one signal, in one balance, would take away on unseen
+blocks.
 
-It stands for the effects that the catalogue does not have. A balance receives Σ c_j·φ_j(axis) with hat functions φ_j on a
-signal of the model (velocity, position, current, temperature, level, time); its effect on the outputs is propagated through the
-model linearised along its simulation, and c follows from the same equations as the parameters. A name stands only where no such
-function does plainly more.
+It stands for the effects that the catalogue does not have. A balance receives Σ c_j·φ_j(axis) with
+hat functions φ_j on a signal of the model (velocity, position, current, temperature, level, time);
+its effect on the outputs is propagated through the model linearised along its simulation, and c
+follows from the same equations as the parameters. A name stands only where no such function does
+plainly more.
 """
 
 from __future__ import annotations
@@ -18,7 +20,12 @@ import numpy.typing as npt
 from residuum.array_types import FloatArray
 from residuum.identification.physics import Experiment, PhysicalModel, Simulator, balance_variables
 from residuum.identification.physics.model import missing_name
-from residuum.identification.physics.simulate.integration import integrate, new_memory, observe, observe_slopes
+from residuum.identification.physics.simulate.integration import (
+    integrate,
+    new_memory,
+    observe,
+    observe_slopes,
+)
 from residuum.identification.side_by_side import side_by_side
 from residuum.identification.unseen_blocks.comparing import evidence
 from residuum.identification.unseen_blocks.judged import Equations, Judged, equations, summed
@@ -32,10 +39,11 @@ from residuum.kept_loops import njit
 
 @dataclass(frozen=True, eq=False)
 class LinearResponse:
-    """z(k+1) = F(k) z(k) + G(k) w(k), δy(k) = C(k) z(k) + D(k) w(k), one column a balance. Over a sample, w counts with the
-    mean of its two ends.
+    """z(k+1) = F(k) z(k) + G(k) w(k), δy(k) = C(k) z(k) + D(k) w(k), one column a balance. Over a
+    sample, w counts with the mean of its two ends.
 
-    `X` (n, states) is the trajectory; F (n, states, states + balances) holds F and G, C (n, outputs, states + balances) C and D.
+    `X` (n, states) is the trajectory; F (n, states, states + balances) holds F and G, C (n,
+    outputs, states + balances) C and D.
     """
 
     balances: tuple[str, ...]
@@ -44,14 +52,22 @@ class LinearResponse:
     C: FloatArray
 
     def to(self, balance: str, terms: FloatArray) -> FloatArray:
-        """Change of the outputs for terms (n, m) in the balance's unit added to its sum, shape (n, outputs, m)."""
-        return np.asarray(_respond(self.F, self.C, self.balances.index(balance), np.ascontiguousarray(terms)))
+        """Change of the outputs for terms (n, m) in the balance's unit added to its sum, shape (n,
+        outputs, m).
+        """
+        return np.asarray(
+            _respond(self.F, self.C, self.balances.index(balance), np.ascontiguousarray(terms))
+        )
 
 
-def linear_response(model: PhysicalModel, experiment: Experiment, x0: FloatArray, substeps: int) -> LinearResponse:
+def linear_response(
+    model: PhysicalModel, experiment: Experiment, x0: FloatArray, substeps: int
+) -> LinearResponse:
     """Linearise the model along its simulation from x0."""
     simulator = Simulator(model)
-    names = [f"initial:{name}" for name in simulator.states] + [missing_name(balance) for balance in model.balances]
+    names = [f"initial:{name}" for name in simulator.states] + [
+        missing_name(balance) for balance in model.balances
+    ]
     columns, p = simulator.columns(names), simulator.p()
     X = simulator.run_vectors(experiment, x0, p, substeps=substeps).X
     arguments = (experiment.U, X, p, columns, experiment.sample_time, substeps, experiment.hold)
@@ -63,7 +79,12 @@ def linear_response(model: PhysicalModel, experiment: Experiment, x0: FloatArray
 def _transitions(q, U, X, p, columns, sample_time, substeps, hold):  # type: ignore[no-untyped-def]  # compiled
     n, nx, m = X.shape[0], X.shape[1], columns.shape[0]
     F, C = np.zeros((n, nx, m)), np.zeros((n, q.sizes[3], m))
-    w, y, none, none3 = new_memory(q, m), np.zeros(q.sizes[3]), np.zeros((0, 0)), np.zeros((0, 0, 0))
+    w, y, none, none3 = (
+        new_memory(q, m),
+        np.zeros(q.sizes[3]),
+        np.zeros((0, 0)),
+        np.zeros((0, 0, 0)),
+    )
     for k in range(n):
         w.x[:] = X[k]
         observe(q, w, U, k, sample_time, hold, p, y)
@@ -93,7 +114,9 @@ def _respond(F, C, balance, terms):  # type: ignore[no-untyped-def]  # compiled
                     out[k, o, c] += C[k, o, i] * z[i, c]
         for i in range(nx):
             for c in range(m):
-                following[i, c] = 0.5 * F[k, i, nx + balance] * (terms[k, c] + terms[min(k + 1, n - 1), c])
+                following[i, c] = (
+                    0.5 * F[k, i, nx + balance] * (terms[k, c] + terms[min(k + 1, n - 1), c])
+                )
                 for j in range(nx):
                     following[i, c] += F[k, i, j] * z[j, c]
         z[:] = following
@@ -102,10 +125,11 @@ def _respond(F, C, balance, terms):  # type: ignore[no-untyped-def]  # compiled
 
 @dataclass(frozen=True, eq=False)
 class BlockTerm:
-    """One free term: where it acts, the signal it is a function of, its curve (`value` in `unit` over `at`), and its errors.
+    """One free term: where it acts, the signal it is a function of, its curve (`value` in `unit`
+    over `at`), and its errors.
 
-    `power` (blocks, measured outputs) in the court's scale, on blocks that it has not seen; it has so many `parameters` more,
-    and `evidence` are its log odds against the structure alone.
+    `power` (blocks, measured outputs) in the court's scale, on blocks that it has not seen; it has
+    so many `parameters` more, and `evidence` are its log odds against the structure alone.
     """
 
     balance: str
@@ -120,7 +144,9 @@ class BlockTerm:
 
 
 def free_terms(parent: Judged, court: Court) -> list[BlockTerm]:
-    """Every free term beside a structure, the best first; none where the model diverges or has nowhere to put one."""
+    """Every free term beside a structure, the best first; none where the model diverges or has
+    nowhere to put one.
+    """
     last, fit = court.last, court.begun(parent.structure)
     at = None if fit is None else equations(fit, last, court.scale)
     if fit is None or at is None:
@@ -153,11 +179,26 @@ def _judged(
     columns[~at.known] = 0.0
     extra, clip = at.beside_states(columns), scale.clip[measured]
     errors = (at.unseen(last.block, court.data.fold, more) for more in (None, extra))
-    before, after = (summed(np.where(at.known, np.clip(e, -clip, clip), 0.0) ** 2, last, court.data.blocks) for e in errors)
-    power = parent.power * after / np.maximum(before, 1e-300)  # both by the equations alone, which know no fold's own simulation
+    before, after = (
+        summed(np.where(at.known, np.clip(e, -clip, clip), 0.0) ** 2, last, court.data.blocks)
+        for e in errors
+    )
+    power = (
+        parent.power * after / np.maximum(before, 1e-300)
+    )  # both by the equations alone, which know no fold's own simulation
     parameters = parent.parameters + len(knots)
     unit = parent.model.balances[balance].unit
-    free_term = BlockTerm(balance, axis, unit, knots, at.step(extra), power, parameters, scale.cost(power, parameters), 0.0)
+    free_term = BlockTerm(
+        balance,
+        axis,
+        unit,
+        knots,
+        at.step(extra),
+        power,
+        parameters,
+        scale.cost(power, parameters),
+        0.0,
+    )
     return replace(free_term, evidence=evidence(free_term, parent, scale))
 
 
@@ -168,8 +209,13 @@ def _terms(
     simulator, begin = Simulator(model), min(part.t0 for part in parts)
     times = [part.t0 - begin + part.sample_time * np.arange(part.n) for part in parts]
     for name, balance in model.balances.items():
-        signals = [balance_variables(simulator, balance, e, r.X) for e, r in zip(parts, responses, strict=True)]
-        axes = {axis: [s[axis] for s in signals] for axis in KNOTS_BY_AXIS if axis in signals[0]} | {"time": times}
+        signals = [
+            balance_variables(simulator, balance, e, r.X)
+            for e, r in zip(parts, responses, strict=True)
+        ]
+        axes = {
+            axis: [s[axis] for s in signals] for axis in KNOTS_BY_AXIS if axis in signals[0]
+        } | {"time": times}
         for axis, values in axes.items():
             joined = np.concatenate(values)
             if np.all(np.isfinite(joined)) and np.ptp(joined) > 0:

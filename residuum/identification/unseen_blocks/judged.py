@@ -1,12 +1,15 @@
-"""Errors on unseen blocks: one fit to everything, and from there a simulated step to the fit without each fold of blocks.
+"""Errors on unseen blocks: one fit to everything, and from there a simulated step to the fit
+without each fold of blocks.
 
-What the equations of the one fit say of the values without a fold is off up to ten times where a value is nearly undetermined,
-or the model far from linear in it; one step, shortened until the rest is fitted no worse and simulated, is right within a few
-per cent, for the price of a pass a fold. Its damping refuses what only fits: a value that the rest leaves nearly undetermined
-would go anywhere.
+What the equations of the one fit say of the values without a fold is off up to ten times where a
+value is nearly undetermined, or the model far from linear in it; one step, shortened until the rest
+is fitted no worse and simulated, is right within a few per cent, for the price of a pass a fold.
+Its damping refuses what only fits: a value that the rest leaves nearly undetermined would go
+anywhere.
 
-Further terms (the free term) follow in closed form: with the errors e of the fit, their slopes T by the parameters (first states
-projected out window by window) and H_b = T_bᵀT_b, g_b = T_bᵀe_b of each block b, the fit without a fold of blocks moves by
+Further terms (the free term) follow in closed form: with the errors e of the fit, their slopes T by
+the parameters (first states projected out window by window) and H_b = T_bᵀT_b, g_b = T_bᵀe_b of
+each block b, the fit without a fold of blocks moves by
 
     δθ = (Σ H_rest + d·diag Σ H)⁻¹ Σ g_rest,    e_out → e_out − T_out δθ.
 
@@ -44,7 +47,8 @@ class Judged:
     ----------
     structure : Structure
     parameters : float
-        How many its effects have that are estimated, and for how many more these count as they are rare.
+        How many its effects have that are estimated, and for how many more these count as they are
+        rare.
     power : array, shape (blocks, measured outputs)
         Sums of squares in the scale, clipped.
     left : array, shape (rows, measured outputs)
@@ -84,15 +88,22 @@ class Judged:
 
     @property
     def rms(self) -> FloatArray:
-        """Error of each output on unseen blocks; NaN where it was not measured, shape (outputs,)."""
+        """Error of each output on unseen blocks; NaN where it was not measured, shape
+        (outputs,).
+        """
         count = self.count.sum(axis=0)
-        return np.sqrt(np.divide(self.squares.sum(axis=0), count, out=np.full(len(count), np.nan), where=count > 0))
+        return np.sqrt(
+            np.divide(
+                self.squares.sum(axis=0), count, out=np.full(len(count), np.nan), where=count > 0
+            )
+        )
 
 
 @dataclass(frozen=True, eq=False)
 class Equations:
-    """Errors (rows, measured outputs) of a fit in a scale, their slopes by parameters with first states projected out, those by
-    first `states`, and the values with their bounds; `huber` weighs what is clipped, windows begin at `starts`.
+    """Errors (rows, measured outputs) of a fit in a scale, their slopes by parameters with first
+    states projected out, those by first `states`, and the values with their bounds; `huber` weighs
+    what is clipped, windows begin at `starts`.
     """
 
     errors: FloatArray
@@ -106,31 +117,46 @@ class Equations:
     starts: tuple[int, ...]
 
     def beside_states(self, columns: FloatArray) -> FloatArray:
-        """Columns (rows, outputs, m) of weighted slopes with what first states can do projected out, window by window."""
+        """Columns (rows, outputs, m) of weighted slopes with what first states can do projected
+        out, window by window.
+        """
         out = columns * self.huber[..., None]
         if not (self.states.shape[2] and out.shape[2]):
             return out
         for a, b in pairwise(self.starts):
-            x, t = self.states[a:b].reshape(-1, self.states.shape[2]), out[a:b].reshape(-1, out.shape[2])
+            x, t = (
+                self.states[a:b].reshape(-1, self.states.shape[2]),
+                out[a:b].reshape(-1, out.shape[2]),
+            )
             out[a:b] = (t - x @ solve_scaled(x.T @ x, x.T @ t, 1e-12)).reshape(out[a:b].shape)
         return out
 
     def step(self, extra: FloatArray) -> FloatArray:
-        """The least squares values of further terms, whose slopes beside first states are `extra`, fitted to everything."""
+        """The least squares values of further terms, whose slopes beside first states are `extra`,
+        fitted to everything.
+        """
         T = np.concatenate([self.slopes, extra], axis=2)
         H = np.einsum("roi,roj->ij", T, T)
         g = np.einsum("roi,ro->i", T, self.errors * self.huber)
-        return np.asarray(solve_scaled(H + DAMPING * np.diag(np.diag(H)), g[:, None], 1e-10)[self.slopes.shape[2] :, 0])
+        return np.asarray(
+            solve_scaled(H + DAMPING * np.diag(np.diag(H)), g[:, None], 1e-10)[
+                self.slopes.shape[2] :, 0
+            ]
+        )
 
-    def unseen(self, block: Integers, fold: Integers, extra: FloatArray | None = None) -> FloatArray:
-        """The errors of each row, the fold of its block left out of the fit; `extra` are slopes of further terms beside first
-        states.
+    def unseen(
+        self, block: Integers, fold: Integers, extra: FloatArray | None = None
+    ) -> FloatArray:
+        """The errors of each row, the fold of its block left out of the fit; `extra` are slopes of
+        further terms beside first states.
         """
         T, theta, lower, upper = self.slopes, self.theta, self.lower, self.upper
         if extra is not None:
             T = np.concatenate([T, extra], axis=2)
             none = np.zeros(extra.shape[2])
-            theta, lower, upper = (np.append(v, none + b) for v, b in ((theta, 0.0), (lower, -np.inf), (upper, np.inf)))
+            theta, lower, upper = (
+                np.append(v, none + b) for v, b in ((theta, 0.0), (lower, -np.inf), (upper, np.inf))
+            )
         if not T.shape[2]:
             return self.errors.copy()
         row_fold, left = fold[block], self.errors.copy()
@@ -141,25 +167,34 @@ class Equations:
 
 
 def moved(T: FloatArray, e: FloatArray, row_fold: Integers) -> dict[int, FloatArray]:
-    """How far the values move where a fold of rows is left out, (q,) a fold. It follows from weighted slopes
-    T (rows, outputs, q) and errors e (rows, outputs) of the fit to everything.
+    """How far the values move where a fold of rows is left out, (q,) a fold. It follows from
+    weighted slopes T (rows, outputs, q) and errors e (rows, outputs) of the fit to everything.
     """
     H, g = normal_equations(T, e, row_fold)
     return dict(zip(np.unique(row_fold).tolist(), steps_without(H, g, DAMPING), strict=True))
 
 
-def normal_equations(T: FloatArray, e: FloatArray, row_fold: Integers) -> tuple[FloatArray, FloatArray]:
-    """TᵀT (folds, q, q) and Tᵀe (folds, q) of slopes T (rows, outputs, q) and errors e (rows, outputs), by fold of rows."""
+def normal_equations(
+    T: FloatArray, e: FloatArray, row_fold: Integers
+) -> tuple[FloatArray, FloatArray]:
+    """TᵀT (folds, q, q) and Tᵀe (folds, q) of slopes T (rows, outputs, q) and errors e (rows,
+    outputs), by fold of rows.
+    """
     by_fold = [(T[at], e[at]) for at in (row_fold == k for k in np.unique(row_fold))]
     H = np.array([np.einsum("roi,roj->ij", t, t) for t, _ in by_fold])
     return H, np.array([np.einsum("roi,ro->i", t, r) for t, r in by_fold])
 
 
 def steps_without(H: FloatArray, g: FloatArray, damping: float) -> list[FloatArray]:
-    """The step to the values that the other folds ask for, of each fold; `damping` of the curvature of all."""
+    """The step to the values that the other folds ask for, of each fold; `damping` of the curvature
+    of all.
+    """
     all_H, all_g = H.sum(axis=0), g.sum(axis=0)
     ridge = damping * np.diag(np.diag(all_H))
-    return [solve_scaled(all_H - h + ridge, (all_g - b)[:, None], 1e-10)[:, 0] for h, b in zip(H, g, strict=True)]
+    return [
+        solve_scaled(all_H - h + ridge, (all_g - b)[:, None], 1e-10)[:, 0]
+        for h, b in zip(H, g, strict=True)
+    ]
 
 
 def equations(fit: Fit, rung: Rung, scale: Scale) -> Equations | None:
@@ -167,29 +202,38 @@ def equations(fit: Fit, rung: Rung, scale: Scale) -> Equations | None:
     simulator, model = fit.problem.simulator, fit.model
     names, free_states = list(model.free), [f"initial:{name}" for name in simulator.free_states]
     columns = [*names, *free_states]
-    runs = simulator.run_each(rung.parts, fit.initial, fit.problem.p(fit.theta), slopes=columns, substeps=fit.substeps)
+    runs = simulator.run_each(
+        rung.parts, fit.initial, fit.problem.p(fit.theta), slopes=columns, substeps=fit.substeps
+    )
     if not runs.bounded:
         return None
     starts, measured = rung.starts.tolist(), scale.weights > 0.0
     known = np.isfinite(runs.errors)
     R = scale.whitened(np.where(known, runs.errors, 0.0) * scale.weights, starts)[:, measured]
     dY = np.zeros((*runs.errors.shape, 0)) if runs.dY is None else runs.dY
-    J = scale.whitened(np.where(known[..., None], dY, 0.0) * scale.weights[:, None], starts)[:, measured]
+    J = scale.whitened(np.where(known[..., None], dY, 0.0) * scale.weights[:, None], starts)[
+        :, measured
+    ]
     known = known[:, measured]
     R[~known], J[~known] = 0.0, 0.0
     clip = np.maximum(scale.clip[measured], 1e-300)
     huber = np.sqrt(clip / np.maximum(np.abs(R), clip))
     J *= huber[..., None]
     values = model.all_parameters
-    theta, lower, upper = (np.array([getattr(values[n], side) for n in names]) for side in ("value", "lower", "upper"))
+    theta, lower, upper = (
+        np.array([getattr(values[n], side) for n in names]) for side in ("value", "lower", "upper")
+    )
     T, X = J[..., : len(names)] / huber[..., None], J[..., len(names) :]
     T[..., (theta <= lower) | (theta >= upper)] = 0.0
     at = Equations(R, known, T, X, huber, theta, lower, upper, tuple(starts))
     return replace(at, slopes=at.beside_states(T))
 
 
-def judged(structure: Structure, fit: Fit, rung: Rung, data: Data, scale: Scale, *, steps: int = 1) -> Judged | None:
-    """The structure's errors on unseen blocks, from its fit on a rung in that scale; None where it diverges.
+def judged(
+    structure: Structure, fit: Fit, rung: Rung, data: Data, scale: Scale, *, steps: int = 1
+) -> Judged | None:
+    """The structure's errors on unseen blocks, from its fit on a rung in that scale; None where it
+    diverges.
 
     So many steps to the values without each fold are simulated.
     """
@@ -204,16 +248,23 @@ def judged(structure: Structure, fit: Fit, rung: Rung, data: Data, scale: Scale,
 
     unseen, left = errors.copy(), np.zeros(known.shape)
     for fold in np.unique(cell_fold).tolist():
-        at, fold_errors = row_fold == fold, np.concatenate(fit.without(cell_fold == fold, DAMPING, steps).residuals)
+        at, fold_errors = (
+            row_fold == fold,
+            np.concatenate(fit.without(cell_fold == fold, DAMPING, steps).residuals),
+        )
         unseen[at], left[at] = fold_errors[at], in_scale(fold_errors)[at]
-    power, seen_power = (summed(scaled**2, rung, data.blocks) for scaled in (left, in_scale(errors)))
+    power, seen_power = (
+        summed(scaled**2, rung, data.blocks) for scaled in (left, in_scale(errors))
+    )
     if not np.all(np.isfinite(power)):
         return None
     model = structure.model
     parameters = structure.rarity + sum(not p.fixed for p in model.parameters.values())
     parameters += sum(not p.fixed for use in model.effects for p in use.parameters.values())
     squares, count = np.zeros((2, data.blocks, len(measured)))
-    squares[:, measured] = summed(np.where(known, np.nan_to_num(unseen[:, measured]), 0.0) ** 2, rung, data.blocks)
+    squares[:, measured] = summed(
+        np.where(known, np.nan_to_num(unseen[:, measured]), 0.0) ** 2, rung, data.blocks
+    )
     count[:, measured] = summed(known.astype(float), rung, data.blocks)
     cost, seen_cost = scale.cost(power, parameters), scale.cost(seen_power, parameters)
     return Judged(structure, parameters, power, left, cost, seen_cost, squares, count, errors)
@@ -221,4 +272,6 @@ def judged(structure: Structure, fit: Fit, rung: Rung, data: Data, scale: Scale,
 
 def summed(values: FloatArray, rung: Rung, blocks: int) -> FloatArray:
     """Sums over the rows of each block, shape (blocks, columns)."""
-    return np.column_stack([np.bincount(rung.block, weights=column, minlength=blocks) for column in values.T])
+    return np.column_stack(
+        [np.bincount(rung.block, weights=column, minlength=blocks) for column in values.T]
+    )

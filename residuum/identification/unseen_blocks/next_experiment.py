@@ -1,4 +1,6 @@
-"""The next experiment: extra sensors and other input profiles, by the power with which they tell two structures apart."""
+"""The next experiment: extra sensors and other input profiles, by the power with which they tell
+two structures apart.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,13 @@ import numpy as np
 
 from residuum.array_types import FloatArray
 from residuum.identification.physics import Experiment, PhysicalModel
-from residuum.identification.unseen_blocks.policy import DISTINCTION_LEVEL, HELD_REACH, MOST_PROPOSALS, MOST_TIMES, POWER_WANTED
+from residuum.identification.unseen_blocks.policy import (
+    DISTINCTION_LEVEL,
+    HELD_REACH,
+    MOST_PROPOSALS,
+    MOST_TIMES,
+    POWER_WANTED,
+)
 
 # Held values: parameters that a model holds fixed, where the records ask for another value.
 # A mass that is a tenth too large looks like an elasticity or a load. An estimate of what is free
@@ -22,9 +30,11 @@ HELD = "value"
 
 @dataclass(frozen=True)
 class HeldValue:
-    """A parameter's value in the model, where it is fixed, and the one that the records ask for, with its standard deviation.
+    """A parameter's value in the model, where it is fixed, and the one that the records ask for,
+    with its standard deviation.
 
-    Of the parameters in `indistinguishable_from` another value would do as much (a mass, or the area that drives it).
+    Of the parameters in `indistinguishable_from` another value would do as much (a mass, or the
+    area that drives it).
     """
 
     name: str
@@ -46,9 +56,13 @@ def freed(model: PhysicalModel, names: Iterable[str]) -> PhysicalModel:
 
 
 _BOTH_WAYS = ("N", "N*m", "V", "A")
-"""Units of inputs that a machine can usually reverse: a force, a torque, a voltage, a current; no heater and no valve."""
+"""Units of inputs that a machine can usually reverse: a force, a torque, a voltage, a current; no
+heater and no valve.
+"""
 Power = Callable[[Sequence[Experiment], int | None], float | None]
-"""Of the test in these experiments, with one output more seen where that is asked; None when they could not be simulated."""
+"""Of the test in these experiments, with one output more seen where that is asked; None when they
+could not be simulated.
+"""
 
 
 @dataclass(frozen=True)
@@ -61,10 +75,13 @@ class NextExperiment:
 
 
 def distinguishing(
-    separates: tuple[str, ...], model: PhysicalModel, experiments: Sequence[Experiment], power: Power
+    separates: tuple[str, ...],
+    model: PhysicalModel,
+    experiments: Sequence[Experiment],
+    power: Power,
 ) -> tuple[NextExperiment, ...]:
-    """Signals that the model has and the records lack, and other profiles of its inputs, best first; then how much more of the
-    same would do.
+    """Signals that the model has and the records lack, and other profiles of its inputs, best
+    first; then how much more of the same would do.
     """
     measured = np.any([e.measured for e in experiments], axis=0)
     powers = {
@@ -76,24 +93,30 @@ def distinguishing(
     proposals = [NextExperiment(do, separates, p) for do, p in powers.items() if p is not None]
     best = sorted(proposals, key=lambda p: -p.power)[:MOST_PROPOSALS]
     times = _times_as_much(power(experiments, None))
-    more = [] if times is None else [NextExperiment(f"record {times} times as much of the same", separates, POWER_WANTED)]
+    more = (
+        []
+        if times is None
+        else [NextExperiment(f"record {times} times as much of the same", separates, POWER_WANTED)]
+    )
     return (*best, *more)
 
 
 def power_of_test(r: FloatArray, J: FloatArray) -> float:
-    """Power of the χ² test, at `DISTINCTION_LEVEL`, on what free parameters with slopes J (n, q) cannot absorb of a whitened
-    difference r (n,).
+    """Power of the χ² test, at `DISTINCTION_LEVEL`, on what free parameters with slopes J (n, q)
+    cannot absorb of a whitened difference r (n,).
     """
     size = np.linalg.norm(J, axis=0)
     u, s, _ = np.linalg.svd(J[:, size > 0] / size[size > 0], full_matrices=False)
     u = u[:, s > 1e-9 * s.max(initial=0.0)]
     residual = r - u @ (u.T @ r)
-    return _exceeds(NormalDist().inv_cdf(1.0 - DISTINCTION_LEVEL / 2.0), float(np.sqrt(residual @ residual)))
+    return _exceeds(
+        NormalDist().inv_cdf(1.0 - DISTINCTION_LEVEL / 2.0), float(np.sqrt(residual @ residual))
+    )
 
 
 def _times_as_much(power: float | None) -> int | None:
-    """How many times the data would tell what these tell with this power, which grows with their number; None where they do, or
-    where none would.
+    """How many times the data would tell what these tell with this power, which grows with their
+    number; None where they do, or where none would.
     """
     if power is None or not 0.0 < power < POWER_WANTED:
         return None
@@ -105,13 +128,18 @@ def _times_as_much(power: float | None) -> int | None:
 
 
 def _exceeds(threshold: float, shift: float) -> float:
-    """Probability of |z + shift| > threshold for normal z: with one degree of freedom this is the non-central χ² test's."""
+    """Probability of |z + shift| > threshold for normal z: with one degree of freedom this is the
+    non-central χ² test's.
+    """
     normal = NormalDist()
     return normal.cdf(shift - threshold) + normal.cdf(-shift - threshold)
 
 
-def _profiles(model: PhysicalModel, experiments: Sequence[Experiment]) -> Mapping[str, list[Experiment]]:
-    """The records' duration driven otherwise, within the range of the inputs on record; one that only pushed may pull, too.
+def _profiles(
+    model: PhysicalModel, experiments: Sequence[Experiment]
+) -> Mapping[str, list[Experiment]]:
+    """The records' duration driven otherwise, within the range of the inputs on record; one that
+    only pushed may pull, too.
 
     None where there is nothing to drive.
     """
@@ -122,15 +150,23 @@ def _profiles(model: PhysicalModel, experiments: Sequence[Experiment]) -> Mappin
     phase = np.linspace(0.0, 1.0, e.n)[:, None]
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
     cycles = {
-        "drive slow triangles over the range of the input": middle
-        + half * (2.0 * np.abs(2.0 * ((3.0 * phase) % 1.0) - 1.0) - 1.0),
-        "drive steps of many levels over the range of the input": middle
-        + half * np.sin(97.0 * np.floor(40.0 * phase) ** 2 + 1.0),
+        "drive slow triangles over the range of the input": (
+            middle + half * (2.0 * np.abs(2.0 * ((3.0 * phase) % 1.0) - 1.0) - 1.0)
+        ),
+        "drive steps of many levels over the range of the input": (
+            middle + half * np.sin(97.0 * np.floor(40.0 * phase) ** 2 + 1.0)
+        ),
         "repeat at half the amplitude": middle + 0.5 * (e.U - middle),
     }
-    one_way = (low * high >= 0.0) & (low < high) & [signal.unit in _BOTH_WAYS for signal in model.inputs.values()]
+    one_way = (
+        (low * high >= 0.0)
+        & (low < high)
+        & [signal.unit in _BOTH_WAYS for signal in model.inputs.values()]
+    )
     if one_way.any():
         triangles = 2.0 * np.abs(2.0 * ((3.0 * phase) % 1.0) - 1.0) - 1.0
         peak = np.maximum(np.abs(low), np.abs(high))
-        cycles["drive slow triangles both ways, forwards and backwards"] = np.where(one_way, peak * triangles, e.U)
+        cycles["drive slow triangles both ways, forwards and backwards"] = np.where(
+            one_way, peak * triangles, e.U
+        )
     return {do: [replace(e, U=np.ascontiguousarray(U))] for do, U in cycles.items()}

@@ -1,12 +1,15 @@
-"""Pairs of effects that gain together only: on a motor whose loss stood for its friction, friction and drag.
+"""Pairs of effects that gain together only: on a motor whose loss stood for its friction, friction
+and drag.
 
-Each effect has slopes of its own where it is at rest beside a structure. With the errors e of the structure, the slopes T of its
-values and of both effects (first states projected out, the outputs in units of what they leave), and H_f = T_fᵀT_f and
-g_f = T_fᵀe_f of each fold of blocks f, a pair leaves on unseen blocks about
+Each effect has slopes of its own where it is at rest beside a structure. With the errors e of the
+structure, the slopes T of its values and of both effects (first states projected out, the outputs
+in units of what they leave), and H_f = T_fᵀT_f and g_f = T_fᵀe_f of each fold of blocks f, a pair
+leaves on unseen blocks about
 
     Σ_f |e_f|² − 2 δ_fᵀ g_f + δ_fᵀ H_f δ_f,    δ_f = (Σ_{k≠f} H_k + d·diag Σ H)⁻¹ Σ_{k≠f} g_k.
 
-All pairs are ranked by that without a further simulation; those that promise most are fitted and judged like any structure.
+All pairs are ranked by that without a further simulation; those that promise most are fitted and
+judged like any structure.
 """
 
 from __future__ import annotations
@@ -26,7 +29,12 @@ from residuum.identification.physics.estimation.least_squares import solve_scale
 from residuum.identification.physics.model import find_effect
 from residuum.identification.side_by_side import each_beside
 from residuum.identification.unseen_blocks.following import Track
-from residuum.identification.unseen_blocks.judged import Judged, equations, normal_equations, steps_without
+from residuum.identification.unseen_blocks.judged import (
+    Judged,
+    equations,
+    normal_equations,
+    steps_without,
+)
 from residuum.identification.unseen_blocks.looks import Court
 from residuum.identification.unseen_blocks.next_experiment import HELD
 from residuum.identification.unseen_blocks.policy import EACH_IN_PAIRS, PAIR_DAMPING, PAIRS_FITTED
@@ -36,7 +44,9 @@ from residuum.identification.unseen_blocks.structure import Structure
 
 @dataclass(frozen=True, eq=False)
 class _Slopes:
-    """Of an effect at rest with these first values: names of its parameters that are estimated, and slopes (rows, outputs, q)."""
+    """Of an effect at rest with these first values: names of its parameters that are estimated, and
+    slopes (rows, outputs, q).
+    """
 
     key: Key
     values: dict[str, float]
@@ -52,16 +62,30 @@ def pairs(parent: Judged, keys: Iterable[Key], along: Track, court: Court) -> li
         return []
     by_effect = each_beside(lambda key: _at_rest(key, parent, along, court), list(keys))
     slopes = [trial for shapes in by_effect for trial in shapes]
-    unit = np.ones(own.errors.shape[1]) if court.scale.unit is None else np.maximum(court.scale.unit, 1e-300)
-    T = np.concatenate([own.slopes, *(trial.columns for trial in slopes)], axis=2) / np.sqrt(unit)[:, None]
-    H, g = normal_equations(T, own.errors * own.huber / np.sqrt(unit), court.data.fold[court.last.block])
-    places = np.split(np.arange(T.shape[2]), np.cumsum([own.slopes.shape[2], *(len(trial.names) for trial in slopes)])[:-1])
+    unit = (
+        np.ones(own.errors.shape[1])
+        if court.scale.unit is None
+        else np.maximum(court.scale.unit, 1e-300)
+    )
+    T = (
+        np.concatenate([own.slopes, *(trial.columns for trial in slopes)], axis=2)
+        / np.sqrt(unit)[:, None]
+    )
+    H, g = normal_equations(
+        T, own.errors * own.huber / np.sqrt(unit), court.data.fold[court.last.block]
+    )
+    places = np.split(
+        np.arange(T.shape[2]),
+        np.cumsum([own.slopes.shape[2], *(len(trial.names) for trial in slopes)])[:-1],
+    )
 
     def of_pair(i: int, j: int) -> tuple[FloatArray, FloatArray]:
         at = np.concatenate([places[0], places[i + 1], places[j + 1]])
         return H[:, at][:, :, at], g[:, at]
 
-    index_pairs = [(i, j) for i, j in combinations(range(len(slopes)), 2) if slopes[i].key != slopes[j].key]
+    index_pairs = [
+        (i, j) for i, j in combinations(range(len(slopes)), 2) if slopes[i].key != slopes[j].key
+    ]
     ranked = sorted((_unseen(*of_pair(i, j)), i, j) for i, j in index_pairs)
     tasks = []
     for i, j in islice(_unlike(ranked, slopes), PAIRS_FITTED):
@@ -70,8 +94,12 @@ def pairs(parent: Judged, keys: Iterable[Key], along: Track, court: Court) -> li
     return [trial for trial in each_beside(lambda task: task(), tasks) if trial is not None]
 
 
-def _unlike(ranked: Iterable[tuple[float, int, int]], slopes: Sequence[_Slopes]) -> Iterator[tuple[int, int]]:
-    """The pairs that promise most, each effect in few of them: those that do the same beside one would take all places."""
+def _unlike(
+    ranked: Iterable[tuple[float, int, int]], slopes: Sequence[_Slopes]
+) -> Iterator[tuple[int, int]]:
+    """The pairs that promise most, each effect in few of them: those that do the same beside one
+    would take all places.
+    """
     chosen: set[frozenset[Key]] = set()
     taken: Counter[Key] = Counter()
     for _, i, j in ranked:
@@ -83,7 +111,9 @@ def _unlike(ranked: Iterable[tuple[float, int, int]], slopes: Sequence[_Slopes])
 
 
 def _at_rest(key: Key, parent: Judged, along: Track, court: Court) -> list[_Slopes]:
-    """An effect at rest beside the structure, in each of its shapes; none of one that is never at rest."""
+    """An effect at rest beside the structure, in each of its shapes; none of one that is never at
+    rest.
+    """
     if key.effect == HELD or not find_effect(key.effect).vanishes or find_effect(key.effect).shifts:
         return []
     effect, slopes, shapes = find_effect(key.effect), [], []
@@ -100,16 +130,30 @@ def _at_rest(key: Key, parent: Judged, along: Track, court: Court) -> list[_Slop
         at = None if begun is None else equations(begun, court.last, court.scale)
         if at is not None and np.all(np.isfinite(at.slopes)):
             new = [k for k, name in enumerate(model.free) if name not in parent.model.free]
-            slopes.append(_Slopes(key, values, [list(model.free)[k].rpartition(".")[2] for k in new], at.slopes[..., new]))
+            slopes.append(
+                _Slopes(
+                    key,
+                    values,
+                    [list(model.free)[k].rpartition(".")[2] for k in new],
+                    at.slopes[..., new],
+                )
+            )
     return slopes
 
 
 def _unbounded(model: PhysicalModel, key: Key) -> PhysicalModel:
     """The model with an effect's values free of their bounds, at which it rests."""
     free = [
-        replace(use, parameters={n: replace(p, lower=-np.inf, upper=np.inf) for n, p in use.parameters.items()})
-        if use.key == key
-        else use
+        (
+            replace(
+                use,
+                parameters={
+                    n: replace(p, lower=-np.inf, upper=np.inf) for n, p in use.parameters.items()
+                },
+            )
+            if use.key == key
+            else use
+        )
         for use in model.effects
     ]
     return replace(model, effects=tuple(free))
@@ -118,31 +162,49 @@ def _unbounded(model: PhysicalModel, key: Key) -> PhysicalModel:
 def _step(H: FloatArray, g: FloatArray) -> FloatArray:
     """The step that all folds together ask for."""
     all_H = H.sum(axis=0)
-    return np.asarray(solve_scaled(all_H + PAIR_DAMPING * np.diag(np.diag(all_H)), g.sum(axis=0)[:, None], 1e-10)[:, 0])
+    return np.asarray(
+        solve_scaled(all_H + PAIR_DAMPING * np.diag(np.diag(all_H)), g.sum(axis=0)[:, None], 1e-10)[
+            :, 0
+        ]
+    )
 
 
 def _unseen(H: FloatArray, g: FloatArray) -> float:
-    """What all folds leave, each with the values that the others ask for, above what the structure alone leaves."""
+    """What all folds leave, each with the values that the others ask for, above what the structure
+    alone leaves.
+    """
     steps = zip(H, g, steps_without(H, g, PAIR_DAMPING), strict=True)
     return float(sum(step @ h @ step - 2.0 * step @ b for h, b, step in steps))
 
 
-def _fitted(parent: Judged, pair: Sequence[_Slopes], step: FloatArray, court: Court) -> Judged | None:
+def _fitted(
+    parent: Judged, pair: Sequence[_Slopes], step: FloatArray, court: Court
+) -> Judged | None:
     """The structure with both, begun where the step leads."""
     model: PhysicalModel = parent.model
     for member, more in zip(pair, np.split(step, [len(pair[0].names)]), strict=True):
-        moved = {name: member.values[name] + float(d) for name, d in zip(member.names, more, strict=True)}
+        moved = {
+            name: member.values[name] + float(d) for name, d in zip(member.names, more, strict=True)
+        }
         try:
-            model = model.with_effect(*member.key, _within(model.with_effect(*member.key, member.values), member.key, moved))
+            model = model.with_effect(
+                *member.key,
+                _within(model.with_effect(*member.key, member.values), member.key, moved),
+            )
         except BadInput:
             return None
     keys = tuple(sorted((*parent.keys, *(member.key for member in pair))))
     return court.judge(
-        Structure(keys, canonical(model), parent.structure.states, parent.structure.steps), steps=15, tolerance=1e-5
+        Structure(keys, canonical(model), parent.structure.states, parent.structure.steps),
+        steps=15,
+        tolerance=1e-5,
     )
 
 
 def _within(model: PhysicalModel, key: Key, values: dict[str, float]) -> dict[str, float]:
     """All first values of an effect, these within their bounds."""
     use = next(use for use in model.effects if use.key == key)
-    return {name: min(max(values.get(name, p.value), p.lower), p.upper) for name, p in use.parameters.items()}
+    return {
+        name: min(max(values.get(name, p.value), p.lower), p.upper)
+        for name, p in use.parameters.items()
+    }

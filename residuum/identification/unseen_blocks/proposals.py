@@ -1,10 +1,12 @@
-"""What may be missing, and where each begins: effects of the catalogue, forgotten inputs, couplings, learned curves, held values.
+"""What may be missing, and where each begins: effects of the catalogue, forgotten inputs,
+couplings, learned curves, held values.
 
-A proposal is a key and models to begin with; who judges them does not ask what they are. A forgotten input is a column of the
-records that the model does not use. It is proposed where what a balance lacks resembles it, beside the balance's own terms, and
-where it says something that the outputs do not: a reference, a filtered or differentiated output resembles whatever is missing
-in a loop, and acts on nothing. A held value is a parameter that the model fixes: a mass that is a tenth too large looks like an
-elasticity or a load.
+A proposal is a key and models to begin with; who judges them does not ask what they are. A
+forgotten input is a column of the records that the model does not use. It is proposed where what a
+balance lacks resembles it, beside the balance's own terms, and where it says something that the
+outputs do not: a reference, a filtered or differentiated output resembles whatever is missing in a
+loop, and acts on nothing. A held value is a parameter that the model fixes: a mass that is a tenth
+too large looks like an elasticity or a load.
 """
 
 from __future__ import annotations
@@ -35,10 +37,18 @@ from residuum.identification.unseen_blocks.policy import (
 from residuum.identification.unseen_blocks.scale import innovations
 
 
-def proposed(model: PhysicalModel, wanted: Iterable[str] | None, along: Track | None, *, learned: bool, held: bool) -> list[Key]:
+def proposed(
+    model: PhysicalModel,
+    wanted: Iterable[str] | None,
+    along: Track | None,
+    *,
+    learned: bool,
+    held: bool,
+) -> list[Key]:
     """Everything that may join the model; `wanted` restricts the effects.
 
-    What acts at times that nobody recorded may have been something else: it is proposed only where it is asked for.
+    What acts at times that nobody recorded may have been something else: it is proposed only where
+    it is asked for.
     """
     keys = candidates(model, wanted)
     if wanted is None:
@@ -47,12 +57,15 @@ def proposed(model: PhysicalModel, wanted: Iterable[str] | None, along: Track | 
     if learned and along is not None:
         keys += _curves(model, along)
     if held:
-        keys += [Key(HELD, name) for name, p in model.parameters.items() if p.fixed and p.value != 0.0]
+        keys += [
+            Key(HELD, name) for name, p in model.parameters.items() if p.fixed and p.value != 0.0
+        ]
     return keys
 
 
 def beginnings(key: Key, along: Track) -> list[PhysicalModel]:
-    """The track's model with what is proposed: where it vanishes, and regressed on what its balance lacked; each shape once.
+    """The track's model with what is proposed: where it vanishes, and regressed on what its balance
+    lacked; each shape once.
 
     A shift in time begins as it is given: nothing near none of it says how far to go.
     """
@@ -62,7 +75,9 @@ def beginnings(key: Key, along: Track) -> list[PhysicalModel]:
     zero, models = effect.vanishes and not effect.shifts, []
     shapes: list[Mapping[str, float]] = []
     for start in starts(key, along):
-        shape = {name: value for name, value in start.items() if not (zero and name in effect.sizes)}
+        shape = {
+            name: value for name, value in start.items() if not (zero and name in effect.sizes)
+        }
         if shape in shapes or len(shapes) == SHAPES:
             continue
         shapes.append(shape)
@@ -71,35 +86,50 @@ def beginnings(key: Key, along: Track) -> list[PhysicalModel]:
             if regression is not None:
                 models.append(regression[1])
             if not effect.curve or regression is None:
-                models.append(along.model.with_effect(*key, effect.at_rest(start) if zero else start))
+                models.append(
+                    along.model.with_effect(*key, effect.at_rest(start) if zero else start)
+                )
         except BadInput:
             continue
     return [canonical(model) for model in models]
 
 
 def grown(key: Key, special: Track) -> list[PhysicalModel]:
-    """Models with an effect in the place of one that it generalises, begun near where that one was found and followed."""
+    """Models with an effect in the place of one that it generalises, begun near where that one was
+    found and followed.
+    """
     effect = find_effect(key.effect)
-    use = next(use for use in special.model.effects if use.key == Key(effect.generalises, key.target))
+    use = next(
+        use for use in special.model.effects if use.key == Key(effect.generalises, key.target)
+    )
     less = special.model.without_effect(use.label)
     values = {name: p.value for name, p in use.parameters.items()}
     try:
-        return [canonical(less.with_effect(*key, v)) for v in effect.grown(values, conditions_along(key, special))]
+        return [
+            canonical(less.with_effect(*key, v))
+            for v in effect.grown(values, conditions_along(key, special))
+        ]
     except BadInput:
         return []
 
 
 def specialised(key: Key, general: Track) -> list[PhysicalModel]:
-    """Models with a special case in the place of the effect that generalises it, begun where that one was found and followed."""
+    """Models with a special case in the place of the effect that generalises it, begun where that
+    one was found and followed.
+    """
     uses = [
-        u for u in general.model.effects if u.target == key.target and u.effect.generalises == key.effect and u.id != key.effect
+        u
+        for u in general.model.effects
+        if u.target == key.target and u.effect.generalises == key.effect and u.id != key.effect
     ]
     models = []
     for use in uses:
         less = general.model.without_effect(use.label)
         values = {name: p.value for name, p in use.parameters.items()}
         try:
-            if special := use.effect.specialised(values, conditions_along(Key(use.id, use.target), general)):
+            if special := use.effect.specialised(
+                values, conditions_along(Key(use.id, use.target), general)
+            ):
                 models.append(canonical(less.with_effect(*key, special)))
         except BadInput:
             continue
@@ -107,7 +137,9 @@ def specialised(key: Key, general: Track) -> list[PhysicalModel]:
 
 
 def generalised(key: Key) -> Key | None:
-    """The effect that a proposed one is grown from, at its place; itself, where its error has many minima side by side."""
+    """The effect that a proposed one is grown from, at its place; itself, where its error has many
+    minima side by side.
+    """
     special = "" if key.effect == HELD else find_effect(key.effect).generalises
     return Key(special, key.target) if special else None
 
@@ -121,13 +153,18 @@ def special_of(key: Key) -> Key | None:
 def starts(key: Key, along: Track) -> list[Mapping[str, float]]:
     """First values of an effect, those of each thing that it follows in turn."""
     effect = find_effect(key.effect)
-    by_lack = [list(effect.starts(conditions_along(key, along, missing))) for missing in _lacks(effect, key.target, along)]
+    by_lack = [
+        list(effect.starts(conditions_along(key, along, missing)))
+        for missing in _lacks(effect, key.target, along)
+    ]
     turns = [start for turn in zip_longest(*by_lack) for start in turn if start is not None]
     return [start for k, start in enumerate(turns) if start not in turns[:k]][:STARTS_LOOKED_AT]
 
 
 def _lacks(effect: Effect, target: str, along: Track) -> list[FloatArray | None]:
-    """What is missing, along the longest record, in each way in which the effect's first values follow it."""
+    """What is missing, along the longest record, in each way in which the effect's first values
+    follow it.
+    """
     lacks: list[FloatArray | None] = []
     for signal in effect.follows:
         if signal == "lack":
@@ -142,11 +179,15 @@ def conditions_along(key: Key, along: Track, missing: FloatArray | None = None) 
     """What is known where the effect may act, along the longest record."""
     effect, rows = find_effect(key.effect), along.longest
     e = replace(along.experiment, U=along.experiment.U[rows], Y=along.experiment.Y[rows], spare={})
-    return conditions_at(along.model, effect, key.target, e, np.ascontiguousarray(along.X[rows]), missing)
+    return conditions_at(
+        along.model, effect, key.target, e, np.ascontiguousarray(along.X[rows]), missing
+    )
 
 
 def canonical(model: PhysicalModel) -> PhysicalModel:
-    """The model with the terms of its balances in one order (one kernel for {A, B} and {B, A}); stages of a path stay."""
+    """The model with the terms of its balances in one order (one kernel for {A, B} and {B, A});
+    stages of a path stay.
+    """
     return replace(model, effects=tuple(sorted(model.effects, key=_rank)))
 
 
@@ -165,14 +206,23 @@ def forgotten_columns(model: PhysicalModel, along: Track) -> list[str]:
         if n not in taken and _share_of(own, s.values - s.values.mean()) < TOLD_BY_OUTPUTS
     }
     bases = {balance: own_terms(model, balance, along) for balance in model.balances}
-    alike = {n: max(_alike(basis, along.missing[b], s) for b, basis in bases.items()) for n, s in columns.items()}
-    return sorted((n for n in alike if alike[n] > RESEMBLES), key=lambda n: -alike[n])[:COLUMNS_TRIED]
+    alike = {
+        n: max(_alike(basis, along.missing[b], s) for b, basis in bases.items())
+        for n, s in columns.items()
+    }
+    return sorted((n for n in alike if alike[n] > RESEMBLES), key=lambda n: -alike[n])[
+        :COLUMNS_TRIED
+    ]
 
 
 def without_idle(model: PhysicalModel, like: PhysicalModel) -> PhysicalModel:
-    """The model without the inputs that were added to it and that nothing uses; `like` is what it was before."""
+    """The model without the inputs that were added to it and that nothing uses; `like` is what it
+    was before.
+    """
     idle = idle_inputs(model)
-    return model.with_inputs_of(name for name in model.inputs if name in like.inputs or name not in idle)
+    return model.with_inputs_of(
+        name for name in model.inputs if name in like.inputs or name not in idle
+    )
 
 
 def _told_by_outputs(along: Track) -> FloatArray:
@@ -181,7 +231,9 @@ def _told_by_outputs(along: Track) -> FloatArray:
     signals = np.column_stack([np.nan_to_num(Y, nan=0.0), along.X])
     every = np.column_stack([signals, np.gradient(signals, axis=0)])
     every = every - every.mean(axis=0)
-    u, s, _ = np.linalg.svd(every / np.maximum(np.linalg.norm(every, axis=0), 1e-300), full_matrices=False)
+    u, s, _ = np.linalg.svd(
+        every / np.maximum(np.linalg.norm(every, axis=0), 1e-300), full_matrices=False
+    )
     return np.asarray(u[:, s > 1e-9 * s[0]])
 
 
@@ -198,11 +250,15 @@ def _alike(basis: FloatArray, lack: FloatArray, signal: FloatArray) -> float:
 
 
 def _curves(model: PhysicalModel, along: Track) -> list[Key]:
-    """Learned curves: the signals of which a smooth function explains most of what a balance lacks."""
+    """Learned curves: the signals of which a smooth function explains most of what a balance
+    lacks.
+    """
     ranked, present = [], {use.key for use in model.effects}
     names = [*model.states, *model.inputs]
     learned = [effect.id for effect in STRUCTURAL.values() if effect.curve]
-    known = dict(zip(model.states, along.X.T, strict=False)) | dict(zip(model.inputs, along.experiment.U.T, strict=False))
+    known = dict(zip(model.states, along.X.T, strict=False)) | dict(
+        zip(model.inputs, along.experiment.U.T, strict=False)
+    )
     for balance in model.balances:
         basis = own_terms(model, balance, along)
         for name in names:
@@ -214,7 +270,9 @@ def _curves(model: PhysicalModel, along: Track) -> list[Key]:
 
 
 def _explained(basis: FloatArray, lack: FloatArray, signal: FloatArray) -> float:
-    """Part of the lack on every second stretch that a curve over the signal, fitted on the others, takes away."""
+    """Part of the lack on every second stretch that a curve over the signal, fitted on the others,
+    takes away.
+    """
     at = np.unique(np.quantile(signal, np.linspace(0.0, 1.0, CURVE_KNOTS)))
     if len(at) < 3:
         return 0.0

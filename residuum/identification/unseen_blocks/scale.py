@@ -1,8 +1,9 @@
-"""The unit in which errors are measured: power where an error stands out of its noise, nats of that noise where it does not.
+"""The unit in which errors are measured: power where an error stands out of its noise, nats of that
+noise where it does not.
 
-A whitened likelihood misleads on inexact machines: it believes that what is left is noise. Raw power is deaf in noise. What the
-error looks like says which unit is right: one that stands far above what its own past cannot predict, or is larger here than
-there, is no noise.
+A whitened likelihood misleads on inexact machines: it believes that what is left is noise. Raw
+power is deaf in noise. What the error looks like says which unit is right: one that stands far
+above what its own past cannot predict, or is larger here than there, is no noise.
 """
 
 from __future__ import annotations
@@ -25,9 +26,10 @@ from residuum.identification.unseen_blocks.policy import CLIPPED, WEAKEST, WHITE
 class Scale:
     """Weights (outputs,) of errors, their whitening `filters`, and what counts as how much.
 
-    `clip` (outputs,) is the largest weighted error that counts. In power `unit` (measured outputs,) is the first model's and
-    `floor` the part of the cost that is noise; in `nats` a parameter costs `price`. `variance` is that of a weighted error which
-    the model leaves, beside which priors count.
+    `clip` (outputs,) is the largest weighted error that counts. In power `unit` (measured outputs,)
+    is the first model's and `floor` the part of the cost that is noise; in `nats` a parameter costs
+    `price`. `variance` is that of a weighted error which the model leaves, beside which priors
+    count.
     """
 
     weights: FloatArray
@@ -52,17 +54,21 @@ class Scale:
         return out
 
     def cost(self, power: FloatArray, parameters: float) -> float:
-        """Of power (blocks, measured outputs): nats with the parameters' price, or power in units of the first model's."""
+        """Of power (blocks, measured outputs): nats with the parameters' price, or power in units
+        of the first model's.
+        """
         if self.nats:
             return float(0.5 * power.sum() + self.price * parameters)
         unit = 1.0 if self.unit is None else self.unit
         return float((power / unit).sum() / power.shape[1])
 
     def error(self, rms: FloatArray) -> float:
-        """Of errors (outputs,) in the outputs' units, NaN where nothing was measured: their root mean square in the weights
-        and the unit of the scale; infinite where nothing was.
+        """Of errors (outputs,) in the outputs' units, NaN where nothing was measured: their root
+        mean square in the weights and the unit of the scale; infinite where nothing was.
         """
-        power = (rms * self.weights)[self.weights > 0.0] ** 2 / (1.0 if self.unit is None else self.unit)
+        power = (rms * self.weights)[self.weights > 0.0] ** 2 / (
+            1.0 if self.unit is None else self.unit
+        )
         known = power[~np.isnan(power)]
         return float(np.sqrt(known.mean())) if known.size else np.inf
 
@@ -70,7 +76,9 @@ class Scale:
         """Cost of each block without prices, shape (blocks,)."""
         if self.nats:
             return np.asarray(0.5 * power.sum(axis=1))
-        return np.asarray((power / (1.0 if self.unit is None else self.unit)).sum(axis=1) / power.shape[1])
+        return np.asarray(
+            (power / (1.0 if self.unit is None else self.unit)).sum(axis=1) / power.shape[1]
+        )
 
 
 def plain(data: Data) -> Scale:
@@ -80,14 +88,20 @@ def plain(data: Data) -> Scale:
 
 
 def clipped(scale: Scale, residuals: Sequence[FloatArray], rung: Rung) -> Scale:
-    """The scale in which errors that stand out of these residuals count as no more than the limit."""
+    """The scale in which errors that stand out of these residuals count as no more than the
+    limit.
+    """
     errors = scale.whitened(np.concatenate(residuals) * scale.weights, rung.starts.tolist())
     measured = scale.weights > 0.0
     spread = np.full(len(scale.weights), np.inf)
     middle = np.nanmedian(errors[:, measured], axis=0)
     spread[measured] = np.nanmedian(np.abs(errors[:, measured] - middle), axis=0) / NORMAL_MEDIAN
     variance = float(np.mean(spread[measured] ** 2))
-    return replace(scale, clip=np.where(measured, np.maximum(CLIPPED * spread, 1e-9), np.inf), variance=variance)
+    return replace(
+        scale,
+        clip=np.where(measured, np.maximum(CLIPPED * spread, 1e-9), np.inf),
+        variance=variance,
+    )
 
 
 def of_power(scale: Scale, data: Data, power: FloatArray) -> Scale:
@@ -95,12 +109,16 @@ def of_power(scale: Scale, data: Data, power: FloatArray) -> Scale:
     total = power.sum(axis=0)
     unit = np.maximum(np.maximum(total, WEAKEST * total.max()), 1e-300)
     Y = np.concatenate([e.Y for e in data.experiments])[:, data.measured]
-    noise = (np.nan_to_num(noise_floor(Y)) * scale.weights[data.measured]) ** 2 * np.isfinite(Y).sum(axis=0)
+    noise = (np.nan_to_num(noise_floor(Y)) * scale.weights[data.measured]) ** 2 * np.isfinite(
+        Y
+    ).sum(axis=0)
     return replace(scale, unit=unit, floor=float(np.minimum(noise / unit, 0.98).mean()))
 
 
 def of_noise(residuals: Sequence[FloatArray], rung: Rung, measured: npt.NDArray[np.bool_]) -> Scale:
-    """Nats of noise that looks like the quieter half of these residuals' blocks: an effect may show in the others alone."""
+    """Nats of noise that looks like the quieter half of these residuals' blocks: an effect may show
+    in the others alone.
+    """
     from scipy.signal import lfilter  # noqa: PLC0415
 
     at = np.split(rung.block, rung.starts[1:-1])
@@ -108,19 +126,34 @@ def of_noise(residuals: Sequence[FloatArray], rung: Rung, measured: npt.NDArray[
     for o, is_measured in enumerate(measured):
         filters.append(np.ones(1))
         if is_measured:
-            pieces = [r[b == k, o] for r, b in zip(residuals, at, strict=True) for k in np.unique(b)]
+            pieces = [
+                r[b == k, o] for r, b in zip(residuals, at, strict=True) for k in np.unique(b)
+            ]
             filters[o] = _whitening(pieces)
             white = [lfilter(filters[o], [1.0], np.nan_to_num(r[:, o])) for r in residuals]
-            weights[o] = NORMAL_MEDIAN / max(float(np.median(np.abs(np.concatenate(white)))), 1e-300)
+            weights[o] = NORMAL_MEDIAN / max(
+                float(np.median(np.abs(np.concatenate(white)))), 1e-300
+            )
     samples = sum(int(np.isfinite(r).sum()) for r in residuals)
-    return Scale(weights, np.full(len(measured), np.inf), tuple(filters), nats=True, price=0.5 * float(np.log(samples)))
+    return Scale(
+        weights,
+        np.full(len(measured), np.inf),
+        tuple(filters),
+        nats=True,
+        price=0.5 * float(np.log(samples)),
+    )
 
 
 def _whitening(pieces: Sequence[FloatArray]) -> FloatArray:
-    """Autoregression (1, a₁, …) of the quieter half of the pieces (Yule and Walker), its order by Akaike's criterion."""
+    """Autoregression (1, a₁, …) of the quieter half of the pieces (Yule and Walker), its order by
+    Akaike's criterion.
+    """
     from scipy.linalg import solve_toeplitz  # noqa: PLC0415
 
-    known = sorted((np.nan_to_num(p) for p in pieces if np.isfinite(p).any()), key=lambda p: float(np.mean(p**2)))
+    known = sorted(
+        (np.nan_to_num(p) for p in pieces if np.isfinite(p).any()),
+        key=lambda p: float(np.mean(p**2)),
+    )
     quiet = known[: -(-len(known) // 2)]
     n = sum(map(len, quiet))
     total = np.zeros(WHITENING + 1)

@@ -1,9 +1,9 @@
-"""The beam search: effects join one after the other, and ties travel, since what is one effect alone may be told apart beside
-another.
+"""The beam search: effects join one after the other, and ties travel, since what is one effect
+alone may be told apart beside another.
 
-At every level each proposal beside each structure of the beam is glanced at, the best of every kind of look are fitted fully
-and judged on unseen blocks, and the simplest within chance of the best leads. After each effect that joined, the unit of the
-error is asked again.
+At every level each proposal beside each structure of the beam is glanced at, the best of every kind
+of look are fitted fully and judged on unseen blocks, and the simplest within chance of the best
+leads. After each effect that joined, the unit of the error is asked again.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from functools import partial
 
 import numpy as np
 
-from residuum.identification.physics import Key, Simulator
+from residuum.identification.physics import Key
 from residuum.identification.side_by_side import each_beside
 from residuum.identification.unseen_blocks.comparing import (
     corrected,
@@ -29,7 +29,17 @@ from residuum.identification.unseen_blocks.data import Data, Rung
 from residuum.identification.unseen_blocks.following import Track, followed
 from residuum.identification.unseen_blocks.judged import Judged, judged
 from residuum.identification.unseen_blocks.ladder import climb, climb_at_likelier_timing
-from residuum.identification.unseen_blocks.looks import LONG, SHORT, Court, Glance, follow, followed_on, glance, look, shows
+from residuum.identification.unseen_blocks.looks import (
+    LONG,
+    SHORT,
+    Court,
+    Glance,
+    follow,
+    followed_on,
+    glance,
+    look,
+    shows,
+)
 from residuum.identification.unseen_blocks.pairs import pairs
 from residuum.identification.unseen_blocks.policy import (
     BEAM,
@@ -45,11 +55,23 @@ from residuum.identification.unseen_blocks.policy import (
     TURNS,
     TWICE,
 )
-from residuum.identification.unseen_blocks.proposals import generalised, grown, proposed, special_of, specialised
+from residuum.identification.unseen_blocks.proposals import (
+    generalised,
+    grown,
+    proposed,
+    special_of,
+    specialised,
+)
 from residuum.identification.unseen_blocks.scale import Scale, clipped, of_power, plain
-from residuum.identification.unseen_blocks.settling import accurate, at_the_timing_it_suits, begun, settle
+from residuum.identification.unseen_blocks.settling import (
+    accurate,
+    at_the_timing_it_suits,
+    begun,
+    settle,
+)
 from residuum.identification.unseen_blocks.structure import Structure, fitted
 from residuum.identification.unseen_blocks.tried import Search, Wanted, with_only
+from residuum.identification.unseen_blocks.unseen_states import with_unseen_states
 from residuum.identification.work import OutOfWork, Tell, go_on, left_out, untold
 
 # Whether an effect joins what was found, and what it makes needless: forward selection, floating
@@ -59,41 +81,57 @@ from residuum.identification.work import OutOfWork, Tell, go_on, left_out, untol
 def joins(outcome: Search, ranked: Sequence[Judged]) -> bool:
     """Whether any is real; the simplest of the best that are is the best from now on."""
     scale, before = outcome.court.scale, outcome.best
-    real = real_ones(ranked, before, outcome.base, scale, outcome.tried) or _leaving_noise(outcome, ranked)
+    real = real_ones(ranked, before, outcome.base, scale, outcome.tried) or _leaving_noise(
+        outcome, ranked
+    )
     if not real:
         return False
     outcome.best = chosen = simplest(real, scale)
-    outcome.group = [rival for rival in ranked if rival is not chosen and is_alike(rival, chosen, before, scale)]
+    outcome.group = [
+        rival for rival in ranked if rival is not chosen and is_alike(rival, chosen, before, scale)
+    ]
     return True
 
 
 def _leaving_noise(outcome: Search, ranked: Sequence[Judged]) -> list[Judged]:
-    """The simplest of the best, where it leaves nothing but noise and is real in nats of that: what acts seldom, a limit that is
-    rarely met, is ahead in few blocks alone.
+    """The simplest of the best, where it leaves nothing but noise and is real in nats of that: what
+    acts seldom, a limit that is rarely met, is ahead in few blocks alone.
     """
     chosen = None if outcome.court.scale.nats else simplest(ranked, outcome.court.scale)
-    if chosen is None or chosen.cost >= outcome.best.cost or (turned := settle(chosen, outcome.court)) is None:
+    if (
+        chosen is None
+        or chosen.cost >= outcome.best.cost
+        or (turned := settle(chosen, outcome.court)) is None
+    ):
         return []
     court, in_nats = turned
     before = court.judge(outcome.best.structure, steps=15, tolerance=1e-6)
-    if before is None or before.cost - in_nats.cost < np.log(max(outcome.tried, 1)) + TIE or corrected(in_nats, before) < TWICE:
+    if (
+        before is None
+        or before.cost - in_nats.cost < np.log(max(outcome.tried, 1)) + TIE
+        or corrected(in_nats, before) < TWICE
+    ):
         return []
     return [chosen]
 
 
 def without_needless(outcome: Search) -> None:
-    """Take effects from the best structure that are not real beside the others: what joined first may have stood for what
-    joined after it, and led that astray.
+    """Take effects from the best structure that are not real beside the others: what joined first
+    may have stood for what joined after it, and led that astray.
     """
     for key in outcome.best.keys:
         best = outcome.best
         less = _without(outcome, key) if len(best.keys) > 1 else None
-        if less is not None and not is_real(best, less, outcome.base, outcome.court.scale, outcome.tried):
+        if less is not None and not is_real(
+            best, less, outcome.base, outcome.court.scale, outcome.tried
+        ):
             outcome.best, outcome.group = less, []
 
 
 def _without(outcome: Search, key: Key) -> Judged | None:
-    """The best structure without one effect, from its own values on or as it was known, whichever leaves less."""
+    """The best structure without one effect, from its own values on or as it was known, whichever
+    leaves less.
+    """
     keys = tuple(k for k in outcome.best.keys if k != key)
     known = outcome.every.pop(keys, None)
     versions = [version for version in (known, with_only(outcome, keys)) if version is not None]
@@ -107,19 +145,29 @@ def _without(outcome: Search, key: Key) -> Judged | None:
 
 
 def related(
-    outcome: Search, by_keys: Mapping[tuple[Key, ...], Judged], glances: Mapping[tuple[Key, ...], Glance]
+    outcome: Search,
+    by_keys: Mapping[tuple[Key, ...], Judged],
+    glances: Mapping[tuple[Key, ...], Glance],
 ) -> dict[tuple[Key, ...], Judged]:
-    """Effects that generalise one of the best, or are it with many minima side by side, followed from where that one fits, and
-    special cases from where the general one does. From nothing they may not be reached, or end on the way; and what joined first
-    as the general case may be a special one beside another.
+    """Effects that generalise one of the best, or are it with many minima side by side, followed
+    from where that one fits, and special cases from where the general one does. From nothing they
+    may not be reached, or end on the way; and what joined first as the general case may be a
+    special one beside another.
     """
     tasks = []
     for lead in sorted(by_keys.values(), key=lambda lead: lead.cost)[:BEAM]:
         general = [view for view in glances.values() if _is_for(view, lead, generalised(view.key))]
         special = [
-            view for view in glances.values() if any(special_of(k) == view.key and _is_for(view, lead, k) for k in lead.keys)
+            view
+            for view in glances.values()
+            if any(special_of(k) == view.key and _is_for(view, lead, k) for k in lead.keys)
         ]
-        plain = [k for k in lead.keys if special_of(k) in outcome.proposed.difference(lead.keys, (view.key for view in special))]
+        plain = [
+            k
+            for k in lead.keys
+            if special_of(k)
+            in outcome.proposed.difference(lead.keys, (view.key for view in special))
+        ]
         if not (general or special or plain):
             continue
         along = followed(lead.model, outcome.court.data, lead.errors, outcome.court.last)
@@ -127,7 +175,11 @@ def related(
             begins = [(view, grown(view.key, along)) for view in general] + [
                 (view, specialised(view.key, along)) for view in special
             ]
-            tasks += [partial(follow, models, view, lead.structure, outcome.court) for view, models in begins if models]
+            tasks += [
+                partial(follow, models, view, lead.structure, outcome.court)
+                for view, models in begins
+                if models
+            ]
             tasks += [partial(_in_place, lead.structure, k, along, outcome) for k in plain]
     led = each_beside(lambda task: task(), tasks)
     better: dict[tuple[Key, ...], Judged] = {}
@@ -150,47 +202,23 @@ def _in_place(whole: Structure, key: Key, along: Track, outcome: Search) -> Judg
 
 
 def _is_for(view: Glance, candidate: Judged, stand_in: Key | None) -> bool:
-    """Whether a structure holds what was glanced at, but for another effect in the place of the new one."""
-    return stand_in in candidate.keys and set(candidate.keys) - {stand_in} == set(view.keys) - {view.key}
-
-
-# Where windows begin in the states that no output shows: where the filter went.
-
-
-def with_unseen_states(parent: Structure, along: Track, court: Court) -> Structure:
-    """The structure whose windows of a short look begin where the filter went, in the states that no output shows.
-
-    No fit moves these: the position of an axis of which the speed is measured is 0 at the begin of every window, and no stop is
-    where the axis met it.
+    """Whether a structure holds what was glanced at, but for another effect in the place of the new
+    one.
     """
-    rung, names = court.middle, list(Simulator(parent.model).states)
-    unseen = _unseen_states(parent, court.last)
-    if not unseen or rung.windows not in parent.states:
-        return parent
-    rows = along.X[court.data.rows(rung)[rung.starts[:-1]]]
-    filtered = [{n: float(x[names.index(n)]) for n in unseen} for x in rows]
-    states = [{**known, **more} for known, more in zip(parent.states[rung.windows], filtered, strict=True)]
-    return replace(parent, states={**parent.states, rung.windows: states})
-
-
-def _unseen_states(parent: Structure, last: Rung) -> list[str]:
-    """States whose first values no measured output feels, on the first window of a rung."""
-    simulator, part = Simulator(parent.model), last.parts[0]
-    names = [f"initial:{name}" for name in simulator.free_states]
-    x0 = simulator.x0({**parent.states[last.windows][0], **part.known})
-    run = simulator.run_vectors(part, x0, simulator.p(), slopes=names, substeps=parent.steps[last.windows][0]) if names else None
-    if run is None or run.dY is None:
-        return []
-    return [n for n, felt in zip(simulator.free_states, np.any(run.dY[:, part.measured], axis=(0, 1)), strict=True) if not felt]
+    return stand_in in candidate.keys and set(candidate.keys) - {stand_in} == set(view.keys) - {
+        view.key
+    }
 
 
 def search(data: Data, wanted: Wanted, tell: Tell = untold, *, turns: int = TURNS) -> Search:
-    """Which effects are missing in the data's model, at the input timing that suits them, which is turned so often at most.
+    """Which effects are missing in the data's model, at the input timing that suits them, which is
+    turned so often at most.
 
-    Where next to nothing of the first error is left, further effects join only if they leave nothing but noise.
+    Where next to nothing of the first error is left, further effects join only if they leave
+    nothing but noise.
 
-    The timing is chosen before anything is found, and asked again with each effect that joins: at the wrong one, the next effect
-    would be the half sample.
+    The timing is chosen before anything is found, and asked again with each effect that joins: at
+    the wrong one, the next effect would be the half sample.
 
     Raises
     ------
@@ -211,18 +239,25 @@ def search(data: Data, wanted: Wanted, tell: Tell = untold, *, turns: int = TURN
                 continue
             if nothing and enough is None:
                 enough = replace(outcome, every=dict(outcome.every), group=list(outcome.group))
-            if depth < DEEPEST and (not nothing or outcome.best.cost < NEAR_NOISE * outcome.court.scale.floor):
+            if depth < DEEPEST and (
+                not nothing or outcome.best.cost < NEAR_NOISE * outcome.court.scale.floor
+            ):
                 glances = _glances(outcome, beam, wanted, viable)
                 viable = _kept(glances) if viable is None else viable
                 tell(0.1 + 0.6 * (depth + 0.5) / DEEPEST, _beside(outcome.best.keys))
-                ranked, together = sorted([*_fitted(outcome, glances), *together], key=lambda rival: rival.cost), []
+                ranked, together = (
+                    sorted([*_fitted(outcome, glances), *together], key=lambda rival: rival.cost),
+                    [],
+                )
                 outcome.tried = len(glances) or outcome.tried
             if ranked and joins(outcome, ranked):
                 without_needless(outcome)
                 if turns and (retimed := at_the_timing_it_suits(outcome)) is not None:
                     return search(retimed, wanted, tell, turns=turns - 1)
                 beam, depth = settled(outcome, ranked), depth + 1
-                if len(outcome.best.keys) >= (EXCHANGED_IN_NOISE if outcome.court.scale.nats else EXCHANGED):
+                if len(outcome.best.keys) >= (
+                    EXCHANGED_IN_NOISE if outcome.court.scale.nats else EXCHANGED
+                ):
                     beam = _exchanged(outcome, beam, wanted, viable)
             elif outcome.best.keys and not nothing and (longer := _lengthened(outcome)):
                 beam = longer
@@ -242,7 +277,9 @@ def _beside(keys: Sequence[Key]) -> str:
     return "beside " + " and ".join(key.effect for key in keys) if keys else "beside nothing else"
 
 
-def _glances(outcome: Search, beam: Sequence[Judged], wanted: Wanted, viable: set[Key] | None) -> dict[tuple[Key, ...], Glance]:
+def _glances(
+    outcome: Search, beam: Sequence[Judged], wanted: Wanted, viable: set[Key] | None
+) -> dict[tuple[Key, ...], Glance]:
     """A glance at every proposal beside every structure of the beam."""
     tasks, queued = [], set()
     for parent in beam:
@@ -252,9 +289,16 @@ def _glances(outcome: Search, beam: Sequence[Judged], wanted: Wanted, viable: se
         outcome.along = along if outcome.along is None else outcome.along
         begins = with_unseen_states(parent.structure, along, outcome.court)
         given = None if parent.keys else followed(outcome.court.data.model, outcome.court.data)
-        for key in proposed(parent.model, wanted.effects, along, learned=wanted.learned, held=wanted.held):
+        for key in proposed(
+            parent.model, wanted.effects, along, learned=wanted.learned, held=wanted.held
+        ):
             keys = tuple(sorted((*parent.keys, key)))
-            if key not in parent.keys and keys not in queued and keys not in outcome.every and (viable is None or key in viable):
+            if (
+                key not in parent.keys
+                and keys not in queued
+                and keys not in outcome.every
+                and (viable is None or key in viable)
+            ):
                 queued.add(keys)
                 tasks.append(partial(_glanced, begins, key, along, outcome.court, given))
     views = each_beside(lambda task: task(), tasks)
@@ -262,7 +306,9 @@ def _glances(outcome: Search, beam: Sequence[Judged], wanted: Wanted, viable: se
     return {view.keys: view for view in views if view is not None}
 
 
-def _glanced(parent: Structure, key: Key, along: Track, court: Court, given: Track | None) -> Glance | None:
+def _glanced(
+    parent: Structure, key: Key, along: Track, court: Court, given: Track | None
+) -> Glance | None:
     try:
         go_on()
         return glance(parent, key, along, court, given)
@@ -272,10 +318,15 @@ def _glanced(parent: Structure, key: Key, along: Track, court: Court, given: Tra
 
 
 def _kept(glances: dict[tuple[Key, ...], Glance]) -> set[Key]:
-    """Proposals worth a look beside others: the best of the first level, and those that hide alone (own states, no slope yet)."""
+    """Proposals worth a look beside others: the best of the first level, and those that hide alone
+    (own states, no slope yet).
+    """
     viable = {view.key for view in glances.values() if view.hides}
     for kind in (SHORT, LONG):
-        ranked = sorted((view for view in glances.values() if kind in view.seen), key=lambda view: view.error(kind))
+        ranked = sorted(
+            (view for view in glances.values() if kind in view.seen),
+            key=lambda view: view.error(kind),
+        )
         viable |= {view.key for view in ranked[:KEPT]}
         if ranked:
             usual = float(np.median([view.error(kind) for view in ranked]))
@@ -284,11 +335,16 @@ def _kept(glances: dict[tuple[Key, ...], Glance]) -> set[Key]:
 
 
 def _fitted(outcome: Search, glances: dict[tuple[Key, ...], Glance]) -> list[Judged]:
-    """The best of each kind of glance followed, the best of these fitted fully and judged, with those related to the best of
-    them; the best first.
+    """The best of each kind of glance followed, the best of these fitted fully and judged, with
+    those related to the best of them; the best first.
     """
-    near = {rival.keys: rival for rival in each_beside(followed_on, _best_of_each(glances.values(), FOLLOWED))}
-    fits = each_beside(lambda view: _looked(view, outcome.court), _best_of_each(near.values(), FULLY_FITTED))
+    near = {
+        rival.keys: rival
+        for rival in each_beside(followed_on, _best_of_each(glances.values(), FOLLOWED))
+    }
+    fits = each_beside(
+        lambda view: _looked(view, outcome.court), _best_of_each(near.values(), FULLY_FITTED)
+    )
     by_keys = {rival.keys: rival for rival in fits if rival is not None}
     by_keys |= related(outcome, by_keys, glances)
     outcome.every |= by_keys
@@ -299,7 +355,9 @@ def _best_of_each(glances: Iterable[Glance], count: int) -> list[Glance]:
     """So many of each kind of look."""
     top: dict[tuple[Key, ...], Glance] = {}
     for kind in (SHORT, LONG):
-        ranked = sorted((view for view in glances if kind in view.seen), key=lambda view: view.error(kind))
+        ranked = sorted(
+            (view for view in glances if kind in view.seen), key=lambda view: view.error(kind)
+        )
         top |= {view.keys: view for view in ranked[:count]}
     return list(top.values())
 
@@ -313,14 +371,23 @@ def _looked(view: Glance, court: Court) -> Judged | None:
 
 
 def settled(outcome: Search, ranked: Sequence[Judged]) -> list[Judged]:
-    """The beam for the next level; where the unit of the error turned, its structures judged anew."""
+    """The beam for the next level; where the unit of the error turned, its structures judged
+    anew.
+    """
     turned = None if outcome.court.scale.nats else settle(outcome.best, outcome.court)
     if turned is None:
         beam = going_on(ranked, outcome.court.scale)
         return beam if outcome.best in beam else [outcome.best, *beam[:-1]]
     court, best = turned
     again = [rival for rival in ranked if rival.keys != best.keys][: 2 * BEAM]
-    fits = [best, *(rival for rival in (court.judge(o.structure, steps=15, tolerance=1e-6) for o in again) if rival is not None)]
+    fits = [
+        best,
+        *(
+            rival
+            for rival in (court.judge(o.structure, steps=15, tolerance=1e-6) for o in again)
+            if rival is not None
+        ),
+    ]
     base = court.judge(outcome.base.structure, steps=15, tolerance=1e-6) or outcome.base
     chosen = simplest(fits, court.scale)
     outcome.court, outcome.best, outcome.base = court, chosen, base
@@ -332,34 +399,55 @@ def settled(outcome: Search, ranked: Sequence[Judged]) -> list[Judged]:
 
 def _together(outcome: Search) -> list[Judged]:
     """Pairs that gain beside the model as it is, where none joins it alone."""
-    along = followed(outcome.base.model, outcome.court.data, outcome.base.errors, outcome.court.last)
-    judged_pairs = [] if along is None else pairs(outcome.base, sorted(outcome.proposed), along, outcome.court)
+    along = followed(
+        outcome.base.model, outcome.court.data, outcome.base.errors, outcome.court.last
+    )
+    judged_pairs = (
+        [] if along is None else pairs(outcome.base, sorted(outcome.proposed), along, outcome.court)
+    )
     outcome.every |= {pair.keys: pair for pair in judged_pairs}
     return judged_pairs
 
 
-def _exchanged(outcome: Search, beam: list[Judged], wanted: Wanted, viable: set[Key] | None) -> list[Judged]:
-    """The beam, led by what leaves less than the best structure with another effect in the place of one of its own.
+def _exchanged(
+    outcome: Search, beam: list[Judged], wanted: Wanted, viable: set[Key] | None
+) -> list[Judged]:
+    """The beam, led by what leaves less than the best structure with another effect in the place of
+    one of its own.
 
-    What joined first was the best beside nothing: it stands for two effects that gain together only, until both are there.
+    What joined first was the best beside nothing: it stands for two effects that gain together
+    only, until both are there.
     """
-    parents = [rival for key in outcome.best.keys if (rival := with_only(outcome, set(outcome.best.keys) - {key})) is not None]
+    parents = [
+        rival
+        for key in outcome.best.keys
+        if (rival := with_only(outcome, set(outcome.best.keys) - {key})) is not None
+    ]
     ranked = _fitted(outcome, _glances(outcome, parents, wanted, viable))
-    better = [rival for rival in ranked if rival.cost < outcome.best.cost and rival.rarity <= outcome.best.rarity]
+    better = [
+        rival
+        for rival in ranked
+        if rival.cost < outcome.best.cost and rival.rarity <= outcome.best.rarity
+    ]
     if not better:
         return beam
     before, scale = outcome.best, outcome.court.scale
     outcome.best = simplest([before, *better], scale)
     rivals = sorted([before, *ranked, *outcome.group], key=lambda rival: rival.cost)
-    outcome.group = [rival for rival in rivals if rival is not outcome.best and is_alike(rival, outcome.best, None, scale)]
+    outcome.group = [
+        rival
+        for rival in rivals
+        if rival is not outcome.best and is_alike(rival, outcome.best, None, scale)
+    ]
     return [outcome.best, *(rival for rival in beam if rival is not outcome.best)][:BEAM]
 
 
 def _lengthened(outcome: Search) -> list[Judged]:
-    """The beam on the longest windows up to which the best one follows all now; base and beam are judged there from now on. Empty
-    where it does not follow the next longer ones.
+    """The beam on the longest windows up to which the best one follows all now; base and beam are
+    judged there from now on. Empty where it does not follow the next longer ones.
 
-    What looked best on short windows goes with those that stood beside it: a second store of heat is a loss until it is full.
+    What looked best on short windows goes with those that stood beside it: a second store of heat
+    is a loss until it is full.
     """
     beam: list[Judged] = []
     while longer := _on_next_windows(outcome):
@@ -378,25 +466,50 @@ def _on_next_windows(outcome: Search) -> list[Judged]:
     if base is None:
         return []
     scale = clipped(flat, base.residuals, rung)
-    first = judged(outcome.base.structure.at(rung, base), base.in_unit(scale).descended(6, 1e-4), rung, data, scale)
+    first = judged(
+        outcome.base.structure.at(rung, base),
+        base.in_unit(scale).descended(6, 1e-4),
+        rung,
+        data,
+        scale,
+    )
     if first is None:
         return []
     scale = of_power(scale, data, first.power)
-    like = [rival for rival in outcome.every.values() if len(rival.keys) == len(outcome.best.keys) and rival is not outcome.best]
+    like = [
+        rival
+        for rival in outcome.every.values()
+        if len(rival.keys) == len(outcome.best.keys) and rival is not outcome.best
+    ]
     tasks = [outcome.best, *sorted(like, key=lambda rival: rival.cost)[: 2 * BEAM]]
     refits = each_beside(lambda rival: _on_longer_windows(rival, rung, flat, scale, outcome), tasks)
     ranked = sorted((rival for rival in refits if rival is not None), key=lambda rival: rival.cost)
     if not ranked:
         return []
     first = replace(first, cost=scale.cost(first.power, first.parameters))
-    outcome.court, outcome.base, outcome.best = replace(court, last=rung, scale=scale), first, simplest(ranked, scale)
+    outcome.court, outcome.base, outcome.best = (
+        replace(court, last=rung, scale=scale),
+        first,
+        simplest(ranked, scale),
+    )
     outcome.every = {(): first} | {rival.keys: rival for rival in ranked}
-    outcome.group = [rival for rival in ranked if rival is not outcome.best and is_alike(rival, outcome.best, None, scale)]
-    return [outcome.best, *(rival for rival in going_on(ranked, scale) if rival is not outcome.best)][:BEAM]
+    outcome.group = [
+        rival
+        for rival in ranked
+        if rival is not outcome.best and is_alike(rival, outcome.best, None, scale)
+    ]
+    return [
+        outcome.best,
+        *(rival for rival in going_on(ranked, scale) if rival is not outcome.best),
+    ][:BEAM]
 
 
-def _on_longer_windows(candidate: Judged, rung: Rung, flat: Scale, scale: Scale, outcome: Search) -> Judged | None:
-    """A structure fitted and judged on longer windows; None where it does not follow them, or shows less than an unknown load."""
+def _on_longer_windows(
+    candidate: Judged, rung: Rung, flat: Scale, scale: Scale, outcome: Search
+) -> Judged | None:
+    """A structure fitted and judged on longer windows; None where it does not follow them, or shows
+    less than an unknown load.
+    """
     fit = fitted(candidate.model, rung, None, flat, steps=15, tolerance=1e-4)
     if fit is None or fit.mean > RUNG_ERROR:
         return None

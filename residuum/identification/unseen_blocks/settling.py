@@ -1,4 +1,6 @@
-"""The unit of the error: nats of noise, once what a structure leaves is noise alike all along the records."""
+"""The unit of the error: nats of noise, once what a structure leaves is noise alike all along the
+records.
+"""
 
 from __future__ import annotations
 
@@ -23,8 +25,8 @@ from residuum.identification.unseen_blocks.tried import Search
 
 
 def settle(best: Judged, court: Court) -> tuple[Court, Judged] | None:
-    """The court in nats and the structure judged there, where what it leaves is noise alike all along the records; None
-    otherwise.
+    """The court in nats and the structure judged there, where what it leaves is noise alike all
+    along the records; None otherwise.
     """
     last, data = court.last, court.data
     fit = court.begun(best.structure)
@@ -36,7 +38,9 @@ def settle(best: Judged, court: Court) -> tuple[Court, Judged] | None:
         if fit.cost == np.inf:
             return None
         scale = of_noise(fit.residuals, last, data.measured)
-    times = max(times_the_noise([r[:, o] for r in fit.residuals]) for o in np.flatnonzero(data.measured))
+    times = max(
+        times_the_noise([r[:, o] for r in fit.residuals]) for o in np.flatnonzero(data.measured)
+    )
     if times > NOISY or _unevenness(fit.residuals, scale, court) > UNEVEN:
         return None
     scale = clipped(scale, fit.residuals, last)
@@ -46,15 +50,18 @@ def settle(best: Judged, court: Court) -> tuple[Court, Judged] | None:
 
 
 def accurate(best: Judged, court: Court) -> Judged:
-    """The structure refitted with as many integration steps a sample as its simulation asks for; as it was, where that leaves
-    more.
+    """The structure refitted with as many integration steps a sample as its simulation asks for; as
+    it was, where that leaves more.
 
-    Steps that follow the modes do for a search. In noise alone values are as sure as a fraction of the error of such a step: a
-    shift in time by parts of a sample bends the input within it.
+    Steps that follow the modes do for a search. In noise alone values are as sure as a fraction of
+    the error of such a step: a shift in time by parts of a sample bends the input within it.
     """
     last, structure = court.last, best.structure
     simulator, taken = Simulator(best.model), structure.steps[last.windows]
-    X0 = [simulator.x0({**known, **part.known}) for known, part in zip(structure.states[last.windows], last.parts, strict=True)]
+    X0 = [
+        simulator.x0({**known, **part.known})
+        for known, part in zip(structure.states[last.windows], last.parts, strict=True)
+    ]
     steps = np.maximum(simulator.substeps_each(last.parts, X0, simulator.p()), taken).tolist()
     if steps == list(taken):
         return best
@@ -64,12 +71,19 @@ def accurate(best: Judged, court: Court) -> Judged:
 
 
 def _unevenness(residuals: Sequence[FloatArray], scale: Scale, court: Court) -> float:
-    """Times the scatter of white noise that the powers of the blocks have, at the output where it is most."""
+    """Times the scatter of white noise that the powers of the blocks have, at the output where it
+    is most.
+    """
     starts, measured = court.last.starts.tolist(), court.data.measured
-    white = scale.whitened(np.nan_to_num(np.concatenate(residuals)) * scale.weights, starts)[:, measured]
+    white = scale.whitened(np.nan_to_num(np.concatenate(residuals)) * scale.weights, starts)[
+        :, measured
+    ]
     block = court.last.block
     n = np.bincount(block, minlength=court.data.blocks)
-    powers = [np.bincount(block, weights=column**2, minlength=len(n))[n > 0] / n[n > 0] for column in white.T]
+    powers = [
+        np.bincount(block, weights=column**2, minlength=len(n))[n > 0] / n[n > 0]
+        for column in white.T
+    ]
     scatter = np.sqrt(2.0 / n[n > 0].mean())
     return max(float(np.std(np.log(np.maximum(p, 1e-300)), ddof=1) / scatter) for p in powers)
 
@@ -96,14 +110,16 @@ def begun(climbed: Climbed) -> Search:
 
 
 def at_the_timing_it_suits(search: Search) -> Data | None:
-    """The data at the other input timing, where the best structure fits better there; None where it does not, or nothing drives
-    the machine.
+    """The data at the other input timing, where the best structure fits better there; None where it
+    does not, or nothing drives the machine.
     """
     court = search.court
     if not search.best.model.inputs:
         return None
     current = _innovations(search, court.data)
-    alternatives = [(_innovations(search, data), data) for data in (turned(court.data), *one_turned(court.data))]
+    alternatives = [
+        (_innovations(search, data), data) for data in (turned(court.data), *one_turned(court.data))
+    ]
     least, data = min(alternatives, key=itemgetter(0))
     return data if least < current else None
 

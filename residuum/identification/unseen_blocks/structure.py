@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 
 import numpy as np
 
@@ -12,48 +11,19 @@ from residuum.array_types import FloatArray
 from residuum.identification.errors import BadInput
 from residuum.identification.physics import Key, PhysicalModel, Simulator
 from residuum.identification.physics.effects import EFFECTS, STRUCTURAL
+from residuum.identification.physics.effects.how_often import share_lacking
 from residuum.identification.physics.estimation.gauss_newton import Fit, Problem
 from residuum.identification.physics.model import place_of
 from residuum.identification.unseen_blocks.data import Rung
-from residuum.identification.unseen_blocks.policy import COARSE, OCCASIONAL, RARE, STIFFEST, USUAL_SHARE
+from residuum.identification.unseen_blocks.policy import (
+    COARSE,
+    OCCASIONAL,
+    RARE,
+    STIFFEST,
+    USUAL_SHARE,
+)
 from residuum.identification.unseen_blocks.scale import Scale
 from residuum.identification.work import count_fit, go_on
-
-# How often public machines really lacked an effect that their textbook model does not have.
-# Counted on recordings of 25 drives and arms, 12 heaters and ovens, 3 tanks and 2 coils, each
-# with its makers' or experimenters' word on what is missing. An effect with several descriptions
-# (dry friction: Coulomb, directional, Stribeck, Dahl) counts with each of them. A machine may
-# lack several.
-
-_DRIVES: Mapping[str, int] = MappingProxyType(
-    dict.fromkeys(("coulomb-friction", "directional-friction", "stribeck-friction", "hysteresis"), 14)
-    | dict.fromkeys(("quadratic-drag", "input-lag", "input-delay", "output-lag", "input-dead-zone", "input-power"), 6)
-    | dict.fromkeys(("viscous-friction", "directional-viscous"), 2)
-    | dict.fromkeys(("load-friction", "elastic-transmission", "cubic-spring", "constant-load", "input-offset"), 1)
-    | dict.fromkeys(("tooth-ripple", "cogging", "position-load", "brush-drop", "input-saturation"), 1)
-)
-_HEATERS: Mapping[str, int] = MappingProxyType(
-    {"second-heat-store": 7, "output-lag": 5, "input-lag": 5, "coupling": 2}
-    | dict.fromkeys(("ambient-loss", "convection", "radiation", "constant-heat", "input-saturation"), 1)
-)
-_TANKS: Mapping[str, int] = MappingProxyType(dict.fromkeys(("forgotten-input", "pump-nonlinearity", "overflow"), 1))
-_COILS: Mapping[str, int] = MappingProxyType({"inductance": 2})
-COUNTED: Mapping[str, tuple[int, Mapping[str, int]]] = MappingProxyType(
-    {"torque": (25, _DRIVES), "force": (25, _DRIVES), "heat": (12, _HEATERS), "volume": (3, _TANKS), "voltage": (2, _COILS)}
-)
-"""By kind of balance, how many machines there were and how many lacked which effect."""
-
-
-def share_lacking(effect: str, kinds: Iterable[str]) -> float | None:
-    """Largest share, by these kinds of balances, of the machines that lacked the effect; None where none was counted.
-
-    >>> share_lacking("coulomb-friction", ["torque", "signal"]), share_lacking("output-drift", ["heat"])
-    (0.56, 0.0)
-    >>> share_lacking("coulomb-friction", ["signal"])
-    """
-    counted = [COUNTED[kind] for kind in kinds if kind in COUNTED]
-    return max((lacking.get(effect, 0) / machines for machines, lacking in counted), default=None)
-
 
 States = Sequence[Mapping[str, float]]
 """First values of the states of each window, by name."""
@@ -61,8 +31,8 @@ States = Sequence[Mapping[str, float]]
 
 @dataclass(frozen=True, eq=False)
 class Structure:
-    """Effects `keys` in a `model`; by the windows a record of each rung that was visited, the first `states` of its windows and
-    the integration `steps` a sample there.
+    """Effects `keys` in a `model`; by the windows a record of each rung that was visited, the first
+    `states` of its windows and the integration `steps` a sample there.
     """
 
     keys: tuple[Key, ...]
@@ -72,28 +42,46 @@ class Structure:
 
     @property
     def rarity(self) -> float:
-        """For how many parameters the effects count besides their own, as they are rarely missing."""
+        """For how many parameters the effects count besides their own, as they are rarely
+        missing.
+        """
         return sum(rarity(self.model, key) for key in self.keys)
 
     def at(self, rung: Rung, fit: Fit, keys: tuple[Key, ...] | None = None) -> Structure:
         """The structure with what was found on a rung."""
         names = fit.problem.simulator.states
-        states = {**self.states, rung.windows: [dict(zip(names, x.tolist(), strict=True)) for x in fit.X0]}
-        return Structure(self.keys if keys is None else keys, fit.model, states, {**self.steps, rung.windows: fit.substeps})
+        states = {
+            **self.states,
+            rung.windows: [dict(zip(names, x.tolist(), strict=True)) for x in fit.X0],
+        }
+        return Structure(
+            self.keys if keys is None else keys,
+            fit.model,
+            states,
+            {**self.steps, rung.windows: fit.substeps},
+        )
 
 
 def at_start(
-    model: PhysicalModel, rung: Rung, states: States | None, scale: Scale, steps: Sequence[int] | None = None
+    model: PhysicalModel,
+    rung: Rung,
+    states: States | None,
+    scale: Scale,
+    steps: Sequence[int] | None = None,
 ) -> Fit | None:
-    """The model at its own values on a rung's windows, from where states are known roughly; `steps` a sample, where they are
-    known, do for a model that has no further states.
+    """The model at its own values on a rung's windows, from where states are known roughly; `steps`
+    a sample, where they are known, do for a model that has no further states.
 
     None where it diverges, or nothing can be estimated.
     """
     go_on()
     try:
         simulator = Simulator(model)
-        X0 = np.array([simulator.measured_start(e) for e in rung.parts] if states is None else _vectors(simulator, rung, states))
+        X0 = np.array(
+            [simulator.measured_start(e) for e in rung.parts]
+            if states is None
+            else _vectors(simulator, rung, states)
+        )
         if steps is None or not (states and set(simulator.states) <= states[0].keys()):
             needed = _steps_needed(simulator, rung, X0)
             steps = needed if steps is None else np.maximum(steps, needed).tolist()
@@ -109,7 +97,9 @@ def at_start(
 
 
 def _vectors(simulator: Simulator, rung: Rung, states: States) -> list[FloatArray]:
-    """The states in the order of a model that may have others, which begin where its kernel sets them."""
+    """The states in the order of a model that may have others, which begin where its kernel sets
+    them.
+    """
     vectors = []
     for part, known in zip(rung.parts, states, strict=True):
         shared = {name: value for name, value in known.items() if name in simulator.states}
@@ -119,7 +109,9 @@ def _vectors(simulator: Simulator, rung: Rung, states: States) -> list[FloatArra
 
 def _steps_needed(simulator: Simulator, rung: Rung, X0: FloatArray) -> list[int]:
     """Integration steps a sample that the fastest mode of each window asks for."""
-    return np.minimum(simulator.modal_substeps(rung.parts, list(X0), simulator.p()), STIFFEST).tolist()
+    return np.minimum(
+        simulator.modal_substeps(rung.parts, list(X0), simulator.p()), STIFFEST
+    ).tolist()
 
 
 def fitted(
@@ -134,8 +126,9 @@ def fitted(
 ) -> Fit | None:
     """The model at its least error on a rung's windows in the scale's unit, as `at_start` begins.
 
-    Without `substeps`: a stop or a valve that the first run never reaches is stiff where it is met, so where what was found asks
-    for many more integration steps a sample, it is sought again with those.
+    Without `substeps`: a stop or a valve that the first run never reaches is stiff where it is met,
+    so where what was found asks for many more integration steps a sample, it is sought again with
+    those.
     """
     start = at_start(model, rung, states, scale, substeps)
     if start is None:
@@ -144,7 +137,9 @@ def fitted(
     needed = _steps_needed(Simulator(fit.model), rung, fit.X0) if substeps is None else fit.substeps
     if not any(n > COARSE * have for n, have in zip(needed, fit.substeps, strict=True)):
         return fit
-    finer = replace(start.problem, substeps=np.maximum(needed, fit.substeps)).at(start.theta, start.X0)
+    finer = replace(start.problem, substeps=np.maximum(needed, fit.substeps)).at(
+        start.theta, start.X0
+    )
     return None if finer.cost == np.inf else finer.descended(steps, tolerance)
 
 
@@ -154,19 +149,23 @@ def descended(begun: Fit, *, steps: int, tolerance: float) -> Fit:
     return begun.descended(steps, tolerance)
 
 
-# What is usual comes first among equals: a rare effect has to earn more than one that machines of this kind often lack.
+# What is usual comes first among equals: a rare effect has to earn more than one that machines of
+# this kind often lack.
 
 
 def rarity(model: PhysicalModel, key: Key) -> float:
-    """For how many parameters the effect counts besides its own: none where machines of the kind of its balance often lack it.
+    """For how many parameters the effect counts besides its own: none where machines of the kind of
+    its balance often lack it.
 
-    On the path of an input or output the kinds of all balances count. A user's own effect counts for none, nor does a value that
-    the model holds.
+    On the path of an input or output the kinds of all balances count. A user's own effect counts
+    for none, nor does a value that the model holds.
     """
     if key.effect not in (EFFECTS.keys() | STRUCTURAL.keys()) or EFFECTS.fingerprint(key.effect):
         return 0.0
     place = model.balances.get(place_of(key.target))
-    share = share_lacking(key.effect, [b.kind for b in model.balances.values()] if place is None else [place.kind])
+    share = share_lacking(
+        key.effect, [b.kind for b in model.balances.values()] if place is None else [place.kind]
+    )
     if share is None or share >= USUAL_SHARE:
         return 0.0
     return OCCASIONAL if share > 0.0 else RARE

@@ -1,8 +1,9 @@
 """From what was tried to names: groups, probabilities that were counted, and the verdict.
 
-Blocks are drawn again with replacement; in every draw the structure wins that would have been chosen on those blocks. What a
-group, "none" and "unknown" win is their probability. A name that took a part, or that acts when nobody recorded, shares what it
-wins with "unknown": no draw of blocks shows what else would have done the same.
+Blocks are drawn again with replacement; in every draw the structure wins that would have been
+chosen on those blocks. What a group, "none" and "unknown" win is their probability. A name that
+took a part, or that acts when nobody recorded, shares what it wins with "unknown": no draw of
+blocks shows what else would have done the same.
 """
 
 from __future__ import annotations
@@ -49,9 +50,10 @@ class Quantity:
 class Candidate:
     """One effect that may be missing, with what speaks for it.
 
-    `step` counts the effects that were accepted before it; `evidence` is its log odds against "nothing more is missing";
-    the errors are RMS simulation errors of `output` before and after it was added, on data that were not used for the
-    estimation where `held_out` says so; `share` is the part of the error's power that it takes away on blocks kept aside.
+    `step` counts the effects that were accepted before it; `evidence` is its log odds against
+    "nothing more is missing"; the errors are RMS simulation errors of `output` before and after it
+    was added, on data that were not used for the estimation where `held_out` says so; `share` is
+    the part of the error's power that it takes away on blocks kept aside.
     """
 
     effect: str
@@ -80,8 +82,8 @@ NONE, UNKNOWN = "none", "unknown"
 
 @dataclass(frozen=True)
 class Step:
-    """An effect that joined: the structures before and after, those that do the same in its place, and what else was tried
-    there.
+    """An effect that joined: the structures before and after, those that do the same in its place,
+    and what else was tried there.
     """
 
     key: Key
@@ -93,7 +95,9 @@ class Step:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What is said: probabilities of nothing and of something without a name, and the candidates, the accepted ones first."""
+    """What is said: probabilities of nothing and of something without a name, and the candidates,
+    the accepted ones first.
+    """
 
     verdict: str
     candidates: tuple[Candidate, ...]
@@ -107,31 +111,53 @@ def steps_of(search: Search) -> list[Step]:
     for key, before, after in chain(search, search.best.keys):
         earlier = set(before.keys)
         rivals = [
-            o for o in search.every.values() if set(o.keys) > earlier and len(o.keys) == len(after.keys) and o.keys != after.keys
+            o
+            for o in search.every.values()
+            if set(o.keys) > earlier and len(o.keys) == len(after.keys) and o.keys != after.keys
         ]
         rivals.sort(key=lambda rival: rival.cost)
         alike = [o for o in rivals if is_alike(o, after, before, search.court.scale)]
         if after.keys == search.best.keys:
-            alike += [o for o in search.group if o.keys not in {a.keys for a in alike} and set(o.keys) > earlier]
-        alike += [o for o in in_place_of(search, key, before.keys) if o.keys not in {a.keys for a in alike}]
-        # What does not lower the error beyond its price has no probability to share, however near it lies.
+            alike += [
+                o
+                for o in search.group
+                if o.keys not in {a.keys for a in alike} and set(o.keys) > earlier
+            ]
+        alike += [
+            o
+            for o in in_place_of(search, key, before.keys)
+            if o.keys not in {a.keys for a in alike}
+        ]
+        # What does not lower the error beyond its price has no probability to share, however near
+        # it lies.
         alike = [o for o in alike if o.cost < before.cost]
-        steps.append(Step(key, before, after, tuple(alike), tuple(o for o in rivals if o not in alike)))
+        steps.append(
+            Step(key, before, after, tuple(alike), tuple(o for o in rivals if o not in alike))
+        )
     return steps
 
 
-def counted(search: Search, free: Sequence[BlockTerm], *, adequate: bool) -> dict[tuple[Key, ...] | str, float]:
-    """How often each structure wins when blocks are drawn again. Where none is worth its place, "none" wins if the model is
-    `adequate`, else "unknown". "unknown" wins also where a free term does plainly more of what is structured. What fits all
-    blocks no better than the model as it is wins nowhere: where one block tells a value alone, deletion is ahead in every draw
-    that has that block.
+def counted(
+    search: Search, free: Sequence[BlockTerm], *, adequate: bool
+) -> dict[tuple[Key, ...] | str, float]:
+    """How often each structure wins when blocks are drawn again. Where none is worth its place,
+    "none" wins if the model is `adequate`, else "unknown". "unknown" wins also where a free term
+    does plainly more of what is structured. What fits all blocks no better than the model as it is
+    wins nowhere: where one block tells a value alone, deletion is ahead in every draw that has that
+    block.
     """
     scale = search.court.scale
     free = [] if adequate else free
-    fitting = [rival for rival in search.every.values() if not rival.keys or rival.seen < search.base.seen]
+    fitting = [
+        rival for rival in search.every.values() if not rival.keys or rival.seen < search.base.seen
+    ]
     tried = sorted(fitting, key=lambda rival: rival.cost)[:MOST_RIVALS]
-    powers = [scale.by_block(rival.power) for rival in tried] + [scale.by_block(term.power) for term in free]
-    names: list[tuple[Key, ...] | str] = [rival.keys or NONE for rival in tried] + [UNKNOWN] * len(free)
+    powers = [scale.by_block(rival.power) for rival in tried] + [
+        scale.by_block(term.power) for term in free
+    ]
+    names: list[tuple[Key, ...] | str] = [rival.keys or NONE for rival in tried] + [UNKNOWN] * len(
+        free
+    )
     sizes = np.array([rival.parameters for rival in tried] + [term.parameters for term in free])
     by_block, base = np.array(powers), scale.by_block(search.base.power)
     pick = np.random.default_rng(0).integers(0, by_block.shape[1], (DRAWS, by_block.shape[1]))
@@ -139,9 +165,15 @@ def counted(search: Search, free: Sequence[BlockTerm], *, adequate: bool) -> dic
     nothing = base[pick].sum(axis=1) + (scale.price * search.base.parameters if scale.nats else 0.0)
     lead = costs.min(axis=0)
     near = costs < (lead + TIE if scale.nats else 1.1 * lead)
-    winner = np.argmin(np.where(near, sizes[:, None] + 1e-9 * costs / np.maximum(lead, 1e-300), np.inf), axis=0)
+    winner = np.argmin(
+        np.where(near, sizes[:, None] + 1e-9 * costs / np.maximum(lead, 1e-300), np.inf), axis=0
+    )
     gain = nothing - costs[winner, np.arange(DRAWS)]
-    asked = np.log(max(search.tried, 1)) + TIE if scale.nats else np.maximum(WORTH * (nothing - scale.floor), SMALL)
+    asked = (
+        np.log(max(search.tried, 1)) + TIE
+        if scale.nats
+        else np.maximum(WORTH * (nothing - scale.floor), SMALL)
+    )
     wins: dict[tuple[Key, ...] | str, float] = {}
     for k, worth in zip(winner.tolist(), gain > asked, strict=True):
         name = names[k] if worth and names[k] != NONE else (NONE if adequate else UNKNOWN)
@@ -150,13 +182,22 @@ def counted(search: Search, free: Sequence[BlockTerm], *, adequate: bool) -> dic
 
 
 def verdict_on(
-    search: Search, joined: Sequence[Step], free: Sequence[BlockTerm], stds: Mapping[str, float], *, adequate: bool
+    search: Search,
+    joined: Sequence[Step],
+    free: Sequence[BlockTerm],
+    stds: Mapping[str, float],
+    *,
+    adequate: bool,
 ) -> Verdict:
-    """The verdict on the steps that `joined`; `adequate`: whether nothing is structured in what the best structure leaves."""
+    """The verdict on the steps that `joined`; `adequate`: whether nothing is structured in what the
+    best structure leaves.
+    """
     timing = {step.key for step in joined if is_timing(step.key, search)}
     if not joined:  # what was tried, and is a shift by less than a sample, is no physics either
         timing = {
-            fit.keys[0] for fit in search.every.values() if len(fit.keys) == 1 and is_timing(fit.keys[0], search, fit.model)
+            fit.keys[0]
+            for fit in search.every.values()
+            if len(fit.keys) == 1 and is_timing(fit.keys[0], search, fit.model)
         }
     wins = _named(counted(search, free, adequate=adequate), timing, NONE if adequate else UNKNOWN)
     steps = [step for step in joined if step.key not in timing]
@@ -182,33 +223,45 @@ def verdict_on(
     return Verdict(says, tuple(listed), none / excess, remainder)
 
 
-def _named(wins: Mapping[tuple[Key, ...] | str, float], timing: set[Key], nothing: str) -> dict[tuple[Key, ...] | str, float]:
-    """What was counted, told as `nothing` where no physics is named: a structure of how the record was taken and of values that
-    the model holds has none.
+def _named(
+    wins: Mapping[tuple[Key, ...] | str, float], timing: set[Key], nothing: str
+) -> dict[tuple[Key, ...] | str, float]:
+    """What was counted, told as `nothing` where no physics is named: a structure of how the record
+    was taken and of values that the model holds has none.
     """
     named: dict[tuple[Key, ...] | str, float] = {}
     for keys, won in wins.items():
-        physics = isinstance(keys, str) or any(key.effect != HELD and key not in timing for key in keys)
+        physics = isinstance(keys, str) or any(
+            key.effect != HELD and key not in timing for key in keys
+        )
         name = keys if physics else nothing
         named[name] = named.get(name, 0.0) + won
     return named
 
 
 def _recorded(steps: Sequence[Step]) -> bool:
-    """Whether the records say when the effects that joined act: a load that came and went once may have been anything."""
+    """Whether the records say when the effects that joined act: a load that came and went once may
+    have been anything.
+    """
     return all(step.key.effect == HELD or step.after.model.records(step.key) for step in steps)
 
 
 def _took_a_part(search: Search) -> bool:
-    """Whether plainly more than noise is left of the error: the nearest shape in the catalogue to something else does that."""
+    """Whether plainly more than noise is left of the error: the nearest shape in the catalogue to
+    something else does that.
+    """
     scale, base = search.court.scale, search.base
-    return not scale.nats and base.cost - search.best.cost < PLAINLY_A_PART * (base.cost - scale.floor)
+    return not scale.nats and base.cost - search.best.cost < PLAINLY_A_PART * (
+        base.cost - scale.floor
+    )
 
 
 def _doubted(wins: Mapping[tuple[Key, ...] | str, float]) -> dict[tuple[Key, ...] | str, float]:
     """What was counted, where a name that wins may stand for something that has none."""
     named = sum(won for keys, won in wins.items() if not isinstance(keys, str))
-    less = {keys: won if isinstance(keys, str) else (1.0 - DOUBTED) * won for keys, won in wins.items()}
+    less = {
+        keys: won if isinstance(keys, str) else (1.0 - DOUBTED) * won for keys, won in wins.items()
+    }
     return {**less, UNKNOWN: less.get(UNKNOWN, 0.0) + DOUBTED * named}
 
 
@@ -217,38 +270,63 @@ def _scaled(candidate: Candidate, factor: float) -> Candidate:
 
 
 def is_timing(key: Key, search: Search, model: PhysicalModel | None = None) -> bool:
-    """Whether an effect of the best model, or of this one, shifts time by less than a sample: how the record was taken, not
-    physics.
+    """Whether an effect of the best model, or of this one, shifts time by less than a sample: how
+    the record was taken, not physics.
     """
     shift = "" if key.effect == HELD else find_effect(key.effect).shifts
     if not shift:
         return False
     use = next(use for use in (model or search.best.model).effects if use.key == key)
-    return abs(use.parameters[shift].value) < max(e.sample_time for e in search.court.data.experiments)
+    return abs(use.parameters[shift].value) < max(
+        e.sample_time for e in search.court.data.experiments
+    )
 
 
 def _candidates(
-    step: Step, number: int, wins: Mapping[tuple[Key, ...] | str, float], stds: Mapping[str, float], search: Search
+    step: Step,
+    number: int,
+    wins: Mapping[tuple[Key, ...] | str, float],
+    stds: Mapping[str, float],
+    search: Search,
 ) -> list[Candidate]:
-    """The accepted effect, its group, and what else won draws in its place; a group shares what it wins.
+    """The accepted effect, its group, and what else won draws in its place; a group shares what it
+    wins.
 
     What won beside the group won nothing in its place.
     """
     earlier = set(step.before.keys)
-    group = {step.key: step.after} | {_added(rival, earlier): rival for rival in step.group if _is_one(rival, earlier)}
+    group = {step.key: step.after} | {
+        _added(rival, earlier): rival for rival in step.group if _is_one(rival, earlier)
+    }
     rivals = {_added(rival, earlier): rival for rival in step.others if _is_one(rival, earlier)}
     won = [(set(keys), w) for keys, w in wins.items() if not isinstance(keys, str)]
     together = sum(w for keys, w in won if keys & group.keys())
-    shares = {key: sum(w for keys, w in won if key in keys and not keys & group.keys()) for key in rivals}
+    shares = {
+        key: sum(w for keys, w in won if key in keys and not keys & group.keys()) for key in rivals
+    }
     named = [key for key in group if key.effect != HELD]
     listed = [
-        _candidate(key, group[key], step, number, together / len(named), [k for k in named if k != key], stds, search)
+        _candidate(
+            key,
+            group[key],
+            step,
+            number,
+            together / len(named),
+            [k for k in named if k != key],
+            stds,
+            search,
+        )
         for key in named
     ]
-    leading = sorted((k for k in rivals if k.effect != HELD), key=lambda k: (-shares[k], rivals[k].cost))[
-        : LISTED if number == 0 else 0
+    leading = sorted(
+        (k for k in rivals if k.effect != HELD), key=lambda k: (-shares[k], rivals[k].cost)
+    )[: LISTED if number == 0 else 0]
+    listed += [
+        _candidate(
+            key, rivals[key], step, number, 0.0 if earlier else shares[key], [], stds, search
+        )
+        for key in leading
     ]
-    listed += [_candidate(key, rivals[key], step, number, 0.0 if earlier else shares[key], [], stds, search) for key in leading]
     return listed
 
 
@@ -261,13 +339,25 @@ def _added(rival: Judged, earlier: set[Key]) -> Key:
 
 
 def _undecided(
-    search: Search, wins: Mapping[tuple[Key, ...] | str, float], stds: Mapping[str, float], timing: set[Key]
+    search: Search,
+    wins: Mapping[tuple[Key, ...] | str, float],
+    stds: Mapping[str, float],
+    timing: set[Key],
 ) -> list[Candidate]:
     """Nothing is real: those that took away most are told with what they win."""
-    alone = sorted((fit for fit in search.every.values() if len(fit.keys) == 1), key=lambda fit: fit.cost)[:LISTED]
+    alone = sorted(
+        (fit for fit in search.every.values() if len(fit.keys) == 1), key=lambda fit: fit.cost
+    )[:LISTED]
     step = Step(Key("", ""), search.base, search.base, (), ())
-    listed = [fit for fit in alone if fit.keys[0].effect != HELD and fit.keys[0] not in timing and fit.cost < search.base.cost]
-    return [_candidate(fit.keys[0], fit, step, 0, wins.get(fit.keys, 0.0), [], stds, search) for fit in listed]
+    listed = [
+        fit
+        for fit in alone
+        if fit.keys[0].effect != HELD and fit.keys[0] not in timing and fit.cost < search.base.cost
+    ]
+    return [
+        _candidate(fit.keys[0], fit, step, 0, wins.get(fit.keys, 0.0), [], stds, search)
+        for fit in listed
+    ]
 
 
 def _candidate(
@@ -282,14 +372,25 @@ def _candidate(
 ) -> Candidate:
     use = next(use for use in judged.model.effects if use.key == key)
     accepted = key in search.best.keys
-    values = next(u for u in search.best.model.effects if u.key == key).parameters if accepted else use.parameters
-    doubts = {n: float(stds.get(f"{use.label}.{n}", 0.0)) if accepted and not p.fixed else 0.0 for n, p in values.items()}
+    values = (
+        next(u for u in search.best.model.effects if u.key == key).parameters
+        if accepted
+        else use.parameters
+    )
+    doubts = {
+        n: float(stds.get(f"{use.label}.{n}", 0.0)) if accepted and not p.fixed else 0.0
+        for n, p in values.items()
+    }
     before, after = step.before.rms, judged.rms
     with np.errstate(invalid="ignore", divide="ignore"):
         o = int(np.nanargmin(after / before))
     output = list(judged.model.outputs.values())[o]
     natural = find_effect(key.effect).natural_bounds
-    bounds = [n for n, p in values.items() if not p.fixed and n not in natural and p.value in (p.lower, p.upper)]
+    bounds = [
+        n
+        for n, p in values.items()
+        if not p.fixed and n not in natural and p.value in (p.lower, p.upper)
+    ]
     return Candidate(
         effect=key.effect,
         balance=key.target,
@@ -309,7 +410,9 @@ def _candidate(
 
 
 def share_of(before: Judged, after: Judged) -> Quantity:
-    """Part of the error's power that is taken away on unseen blocks, the outputs alike, with its scatter over blocks."""
+    """Part of the error's power that is taken away on unseen blocks, the outputs alike, with its
+    scatter over blocks.
+    """
     return Quantity(*share(before.squares, after.squares), "")
 
 
@@ -318,8 +421,9 @@ def share_of(before: Judged, after: Judged) -> Quantity:
 
 @dataclass(frozen=True)
 class Remaining:
-    """What a model leaves on unseen blocks. `share` is of the power that the model left as it was, `times_noise` the largest
-    RMS error over its measurement noise. `where` (from, to) [s] is the block of time in which most of it lies.
+    """What a model leaves on unseen blocks. `share` is of the power that the model left as it was,
+    `times_noise` the largest RMS error over its measurement noise. `where` (from, to) [s] is the
+    block of time in which most of it lies.
     """
 
     share: float
@@ -354,7 +458,8 @@ class BlockErrors:
     times : tuple of (float, float)
         Begin and end of each block [s], in its record's time.
     before, after : array, shape (blocks, outputs)
-        Of the model as it is, re-estimated, and with every effect that was accepted; NaN where nothing was measured.
+        Of the model as it is, re-estimated, and with every effect that was accepted; NaN where
+        nothing was measured.
     candidates : mapping of Key to array, shape (blocks, outputs)
         Of the model with one effect alone.
     """
@@ -377,13 +482,21 @@ def block_errors(
     after: FloatArray,
     candidates: Mapping[Key, FloatArray],
 ) -> BlockErrors:
-    """From sums of squares and how many samples they are of, arrays of shape (blocks, outputs); see BlockErrors."""
+    """From sums of squares and how many samples they are of, arrays of shape (blocks, outputs); see
+    BlockErrors.
+    """
     observed = count.sum(axis=0) > 0.0
-    outputs = [output for output, measured in zip(model.outputs.values(), observed, strict=True) if measured]
+    outputs = [
+        output
+        for output, measured in zip(model.outputs.values(), observed, strict=True)
+        if measured
+    ]
 
     def rms(squares: FloatArray) -> FloatArray:
         n = count[:, observed]
-        return np.sqrt(np.divide(squares[:, observed], n, out=np.full(n.shape, np.nan), where=n > 0.0))
+        return np.sqrt(
+            np.divide(squares[:, observed], n, out=np.full(n.shape, np.nan), where=n > 0.0)
+        )
 
     return BlockErrors(
         outputs=tuple(output.name for output in outputs),

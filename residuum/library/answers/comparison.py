@@ -25,12 +25,18 @@ def comparison_json(model: str, records: list[str], comparison: Comparison) -> d
                 "bias": output.bias,
                 "noise_floor": output.noise_floor,
                 "noise_at_most": output.noise_at_most,
-                "k_step": [{"samples": steps, "rmse": rmse} for steps, rmse in output.k_step.items()],
+                "k_step": [
+                    {"samples": steps, "rmse": rmse} for steps, rmse in output.k_step.items()
+                ],
             }
             for name, output in comparison.outputs.items()
         },
         "balances": {
-            name: {"unit": balance.unit, "missing_rms": balance.missing_rms, "relative_percent": balance.relative_percent}
+            name: {
+                "unit": balance.unit,
+                "missing_rms": balance.missing_rms,
+                "relative_percent": balance.relative_percent,
+            }
             for name, balance in comparison.balances.items()
         },
         "structured_error": {
@@ -75,22 +81,33 @@ def _percent(fit: float) -> str:
 
 def comparison_text(comparison: Comparison) -> str:
     """The short human report."""
-    lines = [f"{name}: simulated by itself, because an input is missing before or after it" for name in _parts(comparison)]
+    lines = [
+        f"{name}: simulated by itself, because an input is missing before or after it"
+        for name in _parts(comparison)
+    ]
     lines += warning_lines(comparison.warnings)
     lines += [_lacking(comparison, name) for name in comparison.not_recorded]
     for name, output in comparison.outputs.items():
         noise = "at most" if output.noise_at_most else "floor"
         lines.append(
-            f"{name}: RMS error {output.rmse:.4g} {output.unit}, fit {_percent(output.fit_percent)}, "
-            f"bias {output.bias:.3g} {output.unit}, noise {noise} {output.noise_floor:.3g} {output.unit}"
+            f"{name}: RMS error {output.rmse:.4g} {output.unit}, fit"
+            f" {_percent(output.fit_percent)}, bias {output.bias:.3g} {output.unit}, noise {noise}"
+            f" {output.noise_floor:.3g} {output.unit}"
         )
     for name, balance in comparison.balances.items():
         lines.append(
             f"balance {name}: missing term of {balance.missing_rms:.3g} {balance.unit} RMS"
-            + (f", {balance.relative_percent:.1f} % of what drives it" if math.isfinite(balance.relative_percent) else "")
+            + (
+                f", {balance.relative_percent:.1f} % of what drives it"
+                if math.isfinite(balance.relative_percent)
+                else ""
+            )
         )
     lines.append(_structured(comparison))
-    lines += [f"  {region.says} (of {region.of}; {100 * region.share:.0f} % of its power)" for region in comparison.where]
+    lines += [
+        f"  {region.says} (of {region.of}; {100 * region.share:.0f} % of its power)"
+        for region in comparison.where
+    ]
     return "\n".join(lines)
 
 
@@ -113,7 +130,9 @@ def _structured(comparison: Comparison) -> str:
     if not comparison.present and comparison.odd_samples:
         return "structured error: not told; the sensor's readings are odd where the warning says so"
     if not comparison.present:
-        return f"structured error: no ({chance(comparison.p_value)}; noise alone explains the error)"
+        return (
+            f"structured error: no ({chance(comparison.p_value)}; noise alone explains the error)"
+        )
     percent = 100 * comparison.share
     share = f"{percent:.0f}" if percent >= 1.0 else f"{percent:.1g}"
     says = f"structured error: yes ({chance(comparison.p_value)}, {share} % of the error's power)"

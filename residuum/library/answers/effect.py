@@ -21,7 +21,10 @@ def effect_json(effect: Effect) -> dict[str, Any]:
 
 def parameters_json(parameters: tuple[Parameter, ...]) -> dict[str, Any]:
     """Unit, bounds and meaning of each parameter."""
-    return {p.name: {"unit": p.unit, "lower": p.lower, "upper": p.upper, "meaning": p.meaning} for p in parameters}
+    return {
+        p.name: {"unit": p.unit, "lower": p.lower, "upper": p.upper, "meaning": p.meaning}
+        for p in parameters
+    }
 
 
 def effect_line(entry: dict[str, Any]) -> str:

@@ -12,15 +12,20 @@ from residuum.identification.physics.estimation.unsettled import at_bounds
 from residuum.library.answers.comparison import warning_lines
 
 
-def estimate_json(model: str, records: Sequence[str], result: Estimate, unsettled: Sequence[str] = ()) -> dict[str, Any]:
-    """The `estimate` object of the command line and the HTTP interface; values that are `unsettled`, or beside one at its bound,
-    have no band.
+def estimate_json(
+    model: str, records: Sequence[str], result: Estimate, unsettled: Sequence[str] = ()
+) -> dict[str, Any]:
+    """The `estimate` object of the command line and the HTTP interface; values that are
+    `unsettled`, or beside one at its bound, have no band.
     """
     declared = result.model.all_parameters
     reasons = [*unsettled, *at_bounds(result)]
     std = [None] * len(result.parameters) if reasons else result.std.tolist()
     values = zip(result.parameters, result.theta, std, strict=True)
-    priors = {name: p.prior and {"value": p.prior.mean, "std": p.prior.std} for name, p in declared.items()}
+    priors = {
+        name: p.prior and {"value": p.prior.mean, "std": p.prior.std}
+        for name, p in declared.items()
+    }
     fit = _fit_percent(result)
     return {
         "model": model,
@@ -41,7 +46,8 @@ def estimate_json(model: str, records: Sequence[str], result: Estimate, unsettle
             if np.isfinite(result.rmse[k])
         },
         "flat_directions": [
-            {"parameters": list(flat.parameters), "relative_weights": list(flat.weights)} for flat in result.flat
+            {"parameters": list(flat.parameters), "relative_weights": list(flat.weights)}
+            for flat in result.flat
         ],
         "converged": not reasons,
         "unsettled": reasons,
@@ -56,7 +62,11 @@ def _fit_percent(result: Estimate) -> list[float]:
         finite = np.isfinite(r)
         y = (r + y_hat)[finite]
         spread = float(np.linalg.norm(y - y.mean())) if finite.any() else 0.0
-        fits.append(100.0 * (1.0 - float(np.linalg.norm(r[finite])) / spread) if spread > 0 else float("nan"))
+        fits.append(
+            100.0 * (1.0 - float(np.linalg.norm(r[finite])) / spread)
+            if spread > 0
+            else float("nan")
+        )
     return fits
 
 
@@ -64,11 +74,17 @@ def _parameter_text(name: str, p: dict[str, Any], settled: bool) -> str:
     unknown = "(not determined)" if settled else "(not settled)"
     doubt = unknown if p["std"] is None else f"± {p['std']:.2g}"
     known = f"  (prior {p['prior']['value']:g} ± {p['prior']['std']:g})" if p["prior"] else ""
-    return f"{name} = {p['value']:.6g} {doubt} {p['unit']}".rstrip() + ("  (at its bound)" if p["at_bound"] else "") + known
+    return (
+        f"{name} = {p['value']:.6g} {doubt} {p['unit']}".rstrip()
+        + ("  (at its bound)" if p["at_bound"] else "")
+        + known
+    )
 
 
 def _percent(fit: float | None) -> str:
-    return "unknown" if fit is None or np.isnan(fit) else f"{fit:.2f} %" if fit >= 0 else "below 0 %"
+    return (
+        "unknown" if fit is None or np.isnan(fit) else f"{fit:.2f} %" if fit >= 0 else "below 0 %"
+    )
 
 
 def estimate_text(estimate: dict[str, Any]) -> str:
@@ -82,7 +98,12 @@ def estimate_text(estimate: dict[str, Any]) -> str:
         f"{name}: RMS error {o['rmse']:.4g} {o['unit']}, fit {_percent(o['fit_percent'])}"
         for name, o in estimate["outputs"].items()
     ]
-    lines += [f"the data cannot tell apart: {', '.join(flat['parameters'])}" for flat in estimate["flat_directions"]]
+    lines += [
+        f"the data cannot tell apart: {', '.join(flat['parameters'])}"
+        for flat in estimate["flat_directions"]
+    ]
     if not settled:
         lines.append(f"the estimation has not converged: {'; '.join(estimate['unsettled'])}")
-    return "\n".join([*lines, f"written to {estimate['model_file']}"] if estimate["model_file"] else lines)
+    return "\n".join(
+        [*lines, f"written to {estimate['model_file']}"] if estimate["model_file"] else lines
+    )

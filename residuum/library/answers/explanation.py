@@ -39,12 +39,23 @@ def explanation_json(explanation: Explanation) -> dict[str, Any]:
     """What `explain` adds to the `compare` object."""
     return {
         "verdict": explanation.verdict,
-        "candidates": [_candidate_json(candidate) for candidate in explanation.candidates if candidate.step == 0],
-        "also_missing": [_candidate_json(candidate) for candidate in explanation.candidates if candidate.step > 0],
+        "candidates": [
+            _candidate_json(candidate)
+            for candidate in explanation.candidates
+            if candidate.step == 0
+        ],
+        "also_missing": [
+            _candidate_json(candidate) for candidate in explanation.candidates if candidate.step > 0
+        ],
         "probability_nothing_missing": explanation.probability_none,
         "probability_unknown_effect": explanation.probability_unknown,
         "undetectable": [
-            {"effect": u.effect, "balance": u.balance, "smallest_visible": u.smallest_visible, "unit": u.unit}
+            {
+                "effect": u.effect,
+                "balance": u.balance,
+                "smallest_visible": u.smallest_visible,
+                "unit": u.unit,
+            }
             for u in explanation.undetectable
         ],
         "unexplained_share": explanation.unexplained_share,
@@ -53,8 +64,13 @@ def explanation_json(explanation: Explanation) -> dict[str, Any]:
             for output, (rms, unit, times) in explanation.left.items()
         },
         "missing_term": None if explanation.free is None else free_term_json(explanation.free),
-        "next_experiment": [{"do": p.do, "separates": list(p.separates), "power": p.power} for p in explanation.next_experiment],
-        "estimated_values": [asdict(value) | {"differs": value.differs} for value in explanation.values],
+        "next_experiment": [
+            {"do": p.do, "separates": list(p.separates), "power": p.power}
+            for p in explanation.next_experiment
+        ],
+        "estimated_values": [
+            asdict(value) | {"differs": value.differs} for value in explanation.values
+        ],
         "held_values": [asdict(held) for held in explanation.held],
         "timing": [{"effect": effect, "at": target} for effect, target in explanation.timing],
         "drifting": explanation.drifting,
@@ -67,7 +83,9 @@ def explanation_json(explanation: Explanation) -> dict[str, Any]:
 
 
 def _blocks_json(blocks: BlockErrors) -> dict[str, Any]:
-    """RMS errors of each output on unseen blocks: before, after, and with each candidate alone; null where unmeasured."""
+    """RMS errors of each output on unseen blocks: before, after, and with each candidate alone;
+    null where unmeasured.
+    """
 
     def listed(errors: FloatArray) -> list[float | None]:
         return [float(e) if isfinite(e) else None for e in errors]
@@ -94,17 +112,31 @@ def _blocks_json(blocks: BlockErrors) -> dict[str, Any]:
 
 
 def work_json(work: Work) -> dict[str, Any]:
-    """What was computed, and what was not tried because the work, or the seconds that a user gave, were over."""
-    return {"samples": work.samples, "fits": work.fits, "not_tried": work.not_tried, "out_of_seconds": work.timed_out}
+    """What was computed, and what was not tried because the work, or the seconds that a user gave,
+    were over.
+    """
+    return {
+        "samples": work.samples,
+        "fits": work.fits,
+        "not_tried": work.not_tried,
+        "out_of_seconds": work.timed_out,
+    }
 
 
 def work_text(work: Work) -> list[str]:
     """A line where something was not tried."""
     if not work.not_tried:
         return []
-    why = "the seconds given were over" if work.timed_out else "the work that a search may take was done"
+    why = (
+        "the seconds given were over"
+        if work.timed_out
+        else "the work that a search may take was done"
+    )
     shown, more = work.not_tried[:_TOLD], len(work.not_tried) - _TOLD
-    return [f"  not tried, for {why}: {', '.join(shown)}" + (f" and {more} more (--json names them)" if more > 0 else "")]
+    return [
+        f"  not tried, for {why}: {', '.join(shown)}"
+        + (f" and {more} more (--json names them)" if more > 0 else "")
+    ]
 
 
 def free_term_json(free: BlockTerm) -> dict[str, Any]:
@@ -134,18 +166,34 @@ def _candidate_json(candidate: Candidate) -> dict[str, Any]:
         "output": candidate.output,
         "held_out": candidate.held_out,
         "within_bounds": candidate.within_bounds,
-        "share": None if candidate.share is None else {"value": candidate.share.value, "std": candidate.share.std},
+        "share": (
+            None
+            if candidate.share is None
+            else {"value": candidate.share.value, "std": candidate.share.std}
+        ),
         "because": _because(candidate),
     } | tied_json(candidate.effect, candidate.balance, candidate.parameters)
 
 
 def _because(candidate: Candidate) -> str:
-    """One sentence for the candidate: how much it takes away, of what, and what may stand for it."""
+    """One sentence for the candidate: how much it takes away, of what, and what may stand for
+    it.
+    """
     if candidate.share is None:
-        return f"{candidate.effect} at {candidate.balance} makes the records more likely than the model without it"
+        return (
+            f"{candidate.effect} at {candidate.balance} makes the records more likely than the"
+            " model without it"
+        )
     share = f"{100 * candidate.share.value:.0f} ± {100 * candidate.share.std:.0f} %"
-    alike = f"; {' or '.join(candidate.indistinguishable_from)} would do as well" if candidate.indistinguishable_from else ""
-    return f"{candidate.effect} at {candidate.balance} takes away {share} of the error's power on blocks kept aside{alike}"
+    alike = (
+        f"; {' or '.join(candidate.indistinguishable_from)} would do as well"
+        if candidate.indistinguishable_from
+        else ""
+    )
+    return (
+        f"{candidate.effect} at {candidate.balance} takes away {share} of the error's power on"
+        f" blocks kept aside{alike}"
+    )
 
 
 def remaining_json(remaining: Remaining) -> dict[str, Any]:
@@ -159,7 +207,9 @@ def remaining_json(remaining: Remaining) -> dict[str, Any]:
 
 
 def _candidate_text(candidate: Candidate) -> str:
-    sizes = tied_text(candidate.effect, candidate.balance, candidate.parameters) or sizes_text(candidate.parameters)
+    sizes = tied_text(candidate.effect, candidate.balance, candidate.parameters) or sizes_text(
+        candidate.parameters
+    )
     text = (
         f"  {'then ' if candidate.step else ''}{candidate.effect} in {candidate.balance}: "
         f"probability {candidate.probability:.2f}, {sizes}; "
@@ -167,37 +217,56 @@ def _candidate_text(candidate: Candidate) -> str:
         f"{candidate.error_before:.4g} → {candidate.error_after:.4g} {candidate.error_unit}"
     )
     bounds = "" if candidate.within_bounds else "; at a physical bound"
-    rivals = f"; not to be told from {', '.join(candidate.indistinguishable_from)}" if candidate.indistinguishable_from else ""
+    rivals = (
+        f"; not to be told from {', '.join(candidate.indistinguishable_from)}"
+        if candidate.indistinguishable_from
+        else ""
+    )
     return text + bounds + rivals
 
 
 def held_text(held: HeldValue) -> str:
     """One line for a fixed value that the records contradict."""
-    alike = f" ({', '.join(held.indistinguishable_from)} would do as well)" if held.indistinguishable_from else ""
+    alike = (
+        f" ({', '.join(held.indistinguishable_from)} would do as well)"
+        if held.indistinguishable_from
+        else ""
+    )
     asked = value_text(held.value, held.std, held.unit)
     return (
-        f"  {held.name} is fixed at {held.held:.4g} {held.unit}; the records ask for {asked}, which explains more than an effect "
-        f"would{alike}: `improve --free {held.name}` takes it up"
+        f"  {held.name} is fixed at {held.held:.4g} {held.unit}; the records ask for {asked}, which"
+        f" explains more than an effect would{alike}: `improve --free {held.name}` takes it up"
     )
 
 
 def _values_text(values: Sequence[EstimatedValue]) -> list[str]:
     """One line for the values that the records contradict."""
-    estimates = [f"{v.name} = {value_text(v.value, v.std, v.unit)} (file: {v.file:.4g})" for v in values if v.differs]
+    estimates = [
+        f"{v.name} = {value_text(v.value, v.std, v.unit)} (file: {v.file:.4g})"
+        for v in values
+        if v.differs
+    ]
     return [f"  estimated from the records: {', '.join(estimates)}"] if estimates else []
 
 
 def _free_term_text(explanation: Explanation) -> list[str]:
     """What a term outside the catalogue explains, and what it looks like."""
     free = explanation.free
-    if free is None or explanation.probability_unknown <= 0.1 or explanation.unexplained_share <= 0.0:
+    if (
+        free is None
+        or explanation.probability_unknown <= 0.1
+        or explanation.unexplained_share <= 0.0
+    ):
         return []
     lines = [
-        f"  a term outside the catalogue in balance {free.balance}, a function of {free.axis}, explains "
-        f"{100 * explanation.unexplained_share:.0f} % of what can be explained"
+        f"  a term outside the catalogue in balance {free.balance}, a function of {free.axis},"
+        f" explains {100 * explanation.unexplained_share:.0f} % of what can be explained"
     ]
     if (formula := nearest_formula(free.at, free.value)) is not None:
-        lines.append(f"    it looks like {formula.formula} {free.unit}, z = {free.axis} / {formula.largest:.3g}")
+        lines.append(
+            f"    it looks like {formula.formula} {free.unit}, z = {free.axis} /"
+            f" {formula.largest:.3g}"
+        )
     return lines
 
 
@@ -205,14 +274,18 @@ def _rest_text(explanation: Explanation) -> list[str]:
     """What remains of each output's error, what drifts, and what is said of the record's timing."""
     says, from_ = _OF_THE_REST[explanation.verdict]
     lines = [
-        f"  {output}: {rms:.3g} {unit} RMS remain, {times:.0f} times what their own past cannot predict: {says}"
+        f"  {output}: {rms:.3g} {unit} RMS remain, {times:.0f} times what their own past cannot"
+        f" predict: {says}"
         for output, (rms, unit, times) in explanation.left.items()
         if times > from_
     ]
     if explanation.drifting:
-        lines.append("  an unknown load or offset drifts with time; it explains more than any effect would")
+        lines.append(
+            "  an unknown load or offset drifts with time; it explains more than any effect would"
+        )
     return lines + [
-        f"  {effect} at {target} by less than a sample: how the record was taken" for effect, target in explanation.timing
+        f"  {effect} at {target} by less than a sample: how the record was taken"
+        for effect, target in explanation.timing
     ]
 
 
@@ -224,13 +297,19 @@ def explanation_text(explanation: Explanation) -> str:
     ruled_out = [c for c in explanation.candidates if c not in likely]
     lines += map(_candidate_text, likely[:6])
     if ruled_out:
-        lines.append(f"  tried and ruled out: {', '.join(f'{c.effect} in {c.balance}' for c in ruled_out)}")
-    lines += _values_text(explanation.values) + _free_term_text(explanation) + _rest_text(explanation)
+        lines.append(
+            f"  tried and ruled out: {', '.join(f'{c.effect} in {c.balance}' for c in ruled_out)}"
+        )
+    lines += (
+        _values_text(explanation.values) + _free_term_text(explanation) + _rest_text(explanation)
+    )
     lines += [
         f"  next: {p.do} (tells {' from '.join(p.separates)} in {100 * p.power:.0f} % of the cases)"
         for p in explanation.next_experiment[:2]
         if p.power >= _WORTH_SAYING
     ]
     lines += work_text(explanation.work)
-    lines.append(f"  none of these: {explanation.probability_none + explanation.probability_unknown:.2f}")
+    lines.append(
+        f"  none of these: {explanation.probability_none + explanation.probability_unknown:.2f}"
+    )
     return "\n".join(lines)

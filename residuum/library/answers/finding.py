@@ -11,7 +11,11 @@ def finding_text(finding: dict[str, Any]) -> str:
     headline = f"{finding.get('record', finding['diagnoser'])}: {finding['verdict']}{kind}" + (
         f": {finding['reason']}" if finding["reason"] else ""
     )
-    numbers = [_indicator(finding, name, value) for name, value in finding["indicators"].items() if value is not None]
+    numbers = [
+        _indicator(finding, name, value)
+        for name, value in finding["indicators"].items()
+        if value is not None
+    ]
     return "\n  ".join([headline, *numbers])
 
 

@@ -61,11 +61,20 @@ def identification_text(model: IdentifiedModel, result: dict[str, Any]) -> str:
         return _series_text(model, result)
     assumed = result.get("assumptions") or {}
     lines = [
-        f"{model.method}: {_named(model.input_name, model.input_unit)} → {_named(model.output_name, model.output_unit)}, "
-        f"{result['samples']} samples of {model.sample_time:g} s",
-        f"  impulse response  {model.order} coefficients from lag {model.delay}; {_largest(model, assumed)}",
+        (
+            f"{model.method}: {_named(model.input_name, model.input_unit)} →"
+            f" {_named(model.output_name, model.output_unit)}, {result['samples']} samples of"
+            f" {model.sample_time:g} s"
+        ),
+        (
+            f"  impulse response  {model.order} coefficients from lag {model.delay};"
+            f" {_largest(model, assumed)}"
+        ),
         f"  static gain       {_gain_says(result['static_gain'])}",
-        f"  noise             {math.sqrt(model.noise_variance):.4g}{_spaced(model.output_unit)} (standard deviation)",
+        (
+            f"  noise             {math.sqrt(model.noise_variance):.4g}{_spaced(model.output_unit)}"
+            " (standard deviation)"
+        ),
         f"  fit               {_fits(result['fit_percent'])} of the estimation data{_shown(model)}",
     ]
     if assumed.get("kept_aside") and not result["held_out_fit_percent"]:
@@ -76,7 +85,10 @@ def identification_text(model: IdentifiedModel, result: dict[str, Any]) -> str:
     if result["std_says"] is not None:
         lines.append(f"  bands             {result['std_says']}")
     if model.hyper_parameters:
-        lines.append("  hyper-parameters  " + ", ".join(f"{name} {value:.4g}" for name, value in model.hyper_parameters.items()))
+        lines.append(
+            "  hyper-parameters  "
+            + ", ".join(f"{name} {value:.4g}" for name, value in model.hyper_parameters.items())
+        )
     lines += [f"  warning           {text}" for text in model.warnings]
     if result["file"]:
         lines.append(f"  written to        {result['file']}")
@@ -116,7 +128,11 @@ def static_gain(model: IdentifiedModel, assumed: Mapping[str, Any] | None) -> di
 
 def _gain_says(gain: Mapping[str, Any]) -> str:
     formal = "; formal, for the model is not stable" if gain["formal"] else ""
-    known = f"{gain['value']:.4g} ± {gain['std']:.2g}{_spaced(gain['unit'])}" if gain["unknown"] is None else ""
+    known = (
+        f"{gain['value']:.4g} ± {gain['std']:.2g}{_spaced(gain['unit'])}"
+        if gain["unknown"] is None
+        else ""
+    )
     return f"{known} (one standard deviation{formal})" if known else str(gain["unknown"])
 
 
@@ -126,8 +142,9 @@ def _bands(model: IdentifiedModel) -> str | None:
         return band_says(model)
     criterion, orders = model.provenance["criterion"], model.provenance["orders"]
     return (
-        f"as if the plant were of the orders that {criterion} chose from the data ({orders}): the doubt of that choice is not in "
-        "them, and the plant's coefficients may lie many deviations off; say `order` where it is known"
+        f"as if the plant were of the orders that {criterion} chose from the data ({orders}): the"
+        " doubt of that choice is not in them, and the plant's coefficients may lie many"
+        " deviations off; say `order` where it is known"
     )
 
 
@@ -135,12 +152,23 @@ def _series_text(model: IdentifiedModel, result: dict[str, Any]) -> str:
     """The same of a model without an input: its noise shaping alone."""
     A = np.ones(1) if model.noise_denominator is None else model.noise_denominator
     lines = [
-        f"{model.method}: {_named(model.output_name, model.output_unit)}, {result['samples']} samples of {model.sample_time:g} s",
-        f"  order             {len(A) - 1}: A = [{', '.join(f'{value:.4g}' for value in A)}], descending powers of z",
-        f"  innovation        {math.sqrt(model.noise_variance):.4g}{_spaced(model.output_unit)} (standard deviation)",
+        (
+            f"{model.method}: {_named(model.output_name, model.output_unit)}, {result['samples']}"
+            f" samples of {model.sample_time:g} s"
+        ),
+        (
+            f"  order             {len(A) - 1}: A = [{', '.join(f'{value:.4g}' for value in A)}],"
+            " descending powers of z"
+        ),
+        (
+            f"  innovation        {math.sqrt(model.noise_variance):.4g}{_spaced(model.output_unit)}"
+            " (standard deviation)"
+        ),
         *(f"  warning           {text}" for text in model.warnings),
     ]
-    return "\n".join([*lines, *([f"  written to        {result['file']}"] if result["file"] else [])])
+    return "\n".join(
+        [*lines, *([f"  written to        {result['file']}"] if result["file"] else [])]
+    )
 
 
 def _named(channel: str, unit: str) -> str:
@@ -153,7 +181,11 @@ def _spaced(unit: str) -> str:
 
 def _gain_unit(model: IdentifiedModel) -> str:
     """Output unit over input unit, behind a blank; nothing where neither channel has one."""
-    return f" {model.output_unit or '1'}/{model.input_unit or '1'}" if model.output_unit or model.input_unit else ""
+    return (
+        f" {model.output_unit or '1'}/{model.input_unit or '1'}"
+        if model.output_unit or model.input_unit
+        else ""
+    )
 
 
 def _fits(values: Sequence[float | None]) -> str:

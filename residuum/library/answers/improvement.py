@@ -13,7 +13,9 @@ from residuum.library.answers.tied_effects import tied_json, tied_text
 
 
 def improvement_json(improvement: Improvement, file: str | None) -> dict[str, Any]:
-    """The `improve` object of the command line and the HTTP interface; `file` is where the model was written."""
+    """The `improve` object of the command line and the HTTP interface; `file` is where the model
+    was written.
+    """
     remaining = None if improvement.explanation is None else improvement.explanation.remaining
     return {
         "history": [
@@ -28,7 +30,11 @@ def improvement_json(improvement: Improvement, file: str | None) -> dict[str, An
         "held_out": True,
         "kept_aside": improvement.aside,
         "refused": list(improvement.refused),
-        "held_values": [] if improvement.explanation is None else [asdict(held) for held in improvement.explanation.held],
+        "held_values": (
+            []
+            if improvement.explanation is None
+            else [asdict(held) for held in improvement.explanation.held]
+        ),
         "remaining": None if remaining is None else remaining_json(remaining),
         "work": work_json(improvement.work),
         "model_file": file,
@@ -48,14 +54,21 @@ def _effect_json(use: EffectUse, improvement: Improvement) -> dict[str, Any]:
 
 def improvement_text(improvement: Improvement, file: str | None) -> str:
     """The short human report."""
-    lines = [f"error of {improvement.output} on held-out data ({improvement.aside}; explained and estimated on the rest):"]
+    lines = [
+        f"error of {improvement.output} on held-out data ({improvement.aside}; explained and"
+        " estimated on the rest):"
+    ]
     lines += [
-        f"  {step.added or 'the model as it was'}: {step.error:.4g} {improvement.error_unit}" for step in improvement.history
+        f"  {step.added or 'the model as it was'}: {step.error:.4g} {improvement.error_unit}"
+        for step in improvement.history
     ]
     lines += [_effect_text(use, improvement) for use in improvement.added]
     lines += [] if improvement.explanation is None else map(held_text, improvement.explanation.held)
     if improvement.refused:
-        lines.append(f"  not added, for the error on held-out data would rise: {', '.join(improvement.refused)}")
+        lines.append(
+            "  not added, for the error on held-out data would rise:"
+            f" {', '.join(improvement.refused)}"
+        )
     lines += work_text(improvement.work)
     lines.append(f"verdict: {improvement.verdict}")
     if file:
@@ -71,5 +84,9 @@ def _effect_text(use: EffectUse, improvement: Improvement) -> str:
     text = f"{use.id} in {use.target}: {sizes}"
     if judged is None:
         return text
-    rivals = f", not to be told from {', '.join(judged.indistinguishable_from)}" if judged.indistinguishable_from else ""
+    rivals = (
+        f", not to be told from {', '.join(judged.indistinguishable_from)}"
+        if judged.indistinguishable_from
+        else ""
+    )
     return f"{text} (probability {judged.probability:.2f}{rivals})"

@@ -19,9 +19,17 @@ from residuum.robust_control.multivariable_control import (
 
 
 def design_json(problem: MultivariableProblem, design: MultivariableDesign) -> dict[str, Any]:
-    """Decoupler, loops with promise and measurement beside each other, and whether all loops together are certified."""
+    """Decoupler, loops with promise and measurement beside each other, and whether all loops
+    together are certified.
+    """
     measured = problem.measured(design)
-    unstable = np.any([[not math.isfinite(s.integral_absolute_error) for s in loop.own.drawn] for loop in measured], axis=0)
+    unstable = np.any(
+        [
+            [not math.isfinite(s.integral_absolute_error) for s in loop.own.drawn]
+            for loop in measured
+        ],
+        axis=0,
+    )
     return {
         "feasible": True,
         "inputs": list(problem.model.inputs),
@@ -77,11 +85,17 @@ def design_text(result: dict[str, Any]) -> str:
         measured, promised = loop["measured"], loop["promised"]
         nominal, most = measured["nominal"], measured["reached_by_95_percent"]
         lines += [
-            f"  {loop['output']}: " + ", ".join(f"{name} = {value:.5g}" for name, value in loop["parameters"].items()),
-            f"    ‖T Σ W‖∞ = {loop['stability_bound']:.4g} (below 1 is asked); promised {_step(promised)}: "
-            f"{'kept' if measured['kept'] else 'NOT kept'}",
-            f"    measured: nominal {_step(nominal)}, other outputs move by {_size(nominal['coupling'])}; 95 % of plants "
-            f"{_step(most)}, {_size(most['coupling'])}",
+            f"  {loop['output']}: "
+            + ", ".join(f"{name} = {value:.5g}" for name, value in loop["parameters"].items()),
+            (
+                f"    ‖T Σ W‖∞ = {loop['stability_bound']:.4g} (below 1 is asked); promised"
+                f" {_step(promised)}: {'kept' if measured['kept'] else 'NOT kept'}"
+            ),
+            (
+                f"    measured: nominal {_step(nominal)}, other outputs move by"
+                f" {_size(nominal['coupling'])}; 95 % of plants {_step(most)},"
+                f" {_size(most['coupling'])}"
+            ),
         ]
     return "\n".join([*lines, *([f"  written to {result['file']}"] if result["file"] else [])])
 

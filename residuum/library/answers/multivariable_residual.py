@@ -1,10 +1,17 @@
-"""The `residual design` and `residual run` objects of a plant with several inputs and outputs, and their short reports."""
+"""The `residual design` and `residual run` objects of a plant with several inputs and outputs, and
+their short reports.
+"""
 
 from __future__ import annotations
 
 from typing import Any
 
-from residuum.diagnosis.residuals.multivariable import Hypothesis, IsolatedFault, MultivariableDetection, MultivariableResidual
+from residuum.diagnosis.residuals.multivariable import (
+    Hypothesis,
+    IsolatedFault,
+    MultivariableDetection,
+    MultivariableResidual,
+)
 from residuum.identification.record import Record
 
 
@@ -29,20 +36,31 @@ def design_json(design: MultivariableResidual, *, identified: str, file: str) ->
 
 def design_text(result: dict[str, Any]) -> str:
     """The short human report of a design."""
-    inputs, outputs = (", ".join(channel["name"] for channel in result[name]) for name in ("inputs", "outputs"))
+    inputs, outputs = (
+        ", ".join(channel["name"] for channel in result[name]) for name in ("inputs", "outputs")
+    )
     blind = f", blind to {', '.join(result['unknown_inputs'])}" if result["unknown_inputs"] else ""
     spread = ", ".join(f"{value:.4g}" for value in result["noise"]["innovation_std"])
     order = result["noise"]["order"]
     return "\n".join(
         [
-            f"{result['method']} residual of {inputs} → {outputs}{blind}: {result['residuals']} residuals → {result['file']}",
-            f"healthy noise: σ = {spread}, {f'coloured (vector autoregression of order {order})' if order else 'white'}, "
-            f"from {result['healthy_samples']} samples; {result['warm_up_samples']} samples of warm-up",
+            (
+                f"{result['method']} residual of {inputs} → {outputs}{blind}: {result['residuals']}"
+                f" residuals → {result['file']}"
+            ),
+            (
+                f"healthy noise: σ = {spread},"
+                f" {f'coloured (vector autoregression of order {order})' if order else 'white'},"
+                f" from {result['healthy_samples']} samples; {result['warm_up_samples']} samples of"
+                " warm-up"
+            ),
         ]
     )
 
 
-def run_json(record: Record, detection: MultivariableDetection, false_alarms_per_day: float) -> dict[str, Any]:
+def run_json(
+    record: Record, detection: MultivariableDetection, false_alarms_per_day: float
+) -> dict[str, Any]:
     """The `residual run` object of a record."""
     first = detection.first_alarm
     return {
@@ -50,7 +68,10 @@ def run_json(record: Record, detection: MultivariableDetection, false_alarms_per
         "threshold_unit": "",
         "threshold_kind": "posterior",
         "evaluation": "glr",
-        "guarantee": "at most so many false alarms a day while noise and model error are what the healthy records showed",
+        "guarantee": (
+            "at most so many false alarms a day while noise and model error are what the healthy"
+            " records showed"
+        ),
         "alarm": first is not None,
         "first_alarm_time": None if first is None else float(record.time[first]),
         "false_alarm_rate": false_alarms_per_day,
@@ -78,15 +99,24 @@ def _fault_json(record: Record, fault: IsolatedFault) -> dict[str, Any]:
 
 def run_text(result: dict[str, Any]) -> str:
     """The short human report of a run."""
-    judged = f"{result['judged_samples']} samples judged, glr against the posterior threshold {result['threshold']:.4g}"
+    judged = (
+        f"{result['judged_samples']} samples judged, glr against the posterior threshold"
+        f" {result['threshold']:.4g}"
+    )
     if not result["alarm"]:
         return "\n".join([f"no alarm (largest {result['largest']:.4g})", judged])
     lines = [f"alarm at {result['first_alarm_time']:.6g} s, {result['exceedances']} exceedances"]
     if (fault := result["fault_estimate"]) is not None:
         low, high = fault["band_95"]
-        alike = f"; cannot be told from {', '.join(fault['indistinguishable_from'])}" if fault["indistinguishable_from"] else ""
+        alike = (
+            f"; cannot be told from {', '.join(fault['indistinguishable_from'])}"
+            if fault["indistinguishable_from"]
+            else ""
+        )
         size = f"{fault['value']:.4g} (95 %: {low:.4g} … {high:.4g}) {fault['unit']}".rstrip()
-        lines.append(f"{fault['kind']} of {fault['place']}: {size}, since {fault['onset_time']:.6g} s{alike}")
+        lines.append(
+            f"{fault['kind']} of {fault['place']}: {size}, since {fault['onset_time']:.6g} s{alike}"
+        )
     return "\n".join([*lines, judged])
 
 

@@ -15,8 +15,12 @@ from residuum.identification.record import Record
 from residuum.library.answers.chance import chance
 
 
-def design_json(design: ResidualDesign, records: Sequence[Record], *, identified: str | None, file: str | None) -> dict[str, Any]:
-    """The `residual design` object; `identified` and `file` are the files of the model and of the design."""
+def design_json(
+    design: ResidualDesign, records: Sequence[Record], *, identified: str | None, file: str | None
+) -> dict[str, Any]:
+    """The `residual design` object; `identified` and `file` are the files of the model and of the
+    design.
+    """
     post_filter, noise = design.post_filter, design.noise
     return {
         "identified": identified,
@@ -32,7 +36,11 @@ def design_json(design: ResidualDesign, records: Sequence[Record], *, identified
         "full_order": post_filter.full_order,
         "reduction_error": post_filter.reduction_error,
         "stable": post_filter.Q.is_stable,
-        "W_T": None if design.W_T is None else {"numerator": design.W_T.num, "denominator": design.W_T.den},
+        "W_T": (
+            None
+            if design.W_T is None
+            else {"numerator": design.W_T.num, "denominator": design.W_T.den}
+        ),
         "sample_time": design.model.sample_time,
         "warm_up_samples": design.generator.warm_up,
         "noise": {
@@ -45,7 +53,10 @@ def design_json(design: ResidualDesign, records: Sequence[Record], *, identified
             "degrees_of_freedom": noise.freedom,
         },
         "healthy_samples": sum(record.n for record in records),
-        "structured_error": {"present": design.has_structured_error, "p_value": design.structured_p},
+        "structured_error": {
+            "present": design.has_structured_error,
+            "p_value": design.structured_p,
+        },
     }
 
 
@@ -53,16 +64,22 @@ def design_text(design: ResidualDesign, file: str | None = None) -> str:
     """The short human report of a design that was perhaps written to `file`."""
     f = design.post_filter
     lines = [
-        f"{design.method} residual for {design.fault} faults of {design.model.output_name!r}: γ = {f.gamma:.4g} (verified), "
-        f"β = {f.beta:.4g}, β/γ = {f.decoupling:.3g}",
-        f"post-filter of order {f.Q.order} (optimum: {f.full_order}, reduced with an error ≤ {f.reduction_error:.2g})"
-        + (f" → {file}" if file else ""),
-        f"healthy noise: {_size(design)}, {_colour(design.noise)}, tails {_tails(design.noise, design.model.output_unit)}",
+        (
+            f"{design.method} residual for {design.fault} faults of {design.model.output_name!r}: γ"
+            f" = {f.gamma:.4g} (verified), β = {f.beta:.4g}, β/γ = {f.decoupling:.3g}"
+        ),
+        f"post-filter of order {f.Q.order} (optimum: {f.full_order}, reduced with an error ≤"
+        f" {f.reduction_error:.2g})" + (f" → {file}" if file else ""),
+        (
+            f"healthy noise: {_size(design)}, {_colour(design.noise)}, tails"
+            f" {_tails(design.noise, design.model.output_unit)}"
+        ),
     ]
     if design.has_structured_error:
         lines.append(
-            f"the healthy record carries structured error ({chance(design.structured_p)}): part of the plant is missing "
-            "in the model; find it with `residuum explain` before trusting small residuals"
+            f"the healthy record carries structured error ({chance(design.structured_p)}): part of"
+            " the plant is missing in the model; find it with `residuum explain` before trusting"
+            " small residuals"
         )
     return "\n".join(lines)
 
@@ -75,10 +92,17 @@ def _tails(noise: NoiseModel, unit: str) -> str:
     """The law of the noise in words, with the parameter that shapes it."""
     if noise.tail is not None:
         beyond = f"{noise.tail.start * noise.sigma:.4g} {unit}".rstrip()
-        return f"beyond {beyond} those of its largest {100 * noise.tail.share:.2g} % of samples, which no usual law fits"
+        return (
+            f"beyond {beyond} those of its largest {100 * noise.tail.share:.2g} % of samples, which"
+            " no usual law fits"
+        )
     if np.isfinite(noise.dof):
         return f"heavier than Gaussian (Student t, {noise.dof:.3g} degrees of freedom)"
-    return "Gaussian" if noise.is_gaussian else f"lighter than Gaussian (exponential power, β = {noise.shape:.3g})"
+    return (
+        "Gaussian"
+        if noise.is_gaussian
+        else f"lighter than Gaussian (exponential power, β = {noise.shape:.3g})"
+    )
 
 
 def _colour(noise: NoiseModel) -> str:
@@ -105,7 +129,10 @@ def run_json(design: ResidualDesign, record: Record, detection: Detection) -> di
         "judged_samples": int(detection.signals.valid.sum()),
         "gaps": detection.gaps,
         "largest": float(np.max(detection.statistic)),
-        "structured_error": {"present": design.has_structured_error, "p_value": design.structured_p},
+        "structured_error": {
+            "present": design.has_structured_error,
+            "p_value": design.structured_p,
+        },
     }
 
 
@@ -129,34 +156,53 @@ def run_text(design: ResidualDesign, record: Record, detection: Detection) -> st
     """The short human report of a run."""
     limit = detection.threshold
     first = detection.first_alarm
-    judged = f"{int(detection.signals.valid.sum())} samples judged, {limit.evaluation} against the {limit.kind} threshold"
+    judged = (
+        f"{int(detection.signals.valid.sum())} samples judged, {limit.evaluation} against the"
+        f" {limit.kind} threshold"
+    )
     lines = [f"{judged} {limit.typical:.4g} {limit.unit}".rstrip(), f"guarantee: {limit.guarantee}"]
     if detection.gaps:
         lines.append(f"{detection.gaps} gaps: the residual started anew after each")
     if first is None:
         return "\n".join([f"no alarm (largest {float(np.max(detection.statistic)):.4g})", *lines])
-    lines.insert(0, f"alarm at {float(record.time[first]):.6g} s, {int(detection.alarm.sum())} exceedances")
+    lines.insert(
+        0, f"alarm at {float(record.time[first]):.6g} s, {int(detection.alarm.sum())} exceedances"
+    )
     if (estimate := detection.estimate) is not None:
-        lines.insert(1, f"{_fault_text(estimate)}, {_since(design, record, estimate.onset)}{_alike(estimate)}")
+        lines.insert(
+            1,
+            f"{_fault_text(estimate)}, {_since(design, record, estimate.onset)}{_alike(estimate)}",
+        )
     if design.has_structured_error:
-        lines.append("the healthy records already carried structured error: this may be missing physics, see `residuum explain`")
+        lines.append(
+            "the healthy records already carried structured error: this may be missing physics, see"
+            " `residuum explain`"
+        )
     return "\n".join(lines)
 
 
 def _fault_text(estimate: FaultEstimate) -> str:
     if estimate.kind == STUCK:
-        return f"{estimate.kind}: the reading stays at {estimate.value:.6g} {estimate.unit}".rstrip()
+        return (
+            f"{estimate.kind}: the reading stays at {estimate.value:.6g} {estimate.unit}".rstrip()
+        )
     if estimate.kind == PLANT_CHANGE:
         return f"{estimate.kind}: no single sensor or actuator fault explains it"
     low, high = estimate.band()
-    return f"{estimate.kind} ({estimate.shape}): {estimate.value:.4g} (95 %: {low:.4g} … {high:.4g}) {estimate.unit}".rstrip()
+    return (
+        f"{estimate.kind} ({estimate.shape}): {estimate.value:.4g} (95 %: {low:.4g} … {high:.4g})"
+        f" {estimate.unit}".rstrip()
+    )
 
 
 def _since(design: ResidualDesign, record: Record, onset: int) -> str:
     """When the fault began, or that it was there before the first sample that could be judged."""
     judged_from = design.generator.warm_up
     if onset <= judged_from:
-        return f"since before {record.t0 + judged_from * record.sample_time:.6g} s, the first that is judged"
+        return (
+            f"since before {record.t0 + judged_from * record.sample_time:.6g} s, the first that is"
+            " judged"
+        )
     return f"since {record.t0 + onset * record.sample_time:.6g} s"
 
 

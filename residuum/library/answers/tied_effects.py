@@ -1,4 +1,6 @@
-"""What is told of an effect that is tied to other signals: the channel of a forgotten input, the curve that was learned."""
+"""What is told of an effect that is tied to other signals: the channel of a forgotten input, the
+curve that was learned.
+"""
 
 from collections.abc import Mapping
 from typing import Any
@@ -15,11 +17,18 @@ def tied_json(effect: str, target: str, parameters: Mapping[str, Quantity]) -> d
     tied = tied_to(target)
     if effect == "forgotten-input":
         gain = parameters["gain"]
-        return {"channel": tied[0], "gain": {"value": gain.value, "std": gain.std, "unit": gain.unit}}
+        return {
+            "channel": tied[0],
+            "gain": {"value": gain.value, "std": gain.std, "unit": gain.unit},
+        }
     if effect == "coupling":
         return {"between": [place_of(target), tied[0]]}
     if effect == "learned":
-        return {"signals": list(tied), "curve": _curve(parameters), "formula": _formula(tied[0], parameters)}
+        return {
+            "signals": list(tied),
+            "curve": _curve(parameters),
+            "formula": _formula(tied[0], parameters),
+        }
     return {}
 
 
@@ -28,7 +37,10 @@ def tied_text(effect: str, target: str, parameters: Mapping[str, Quantity]) -> s
     place, tied = place_of(target), tied_to(target)
     if effect == "forgotten-input":
         gain = parameters["gain"]
-        return f"what {place} lacks follows {tied[0]} with {gain.value:.3g} ± {gain.std:.2g} {gain.unit}".rstrip()
+        return (
+            f"what {place} lacks follows {tied[0]} with {gain.value:.3g} ± {gain.std:.2g}"
+            f" {gain.unit}".rstrip()
+        )
     if effect == "learned":
         formula = _formula(tied[0], parameters) or "no formula comes near"
         return f"a curve over {tied[0]}, {len(_curve(parameters)['at'])} values: {formula}"
@@ -53,5 +65,8 @@ def _formula(signal: str, parameters: Mapping[str, Quantity]) -> str | None:
     return (
         None
         if nearest is None
-        else f"{nearest.formula} {curve['unit']}, z = {signal} / {nearest.largest:.3g} {curve['at_unit']}".rstrip()
+        else (
+            f"{nearest.formula} {curve['unit']}, z = {signal} / {nearest.largest:.3g}"
+            f" {curve['at_unit']}".rstrip()
+        )
     )

@@ -6,14 +6,26 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
-from residuum.diagnosis.learning.diagnoser_validation import Fit, bootstrap_632_plus, validate_object_wise
+from residuum.diagnosis.learning.diagnoser_validation import (
+    Fit,
+    bootstrap_632_plus,
+    validate_object_wise,
+)
 from residuum.identification.record import Record
 
 
-def validated(how: str, fit: Fit, records: Sequence[Record], labels: Sequence[str], objects: Sequence[str]) -> dict[str, Any]:
-    """The `validation` object: `object-wise` with its confusion, or the `bootstrap` with its parts."""
+def validated(
+    how: str, fit: Fit, records: Sequence[Record], labels: Sequence[str], objects: Sequence[str]
+) -> dict[str, Any]:
+    """The `validation` object: `object-wise` with its confusion, or the `bootstrap` with its
+    parts.
+    """
     if how == "bootstrap":
-        return {"how": how, "objects": len(set(objects)), **asdict(bootstrap_632_plus(fit, records, labels, objects))}
+        return {
+            "how": how,
+            "objects": len(set(objects)),
+            **asdict(bootstrap_632_plus(fit, records, labels, objects)),
+        }
     validation = validate_object_wise(fit, records, labels, objects)
     classes = sorted({*validation.truth.tolist(), *validation.predicted.tolist()})
     return {
@@ -32,10 +44,11 @@ def validation_says(validation: Mapping[str, Any] | None) -> list[str]:
         return []
     if validation["how"] == "bootstrap":
         return [
-            f"  error on new objects {100 * validation['error']:.3g} % (.632+ bootstrap of {validation['objects']} objects, "
-            f"{validation['samples']} samples; {100 * validation['apparent']:.3g} % of the records trained on)"
+            f"  error on new objects {100 * validation['error']:.3g} % (.632+ bootstrap of"
+            f" {validation['objects']} objects, {validation['samples']} samples;"
+            f" {100 * validation['apparent']:.3g} % of the records trained on)"
         ]
     return [
-        f"  {100 * validation['accuracy']:.3g} % right on {validation['objects']} objects left out in turn, "
-        f"{100 * validation['balanced_accuracy']:.3g} % balanced over the classes"
+        f"  {100 * validation['accuracy']:.3g} % right on {validation['objects']} objects left out"
+        f" in turn, {100 * validation['balanced_accuracy']:.3g} % balanced over the classes"
     ]

@@ -1,7 +1,8 @@
-"""What may be asked, declared once: a question's fields are options of a command, the body over HTTP and keywords in Python.
+"""What may be asked, declared once: a question's fields are options of a command, the body over
+HTTP and keywords in Python.
 
-A question is a file of this folder. `asks` gives its fields to a function of the library, `service/commands/asked.py` to a
-command, and a route takes the question itself as its body.
+A question is a file of this folder. `asks` gives its fields to a function of the library,
+`service/commands/asked.py` to a command, and a route takes the question itself as its body.
 """
 
 from __future__ import annotations
@@ -64,7 +65,9 @@ def _warned(says: str) -> None:
     warnings.warn(says, FutureWarning, stacklevel=6)
 
 
-OLD_SPELLINGS: ContextVar[Callable[[str], None]] = ContextVar("who hears of an old spelling", default=_warned)
+OLD_SPELLINGS: ContextVar[Callable[[str], None]] = ContextVar(
+    "who hears of an old spelling", default=_warned
+)
 """A door that answers somebody else than who runs the process (the service) tells it there."""
 
 
@@ -91,19 +94,34 @@ class Question(BaseModel):
     def _as_written_now(cls, given: Any) -> Any:
         if not isinstance(given, dict):
             return given
-        for old in [name for name, new in cls.renamed.items() if name in given and new not in given]:
+        for old in [
+            name for name, new in cls.renamed.items() if name in given and new not in given
+        ]:
             OLD_SPELLINGS.get()(f"{old}: will not be read much longer; say {cls.renamed[old]}")
-            given = {cls.renamed.get(name, name) if name == old else name: value for name, value in given.items()}
-        now = {name: values[given[name]] for name, values in cls.earlier.items() if given.get(name) in list(values)}
+            given = {
+                cls.renamed.get(name, name) if name == old else name: value
+                for name, value in given.items()
+            }
+        now = {
+            name: values[given[name]]
+            for name, values in cls.earlier.items()
+            if given.get(name) in list(values)
+        }
         for name, value in now.items():
-            instead = "leave it out" if value == cls.model_fields[name].default else f"write {value!r}"
+            instead = (
+                "leave it out" if value == cls.model_fields[name].default else f"write {value!r}"
+            )
             OLD_SPELLINGS.get()(f"{name} {given[name]!r}: will not be read much longer; {instead}")
         return given | now
 
     def handed_to(self, kind: Callable[..., Value]) -> Value:
         """What a dataclass or function of the rooms below takes of the fields, by their names."""
         return kind(
-            **{name: getattr(self, name) for name in inspect.signature(kind).parameters if name in type(self).model_fields}
+            **{
+                name: getattr(self, name)
+                for name in inspect.signature(kind).parameters
+                if name in type(self).model_fields
+            }
         )
 
     @field_validator("*")
@@ -111,7 +129,9 @@ class Question(BaseModel):
     def _is_known(cls, value: Any, info: ValidationInfo) -> Any:
         name = str(info.field_name)
         if value is not None and (names := choices(cls.model_fields[name])) and value not in names:
-            raise BadInput(repr(value), name, f"there is none of this name; {known_names(value, names)}")
+            raise BadInput(
+                repr(value), name, f"there is none of this name; {known_names(value, names)}"
+            )
         return value
 
 
@@ -120,7 +140,9 @@ Asked = TypeVar("Asked", bound=Question)
 
 @dataclass(frozen=True)
 class Either:
-    """Beside a type of several alternatives: what is told of a value that is none of them, instead of pydantic's own names."""
+    """Beside a type of several alternatives: what is told of a value that is none of them, instead
+    of pydantic's own names.
+    """
 
     rule: str
 
@@ -141,8 +163,9 @@ def field(
 ) -> Any:
     """A field of a question; `...` as default makes it needed, `bounds` are pydantic's.
 
-    `choices` are the names that it takes. `only_with` says with which values of other fields it counts, `{field: values}`, in one
-    way or another, and `choices_with` the same of a name that it takes. A form does not show what does not count.
+    `choices` are the names that it takes. `only_with` says with which values of other fields it
+    counts, `{field: values}`, in one way or another, and `choices_with` the same of a name that it
+    takes. A form does not show what does not count.
     """
     extra: dict[str, Any] = {"enum": list(choices)} if choices else {}
     if choices_with:
@@ -150,7 +173,9 @@ def field(
     if ways := [_listed(way) for way in only_with]:
         extra["x-only-with"] = ways
     examples = None if example is None else [example]
-    return Field(default, description=help, examples=examples, json_schema_extra=extra or None, **bounds)
+    return Field(
+        default, description=help, examples=examples, json_schema_extra=extra or None, **bounds
+    )
 
 
 def _listed(way: Mapping[str, Collection[Any]]) -> dict[str, list[Any]]:
@@ -167,14 +192,25 @@ def help_of(field: FieldInfo) -> str:
     """What a field means, the names that it takes, and its bounds."""
     names = choices(field)
     limits = [
-        f"{sign} {getattr(rule, key):.10g}" for key, sign in _BOUNDS.items() for rule in field.metadata if hasattr(rule, key)
+        f"{sign} {getattr(rule, key):.10g}"
+        for key, sign in _BOUNDS.items()
+        for rule in field.metadata
+        if hasattr(rule, key)
     ]
-    more = [f"One of {', '.join(names)}."] if names else [f"Must be {' and '.join(limits)}."] if limits else []
+    more = (
+        [f"One of {', '.join(names)}."]
+        if names
+        else [f"Must be {' and '.join(limits)}."]
+        if limits
+        else []
+    )
     return " ".join([str(field.description), *more])
 
 
 def refusal(error: Mapping[str, Any], known: Iterable[str] = ()) -> BadInput:
-    """One of pydantic's errors as every door refuses it; `known` are the names of the fields that there are."""
+    """One of pydantic's errors as every door refuses it; `known` are the names of the fields that
+    there are.
+    """
     context = error.get("ctx", {})
     if isinstance(own := context.get("error"), BadInput):
         return own
@@ -183,26 +219,33 @@ def refusal(error: Mapping[str, Any], known: Iterable[str] = ()) -> BadInput:
         return BadInput(repr(where), "", f"there is none of this name; {known_names(where, known)}")
     ours = _RULES.get(error["type"])
     rule = error["msg"] if ours is None else ours.format_map(context)
-    return BadInput("" if error["type"] == "missing" else repr(error["input"])[:_LONGEST], where, rule)
+    return BadInput(
+        "" if error["type"] == "missing" else repr(error["input"])[:_LONGEST], where, rule
+    )
 
 
 def part_of(asked: BaseModel, question: type[Asked]) -> Asked:
     """The question in a body that has fields of a door's own beside it."""
-    return question.model_construct(**{name: getattr(asked, name) for name in question.model_fields})
+    return question.model_construct(
+        **{name: getattr(asked, name) for name in question.model_fields}
+    )
 
 
 def asks(question: type[Question]) -> Callable[[Function], Function]:
-    """Give the fields of a question to a function that takes them as `**given`: to its signature, and to its docstring after
-    the parameters of its own, but for `progress`, which is the last.
+    """Give the fields of a question to a function that takes them as `**given`: to its signature,
+    and to its docstring after the parameters of its own, but for `progress`, which is the last.
     """
 
     def told(function: Function) -> Function:
         signature = inspect.signature(function)
         own = [arg for arg in signature.parameters.values() if arg.kind is not arg.VAR_KEYWORD]
-        parameters = sorted([*own, *_keywords(question)], key=lambda arg: (arg.kind, arg.name == "progress"))
+        parameters = sorted(
+            [*own, *_keywords(question)], key=lambda arg: (arg.kind, arg.name == "progress")
+        )
         function.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
         fields = "\n".join(
-            f"{arg.name} : {arg.annotation.replace(' | ', ' or ')}\n{_LINES.fill(help_of(question.model_fields[arg.name]))}"
+            f"{arg.name} :"
+            f" {arg.annotation.replace(' | ', ' or ')}\n{_LINES.fill(help_of(question.model_fields[arg.name]))}"
             for arg in _keywords(question)
         )
         before, ending, after = _LAST.split(inspect.cleandoc(function.__doc__ or ""), maxsplit=1)
@@ -216,7 +259,9 @@ def _keywords(question: type[Question]) -> Iterator[inspect.Parameter]:
     hints = get_type_hints(question)
     for name, field in question.model_fields.items():
         default = inspect.Parameter.empty if field.is_required() else field.default
-        yield inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=_kind(hints[name]))
+        yield inspect.Parameter(
+            name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=_kind(hints[name])
+        )
 
 
 def kinds(hint: Any) -> tuple[Any, ...]:

@@ -10,11 +10,18 @@ class Estimate(Question):
 
     method: str = field(
         "simulation",
-        "The error that is minimised: of simulation, of prediction (so many `steps` ahead), or kalman (innovations).",
+        "The error that is minimised: of simulation, of prediction (so many `steps` ahead), or"
+        " kalman (innovations).",
         choices=("simulation", "prediction", "kalman"),
     )
     steps: int = field(
-        50, "Samples predicted ahead (method prediction).", only_with=({"method": ["prediction"]},), ge=2, le=1_000_000
+        50,
+        "Samples predicted ahead (method prediction).",
+        only_with=({"method": ["prediction"]},),
+        ge=2,
+        le=1_000_000,
     )
     hold: str = field("auto", "Inputs between samples.", choices=("auto", "linear", "zero-order"))
-    anyway: bool = field(False, "Give the model also where the search has not come to rest, which is refused else.")
+    anyway: bool = field(
+        False, "Give the model also where the search has not come to rest, which is refused else."
+    )

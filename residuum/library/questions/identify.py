@@ -40,7 +40,9 @@ def _number(given: object) -> object:
 
 
 class Identify(Question):
-    """A linear model from one channel to another, or from several to several, with its uncertainty."""
+    """A linear model from one channel to another, or from several to several, with its
+    uncertainty.
+    """
 
     input: _Channels | None = field(
         None,
@@ -48,22 +50,30 @@ class Identify(Question):
         only_with=_WITH_INPUT,
         example="voltage",
     )
-    output: _Channels = field(..., "Channel of the output y. Several outputs: one model each.", example="speed")
+    output: _Channels = field(
+        ..., "Channel of the output y. Several outputs: one model each.", example="speed"
+    )
     method: str = field(
         "kernel",
-        "Regularised impulse response (kernel), penalised ones (ridge, lasso, elastic-net), one from a bound on the noise "
-        "(set-membership), Laguerre functions with a random error (stochastic-embedding), a time series (ar), or a transfer "
-        "function.",
+        "Regularised impulse response (kernel), penalised ones (ridge, lasso, elastic-net), one"
+        " from a bound on the noise (set-membership), Laguerre functions with a random error"
+        " (stochastic-embedding), a time series (ar), or a transfer function.",
         choices=METHODS,
     )
     kernel: str = field("tc", "Prior of the impulse response.", choices=KERNELS)
     order: int | None = field(
         None,
-        f"Length m of the impulse response (kernel: {LAGS}), or order of the model (others: by the criterion).",
+        f"Length m of the impulse response (kernel: {LAGS}), or order of the model (others: by the"
+        " criterion).",
         ge=1,
         le=5000,
     )
-    criterion: str = field("bic", "How the order of a model is chosen.", choices=CRITERIA, only_with=({"method": STRUCTURES},))
+    criterion: str = field(
+        "bic",
+        "How the order of a model is chosen.",
+        choices=CRITERIA,
+        only_with=({"method": STRUCTURES},),
+    )
     delay: int | None = field(
         None,
         "Samples n_k before the input acts; default: estimated (of several inputs or outputs: 1).",
@@ -73,13 +83,17 @@ class Identify(Question):
     )
     noise_variance: Annotated[float | str, Either(_VARIANCE), BeforeValidator(_number)] = field(
         "marginal",
-        f"Variance of the noise: {', '.join(NOISE_VARIANCE_METHODS)}, or a number σ² [output unit²].",
+        f"Variance of the noise: {', '.join(NOISE_VARIANCE_METHODS)}, or a number σ² [output"
+        " unit²].",
         only_with=({"method": ["kernel"]},),
     )
-    offset: bool = field(True, "Fit a constant level as well; not where the signals are deviations already.")
+    offset: bool = field(
+        True, "Fit a constant level as well; not where the signals are deviations already."
+    )
     uncertainty: str = field(
         "own",
-        "How far to trust the model: by the covariance of its own estimate, or by an error model from data kept aside.",
+        "How far to trust the model: by the covariance of its own estimate, or by an error model"
+        " from data kept aside.",
         choices=("own", *ERROR_MODELS),
         only_with=_WITH_INPUT,
     )
@@ -91,12 +105,14 @@ class Identify(Question):
         le=1e300,
     )
     integrator: bool = field(
-        False, "The plant integrates: identify from the summed input, with a pole at one behind.", only_with=_WITH_INPUT
+        False,
+        "The plant integrates: identify from the summed input, with a pole at one behind.",
+        only_with=_WITH_INPUT,
     )
     check: bool = field(
         False,
-        "Test the residuals on data kept aside (white, free of the input, model error model), and tell the error on new data "
-        "by the .632+ bootstrap.",
+        "Test the residuals on data kept aside (white, free of the input, model error model), and"
+        " tell the error on new data by the .632+ bootstrap.",
         only_with=_WITH_INPUT,
     )
 
@@ -138,25 +154,38 @@ class Identify(Question):
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
-        """What belongs to other methods, to a model with an input, or to a single path is refused before any work."""
+        """What belongs to other methods, to a model with an input, or to a single path is refused
+        before any work.
+        """
         series, bounded = self.method == "ar", self.uncertainty != "own"
         if series and self.input is not None:
             raise BadInput("'ar'", "method", "models an output alone; leave the input out")
         if not series and self.input is None:
             raise BadInput(repr(self.method), "method", "needs an input")
-        if self.is_multivariable and (self.method != "kernel" or bounded or self.integrator or self.check):
+        if self.is_multivariable and (
+            self.method != "kernel" or bounded or self.integrator or self.check
+        ):
             raise BadInput(
-                "several inputs or outputs: need the method kernel, the model's own uncertainty, no integrator, no check"
+                "several inputs or outputs: need the method kernel, the model's own uncertainty, no"
+                " integrator, no check"
             )
         if series and (self.integrator or bounded or self.check):
             asked = "integrator" if self.integrator else "uncertainty" if bounded else "check"
-            raise BadInput("", asked, "needs a model with an input; a time series (method ar) has none")
+            raise BadInput(
+                "", asked, "needs a model with an input; a time series (method ar) has none"
+            )
         if self.integrator and bounded:
             raise BadInput(
-                repr(self.uncertainty), "uncertainty", "bounds errors that decay, which a plant that integrates has not"
+                repr(self.uncertainty),
+                "uncertainty",
+                "bounds errors that decay, which a plant that integrates has not",
             )
         if self.noise_bound is not None and "set-membership" not in (self.uncertainty, self.method):
-            raise BadInput("", "noise_bound", "is used by the uncertainty set-membership alone, and by the method of that name")
+            raise BadInput(
+                "",
+                "noise_bound",
+                "is used by the uncertainty set-membership alone, and by the method of that name",
+            )
         return self
 
 

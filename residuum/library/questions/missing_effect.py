@@ -22,28 +22,39 @@ _PLACED = re.compile(r"[^,@:]+([@:][^,@]+)?")
 def _named(given: Any, info: ValidationInfo) -> Any:
     """One name as a list of one; an empty list, which says nothing, as it is written now."""
     if isinstance(given, Collection) and len(given) == 0:
-        OLD_SPELLINGS.get()(f"{info.field_name} {given!r}: will not be read much longer; leave it out")
+        OLD_SPELLINGS.get()(
+            f"{info.field_name} {given!r}: will not be read much longer; leave it out"
+        )
         return None
     return (given,) if isinstance(given, str) else given
 
 
-Names = Annotated[_Several | None, BeforeValidator(_named, json_schema_input_type=_Name | _Several | None)]
+Names = Annotated[
+    _Several | None, BeforeValidator(_named, json_schema_input_type=_Name | _Several | None)
+]
 """One name or several, which a question then has as a tuple; None: nothing said."""
 
 
 class Explain(Question):
     """Which physical effect is missing in a model?"""
 
-    effects: Names = field(None, "Consider only these effects of the catalogue. Default: all that fit the model.")
-    learned: bool = field(False, "Learn a curve over one signal where no effect of the catalogue explains the error.")
+    effects: Names = field(
+        None, "Consider only these effects of the catalogue. Default: all that fit the model."
+    )
+    learned: bool = field(
+        False, "Learn a curve over one signal where no effect of the catalogue explains the error."
+    )
     seconds: float | None = field(
         None,
-        "Longest time for a search [s]; the answer then depends on the machine, and says what was not tried.",
+        "Longest time for a search [s]; the answer then depends on the machine, and says what was"
+        " not tried.",
         gt=0,
         le=1e6,
     )
     catalogue: str | None = field(
-        None, "Effects of your own in addition to the catalogue: text in YAML.", max_length=MOST_CHARACTERS
+        None,
+        "Effects of your own in addition to the catalogue: text in YAML.",
+        max_length=MOST_CHARACTERS,
     )
 
     def use_own(self) -> None:
@@ -52,13 +63,16 @@ class Explain(Question):
 
 
 class Improve(Explain):
-    """A model with the effects that are missing, estimated again: those that are named, or that are found."""
+    """A model with the effects that are missing, estimated again: those that are named, or that are
+    found.
+    """
 
     add: Names = field(
         None,
-        "Effects to add, `id` or `id@balance` (also an input's or output's name); `learned@balance(signal)`, "
-        "`forgotten-input@balance(column)` and `coupling@balance(other)` name what they are tied to. Default: what "
-        "explain finds, until the model is adequate.",
+        "Effects to add, `id` or `id@balance` (also an input's or output's name);"
+        " `learned@balance(signal)`, `forgotten-input@balance(column)` and"
+        " `coupling@balance(other)` name what they are tied to. Default: what explain finds, until"
+        " the model is adequate.",
     )
     auto: bool = field(False, "Add what explain finds, as where `add` names nothing.")
     free: Names = field(None, "Parameters that the model fixes, to be estimated; no other is.")
@@ -69,5 +83,7 @@ class Improve(Explain):
             raise BadInput(repr(wrong[0]), "add", "must be an effect, or effect@place")
         for name in ("auto", "effects", "learned"):
             if self.add and getattr(self, name):
-                raise BadInput("", name, "is for a search; leave it out where `add` names the effects")
+                raise BadInput(
+                    "", name, "is for a search; leave it out where `add` names the effects"
+                )
         return self

@@ -19,17 +19,23 @@ from residuum.library.questions.uncertainty import WeightQuestion, weight_for
 class DesignResidual(WeightQuestion):
     """A residual generator from an identified model, its noise learned from healthy records."""
 
-    fault: str = field("sensor", "Kind of fault to be most sensitive to.", choices=("sensor", "actuator"))
+    fault: str = field(
+        "sensor", "Kind of fault to be most sensitive to.", choices=("sensor", "actuator")
+    )
     method: str = field(
         ROBUST,
-        f"Method for the post-filter: Algorithm 5 ({ROBUST}), or a classical residual generator; of a model with several inputs "
-        f"and outputs: {ROBUST}, {UNKNOWN_INPUT}.",
+        f"Method for the post-filter: Algorithm 5 ({ROBUST}), or a classical residual generator; of"
+        f" a model with several inputs and outputs: {ROBUST}, {UNKNOWN_INPUT}.",
         choices=(ROBUST, *CLASSICAL_METHODS, UNKNOWN_INPUT),
     )
     unknown_input: list[str] | None = field(
-        None, f"Input that will not be measured, of {UNKNOWN_INPUT}.", only_with=({"method": [UNKNOWN_INPUT]},)
+        None,
+        f"Input that will not be measured, of {UNKNOWN_INPUT}.",
+        only_with=({"method": [UNKNOWN_INPUT]},),
     )
-    gamma: float = field(0.1, "Largest gain from model error and noise to the residual, γ.", gt=0, le=1e6)
+    gamma: float = field(
+        0.1, "Largest gain from model error and noise to the residual, γ.", gt=0, le=1e6
+    )
 
 
 class RunResidual(Question):
@@ -38,22 +44,30 @@ class RunResidual(Question):
     threshold: str = field("posterior", "Kind of threshold.", choices=get_args(ThresholdKind))
     false_alarms_per_day: float = field(
         1.0,
-        "Number of false alarms a day that is accepted, for the posterior and the calibrated threshold.",
+        "Number of false alarms a day that is accepted, for the posterior and the calibrated"
+        " threshold.",
         only_with=({"threshold": ["posterior", "calibrated"]},),
         gt=0,
         le=86400,
     )
     evaluation: str | None = field(
         None,
-        "How the residual is evaluated. Default: glr (likelihood ratio over windows); point for source and peak.",
+        "How the residual is evaluated. Default: glr (likelihood ratio over windows); point for"
+        " source and peak.",
         choices=get_args(EvaluationName),
     )
     noise_bound: float | None = field(
-        None, "Largest noise, for source and peak [output unit].", only_with=({"threshold": ["source", "peak"]},), gt=0, le=1e300
+        None,
+        "Largest noise, for source and peak [output unit].",
+        only_with=({"threshold": ["source", "peak"]},),
+        gt=0,
+        le=1e300,
     )
 
 
-def residual_for(model: IdentifiedModel, healthy: Sequence[Record], asked: DesignResidual) -> ResidualDesign:
+def residual_for(
+    model: IdentifiedModel, healthy: Sequence[Record], asked: DesignResidual
+) -> ResidualDesign:
     """The design for a model of one input and one output.
 
     Raises
@@ -64,6 +78,10 @@ def residual_for(model: IdentifiedModel, healthy: Sequence[Record], asked: Desig
     if asked.unknown_input or asked.method == UNKNOWN_INPUT:
         where = "method" if asked.method == UNKNOWN_INPUT else "unknown_input"
         setting = repr(asked.method if where == "method" else asked.unknown_input)
-        raise BadInput(setting, where, "needs a model with several outputs, by `residuum identify` with --output repeated")
+        raise BadInput(
+            setting,
+            where,
+            "needs a model with several outputs, by `residuum identify` with --output repeated",
+        )
     chosen = asked.model_dump(include={"fault", "gamma", "method"})
     return design_residual(model, weight_for(model, asked).weight, healthy, **chosen)

@@ -18,33 +18,45 @@ class WeightQuestion(Question):
 
     epsilon: float = field(
         0.05,
-        "Error ε that an estimated share of models may have. A smaller one draws more models, (2.24).",
+        "Error ε that an estimated share of models may have. A smaller one draws more models,"
+        " (2.24).",
         ge=0.005,
         le=0.5,
     )
     zeta: float = field(
-        0.05, "Probability ζ that the error is larger than ε. A smaller one draws more models, (2.24).", ge=1e-6, le=0.5
+        0.05,
+        "Probability ζ that the error is larger than ε. A smaller one draws more models, (2.24).",
+        ge=1e-6,
+        le=0.5,
     )
     rule: str = field(
         "chernoff",
-        "What ε and ζ hold for: a share of the models (chernoff), or the worst of them (worst-case).",
+        "What ε and ζ hold for: a share of the models (chernoff), or the worst of them"
+        " (worst-case).",
         choices=SAMPLE_SIZE_RULES,
     )
     weight_order: int = field(WEIGHT_ORDER, "Order of the fitted weight W_T.", ge=0, le=20)
     points: int | None = field(
-        None, "Frequencies that the grid begins with, logarithmic up to π/Ts; it is refined anyway.", ge=2, le=5000
+        None,
+        "Frequencies that the grid begins with, logarithmic up to π/Ts; it is refined anyway.",
+        ge=2,
+        le=5000,
     )
     lowest: float | None = field(None, "Lowest frequency of the grid [rad/s].", gt=0, le=1e12)
 
 
 class Uncertainty(WeightQuestion):
-    """How far the models that an identified model's distribution allows lie from it, at every frequency."""
+    """How far the models that an identified model's distribution allows lie from it, at every
+    frequency.
+    """
 
     form: str = field("multiplicative", "Form of the error that is bounded.", choices=FORMS)
     seed: int = field(0, "Seed of the random models.", ge=0, le=2**32 - 1)
 
 
-def weight_for(model: IdentifiedModel, asked: WeightQuestion, form: str = "multiplicative", seed: int = 0) -> UncertaintyWeight:
+def weight_for(
+    model: IdentifiedModel, asked: WeightQuestion, form: str = "multiplicative", seed: int = 0
+) -> UncertaintyWeight:
     """The weight of a model.
 
     Raises

@@ -30,7 +30,9 @@ class ControllerStructure(ABC):
 
     def __init__(self, sample_time: float) -> None:
         if not sample_time > 0:
-            raise BadInput(f"controller {self.name!r}, sample_time: {sample_time!r}; must be positive")
+            raise BadInput(
+                f"controller {self.name!r}, sample_time: {sample_time!r}; must be positive"
+            )
         self.sample_time = sample_time
 
     @abstractmethod
@@ -51,10 +53,14 @@ class ControllerStructure(ABC):
 
     @abstractmethod
     def starts(self, gain: float, time_constant: float) -> list[FloatArray]:
-        """First values for a plant of static gain `gain` whose response takes about `time_constant` [s]."""
+        """First values for a plant of static gain `gain` whose response takes about `time_constant`
+        [s].
+        """
 
     def sizes(self, gain: float, time_constant: float) -> FloatArray:
-        """How large each parameter typically is for such a plant; ρ mixes units, so a search must not compare them."""
+        """How large each parameter typically is for such a plant; ρ mixes units, so a search must
+        not compare them.
+        """
         sizes = np.abs(self.starts(gain, time_constant)).max(axis=0)
         return np.where(sizes > 0, sizes, 1.0)
 
@@ -81,13 +87,20 @@ class PI(ControllerStructure):
 
     def starts(self, gain: float, time_constant: float) -> list[FloatArray]:
         """Slow to brisk integral action."""
-        return [np.array([p / gain, i / gain / time_constant]) for p, i in ((0.0, 0.02), (0.05, 0.2), (0.3, 1.0))]
+        return [
+            np.array([p / gain, i / gain / time_constant])
+            for p, i in ((0.0, 0.02), (0.05, 0.2), (0.3, 1.0))
+        ]
 
 
 class PID(ControllerStructure):
     """Proportional, integral and unfiltered derivative by the backward difference."""
 
-    name, equation, names = "pid", "k_p + k_i Ts/(z − 1) + k_d (z − 1)/(Ts z)", ("k_p", "k_i", "k_d")
+    name, equation, names = (
+        "pid",
+        "k_p + k_i Ts/(z − 1) + k_d (z − 1)/(Ts z)",
+        ("k_p", "k_i", "k_d"),
+    )
 
     def response(self, rho: FloatArray, z: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
         """(K, ∂K/∂ρ)."""
@@ -109,7 +122,11 @@ class PID(ControllerStructure):
     def starts(self, gain: float, time_constant: float) -> list[FloatArray]:
         """The PI starts with no and with some derivative action."""
         lead = 0.1 * abs(max(0.1 * time_constant, self.sample_time) / gain)
-        return [np.r_[pair, d] for pair in PI(self.sample_time).starts(gain, time_constant) for d in (0.0, lead)]
+        return [
+            np.r_[pair, d]
+            for pair in PI(self.sample_time).starts(gain, time_constant)
+            for d in (0.0, lead)
+        ]
 
 
 class PIDN(ControllerStructure):
@@ -132,22 +149,39 @@ class PIDN(ControllerStructure):
 
     def polynomials(self, rho: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(numerator, denominator): (z − 1)(z − p) below, p = 1 − Ts/N_d."""
-        kp, ki, kd, p = rho[0], rho[1] * self.sample_time, rho[2] / rho[3], 1.0 - self.sample_time / rho[3]
+        kp, ki, kd, p = (
+            rho[0],
+            rho[1] * self.sample_time,
+            rho[2] / rho[3],
+            1.0 - self.sample_time / rho[3],
+        )
         num = np.array([kp + kd, ki - kp * (1.0 + p) - 2.0 * kd, (kp - ki) * p + kd])
         return num, np.array([1.0, -1.0 - p, p])
 
     def bounds(self) -> list[tuple[float | None, float | None]]:
-        """N_d > Ts/2 keeps the pole 1 − Ts/N_d of the derivative's filter inside the unit circle."""
-        return [(None, None), (None, None), (None, None), (0.55 * self.sample_time, 1e4 * self.sample_time)]
+        """N_d > Ts/2 keeps the pole 1 − Ts/N_d of the derivative's filter inside the unit
+        circle.
+        """
+        return [
+            (None, None),
+            (None, None),
+            (None, None),
+            (0.55 * self.sample_time, 1e4 * self.sample_time),
+        ]
 
     def starts(self, gain: float, time_constant: float) -> list[FloatArray]:
-        """The PI starts with no and with some derivative action, a zero on the plant's pole at two crossovers, and integrators
-        rolled off: k_i/(s(1 + N_d s)).
+        """The PI starts with no and with some derivative action, a zero on the plant's pole at two
+        crossovers, and integrators rolled off: k_i/(s(1 + N_d s)).
         """
         filters = max(0.1 * time_constant, self.sample_time)
         pairs = PI(self.sample_time).starts(gain, time_constant)
-        candidates = [np.r_[pair, d * abs(filters / gain), filters] for pair in pairs for d in (0.0, 0.1)]
-        candidates += [np.array([loop / gain, loop / gain / time_constant, 0.0, filters]) for loop in (2.0, 10.0)]
+        candidates = [
+            np.r_[pair, d * abs(filters / gain), filters] for pair in pairs for d in (0.0, 0.1)
+        ]
+        candidates += [
+            np.array([loop / gain, loop / gain / time_constant, 0.0, filters])
+            for loop in (2.0, 10.0)
+        ]
         for _, ki in pairs:
             lag = max(0.3 / abs(ki * gain), self.sample_time)
             candidates.append(np.array([-ki * lag, ki, ki * lag**2, lag]))
@@ -177,7 +211,11 @@ class LeadLag(ControllerStructure):
     def starts(self, gain: float, time_constant: float) -> list[FloatArray]:
         """Proportional control with a slow lag, and with a fast lead."""
         slow = np.exp(-self.sample_time / time_constant)
-        return [np.array([size / gain, c, p]) for size in (0.1, 1.0) for c, p in ((slow**3, slow), (slow, slow**5))]
+        return [
+            np.array([size / gain, c, p])
+            for size in (0.1, 1.0)
+            for c, p in ((slow**3, slow), (slow, slow**5))
+        ]
 
 
 class Rational(ControllerStructure):
@@ -193,16 +231,28 @@ class Rational(ControllerStructure):
 
     name, equation = "rational", "(b₀ zᵏ + …)/((z − 1)(zᵐ + a₁ zᵐ⁻¹ + …))"
 
-    def __init__(self, sample_time: float, *, order: int = 2, numerator: int | None = None, integrator: bool = True) -> None:
+    def __init__(
+        self,
+        sample_time: float,
+        *,
+        order: int = 2,
+        numerator: int | None = None,
+        integrator: bool = True,
+    ) -> None:
         super().__init__(sample_time)
         degree = order if numerator is None else numerator
         if not 1 <= order <= 20:
             raise BadInput(f"controller 'rational', order: is {order}; must be from 1 to 20")
         if not 0 <= degree <= order:
-            raise BadInput(f"controller 'rational', numerator: is {degree}; must be from 0 to the order, {order}")
+            raise BadInput(
+                f"controller 'rational', numerator: is {degree}; must be from 0 to the order,"
+                f" {order}"
+            )
         self.integrator = integrator
         self.above, self.below = degree + 1, order - int(integrator)
-        self.names = tuple([f"b_{k}" for k in range(self.above)] + [f"a_{k + 1}" for k in range(self.below)])
+        self.names = tuple(
+            [f"b_{k}" for k in range(self.above)] + [f"a_{k + 1}" for k in range(self.below)]
+        )
 
     def response(self, rho: FloatArray, z: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
         """(K, ∂K/∂ρ)."""
@@ -224,18 +274,28 @@ class Rational(ControllerStructure):
         return [(None, None)] * len(self.names)
 
     def starts(self, gain: float, time_constant: float) -> list[FloatArray]:
-        """PI controllers written in this form, the other poles at zero; integrators alone when the numerator is a constant."""
+        """PI controllers written in this form, the other poles at zero; integrators alone when the
+        numerator is a constant.
+        """
         candidates = []
         for kp, ki in PI(self.sample_time).starts(gain, time_constant):
-            leading = (kp, ki * self.sample_time - kp) if self.integrator else (kp + ki * time_constant, 0.0)
+            leading = (
+                (kp, ki * self.sample_time - kp)
+                if self.integrator
+                else (kp + ki * time_constant, 0.0)
+            )
             rho = np.zeros(len(self.names))
             rho[: min(2, self.above)] = leading if self.above > 1 else sum(leading)
             candidates.append(rho)
         return candidates
 
     def sizes(self, gain: float, time_constant: float) -> FloatArray:
-        """The largest numerator coefficient of the starts for all of them, 1 for the denominator's."""
-        return np.r_[np.full(self.above, np.abs(self.starts(gain, time_constant)).max()), np.ones(self.below)]
+        """The largest numerator coefficient of the starts for all of them, 1 for the
+        denominator's.
+        """
+        return np.r_[
+            np.full(self.above, np.abs(self.starts(gain, time_constant)).max()), np.ones(self.below)
+        ]
 
 
 # Pareto front of two wishes when asking less of the second one always stays feasible.
@@ -259,9 +319,9 @@ def bisected_front(
 ) -> list[Point[Design]]:
     """The front over a grid of two wishes, each ordered from modest to ambitious.
 
-    For each value of the first wish the most ambitious second one is found by bisection, about log₂(len(seconds)) designs;
-    dominated points are then left out. `meets(first, second, warm)` gives a design or None; `warm` is a design that
-    met a neighbouring pair.
+    For each value of the first wish the most ambitious second one is found by bisection, about
+    log₂(len(seconds)) designs; dominated points are then left out. `meets(first, second, warm)`
+    gives a design or None; `warm` is a design that met a neighbouring pair.
 
     >>> found = bisected_front([1, 2, 3], [1, 2, 3, 4], lambda a, b, _: (a, b) if a * b <= 4 else None)
     >>> [(point.first, point.second) for point in found]
@@ -282,13 +342,21 @@ def bisected_front(
                 low = middle + 1
         if best is not None:
             front.append((best[0], Point(first, seconds[best[0]], best[1])))
-    return [point for k, (rank, point) in enumerate(front) if all(later < rank for later, _ in front[k + 1 :])]
+    return [
+        point
+        for k, (rank, point) in enumerate(front)
+        if all(later < rank for later, _ in front[k + 1 :])
+    ]
 
 
 def preferred(
-    front: Sequence[Point[Design]], ideal: tuple[float, float], span: tuple[float, float], only: int | None
+    front: Sequence[Point[Design]],
+    ideal: tuple[float, float],
+    span: tuple[float, float],
+    only: int | None,
 ) -> Point[Design]:
-    """The nearest point, or the best in one wish alone and, among equals, in the other: the single-objective form of Remark 2.7.
+    """The nearest point, or the best in one wish alone and, among equals, in the other: the
+    single-objective form of Remark 2.7.
 
     Parameters
     ----------
@@ -298,18 +366,25 @@ def preferred(
     if only is None:
         return closest(front, ideal, span)
     values = [(point.first, point.second) for point in front]
-    distances = [tuple(abs(value[k] - ideal[k]) / span[k] for k in (only, 1 - only)) for value in values]
+    distances = [
+        tuple(abs(value[k] - ideal[k]) / span[k] for k in (only, 1 - only)) for value in values
+    ]
     return front[min(range(len(front)), key=distances.__getitem__)]
 
 
-def closest(front: Sequence[Point[Design]], ideal: tuple[float, float], span: tuple[float, float]) -> Point[Design]:
+def closest(
+    front: Sequence[Point[Design]], ideal: tuple[float, float], span: tuple[float, float]
+) -> Point[Design]:
     """The point nearest to the ideal pair, each wish measured in its span."""
-    distances = [np.hypot((p.first - ideal[0]) / span[0], (p.second - ideal[1]) / span[1]) for p in front]
+    distances = [
+        np.hypot((p.first - ideal[0]) / span[0], (p.second - ideal[1]) / span[1]) for p in front
+    ]
     return front[int(np.argmin(distances))]
 
 
 class Constrained(ControllerStructure):
-    """K(z, ρ) of another structure whose parameters are partly fixed or limited; ρ holds the free ones only.
+    """K(z, ρ) of another structure whose parameters are partly fixed or limited; ρ holds the free
+    ones only.
 
     Parameters
     ----------
@@ -317,12 +392,14 @@ class Constrained(ControllerStructure):
     fixed : mapping
         Name → value.
     within : mapping
-        Name → (lower, upper), infinite where there is none; narrower than the structure's own bounds or equal.
+        Name → (lower, upper), infinite where there is none; narrower than the structure's own
+        bounds or equal.
 
     Raises
     ------
     BadInput
-        Unknown name, nothing left free, lower not below upper, a value outside the structure's bounds.
+        Unknown name, nothing left free, lower not below upper, a value outside the structure's
+        bounds.
 
     Examples
     --------
@@ -344,11 +421,14 @@ class Constrained(ControllerStructure):
         self.name, self.equation = structure.name, structure.equation  # type: ignore[misc]  # those of the whole
         if unknown := [name for name in (*self.fixed, *self.within) if name not in structure.names]:
             raise BadInput(
-                f"controller {self.name!r}: has no parameter {unknown[0]!r}; {known_names(unknown[0], structure.names, 'it has')}"
+                f"controller {self.name!r}: has no parameter {unknown[0]!r};"
+                f" {known_names(unknown[0], structure.names, 'it has')}"
             )
         self.free = np.array([name not in self.fixed for name in structure.names])
         if not self.free.any():
-            raise BadInput(f"controller {self.name!r}: every parameter is fixed; at least one must be free")
+            raise BadInput(
+                f"controller {self.name!r}: every parameter is fixed; at least one must be free"
+            )
         self.names = tuple(name for name in structure.names if name not in self.fixed)
         self._whole = np.array([self.fixed.get(name, 0.0) for name in structure.names], dtype=float)
         self._bounds = [
@@ -379,7 +459,9 @@ class Constrained(ControllerStructure):
         """The structure's own first values, moved to the nearest value allowed."""
         low = np.array([-np.inf if bound[0] is None else bound[0] for bound in self.bounds()])
         high = np.array([np.inf if bound[1] is None else bound[1] for bound in self.bounds()])
-        return [np.clip(rho[self.free], low, high) for rho in self.structure.starts(gain, time_constant)]
+        return [
+            np.clip(rho[self.free], low, high) for rho in self.structure.starts(gain, time_constant)
+        ]
 
     def sizes(self, gain: float, time_constant: float) -> FloatArray:
         """Of the free parameters."""
@@ -396,9 +478,15 @@ def _narrowed(
     low = -math.inf if own[0] is None else own[0]
     high = math.inf if own[1] is None else own[1]
     if value is not None and not (low <= value <= high and math.isfinite(value)):
-        raise BadInput(f"controller {controller!r}, {name}: is fixed at {value:g}; must lie within [{low:g}, {high:g}]")
+        raise BadInput(
+            f"controller {controller!r}, {name}: is fixed at {value:g}; must lie within [{low:g},"
+            f" {high:g}]"
+        )
     if limits is not None:
         low, high = max(low, limits[0]), min(high, limits[1])
         if not low < high:
-            raise BadInput(f"controller {controller!r}, {name}: limits leave [{low:g}, {high:g}]; lower must be below upper")
+            raise BadInput(
+                f"controller {controller!r}, {name}: limits leave [{low:g}, {high:g}]; lower must"
+                " be below upper"
+            )
     return (None if math.isinf(low) else low, None if math.isinf(high) else high)

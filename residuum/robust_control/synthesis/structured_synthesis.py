@@ -1,4 +1,6 @@
-"""Fixed-structure mixed-sensitivity synthesis: the controller of a given structure with the smallest peak cost."""
+"""Fixed-structure mixed-sensitivity synthesis: the controller of a given structure with the
+smallest peak cost.
+"""
 
 from __future__ import annotations
 
@@ -26,11 +28,12 @@ _SMALLEST_PIVOT = 1e-12
 def minimax_step(
     c: FloatArray, A: FloatArray, H: FloatArray, low: FloatArray, high: FloatArray
 ) -> tuple[FloatArray, FloatArray, float]:
-    r"""(d, λ, t): :math:`\min_{d,t} t + \tfrac12 t^2 + \tfrac12 d^T H d` with :math:`c_i + a_i^T d \le t`, low ≤ d ≤ high.
+    r"""(d, λ, t): :math:`\min_{d,t} t + \tfrac12 t^2 + \tfrac12 d^T H d` with :math:`c_i + a_i^T d
+    \le t`, low ≤ d ≤ high.
 
-    The problem is one of least distance from (0, −1) in the coordinates (Lᵀd, t), H = L Lᵀ, which non-negative least squares
-    solves exactly in as many steps as constraints become active. The term ½t² makes it one; near the solution, where
-    t → 0, it has no weight.
+    The problem is one of least distance from (0, −1) in the coordinates (Lᵀd, t), H = L Lᵀ, which
+    non-negative least squares solves exactly in as many steps as constraints become active. The
+    term ½t² makes it one; near the solution, where t → 0, it has no weight.
 
     Parameters
     ----------
@@ -44,7 +47,8 @@ def minimax_step(
     Returns
     -------
     d, λ, t : array (n,), array (m,), float
-        The step, the multipliers of the functions (their sum is 1 + t), and the largest linear model at the step.
+        The step, the multipliers of the functions (their sum is 1 + t), and the largest linear
+        model at the step.
 
     References
     ----------
@@ -68,7 +72,9 @@ def minimax_step(
     target[n + 1] = 1.0
     try:
         u, _ = nnls(E, target)
-    except RuntimeError:  # went round in circles between all but equal sets: no step, and the descent ends here
+    except (
+        RuntimeError
+    ):  # went round in circles between all but equal sets: no step, and the descent ends here
         u = np.zeros(m + 2 * n)
     residual = E @ u - target
     d = np.clip(-inverse.T @ residual[:n] / residual[n + 1], low, high)
@@ -77,7 +83,9 @@ def minimax_step(
 
 @njit(error_model="numpy")
 def _lower_factor(H):  # type: ignore[no-untyped-def]  # compiled
-    """Cholesky's L; a pivot that rounding made vanish is held at 10⁻¹² of its diagonal, so that H may be all but singular."""
+    """Cholesky's L; a pivot that rounding made vanish is held at 10⁻¹² of its diagonal, so that H
+    may be all but singular.
+    """
     n = len(H)
     L = np.zeros((n, n))
     for j in range(n):
@@ -123,12 +131,14 @@ class _Trial:
 
 
 class Descent:
-    r"""Sequential quadratic programming on :math:`\min_\rho \max_k \ln c_k(\rho)` in a box that grows and shrinks.
+    r"""Sequential quadratic programming on :math:`\min_\rho \max_k \ln c_k(\rho)` in a box that
+    grows and shrinks.
 
-    Only peaks of the cost along frequency are looked at (the working set); peaks that appear join it. The curvature of the
-    Lagrangian is learnt (damped BFGS). A step that gains less than half of what the linear models promised is computed again
-    from models bent to the values found at its end (second-order correction), and a step to a controller that does not
-    stabilise every plant is not taken.
+    Only peaks of the cost along frequency are looked at (the working set); peaks that appear join
+    it. The curvature of the Lagrangian is learnt (damped BFGS). A step that gains less than half of
+    what the linear models promised is computed again from models bent to the values found at its
+    end (second-order correction), and a step to a controller that does not stabilise every plant is
+    not taken.
 
     Attributes
     ----------
@@ -142,7 +152,14 @@ class Descent:
     J. Nocedal, S. Wright, *Numerical Optimization*, 2nd ed., chapter 18 (SQP, second-order correction, damped BFGS).
     """
 
-    def __init__(self, loop: Loop, weights: Weights, structure: ControllerStructure, rho: FloatArray, sizes: FloatArray) -> None:
+    def __init__(
+        self,
+        loop: Loop,
+        weights: Weights,
+        structure: ControllerStructure,
+        rho: FloatArray,
+        sizes: FloatArray,
+    ) -> None:
         self.loop, self.weights, self.structure = loop, weights, structure
         self.sizes = sizes
         self.scale = np.maximum(np.abs(rho), 0.3 * sizes)
@@ -151,7 +168,9 @@ class Descent:
         self.working = _peaks(self.here.log_cost, self.here.peak)
         self.multipliers = np.zeros(loop.G.shape)
         self.curvature = 0.01 * np.eye(len(rho))
-        self.last: tuple[FloatArray, FloatArray] | None = None  # step, slope of the Lagrangian before it
+        self.last: tuple[FloatArray, FloatArray] | None = (
+            None  # step, slope of the Lagrangian before it
+        )
         self.radius = 1.0
         self.finished = False
 
@@ -172,12 +191,16 @@ class Descent:
             self.last = None
         reach = self.radius * np.maximum(1.0, np.abs(current.rho) / self.scale)
         low, high = self._box(reach)
-        d, multipliers, predicted = minimax_step(values - current.peak, slopes, self.curvature, low, high)
+        d, multipliers, predicted = minimax_step(
+            values - current.peak, slopes, self.curvature, low, high
+        )
         if predicted > -_SAME:
             self.finished = True
             return
         trial, gained = self._try(d, predicted)
-        if gained < 0.5:  # bend the models to what was found at the end of the step, and solve again
+        if (
+            gained < 0.5
+        ):  # bend the models to what was found at the end of the step, and solve again
             bent = trial.log_cost[at] - slopes @ d - current.peak
             again, weights, _ = minimax_step(bent - bent.max(), slopes, self.curvature, low, high)
             second, improved = self._try(again, predicted)
@@ -188,13 +211,19 @@ class Descent:
             self.last = (d, multipliers @ slopes)
             self.here = trial
             self.working &= (trial.log_cost > trial.peak - _IDLE) | (self.multipliers > 0.0)
-            self.radius = min(1.0, 2.5 * self.radius) if gained > 0.6 else self.radius * (0.5 if gained < 0.2 else 1.0)
+            self.radius = (
+                min(1.0, 2.5 * self.radius)
+                if gained > 0.6
+                else self.radius * (0.5 if gained < 0.2 else 1.0)
+            )
             return
         self.radius = 0.5 * min(self.radius, float(np.abs(d / reach).max()))
         self.finished = self.radius < _SMALLEST
 
     def _try(self, d: FloatArray, predicted: float) -> tuple[_Trial, float]:
-        """(what stands at the end of a step, gain relative to the predicted one); minus infinity where a loop is unstable."""
+        """(what stands at the end of a step, gain relative to the predicted one); minus infinity
+        where a loop is unstable.
+        """
         trial = _trial(self.loop, self.weights, self.structure, self.here.rho + self.scale * d)
         self.working |= _peaks(trial.log_cost, trial.peak)
         gained = (self.here.peak - trial.peak) / -predicted
@@ -232,12 +261,16 @@ def _updated(curvature: FloatArray, step: FloatArray, change: FloatArray) -> Flo
     along, s_y = float(step @ bent), float(step @ change)
     share = 1.0 if s_y >= 0.2 * along else 0.8 * along / (along - s_y)
     change = share * change + (1.0 - share) * bent
-    updated = curvature - np.outer(bent, bent) / along + np.outer(change, change) / float(step @ change)
+    updated = (
+        curvature - np.outer(bent, bent) / along + np.outer(change, change) / float(step @ change)
+    )
     return np.asarray(updated + 1e-6 * np.eye(len(step)))
 
 
 def _peaks(log_cost: FloatArray, highest: float) -> npt.NDArray[np.bool_]:
-    """Local maxima along frequency within 20 % of the highest, with their neighbours, and the ends."""
+    """Local maxima along frequency within 20 % of the highest, with their neighbours, and the
+    ends.
+    """
     local = log_cost > highest - 0.22
     local[:, 1:] &= log_cost[:, 1:] >= log_cost[:, :-1]
     local[:, :-1] &= log_cost[:, :-1] >= log_cost[:, 1:]
@@ -254,12 +287,16 @@ _CROSSINGS, _DESCENTS, _EVALUATIONS = 12, 6, 300
 _INSIDE = 1.0 - 1e-9
 
 
-def stabilising_starts(loop: Loop, structure: ControllerStructure) -> list[tuple[FloatArray, FloatArray]]:
-    """Values that stabilise every plant, each with the typical sizes of the parameters; empty when none is found.
+def stabilising_starts(
+    loop: Loop, structure: ControllerStructure
+) -> list[tuple[FloatArray, FloatArray]]:
+    """Values that stabilise every plant, each with the typical sizes of the parameters; empty when
+    none is found.
 
-    The structure's starts are scaled to cross over at frequencies spread over the grid, with both signs of the gain, and the
-    largest modulus of the closed-loop poles is lowered from the best of them by simplex search, a bounded number of times.
-    Plants that are measured only have no poles to move: for them the list is empty.
+    The structure's starts are scaled to cross over at frequencies spread over the grid, with both
+    signs of the gain, and the largest modulus of the closed-loop poles is lowered from the best of
+    them by simplex search, a bounded number of times. Plants that are measured only have no poles
+    to move: for them the list is empty.
 
     Notes
     -----
@@ -271,10 +308,19 @@ def stabilising_starts(loop: Loop, structure: ControllerStructure) -> list[tuple
 
     def radius(rho: FloatArray) -> float:
         controller = structure.transfer_function(rho)
-        return float(max(np.abs(np.roots(characteristic(plant, controller))).max(initial=0.0) for plant in plants))
+        return float(
+            max(
+                np.abs(np.roots(characteristic(plant, controller))).max(initial=0.0)
+                for plant in plants
+            )
+        )
 
     low, high = _box(structure)
-    scaled = [(np.clip(rho, low, high), sizes) for k in _crossings(loop) for rho, sizes in _scaled(loop, structure, k)]
+    scaled = [
+        (np.clip(rho, low, high), sizes)
+        for k in _crossings(loop)
+        for rho, sizes in _scaled(loop, structure, k)
+    ]
     ranked = sorted((radius(rho), n) for n, (rho, _) in enumerate(scaled))
     if stable := [scaled[n] for modulus, n in ranked if modulus < _INSIDE]:
         return stable
@@ -284,13 +330,21 @@ def stabilising_starts(loop: Loop, structure: ControllerStructure) -> list[tuple
 
 def _box(structure: ControllerStructure) -> tuple[FloatArray, FloatArray]:
     low = [-np.inf if least is None else least for least, _ in structure.bounds()]
-    return np.array(low), np.array([np.inf if most is None else most for _, most in structure.bounds()])
+    return np.array(low), np.array(
+        [np.inf if most is None else most for _, most in structure.bounds()]
+    )
 
 
 def _lowered(
-    radius: Callable[[FloatArray], float], rho: FloatArray, sizes: FloatArray, low: FloatArray, high: FloatArray
+    radius: Callable[[FloatArray], float],
+    rho: FloatArray,
+    sizes: FloatArray,
+    low: FloatArray,
+    high: FloatArray,
 ) -> tuple[FloatArray, FloatArray] | None:
-    """The values that a simplex search from `rho` ends at, within the bounds; None where these do not stabilise either."""
+    """The values that a simplex search from `rho` ends at, within the bounds; None where these do
+    not stabilise either.
+    """
     simplex = np.vstack([np.zeros(len(rho)), 0.5 * np.eye(len(rho))])
     least = minimize(
         lambda x: radius(np.clip(rho + sizes * x, low, high)),
@@ -303,11 +357,17 @@ def _lowered(
 
 def _crossings(loop: Loop) -> npt.NDArray[np.intp]:
     top = np.searchsorted(loop.omega, 0.7 * loop.omega[-1])
-    wanted = np.geomspace(max(loop.omega[0], 1e-4 * loop.omega[-1]), loop.omega[min(top, len(loop.omega) - 1)], _CROSSINGS)
+    wanted = np.geomspace(
+        max(loop.omega[0], 1e-4 * loop.omega[-1]),
+        loop.omega[min(top, len(loop.omega) - 1)],
+        _CROSSINGS,
+    )
     return np.unique(np.minimum(np.searchsorted(loop.omega, wanted), len(loop.omega) - 1))
 
 
-def _scaled(loop: Loop, structure: ControllerStructure, k: int) -> list[tuple[FloatArray, FloatArray]]:
+def _scaled(
+    loop: Loop, structure: ControllerStructure, k: int
+) -> list[tuple[FloatArray, FloatArray]]:
     """(values, sizes) for a crossover at the grid's frequency k, both signs."""
     gain = float(np.abs(loop.G[:, k]).mean())
     if gain == 0.0:
@@ -354,7 +414,9 @@ class Synthesis:
 
     @cached_property
     def stable(self) -> bool:
-        """From the closed-loop roots; computed when asked for, since most designs of a search are dropped for their cost."""
+        """From the closed-loop roots; computed when asked for, since most designs of a search are
+        dropped for their cost.
+        """
         return self.loop.is_certainly_stable(self.controller)
 
 
@@ -373,10 +435,11 @@ def synthesise(
 ) -> Synthesis:
     """Minimise the peak over plants and frequencies of the weighted cost.
 
-    min_ρ max_{G, ω} ‖[W_S S; W_T T; W_K K S]‖, written as min t subject to cost_k(ρ) ≤ t on a working set of peaks and solved by
-    sequential quadratic programming with exact gradients; peaks that appear join the set. A step that leaves
-    the set of stabilising controllers is cut back, which the cost itself demands, since S grows without bound at
-    its border. Peaks that stand between two frequencies of the grid are found on one 20 times finer and added, until both agree.
+    min_ρ max_{G, ω} ‖[W_S S; W_T T; W_K K S]‖, written as min t subject to cost_k(ρ) ≤ t on a
+    working set of peaks and solved by sequential quadratic programming with exact gradients; peaks
+    that appear join the set. A step that leaves the set of stabilising controllers is cut back,
+    which the cost itself demands, since S grows without bound at its border. Peaks that stand
+    between two frequencies of the grid are found on one 20 times finer and added, until both agree.
 
     Parameters
     ----------
@@ -404,22 +467,31 @@ def synthesise(
     P. Apkarian, D. Noll, *Nonsmooth H∞ synthesis*, IEEE Trans. Autom. Control 51 (2006).
     """
     sizes = structure.sizes(*loop.gain_and_time_constant)
-    first = [(rho, sizes) for rho in (starts if starts is not None else default_starts(loop, structure))]
-    usable = [(rho, sizes) for rho, sizes in first if loop.stabilised_by(*structure.polynomials(rho))]
+    first = [
+        (rho, sizes) for rho in (starts if starts is not None else default_starts(loop, structure))
+    ]
+    usable = [
+        (rho, sizes) for rho, sizes in first if loop.stabilised_by(*structure.polynomials(rho))
+    ]
     if starts is None and (not usable or not loop.plants_are_stable):
         if structure not in loop.stabilising:
             loop.stabilising[structure] = stabilising_starts(loop, structure)
         usable += loop.stabilising[structure]
     if not usable:
         raise NoStabilisingStart(
-            f"controller {structure.name!r}: none of {len(first)} first values stabilises the plant, nor any found by moving "
-            "the closed-loop poles inwards; take a structure with more freedom"
+            f"controller {structure.name!r}: none of {len(first)} first values stabilises the"
+            " plant, nor any found by moving the closed-loop poles inwards; take a structure with"
+            " more freedom"
         )
     descents = [Descent(loop, weights, structure, rho, sizes) for rho, sizes in usable]
     best = _search(_valleys(descents), target)
     for _ in range(_EXCHANGES):
         fine_cost = _fine_cost(loop, weights, structure, best.here.rho)
-        enough = np.exp(best.here.peak) * (1.0 + _GAP) if target is None else max(target, np.exp(best.here.peak) * (1.0 + _GAP))
+        enough = (
+            np.exp(best.here.peak) * (1.0 + _GAP)
+            if target is None
+            else max(target, np.exp(best.here.peak) * (1.0 + _GAP))
+        )
         if fine_cost.max() <= enough:
             break
         loop, weights = _with_peaks(loop, weights, fine_cost)
@@ -430,7 +502,8 @@ def synthesise(
 def _search(descents: list[Descent], target: float | None) -> Descent:
     """Every descent begins; those that are not left far behind by the best go on to the end.
 
-    Descents that come near to each other are not joined: two optima of one sign pattern can lie close, and differ by percents.
+    Descents that come near to each other are not joined: two optima of one sign pattern can lie
+    close, and differ by percents.
     """
     goal = -np.inf if target is None else float(np.log(target))
     for descent in descents:
@@ -447,7 +520,9 @@ def _search(descents: list[Descent], target: float | None) -> Descent:
 
 
 def _valleys(descents: list[Descent]) -> list[Descent]:
-    """The best start of each pattern of signs, four at most: starts of one pattern mostly end in the same valley."""
+    """The best start of each pattern of signs, four at most: starts of one pattern mostly end in
+    the same valley.
+    """
     best: dict[bytes, Descent] = {}
     for descent in sorted(descents, key=lambda descent: descent.here.peak):
         best.setdefault(np.sign(descent.here.rho).tobytes(), descent)
@@ -455,12 +530,16 @@ def _valleys(descents: list[Descent]) -> list[Descent]:
 
 
 def default_starts(loop: Loop, structure: ControllerStructure) -> list[FloatArray]:
-    """The structure's first values for the plants' static gain and response time, and for five times slower and faster ones."""
+    """The structure's first values for the plants' static gain and response time, and for five
+    times slower and faster ones.
+    """
     gain, slow = loop.gain_and_time_constant
     return [rho for scale in (1.0, 5.0, 0.2) for rho in structure.starts(gain, scale * slow)]
 
 
-def _result(loop: Loop, weights: Weights, structure: ControllerStructure, best: Descent) -> Synthesis:
+def _result(
+    loop: Loop, weights: Weights, structure: ControllerStructure, best: Descent
+) -> Synthesis:
     rho = best.here.rho
     controller = structure.transfer_function(rho)
     fine = _fine_cost(loop, weights, structure, rho)
@@ -469,7 +548,9 @@ def _result(loop: Loop, weights: Weights, structure: ControllerStructure, best: 
     return Synthesis(structure, rho, controller, cost, float(fine.max()), where, loop)
 
 
-def _fine_cost(loop: Loop, weights: Weights, structure: ControllerStructure, rho: FloatArray) -> FloatArray:
+def _fine_cost(
+    loop: Loop, weights: Weights, structure: ControllerStructure, rho: FloatArray
+) -> FloatArray:
     """The largest cost over the plants on the finer grid, shape (fine frequencies,)."""
     fine, position = loop.finer
     K = fine.controller_response(*structure.polynomials(rho))
@@ -479,7 +560,9 @@ def _fine_cost(loop: Loop, weights: Weights, structure: ControllerStructure, rho
 def _with_peaks(loop: Loop, weights: Weights, fine_cost: FloatArray) -> tuple[Loop, Weights]:
     """The grid with the finer grid's peaks added, so that the next design sees them."""
     inner = fine_cost[1:-1]
-    peaks = 1 + np.flatnonzero((inner >= fine_cost[:-2]) & (inner >= fine_cost[2:]) & (inner > 0.9 * fine_cost.max()))
+    peaks = 1 + np.flatnonzero(
+        (inner >= fine_cost[:-2]) & (inner >= fine_cost[2:]) & (inner > 0.9 * fine_cost.max())
+    )
     position = loop.finer[1]
     points = np.union1d(np.searchsorted(position, np.arange(len(loop.omega))), peaks)
     return loop.part_of_finer(points), weights.between(position[points])

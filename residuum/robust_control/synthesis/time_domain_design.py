@@ -1,12 +1,15 @@
-"""A controller whose overshoot and settling time hold in time, on the nominal loop and on drawn plants.
+"""A controller whose overshoot and settling time hold in time, on the nominal loop and on drawn
+plants.
 
-Algorithm 2 asks that |S| stay below |1 − T_d| up to a slack, of which overshoot and settling time do not follow: plants that
-are not of second order overshoot more and settle later than T_d. Here the two are constraints on the step responses themselves.
-Reference models of several bandwidths and dampings give first controllers; from the best of them a simplex search minimises
+Algorithm 2 asks that |S| stay below |1 − T_d| up to a slack, of which overshoot and settling time
+do not follow: plants that are not of second order overshoot more and settle later than T_d. Here
+the two are constraints on the step responses themselves. Reference models of several bandwidths and
+dampings give first controllers; from the best of them a simplex search minimises
 
     ℓ_q(ρ)   subject to   o_q(ρ) ≤ o,   ‖W_T T‖∞ < 1,
 
-ℓ_q and o_q the settling time and the overshoot that the nominal loop and a share q of the drawn plants stay below.
+ℓ_q and o_q the settling time and the overshoot that the nominal loop and a share q of the drawn
+plants stay below.
 """
 
 from __future__ import annotations
@@ -23,16 +26,28 @@ from residuum.identification.nelder_mead import nelder_mead
 from residuum.robust_control.certificates import Measured, StepResponse, measured
 from residuum.robust_control.loop import Loop, Weights
 from residuum.robust_control.synthesis.constrained_structure import ControllerStructure
-from residuum.robust_control.synthesis.structured_synthesis import NoStabilisingStart, Synthesis, synthesise
-from residuum.robust_control.weights.performance_weight import Infeasible, ReferenceModel, shortest_settling_time
+from residuum.robust_control.synthesis.structured_synthesis import (
+    NoStabilisingStart,
+    Synthesis,
+    synthesise,
+)
+from residuum.robust_control.weights.performance_weight import (
+    Infeasible,
+    ReferenceModel,
+    shortest_settling_time,
+)
 
 _SHARE_IN_DESIGN = 0.98
-"""Share of the plants in the search that must keep the limits, so that `TimeAim.share` of others do."""
+"""Share of the plants in the search that must keep the limits, so that `TimeAim.share` of others
+do.
+"""
 _DAMPINGS, _BANDWIDTHS = (1.0, 1e-2, 1e-4), 6
 _SEARCHES, _EVALUATIONS = 2, 250
 _FEW = 20
 _MARGINS = (0.97, 0.8, 0.6)
-"""Parts of the overshoot that the search aims at, one after the other, until plants that it has not seen keep the whole."""
+"""Parts of the overshoot that the search aims at, one after the other, until plants that it has not
+seen keep the whole.
+"""
 _CAUTION = 0.4
 """Part of the plants allowed to fail that may fail among those that the promise is read from."""
 _STIFF = 20.0
@@ -40,7 +55,9 @@ _STIFF = 20.0
 
 @dataclass(frozen=True)
 class TimeAim:
-    """Largest overshoot (0.01 = 1 %), longest settling time [s] into 2 %, and the share of drawn plants that must keep both."""
+    """Largest overshoot (0.01 = 1 %), longest settling time [s] into 2 %, and the share of drawn
+    plants that must keep both.
+    """
 
     overshoot: float
     settling_time: float
@@ -49,7 +66,9 @@ class TimeAim:
 
 @dataclass(frozen=True, eq=False)
 class TimeDesign:
-    """A controller, and the settling time [s] that the nominal loop and the aim's share of the drawn plants reach with it."""
+    """A controller, and the settling time [s] that the nominal loop and the aim's share of the
+    drawn plants reach with it.
+    """
 
     design: Synthesis
     settling_time: float
@@ -71,7 +90,8 @@ def design_in_time(
     loop : Loop
         The nominal plant alone.
     plants, others : sequences of TransferFunction
-        Drawn plants, in random order: those that the search follows, and those that the promise is read from.
+        Drawn plants, in random order: those that the search follows, and those that the promise is
+        read from.
     W_T : array, shape (k,)
         |Ŵ_T| on the loop's grid; ‖W_T T‖∞ < 1 is kept.
     critical_frequency : float
@@ -80,7 +100,8 @@ def design_in_time(
     Raises
     ------
     Infeasible
-        None was found; says what the nearest reaches. The search is local: it is no proof that there is none.
+        None was found; says what the nearest reaches. The search is local: it is no proof that
+        there is none.
     """
     nearest = (math.inf, math.inf, math.inf)
     starts: list[FloatArray] = []
@@ -88,27 +109,43 @@ def design_in_time(
         search = _Search(loop, plants, W_T, structure, aim, margin)
         best = search.best(starts or search.from_weights(critical_frequency))
         norm = search.norm(best)
-        steps = measured(search.nominal, held_out, structure.transfer_function(best), search.duration)
+        steps = measured(
+            search.nominal, held_out, structure.transfer_function(best), search.duration
+        )
         settling_time = _promised(steps, aim)
         if settling_time <= aim.settling_time and norm < 1.0:
-            design = Synthesis(structure, best, structure.transfer_function(best), norm, norm, search.worst_frequency(best), loop)
+            design = Synthesis(
+                structure,
+                best,
+                structure.transfer_function(best),
+                norm,
+                norm,
+                search.worst_frequency(best),
+                loop,
+            )
             return TimeDesign(design, settling_time)
         starts, nearest = [best], min(nearest, (*search.reached(best), norm))
     raise Infeasible(
-        f"aim in time: none was found that overshoots by at most {100 * aim.overshoot:.3g} % and settles within "
-        f"{aim.settling_time:.4g} s on the nominal loop and {100 * aim.share:g} % of the drawn plants; the nearest overshoots by "
-        f"{100 * nearest[0]:.3g} %, settles in {nearest[1]:.4g} s and has ‖W_T T‖∞ = {nearest[2]:.4g} (below 1 is allowed)"
+        f"aim in time: none was found that overshoots by at most {100 * aim.overshoot:.3g} % and"
+        f" settles within {aim.settling_time:.4g} s on the nominal loop and {100 * aim.share:g} %"
+        f" of the drawn plants; the nearest overshoots by {100 * nearest[0]:.3g} %, settles in"
+        f" {nearest[1]:.4g} s and has ‖W_T T‖∞ = {nearest[2]:.4g} (below 1 is allowed)"
     )
 
 
 def _promised(steps: Measured, aim: TimeAim) -> float:
-    """The settling time within which the nominal loop and enough of the plants settle, overshooting no more than asked."""
+    """The settling time within which the nominal loop and enough of the plants settle, overshooting
+    no more than asked.
+    """
 
     def within(step: StepResponse) -> float:
         return step.settling_time if step.overshoot <= aim.overshoot else math.inf
 
     share = 1.0 - _CAUTION * (1.0 - aim.share)
-    return max(within(steps.nominal), float(np.quantile([within(step) for step in steps.drawn], share, method="higher")))
+    return max(
+        within(steps.nominal),
+        float(np.quantile([within(step) for step in steps.drawn], share, method="higher")),
+    )
 
 
 class _Search:
@@ -123,7 +160,13 @@ class _Search:
         aim: TimeAim,
         margin: float,
     ) -> None:
-        self.loop, self.plants, self.W_T, self.structure, self.aim = loop, list(plants), W_T, structure, aim
+        self.loop, self.plants, self.W_T, self.structure, self.aim = (
+            loop,
+            list(plants),
+            W_T,
+            structure,
+            aim,
+        )
         self.margin, self.weights = margin, Weights(np.zeros(len(W_T)), W_T)
         self.duration = 1.5 * aim.settling_time
         self.nominal = next(plant for plant in loop.plants if isinstance(plant, TransferFunction))
@@ -132,16 +175,26 @@ class _Search:
         self.high = np.array([np.inf if high is None else high for _, high in bounds])
 
     def from_weights(self, critical_frequency: float) -> list[FloatArray]:
-        """Controllers by mixed sensitivity for reference models of several bandwidths and dampings."""
+        """Controllers by mixed sensitivity for reference models of several bandwidths and
+        dampings.
+        """
         rhos: list[FloatArray] = []
         for scale in _DAMPINGS:
             overshoot = scale * self.aim.overshoot
-            fastest = min(shortest_settling_time(overshoot, critical_frequency), 0.5 * self.aim.settling_time)
+            fastest = min(
+                shortest_settling_time(overshoot, critical_frequency), 0.5 * self.aim.settling_time
+            )
             for settling_time in np.geomspace(fastest, 2.0 * self.aim.settling_time, _BANDWIDTHS):
-                W_S = ReferenceModel(overshoot, float(settling_time)).weight_magnitude(self.loop.omega)
+                W_S = ReferenceModel(overshoot, float(settling_time)).weight_magnitude(
+                    self.loop.omega
+                )
                 starts = rhos[-1:] or None
                 try:
-                    rhos.append(synthesise(self.loop, Weights(W_S, self.W_T), self.structure, starts=starts).rho)
+                    rhos.append(
+                        synthesise(
+                            self.loop, Weights(W_S, self.W_T), self.structure, starts=starts
+                        ).rho
+                    )
                 except NoStabilisingStart:
                     break
         return rhos
@@ -152,13 +205,20 @@ class _Search:
         Raises Infeasible without a candidate.
         """
         if not candidates:
-            raise Infeasible(f"aim in time: no controller {self.structure.name!r} that stabilises the plant was found")
+            raise Infeasible(
+                f"aim in time: no controller {self.structure.name!r} that stabilises the plant was"
+                " found"
+            )
         ranked = sorted(candidates, key=lambda rho: self.merit(rho, _FEW))
-        minima = [nelder_mead(self.merit, self.simplex(rho), _EVALUATIONS) for rho in ranked[:_SEARCHES]]
+        minima = [
+            nelder_mead(self.merit, self.simplex(rho), _EVALUATIONS) for rho in ranked[:_SEARCHES]
+        ]
         return self.clipped(min(minima, key=self.merit))
 
     def simplex(self, rho: FloatArray) -> FloatArray:
-        """Corners about a controller: each parameter by a fifth of itself, at least by a fiftieth of its usual size."""
+        """Corners about a controller: each parameter by a fifth of itself, at least by a fiftieth
+        of its usual size.
+        """
         size = self.structure.sizes(*self.loop.gain_and_time_constant)
         return np.vstack([rho, rho + np.diag(np.maximum(0.2 * np.abs(rho), 0.02 * size))])
 
@@ -173,15 +233,23 @@ class _Search:
             return 1e6
         overshoot, settling_time = self.reached(rho, plants)
         norm = self.norm(rho)
-        late = settling_time / self.aim.settling_time if math.isfinite(settling_time) else 2.0 + self._error(rho)
+        late = (
+            settling_time / self.aim.settling_time
+            if math.isfinite(settling_time)
+            else 2.0 + self._error(rho)
+        )
         over = max(0.0, math.log(max(overshoot, 1e-12) / (self.margin * self.aim.overshoot)))
         return late + _STIFF * over + _STIFF * max(0.0, math.log(max(norm, 1e-12) / 0.999))
 
     def reached(self, rho: FloatArray, plants: int | None = None) -> tuple[float, float]:
-        """(overshoot, settling time) that the nominal loop and nearly all plants of the search stay below."""
+        """(overshoot, settling time) that the nominal loop and nearly all plants of the search stay
+        below.
+        """
         steps = self._measured(rho, plants)
         overshoot, settling_time = steps.reached_by(max(_SHARE_IN_DESIGN, self.aim.share))
-        return max(overshoot, steps.nominal.overshoot), max(settling_time, steps.nominal.settling_time)
+        return max(overshoot, steps.nominal.overshoot), max(
+            settling_time, steps.nominal.settling_time
+        )
 
     def norm(self, rho: FloatArray) -> float:
         """‖W_T T‖ on the finer grid."""
@@ -192,10 +260,14 @@ class _Search:
         return float(self.loop.finer[0].omega[int(np.argmax(self._cost(rho)))])
 
     def _measured(self, rho: FloatArray, plants: int | None = None) -> Measured:
-        return measured(self.nominal, self.plants[:plants], self.structure.transfer_function(rho), self.duration)
+        return measured(
+            self.nominal, self.plants[:plants], self.structure.transfer_function(rho), self.duration
+        )
 
     def _error(self, rho: FloatArray) -> float:
-        """Integral of the error over the time followed, for a loop that does not settle within it."""
+        """Integral of the error over the time followed, for a loop that does not settle within
+        it.
+        """
         steps = self._measured(rho, _FEW).drawn
         return float(np.median([step.integral_absolute_error for step in steps])) / self.duration
 

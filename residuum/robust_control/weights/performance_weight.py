@@ -15,7 +15,12 @@ from residuum.identification.linear_models.error_bounds.magnitude_fit import fit
 from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.nearest_names import known_names
 from residuum.robust_control.loop import Loop, Weights
-from residuum.robust_control.synthesis.constrained_structure import ControllerStructure, Point, bisected_front, preferred
+from residuum.robust_control.synthesis.constrained_structure import (
+    ControllerStructure,
+    Point,
+    bisected_front,
+    preferred,
+)
 from residuum.robust_control.synthesis.structured_synthesis import Synthesis, synthesise
 
 # The second-order reference model of a closed loop, and the performance weight that it implies.
@@ -45,9 +50,14 @@ class ReferenceModel:
 
     def __post_init__(self) -> None:
         if not 0 < self.overshoot < 1:
-            raise BadInput(f"ReferenceModel, overshoot: is {self.overshoot!r}; must lie between 0 and 1")
+            raise BadInput(
+                f"ReferenceModel, overshoot: is {self.overshoot!r}; must lie between 0 and 1"
+            )
         if not (math.isfinite(self.settling_time) and self.settling_time > 0):
-            raise BadInput(f"ReferenceModel, settling_time: is {self.settling_time!r}; must be a positive number of seconds")
+            raise BadInput(
+                f"ReferenceModel, settling_time: is {self.settling_time!r}; must be a positive"
+                " number of seconds"
+            )
 
     @property
     def damping(self) -> float:
@@ -70,12 +80,18 @@ class ReferenceModel:
         return TransferFunction(np.array([w * w]), np.array([1.0, 2 * self.damping * w, w * w]))
 
     def weight_magnitude(self, omega: npt.ArrayLike) -> FloatArray:
-        """|W_S(jω)| = |1 − T_d(jω)|⁻¹, (2.32); it grows without bound towards ω = 0, where a loop needs an integrator."""
-        return np.asarray(1.0 / np.abs(1.0 - self.transfer_function().frequency_response(omega)), dtype=float)
+        """|W_S(jω)| = |1 − T_d(jω)|⁻¹, (2.32); it grows without bound towards ω = 0, where a loop
+        needs an integrator.
+        """
+        return np.asarray(
+            1.0 / np.abs(1.0 - self.transfer_function().frequency_response(omega)), dtype=float
+        )
 
 
 def shortest_settling_time(overshoot: float, critical_frequency: float) -> float:
-    """ℓ_min [s]: the settling time whose reference model crosses 0 dB at `critical_frequency` [rad/s]; step 2 of Algorithm 2."""
+    """ℓ_min [s]: the settling time whose reference model crosses 0 dB at `critical_frequency`
+    [rad/s]; step 2 of Algorithm 2.
+    """
     damping = ReferenceModel(overshoot, 1.0).damping
     return 4.0 * _crossing(damping) / (damping * critical_frequency)
 
@@ -92,10 +108,12 @@ _WISHES = ("overshoot", "settling-time")
 
 @dataclass(frozen=True)
 class NominalAim:
-    """What the user asks: least overshoot that is worth having, longest settling time [s], slack γ of (2.35b).
+    """What the user asks: least overshoot that is worth having, longest settling time [s], slack γ
+    of (2.35b).
 
-    `overshoots` and `settling_times` are the grid's numbers; the step to the first infeasible settling time is then halved
-    `halvings` times. `only` = "overshoot" or "settling-time" lets that wish alone choose the point of the front (Remark 2.7).
+    `overshoots` and `settling_times` are the grid's numbers; the step to the first infeasible
+    settling time is then halved `halvings` times. `only` = "overshoot" or "settling-time" lets that
+    wish alone choose the point of the front (Remark 2.7).
 
     Raises BadInput outside 0 < o_min < 1, ℓ_max > 0, γ > 0, or for another wish.
     """
@@ -110,17 +128,24 @@ class NominalAim:
 
     def __post_init__(self) -> None:
         if self.only not in (None, *_WISHES):
-            raise BadInput(f"NominalAim, only: is {self.only!r}; {known_names(self.only, _WISHES, 'must be one of')}")
-        if not (0 < self.smallest_overshoot < 1 and self.longest_settling_time > 0 and self.slack > 0):
             raise BadInput(
-                f"NominalAim: o_min = {self.smallest_overshoot!r} must lie between 0 and 1, "
-                f"l_max = {self.longest_settling_time!r} and gamma = {self.slack!r} must be positive"
+                f"NominalAim, only: is {self.only!r};"
+                f" {known_names(self.only, _WISHES, 'must be one of')}"
+            )
+        if not (
+            0 < self.smallest_overshoot < 1 and self.longest_settling_time > 0 and self.slack > 0
+        ):
+            raise BadInput(
+                f"NominalAim: o_min = {self.smallest_overshoot!r} must lie between 0 and 1, l_max ="
+                f" {self.longest_settling_time!r} and gamma = {self.slack!r} must be positive"
             )
 
 
 @dataclass(frozen=True, eq=False)
 class NominalDesign:
-    """Result of Algorithm 2: Pareto front over (overshoot, settling time), the chosen point, its weight and controller."""
+    """Result of Algorithm 2: Pareto front over (overshoot, settling time), the chosen point, its
+    weight and controller.
+    """
 
     front: tuple[Point[Synthesis], ...]
     chosen: Point[Synthesis]
@@ -130,17 +155,26 @@ class NominalDesign:
     def weight(self, loop: Loop, order: int | None = None) -> TransferFunction:
         """Ŵ_S(z): a stable, proper fit of |1 − T_d|⁻¹ on the grid (steps 8, 9)."""
         magnitude = self.reference.weight_magnitude(loop.omega)
-        return fit_magnitude(loop.omega, magnitude, order=order, bound="at", sample_time=loop.sample_time)
+        return fit_magnitude(
+            loop.omega, magnitude, order=order, bound="at", sample_time=loop.sample_time
+        )
 
 
 class Infeasible(BadInput):
-    """No controller of the structure meets even the most modest aim; the message names the constraint and its frequency."""
+    """No controller of the structure meets even the most modest aim; the message names the
+    constraint and its frequency.
+    """
 
 
 def design_for_nominal_performance(
-    loop: Loop, W_T: FloatArray, structure: ControllerStructure, aim: NominalAim, critical_frequency: float
+    loop: Loop,
+    W_T: FloatArray,
+    structure: ControllerStructure,
+    aim: NominalAim,
+    critical_frequency: float,
 ) -> NominalDesign:
-    """Solve (2.35): minimise overshoot and settling time subject to min_ρ ‖[W_S S; W_T T]‖∞ < 1 + γ.
+    """Solve (2.35): minimise overshoot and settling time subject to min_ρ ‖[W_S S; W_T T]‖∞ < 1 +
+    γ.
 
     Parameters
     ----------
@@ -149,12 +183,14 @@ def design_for_nominal_performance(
     W_T : array, shape (k,)
         |Ŵ_T| on the grid.
     critical_frequency : float
-        Where |Ŵ_T| crosses 0 dB [rad/s] (π/Ts when it does not); it sets the shortest settling time.
+        Where |Ŵ_T| crosses 0 dB [rad/s] (π/Ts when it does not); it sets the shortest settling
+        time.
 
     Raises
     ------
     Infeasible
-        Even the longest settling time with the largest overshoot cannot be met; says by how much, and at which frequency.
+        Even the longest settling time with the largest overshoot cannot be met; says by how much,
+        and at which frequency.
 
     Notes
     -----
@@ -191,8 +227,12 @@ def design_for_nominal_performance(
     return NominalDesign(tuple(front), polished, reference, aim)
 
 
-def _sharpened(point: Point[Synthesis], times: FloatArray, meets: _Meets, halvings: int) -> Point[Synthesis]:
-    """The point with its settling time moved towards the grid's next one, as far as that stays feasible."""
+def _sharpened(
+    point: Point[Synthesis], times: FloatArray, meets: _Meets, halvings: int
+) -> Point[Synthesis]:
+    """The point with its settling time moved towards the grid's next one, as far as that stays
+    feasible.
+    """
     shorter = times[times < point.second * (1.0 - 1e-9)]
     if not len(shorter):
         return point
@@ -208,13 +248,21 @@ def _sharpened(point: Point[Synthesis], times: FloatArray, meets: _Meets, halvin
 
 
 def refined(loop: Loop, weights: Weights, chosen: Point[Synthesis]) -> Point[Synthesis]:
-    """The chosen point with its cost minimised to the end; the search for the front stops as soon as a pair is feasible."""
+    """The chosen point with its cost minimised to the end; the search for the front stops as soon
+    as a pair is feasible.
+    """
     polished = synthesise(loop, weights, chosen.design.structure, starts=[chosen.design.rho])
     better = polished.stable and polished.certified < chosen.design.certified
     return replace(chosen, design=polished) if better else chosen
 
 
-def _best(loop: Loop, weights: Weights, structure: ControllerStructure, warm: Synthesis | None, limit: float) -> Synthesis:
+def _best(
+    loop: Loop,
+    weights: Weights,
+    structure: ControllerStructure,
+    warm: Synthesis | None,
+    limit: float,
+) -> Synthesis:
     """From a neighbour's controller when there is one, from scratch when that does not suffice."""
     if warm is not None:
         design = synthesise(loop, weights, structure, starts=[warm.rho], target=0.995 * limit)
@@ -228,10 +276,14 @@ def _reason(loop: Loop, W_T: FloatArray, nearest: Synthesis, limit: float) -> st
     k = int(np.argmin(np.abs(loop.omega - at)))
     K = nearest.controller.frequency_response(loop.omega[k : k + 1])
     T = loop.G[0, k] * K / (1.0 + loop.G[0, k] * K)
-    limiting = "robust stability |W_T T|" if abs(W_T[k] * T[0]) > 0.7 * nearest.certified else "performance |W_S S|"
+    limiting = (
+        "robust stability |W_T T|"
+        if abs(W_T[k] * T[0]) > 0.7 * nearest.certified
+        else "performance |W_S S|"
+    )
     return (
-        f"aim: no controller {nearest.structure.name!r} meets it; at best the cost is {nearest.certified:.4g} "
-        f"where {limit:.4g} is allowed, at {at:.4g} rad/s, by {limiting}"
+        f"aim: no controller {nearest.structure.name!r} meets it; at best the cost is"
+        f" {nearest.certified:.4g} where {limit:.4g} is allowed, at {at:.4g} rad/s, by {limiting}"
     )
 
 
@@ -256,10 +308,14 @@ class MonotoneWeight:
     def __post_init__(self) -> None:
         if self.low_gain_db * self.high_gain_db >= 0:
             raise BadInput(
-                f"MonotoneWeight: gains {self.low_gain_db} dB and {self.high_gain_db} dB; one must lie above 0 dB, one below"
+                f"MonotoneWeight: gains {self.low_gain_db} dB and {self.high_gain_db} dB; one must"
+                " lie above 0 dB, one below"
             )
         if not (math.isfinite(self.critical_frequency) and self.critical_frequency > 0):
-            raise BadInput(f"MonotoneWeight, critical_frequency: is {self.critical_frequency!r}; must be positive")
+            raise BadInput(
+                f"MonotoneWeight, critical_frequency: is {self.critical_frequency!r}; must be"
+                " positive"
+            )
 
     def transfer_function(self) -> TransferFunction:
         """W(s)."""

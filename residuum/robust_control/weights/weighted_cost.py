@@ -1,4 +1,6 @@
-"""The mixed-sensitivity cost over plants and frequencies in one pass: the inner loop of every design."""
+"""The mixed-sensitivity cost over plants and frequencies in one pass: the inner loop of every
+design.
+"""
 
 # mypy: disable-error-code="no-untyped-def,untyped-decorator"
 
@@ -23,7 +25,8 @@ def rational_response(num, den, z):
 
 @njit(error_model="numpy")
 def weighted_cost(G, K, W_S, W_T, W_K, added):
-    """‖(W_S S, W_T T, W_K K S)‖ at every plant and frequency, shape (plants, k); the sum of moduli when `added`, else Euclidean.
+    """‖(W_S S, W_T T, W_K K S)‖ at every plant and frequency, shape (plants, k); the sum of moduli
+    when `added`, else Euclidean.
 
     G has shape (plants, k), the others (k,).
     """
@@ -43,7 +46,8 @@ def weighted_cost(G, K, W_S, W_T, W_K, added):
 
 @njit(error_model="numpy")
 def weighted_slopes(G, K, dK, W_S, W_T, W_K, added):
-    """(cost, ∂cost/∂ρ) at c points of a plant and a frequency each, shapes (c,) and (c, parameters); dK is ∂K/∂ρ there.
+    """(cost, ∂cost/∂ρ) at c points of a plant and a frequency each, shapes (c,) and (c,
+    parameters); dK is ∂K/∂ρ there.
 
     With S = 1/(1 + GK): dS = −S² G dK = −dT, d(KS) = S² dK, and d|X| = Re(X̄ dX)/|X|.
     """

@@ -1,7 +1,9 @@
-"""Alarm states and their transitions after ANSI/ISA-18.2-2016, figure 3, with the latched alarms of its clause 10.
+"""Alarm states and their transitions after ANSI/ISA-18.2-2016, figure 3, with the latched alarms of
+its clause 10.
 
-An alarm has a condition (what the machine shows, settled by the rule's deadband and delays) and a state (what an operator sees
-and does about it). A condition that stands is never in state normal: it is on the list, or somebody put it aside by name.
+An alarm has a condition (what the machine shows, settled by the rule's deadband and delays) and a
+state (what an operator sees and does about it). A condition that stands is never in state normal:
+it is on the list, or somebody put it aside by name.
 """
 
 from __future__ import annotations
@@ -29,8 +31,8 @@ class AlarmRule(BaseModel):
         ge=0,
         lt=1,
         description=(
-            "A standing alarm clears only where the indicator that raised it lies deadband · |threshold| or more below its "
-            "threshold; a threshold of 0 has no deadband."
+            "A standing alarm clears only where the indicator that raised it lies deadband ·"
+            " |threshold| or more below its threshold; a threshold of 0 has no deadband."
         ),
     )
     on_delay: float = Field(
@@ -38,34 +40,54 @@ class AlarmRule(BaseModel):
         ge=0,
         le=86_400,
         description=(
-            "Seconds for which a fault must be seen to raise the alarm. Only time between windows that both show it counts; a "
-            "pause longer than the delay, and twice as long as the one before, begins the count anew."
+            "Seconds for which a fault must be seen to raise the alarm. Only time between windows"
+            " that both show it counts; a pause longer than the delay, and twice as long as the one"
+            " before, begins the count anew."
         ),
     )
     off_delay: float = Field(
-        default=0.0, ge=0, le=86_400, description="Seconds without the fault that clear the alarm, counted like the on_delay."
+        default=0.0,
+        ge=0,
+        le=86_400,
+        description="Seconds without the fault that clear the alarm, counted like the on_delay.",
     )
-    latch: bool = Field(default=False, description="The alarm stays when its condition goes, until it is acknowledged and reset.")
+    latch: bool = Field(
+        default=False,
+        description="The alarm stays when its condition goes, until it is acknowledged and reset.",
+    )
 
 
-def severity(indicators: Mapping[str, float | None], thresholds: Mapping[str, float | None]) -> float:
+def severity(
+    indicators: Mapping[str, float | None], thresholds: Mapping[str, float | None]
+) -> float:
     """How far the worst indicator lies beyond its threshold τ, max x/τ; 0 where none has one.
 
     >>> severity({"rms": 3.0, "kurtosis": 4.0}, {"rms": 1.0, "kurtosis": 8.0})
     3.0
     """
     pairs = [(indicators.get(name), tau) for name, tau in thresholds.items()]
-    return max((x / tau for x, tau in pairs if x is not None and tau is not None and tau > 0 and x / tau < math.inf), default=0.0)
+    return max(
+        (
+            x / tau
+            for x, tau in pairs
+            if x is not None and tau is not None and tau > 0 and x / tau < math.inf
+        ),
+        default=0.0,
+    )
 
 
-def beyond(indicators: Mapping[str, float | None], thresholds: Mapping[str, float | None]) -> frozenset[str]:
+def beyond(
+    indicators: Mapping[str, float | None], thresholds: Mapping[str, float | None]
+) -> frozenset[str]:
     """The indicators above their thresholds.
 
     >>> sorted(beyond({"rms": 3.0, "kurtosis": 4.0}, {"rms": 1.0, "kurtosis": 8.0}))
     ['rms']
     """
     pairs = {name: (indicators.get(name), tau) for name, tau in thresholds.items()}
-    return frozenset(name for name, (x, tau) in pairs.items() if x is not None and tau is not None and x > tau)
+    return frozenset(
+        name for name, (x, tau) in pairs.items() if x is not None and tau is not None and x > tau
+    )
 
 
 def in_deadband(
@@ -74,7 +96,8 @@ def in_deadband(
     thresholds: Mapping[str, float | None],
     raised_by: Collection[str] | None = None,
 ) -> bool:
-    """Whether one of the indicators that raised an alarm lies below its threshold τ by less than the deadband: τ − d |τ| < x ≤ τ.
+    """Whether one of the indicators that raised an alarm lies below its threshold τ by less than
+    the deadband: τ − d |τ| < x ≤ τ.
 
     `raised_by` of None is any indicator: of an alarm of which nobody kept what raised it.
 
@@ -86,7 +109,12 @@ def in_deadband(
     for name, tau in thresholds.items():
         x = indicators.get(name)
         counts = raised_by is None or name in raised_by
-        if counts and x is not None and tau is not None and tau - rule.deadband * abs(tau) < x <= tau:
+        if (
+            counts
+            and x is not None
+            and tau is not None
+            and tau - rule.deadband * abs(tau) < x <= tau
+        ):
             return rule.deadband > 0.0
     return False
 
@@ -133,7 +161,10 @@ _TRANSITIONS: dict[tuple[AlarmState, AlarmEvent], AlarmState] = {
     (AlarmState.UNACKNOWLEDGED, AlarmEvent.ACKNOWLEDGE): AlarmState.ACKNOWLEDGED,
     (AlarmState.RETURNED_UNACKNOWLEDGED, AlarmEvent.ACKNOWLEDGE): AlarmState.NORMAL,
     **{(state, AlarmEvent.SHELVE): AlarmState.SHELVED for state in ACTIVE},
-    **{(state, AlarmEvent.SUPPRESS): AlarmState.SUPPRESSED for state in (AlarmState.NORMAL, *ACTIVE)},
+    **{
+        (state, AlarmEvent.SUPPRESS): AlarmState.SUPPRESSED
+        for state in (AlarmState.NORMAL, *ACTIVE)
+    },
     **{
         (state, AlarmEvent.REMOVE_FROM_SERVICE): AlarmState.OUT_OF_SERVICE
         for state in (AlarmState.NORMAL, *ACTIVE, AlarmState.SHELVED, AlarmState.SUPPRESSED)
@@ -175,13 +206,17 @@ class AlarmStatus:
     judged_every: float | None = None
 
 
-def next_state(state: AlarmState, event: AlarmEvent, *, condition: bool = False, latch: bool = False) -> AlarmState:
-    """The state after `event`. What the machine does is always legal (it may change nothing); what an operator asks may not be.
+def next_state(
+    state: AlarmState, event: AlarmEvent, *, condition: bool = False, latch: bool = False
+) -> AlarmState:
+    """The state after `event`. What the machine does is always legal (it may change nothing); what
+    an operator asks may not be.
 
     Parameters
     ----------
     condition : bool
-        Whether the condition stands: an alarm that comes back from where it was put is then unacknowledged, and not reset.
+        Whether the condition stands: an alarm that comes back from where it was put is then
+        unacknowledged, and not reset.
     latch : bool
         A latched alarm stays when its condition goes, until an operator acknowledges and resets it.
 
@@ -207,16 +242,24 @@ def next_state(state: AlarmState, event: AlarmEvent, *, condition: bool = False,
         return AlarmState.UNACKNOWLEDGED if condition else AlarmState.NORMAL
     if event is AlarmEvent.RESET and state is AlarmState.ACKNOWLEDGED and not condition:
         return AlarmState.NORMAL
-    standing = ", while its condition stands" if event is AlarmEvent.RESET and state is AlarmState.ACKNOWLEDGED else ""
+    standing = (
+        ", while its condition stands"
+        if event is AlarmEvent.RESET and state is AlarmState.ACKNOWLEDGED
+        else ""
+    )
     raise IllegalTransition(f"alarm: cannot {event.value} in state {state.value!r}{standing}")
 
 
-def follow(status: AlarmStatus, faulty: bool, rule: AlarmRule, now: datetime) -> tuple[AlarmStatus, AlarmEvent | None]:
-    """The status after the machine was seen with or without the fault, and the event that this was, None for none.
+def follow(
+    status: AlarmStatus, faulty: bool, rule: AlarmRule, now: datetime
+) -> tuple[AlarmStatus, AlarmEvent | None]:
+    """The status after the machine was seen with or without the fault, and the event that this was,
+    None for none.
 
-    What is seen becomes the condition once it has been seen for the rule's delay. Only time between two windows in a row that
-    both show it counts: windows that could not be judged stop the count, a clock that was set back does not wind it back, and
-    after a gap (longer than the delay, and than twice the pause before) it begins anew, for nobody knows what was in between.
+    What is seen becomes the condition once it has been seen for the rule's delay. Only time between
+    two windows in a row that both show it counts: windows that could not be judged stop the count,
+    a clock that was set back does not wind it back, and after a gap (longer than the delay, and
+    than twice the pause before) it begins anew, for nobody knows what was in between.
 
     Parameters
     ----------
@@ -230,7 +273,9 @@ def follow(status: AlarmStatus, faulty: bool, rule: AlarmRule, now: datetime) ->
     delay = rule.on_delay if faulty else rule.off_delay
     pause = None if status.judged_at is None else max((now - status.judged_at).total_seconds(), 0.0)
     gap = pause is not None and pause > max(delay, _GAP * (status.judged_every or 0.0))
-    judged = replace(status, judged_at=now, judged_every=status.judged_every if pause is None else pause)
+    judged = replace(
+        status, judged_at=now, judged_every=status.judged_every if pause is None else pause
+    )
     if faulty == status.condition:
         return replace(judged, pending_since=None, pending_seconds=0.0), None
     begins = status.pending_since is None or gap
@@ -240,14 +285,21 @@ def follow(status: AlarmStatus, faulty: bool, rule: AlarmRule, now: datetime) ->
         return replace(judged, pending_since=since, pending_seconds=seconds), None
     event = AlarmEvent.RAISE if faulty else AlarmEvent.CLEAR
     state = next_state(status.state, event, latch=rule.latch)
-    return replace(judged, state=state, condition=faulty, pending_since=None, pending_seconds=0.0), event
+    return (
+        replace(judged, state=state, condition=faulty, pending_since=None, pending_seconds=0.0),
+        event,
+    )
 
 
 def unjudged(status: AlarmStatus) -> AlarmStatus:
-    """The status after a window that says nothing of the condition: time around it does not count."""
+    """The status after a window that says nothing of the condition: time around it does not
+    count.
+    """
     return replace(status, judged_at=None)
 
 
 def operate(status: AlarmStatus, event: AlarmEvent) -> AlarmStatus:
-    """The status after an operator's request; IllegalTransition when the state does not allow it."""
+    """The status after an operator's request; IllegalTransition when the state does not allow
+    it.
+    """
     return replace(status, state=next_state(status.state, event, condition=status.condition))

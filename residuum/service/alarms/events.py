@@ -1,4 +1,6 @@
-"""Events: what happens in the service, handed to every listener in order, resumable after a broken connection."""
+"""Events: what happens in the service, handed to every listener in order, resumable after a broken
+connection.
+"""
 
 from __future__ import annotations
 
@@ -21,9 +23,11 @@ _ASSET_OF = {"finding": "asset", "alarm": "asset", "pipeline": "machine"}
 
 @dataclass(frozen=True)
 class Event:
-    """One thing that happened. `id` grows within one run of the service; `data` is its payload as JSON.
+    """One thing that happened. `id` grows within one run of the service; `data` is its payload as
+    JSON.
 
-    `asset` is the machine that a finding, an alarm or a state of the pipeline is of; None for what is of the whole plant.
+    `asset` is the machine that a finding, an alarm or a state of the pipeline is of; None for what
+    is of the whole plant.
     """
 
     id: int
@@ -35,9 +39,10 @@ class Event:
 class Events:
     """A bounded log of events with listeners.
 
-    `publish` may be called from any thread. A listener that was away names the last event it saw and gets what it
-    missed; when that is no longer kept, or the service has restarted since, it first gets an event `reset`, which means:
-    read the state anew. No listener can hold up the others or the publisher, and memory is bounded by `kept`.
+    `publish` may be called from any thread. A listener that was away names the last event it saw
+    and gets what it missed; when that is no longer kept, or the service has restarted since, it
+    first gets an event `reset`, which means: read the state anew. No listener can hold up the
+    others or the publisher, and memory is bounded by `kept`.
 
     Event kinds: `finding`, `alarm`, `pipeline`, `job`, `model`, `reset`.
     """
@@ -51,7 +56,9 @@ class Events:
         self._closed = False
 
     def publish(self, kind: str, payload: Mapping[str, Any]) -> None:
-        """Tell every listener. The payload is turned into JSON at once, so later changes to it do not matter."""
+        """Tell every listener. The payload is turned into JSON at once, so later changes to it do
+        not matter.
+        """
         asset = payload.get(_ASSET_OF.get(kind, ""))
         data = orjson.dumps(payload, option=orjson.OPT_SERIALIZE_NUMPY | orjson.OPT_NON_STR_KEYS)
         with self._lock:
@@ -73,8 +80,12 @@ class Events:
         """What a listener hands back to resume after `event`."""
         return f"{self.run}-{event.id}"
 
-    async def listen(self, last_seen: str | None, heartbeat: float = 15.0) -> AsyncIterator[Event | None]:
-        """Events after `last_seen` (a token), as they come; None when nothing happened for `heartbeat` seconds."""
+    async def listen(
+        self, last_seen: str | None, heartbeat: float = 15.0
+    ) -> AsyncIterator[Event | None]:
+        """Events after `last_seen` (a token), as they come; None when nothing happened for
+        `heartbeat` seconds.
+        """
         position, lost = self._position(last_seen)
         if lost:
             yield self._reset(position)
@@ -113,7 +124,12 @@ class Events:
         if last_seen is None:
             return self._last, False
         run, _, number = last_seen.partition("-")
-        if run != self.run or not number.isdecimal() or len(number) > 18 or int(number) > self._last:
+        if (
+            run != self.run
+            or not number.isdecimal()
+            or len(number) > 18
+            or int(number) > self._last
+        ):
             return self._last, True
         return int(number), False
 

@@ -1,8 +1,10 @@
-"""Notifications: changes of alarms and findings, told to webhooks and an MQTT broker; nobody waits for them.
+"""Notifications: changes of alarms and findings, told to webhooks and an MQTT broker; nobody waits
+for them.
 
-Alarms go to both, findings to the broker alone (QoS 1, topics `PREFIX/assets/ASSET/alarm` and `…/finding`). A receiver that is
-away is tried again with growing pauses. Both come from the store's outbox, in their order and at least once, also after a crash,
-and also those of other processes on the same database. What waits is bounded: the oldest go, and the log says how many.
+Alarms go to both, findings to the broker alone (QoS 1, topics `PREFIX/assets/ASSET/alarm` and
+`…/finding`). A receiver that is away is tried again with growing pauses. Both come from the store's
+outbox, in their order and at least once, also after a crash, and also those of other processes on
+the same database. What waits is bounded: the oldest go, and the log says how many.
 """
 
 from __future__ import annotations
@@ -31,7 +33,9 @@ log = structlog.get_logger()
 _LOOK = 1.0
 """Seconds between looks for what other processes on the same database changed."""
 _PATIENCE = 5.0
-"""Seconds for a receiver's answer, and after which the outbox is told which findings of a batch were told."""
+"""Seconds for a receiver's answer, and after which the outbox is told which findings of a batch
+were told.
+"""
 _REFUSED = range(400, 500)
 
 Send = Callable[[str, Mapping[str, Any]], None]
@@ -59,7 +63,9 @@ class Receiver:
         self._news = threading.Event()
         self._stopped = threading.Event()
         self._backoff = Backoff(first=0.2, longest=30.0)
-        self._thread = threading.Thread(target=self._deliver_all, name=f"notify {name}", daemon=True)
+        self._thread = threading.Thread(
+            target=self._deliver_all, name=f"notify {name}", daemon=True
+        )
 
     def start(self, outbox: Outbox) -> None:
         """Begin to tell what waits in the outbox."""
@@ -94,7 +100,10 @@ class Receiver:
         while not self._stopped.is_set() and (notice := self._outbox.next(self._id)) is not None:
             if notice.alarm is None:
                 self.dropped += 1
-                log.error("a change of an alarm is damaged and told to nobody: see the alarms", receiver=self.name)
+                log.error(
+                    "a change of an alarm is damaged and told to nobody: see the alarms",
+                    receiver=self.name,
+                )
             elif not self._attempt("alarm", notice.alarm):
                 continue
             self._lost("alarm", notice.passed_over)
@@ -105,7 +114,11 @@ class Receiver:
         batch = self._outbox.findings(self._id)
         until, sent = time.monotonic() + _PATIENCE, []
         for finding in batch.findings:
-            if self._stopped.is_set() or time.monotonic() > until or not self._attempt("finding", finding.to_json()):
+            if (
+                self._stopped.is_set()
+                or time.monotonic() > until
+                or not self._attempt("finding", finding.to_json())
+            ):
                 break
             sent.append(finding.id)
         if sent or batch.lost:
@@ -116,16 +129,25 @@ class Receiver:
     def _lost(self, kind: str, count: int) -> None:
         if count:
             self.dropped += count
-            log.warning("the oldest that waited were let go untold", receiver=self.name, kind=kind, count=count)
+            log.warning(
+                "the oldest that waited were let go untold",
+                receiver=self.name,
+                kind=kind,
+                count=count,
+            )
 
     def _attempt(self, kind: str, payload: Mapping[str, Any]) -> bool:
-        """Whether the receiver has it, or refused it for good; a pause after an attempt that failed."""
+        """Whether the receiver has it, or refused it for good; a pause after an attempt that
+        failed.
+        """
         try:
             self._send(kind, payload)
         except HTTPError as error:
             if error.code in _REFUSED:  # it will not like it better the next time
                 self.dropped += 1
-                log.warning("a receiver refused a notification", receiver=self.name, status=error.code)
+                log.warning(
+                    "a receiver refused a notification", receiver=self.name, status=error.code
+                )
                 return True
             log.warning("a receiver gives no receipt", receiver=self.name, status=error.code)
             self._stopped.wait(self._backoff.next())
@@ -144,7 +166,9 @@ class Notifications:
 
     def __init__(self, settings: Settings) -> None:
         urls = map(str, settings.webhooks)
-        self.receivers = [Receiver(_without_secrets(url), url, _webhook(url), findings=False) for url in urls]
+        self.receivers = [
+            Receiver(_without_secrets(url), url, _webhook(url), findings=False) for url in urls
+        ]
         if settings.mqtt:
             address = settings.broker
             name = f"{'mqtt' if address.tls is None else 'mqtts'}://{address.host}:{address.port}"
@@ -172,7 +196,9 @@ class Notifications:
 
 
 class _NoDetour(urllib.request.HTTPRedirectHandler):
-    """Follows nobody elsewhere: a notification would be asked for there, without its body, and the answer taken for a receipt."""
+    """Follows nobody elsewhere: a notification would be asked for there, without its body, and the
+    answer taken for a receipt.
+    """
 
     def redirect_request(self, *_asked: Any, **_named: Any) -> None:
         """Nowhere: the answer becomes an HTTPError, as every other that is no receipt."""
@@ -184,7 +210,9 @@ _DIRECT = urllib.request.build_opener(_NoDetour)
 def _webhook(url: str) -> Send:
     def post(kind: str, payload: Mapping[str, Any]) -> None:
         body = orjson.dumps({"event": kind, **payload}, option=orjson.OPT_SERIALIZE_NUMPY)
-        request = urllib.request.Request(url, body, {"Content-Type": "application/json", "User-Agent": "residuum"})
+        request = urllib.request.Request(
+            url, body, {"Content-Type": "application/json", "User-Agent": "residuum"}
+        )
         with _DIRECT.open(request, timeout=_PATIENCE):
             """Any 2xx answer is a receipt."""
 
@@ -192,7 +220,9 @@ def _webhook(url: str) -> Send:
 
 
 class Broker:
-    """Publishes with QoS 1 over one connection, which is made when it is needed and again after it broke."""
+    """Publishes with QoS 1 over one connection, which is made when it is needed and again after it
+    broke.
+    """
 
     def __init__(self, address: BrokerAddress) -> None:
         address.client()  # what is wrong with it is told at the start
@@ -205,7 +235,9 @@ class Broker:
         try:
             if self._client is None or not self._client.is_connected():
                 self._connect()
-            message = self._client.publish(topic, orjson.dumps(payload, option=orjson.OPT_SERIALIZE_NUMPY), qos=1)
+            message = self._client.publish(
+                topic, orjson.dumps(payload, option=orjson.OPT_SERIALIZE_NUMPY), qos=1
+            )
             message.wait_for_publish(_PATIENCE)
             if not message.is_published():
                 raise TimeoutError("the broker gave no receipt")
@@ -213,7 +245,9 @@ class Broker:
             raise ConnectionError(str(error)) from error
 
     def try_connection(self) -> None:
-        """Connect, as whoever the address names, and leave again; OSError when the broker does not let us in."""
+        """Connect, as whoever the address names, and leave again; OSError when the broker does not
+        let us in.
+        """
         try:
             self._connect()
             self._client.disconnect()
@@ -228,7 +262,9 @@ class Broker:
             self._client.loop_stop()
         self._client = self._address.client()
         answered: queue.Queue[Any] = queue.Queue()
-        self._client.on_connect = lambda _client, _data, _flags, reason, _properties: answered.put(reason)
+        self._client.on_connect = lambda _client, _data, _flags, reason, _properties: answered.put(
+            reason
+        )
         self._client.connect(self._address.host, self._address.port)
         self._client.loop_start()
         try:
@@ -240,6 +276,8 @@ class Broker:
 
 
 def _without_secrets(url: str) -> str:
-    """A webhook's address often carries its secret in user, path or query: the log gets the host."""
+    """A webhook's address often carries its secret in user, path or query: the log gets the
+    host.
+    """
     parts = urlsplit(url)
     return f"{parts.scheme}://{parts.hostname}"

@@ -9,7 +9,13 @@ from fastapi import APIRouter, Query, Request, Response
 from pydantic import BaseModel, Field
 
 from residuum.service.alarms.alarm_states import AlarmEvent
-from residuum.service.api.answers import PROBLEMS, AlarmAnswer, AlarmOccurrenceAnswer, AlarmRatesAnswer, PageOf
+from residuum.service.api.answers import (
+    PROBLEMS,
+    AlarmAnswer,
+    AlarmOccurrenceAnswer,
+    AlarmRatesAnswer,
+    PageOf,
+)
 from residuum.service.api.json_response import Json, StrictRoute, page_answer
 from residuum.service.api.parameters import NAME, TEXT, AlarmId, Begin, Cursor, End, Limit
 from residuum.service.results.parquet_tables import open_span
@@ -22,13 +28,17 @@ router = APIRouter(prefix="/alarms", tags=["alarms"], route_class=StrictRoute, r
 class Remark(BaseModel, extra="forbid"):
     """What an operator may say with it."""
 
-    comment: str | None = Field(None, max_length=2000, pattern=TEXT, description="Kept in the alarm's journal.")
+    comment: str | None = Field(
+        None, max_length=2000, pattern=TEXT, description="Kept in the alarm's journal."
+    )
 
 
 class Shelving(Remark):
     """For how long an alarm is put aside."""
 
-    minutes: float = Field(60.0, gt=0, le=7 * 24 * 60, description="The alarm comes back by itself after this long.")
+    minutes: float = Field(
+        60.0, gt=0, le=7 * 24 * 60, description="The alarm comes back by itself after this long."
+    )
 
 
 @router.get("", response_model=PageOf[AlarmAnswer])
@@ -41,12 +51,16 @@ async def list_alarms(
     limit: Limit = 100,
 ) -> Response:
     """Alarms (of the caller's sites), newest first."""
-    return await page_answer(running, running.store.alarms, asset, active, cursor, limit, caller_of(request).sites)
+    return await page_answer(
+        running, running.store.alarms, asset, active, cursor, limit, caller_of(request).sites
+    )
 
 
 @router.get("/rates", response_model=AlarmRatesAnswer)
 def alarm_rates(running: Running) -> Response:
-    """How many alarms were raised of late, which ones most often, and whether there is a flood (ANSI/ISA-18.2, clause 16)."""
+    """How many alarms were raised of late, which ones most often, and whether there is a flood
+    (ANSI/ISA-18.2, clause 16).
+    """
     return Json(running.store.alarm_rates().to_json())
 
 
@@ -60,26 +74,36 @@ async def alarm_history(
     cursor: Cursor = None,
     limit: Limit = 100,
 ) -> Response:
-    """Every time that an alarm was raised (of the caller's sites) in a span of time, newest first, and what became of it."""
+    """Every time that an alarm was raised (of the caller's sites) in a span of time, newest first,
+    and what became of it.
+    """
     span = open_span(begin, end)
-    return await page_answer(running, running.store.alarm_history, span, asset, cursor, limit, caller_of(request).sites)
+    return await page_answer(
+        running, running.store.alarm_history, span, asset, cursor, limit, caller_of(request).sites
+    )
 
 
 @router.get("/{alarm}", response_model=AlarmAnswer)
 def get_alarm(request: Request, running: Running, alarm: AlarmId) -> Response:
     """One alarm with its journal."""
     fields = _visible(request, running, alarm).to_json()
-    return Json({**fields, "journal": [entry.to_json() for entry in running.store.alarm_journal(alarm)]})
+    return Json(
+        {**fields, "journal": [entry.to_json() for entry in running.store.alarm_journal(alarm)]}
+    )
 
 
 @router.post("/{alarm}/acknowledge", response_model=AlarmAnswer)
-def acknowledge(request: Request, running: Running, alarm: AlarmId, remark: Remark | None = None) -> Response:
+def acknowledge(
+    request: Request, running: Running, alarm: AlarmId, remark: Remark | None = None
+) -> Response:
     """Say that the alarm was seen."""
     return _operate(request, running, alarm, AlarmEvent.ACKNOWLEDGE, remark)
 
 
 @router.post("/{alarm}/shelve", response_model=AlarmAnswer)
-def shelve(request: Request, running: Running, alarm: AlarmId, shelving: Shelving | None = None) -> Response:
+def shelve(
+    request: Request, running: Running, alarm: AlarmId, shelving: Shelving | None = None
+) -> Response:
     """Put the alarm aside for a while; it comes back by itself."""
     shelving = shelving or Shelving(minutes=60.0, comment=None)
     until = datetime.now(UTC) + timedelta(minutes=shelving.minutes)
@@ -93,41 +117,60 @@ def unshelve(request: Request, running: Running, alarm: AlarmId) -> Response:
 
 
 @router.post("/{alarm}/reset", response_model=AlarmAnswer)
-def reset(request: Request, running: Running, alarm: AlarmId, remark: Remark | None = None) -> Response:
+def reset(
+    request: Request, running: Running, alarm: AlarmId, remark: Remark | None = None
+) -> Response:
     """Let a latched alarm go that was acknowledged and whose condition has gone."""
     return _operate(request, running, alarm, AlarmEvent.RESET, remark)
 
 
 @router.post("/{alarm}/suppress", response_model=AlarmAnswer)
-def suppress(request: Request, running: Running, alarm: AlarmId, remark: Remark | None = None) -> Response:
-    """Hide the alarm by design, while the plant is in a state in which it means nothing (until it is released)."""
+def suppress(
+    request: Request, running: Running, alarm: AlarmId, remark: Remark | None = None
+) -> Response:
+    """Hide the alarm by design, while the plant is in a state in which it means nothing (until it
+    is released).
+    """
     return _operate(request, running, alarm, AlarmEvent.SUPPRESS, remark)
 
 
 @router.post("/{alarm}/release", response_model=AlarmAnswer)
-def release(request: Request, running: Running, alarm: AlarmId, remark: Remark | None = None) -> Response:
+def release(
+    request: Request, running: Running, alarm: AlarmId, remark: Remark | None = None
+) -> Response:
     """Take a suppressed alarm back."""
     return _operate(request, running, alarm, AlarmEvent.RELEASE, remark)
 
 
 @router.post("/{alarm}/remove-from-service", response_model=AlarmAnswer)
-def remove_from_service(request: Request, running: Running, alarm: AlarmId, remark: Remark | None = None) -> Response:
+def remove_from_service(
+    request: Request, running: Running, alarm: AlarmId, remark: Remark | None = None
+) -> Response:
     """Take the alarm out of service, for maintenance."""
     return _operate(request, running, alarm, AlarmEvent.REMOVE_FROM_SERVICE, remark)
 
 
 @router.post("/{alarm}/return-to-service", response_model=AlarmAnswer)
-def return_to_service(request: Request, running: Running, alarm: AlarmId, remark: Remark | None = None) -> Response:
+def return_to_service(
+    request: Request, running: Running, alarm: AlarmId, remark: Remark | None = None
+) -> Response:
     """Put the alarm back into service."""
     return _operate(request, running, alarm, AlarmEvent.RETURN_TO_SERVICE, remark)
 
 
 def _operate(
-    request: Request, running: Services, alarm: int, event: AlarmEvent, remark: Remark | None, until: datetime | None = None
+    request: Request,
+    running: Services,
+    alarm: int,
+    event: AlarmEvent,
+    remark: Remark | None,
+    until: datetime | None = None,
 ) -> Response:
     _visible(request, running, alarm)
     comment = remark.comment if remark else None
-    return Json(running.store.operate_alarm(alarm, event, caller_of(request).name, comment, until).to_json())
+    return Json(
+        running.store.operate_alarm(alarm, event, caller_of(request).name, comment, until).to_json()
+    )
 
 
 def _visible(request: Request, running: Services, alarm: int) -> Alarm:

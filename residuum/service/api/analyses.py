@@ -1,4 +1,6 @@
-"""Analyses of stored records: compare, explain and improve a model, identify one, run residuals. Each is a job."""
+"""Analyses of stored records: compare, explain and improve a model, identify one, run residuals.
+Each is a job.
+"""
 
 from __future__ import annotations
 
@@ -36,18 +38,30 @@ router = APIRouter(tags=["analyses"], route_class=StrictRoute, responses=PROBLEM
 
 RecordNumbers = Annotated[
     list[Annotated[int, Field(ge=1, le=2**53 - 1)]],
-    Field(min_length=1, max_length=64, description="Numbers of uploaded records; each is a separate experiment."),
+    Field(
+        min_length=1,
+        max_length=64,
+        description="Numbers of uploaded records; each is a separate experiment.",
+    ),
 ]
-SaveAs = Annotated[NewModelName | None, Field(description="Store the resulting model under this name, as a new version.")]
+SaveAs = Annotated[
+    NewModelName | None,
+    Field(description="Store the resulting model under this name, as a new version."),
+]
 Text = Annotated[str, Field(min_length=1, max_length=200)]
-Names = Annotated[dict[Text, Text], Field(max_length=100, description="Model's name of a signal → record's channel.")]
+Names = Annotated[
+    dict[Text, Text],
+    Field(max_length=100, description="Model's name of a signal → record's channel."),
+]
 
 
 class OnRecords(BaseModel, extra="forbid"):
     """Which records a model is held against."""
 
     records: RecordNumbers
-    version: int | None = Field(None, ge=1, le=10**9, description="Version of the model (default: the newest).")
+    version: int | None = Field(
+        None, ge=1, le=10**9, description="Version of the model (default: the newest)."
+    )
     map: Names = {}
 
 
@@ -80,7 +94,11 @@ class Identification(Identify):
     @model_validator(mode="after")
     def _one_path_is_kept(self) -> Identification:
         if self.save_as is not None and self.is_multivariable:
-            raise BadInput(repr(self.save_as), "save_as", "stored models have one input and one output; leave it out")
+            raise BadInput(
+                repr(self.save_as),
+                "save_as",
+                "stored models have one input and one output; leave it out",
+            )
         return self
 
 
@@ -103,29 +121,45 @@ def _as_version(given: object) -> object:
     return {"model": given} if isinstance(given, str) else given
 
 
-Identified = Annotated[ModelVersion, BeforeValidator(_as_version, json_schema_input_type=ModelName | ModelVersion)]
+Identified = Annotated[
+    ModelVersion, BeforeValidator(_as_version, json_schema_input_type=ModelName | ModelVersion)
+]
 """A stored identified model, by its name where the newest version is meant."""
 
 
 class ControlDesign(DesignController):
     """The question `control design` of stored models."""
 
-    models: list[Identified] = Field(min_length=1, max_length=16, description="Stored identified models, one an operating point.")
-    joined: Identified | None = Field(None, description="The nominal plant, of all operating points' records.")
-    export: str | None = field(None, "Language of the controller as source text, in `exported`.", choices=LANGUAGES)
+    models: list[Identified] = Field(
+        min_length=1, max_length=16, description="Stored identified models, one an operating point."
+    )
+    joined: Identified | None = Field(
+        None, description="The nominal plant, of all operating points' records."
+    )
+    export: str | None = field(
+        None, "Language of the controller as source text, in `exported`.", choices=LANGUAGES
+    )
 
 
 @router.get("/effects")
 def list_effects() -> Response:
     """The catalogue of physical effects: equation, balances it acts on, reference."""
-    return Json({"items": [effect_json(effect) for effect in EFFECTS.values()], "next_cursor": None})
+    return Json(
+        {"items": [effect_json(effect) for effect in EFFECTS.values()], "next_cursor": None}
+    )
 
 
 @router.post("/models/{model}/compare", status_code=202, response_model=JobAnswer)
 def compare(running: Running, model: ModelName, asked: Comparison) -> Response:
-    """How large is the model's error on records, is it structured, and where does it lie? The result is the `compare` object."""
+    """How large is the model's error on records, is it structured, and where does it lie? The
+    result is the `compare` object.
+    """
     work = _asked(running, model, asked)
-    return accepted(running.jobs.submit("compare", analyses.compare, work, part_of(asked, Compare), then=_result))
+    return accepted(
+        running.jobs.submit(
+            "compare", analyses.compare, work, part_of(asked, Compare), then=_result
+        )
+    )
 
 
 @router.post("/models/{model}/explain", status_code=202, response_model=JobAnswer)
@@ -138,9 +172,11 @@ def explain(running: Running, model: ModelName, asked: Explanation) -> Response:
 
 @router.post("/models/{model}/improve", status_code=202, response_model=JobAnswer)
 def improve(request: Request, running: Running, model: ModelName, asked: Improvement) -> Response:
-    """Add effects and estimate again; the result is the `improve` object, its errors of data not used for the estimation.
+    """Add effects and estimate again; the result is the `improve` object, its errors of data not
+    used for the estimation.
 
-    `file` is the larger model's text; with `save_as` it becomes a version of that model, and `model_file` is its address.
+    `file` is the larger model's text; with `save_as` it becomes a version of that model, and
+    `model_file` is its address.
     """
     work, question = _asked(running, model, asked), part_of(asked, Improve)
     _check_known(question, question.add or question.effects, work)
@@ -148,13 +184,25 @@ def improve(request: Request, running: Running, model: ModelName, asked: Improve
 
     def keep(outcome: Mapping[str, Any]) -> Mapping[str, Any]:
         answer = {**outcome["result"], "model_file": None, "file": outcome["file"].decode()}
-        if asked.save_as is None or (answer["refused"] and len(answer["history"]) == 1):  # nothing that would not make it worse
+        if asked.save_as is None or (
+            answer["refused"] and len(answer["history"]) == 1
+        ):  # nothing that would not make it worse
             return answer
         added = [step["added"] for step in answer["history"] if step["added"]]
-        note = f"improved: {', '.join(added)}" if added else "improved: parameters estimated, no effect added"
-        stored = running.store.add_model_version(asked.save_as, "physical", outcome["file"], note, by)
+        note = (
+            f"improved: {', '.join(added)}"
+            if added
+            else "improved: parameters estimated, no effect added"
+        )
+        stored = running.store.add_model_version(
+            asked.save_as, "physical", outcome["file"], note, by
+        )
         address = f"/api/v1/models/{stored.model}/versions/{stored.number}"
-        return {**answer, "model_file": address, "stored": {"model": stored.model, "version": stored.number}}
+        return {
+            **answer,
+            "model_file": address,
+            "stored": {"model": stored.model, "version": stored.number},
+        }
 
     return accepted(running.jobs.submit("improve", analyses.improve, work, question, then=keep))
 
@@ -164,7 +212,11 @@ def estimate(request: Request, running: Running, model: ModelName, asked: Estima
     """Estimate the model's parameters, its structure as it is."""
     keep = _keep(request, running, asked.save_as, "physical")
     work = _asked(running, model, asked)
-    return accepted(running.jobs.submit("estimate", analyses.estimate, work, part_of(asked, Estimate), then=keep))
+    return accepted(
+        running.jobs.submit(
+            "estimate", analyses.estimate, work, part_of(asked, Estimate), then=keep
+        )
+    )
 
 
 @router.post("/identify", status_code=202, response_model=JobAnswer)
@@ -177,14 +229,19 @@ def identify(request: Request, running: Running, asked: Identification) -> Respo
 
 @router.post("/residuals", status_code=202, response_model=JobAnswer)
 def residuals(running: Running, asked: Residuals) -> Response:
-    """Design a residual generator from an identified model and run it on records: `design`, and a `run` a record."""
+    """Design a residual generator from an identified model and run it on records: `design`, and a
+    `run` a record.
+    """
     healthy, records = _records(running, asked.healthy), _records(running, asked.records)
     content = _content(running, asked.model, "identified", None)
     questions = part_of(asked, DesignResidual), part_of(asked, RunResidual)
 
     def named(outcome: Mapping[str, Any]) -> Mapping[str, Any]:
         runs = zip(outcome["runs"], asked.records, strict=True)
-        return {"design": outcome["design"], "runs": [run | {"record": number} for run, number in runs]}
+        return {
+            "design": outcome["design"],
+            "runs": [run | {"record": number} for run, number in runs],
+        }
 
     work = (content, healthy, records, *questions)
     return accepted(running.jobs.submit("residuals", analyses.residuals, *work, then=named))
@@ -192,17 +249,23 @@ def residuals(running: Running, asked: Residuals) -> Response:
 
 @router.post("/control-designs", status_code=202, response_model=JobAnswer)
 def design_controller(running: Running, asked: ControlDesign) -> Response:
-    """Design a controller from identified models, one an operating point; the result holds the controller."""
+    """Design a controller from identified models, one an operating point; the result holds the
+    controller.
+    """
     names = [ref.model for ref in asked.models]
     work = (names, *models_of(running, asked), part_of(asked, DesignController), asked.export)
-    return accepted(running.jobs.submit("control-designs", analyses.design_controller, *work, then=_with_file))
+    return accepted(
+        running.jobs.submit("control-designs", analyses.design_controller, *work, then=_with_file)
+    )
 
 
 def models_of(running: Services, asked: ControlDesign) -> tuple[list[bytes], bytes | None]:
     """The files of the models that a controller is designed for, and that of the nominal plant."""
     contents = [_content(running, ref.model, "identified", ref.version) for ref in asked.models]
     joined = asked.joined
-    return contents, None if joined is None else _content(running, joined.model, "identified", joined.version)
+    return contents, (
+        None if joined is None else _content(running, joined.model, "identified", joined.version)
+    )
 
 
 Keep = Callable[[Mapping[str, Any]], Mapping[str, Any]]
@@ -225,7 +288,11 @@ def _keep(request: Request, running: Services, name: str | None, kind: str) -> K
     by = caller_of(request).name
 
     def keep(outcome: Mapping[str, Any]) -> Mapping[str, Any]:
-        result = {key: value for key, value in outcome["result"].items() if key not in ("file", "model_file")}
+        result = {
+            key: value
+            for key, value in outcome["result"].items()
+            if key not in ("file", "model_file")
+        }
         if name is None or outcome["file"] is None:
             return result
         version = running.store.add_model_version(name, kind, outcome["file"], "made by a job", by)
@@ -236,13 +303,22 @@ def _keep(request: Request, running: Services, name: str | None, kind: str) -> K
 
 def _check_known(question: Explain, names: Sequence[str] | None, given: Asked) -> None:
     """Raise NotFound for an effect that neither the catalogue nor the model's file defines."""
-    if names is None or question.catalogue is not None:  # which effects its text defines is known where it is read: in the job
+    if (
+        names is None or question.catalogue is not None
+    ):  # which effects its text defines is known where it is read: in the job
         return
     if given.text is not None:
-        model_of(given.model, given.text)  # its own effects are in the catalogue of this request from now on
-    if unknown := [id for id in (re.split("[@:]", name)[0] for name in names) if id not in EFFECTS and id not in STRUCTURAL]:
+        model_of(
+            given.model, given.text
+        )  # its own effects are in the catalogue of this request from now on
+    if unknown := [
+        id
+        for id in (re.split("[@:]", name)[0] for name in names)
+        if id not in EFFECTS and id not in STRUCTURAL
+    ]:
         raise NotFound(
-            f"effect {unknown[0][:60]!r}: neither in the catalogue (GET /effects lists it) nor in the model file's own_effects"
+            f"effect {unknown[0][:60]!r}: neither in the catalogue (GET /effects lists it) nor in"
+            " the model file's own_effects"
         )
 
 
@@ -254,11 +330,16 @@ def _asked(running: Services, model: str, asked: OnRecords) -> Asked:
 
 
 def _records(running: Services, numbers: Sequence[int]) -> list[RecordParts]:
-    return [parts_of(running.store.record_samples(number), f"record-{number}.npz") for number in numbers]
+    return [
+        parts_of(running.store.record_samples(number), f"record-{number}.npz") for number in numbers
+    ]
 
 
 def _content(running: Services, model: str, kind: str, version: int | None) -> bytes:
     actual = running.store.model_versions(model)[0].kind
     if actual != kind:
-        raise Conflict(f"model {model!r}: is a {actual} model; this needs {'an' if kind == 'identified' else 'a'} {kind} one")
+        raise Conflict(
+            f"model {model!r}: is a {actual} model; this needs"
+            f" {'an' if kind == 'identified' else 'a'} {kind} one"
+        )
     return running.store.model_content(model, version)

@@ -17,11 +17,20 @@ class Problem(BaseModel):
     title: str
     status: int
     detail: str = Field(description="One line: what is wrong, where, which rule.")
-    request_id: str = Field(description="The request's `X-Request-ID`, as it was sent or as we named it; log lines have it, too.")
+    request_id: str = Field(
+        description=(
+            "The request's `X-Request-ID`, as it was sent or as we named it; log lines have it,"
+            " too."
+        )
+    )
 
 
 PROBLEMS: dict[int | str, dict[str, Any]] = {
-    "4XX": {"model": Problem, "description": "Refused; nothing was stored.", "content": {"application/problem+json": {}}},
+    "4XX": {
+        "model": Problem,
+        "description": "Refused; nothing was stored.",
+        "content": {"application/problem+json": {}},
+    },
 }
 
 
@@ -36,16 +45,24 @@ class ScoreAnswer(BaseModel):
     """What a diagnoser says of one window."""
 
     diagnoser: str
-    verdict: str = Field(description="`healthy`, `faulty` or `not-assessable` (then `reason` says why).")
+    verdict: str = Field(
+        description="`healthy`, `faulty` or `not-assessable` (then `reason` says why)."
+    )
     fault_class: str | None = Field(alias="class")
     indicators: dict[str, float | None]
     thresholds: dict[str, float | None]
     units: dict[str, str]
     evidence: dict[str, Any]
     reason: str | None
-    causes: list[dict[str, Any]] | None = Field(default=None, description="model-based: what may have happened, likeliest first.")
-    parameters: dict[str, Any] | None = Field(default=None, description="model-based: every value with its healthy band.")
-    false_alarms_per_day: float | None = Field(default=None, description="model-based: the chosen rate.")
+    causes: list[dict[str, Any]] | None = Field(
+        default=None, description="model-based: what may have happened, likeliest first."
+    )
+    parameters: dict[str, Any] | None = Field(
+        default=None, description="model-based: every value with its healthy band."
+    )
+    false_alarms_per_day: float | None = Field(
+        default=None, description="model-based: the chosen rate."
+    )
 
 
 class FindingAnswer(ScoreAnswer):
@@ -69,7 +86,9 @@ class WindowAnswer(BaseModel):
     units: dict[str, str] = Field(description="Unit by channel.")
     source: str
     size_bytes: int
-    signal_let_go_at: datetime | None = Field(description="When the samples were removed by the retention rule; null: kept.")
+    signal_let_go_at: datetime | None = Field(
+        description="When the samples were removed by the retention rule; null: kept."
+    )
 
 
 class StoredWindowAnswer(BaseModel):
@@ -96,10 +115,14 @@ class AlarmAnswer(BaseModel):
 
     id: int
     asset: str
-    kind: str = Field(description="`machine` (a fault was found) or `signal` (windows cannot be judged).")
+    kind: str = Field(
+        description="`machine` (a fault was found) or `signal` (windows cannot be judged)."
+    )
     state: str
     condition: bool = Field(description="Whether the latest judged window still shows it.")
-    message: str = Field(description="What the worst finding since the alarm was raised says, and since when.")
+    message: str = Field(
+        description="What the worst finding since the alarm was raised says, and since when."
+    )
     worst_at: datetime | None = Field(description="When that finding was.")
     occurrences: int
     raised_at: datetime | None
@@ -117,14 +140,20 @@ class AlarmOccurrenceAnswer(BaseModel):
     id: int
     alarm: int
     asset: str
-    kind: str = Field(description="`machine` (a fault was found) or `signal` (windows cannot be judged).")
+    kind: str = Field(
+        description="`machine` (a fault was found) or `signal` (windows cannot be judged)."
+    )
     raised_at: datetime
     cleared_at: datetime | None = Field(description="null: it stands.")
     acknowledged_at: datetime | None
     acknowledged_by: str | None
     comments: list[str]
-    message: str | None = Field(description="Of the finding that raised it; null where its row was let go.")
-    times_threshold: float | None = Field(description="The largest indicator over its threshold when it was raised.")
+    message: str | None = Field(
+        description="Of the finding that raised it; null where its row was let go."
+    )
+    times_threshold: float | None = Field(
+        description="The largest indicator over its threshold when it was raised."
+    )
     window: int | None
 
 
@@ -136,11 +165,15 @@ class AlarmRatesAnswer(BaseModel):
     last_day: int
     highest_in_10_minutes: int = Field(description="Most in any ten minutes of the last day.")
     flood: bool = Field(description="More than ten in the last ten minutes.")
-    flood_share: float = Field(description="Share of the last day's intervals of ten minutes that were floods.")
+    flood_share: float = Field(
+        description="Share of the last day's intervals of ten minutes that were floods."
+    )
     standing: dict[str, int] = Field(description="Alarms in each state.")
     stale: list[int] = Field(description="Alarms on the list for over a day.")
     chattering: list[int] = Field(description="Alarms raised three times within a minute.")
-    most_frequent: list[dict[str, Any]] = Field(description="The alarms raised most often in the last day.")
+    most_frequent: list[dict[str, Any]] = Field(
+        description="The alarms raised most often in the last day."
+    )
 
 
 class AuditAnswer(BaseModel):
@@ -200,11 +233,17 @@ class SignalAnswer(BaseModel):
     """A stretch of a window, reduced to minimum and maximum an interval where it is long."""
 
     window: int | None
-    start: float = Field(description="Time of the first sample of the stretch after the window's begin [s].")
-    interval: float = Field(description="Seconds one value (or one pair of minimum and maximum) stands for.")
+    start: float = Field(
+        description="Time of the first sample of the stretch after the window's begin [s]."
+    )
+    interval: float = Field(
+        description="Seconds one value (or one pair of minimum and maximum) stands for."
+    )
     reduced: bool
     n: int = Field(description="Samples in the stretch.")
-    channels: dict[str, dict[str, Any]] = Field(description="By name: `unit` and `values`, or `minimum` and `maximum`.")
+    channels: dict[str, dict[str, Any]] = Field(
+        description="By name: `unit` and `values`, or `minimum` and `maximum`."
+    )
 
 
 class SpectrumAnswer(BaseModel):

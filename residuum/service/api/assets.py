@@ -20,12 +20,16 @@ router = APIRouter(prefix="/assets", tags=["assets"], route_class=StrictRoute, r
 class AssetSettings(BaseModel, extra="forbid"):
     """What can be set of an asset."""
 
-    title: str | None = Field(None, min_length=1, max_length=200, pattern=TEXT, description="Name for people.")
+    title: str | None = Field(
+        None, min_length=1, max_length=200, pattern=TEXT, description="Name for people."
+    )
     diagnoser: str | None = Field(None, max_length=64, description="Diagnoser of its windows.")
 
 
 @router.get("", response_model=PageOf[AssetAnswer])
-async def list_assets(request: Request, running: Running, cursor: Cursor = None, limit: Limit = 100) -> Response:
+async def list_assets(
+    request: Request, running: Running, cursor: Cursor = None, limit: Limit = 100
+) -> Response:
     """All assets by name (of the caller's sites), each with its latest finding."""
     return await page_answer(running, running.store.assets, cursor, limit, caller_of(request).sites)
 
@@ -51,7 +55,9 @@ async def list_findings(
     asset: AssetName,
     cursor: Cursor = None,
     limit: Limit = 50,
-    verdict: Annotated[Literal["healthy", "faulty", "not-assessable"] | None, Query(description="Only these.")] = None,
+    verdict: Annotated[
+        Literal["healthy", "faulty", "not-assessable"] | None, Query(description="Only these.")
+    ] = None,
 ) -> Response:
     """Findings on an asset's windows, newest first."""
     return await page_answer(running, running.store.findings, asset, cursor, limit, verdict)
@@ -65,10 +71,11 @@ async def get_indicators(
     begin: Begin = None,
     end: End = None,
 ) -> Response:
-    """Indicators and thresholds of the newest findings as columns, oldest first (null where a finding lacks one).
+    """Indicators and thresholds of the newest findings as columns, oldest first (null where a
+    finding lacks one).
 
-    With `from` or `to`, of findings spread over that time: where there are more than `limit`, the worst of every stretch. Of what
-    would take more than 3 MiB the newest are told.
+    With `from` or `to`, of findings spread over that time: where there are more than `limit`, the
+    worst of every stretch. Of what would take more than 3 MiB the newest are told.
     """
     span = None if begin is None and end is None else open_span(begin, end)
     return await running.listing(lambda: Json(vars(running.store.indicators(asset, limit, span))))
@@ -76,7 +83,15 @@ async def get_indicators(
 
 @router.get("/{asset}/history")
 async def get_history(
-    running: Running, asset: AssetName, limit: Annotated[int, Query(description="Newest hours.", ge=1, le=24 * 366)] = 24 * 30
+    running: Running,
+    asset: AssetName,
+    limit: Annotated[int, Query(description="Newest hours.", ge=1, le=24 * 366)] = 24 * 30,
 ) -> Response:
-    """Findings whose rows were let go, an entry an hour, oldest first: verdicts, and each indicator's extremes and mean."""
-    return await running.listing(lambda: Json({"hours": [hour.to_json() for hour in running.store.finding_hours(asset, limit)]}))
+    """Findings whose rows were let go, an entry an hour, oldest first: verdicts, and each
+    indicator's extremes and mean.
+    """
+    return await running.listing(
+        lambda: Json(
+            {"hours": [hour.to_json() for hour in running.store.finding_hours(asset, limit)]}
+        )
+    )

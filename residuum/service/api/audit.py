@@ -14,5 +14,7 @@ router = APIRouter(prefix="/audit", tags=["audit"], responses=PROBLEMS)
 
 @router.get("", response_model=PageOf[AuditAnswer])
 async def list_audit(running: Running, cursor: Cursor = None, limit: Limit = 100) -> Response:
-    """What was done to alarms and models, and by whom, newest first; `residuum doctor` verifies the chain of digests."""
+    """What was done to alarms and models, and by whom, newest first; `residuum doctor` verifies the
+    chain of digests.
+    """
     return await page_answer(running, running.store.audit, cursor, limit)

@@ -1,4 +1,6 @@
-"""Robust controllers to look at: the front of what is possible, bounds, step responses, and code for the target."""
+"""Robust controllers to look at: the front of what is possible, bounds, step responses, and code
+for the target.
+"""
 
 from __future__ import annotations
 
@@ -42,6 +44,8 @@ class ControlView(ControlDesign):
 
 @router.post("/control-designs/views", status_code=202, response_model=JobAnswer)
 def view(running: Running, asked: ControlView) -> Response:
-    """Controllers along the front of what is possible: bounds, open loop, step responses of drawn plants, code to download."""
+    """Controllers along the front of what is possible: bounds, open loop, step responses of drawn
+    plants, code to download.
+    """
     work = (*models_of(running, asked), part_of(asked, DesignController))
     return accepted(running.jobs.submit("control-view", view_control_design, *work))

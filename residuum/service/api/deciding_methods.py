@@ -14,18 +14,24 @@ from residuum.service.machines.baselines import choose_method, chosen_method
 from residuum.service.machines.judging.judges import diagnoser_class
 from residuum.service.services import Running, Services, caller_of
 
-router = APIRouter(prefix="/assets/{asset}/method", tags=["machines"], route_class=StrictRoute, responses=PROBLEMS)
+router = APIRouter(
+    prefix="/assets/{asset}/method", tags=["machines"], route_class=StrictRoute, responses=PROBLEMS
+)
 
 
 class Deciding(BaseModel, extra="forbid"):
     """The method that is to decide."""
 
-    method: Literal["source", "default"] | None = Field(description="null: as the baseline was trained, or the settings say.")
+    method: Literal["source", "default"] | None = Field(
+        description="null: as the baseline was trained, or the settings say."
+    )
 
 
 @router.get("")
 def get_method(running: Running, asset: AssetName) -> Response:
-    """The methods of a machine's diagnoser, and which was chosen to decide; findings hold what both say."""
+    """The methods of a machine's diagnoser, and which was chosen to decide; findings hold what both
+    say.
+    """
     return Json(_described(running, asset))
 
 
@@ -39,4 +45,8 @@ def put_method(request: Request, running: Running, asset: AssetName, asked: Deci
 def _described(running: Services, asset: str) -> dict[str, Any]:
     diagnoser = running.store.asset(asset).diagnoser
     methods = [] if diagnoser is None else list(diagnoser_class(diagnoser).methods)
-    return {"diagnoser": diagnoser, "methods": methods, "chosen": chosen_method(running.store, asset)}
+    return {
+        "diagnoser": diagnoser,
+        "methods": methods,
+        "chosen": chosen_method(running.store, asset),
+    }

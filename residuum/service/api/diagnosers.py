@@ -13,5 +13,12 @@ router = APIRouter(tags=["score"])
 
 @router.get("/diagnosers")
 def list_diagnosers(running: Running) -> Response:
-    """All diagnosers with the channels they read, in which units, and the classes they tell apart."""
-    return Json({"items": [running.judges.untrained(name).describe() for name in DIAGNOSERS], "next_cursor": None})
+    """All diagnosers with the channels they read, in which units, and the classes they tell
+    apart.
+    """
+    return Json(
+        {
+            "items": [running.judges.untrained(name).describe() for name in DIAGNOSERS],
+            "next_cursor": None,
+        }
+    )

@@ -1,4 +1,6 @@
-"""The catalogue of physical effects beside its list: what each looks like, and in which models it is."""
+"""The catalogue of physical effects beside its list: what each looks like, and in which models it
+is.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,9 @@ from residuum.service.api.json_response import Json, StrictRoute
 from residuum.service.services import Running
 from residuum.service.views.model_view import model_of
 
-router = APIRouter(prefix="/effects", tags=["analyses"], route_class=StrictRoute, responses=PROBLEMS)
+router = APIRouter(
+    prefix="/effects", tags=["analyses"], route_class=StrictRoute, responses=PROBLEMS
+)
 
 _MOST_MODELS = 200
 _DIGITS = 5
@@ -42,7 +46,9 @@ class EffectSignature(BaseModel):
     unit: str = Field(description="Of `value` and `before`.")
     at: list[float]
     value: list[float]
-    before: list[float] | None = Field(description="The path's signal without the effect; null for a balance.")
+    before: list[float] | None = Field(
+        description="The path's signal without the effect; null for a balance."
+    )
     parameters: list[EffectParameter]
 
 
@@ -51,7 +57,9 @@ class EffectUse(BaseModel):
 
     effect: str
     model: str
-    version: int | None = Field(description="Newest version; null for a model that comes with the product.")
+    version: int | None = Field(
+        description="Newest version; null for a model that comes with the product."
+    )
     balance: str
 
 
@@ -71,17 +79,25 @@ class Uses(BaseModel):
 
 @router.get("/signatures", response_model=Signatures)
 def list_signatures() -> Response:
-    """What each effect looks like: its own equation along a standard movement, against its natural argument."""
+    """What each effect looks like: its own equation along a standard movement, against its natural
+    argument.
+    """
     return Json({"items": _signatures(), "next_cursor": None})
 
 
 @router.get("/uses", response_model=Uses)
 def list_uses(running: Running) -> Response:
-    """In which models each effect is: those that come with the product, and the newest versions of the stored ones."""
+    """In which models each effect is: those that come with the product, and the newest versions of
+    the stored ones.
+    """
     stored = running.store.models("physical", None, _MOST_MODELS).items
     uses = [use for name in BUILT_IN for use in _uses(name, None, load_model(name))]
     for entry in stored:
-        uses += _uses(entry.model, entry.number, model_of(entry.model, running.store.model_content(entry.model, entry.number)))
+        uses += _uses(
+            entry.model,
+            entry.number,
+            model_of(entry.model, running.store.model_content(entry.model, entry.number)),
+        )
     return Json({"items": uses, "next_cursor": None})
 
 
@@ -97,8 +113,19 @@ def _signatures() -> list[dict[str, Any]]:
 
 def _signature(id: str) -> dict[str, Any]:
     drawn = signature(EFFECTS[id])
-    parameters = [{"name": p.name, "value": p.value, "unit": p.unit, "meaning": p.meaning} for p in drawn.parameters]
+    parameters = [
+        {"name": p.name, "value": p.value, "unit": p.unit, "meaning": p.meaning}
+        for p in drawn.parameters
+    ]
     curves = {"at": drawn.at, "value": drawn.value, "before": drawn.before}
-    short = {name: None if y is None else [float(f"{v:.{_DIGITS}g}") for v in y] for name, y in curves.items()}
-    described = {"kind": drawn.kind, "axis": drawn.axis, "axis_unit": drawn.axis_unit, "unit": drawn.unit}
+    short = {
+        name: None if y is None else [float(f"{v:.{_DIGITS}g}") for v in y]
+        for name, y in curves.items()
+    }
+    described = {
+        "kind": drawn.kind,
+        "axis": drawn.axis,
+        "axis_unit": drawn.axis_unit,
+        "unit": drawn.unit,
+    }
     return {"effect": id, **described, **short, "parameters": parameters}

@@ -21,11 +21,15 @@ async def stream_events(
     running: Running,
     request: Request,
     last_event_id: LastEventId = None,
-    kinds: Annotated[list[str] | None, Query(alias="kind", description="Only these kinds.", max_length=16)] = None,
+    kinds: Annotated[
+        list[str] | None, Query(alias="kind", description="Only these kinds.", max_length=16)
+    ] = None,
 ) -> Response:
-    """Events `finding`, `alarm`, `pipeline`, `job`, `model`; `reset` when some were missed: then read the state anew.
+    """Events `finding`, `alarm`, `pipeline`, `job`, `model`; `reset` when some were missed: then
+    read the state anew.
 
-    A key of some sites gets the events of its machines, and none that is of the whole plant (`job`, `model`).
+    A key of some sites gets the events of its machines, and none that is of the whole plant (`job`,
+    `model`).
     """
     caller = caller_of(request)
 
@@ -37,11 +41,16 @@ async def stream_events(
 
 
 def event_stream(
-    events: Events, last_event_id: str | None, wanted: Callable[[Event], bool], ends: Callable[[Event], bool] | None = None
+    events: Events,
+    last_event_id: str | None,
+    wanted: Callable[[Event], bool],
+    ends: Callable[[Event], bool] | None = None,
 ) -> StreamingResponse:
-    """A stream of the wanted events, after the one that `ends` it closed; a comment keeps quiet connections open.
+    """A stream of the wanted events, after the one that `ends` it closed; a comment keeps quiet
+    connections open.
 
-    It begins now, not when its first line is asked for: whoever sees the connection made misses nothing from then on.
+    It begins now, not when its first line is asked for: whoever sees the connection made misses
+    nothing from then on.
     """
     begin = last_event_id or events.now()
 
@@ -51,7 +60,11 @@ def event_stream(
             if event is None:
                 yield b": still here\n\n"
             elif event.kind == "reset" or wanted(event):
-                yield b"id: %s\nevent: %s\ndata: %s\n\n" % (events.token(event).encode(), event.kind.encode(), event.data)
+                yield b"id: %s\nevent: %s\ndata: %s\n\n" % (
+                    events.token(event).encode(),
+                    event.kind.encode(),
+                    event.data,
+                )
                 if ends is not None and ends(event):
                     return
 

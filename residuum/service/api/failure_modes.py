@@ -24,11 +24,18 @@ router = APIRouter(tags=["score"])
 
 @router.get("/failure-modes")
 def list_failure_modes() -> Response:
-    """Every mode of the machine with its risk and the diagnosers that report it; the cells of the criticality matrix."""
+    """Every mode of the machine with its risk and the diagnosers that report it; the cells of the
+    criticality matrix.
+    """
     modes = load_fmeca()
     covered = coverage(modes, {name: diagnoser.classes for name, diagnoser in DIAGNOSERS.items()})
     cells = [
-        {"probability": p, "severity": s, "risk": risk(p, s).value, "modes": [mode.id for mode in in_cell]}
+        {
+            "probability": p,
+            "severity": s,
+            "risk": risk(p, s).value,
+            "modes": [mode.id for mode in in_cell],
+        }
         for (p, s), in_cell in criticality_matrix(modes).items()
     ]
     items = [_mode(mode, covered.get(mode.id, [])) for mode in modes]
@@ -45,5 +52,7 @@ def list_failure_modes() -> Response:
 
 
 def _mode(mode: FailureMode, covered: list[tuple[str, str]]) -> dict[str, Any]:
-    by = [{"diagnoser": diagnoser, "fault_class": fault_class} for diagnoser, fault_class in covered]
+    by = [
+        {"diagnoser": diagnoser, "fault_class": fault_class} for diagnoser, fault_class in covered
+    ]
     return {**vars(mode), "covered_by": by, "risk": mode.risk.value}

@@ -36,7 +36,9 @@ class FrequencyResponseAnswer(BaseModel):
 def get_frequency_response(
     running: Running,
     model: ModelName,
-    version: Annotated[int | None, Query(description="Version (default: the newest).", ge=1, le=10**9)] = None,
+    version: Annotated[
+        int | None, Query(description="Version (default: the newest).", ge=1, le=10**9)
+    ] = None,
     points: Annotated[int, Query(description="Frequencies.", ge=2, le=2000)] = 300,
 ) -> Response:
     """Magnitude and phase over frequency with their standard deviations."""
@@ -52,7 +54,9 @@ class Root(BaseModel):
 
 
 class PolesAndZerosAnswer(BaseModel):
-    """Roots of the denominator and the numerator of G(z); null for a model that is an impulse response."""
+    """Roots of the denominator and the numerator of G(z); null for a model that is an impulse
+    response.
+    """
 
     poles: list[Root] | None
     zeros: list[Root] | None
@@ -62,7 +66,9 @@ class PolesAndZerosAnswer(BaseModel):
 def get_poles_and_zeros(
     running: Running,
     model: ModelName,
-    version: Annotated[int | None, Query(description="Version (default: the newest).", ge=1, le=10**9)] = None,
+    version: Annotated[
+        int | None, Query(description="Version (default: the newest).", ge=1, le=10**9)
+    ] = None,
 ) -> Response:
     """Poles and zeros of G(z), those that its dead time puts at the origin among them."""
     identified = _identified(running, model, version)
@@ -72,7 +78,10 @@ def get_poles_and_zeros(
 def _roots(polynomial: FloatArray | None) -> list[dict[str, float]] | None:
     if polynomial is None:
         return None
-    return [{"real": z.real, "imaginary": z.imag, "magnitude": abs(z)} for z in np.roots(polynomial).tolist()]
+    return [
+        {"real": z.real, "imaginary": z.imag, "magnitude": abs(z)}
+        for z in np.roots(polynomial).tolist()
+    ]
 
 
 def _identified(running: Services, model: str, version: int | None) -> IdentifiedModel:
@@ -84,7 +93,9 @@ def _identified(running: Services, model: str, version: int | None) -> Identifie
 
 
 def frequency_response(model: IdentifiedModel, points: int) -> dict[str, list[float]]:
-    """Bode points with first-order deviations: the parts of the covariance of (Re G, Im G) along and across G."""
+    """Bode points with first-order deviations: the parts of the covariance of (Re G, Im G) along
+    and across G.
+    """
     nyquist = 0.5 / model.sample_time
     frequency = np.geomspace(_LOWEST * nyquist, nyquist, points)
     G = model.frequency_response(2 * np.pi * frequency)
@@ -92,7 +103,10 @@ def frequency_response(model: IdentifiedModel, points: int) -> dict[str, list[fl
     magnitude = np.abs(G)
     along = np.stack([G.real, G.imag], axis=1) / np.maximum(magnitude, 1e-300)[:, None]
     across = np.stack([-along[:, 1], along[:, 0]], axis=1)
-    radial, tangential = (np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", d, covariance, d), 0.0)) for d in (along, across))
+    radial, tangential = (
+        np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", d, covariance, d), 0.0))
+        for d in (along, across)
+    )
     return {
         "frequency": frequency.tolist(),
         "magnitude": magnitude.tolist(),

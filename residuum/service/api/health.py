@@ -21,10 +21,12 @@ async def live() -> Response:
 
 @router.get("/health/ready")
 def ready(running: Running, request: Request) -> Response:
-    """Windows can be stored; 503 or 507 with the reason when not. With machines that are not judged it is 200, `degraded`.
+    """Windows can be stored; 503 or 507 with the reason when not. With machines that are not judged
+    it is 200, `degraded`.
 
-    `machines` says of each of these why, and what can be done, `storage` what is wrong although windows are stored. Who has
-    no key where keys are needed is told only how many machines are in which state.
+    `machines` says of each of these why, and what can be done, `storage` what is wrong although
+    windows are stored. Who has no key where keys are needed is told only how many machines are in
+    which state.
     """
     running.store.check()
     states = running.pipeline.status()["machines"]
@@ -42,5 +44,7 @@ def ready(running: Running, request: Request) -> Response:
 
 @router.get("/metrics", response_class=Response)
 def metrics(running: Running) -> Response:
-    """Prometheus metrics, text format; with API keys set they ask for one, of the role monitor or above."""
+    """Prometheus metrics, text format; with API keys set they ask for one, of the role monitor or
+    above.
+    """
     return Response(running.metrics.render(), media_type="text/plain; version=0.0.4; charset=utf-8")

@@ -23,7 +23,12 @@ JobId = Annotated[str, Path(description="Name of the job.", pattern="^[0-9a-f]{1
 @router.get("", response_model=PageOf[JobAnswer])
 def list_jobs(running: Running) -> Response:
     """Jobs of this run of the service, newest first, without their results."""
-    return Json({"items": [job.to_json(with_result=False) for job in running.jobs.list()], "next_cursor": None})
+    return Json(
+        {
+            "items": [job.to_json(with_result=False) for job in running.jobs.list()],
+            "next_cursor": None,
+        }
+    )
 
 
 @router.get("/{job}", response_model=JobAnswer)
@@ -41,7 +46,9 @@ def cancel_job(running: Running, job: JobId) -> Response:
 @router.get("/{job}/events", response_class=StreamingResponse)
 async def stream_job(running: Running, job: JobId, last_event_id: LastEventId = None) -> Response:
     """A job's progress as server-sent events; the stream ends with the job."""
-    begin = last_event_id or running.events.now()  # before the look at the job: its end comes after one or the other
+    begin = (
+        last_event_id or running.events.now()
+    )  # before the look at the job: its end comes after one or the other
     state = running.jobs.get(job)
     if state.state in OVER:
         data = orjson.dumps(state.to_json(with_result=False))

@@ -19,7 +19,9 @@ from residuum.service.services import Services
 from residuum.service.store import Page, T
 
 _LARGEST, _MOST_NESTED = 2 * 2**20, 50_000
-"""Bytes, and lists and objects, of a JSON body that asks for something: read on the event loop in some 20 ms at worst."""
+"""Bytes, and lists and objects, of a JSON body that asks for something: read on the event loop in
+some 20 ms at worst.
+"""
 _PIECE = 256 * 2**10
 _CLOSE = {"Connection": "close"}  # the rest of the body is not waited for
 _OPTIONS = orjson.OPT_SERIALIZE_NUMPY | orjson.OPT_NON_STR_KEYS | orjson.OPT_UTC_Z
@@ -34,7 +36,9 @@ class Json(JSONResponse):
 
 
 def finding_json(finding: Finding) -> Response:
-    """A finding as `Json(finding.to_json())` gives it, without the plain copy that this makes first."""
+    """A finding as `Json(finding.to_json())` gives it, without the plain copy that this makes
+    first.
+    """
     beside = {name: finding.evidence[name] for name in TOLD_BESIDE if name in finding.evidence}
     document = beside | {
         "diagnoser": finding.diagnoser,
@@ -69,13 +73,17 @@ async def page_answer(running: Services, page: Callable[..., Page[T]], *argument
 
 
 def in_pieces(content: bytes, media_type: str, headers: Mapping[str, str]) -> Response:
-    """An answer that is sent piece by piece, as fast as the client takes it: a long one at once would hold up everybody."""
+    """An answer that is sent piece by piece, as fast as the client takes it: a long one at once
+    would hold up everybody.
+    """
 
     async def pieces() -> AsyncIterator[bytes]:
         for begin in range(0, len(content), _PIECE):
             yield content[begin : begin + _PIECE]
 
-    return StreamingResponse(pieces(), media_type=media_type, headers={**headers, "Content-Length": str(len(content))})
+    return StreamingResponse(
+        pieces(), media_type=media_type, headers={**headers, "Content-Length": str(len(content))}
+    )
 
 
 class _StrictRequest(Request):
@@ -86,16 +94,22 @@ class _StrictRequest(Request):
             async for piece in self.stream():
                 received += len(piece)
                 if received > _LARGEST:
-                    raise HTTPException(413, f"body: more than {_LARGEST} bytes; no more are read here", _CLOSE)
+                    raise HTTPException(
+                        413, f"body: more than {_LARGEST} bytes; no more are read here", _CLOSE
+                    )
                 pieces.append(piece)
             self._body = b"".join(pieces)
         return self._body
 
     async def json(self) -> Any:
-        """The body, strictly: NaN, Infinity, numbers beyond double range, lone surrogates and deep nesting are refused."""
+        """The body, strictly: NaN, Infinity, numbers beyond double range, lone surrogates and deep
+        nesting are refused.
+        """
         body = await self.body()
         if body.count(b"[") + body.count(b"{") > _MOST_NESTED:
-            raise HTTPException(413, f"body: more than {_MOST_NESTED} lists and objects; no more are read here")
+            raise HTTPException(
+                413, f"body: more than {_MOST_NESTED} lists and objects; no more are read here"
+            )
         try:
             return orjson.loads(body)
         except orjson.JSONDecodeError as error:
@@ -103,7 +117,9 @@ class _StrictRequest(Request):
 
 
 class BareRoute(APIRoute):
-    """A route whose function takes the request alone: the framework then declares and converts nothing, and costs less."""
+    """A route whose function takes the request alone: the framework then declares and converts
+    nothing, and costs less.
+    """
 
     def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
         """The function itself."""
@@ -115,7 +131,9 @@ class StrictRoute(APIRoute):
     """A route whose JSON bodies are read strictly."""
 
     def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
-        """The handler, with the strict request. An old spelling is told in the answer's header `Warning` (RFC 7234, 5.5)."""
+        """The handler, with the strict request. An old spelling is told in the answer's header
+        `Warning` (RFC 7234, 5.5).
+        """
         handler = super().get_route_handler()
 
         async def strict(request: Request) -> Response:
@@ -126,7 +144,12 @@ class StrictRoute(APIRoute):
             finally:
                 OLD_SPELLINGS.reset(before)
             for says in old:
-                plain = says.encode("ascii", "backslashreplace").decode().replace("\n", " ").replace('"', "'")
+                plain = (
+                    says.encode("ascii", "backslashreplace")
+                    .decode()
+                    .replace("\n", " ")
+                    .replace('"', "'")
+                )
                 response.headers.append("Warning", f'299 - "{plain}"')
             return response
 

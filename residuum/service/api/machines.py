@@ -1,4 +1,6 @@
-"""Machines that are watched: adding one while the service runs, what its signals read, and training its baseline."""
+"""Machines that are watched: adding one while the service runs, what its signals read, and training
+its baseline.
+"""
 
 from __future__ import annotations
 
@@ -54,14 +56,23 @@ class BusText(BaseModel, extra="forbid"):
     """A description of a bus, as text."""
 
     kind: Literal["dbc", "table", "registers", "nodes", "metrics"] = Field(
-        description="A DBC file, a table of registers, or a map of registers, of OPC UA's nodes or of Sparkplug's metrics.",
+        description=(
+            "A DBC file, a table of registers, or a map of registers, of OPC UA's nodes or of"
+            " Sparkplug's metrics."
+        ),
         json_schema_extra={"x-of-source": dict(OF_SOURCE)},
     )
     name: str = Field(
-        "bus", min_length=1, max_length=100, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", description="Name of the file."
+        "bus",
+        min_length=1,
+        max_length=100,
+        pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$",
+        description="Name of the file.",
     )
     text: str = Field(min_length=1, max_length=2**20)
-    sample_time: float = field(0.1, "table: time between two reads [s].", only_with=_OF_TABLE, ge=0.001, le=3600)
+    sample_time: float = field(
+        0.1, "table: time between two reads [s].", only_with=_OF_TABLE, ge=0.001, le=3600
+    )
     unit_id: int = field(1, "table: unit of the device.", only_with=_OF_TABLE, ge=0, le=247)
 
 
@@ -69,47 +80,71 @@ class Training(BaseModel, extra="forbid"):
     """What a machine's baseline is trained from."""
 
     model: str | None = Field(
-        None, pattern=NAME, description="model-based: a stored or a built-in model; default: the machine's."
+        None,
+        pattern=NAME,
+        description="model-based: a stored or a built-in model; default: the machine's.",
     )
-    version: int | None = Field(None, ge=1, le=10**9, description="Version of the model (default: the newest).")
+    version: int | None = Field(
+        None, ge=1, le=10**9, description="Version of the model (default: the newest)."
+    )
     second: bool = Field(False, description="Train the machine's second opinion, with its model.")
-    leave_out: list[int] = Field([], max_length=500, description="Recorded windows in which the machine was not healthy.")
-    fix_undetermined: bool = Field(False, description="model-based: keep values that the windows leave open at the file's.")
-    false_alarms_per_day: float | None = Field(None, gt=0, le=86400, description="model-based: chosen number of false alarms.")
-    method: Literal["source", "default"] | None = Field(None, description="What decides, of a diagnoser with two.")
+    leave_out: list[int] = Field(
+        [], max_length=500, description="Recorded windows in which the machine was not healthy."
+    )
+    fix_undetermined: bool = Field(
+        False, description="model-based: keep values that the windows leave open at the file's."
+    )
+    false_alarms_per_day: float | None = Field(
+        None, gt=0, le=86400, description="model-based: chosen number of false alarms."
+    )
+    method: Literal["source", "default"] | None = Field(
+        None, description="What decides, of a diagnoser with two."
+    )
 
 
 class WindowsAsRecords(BaseModel, extra="forbid"):
     """Windows of a machine that become records."""
 
-    windows: list[Annotated[int, Field(ge=1, le=2**53 - 1)]] = Field(min_length=1, max_length=_WINDOWS_SHOWN)
+    windows: list[Annotated[int, Field(ge=1, le=2**53 - 1)]] = Field(
+        min_length=1, max_length=_WINDOWS_SHOWN
+    )
     complete: int | None = Field(
         None,
         ge=1,
         le=_MOST_RECORDS,
-        description="Only so many of them: the newest in which no signal of the model lacks a sample.",
+        description=(
+            "Only so many of them: the newest in which no signal of the model lacks a sample."
+        ),
     )
 
 
 @router.post("/bus-descriptions")
 async def read_bus_description(running: Running, asked: BusText) -> Response:
-    """Understand a DBC file, a map or a table of registers: its streams, and the file to add a machine with."""
+    """Understand a DBC file, a map or a table of registers: its streams, and the file to add a
+    machine with.
+    """
     given = (asked.kind, asked.name, asked.text, asked.sample_time, asked.unit_id)
     return await running.reading(lambda: Json(bus_description(*given).to_json()))
 
 
 @router.get("/assets/{asset}/machine")
 def get_machine(running: Running, machine: MachineName) -> Response:
-    """How a machine is watched, what became of its windows, and what it needs next; passwords are hidden."""
+    """How a machine is watched, what became of its windows, and what it needs next; passwords are
+    hidden.
+    """
     return Json(_described(running, machine))
 
 
 @router.put("/assets/{asset}/machine")
-async def put_machine(request: Request, running: Running, machine: MachineName, asked: WatchedMachine) -> Response:
-    """Watch a machine from now on, or watch it by other settings. It is kept, and watched again after a restart.
+async def put_machine(
+    request: Request, running: Running, machine: MachineName, asked: WatchedMachine
+) -> Response:
+    """Watch a machine from now on, or watch it by other settings. It is kept, and watched again
+    after a restart.
 
-    A map is the text of a file in `maps`, one that was sent before for this machine, or one that comes with Residuum. A hidden
-    password (`user:***@`) stands for the one that was given before for the same address.
+    A map is the text of a file in `maps`, one that was sent before for this machine, or one that
+    comes with Residuum. A hidden password (`user:***@`) stands for the one that was given before
+    for the same address.
     """
     diagnoser_class(asked.diagnoser)
     document_name(machine)
@@ -121,7 +156,8 @@ async def put_machine(request: Request, running: Running, machine: MachineName, 
         settings = asked.settings(machine)
     except ValidationError as error:
         raise BadInput(
-            f"machine {machine!r}: {error.errors(include_url=False)[0]['msg'].removeprefix('Value error, ')}"
+            f"machine {machine!r}:"
+            f" {error.errors(include_url=False)[0]['msg'].removeprefix('Value error, ')}"
         ) from None
     for model in (settings.model, None if settings.second is None else settings.second.model):
         if model is not None:  # a file of this computer is read for its settings' file alone
@@ -154,9 +190,13 @@ def guess_channels(
     running: Running,
     machine: MachineName,
     model: Annotated[str, Query(pattern=NAME, description="A stored or built-in model.")],
-    version: Annotated[int | None, Query(ge=1, le=10**9, description="Version of the model (default: the newest).")] = None,
+    version: Annotated[
+        int | None, Query(ge=1, le=10**9, description="Version of the model (default: the newest).")
+    ] = None,
 ) -> Response:
-    """The signals of a model, and which of the machine's each may be: the one of its name, or the only one of its unit."""
+    """The signals of a model, and which of the machine's each may be: the one of its name, or the
+    only one of its unit.
+    """
     read = model_of(*stored_model(running.store, model, version))
     bus = running.pipeline.units(machine)
     guesses = guessed_channels(read, bus) | running.pipeline.machine(machine).channels
@@ -169,17 +209,30 @@ def guess_channels(
 
 @router.post("/assets/{asset}/records", status_code=201)
 def add_records(running: Running, machine: MachineName, asked: WindowsAsRecords) -> Response:
-    """Keep windows of a machine as records beside uploaded ones, with the names of signals that the machine's model uses."""
+    """Keep windows of a machine as records beside uploaded ones, with the names of signals that the
+    machine's model uses.
+    """
     settings = running.pipeline.machine(machine)
     channels = settings.channels
     if asked.complete:
         used = used_by(model_of_settings(running.store, settings.model) if settings.model else None)
-        taken = complete_windows(running.store, machine, asked.windows, channels, used, asked.complete)
+        taken = complete_windows(
+            running.store, machine, asked.windows, channels, used, asked.complete
+        )
     elif len(asked.windows) > _MOST_RECORDS:
-        raise BadInput(f"{len(asked.windows)} windows; at most {_MOST_RECORDS} become records at once, or say 'complete'")
+        raise BadInput(
+            f"{len(asked.windows)} windows; at most {_MOST_RECORDS} become records at once, or say"
+            " 'complete'"
+        )
     else:
-        taken = {window: named(running.store.window_record(machine, window), channels) for window in asked.windows}
-    numbers = [running.store.add_record(f"{machine} window {window}", record) for window, record in taken.items()]
+        taken = {
+            window: named(running.store.window_record(machine, window), channels)
+            for window in asked.windows
+        }
+    numbers = [
+        running.store.add_record(f"{machine} window {window}", record)
+        for window, record in taken.items()
+    ]
     return Json({"records": numbers, "windows": list(taken)}, 201)
 
 
@@ -195,24 +248,49 @@ def train(request: Request, running: Running, machine: MachineName, asked: Train
     baseline = trained.name
     model = _model(running, asked, trained.model) if trained.diagnoser == "model-based" else None
     windows, holes = training_windows(
-        running.store, machine, asked.leave_out, judged=judged, channels=settings.channels, used=used_by(model)
+        running.store,
+        machine,
+        asked.leave_out,
+        judged=judged,
+        channels=settings.channels,
+        used=used_by(model),
     )
-    given: dict[str, Any] = {"fix_undetermined": asked.fix_undetermined or None, "method": asked.method}
+    given: dict[str, Any] = {
+        "fix_undetermined": asked.fix_undetermined or None,
+        "method": asked.method,
+    }
     given |= {"false_alarms_per_day": asked.false_alarms_per_day}
     own = {name: value for name, value in given.items() if value is not None}
     by = caller_of(request).name
 
     def keep(outcome: Mapping[str, Any]) -> Mapping[str, Any]:
         note = f"trained on {outcome['windows']} windows" + (f" with {model[0]}" if model else "")
-        version = running.store.add_model_version(baseline, "baseline", outcome["baseline"], note, by)
+        version = running.store.add_model_version(
+            baseline, "baseline", outcome["baseline"], note, by
+        )
         if model is not None:
             text = model[1] if model[1] is not None else write_model(model_of(*model)).encode()
-            running.store.add_model_version(f"{machine}.model", "physical", text, f"{model[0]}: {note}", by)
+            running.store.add_model_version(
+                f"{machine}.model", "physical", text, f"{model[0]}: {note}", by
+            )
         summary = {name: value for name, value in outcome.items() if name != "baseline"}
-        return {**summary, "passed_over": holes, "stored": {"model": baseline, "version": version.number}}
+        return {
+            **summary,
+            "passed_over": holes,
+            "stored": {"model": baseline, "version": version.number},
+        }
 
-    present = running.store.model_content(baseline) if has_baseline(running.store, baseline) else None
-    arguments = (trained.diagnoser, [parts_of(w) for w in windows], dict(settings.channels), model, own, present)
+    present = (
+        running.store.model_content(baseline) if has_baseline(running.store, baseline) else None
+    )
+    arguments = (
+        trained.diagnoser,
+        [parts_of(w) for w in windows],
+        dict(settings.channels),
+        model,
+        own,
+        present,
+    )
     return accepted(running.jobs.submit("train", train_baseline, *arguments, then=keep))
 
 

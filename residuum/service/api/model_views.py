@@ -1,4 +1,6 @@
-"""What a page needs to work on a physical model: its description, its signals beside records, and one more effect."""
+"""What a page needs to work on a physical model: its description, its signals beside records, and
+one more effect.
+"""
 
 from __future__ import annotations
 
@@ -20,17 +22,29 @@ from residuum.service.api.json_response import Json, StrictRoute
 from residuum.service.api.parameters import ModelName, NewModelName
 from residuum.service.services import Running, Services, caller_of
 from residuum.service.store import Conflict, NotFound
-from residuum.service.views.model_view import add_effect, describe, effect_curves, model_of, view_model, with_parameters
+from residuum.service.views.model_view import (
+    add_effect,
+    describe,
+    effect_curves,
+    model_of,
+    view_model,
+    with_parameters,
+)
 from residuum.service.work.worker_pool import RecordParts, parts_of
 
 router = APIRouter(prefix="/models", tags=["models"], route_class=StrictRoute, responses=PROBLEMS)
 
-Values = Annotated[dict[Text, float], Field(max_length=50, description="Values by the effect's own parameter names.")]
+Values = Annotated[
+    dict[Text, float],
+    Field(max_length=50, description="Values by the effect's own parameter names."),
+]
 Version = Annotated[int | None, Query(description="Version (default: the newest).", ge=1, le=10**9)]
 DERIVED = "derived: a comparison's signals"
 """The note of records that a comparison made."""
 DERIVED_KEPT = 100
-"""Of the records that comparisons made the newest are kept; a comparison makes them again at any time."""
+"""Of the records that comparisons made the newest are kept; a comparison makes them again at any
+time.
+"""
 _LOOKED_AT = 500
 
 
@@ -52,7 +66,9 @@ class Addition(OnRecords):
     """Which effect a model is to get."""
 
     add: Effect
-    save_as: NewModelName = Field(description="The larger model becomes a new version of this model.")
+    save_as: NewModelName = Field(
+        description="The larger model becomes a new version of this model."
+    )
 
 
 class ParameterChange(BaseModel, extra="forbid"):
@@ -68,8 +84,12 @@ class ParameterChanges(BaseModel, extra="forbid"):
     """New values, bounds and fixedness by full name (`R`, `coulomb-friction@shaft.tau_c`)."""
 
     parameters: Annotated[dict[Text, ParameterChange], Field(min_length=1, max_length=200)]
-    version: int | None = Field(None, ge=1, le=10**9, description="Version of the model (default: the newest).")
-    save_as: NewModelName = Field(description="The changed model becomes a new version of this model.")
+    version: int | None = Field(
+        None, ge=1, le=10**9, description="Version of the model (default: the newest)."
+    )
+    save_as: NewModelName = Field(
+        description="The changed model becomes a new version of this model."
+    )
 
 
 @router.get("/built-in/descriptions")
@@ -81,26 +101,48 @@ def list_built_in() -> Response:
 
 @router.get("/{model}/description")
 def get_description(running: Running, model: ModelName, version: Version = None) -> Response:
-    """A model's signals, parameters, balances as expression trees, and effects with where they came from."""
+    """A model's signals, parameters, balances as expression trees, and effects with where they came
+    from.
+    """
     text = _text(running, model, version)
     file = write_model(model_of(model, None)) if text is None else text.decode()
-    return Json({"model": model, "version": version, "built_in": text is None, **describe(model_of(model, text)), "file": file})
+    return Json(
+        {
+            "model": model,
+            "version": version,
+            "built_in": text is None,
+            **describe(model_of(model, text)),
+            "file": file,
+        }
+    )
 
 
 @router.post("/{model}/parameters", status_code=201, response_model=ModelVersionAnswer)
-def change_parameters(request: Request, running: Running, model: ModelName, asked: ParameterChanges) -> Response:
-    """Store the model with some parameters' values, bounds or fixedness changed, as a new version."""
-    changes = {name: change.model_dump(exclude_unset=True) for name, change in asked.parameters.items()}
+def change_parameters(
+    request: Request, running: Running, model: ModelName, asked: ParameterChanges
+) -> Response:
+    """Store the model with some parameters' values, bounds or fixedness changed, as a new
+    version.
+    """
+    changes = {
+        name: change.model_dump(exclude_unset=True) for name, change in asked.parameters.items()
+    }
     text = with_parameters(model_of(model, _text(running, model, asked.version)), changes)
     by = caller_of(request).name
     note = f"changed by hand: {', '.join(changes)}"[:2000]
     version = running.store.add_model_version(asked.save_as, "physical", text.encode(), note, by)
-    return Json(version.to_json(), 201, {"Location": f"/api/v1/models/{version.model}/versions/{version.number}"})
+    return Json(
+        version.to_json(),
+        201,
+        {"Location": f"/api/v1/models/{version.model}/versions/{version.number}"},
+    )
 
 
 @router.post("/{model}/views", status_code=202, response_model=JobAnswer)
 def view(running: Running, model: ModelName, asked: Comparison) -> Response:
-    """The `compare` object with everything that is drawn beside it; `signals` become records of their own."""
+    """The `compare` object with everything that is drawn beside it; `signals` become records of
+    their own.
+    """
     text = _text(running, model, asked.version)
 
     def keep(outcome: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -109,7 +151,11 @@ def view(running: Running, model: ModelName, asked: Comparison) -> Response:
         return {**outcome, "signals": signals}
 
     records = _records(running, asked.records)
-    return accepted(running.jobs.submit("view", view_model, model, text, records, asked.map, part_of(asked, Compare), then=keep))
+    return accepted(
+        running.jobs.submit(
+            "view", view_model, model, text, records, asked.map, part_of(asked, Compare), then=keep
+        )
+    )
 
 
 @router.post("/{model}/effect-curves", status_code=202, response_model=JobAnswer)
@@ -117,7 +163,11 @@ def curves(running: Running, model: ModelName, asked: Curves) -> Response:
     """What each of these effects would add to its balance, along every axis."""
     effects = [(use.effect, use.balance, use.parameters) for use in asked.effects]
     text, records = _text(running, model, asked.version), _records(running, asked.records)
-    return accepted(running.jobs.submit("effect-curves", effect_curves, model, text, records, asked.map, effects))
+    return accepted(
+        running.jobs.submit(
+            "effect-curves", effect_curves, model, text, records, asked.map, effects
+        )
+    )
 
 
 @router.post("/{model}/effects", status_code=202, response_model=JobAnswer)
@@ -128,13 +178,17 @@ def add(request: Request, running: Running, model: ModelName, asked: Addition) -
 
     def keep(outcome: Mapping[str, Any]) -> Mapping[str, Any]:
         note = f"{added.effect} added to {added.balance}"
-        stored = running.store.add_model_version(asked.save_as, "physical", outcome["file"], note, by)
+        stored = running.store.add_model_version(
+            asked.save_as, "physical", outcome["file"], note, by
+        )
         answer = {key: value for key, value in outcome.items() if key != "file"}
         return {**answer, "stored": {"model": asked.save_as, "version": stored.number}}
 
     arguments = (_text(running, model, asked.version), _records(running, asked.records), asked.map)
     addition = (added.effect, added.balance, added.parameters)
-    return accepted(running.jobs.submit("add-effect", add_effect, model, *arguments, *addition, then=keep))
+    return accepted(
+        running.jobs.submit("add-effect", add_effect, model, *arguments, *addition, then=keep)
+    )
 
 
 def _text(running: Services, model: str, version: int | None) -> bytes | None:
@@ -153,13 +207,19 @@ def _records(running: Services, numbers: Sequence[int]) -> list[RecordParts]:
 
 def _stored(running: Services, model: str, parts: RecordParts) -> int:
     record = Record(*parts)
-    signals = Record(record.channels, record.units, record.sample_time, record.t0, (DERIVED,), record.source)
+    signals = Record(
+        record.channels, record.units, record.sample_time, record.t0, (DERIVED,), record.source
+    )
     return running.store.add_record(f"{model} beside {record.source or 'a record'}"[:200], signals)
 
 
 def _let_go(running: Services, needed: set[int]) -> None:
     """Remove the oldest records that comparisons made."""
-    derived = [record.id for record in running.store.records(limit=_LOOKED_AT).items if DERIVED in record.notes]
+    derived = [
+        record.id
+        for record in running.store.records(limit=_LOOKED_AT).items
+        if DERIVED in record.notes
+    ]
     for number in derived[DERIVED_KEPT:]:
         if number not in needed:
             with suppress(NotFound):  # another comparison was faster

@@ -12,7 +12,12 @@ from residuum.service.api.answers import PROBLEMS, ModelVersionAnswer, PageOf
 from residuum.service.api.json_response import Json, in_pieces, page_answer
 from residuum.service.api.parameters import TEXT, Cursor, Limit, ModelName, NewModelName
 from residuum.service.api.signal_body import body_of
-from residuum.service.model_files import MODEL_KINDS, check_long_model_file, check_model_file, is_read_apart
+from residuum.service.model_files import (
+    MODEL_KINDS,
+    check_long_model_file,
+    check_model_file,
+    is_read_apart,
+)
 from residuum.service.services import Running, Services, caller_of
 from residuum.service.store import ModelVersion, NotFound
 
@@ -23,7 +28,10 @@ Kind = Literal["physical", "identified", "baseline"]
 _MODEL_BODY = {
     "requestBody": {
         "required": True,
-        "description": "The model file's bytes: YAML (physical), JSON (identified) or a stored diagnoser (baseline).",
+        "description": (
+            "The model file's bytes: YAML (physical), JSON (identified) or a stored diagnoser"
+            " (baseline)."
+        ),
         "content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}},
     }
 }
@@ -33,21 +41,36 @@ _MODEL_BODY = {
 async def add_model(
     request: Request,
     running: Running,
-    name: Annotated[NewModelName, Query(description="Name of the model; a known one gets a new version.")],
+    name: Annotated[
+        NewModelName, Query(description="Name of the model; a known one gets a new version.")
+    ],
     kind: Annotated[Kind, Query(description="What the file is.")] = "physical",
-    diagnoser: Annotated[str | None, Query(description="baseline: of which diagnoser.", max_length=64)] = None,
-    note: Annotated[str, Query(description="What is new in this version.", max_length=2000, pattern=TEXT)] = "",
+    diagnoser: Annotated[
+        str | None, Query(description="baseline: of which diagnoser.", max_length=64)
+    ] = None,
+    note: Annotated[
+        str, Query(description="What is new in this version.", max_length=2000, pattern=TEXT)
+    ] = "",
 ) -> Response:
-    """Store a model, or a new version of one. The file is read and checked first; nothing else is stored."""
+    """Store a model, or a new version of one. The file is read and checked first; nothing else is
+    stored.
+    """
     content = await body_of(request)
     if is_read_apart(kind, content):
-        limits = {"memory": running.settings.upload_memory, "seconds": running.settings.upload_seconds}
+        limits = {
+            "memory": running.settings.upload_memory,
+            "seconds": running.settings.upload_seconds,
+        }
         await running.reading(check_long_model_file, kind, content, diagnoser, **limits)
     else:
         await run_in_threadpool(check_model_file, kind, content, diagnoser)
     caller = caller_of(request).name
-    version = await run_in_threadpool(running.store.add_model_version, name, kind, content, note, caller)
-    return Json(version.to_json(), 201, {"Location": f"/api/v1/models/{name}/versions/{version.number}"})
+    version = await run_in_threadpool(
+        running.store.add_model_version, name, kind, content, note, caller
+    )
+    return Json(
+        version.to_json(), 201, {"Location": f"/api/v1/models/{name}/versions/{version.number}"}
+    )
 
 
 @router.get("", response_model=PageOf[ModelVersionAnswer])
@@ -64,7 +87,9 @@ async def list_models(
 @router.get("/{model}/versions", response_model=PageOf[ModelVersionAnswer])
 def list_versions(running: Running, model: ModelName) -> Response:
     """All versions of a model, newest first."""
-    return Json({"items": [version.to_json() for version in _versions(running, model)], "next_cursor": None})
+    return Json(
+        {"items": [version.to_json() for version in _versions(running, model)], "next_cursor": None}
+    )
 
 
 @router.get("/{model}/versions/{number}", response_class=Response)
@@ -77,7 +102,9 @@ def get_version(running: Running, model: ModelName, number: VersionNumber) -> Re
 
 
 def _versions(running: Services, model: str) -> Sequence[ModelVersion]:
-    """Versions of a model, newest first; NotFound also for a machine's document, which is no model."""
+    """Versions of a model, newest first; NotFound also for a machine's document, which is no
+    model.
+    """
     versions = running.store.model_versions(model)
     if versions[0].kind not in MODEL_KINDS:
         raise NotFound(f"model {model!r}: there is none of this name; GET /models lists them")

@@ -1,4 +1,6 @@
-"""How a file that comes over HTTP is to be read: the options of the command line, as keys of the query."""
+"""How a file that comes over HTTP is to be read: the options of the command line, as keys of the
+query.
+"""
 
 from __future__ import annotations
 
@@ -18,15 +20,26 @@ _OF_THE_FILE = {
     "unit": "CHANNEL=UNIT, once a channel: the unit of a column that has none.",
     "time": "Name of the column of times.",
     "resample": "true: accept uneven time stamps; longer holes stay missing.",
-    "missing": "CELL, once a spelling: what means no value in a logger's file, such as OL or -999.9.",
+    "missing": (
+        "CELL, once a spelling: what means no value in a logger's file, such as OL or -999.9."
+    ),
     "decimal": "Decimal sign of a logger's file that leaves it open: . or ,",
     "names": "NAME,…: names of all columns of a logger's file without heads, units in brackets.",
-    "duplicates": "What becomes of a logger's rows of one stamp: first, mean, or spread (evenly until the next stamp).",
-    "reordered": "What becomes of a logger's rows out of order: sort, or bridge (only the clock was set).",
+    "duplicates": (
+        "What becomes of a logger's rows of one stamp: first, mean, or spread (evenly until the"
+        " next stamp)."
+    ),
+    "reordered": (
+        "What becomes of a logger's rows out of order: sort, or bridge (only the clock was set)."
+    ),
     "time_form": f"Form of a logger's times: {', '.join(FORMS)}.",
 }
-READING_OPTIONS = _OF_THE_FILE | {"map": "NAME=COLUMN, once a signal: take the signal NAME from this column."}
-"""Key and meaning of what may be said of a body that is a file; several of `unit`, `map` and `missing` are taken."""
+READING_OPTIONS = _OF_THE_FILE | {
+    "map": "NAME=COLUMN, once a signal: take the signal NAME from this column."
+}
+"""Key and meaning of what may be said of a body that is a file; several of `unit`, `map` and
+`missing` are taken.
+"""
 _SAID_ITSELF = {"application/json": in_json, "application/octet-stream": of_array}
 """How the kinds of bodies are read that say their units themselves."""
 _TRUE, _FALSE = ("true", "1", "yes", "on"), ("false", "0", "no", "off")
@@ -45,7 +58,11 @@ class Reading(NamedTuple):
 
 def reading_of(query: QueryParams) -> Reading:
     """What a query says of reading; BadInput names the key that is malformed."""
-    options: dict[str, Any] = {key: query[key] for key in ("decimal", "time_form", "duplicates", "reordered") if key in query}
+    options: dict[str, Any] = {
+        key: query[key]
+        for key in ("decimal", "time_form", "duplicates", "reordered")
+        if key in query
+    }
     if "missing" in query:
         options["missing"] = query.getlist("missing")
     if "names" in query:
@@ -58,7 +75,9 @@ def reading_of(query: QueryParams) -> Reading:
 
 
 def reading(said: Mapping[str, Any], maps: Sequence[str], units: Sequence[str]) -> Reading:
-    """Plain options with `map` and `unit` texts; a unit is said of a column, or of the name that it gets."""
+    """Plain options with `map` and `unit` texts; a unit is said of a column, or of the name that it
+    gets.
+    """
     columns = _pairs("map", maps)
     options = dict(said)
     if "time" in columns:
@@ -83,7 +102,10 @@ def remedies_in_upload() -> AbstractContextManager[None]:
 def only_of_files(query: QueryParams, kind: str) -> None:
     """Refuse options of a file for a body that says these things itself."""
     if given := next((key for key in _OF_THE_FILE if key in query), None):
-        raise BadInput(f"query, {given}: is an option for files (text/csv, application/zip); {kind} says it itself")
+        raise BadInput(
+            f"query, {given}: is an option for files (text/csv, application/zip); {kind} says it"
+            " itself"
+        )
 
 
 def _pairs(key: str, texts: Sequence[str]) -> dict[str, str]:
@@ -91,7 +113,10 @@ def _pairs(key: str, texts: Sequence[str]) -> dict[str, str]:
     for text in texts:
         name, equals, value = text.partition("=")
         if not (name and equals and value):
-            raise BadInput(f"query, {key} {text[:60]!r}: must be {'NAME=COLUMN' if key == 'map' else 'CHANNEL=UNIT'}")
+            raise BadInput(
+                f"query, {key} {text[:60]!r}: must be"
+                f" {'NAME=COLUMN' if key == 'map' else 'CHANNEL=UNIT'}"
+            )
         pairs[name] = value
     return pairs
 

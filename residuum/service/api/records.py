@@ -45,56 +45,111 @@ async def add_record(
     request: Request,
     running: Running,
     filename: Annotated[
-        str, Query(description="Name with its ending, which says the format.", min_length=1, max_length=200, pattern=TEXT)
+        str,
+        Query(
+            description="Name with its ending, which says the format.",
+            min_length=1,
+            max_length=200,
+            pattern=TEXT,
+        ),
     ],
     resample: Annotated[
-        bool, Query(description="Accept uneven time stamps: samples are interpolated, longer holes stay missing.")
+        bool,
+        Query(
+            description=(
+                "Accept uneven time stamps: samples are interpolated, longer holes stay missing."
+            )
+        ),
     ] = False,
     decimal: Annotated[
-        Literal[".", ","] | None, Query(description="Decimal sign of a logger's file that leaves it open.")
+        Literal[".", ","] | None,
+        Query(description="Decimal sign of a logger's file that leaves it open."),
     ] = None,
     time_form: Annotated[
-        str | None, Query(description=f"Form of a logger's times: {', '.join(FORMS)}.", max_length=40, pattern=TEXT)
+        str | None,
+        Query(
+            description=f"Form of a logger's times: {', '.join(FORMS)}.",
+            max_length=40,
+            pattern=TEXT,
+        ),
     ] = None,
     time_column: Annotated[
-        str | None, Query(description="Name of a logger's column of times.", max_length=200, pattern=TEXT)
+        str | None,
+        Query(description="Name of a logger's column of times.", max_length=200, pattern=TEXT),
     ] = None,
-    time: Annotated[str | None, Query(description="The same as `time_column`.", max_length=200, pattern=TEXT)] = None,
+    time: Annotated[
+        str | None, Query(description="The same as `time_column`.", max_length=200, pattern=TEXT)
+    ] = None,
     sample_time: Annotated[
-        float | None, Query(description="Seconds between samples, for files that do not say it.", gt=0, allow_inf_nan=False)
+        float | None,
+        Query(
+            description="Seconds between samples, for files that do not say it.",
+            gt=0,
+            allow_inf_nan=False,
+        ),
     ] = None,
-    unit: Annotated[list[str] | None, Query(description=READING_OPTIONS["unit"], max_length=256)] = None,
-    missing: Annotated[list[str] | None, Query(description=READING_OPTIONS["missing"], max_length=64)] = None,
-    map: Annotated[list[str] | None, Query(description=READING_OPTIONS["map"], max_length=256)] = None,
-    names: Annotated[str | None, Query(description=READING_OPTIONS["names"], max_length=2000)] = None,
-    duplicates: Annotated[Literal["first", "mean", "spread"] | None, Query(description=READING_OPTIONS["duplicates"])] = None,
-    reordered: Annotated[Literal["sort", "bridge"] | None, Query(description=READING_OPTIONS["reordered"])] = None,
+    unit: Annotated[
+        list[str] | None, Query(description=READING_OPTIONS["unit"], max_length=256)
+    ] = None,
+    missing: Annotated[
+        list[str] | None, Query(description=READING_OPTIONS["missing"], max_length=64)
+    ] = None,
+    map: Annotated[
+        list[str] | None, Query(description=READING_OPTIONS["map"], max_length=256)
+    ] = None,
+    names: Annotated[
+        str | None, Query(description=READING_OPTIONS["names"], max_length=2000)
+    ] = None,
+    duplicates: Annotated[
+        Literal["first", "mean", "spread"] | None, Query(description=READING_OPTIONS["duplicates"])
+    ] = None,
+    reordered: Annotated[
+        Literal["sort", "bridge"] | None, Query(description=READING_OPTIONS["reordered"])
+    ] = None,
     dbc: Annotated[
         str | None,
         Query(
-            description=f"DBC file of a watched machine, by its name, for a CAN log ({', '.join(CAN_LOGS)}).",
+            description=(
+                "DBC file of a watched machine, by its name, for a CAN log"
+                f" ({', '.join(CAN_LOGS)})."
+            ),
             max_length=200,
             pattern=TEXT,
         ),
     ] = None,
 ) -> Response:
-    """Upload a record file. It is read at once, in a process of its own with limits, and stored only when it is valid.
+    """Upload a record file. It is read at once, in a process of its own with limits, and stored
+    only when it is valid.
 
-    A logger's text file is understood by its own text; what that leaves open is refused, and said with these parameters.
+    A logger's text file is understood by its own text; what that leaves open is refused, and said
+    with these parameters.
     """
     if time is not None and time_column is not None:
-        raise BadBody("query: time and time_column are one option, the name of the column of times; give one of them")
+        raise BadBody(
+            "query: time and time_column are one option, the name of the column of times; give one"
+            " of them"
+        )
     options: dict[str, object] = {
         "resample": resample,
         "decimal": decimal,
         "time_form": time_form,
         "time_column": time_column or time,
     }
-    options |= {"names": names.split(",") if names else [], "duplicates": duplicates, "reordered": reordered}
+    options |= {
+        "names": names.split(",") if names else [],
+        "duplicates": duplicates,
+        "reordered": reordered,
+    }
     with remedies_in_query():
-        how = reading(options | {"sample_time": sample_time, "missing": missing or []}, map or (), unit or ())
+        how = reading(
+            options | {"sample_time": sample_time, "missing": missing or []}, map or (), unit or ()
+        )
         content = await body_of(request)
-        bus = None if dbc is None else await run_in_threadpool(known_dbc, running.settings, running.store, dbc)
+        bus = (
+            None
+            if dbc is None
+            else await run_in_threadpool(known_dbc, running.settings, running.store, dbc)
+        )
         record = await running.reading(_read, filename, content, running.settings, how.options, bus)
         record = how.renamed(record)
     number = await run_in_threadpool(running.store.add_record, filename, record)
@@ -127,8 +182,12 @@ async def get_record_signal(
     record: RecordId,
     channels: ChannelNames = None,
     points: Points = 2000,
-    begin: Annotated[float, Query(alias="from", description="Seconds after the record's begin.", ge=0)] = 0.0,
-    end: Annotated[float | None, Query(alias="to", description="Seconds after the record's begin.", gt=0)] = None,
+    begin: Annotated[
+        float, Query(alias="from", description="Seconds after the record's begin.", ge=0)
+    ] = 0.0,
+    end: Annotated[
+        float | None, Query(alias="to", description="Seconds after the record's begin.", gt=0)
+    ] = None,
 ) -> Response:
     """A stretch of the signals, reduced as a window's are."""
     known = await run_in_threadpool(running.store.record, record)
@@ -138,20 +197,34 @@ async def get_record_signal(
             raise BadInput(f"channel {name[:60]!r}: the record has none of this name; {says}")
 
     def view() -> Response:
-        return Json({"window": None, **signal_view(running.store.record_in_pieces(record, channels), points, begin, end)})
+        return Json(
+            {
+                "window": None,
+                **signal_view(running.store.record_in_pieces(record, channels), points, begin, end),
+            }
+        )
 
     return await running.listing(view)
 
 
-def _read(filename: str, content: bytes, settings: Settings, options: Mapping[str, object], bus: Path | None) -> Record:
+def _read(
+    filename: str,
+    content: bytes,
+    settings: Settings,
+    options: Mapping[str, object],
+    bus: Path | None,
+) -> Record:
     """The record of an uploaded file, whose name on disk is ours (its ending one of the known)."""
     endings = [*READERS, *OLDER, *LOGGERS, *CAN_LOGS]
     ending = next((known for known in endings if filename.lower().endswith(known)), None)
     if ending is None:
-        raise UnsupportedBody(f"filename {filename[:60]!r}: the ending must be one of {', '.join(endings)}")
+        raise UnsupportedBody(
+            f"filename {filename[:60]!r}: the ending must be one of {', '.join(endings)}"
+        )
     if (ending in CAN_LOGS) != (bus is not None):
         raise BadInput(
-            f"filename {filename[:60]!r}: CAN logs ({', '.join(CAN_LOGS)}) and the DBC file of their bus (dbc) go together"
+            f"filename {filename[:60]!r}: CAN logs ({', '.join(CAN_LOGS)}) and the DBC file of"
+            " their bus (dbc) go together"
         )
     limits = {"memory": settings.upload_memory, "seconds": settings.upload_seconds}
     return read_upload(content, ending, filename, **limits, options=options, dbc=bus)

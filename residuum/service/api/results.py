@@ -15,14 +15,25 @@ from residuum.service.api.answers import PROBLEMS
 from residuum.service.api.json_response import StrictRoute
 from residuum.service.api.parameters import AssetName
 from residuum.service.results.month_report import month_report
-from residuum.service.results.parquet_tables import MEDIA_TYPE, span_of, write_findings, write_windows
+from residuum.service.results.parquet_tables import (
+    MEDIA_TYPE,
+    span_of,
+    write_findings,
+    write_windows,
+)
 from residuum.service.results.report_page import POLICY, report_page
 from residuum.service.services import Running, Services
 
-router = APIRouter(prefix="/assets/{asset}", tags=["results"], route_class=StrictRoute, responses=PROBLEMS)
+router = APIRouter(
+    prefix="/assets/{asset}", tags=["results"], route_class=StrictRoute, responses=PROBLEMS
+)
 
-Begin = Annotated[str, Query(alias="from", max_length=40, description="ISO 8601; without a zone: UTC.")]
-End = Annotated[str, Query(alias="to", max_length=40, description="ISO 8601; not part of the span.")]
+Begin = Annotated[
+    str, Query(alias="from", max_length=40, description="ISO 8601; without a zone: UTC.")
+]
+End = Annotated[
+    str, Query(alias="to", max_length=40, description="ISO 8601; not part of the span.")
+]
 _MOST_BYTES = 2**30
 
 
@@ -30,25 +41,38 @@ _MOST_BYTES = 2**30
 async def get_findings_file(running: Running, asset: AssetName, begin: Begin, end: End) -> Response:
     """Findings of a span of time as a Parquet file, a row a finding (needs the extra `parquet`)."""
     span = span_of(begin, end)
-    return await file_answer(running, f"{asset}-findings.parquet", lambda path: write_findings(running.store, asset, span, path))
+    return await file_answer(
+        running,
+        f"{asset}-findings.parquet",
+        lambda path: write_findings(running.store, asset, span, path),
+    )
 
 
 @router.get("/windows.parquet", response_class=Response)
 async def get_windows_file(running: Running, asset: AssetName, begin: Begin, end: End) -> Response:
-    """Windows of a span of time with their signals as a Parquet file, a row a window and channel (needs the extra `parquet`)."""
+    """Windows of a span of time with their signals as a Parquet file, a row a window and channel
+    (needs the extra `parquet`).
+    """
     span = span_of(begin, end)
     return await file_answer(
-        running, f"{asset}-windows.parquet", lambda path: write_windows(running.store, asset, span, path, _MOST_BYTES)
+        running,
+        f"{asset}-windows.parquet",
+        lambda path: write_windows(running.store, asset, span, path, _MOST_BYTES),
     )
 
 
 @router.get("/report", response_class=Response)
 async def get_report(
-    running: Running, asset: AssetName, month: Annotated[str, Query(max_length=20, description="YYYY-MM, in UTC.")]
+    running: Running,
+    asset: AssetName,
+    month: Annotated[str, Query(max_length=20, description="YYYY-MM, in UTC.")],
 ) -> Response:
     """What happened at a machine in a month, as one HTML page that opens offline."""
     page = await running.writing(lambda: report_page(month_report(running.store, asset, month)))
-    headers = {"Content-Security-Policy": POLICY, "Content-Disposition": f'inline; filename="{asset}-{month}.html"'}
+    headers = {
+        "Content-Security-Policy": POLICY,
+        "Content-Disposition": f'inline; filename="{asset}-{month}.html"',
+    }
     return Response(page, media_type="text/html", headers=headers)
 
 
@@ -57,9 +81,13 @@ def downloads(data: Path) -> Path:
     return data / "downloads"
 
 
-async def file_answer(running: Services, name: str, write: Callable[[Path], object], media_type: str = MEDIA_TYPE) -> Response:
+async def file_answer(
+    running: Services, name: str, write: Callable[[Path], object], media_type: str = MEDIA_TYPE
+) -> Response:
     """The answer of a file that `write` makes, one at a time, and that is gone when it was sent."""
-    return await running.writing(_written, downloads(running.settings.data), name, write, media_type)
+    return await running.writing(
+        _written, downloads(running.settings.data), name, write, media_type
+    )
 
 
 def _written(place: Path, name: str, write: Callable[[Path], object], media_type: str) -> Response:
@@ -71,4 +99,6 @@ def _written(place: Path, name: str, write: Callable[[Path], object], media_type
     except BaseException:
         folder.cleanup()
         raise
-    return FileResponse(path, media_type=media_type, filename=name, background=BackgroundTask(folder.cleanup))
+    return FileResponse(
+        path, media_type=media_type, filename=name, background=BackgroundTask(folder.cleanup)
+    )

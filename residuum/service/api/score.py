@@ -15,7 +15,13 @@ from residuum.service.api.answers import PROBLEMS, ScoreAnswer
 from residuum.service.api.json_response import BareRoute, finding_json
 from residuum.service.api.parameters import NAME
 from residuum.service.api.reading_options import remedies_in_query, remedies_in_upload
-from residuum.service.api.signal_body import SIGNAL_BODY, SIGNAL_QUERY, kind_of, query_parameter, record_of
+from residuum.service.api.signal_body import (
+    SIGNAL_BODY,
+    SIGNAL_QUERY,
+    kind_of,
+    query_parameter,
+    record_of,
+)
 from residuum.service.commands.diagnoser_options import diagnoser_settings
 from residuum.service.services import Services
 from residuum.service.store import NotFound
@@ -42,11 +48,17 @@ _RECORD = {
     "schema": {"type": "integer"},
 }
 _OF_DIAGNOSERS = [
-    query_parameter("baseline", "string", "A stored baseline, or the name of an asset that has one."),
+    query_parameter(
+        "baseline", "string", "A stored baseline, or the name of an asset that has one."
+    ),
     query_parameter("speed_rpm", "number", "bearing: shaft speed [rpm]."),
     query_parameter("orders", "string", "bearing: bpfi=5.4,… in multiples of shaft speed."),
     query_parameter("hertz", "string", "bearing: bpfi=118.9,… [Hz]."),
-    query_parameter("method", "string", "gate-actuator, robust-residual: source or default decides; both are shown."),
+    query_parameter(
+        "method",
+        "string",
+        "gate-actuator, robust-residual: source or default decides; both are shown.",
+    ),
 ]
 _DESCRIBED = SIGNAL_BODY | {"parameters": [_DIAGNOSER, *SIGNAL_QUERY, *_OF_DIAGNOSERS]}
 
@@ -56,11 +68,14 @@ router = APIRouter(tags=["score"], route_class=BareRoute, responses=PROBLEMS)
 @router.post("/score/{diagnoser}", response_model=ScoreAnswer, openapi_extra=_DESCRIBED)
 async def score(request: Request) -> Response:
     """Score one window. Without a baseline only absolute indicators and fault lines are judged."""
-    # The parameters are read by hand: declared ones cost more time than the rest of the answer to a short window.
+    # The parameters are read by hand: declared ones cost more time than the rest of the answer to a
+    # short window.
     services: Services = request.app.state.services
     query_string = request.scope["query_string"]
     if len(query_string) <= _LONGEST_KEPT:
-        request._query_params = _query(query_string)  # a client asks with the same query again and again
+        request._query_params = _query(
+            query_string
+        )  # a client asks with the same query again and again
     judge = await _judge(services, request.path_params["diagnoser"], request.query_params)
     with remedies_in_query(kind_of(request)):
         record = await record_of(request, judge.channels)
@@ -75,7 +90,9 @@ async def score(request: Request) -> Response:
     openapi_extra={"parameters": [_RECORD, _DIAGNOSER, *_OF_DIAGNOSERS]},
 )
 async def score_record(request: Request) -> Response:
-    """Score an uploaded record. Without a baseline only absolute indicators and fault lines are judged."""
+    """Score an uploaded record. Without a baseline only absolute indicators and fault lines are
+    judged.
+    """
     services: Services = request.app.state.services
     number = request.path_params["record"]
     if not number.isdecimal() or not 0 < int(number) < 2**53:
@@ -94,12 +111,16 @@ def _query(query_string: bytes) -> QueryParams:
 
 async def _judge(services: Services, diagnoser: str, query: QueryParams) -> Diagnoser:
     speed = _speed(query.get("speed_rpm"))
-    settings = diagnoser_settings(speed, query.get("orders"), query.get("hertz"), query.get("method"))
+    settings = diagnoser_settings(
+        speed, query.get("orders"), query.get("hertz"), query.get("method")
+    )
     baseline = query.get("baseline")
     if baseline is None:
         return services.judges.untrained(diagnoser, settings)
     if not re.match(NAME, baseline):
-        raise BadInput(f"query, baseline: {baseline[:60]!r} is not a name of letters, digits, '.', '_' and '-'")
+        raise BadInput(
+            f"query, baseline: {baseline[:60]!r} is not a name of letters, digits, '.', '_' and '-'"
+        )
     judge = await run_in_threadpool(services.judges.trained, diagnoser, baseline)
     return judge.with_settings(**settings) if settings else judge
 

@@ -22,9 +22,13 @@ router = APIRouter(tags=["settings"], route_class=StrictRoute, responses=PROBLEM
 
 @router.get("/settings")
 def list_settings(running: Running) -> Response:
-    """Every setting with its value, whether it was set, and what it means; passwords and the paths of webhooks are hidden."""
+    """Every setting with its value, whether it was set, and what it means; passwords and the paths
+    of webhooks are hidden.
+    """
     settings = running.settings
-    values = to_jsonable_python({name: getattr(settings, name) for name in Settings.model_fields}, inf_nan_mode="strings")
+    values = to_jsonable_python(
+        {name: getattr(settings, name) for name in Settings.model_fields}, inf_nan_mode="strings"
+    )
     rows = [
         {
             "name": name,
@@ -38,9 +42,15 @@ def list_settings(running: Running) -> Response:
 
 
 def _shown(name: str, value: Any) -> Any:
-    """A value without what only its owner may know; of machines their names, for each has a route of its own."""
+    """A value without what only its owner may know; of machines their names, for each has a route
+    of its own.
+    """
     if name == "machines":
         return [machine["asset"] for machine in value]
     if name == "webhooks":
         return [f"{urlsplit(address).scheme}://{urlsplit(address).hostname}/…" for address in value]
-    return _PASSWORD_IN_QUERY.sub(r"\1***", with_hidden_password(value)) if isinstance(value, str) else value
+    return (
+        _PASSWORD_IN_QUERY.sub(r"\1***", with_hidden_password(value))
+        if isinstance(value, str)
+        else value
+    )

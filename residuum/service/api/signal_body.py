@@ -1,7 +1,9 @@
-"""The body of a request as a Record: JSON, .npy, CSV or NPZ, by content type; never read in the way of other requests.
+"""The body of a request as a Record: JSON, .npy, CSV or NPZ, by content type; never read in the way
+of other requests.
 
-What is short is read on the event loop, what is longer in a thread. JSON and CSV that are long, and NPZ that may be, are read in
-a process of their own with limits: their parsers hold the interpreter for as long as they take, and a thread would not help.
+What is short is read on the event loop, what is longer in a thread. JSON and CSV that are long, and
+NPZ that may be, are read in a process of their own with limits: their parsers hold the interpreter
+for as long as they take, and a thread would not help.
 """
 
 from __future__ import annotations
@@ -31,7 +33,9 @@ from residuum.service.work.upload_reader import read_body, read_upload
 READ_ON_THE_LOOP = 64 * 2**10
 """Bytes up to which a body is read on the event loop: a few milliseconds."""
 _APART = 512 * 2**10
-"""Bytes from which JSON and CSV are read in a process of their own: their parsers hold the interpreter for some 20 ms then."""
+"""Bytes from which JSON and CSV are read in a process of their own: their parsers hold the
+interpreter for some 20 ms then.
+"""
 _APART_UNPACKED = 8 * 2**20
 """Bytes to which an NPZ may unpack in a thread of the service."""
 _PACKED = "application/zip"
@@ -51,18 +55,31 @@ def query_parameter(name: str, kind: str, says: str, *, repeated: bool = False) 
 
 SIGNAL_QUERY = [
     query_parameter(
-        "sample_time", "number", ".npy (or `sampling_rate` [Hz]), a file that does not say it: seconds between samples."
+        "sample_time",
+        "number",
+        ".npy (or `sampling_rate` [Hz]), a file that does not say it: seconds between samples.",
     ),
-    query_parameter("sampling_rate", "number", ".npy: samples a second [Hz], instead of `sample_time`."),
+    query_parameter(
+        "sampling_rate", "number", ".npy: samples a second [Hz], instead of `sample_time`."
+    ),
     query_parameter("t0", "number", ".npy: time of the first sample [s]."),
-    query_parameter("channel", "string", ".npy: `name [unit]`, once a row of the array.", repeated=True),
+    query_parameter(
+        "channel", "string", ".npy: `name [unit]`, once a row of the array.", repeated=True
+    ),
     *(
         query_parameter(
-            name, "string", f"CSV, NPZ: {says}" if name != "map" else says, repeated=name in ("map", "unit", "missing")
+            name,
+            "string",
+            f"CSV, NPZ: {says}" if name != "map" else says,
+            repeated=name in ("map", "unit", "missing"),
         )
         for name, says in READING_OPTIONS.items()
     ),
-    query_parameter("dbc", "string", f"DBC file of a watched machine, by its name, for a CAN log ({', '.join(CAN_LOGS)})."),
+    query_parameter(
+        "dbc",
+        "string",
+        f"DBC file of a watched machine, by its name, for a CAN log ({', '.join(CAN_LOGS)}).",
+    ),
     query_parameter("filename", "string", "Name of that log; its ending says the format."),
 ]
 """What may be said of a body of signals in the query."""
@@ -71,7 +88,10 @@ SIGNAL_BODY: dict[str, Any] = {
     "parameters": SIGNAL_QUERY,
     "requestBody": {
         "required": True,
-        "description": "One window. A sample that is missing is null in JSON, NaN in arrays, an empty cell in CSV.",
+        "description": (
+            "One window. A sample that is missing is null in JSON, NaN in arrays, an empty cell in"
+            " CSV."
+        ),
         "content": {
             "application/json": {
                 "schema": {
@@ -79,12 +99,23 @@ SIGNAL_BODY: dict[str, Any] = {
                     "required": ["sample_time", "channels", "units"],
                     "additionalProperties": False,
                     "properties": {
-                        "sample_time": {"type": "number", "exclusiveMinimum": 0, "description": "Seconds between samples."},
-                        "t0": {"type": "number", "description": "Time of the first sample [s], the recorder's clock."},
+                        "sample_time": {
+                            "type": "number",
+                            "exclusiveMinimum": 0,
+                            "description": "Seconds between samples.",
+                        },
+                        "t0": {
+                            "type": "number",
+                            "description": "Time of the first sample [s], the recorder's clock.",
+                        },
                         "channels": {
                             "type": "object",
                             "minProperties": 1,
-                            "additionalProperties": {"type": "array", "items": {"type": ["number", "null"]}, "minItems": 1},
+                            "additionalProperties": {
+                                "type": "array",
+                                "items": {"type": ["number", "null"]},
+                                "minItems": 1,
+                            },
                             "description": "Samples by channel name, all of one length.",
                         },
                         "units": {"type": "object", "additionalProperties": {"type": "string"}},
@@ -94,7 +125,10 @@ SIGNAL_BODY: dict[str, Any] = {
             },
             "application/octet-stream": {
                 "schema": {"type": "string", "format": "binary"},
-                "example": "an .npy array of shape (n,) or (channels, n); say sample_time and channel in the query",
+                "example": (
+                    "an .npy array of shape (n,) or (channels, n); say sample_time and channel in"
+                    " the query"
+                ),
             },
             "text/csv": {"schema": {"type": "string"}},
             "application/zip": {"schema": {"type": "string", "format": "binary"}},
@@ -112,8 +146,9 @@ def kind_of(request: Request) -> str:
 async def record_of(request: Request, expected: Sequence[Channel] = ()) -> Record:
     """The record in a request's body.
 
-    An .npy array carries no names: the query says `sample_time` and, once a row, `channel=name [unit]`; without
-    `channel` the rows are the required channels of the diagnoser, in its order and units.
+    An .npy array carries no names: the query says `sample_time` and, once a row, `channel=name
+    [unit]`; without `channel` the rows are the required channels of the diagnoser, in its order and
+    units.
 
     Raises BadBody, BadRecord, BadUnit, TooLarge or UnsupportedBody, each with one line.
     """
@@ -139,30 +174,51 @@ async def _can_log(request: Request) -> Record:
     if ending is None or not bus:
         logs = ", ".join(CAN_LOGS)
         raise BadBody(
-            f"query: filename (a CAN log, {logs}) and dbc (the DBC file of its bus) go together for a body that is a log"
+            f"query: filename (a CAN log, {logs}) and dbc (the DBC file of its bus) go together for"
+            " a body that is a log"
         )
     reading, settings = reading_of(request.query_params), services.settings
-    body, dbc = await body_of(request), await run_in_threadpool(known_dbc, settings, services.store, bus)
+    body, dbc = (
+        await body_of(request),
+        await run_in_threadpool(known_dbc, settings, services.store, bus),
+    )
     within: dict[str, Any] = {"memory": settings.upload_memory, "seconds": settings.upload_seconds}
     return reading.renamed(
-        await services.reading(read_upload, body, ending, name[:200], **within, options=reading.options, dbc=dbc)
+        await services.reading(
+            read_upload, body, ending, name[:200], **within, options=reading.options, dbc=dbc
+        )
     )
 
 
-async def _read(request: Request, kind: str, reading: Reading, expected: Sequence[Channel]) -> Record:
+async def _read(
+    request: Request, kind: str, reading: Reading, expected: Sequence[Channel]
+) -> Record:
     services: Services = request.app.state.services
     body, settings = await body_of(request), services.settings
     # A stranger's file, to be understood: as an upload is, in a process of its own.
     if reading.options or (kind == "text/csv" and not is_ours(body)):
-        within: dict[str, Any] = {"memory": settings.upload_memory, "seconds": settings.upload_seconds}
-        return await services.reading(read_upload, body, _ENDINGS[kind], "body", **within, options=reading.options)
+        within: dict[str, Any] = {
+            "memory": settings.upload_memory,
+            "seconds": settings.upload_seconds,
+        }
+        return await services.reading(
+            read_upload, body, _ENDINGS[kind], "body", **within, options=reading.options
+        )
     if kind == _ARRAY:
         return await _off_the_loop(body, _from_npy, body, request.scope["query_string"], expected)
-    if kind == _PACKED and len(body) <= _APART and await run_in_threadpool(unpacked_size, body) <= _APART_UNPACKED:
+    if (
+        kind == _PACKED
+        and len(body) <= _APART
+        and await run_in_threadpool(unpacked_size, body) <= _APART_UNPACKED
+    ):
         return await run_in_threadpool(FORMATS[kind], body, settings.body_limit)
     if kind != _PACKED and len(body) <= _APART:
         return await _off_the_loop(body, FORMATS[kind], body, settings.body_limit)
-    limits = {"memory": settings.upload_memory, "seconds": settings.upload_seconds, "unpacked": settings.body_limit}
+    limits = {
+        "memory": settings.upload_memory,
+        "seconds": settings.upload_seconds,
+        "unpacked": settings.body_limit,
+    }
     return await services.reading(read_body, body, kind, **limits)
 
 
@@ -176,7 +232,9 @@ def _reading(query_string: bytes, kind: str) -> Reading:
         raise BadBody(f"query, {given}: is an option for .npy arrays; {kind} says it itself")
     reading = reading_of(query)
     if kind in _ENDINGS and "sample_time" in query:
-        return reading._replace(options=reading.options | {"sample_time": _query_number(query, "sample_time", None)})
+        return reading._replace(
+            options=reading.options | {"sample_time": _query_number(query, "sample_time", None)}
+        )
     if kind == "application/json" and "sample_time" in query:
         raise BadBody('query, sample_time: a body in JSON says it itself, "sample_time": seconds')
     return reading
@@ -200,10 +258,15 @@ def _from_npy(body: bytes, query: bytes, expected: Sequence[Channel]) -> Record:
     array = read_npy(body)
     rows = array.reshape(1, -1) if array.ndim == 1 else array
     header = _description(query)
-    names = header.names or tuple((channel.name, channel.unit) for channel in expected if channel.required)
+    names = header.names or tuple(
+        (channel.name, channel.unit) for channel in expected if channel.required
+    )
     if len(names) != rows.shape[0]:
         shown = ", ".join(f"{name} [{unit}]" for name, unit in names) or "none"
-        raise BadBody(f"body: the array has {rows.shape[0]} rows, and these channels are named: {shown}; shape is (channels, n)")
+        raise BadBody(
+            f"body: the array has {rows.shape[0]} rows, and these channels are named: {shown};"
+            " shape is (channels, n)"
+        )
     if len({name for name, _ in names}) != len(names):
         raise BadBody("query: a channel is named twice")
     channels = {name: row for (name, _), row in zip(names, rows, strict=True)}
@@ -211,7 +274,9 @@ def _from_npy(body: bytes, query: bytes, expected: Sequence[Channel]) -> Record:
 
 
 class _Description(NamedTuple):
-    """What a query says of an .npy body: names and units of its rows (none: the diagnoser's), and when they were taken [s]."""
+    """What a query says of an .npy body: names and units of its rows (none: the diagnoser's), and
+    when they were taken [s].
+    """
 
     names: tuple[tuple[str, str], ...]
     sample_time: float
@@ -220,7 +285,9 @@ class _Description(NamedTuple):
 
 @lru_cache(maxsize=256)
 def _description(query_string: bytes) -> _Description:
-    """The description in a query; remembered, since a client asks with the same one again and again."""
+    """The description in a query; remembered, since a client asks with the same one again and
+    again.
+    """
     query = QueryParams(query_string)
     names = tuple(_head(text) for text in query.getlist("channel"))
     return _Description(names, _sample_time(query), _query_number(query, "t0", 0.0))

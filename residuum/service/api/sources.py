@@ -1,4 +1,6 @@
-"""The live side: sources on the buses, the machines' pipeline, and the faults of the demo's machines."""
+"""The live side: sources on the buses, the machines' pipeline, and the faults of the demo's
+machines.
+"""
 
 from __future__ import annotations
 
@@ -23,16 +25,24 @@ Machine = Annotated[str, Path(description="Name of the demo's machine.", pattern
 class FaultSwitch(BaseModel, extra="forbid"):
     """A fault to switch."""
 
-    fault: str = Field(description="Fault of the machine, or `none` to switch all off.", min_length=1, max_length=64)
-    size: float | None = Field(None, ge=0, le=1e6, description="In the fault's unit; default: its own; 0 switches it off.")
+    fault: str = Field(
+        description="Fault of the machine, or `none` to switch all off.",
+        min_length=1,
+        max_length=64,
+    )
+    size: float | None = Field(
+        None, ge=0, le=1e6, description="In the fault's unit; default: its own; 0 switches it off."
+    )
 
 
 @router.get("/status")
 def get_status(running: Running, request: Request) -> Response:
-    """State of every machine's pipeline (training, running) and of every source; to a key of some sites, of theirs.
+    """State of every machine's pipeline (training, running) and of every source; to a key of some
+    sites, of theirs.
 
-    `compiled`: whether all is compiled that explanations need; until then the first one waits for it. `set_aside`: how many
-    messages of the broker were set aside, and the newest with their reasons; not told to a key of some sites.
+    `compiled`: whether all is compiled that explanations need; until then the first one waits for
+    it. `set_aside`: how many messages of the broker were set aside, and the newest with their
+    reasons; not told to a key of some sites.
     """
     answer = {**_status(running, caller_of(request)), "compiled": is_compiled()}
     if caller_of(request).sites is None:
@@ -42,17 +52,27 @@ def get_status(running: Running, request: Request) -> Response:
 
 @router.get("/sources")
 def list_sources(running: Running, request: Request) -> Response:
-    """Sources with their rates and every loss counter; to a key of some sites, those of its machines."""
+    """Sources with their rates and every loss counter; to a key of some sites, those of its
+    machines.
+    """
     sources = _status(running, caller_of(request))["sources"]
-    return Json({"items": [{"name": name, **state} for name, state in sources.items()], "next_cursor": None})
+    return Json(
+        {"items": [{"name": name, **state} for name, state in sources.items()], "next_cursor": None}
+    )
 
 
 def _status(running: Services, caller: Caller) -> dict[str, Any]:
     """What the pipeline tells, of the machines that the caller may see."""
     status = running.pipeline.status()
     return {
-        "machines": {name: state for name, state in status["machines"].items() if caller.may_see(name)},
-        "sources": {name: state for name, state in status["sources"].items() if caller.may_see(str(state.get("machine", "")))},
+        "machines": {
+            name: state for name, state in status["machines"].items() if caller.may_see(name)
+        },
+        "sources": {
+            name: state
+            for name, state in status["sources"].items()
+            if caller.may_see(str(state.get("machine", "")))
+        },
     }
 
 

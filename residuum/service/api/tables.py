@@ -1,4 +1,6 @@
-"""Tables: what a machine's pictures show, as rows: for Grafana's data source of JSON, for spreadsheets, for scripts."""
+"""Tables: what a machine's pictures show, as rows: for Grafana's data source of JSON, for
+spreadsheets, for scripts.
+"""
 
 from __future__ import annotations
 
@@ -21,13 +23,24 @@ from residuum.service.results.parquet_tables import findings_in, span_of
 from residuum.service.services import Running, Services
 from residuum.service.store import NotFound, StoredFinding, StoredWindow
 
-router = APIRouter(prefix="/assets/{asset}/tables", tags=["results"], route_class=StrictRoute, responses=PROBLEMS)
+router = APIRouter(
+    prefix="/assets/{asset}/tables", tags=["results"], route_class=StrictRoute, responses=PROBLEMS
+)
 
 Points = Annotated[
-    int, Query(description="Most rows of a curve; smallest and largest of each stretch are kept.", ge=10, le=20_000)
+    int,
+    Query(
+        description="Most rows of a curve; smallest and largest of each stretch are kept.",
+        ge=10,
+        le=20_000,
+    ),
 ]
-Window = Annotated[int | None, Query(description="Number of the window; default: the newest.", ge=1, le=2**53 - 1)]
-ChannelName = Annotated[str | None, Query(description="Channel; default: the first.", max_length=200)]
+Window = Annotated[
+    int | None, Query(description="Number of the window; default: the newest.", ge=1, le=2**53 - 1)
+]
+ChannelName = Annotated[
+    str | None, Query(description="Channel; default: the first.", max_length=200)
+]
 _MOST_FINDINGS = 5000
 _MOST_ROWS, _FEWEST = 50_000, 10
 """Rows of all indicators together, and rows that each may have however many there are."""
@@ -36,13 +49,20 @@ _MOST_ROWS, _FEWEST = 50_000, 10
 @router.get("/findings")
 def get_findings_table(running: Running, asset: AssetName, begin: Begin, end: End) -> Response:
     """The newest 5000 findings of a span of time: when, window, verdict, class, reason."""
-    newest = deque((_finding_row(stored) for stored in findings_in(running.store, asset, span_of(begin, end))), _MOST_FINDINGS)
+    newest = deque(
+        (_finding_row(stored) for stored in findings_in(running.store, asset, span_of(begin, end))),
+        _MOST_FINDINGS,
+    )
     return _rows(list(newest))
 
 
 @router.get("/indicators")
-def get_indicators_table(running: Running, asset: AssetName, begin: Begin, end: End, points: Points = 1000) -> Response:
-    """Indicators of a span of time with their limits: a row a moment and indicator, some 50 000 rows at most over all of them."""
+def get_indicators_table(
+    running: Running, asset: AssetName, begin: Begin, end: End, points: Points = 1000
+) -> Response:
+    """Indicators of a span of time with their limits: a row a moment and indicator, some 50 000
+    rows at most over all of them.
+    """
     followed: dict[str, Followed] = {}
     for stored in findings_in(running.store, asset, span_of(begin, end)):
         for name, value in stored.finding.indicators.items():
@@ -51,7 +71,13 @@ def get_indicators_table(running: Running, asset: AssetName, begin: Begin, end: 
     share = min(points, max(_FEWEST, _MOST_ROWS // max(1, len(followed))))
     answer = _rows(
         [
-            {"at": curve.at[k], "name": name, "value": curve.value[k], "threshold": curve.high[k], "unit": curve.unit}
+            {
+                "at": curve.at[k],
+                "name": name,
+                "value": curve.value[k],
+                "threshold": curve.high[k],
+                "unit": curve.unit,
+            }
             for name, curve in followed.items()
             for k in _kept(curve.value, share)
         ]
@@ -61,31 +87,55 @@ def get_indicators_table(running: Running, asset: AssetName, begin: Begin, end: 
 
 @router.get("/waveform")
 async def get_waveform_table(
-    running: Running, asset: AssetName, window: Window = None, channel: ChannelName = None, points: Points = 2000
+    running: Running,
+    asset: AssetName,
+    window: Window = None,
+    channel: ChannelName = None,
+    points: Points = 2000,
 ) -> Response:
     """The signal of a window: a row a moment [s after its begin]."""
 
     def rows(known: StoredWindow, name: str) -> Response:
         record = running.store.window_record(asset, known.id, [name])
         values, unit = record[name], record.units[name]
-        return _rows([{"time": k * record.sample_time, "value": values[k], "unit": unit} for k in _kept(values, points)])
+        return _rows(
+            [
+                {"time": k * record.sample_time, "value": values[k], "unit": unit}
+                for k in _kept(values, points)
+            ]
+        )
 
-    return await of_one_channel(running, asset, await _window(running, asset, window), channel, rows)
+    return await of_one_channel(
+        running, asset, await _window(running, asset, window), channel, rows
+    )
 
 
 @router.get("/spectrum")
 async def get_spectrum_table(
-    running: Running, asset: AssetName, window: Window = None, channel: ChannelName = None, points: Points = 2000
+    running: Running,
+    asset: AssetName,
+    window: Window = None,
+    channel: ChannelName = None,
+    points: Points = 2000,
 ) -> Response:
-    """Amplitude spectrum of a window's signal (Hann window, mean removed): a row a frequency [Hz]."""
+    """Amplitude spectrum of a window's signal (Hann window, mean removed): a row a frequency
+    [Hz].
+    """
 
     def rows(known: StoredWindow, name: str) -> Response:
         record = running.store.window_record(asset, known.id, [name])
         spectrum, unit = amplitude_spectrum(record[name], record.sample_time), record.units[name]
         shown = _kept(spectrum.amplitude, points)
-        return _rows([{"frequency": k * spectrum.step, "amplitude": spectrum.amplitude[k], "unit": unit} for k in shown])
+        return _rows(
+            [
+                {"frequency": k * spectrum.step, "amplitude": spectrum.amplitude[k], "unit": unit}
+                for k in shown
+            ]
+        )
 
-    return await of_one_channel(running, asset, await _window(running, asset, window), channel, rows)
+    return await of_one_channel(
+        running, asset, await _window(running, asset, window), channel, rows
+    )
 
 
 async def _window(running: Services, asset: str, window: int | None) -> int:

@@ -1,4 +1,6 @@
-"""Parameters of a machine over many windows: control charts, limits, and the picture of what the model lacks."""
+"""Parameters of a machine over many windows: control charts, limits, and the picture of what the
+model lacks.
+"""
 
 from __future__ import annotations
 
@@ -12,12 +14,20 @@ from residuum.service.api.jobs import accepted
 from residuum.service.api.json_response import Json, StrictRoute
 from residuum.service.api.parameters import AssetName
 from residuum.service.machines.adding import model_of_settings, stored_model
-from residuum.service.machines.tracks import follow, keep_limits, limits_of, missing_terms, told_parameters
+from residuum.service.machines.tracks import (
+    follow,
+    keep_limits,
+    limits_of,
+    missing_terms,
+    told_parameters,
+)
 from residuum.service.services import Running, Services, caller_of
 from residuum.service.store import Conflict, NotFound, SignalLetGo
 from residuum.service.work.worker_pool import parts_of
 
-router = APIRouter(prefix="/assets/{asset}", tags=["tracks"], route_class=StrictRoute, responses=PROBLEMS)
+router = APIRouter(
+    prefix="/assets/{asset}", tags=["tracks"], route_class=StrictRoute, responses=PROBLEMS
+)
 
 Name = Annotated[str, Field(min_length=1, max_length=200)]
 _HEALTHY = 3
@@ -34,7 +44,9 @@ class Limits(BaseModel, extra="forbid"):
 class Following(BaseModel, extra="forbid"):
     """What the parameters are corrected for."""
 
-    moves_with: list[Name] | None = Field(None, max_length=10, description="Signals; default: every recorded temperature.")
+    moves_with: list[Name] | None = Field(
+        None, max_length=10, description="Signals; default: every recorded temperature."
+    )
 
 
 class Picture(BaseModel, extra="forbid"):
@@ -60,25 +72,36 @@ def put_limits(request: Request, running: Running, asset: AssetName, asked: Limi
 
 @router.post("/tracks", status_code=202, response_model=JobAnswer)
 def follow_parameters(running: Running, asset: AssetName, asked: Following) -> Response:
-    """Follow every parameter and effect over the windows: drift, sudden change, recovery, and the time until its limit.
+    """Follow every parameter and effect over the windows: drift, sudden change, recovery, and the
+    time until its limit.
 
     The result has an item a parameter, with its healthy band, its windows and its track.
     """
     parameters = told_parameters(running.store, asset)
-    return accepted(running.jobs.submit("tracks", follow, parameters, limits_of(running.store, asset), asked.moves_with))
+    return accepted(
+        running.jobs.submit(
+            "tracks", follow, parameters, limits_of(running.store, asset), asked.moves_with
+        )
+    )
 
 
 @router.post("/missing-terms", status_code=202, response_model=JobAnswer)
 def picture_of_missing_terms(running: Running, asset: AssetName, asked: Picture) -> Response:
-    """What the model's balances lack in one window, beside what they lack in the newest healthy ones."""
+    """What the model's balances lack in one window, beside what they lack in the newest healthy
+    ones.
+    """
     window = parts_of(running.store.window_record(asset, asked.window))
     healthy = _healthy(running, asset, asked.window)
     channels, model = _model(running, asset)
-    return accepted(running.jobs.submit("missing-terms", missing_terms, model, window, healthy, channels))
+    return accepted(
+        running.jobs.submit("missing-terms", missing_terms, model, window, healthy, channels)
+    )
 
 
 def _healthy(running: Services, asset: str, but: int) -> list[Any]:
-    """The newest healthy windows, or recorded ones where none has been judged; Conflict when there are none."""
+    """The newest healthy windows, or recorded ones where none has been judged; Conflict when there
+    are none.
+    """
     judged = [f.window for f in running.store.findings(asset, limit=50, verdict="healthy").items]
     healthy: list[Any] = []
     for number in judged or list(running.store.recorded_windows(asset))[::-1]:
@@ -103,5 +126,7 @@ def _model(running: Services, asset: str) -> tuple[dict[str, str], Any]:
         return channels, stored_model(running.store, f"{asset}.model")
     except NotFound:
         if settings is None or settings.model is None:
-            raise Conflict(f"asset {asset!r}: has no active model; accept one on the workbench") from None
+            raise Conflict(
+                f"asset {asset!r}: has no active model; accept one on the workbench"
+            ) from None
         return channels, model_of_settings(running.store, settings.model)

@@ -1,4 +1,6 @@
-"""How far an identified model is to be trusted: its uncertainty weight over sampled models, and the residual it allows."""
+"""How far an identified model is to be trusted: its uncertainty weight over sampled models, and the
+residual it allows.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,9 @@ from residuum.service.store import Conflict
 from residuum.service.views.signal_view import read_identified, view_residual
 from residuum.service.work.worker_pool import parts_of
 
-router = APIRouter(prefix="/models/{model}", tags=["models"], route_class=StrictRoute, responses=PROBLEMS)
+router = APIRouter(
+    prefix="/models/{model}", tags=["models"], route_class=StrictRoute, responses=PROBLEMS
+)
 
 _POINTS = 200
 _LOWEST = 1e-3  # of the Nyquist frequency
@@ -33,14 +37,27 @@ class UncertaintyAnswer(BaseModel):
 
     frequency: list[float] = Field(description="[Hz].")
     samples: list[list[float]] = Field(description="Error of every drawn model.")
-    form: str = Field(description="`multiplicative` |G/Ĝ₀ − 1|, `additive` |G − Ĝ₀|, or `inverse-multiplicative` |Ĝ₀/G − 1|.")
+    form: str = Field(
+        description=(
+            "`multiplicative` |G/Ĝ₀ − 1|, `additive` |G − Ĝ₀|, or `inverse-multiplicative` |Ĝ₀/G"
+            " − 1|."
+        )
+    )
     sampled_frequency: list[float] = Field(description="Where the weight was fitted [Hz].")
-    largest: list[float] = Field(description="Ω, the largest relative error of all models that the weight was made from.")
+    largest: list[float] = Field(
+        description="Ω, the largest relative error of all models that the weight was made from."
+    )
     weight: list[float] = Field(description="|W_T| at `frequency`.")
-    critical_frequency: float | None = Field(description="From here on the weight is 1 or more [Hz].")
+    critical_frequency: float | None = Field(
+        description="From here on the weight is 1 or more [Hz]."
+    )
     n_samples: int
     promise: str
-    certified: bool = Field(description="Whether the weight is proven above all drawn models between the frequencies too.")
+    certified: bool = Field(
+        description=(
+            "Whether the weight is proven above all drawn models between the frequencies too."
+        )
+    )
 
 
 class ResidualView(DesignResidual, RunResidual):
@@ -48,8 +65,12 @@ class ResidualView(DesignResidual, RunResidual):
 
     healthy: RecordNumbers
     record: int = Field(ge=1, le=2**53 - 1, description="Number of the record it runs on.")
-    offset: float | None = Field(None, gt=0, description="Sensor offset of the characteristic; null: twice the noise.")
-    version: int | None = Field(None, ge=1, le=10**9, description="Version of the model (default: the newest).")
+    offset: float | None = Field(
+        None, gt=0, description="Sensor offset of the characteristic; null: twice the noise."
+    )
+    version: int | None = Field(
+        None, ge=1, le=10**9, description="Version of the model (default: the newest)."
+    )
 
 
 class StoredUncertainty(Uncertainty):
@@ -57,7 +78,9 @@ class StoredUncertainty(Uncertainty):
 
     version: int | None = Field(None, ge=1, le=10**9, description="Version (default: the newest).")
     samples: int = Field(40, ge=1, le=200, description="Drawn models to show.")
-    order: int | None = Field(None, ge=0, le=20, description="What `weight_order` was called.", deprecated=True)
+    order: int | None = Field(
+        None, ge=0, le=20, description="What `weight_order` was called.", deprecated=True
+    )
 
     renamed: ClassVar[Mapping[str, str]] = {"order": "weight_order"}
 
@@ -75,7 +98,9 @@ def get_uncertainty(
     turn = np.exp(-1j * np.outer(omega * identified.sample_time, np.arange(identified.reach)))
     drawn = identified.sample_longer(asked.samples, 0) @ turn.T
     centre = turn[:, : identified.order] @ identified.impulse_response
-    below = {"multiplicative": centre, "additive": np.ones(1), "inverse-multiplicative": drawn}[asked.form]
+    below = {"multiplicative": centre, "additive": np.ones(1), "inverse-multiplicative": drawn}[
+        asked.form
+    ]
     errors = np.abs(drawn - centre) / np.maximum(np.abs(below), 1e-300)
     critical = uncertainty.critical_frequency
     answer = {
@@ -95,11 +120,20 @@ def get_uncertainty(
 
 @router.post("/residual-views", status_code=202, response_model=JobAnswer)
 def view(running: Running, model: ModelName, asked: ResidualView) -> Response:
-    """Design a residual generator and run it: residual, statistic and threshold over time, and its operating characteristic."""
+    """Design a residual generator and run it: residual, statistic and threshold over time, and its
+    operating characteristic.
+    """
     content = _content(running, model, asked.version)
     healthy = [parts_of(running.store.record_samples(number)) for number in asked.healthy]
     record = parts_of(running.store.record_samples(asked.record))
-    arguments = (content, healthy, record, asked.offset, part_of(asked, DesignResidual), part_of(asked, RunResidual))
+    arguments = (
+        content,
+        healthy,
+        record,
+        asked.offset,
+        part_of(asked, DesignResidual),
+        part_of(asked, RunResidual),
+    )
     return accepted(running.jobs.submit("residual-view", view_residual, *arguments))
 
 

@@ -1,4 +1,6 @@
-"""What else a page draws of a window: its kurtogram, the envelope spectrum of a band, the residual with its threshold."""
+"""What else a page draws of a window: its kurtogram, the envelope spectrum of a band, the residual
+with its threshold.
+"""
 
 from __future__ import annotations
 
@@ -24,9 +26,16 @@ from residuum.service.services import Running, Services
 from residuum.service.store import Conflict, NotFound, StoredWindow
 from residuum.service.views.signal_view import extremes
 
-router = APIRouter(prefix="/assets/{asset}/windows/{window}", tags=["assets"], route_class=StrictRoute, responses=PROBLEMS)
+router = APIRouter(
+    prefix="/assets/{asset}/windows/{window}",
+    tags=["assets"],
+    route_class=StrictRoute,
+    responses=PROBLEMS,
+)
 
-ChannelName = Annotated[str | None, Query(description="Channel (default: the first).", max_length=200)]
+ChannelName = Annotated[
+    str | None, Query(description="Channel (default: the first).", max_length=200)
+]
 Feature = Annotated[str | None, Query(description="Feature across or up.", max_length=40)]
 Largest = Annotated[float | None, Query(description="Where the plane ends.", gt=0, lt=1e12)]
 Judge = TypeVar("Judge", bound=Diagnoser)
@@ -41,7 +50,9 @@ class KurtogramAnswer(BaseModel):
     level: list[float] = Field(description="log₂ of the number of bands side by side.")
     frequency: list[float] = Field(description="Centres of the columns [Hz].")
     kurtosis: list[list[float]]
-    best: dict[str, float] = Field(description="`centre`, `width` [Hz] and `kurtosis` of the most impulsive band.")
+    best: dict[str, float] = Field(
+        description="`centre`, `width` [Hz] and `kurtosis` of the most impulsive band."
+    )
 
 
 class EnvelopeAnswer(BaseModel):
@@ -59,27 +70,41 @@ class ResidualAnswer(BaseModel):
     """The residual of a window and the statistic that is held against the threshold."""
 
     unit: str
-    time: list[float] = Field(description="Seconds after the window's begin, of each interval's first sample.")
-    lowest: list[float | None] = Field(description="Smallest residual of the interval; null while a memory fills.")
+    time: list[float] = Field(
+        description="Seconds after the window's begin, of each interval's first sample."
+    )
+    lowest: list[float | None] = Field(
+        description="Smallest residual of the interval; null while a memory fills."
+    )
     highest: list[float | None]
-    statistic: list[float | None] = Field(description="Largest statistic of the interval, in standard deviations.")
+    statistic: list[float | None] = Field(
+        description="Largest statistic of the interval, in standard deviations."
+    )
     threshold: float
 
 
 class RegionsAnswer(BaseModel):
     """Which class the trained classifier gives at each place of the plane of two features."""
 
-    features: list[str] = Field(description="What planes can be made of; empty when no faults were trained.")
-    x: list[float] = Field(description="Grid along the first feature, in the unit of the indicator.")
+    features: list[str] = Field(
+        description="What planes can be made of; empty when no faults were trained."
+    )
+    x: list[float] = Field(
+        description="Grid along the first feature, in the unit of the indicator."
+    )
     y: list[float]
     classes: list[str]
     region: list[list[int]] = Field(description="Index into `classes`; rows go along y.")
 
 
 @router.get("/kurtogram", response_model=KurtogramAnswer)
-async def get_kurtogram(running: Running, asset: AssetName, window: WindowId, channel: ChannelName = None) -> Response:
+async def get_kurtogram(
+    running: Running, asset: AssetName, window: WindowId, channel: ChannelName = None
+) -> Response:
     """In which band, and at which width, the signal is most impulsive."""
-    return await of_one_channel(running, asset, window, channel, lambda known, name: _kurtogram(running, known, name))
+    return await of_one_channel(
+        running, asset, window, channel, lambda known, name: _kurtogram(running, known, name)
+    )
 
 
 def _kurtogram(running: Services, window: StoredWindow, name: str) -> Response:
@@ -88,7 +113,13 @@ def _kurtogram(running: Services, window: StoredWindow, name: str) -> Response:
     level, frequency, kurtosis = bands.as_map()
     best = {"centre": bands.best.centre, "width": bands.best.width, "kurtosis": bands.best.kurtosis}
     return Json(
-        {"channel": name, "level": level, "frequency": frequency, "kurtosis": np.ascontiguousarray(kurtosis), "best": best}
+        {
+            "channel": name,
+            "level": level,
+            "frequency": frequency,
+            "kurtosis": np.ascontiguousarray(kurtosis),
+            "best": best,
+        }
     )
 
 
@@ -98,30 +129,51 @@ async def get_envelope(
     asset: AssetName,
     window: WindowId,
     channel: ChannelName = None,
-    low: Annotated[float | None, Query(description="Lower edge [Hz] (default: the most impulsive band).", ge=0)] = None,
+    low: Annotated[
+        float | None, Query(description="Lower edge [Hz] (default: the most impulsive band).", ge=0)
+    ] = None,
     high: Annotated[float | None, Query(description="Upper edge [Hz].", gt=0)] = None,
 ) -> Response:
     """Spectrum of the envelope of a band: what rhythm its impacts have."""
     if (low is None) != (high is None):
         raise BadInput("query, low and high: give both edges of the band, or none")
-    return await of_one_channel(running, asset, window, channel, lambda known, name: _envelope(running, known, name, low, high))
+    return await of_one_channel(
+        running,
+        asset,
+        window,
+        channel,
+        lambda known, name: _envelope(running, known, name, low, high),
+    )
 
 
-def _envelope(running: Services, window: StoredWindow, name: str, low: float | None, high: float | None) -> Response:
+def _envelope(
+    running: Services, window: StoredWindow, name: str, low: float | None, high: float | None
+) -> Response:
     record = _channel(running, window, name)
     if low is None or high is None:
         best = kurtogram(record[name], record.sampling_rate, _levels(record.n), method="fft").best
         low, high = max(best.low, 0.0), min(best.high, record.sampling_rate / 2)
-    frequency, amplitude = band_envelope(record[name], record.sampling_rate, low, high).spectrum("amplitude")
+    frequency, amplitude = band_envelope(record[name], record.sampling_rate, low, high).spectrum(
+        "amplitude"
+    )
     reduced = extremes(amplitude[1:], _MOST_POINTS)  # without the mean
     step = float(frequency[1] - frequency[0]) * reduced.samples if len(frequency) > 1 else 0.0
-    answer = {"channel": name, "unit": record.units[name], "low": low, "high": high, "step": step, "amplitude": reduced.maximum}
+    answer = {
+        "channel": name,
+        "unit": record.units[name],
+        "low": low,
+        "high": high,
+        "step": step,
+        "amplitude": reduced.maximum,
+    }
     return Json(answer)
 
 
 @router.get("/residual", response_model=ResidualAnswer)
 async def get_residual(running: Running, asset: AssetName, window: WindowId) -> Response:
-    """What the machine's model does not explain of the window; 409 for a diagnoser that judges without a residual."""
+    """What the machine's model does not explain of the window; 409 for a diagnoser that judges
+    without a residual.
+    """
     judge = await run_in_threadpool(_residual_judge, running, asset)
     known = await run_in_threadpool(running.store.window, asset, window)
     return await running.sampling(known.size_bytes, _residual, running, asset, window, judge)
@@ -130,10 +182,15 @@ async def get_residual(running: Running, asset: AssetName, window: WindowId) -> 
 def _residual(running: Services, asset: str, window: int, judge: RobustResidual) -> Response:
     record = running.store.window_record(asset, window)
     model = judge.design.model
-    u, y = record.in_unit(judge.input, model.input_unit), record.in_unit(judge.output, model.output_unit)
+    u, y = (
+        record.in_unit(judge.input, model.input_unit),
+        record.in_unit(judge.output, model.output_unit),
+    )
     monitor = judge.stream()
     signals, bank = monitor.process(u, y)
-    residual, statistic = (np.where(signals.valid, values, np.nan) for values in (signals.primary, bank.statistic))
+    residual, statistic = (
+        np.where(signals.valid, values, np.nan) for values in (signals.primary, bank.statistic)
+    )
     reduced = extremes(residual, _MOST_POINTS)
     answer = {
         "unit": model.output_unit,
@@ -156,19 +213,30 @@ def get_decision_regions(
     x_to: Largest = None,
     y_to: Largest = None,
 ) -> Response:
-    """The regions of a gate actuator's classifier, in the plane of F1 and F2 or as a cut through this window's movement.
+    """The regions of a gate actuator's classifier, in the plane of F1 and F2 or as a cut through
+    this window's movement.
 
-    Without x and y the answer only says which features planes can be made of. The plane spans from 0 to `x_to` and `y_to`
-    (default: twice the window's own values). 409 for another diagnoser.
+    Without x and y the answer only says which features planes can be made of. The plane spans from
+    0 to `x_to` and `y_to` (default: twice the window's own values). 409 for another diagnoser.
     """
     judge = _trained_judge(running, asset, GateActuator, "decision region")
     features = plane_features(judge.baseline)
     if x is None or y is None or not features:
         return Json({"features": features, "x": [], "y": [], "classes": [], "region": []})
     point = running.store.finding_of(window).finding.indicators
-    ends = [2 * point.get(name, 0.5) if end is None else end for name, end in ((x, x_to), (y, y_to))]
+    ends = [
+        2 * point.get(name, 0.5) if end is None else end for name, end in ((x, x_to), (y, y_to))
+    ]
     plane = classifier_plane(judge.baseline, point, x, y, [[0.0, 0.0], ends])
-    return Json({"features": features, "x": plane.x, "y": plane.y, "classes": plane.classes, "region": plane.region.tolist()})
+    return Json(
+        {
+            "features": features,
+            "x": plane.x,
+            "y": plane.y,
+            "classes": plane.classes,
+            "region": plane.region.tolist(),
+        }
+    )
 
 
 def _residual_judge(running: Services, asset: str) -> RobustResidual:
@@ -191,7 +259,10 @@ def _trained_judge(running: Services, asset: str, kind: type[Judge], view: str) 
 def _channel(running: Services, window: StoredWindow, name: str) -> Record:
     record = running.store.window_record(window.asset, window.id, [name])
     if np.isnan(record[name]).any():
-        raise BadRecord(f"window {window.id}, channel {name!r}: has missing samples; this view needs all of them")
+        raise BadRecord(
+            f"window {window.id}, channel {name!r}: has missing samples; this view needs all of"
+            " them"
+        )
     return record
 
 

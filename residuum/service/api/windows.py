@@ -17,12 +17,25 @@ from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
 from residuum.identification.record_formats.npz import write_npz_in_pieces
 from residuum.nearest_names import known_names
-from residuum.service.api.answers import PROBLEMS, PageOf, SignalAnswer, SpectrumAnswer, StoredWindowAnswer, WindowAnswer
+from residuum.service.api.answers import (
+    PROBLEMS,
+    PageOf,
+    SignalAnswer,
+    SpectrumAnswer,
+    StoredWindowAnswer,
+    WindowAnswer,
+)
 from residuum.service.api.json_response import Json, page_answer
 from residuum.service.api.parameters import AssetName, Cursor, Limit, WindowId
 from residuum.service.api.reading_options import remedies_in_query
 from residuum.service.api.results import file_answer
-from residuum.service.api.signal_body import READ_ON_THE_LOOP, SIGNAL_BODY, body_of, kind_of, record_of
+from residuum.service.api.signal_body import (
+    READ_ON_THE_LOOP,
+    SIGNAL_BODY,
+    body_of,
+    kind_of,
+    record_of,
+)
 from residuum.service.machines.baselines import deciding_method, newest_baseline
 from residuum.service.services import Running, Services
 from residuum.service.store import NotFound, ReadInPieces, StoredWindow
@@ -30,9 +43,14 @@ from residuum.service.views.signal_view import extremes, extremes_of_pieces, str
 
 router = APIRouter(prefix="/assets/{asset}/windows", tags=["windows"], responses=PROBLEMS)
 
-ChannelNames = Annotated[list[str] | None, Query(description="Channels to show (default: all).", alias="channel", max_length=64)]
+ChannelNames = Annotated[
+    list[str] | None,
+    Query(description="Channels to show (default: all).", alias="channel", max_length=64),
+]
 _MOST_SHOWN, _FEWEST = 100_000, 10
-"""Intervals of all channels together, and of each: written as JSON in some 20 ms, in which nothing else is done."""
+"""Intervals of all channels together, and of each: written as JSON in some 20 ms, in which nothing
+else is done.
+"""
 _NEXT = 1e-6  # of a sample: a time that is printed as a sample's own means that sample
 
 Points = Annotated[int, Query(description="Most intervals to show.", ge=10, le=20_000)]
@@ -43,19 +61,23 @@ async def add_window(
     request: Request,
     running: Running,
     asset: AssetName,
-    diagnoser: Annotated[str | None, Query(description="Needed with an asset's first window.", max_length=64)] = None,
+    diagnoser: Annotated[
+        str | None, Query(description="Needed with an asset's first window.", max_length=64)
+    ] = None,
     method: Annotated[
         Literal["source", "default"] | None,
         Query(description="What decides, of a diagnoser with two; default: the machine's choice."),
     ] = None,
     idempotency_key: Annotated[
-        str | None, Header(description="The same key never stores twice.", min_length=1, max_length=200)
+        str | None,
+        Header(description="The same key never stores twice.", min_length=1, max_length=200),
     ] = None,
 ) -> Response:
     """Store a window and score it. The answer comes only when window and finding are on disk.
 
-    With an `Idempotency-Key` the same request can be sent again after a broken connection: it stores nothing twice
-    and gets the first answer. The diagnoser is the asset's, with the baseline of the asset's name where there is one.
+    With an `Idempotency-Key` the same request can be sent again after a broken connection: it
+    stores nothing twice and gets the first answer. The diagnoser is the asset's, with the baseline
+    of the asset's name where there is one.
     """
     judge = await run_in_threadpool(_judge, running, asset, diagnoser)
     deciding: str | None = method
@@ -65,11 +87,15 @@ async def add_window(
     digest = await _digest(request.url.query.encode(), await body_of(request))
     with remedies_in_query(kind_of(request)):
         record = await record_of(request, judge.channels)
-        return await run_in_threadpool(_store, running, asset, record, judge, idempotency_key, digest)
+        return await run_in_threadpool(
+            _store, running, asset, record, judge, idempotency_key, digest
+        )
 
 
 @router.get("", response_model=PageOf[WindowAnswer])
-async def list_windows(running: Running, asset: AssetName, cursor: Cursor = None, limit: Limit = 50) -> Response:
+async def list_windows(
+    running: Running, asset: AssetName, cursor: Cursor = None, limit: Limit = 50
+) -> Response:
     """Windows of an asset, newest first."""
     return await page_answer(running, running.store.windows, asset, cursor, limit)
 
@@ -98,15 +124,28 @@ async def get_signal(
     window: WindowId,
     channels: ChannelNames = None,
     points: Points = 2000,
-    begin: Annotated[float, Query(alias="from", description="Seconds after the window's begin.", ge=0)] = 0.0,
-    end: Annotated[float | None, Query(alias="to", description="Seconds after the window's begin.", gt=0)] = None,
+    begin: Annotated[
+        float, Query(alias="from", description="Seconds after the window's begin.", ge=0)
+    ] = 0.0,
+    end: Annotated[
+        float | None, Query(alias="to", description="Seconds after the window's begin.", gt=0)
+    ] = None,
 ) -> Response:
-    """A stretch of the signals: all samples when there are few, else minimum and maximum of every interval."""
+    """A stretch of the signals: all samples when there are few, else minimum and maximum of every
+    interval.
+    """
     known = await run_in_threadpool(running.store.window, asset, window)
     wanted = known_channels(channels, known.units)
 
     def view() -> Response:
-        return Json({"window": window, **signal_view(running.store.window_in_pieces(asset, window, wanted), points, begin, end)})
+        return Json(
+            {
+                "window": window,
+                **signal_view(
+                    running.store.window_in_pieces(asset, window, wanted), points, begin, end
+                ),
+            }
+        )
 
     return await running.listing(view)
 
@@ -116,30 +155,50 @@ async def get_spectrum(
     running: Running,
     asset: AssetName,
     window: WindowId,
-    channel: Annotated[str | None, Query(description="Channel (default: the first).", max_length=200)] = None,
+    channel: Annotated[
+        str | None, Query(description="Channel (default: the first).", max_length=200)
+    ] = None,
     points: Points = 2000,
-    highest: Annotated[float | None, Query(alias="to", description="Highest frequency to show [Hz].", gt=0)] = None,
+    highest: Annotated[
+        float | None, Query(alias="to", description="Highest frequency to show [Hz].", gt=0)
+    ] = None,
 ) -> Response:
-    """Amplitude spectrum of one channel (Hann window, mean removed), the largest of every interval kept."""
+    """Amplitude spectrum of one channel (Hann window, mean removed), the largest of every interval
+    kept.
+    """
     return await of_one_channel(
-        running, asset, window, channel, lambda known, name: _spectrum(running, known, name, points, highest)
+        running,
+        asset,
+        window,
+        channel,
+        lambda known, name: _spectrum(running, known, name, points, highest),
     )
 
 
 async def of_one_channel(
-    running: Services, asset: str, window: int, channel: str | None, make: Callable[[StoredWindow, str], Response]
+    running: Services,
+    asset: str,
+    window: int,
+    channel: str | None,
+    make: Callable[[StoredWindow, str], Response],
 ) -> Response:
-    """What `make(window, channel)` makes of a channel's samples (None: the first), when there is memory for it."""
+    """What `make(window, channel)` makes of a channel's samples (None: the first), when there is
+    memory for it.
+    """
     known = await run_in_threadpool(running.store.window, asset, window)
     name = channel if channel is not None else next(iter(known.units))
     known_channels([name], known.units)
     return await running.sampling(known.size_bytes // max(1, len(known.units)), make, known, name)
 
 
-def _spectrum(running: Services, window: StoredWindow, name: str, points: int, highest: float | None) -> Response:
+def _spectrum(
+    running: Services, window: StoredWindow, name: str, points: int, highest: float | None
+) -> Response:
     record = running.store.window_record(window.asset, window.id, [name])
     spectrum = amplitude_spectrum(record[name], record.sample_time)
-    wanted = len(spectrum.amplitude) if highest is None else max(2, int(highest / spectrum.step) + 1)
+    wanted = (
+        len(spectrum.amplitude) if highest is None else max(2, int(highest / spectrum.step) + 1)
+    )
     reduced = extremes(spectrum.amplitude[:wanted], points)
     answer = {
         "window": window.id,
@@ -152,19 +211,27 @@ def _spectrum(running: Services, window: StoredWindow, name: str, points: int, h
     return Json(answer)
 
 
-def signal_view(record: ReadInPieces, points: int, begin: float, end: float | None) -> dict[str, Any]:
-    """The `SignalAnswer` of a stretch of a record, without the window's number; BadInput when the stretch is empty."""
+def signal_view(
+    record: ReadInPieces, points: int, begin: float, end: float | None
+) -> dict[str, Any]:
+    """The `SignalAnswer` of a stretch of a record, without the window's number; BadInput when the
+    stretch is empty.
+    """
     first = min(int(begin / record.sample_time + _NEXT), record.n)
     last = record.n if end is None else min(record.n, int(end / record.sample_time + _NEXT) + 1)
     if last <= first:
         raise BadInput(
-            f"query, from and to: no sample in {begin} … {end} s; the window lasts {record.n * record.sample_time:.6g} s"
+            f"query, from and to: no sample in {begin} … {end} s; the window lasts"
+            f" {record.n * record.sample_time:.6g} s"
         )
     points = min(points, max(_FEWEST, _MOST_SHOWN // len(record.units)))
     samples = max(1, -(-(last - first) // points))
     reduced = samples > 2
     channels = {
-        name: {"unit": unit, **_values(stretch(record.pieces(name), first, last), last - first, points, reduced)}
+        name: {
+            "unit": unit,
+            **_values(stretch(record.pieces(name), first, last), last - first, points, reduced),
+        }
         for name, unit in record.units.items()
     }
     interval = record.sample_time * (samples if reduced else 1)
@@ -188,7 +255,10 @@ def known_channels(channels: list[str] | None, units: Any) -> list[str] | None:
     """The channels (None: all) of a window with these units; NotFound for one that it has not."""
     for name in channels or ():
         if name not in units:
-            raise NotFound(f"channel {name[:60]!r}: the window has none of this name; {known_names(name, units, 'there are')}")
+            raise NotFound(
+                f"channel {name[:60]!r}: the window has none of this name;"
+                f" {known_names(name, units, 'there are')}"
+            )
     return channels
 
 
@@ -198,7 +268,10 @@ def _judge(running: Services, asset: str, diagnoser: str | None) -> Diagnoser:
     except NotFound:
         name = None
     if name is None:
-        raise BadInput(f"asset {asset!r}: has no diagnoser yet; say diagnoser=… in the query of its first window")
+        raise BadInput(
+            f"asset {asset!r}: has no diagnoser yet; say diagnoser=… in the query of its first"
+            " window"
+        )
     try:
         return running.judges.trained(name, newest_baseline(running.store, asset).model)
     except NotFound:
@@ -212,11 +285,17 @@ async def _digest(query: bytes, body: bytes) -> str:
     return digest() if len(body) <= READ_ON_THE_LOOP else await run_in_threadpool(digest)
 
 
-def _store(running: Services, asset: str, record: Record, judge: Diagnoser, key: str | None, digest: str) -> Response:
+def _store(
+    running: Services, asset: str, record: Record, judge: Diagnoser, key: str | None, digest: str
+) -> Response:
     window = None if key is None else running.store.window_with_key(asset, key, digest)
     if window is None:
         window = running.store.add_window(asset, record, judge.score(record), key, digest)
-    return Json(_described(running, asset, window), 201, {"Location": f"/api/v1/assets/{asset}/windows/{window}"})
+    return Json(
+        _described(running, asset, window),
+        201,
+        {"Location": f"/api/v1/assets/{asset}/windows/{window}"},
+    )
 
 
 def _described(running: Services, asset: str, window: int) -> dict[str, Any]:

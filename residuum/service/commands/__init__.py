@@ -10,7 +10,9 @@ from residuum.identification.errors import as_text
 
 _OF_INSPECT = ("decimal", "time", "missing", "names")
 _OF_MAPPINGS = ("duplicates", "reordered")
-"""How a logger's file is read: one command, or a person, writes it into a mapping for all others."""
+"""How a logger's file is read: one command, or a person, writes it into a mapping for all
+others.
+"""
 
 
 def as_option(field: str, value: object = None) -> str:
@@ -22,34 +24,57 @@ def as_option(field: str, value: object = None) -> str:
     '`residuum inspect FILE --missing OL --out FILE.mapping.yaml`'
     """
     if field in _OF_MAPPINGS and value is not None:
-        return f"`{field}: {value}` in the mapping that `residuum inspect FILE --out FILE.mapping.yaml` writes"
+        return (
+            f"`{field}: {value}` in the mapping that `residuum inspect FILE --out"
+            " FILE.mapping.yaml` writes"
+        )
     name, *parts = field.split(".")
     option = " ".join([f"--{'unit' if name == 'units' else name.replace('_', '-')}", *parts])
     if value is None or value is True:
         return option
     said = f"{option} {shlex.quote(as_text(value))}"
-    return f"`residuum inspect FILE {said} --out FILE.mapping.yaml`" if field in _OF_INSPECT else said
+    return (
+        f"`residuum inspect FILE {said} --out FILE.mapping.yaml`" if field in _OF_INSPECT else said
+    )
 
 
 COMMANDS: dict[str, tuple[str, str]] = {
     "serve": ("serve", "Run the service (with --demo: with its simulated machines)."),
     "keys": ("keys", "Make the API keys of a first start, and show them once."),
-    "doctor": ("doctor", "Check the service's surroundings: database, blocks, disk, buses, keys, compiled code."),
-    "watch": ("watch", "Connect and watch a machine: settings, register map, live signals, training."),
-    "opcua": ("opcua", "Browse an OPC UA server into a node map, or save the certificate to trust."),
+    "doctor": (
+        "doctor",
+        "Check the service's surroundings: database, blocks, disk, buses, keys, compiled code.",
+    ),
+    "watch": (
+        "watch",
+        "Connect and watch a machine: settings, register map, live signals, training.",
+    ),
+    "opcua": (
+        "opcua",
+        "Browse an OPC UA server into a node map, or save the certificate to trust.",
+    ),
     "sparkplug": ("sparkplug", "Browse a Sparkplug B edge node into a metric map."),
-    "backup": ("backup", "Write the database and the signals into one verified file. The service may be running."),
+    "backup": (
+        "backup",
+        "Write the database and the signals into one verified file. The service may be running.",
+    ),
     "report": ("report_file", "Records, and a model beside them, as one page that can be sent."),
     "results": ("results", "Findings and windows as Parquet files, a machine's month as a page."),
     "restore": ("restore", "Bring a backup back into an empty data folder and database."),
     "gateway": ("gateway", "Read machines and send their windows over MQTT to the scorers."),
     "scorer": ("scorer", "Judge and store windows that gateways send over MQTT."),
-    "set-aside": ("set_aside", "List messages that scorers could not store, write one into a file, or send them again."),
+    "set-aside": (
+        "set_aside",
+        "List messages that scorers could not store, write one into a file, or send them again.",
+    ),
     "machine": ("machine", "Run one simulated machine on a real bus."),
     "simulate": ("simulate", "Write a record of a simulated machine, with effects and faults."),
     "fault": ("fault", "Switch a fault of a machine in a running demo."),
     "replay": ("replay", "Send a recording to a CAN bus or a Modbus server."),
-    "inspect": ("inspect", "Show how a logger's file is understood, and write a mapping file for it."),
+    "inspect": (
+        "inspect",
+        "Show how a logger's file is understood, and write a mapping file for it.",
+    ),
     "compare": ("compare", "Compare a model with records: where and how much does it fail?"),
     "explain": ("explain", "Which physical effect is missing in a model?"),
     "improve": ("improve", "Add effects to a model and re-estimate it."),
@@ -61,7 +86,13 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "residual": ("residual", "Design a residual generator, or run one on a record."),
     "train": ("train", "Train a diagnoser on records."),
     "score": ("score", "Score records with a diagnoser."),
-    "rescore": ("rescore", "Score every record of a folder, bucket or database, on all processors or a Dask cluster."),
-    "reidentify": ("reidentify", "Identify a model of every record of a folder, bucket or database."),
+    "rescore": (
+        "rescore",
+        "Score every record of a folder, bucket or database, on all processors or a Dask cluster.",
+    ),
+    "reidentify": (
+        "reidentify",
+        "Identify a model of every record of a folder, bucket or database.",
+    ),
     "control": ("control", "Design a robust controller from identified models."),
 }

@@ -30,25 +30,40 @@ _METAVARS: dict[Any, str | None] = {
     float: "NUMBER",
 }
 """What a field may take → what stands for it in the help; the first that it takes is shown."""
-_FORMS: dict[Any, Any] = {_NAMES: list[str], list: list[str], dict: list[str], tuple: tuple[str, str]}
+_FORMS: dict[Any, Any] = {
+    _NAMES: list[str],
+    list: list[str],
+    dict: list[str],
+    tuple: tuple[str, str],
+}
 """What is written several times, or as two words."""
 
 
 def asks(without: Container[str] = ()) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Turn the parameter of a command that is a question into options: one a field, but for those in `without`.
+    """Turn the parameter of a command that is a question into options: one a field, but for those
+    in `without`.
 
-    Texts are handed over as they are written; the question reads them and refuses as it does for every door.
+    Texts are handed over as they are written; the question reads them and refuses as it does for
+    every door.
     """
 
     def command(function: Callable[..., Any]) -> Callable[..., Any]:
         name, question = parameter_of(function, Question)
-        options = {field: _option(question, field) for field in question.model_fields if field not in without}
+        options = {
+            field: _option(question, field)
+            for field in question.model_fields
+            if field not in without
+        }
 
         def made(texts: dict[str, Any]) -> Question:
             with warnings.catch_warnings(record=True) as caught:
                 warnings.simplefilter("always")
                 asked = question.of(
-                    {field: _read(question, field, value) for field, value in texts.items() if value not in (None, [])}
+                    {
+                        field: _read(question, field, value)
+                        for field, value in texts.items()
+                        if value not in (None, [])
+                    }
                 )
             for warning in caught:
                 progress(f"--{warning.message}")
@@ -60,7 +75,9 @@ def asks(without: Container[str] = ()) -> Callable[[Callable[..., Any]], Callabl
 
 
 def _read(question: type[Question], name: str, value: Any) -> Any:
-    """A value as the question reads it: of texts with commas a list, of `NAME=VALUE` or `NAME=LOW:HIGH` a mapping."""
+    """A value as the question reads it: of texts with commas a list, of `NAME=VALUE` or
+    `NAME=LOW:HIGH` a mapping.
+    """
     taken = _taken(question, name)
     if taken == _NAMES:
         return [part.strip() for text in value for part in text.split(",")]
@@ -87,7 +104,15 @@ def _option(question: type[Question], name: str) -> inspect.Parameter:
     default: Any = None if field.is_required() or field.default is None else str(field.default)
     form: Any = _FORMS.get(taken, _FORMS.get(get_origin(taken), str))
     if taken is bool:
-        option, default, form = option if not field.default else f"{option}/--no-{option[2:]}", field.default, bool
-    text = help_of(field).replace("[", "\\[") + (" Repeat it for several." if form == list[str] else "")
+        option, default, form = (
+            option if not field.default else f"{option}/--no-{option[2:]}",
+            field.default,
+            bool,
+        )
+    text = help_of(field).replace("[", "\\[") + (
+        " Repeat it for several." if form == list[str] else ""
+    )
     annotation = Annotated[form | None, typer.Option(option, help=text, metavar=_METAVARS[taken])]
-    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
+    return inspect.Parameter(
+        name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation
+    )

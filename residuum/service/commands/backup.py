@@ -24,15 +24,18 @@ app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 @app.command()
 def backup(
     file: Annotated[Path, typer.Argument(help="Backup file to write; it must not exist yet.")],
-    data: Annotated[Path | None, typer.Option(help="Folder of signal blocks and the default database.")] = None,
+    data: Annotated[
+        Path | None, typer.Option(help="Folder of signal blocks and the default database.")
+    ] = None,
     database: DatabaseUrl = None,
     settings_file: SettingsFile = None,
     as_json: AsJson = False,
 ) -> None:
-    """Back up rows, signals, and the settings' file with the maps and models that it names, as they are at this moment.
+    """Back up rows, signals, and the settings' file with the maps and models that it names, as they
+    are at this moment.
 
-    The settings may hold passwords: the backup is readable by its owner alone. Not part of it: environment variables, the file of
-    API keys, certificates.
+    The settings may hold passwords: the backup is readable by its owner alone. Not part of it:
+    environment variables, the file of API keys, certificates.
     """
     settings = load_settings(settings_file, data=data, database=database)
     source = sqlite_file(settings.database_url)
@@ -45,20 +48,34 @@ def backup(
         raise BadInput(f"{file}: cannot be written: {error}") from None
     finally:
         rows.close()
-    report(described(contents), f"Written and verified: {file}\n{in_words(contents)}", as_json=as_json)
+    report(
+        described(contents), f"Written and verified: {file}\n{in_words(contents)}", as_json=as_json
+    )
 
 
 def _files_of(settings: Settings) -> dict[str, bytes]:
-    """The settings' file and the files that it names, each under a name of its own; `places.json` says where they were."""
+    """The settings' file and the files that it names, each under a name of its own; `places.json`
+    says where they were.
+    """
     named = os.environ.get(SETTINGS_FILE)
     if named is None:
         return {}
     wanted = [Path(named)]
     for machine in settings.machines:
         wanted += [source.map_file for source in machine.sources]
-        wanted += [Path(model) for model in (machine.model, machine.second and machine.second.model) if model]
-    places = {f"{number:03}-{_plain(place.name)}": place for number, place in enumerate(dict.fromkeys(wanted)) if place.is_file()}
-    listing = orjson.dumps({name: str(place.resolve()) for name, place in places.items()}, option=orjson.OPT_INDENT_2)
+        wanted += [
+            Path(model)
+            for model in (machine.model, machine.second and machine.second.model)
+            if model
+        ]
+    places = {
+        f"{number:03}-{_plain(place.name)}": place
+        for number, place in enumerate(dict.fromkeys(wanted))
+        if place.is_file()
+    }
+    listing = orjson.dumps(
+        {name: str(place.resolve()) for name, place in places.items()}, option=orjson.OPT_INDENT_2
+    )
     return {name: place.read_bytes() for name, place in places.items()} | {"places.json": listing}
 
 

@@ -1,4 +1,6 @@
-"""`residuum compare`: how large is a model's error on records, is it structured, and where does it lie?"""
+"""`residuum compare`: how large is a model's error on records, is it structured, and where does it
+lie?
+"""
 
 import typer
 
@@ -33,4 +35,8 @@ def compare_command(
     keep_large_arrays()
     given, loaded = model_for(model, loaded, reading.signals)
     comparison = given.compare(loaded, map=reading.signals, **asked.model_dump())
-    report(comparison.to_dict() | drawn(plot, [comparison], f"{model} compared"), str(comparison), as_json=as_json)
+    report(
+        comparison.to_dict() | drawn(plot, [comparison], f"{model} compared"),
+        str(comparison),
+        as_json=as_json,
+    )

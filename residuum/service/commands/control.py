@@ -25,7 +25,9 @@ from residuum.service.commands.report import AsJson, report
 
 app = typer.Typer(add_completion=False)
 
-_NOT_OF_SEVERAL = "control of several inputs and outputs: takes one model, and no --joined, --plot or --export"
+_NOT_OF_SEVERAL = (
+    "control of several inputs and outputs: takes one model, and no --joined, --plot or --export"
+)
 
 
 @app.callback()
@@ -40,16 +42,28 @@ def design(
         list[Path],
         typer.Argument(
             metavar="IDENTIFIED…",
-            help="Identified models, one per operating point; or one model of as many outputs as inputs.",
+            help=(
+                "Identified models, one per operating point; or one model of as many outputs as"
+                " inputs."
+            ),
         ),
     ],
     out: Annotated[Path, typer.Option(help="File for the controller (JSON).")],
     asked: DesignController,
     joined: Annotated[
-        Path | None, typer.Option(help="The nominal plant: a model of all operating points' records (default: the models' mean).")
+        Path | None,
+        typer.Option(
+            help=(
+                "The nominal plant: a model of all operating points' records (default: the models'"
+                " mean)."
+            )
+        ),
     ] = None,
     export: Annotated[
-        tuple[str, Path] | None, typer.Option(metavar="c|st FILE", help="Also write the controller as C or structured text.")
+        tuple[str, Path] | None,
+        typer.Option(
+            metavar="c|st FILE", help="Also write the controller as C or structured text."
+        ),
     ] = None,
     plot: Plot = None,
     as_json: AsJson = False,
@@ -67,8 +81,14 @@ def design(
             return report(several, multivariable_text(several), as_json=as_json)
         controller = control.design(identified, joined=joined, **asked.model_dump())
     except Infeasible as no:
-        described = {"aim": asked.aim, "structure": asked.structure, "models": [str(file) for file in identified]}
-        report(described | {"feasible": False, "reason": str(no)}, f"infeasible: {no}", as_json=as_json)
+        described = {
+            "aim": asked.aim,
+            "structure": asked.structure,
+            "models": [str(file) for file in identified],
+        }
+        report(
+            described | {"feasible": False, "reason": str(no)}, f"infeasible: {no}", as_json=as_json
+        )
         raise typer.Exit(ANSWER_IS_NO) from None
     result = controller.to_dict() | {"file": str(out)}
     if export is not None:
@@ -83,5 +103,8 @@ def _check_export(export: tuple[str, Path] | None) -> None:
     if export is None:
         return
     if export[0] not in LANGUAGES:
-        raise BadInput(f"--export {export[0]!r}: there is no such language; {known_names(export[0], LANGUAGES)}")
+        raise BadInput(
+            f"--export {export[0]!r}: there is no such language;"
+            f" {known_names(export[0], LANGUAGES)}"
+        )
     check_output_file(export[1])

@@ -1,4 +1,6 @@
-"""`residuum doctor`: what the service needs, checked one by one; nothing is changed unless it is asked to sweep."""
+"""`residuum doctor`: what the service needs, checked one by one; nothing is changed unless it is
+asked to sweep.
+"""
 
 from __future__ import annotations
 
@@ -49,7 +51,9 @@ app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 _MIB = 2**20
 _SPARE = 512 * _MIB
-"""Free disk [bytes] that rows, logs and the database's journal should find beyond the signals still to come."""
+"""Free disk [bytes] that rows, logs and the database's journal should find beyond the signals still
+to come.
+"""
 _PATIENCE = 3.0
 _OPCUA_PORT = 4840
 """How long a device may take to accept a connection [s]."""
@@ -79,12 +83,19 @@ class Check:
 def doctor(
     data: DataFolder = None,
     database: DatabaseUrl = None,
-    blocks: Annotated[int, typer.Option(min=1, help="How many signal blocks to compare with their checksums.")] = 100,
-    sweep: Annotated[bool, typer.Option("--sweep", help="Delete signal blocks that no row of the database names.")] = False,
+    blocks: Annotated[
+        int, typer.Option(min=1, help="How many signal blocks to compare with their checksums.")
+    ] = 100,
+    sweep: Annotated[
+        bool,
+        typer.Option("--sweep", help="Delete signal blocks that no row of the database names."),
+    ] = False,
     settings_file: SettingsFile = None,
     as_json: AsJson = False,
 ) -> None:
-    """Check database, rows, blocks, disk, access, buses, machines, broker, compiled code; exit status 1 when one is wrong."""
+    """Check database, rows, blocks, disk, access, buses, machines, broker, compiled code; exit
+    status 1 when one is wrong.
+    """
     settings = load_settings(settings_file, data=data, database=database)
     if sweep:
         _sweep(settings)
@@ -102,13 +113,19 @@ def doctor(
     ]
     lines = [check.line for check in checks]
     healthy = all(check.ok for check in checks)
-    report({"ok": healthy, "checks": [asdict(check) for check in checks]}, "\n".join(lines), as_json=as_json)
+    report(
+        {"ok": healthy, "checks": [asdict(check) for check in checks]},
+        "\n".join(lines),
+        as_json=as_json,
+    )
     if not healthy:
         raise typer.Exit(ANSWER_IS_NO)
 
 
 def _sweep(settings: Settings) -> None:
-    """Delete what no row names; BadInput where folder and database do not belong together, or this program has not started."""
+    """Delete what no row names; BadInput where folder and database do not belong together, or this
+    program has not started.
+    """
     if (database := _existing(settings)) is None:
         raise BadInput("--sweep: there is no database yet; nothing was deleted")
     try:
@@ -120,7 +137,9 @@ def _sweep(settings: Settings) -> None:
         database.close()
     store = DiskStore(settings.data, settings.database_url)
     try:
-        sys.stderr.write(f"residuum: deleted {store.sweep(SETTLED)} signal blocks that no row named\n")
+        sys.stderr.write(
+            f"residuum: deleted {store.sweep(SETTLED)} signal blocks that no row named\n"
+        )
     finally:
         store.close()
 
@@ -130,13 +149,24 @@ def _check(name: str, look: Callable[[], str | tuple[str, str]]) -> Check:
     try:
         says = look()
         return Check(name, True, says) if isinstance(says, str) else Check(name, True, *says)
-    except (Wrong, BadInput, StorageUnavailable, BrokenBlock, BrokenAudit, OSError, can.CanError) as error:
+    except (
+        Wrong,
+        BadInput,
+        StorageUnavailable,
+        BrokenBlock,
+        BrokenAudit,
+        OSError,
+        can.CanError,
+    ) as error:
         return Check(name, False, " ".join(str(error).split()))
 
 
 def _machines(settings: Settings) -> list[Check]:
     """Every machine of the settings: whether its signals, its model and its baseline are there."""
-    return [_check(f"machine {machine.asset}", partial(_machine, settings, machine)) for machine in settings.machines]
+    return [
+        _check(f"machine {machine.asset}", partial(_machine, settings, machine))
+        for machine in settings.machines
+    ]
 
 
 def _machine(settings: Settings, machine: MachineSettings) -> str:
@@ -147,14 +177,18 @@ def _machine(settings: Settings, machine: MachineSettings) -> str:
 
 
 def _baseline(settings: Settings, machine: MachineSettings) -> tuple[bool, int] | None:
-    """Whether the machine has a baseline and how many windows are recorded; None before the first start."""
+    """Whether the machine has a baseline and how many windows are recorded; None before the first
+    start.
+    """
     database = _existing(settings)
     if database is None or database.revision() != newest_revision():
         return None
     database.close()
     store = DiskStore(settings.data, settings.database_url)
     try:
-        return has_baseline(store, machine.asset, machine.baseline), len(store.recorded_windows(machine.asset))
+        return has_baseline(store, machine.asset, machine.baseline), len(
+            store.recorded_windows(machine.asset)
+        )
     finally:
         store.close()
 
@@ -166,7 +200,10 @@ def _database(settings: Settings) -> str:
     try:
         revision, newest = database.revision(), newest_revision()
         if revision != newest:
-            raise Wrong(f"its schema is at revision {revision}, this program needs {newest}; a start of the service migrates it")
+            raise Wrong(
+                f"its schema is at revision {revision}, this program needs {newest}; a start of the"
+                " service migrates it"
+            )
         with database.write():
             """It can be written."""
         if (damage := database.damage()) is not None:
@@ -185,7 +222,10 @@ def _audit(settings: Settings) -> str:
             return "is looked at once the schema is the newest"
         with database.snapshot() as connection:
             head = audit.verify(connection)
-        return f"{head.entries} entries, none changed or missing; its head is {head.digest[:16]}…{head.digest[-8:]}"
+        return (
+            f"{head.entries} entries, none changed or missing; its head is"
+            f" {head.digest[:16]}…{head.digest[-8:]}"
+        )
     finally:
         database.close()
 
@@ -221,7 +261,11 @@ def _signal_blocks(settings: Settings, sample: int) -> str | tuple[str, str]:
         return "none yet"
     try:
         with database.read() as connection:
-            references = block_rows.references(connection) if database.revision() == newest_revision() else []
+            references = (
+                block_rows.references(connection)
+                if database.revision() == newest_revision()
+                else []
+            )
     finally:
         database.close()
     folder, named = settings.data / "blocks", {block.path for block in references}
@@ -232,18 +276,32 @@ def _signal_blocks(settings: Settings, sample: int) -> str | tuple[str, str]:
     looked_at = references[:: max(1, -(-len(references) // sample))]
     for block in looked_at:
         Blocks(folder).verify(block)
-    remark = f"{unnamed} more that no row names; `residuum doctor --sweep` deletes them" if unnamed else ""
-    return f"all {len(references)} are there; {len(looked_at)} compared with their checksums", remark
+    remark = (
+        f"{unnamed} more that no row names; `residuum doctor --sweep` deletes them"
+        if unnamed
+        else ""
+    )
+    return (
+        f"all {len(references)} are there; {len(looked_at)} compared with their checksums",
+        remark,
+    )
 
 
 def _disk(settings: Settings) -> str:
-    folder = next(parent for parent in (settings.data.resolve(), *settings.data.resolve().parents) if parent.is_dir())
+    folder = next(
+        parent
+        for parent in (settings.data.resolve(), *settings.data.resolve().parents)
+        if parent.is_dir()
+    )
     with tempfile.TemporaryFile(dir=folder) as probe:
         probe.write(b"probe")
     held = sum(file.stat().st_size for file in settings.data.glob("blocks/*/*.block"))
     needed = max(0, settings.keep_bytes - held) + _SPARE
     free = shutil.disk_usage(folder).free
-    says = f"{folder} can be written, {free / _MIB:.0f} MiB free; keep_bytes and rows may still take {needed / _MIB:.0f} MiB"
+    says = (
+        f"{folder} can be written, {free / _MIB:.0f} MiB free; keep_bytes and rows may still take"
+        f" {needed / _MIB:.0f} MiB"
+    )
     if free < needed:
         raise Wrong(says)
     return says
@@ -251,8 +309,14 @@ def _disk(settings: Settings) -> str:
 
 def _access(settings: Settings) -> str:
     keys = ApiKeys(settings.api_keys, tokens=settings.oidc_issuer is not None)
-    where = "this machine only" if is_loopback(settings.host) else f"{settings.host}, for other machines too"
-    return f"listens on {where}; " + ("API keys or tokens are needed" if keys.needed else "no API keys are needed")
+    where = (
+        "this machine only"
+        if is_loopback(settings.host)
+        else f"{settings.host}, for other machines too"
+    )
+    return f"listens on {where}; " + (
+        "API keys or tokens are needed" if keys.needed else "no API keys are needed"
+    )
 
 
 def _buses(settings: Settings) -> list[Check]:
@@ -262,7 +326,11 @@ def _buses(settings: Settings) -> list[Check]:
         for source in machine.sources
     }
     if not sources:
-        return [Check("buses", True, "the demo brings its own" if settings.demo else "none are configured")]
+        return [
+            Check(
+                "buses", True, "the demo brings its own" if settings.demo else "none are configured"
+            )
+        ]
     return [_check(f"{source.kind} bus", partial(_bus, source)) for source in sources.values()]
 
 
@@ -271,16 +339,28 @@ def _bus(source: SourceSettings) -> str | tuple[str, str]:
         messages = read_dbc(source.map_file)
         read = streamed(messages)
         open_bus(source.channel).close()
-        remarks = [f"{layout.name}: {layout.remark}" for layout in read if layout.remark] + list(messages.unusable.values())
-        says = f"{source.channel} can be opened; {source.map} streams {', '.join(layout.name for layout in read)}"
-        silent = [f"{layout.name} {layout.why_no_stream}" for layout in messages.values() if layout.why_no_stream]
+        remarks = [f"{layout.name}: {layout.remark}" for layout in read if layout.remark] + list(
+            messages.unusable.values()
+        )
+        says = (
+            f"{source.channel} can be opened; {source.map} streams"
+            f" {', '.join(layout.name for layout in read)}"
+        )
+        silent = [
+            f"{layout.name} {layout.why_no_stream}"
+            for layout in messages.values()
+            if layout.why_no_stream
+        ]
         left = f"; of {len(silent)} not streamed the first: {silent[0]}" if silent else ""
         return says + left, "; ".join(remarks)
     if source.kind == "sparkplug":
         metrics = read_metric_map(source.map_file)
         broker = metrics.entered(source.channel)
         _let_in(broker)
-        return f"{broker.host}:{broker.port} lets us in; {source.map} has {len(metrics.streams)} streams of {metrics.node}"
+        return (
+            f"{broker.host}:{broker.port} lets us in; {source.map} has {len(metrics.streams)}"
+            f" streams of {metrics.node}"
+        )
     if source.kind == "opcua":
         streams = len(read_node_map(source.map_file).streams)
         url = urllib.parse.urlsplit(source.channel)
@@ -302,10 +382,17 @@ def _modbus(source: SourceSettings) -> str | tuple[str, str]:
     try:
         readings, refusals = read_device(source.host, source.port, registers, _PATIENCE)
     except TimeoutError as error:
-        return f"{address} accepts connections", f"but gives no reply that fits: {error}; look at unit_id ({registers.unit_id})"
+        return (
+            f"{address} accepts connections",
+            f"but gives no reply that fits: {error}; look at unit_id ({registers.unit_id})",
+        )
     if refusals:
         raise Wrong(f"{address}: {'; '.join(refusals)}")
-    remarks = [f"{entry.stream}.{entry.channel}: {entry.remark}" for entry in readings if entry.remark not in ("", "missing")]
+    remarks = [
+        f"{entry.stream}.{entry.channel}: {entry.remark}"
+        for entry in readings
+        if entry.remark not in ("", "missing")
+    ]
     return f"{address} answers; {source.map}: {len(readings)} channels read", "; ".join(remarks)
 
 
@@ -316,7 +403,12 @@ def _broker(settings: Settings) -> tuple[str, str]:
     says = f"{address.host}:{address.port} lets us in; topics begin with {address.prefix}/{node}"
     aside = SetAside(settings.data)
     newest = aside.newest(1)
-    remark = f"{aside.count} messages were set aside in {settings.data / FOLDER}, the last: {newest[0].reason}" if newest else ""
+    remark = (
+        f"{aside.count} messages were set aside in {settings.data / FOLDER}, the last:"
+        f" {newest[0].reason}"
+        if newest
+        else ""
+    )
     return says, remark
 
 
@@ -332,5 +424,9 @@ def _compiled_code() -> str:
     places = {"loops": "NUMBA_CACHE_DIR", "kernels": "RESIDUUM_CACHE"}
     for name, variable in places.items():
         if (why := why_not_kept(name, variable)) is not None:
-            raise Wrong(f"{name} are not kept: {why}; set {variable} to a folder of this user alone")
-    return " and ".join(f"{name} are kept in {code_folder(name, variable)}" for name, variable in places.items())
+            raise Wrong(
+                f"{name} are not kept: {why}; set {variable} to a folder of this user alone"
+            )
+    return " and ".join(
+        f"{name} are kept in {code_folder(name, variable)}" for name, variable in places.items()
+    )

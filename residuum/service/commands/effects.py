@@ -1,4 +1,6 @@
-"""`residuum effects`: the catalogue of physical effects, or what fits a model's balances and paths."""
+"""`residuum effects`: the catalogue of physical effects, or what fits a model's balances and
+paths.
+"""
 
 from typing import Annotated
 
@@ -15,7 +17,9 @@ app = typer.Typer(add_completion=False)
 
 @app.command()
 def effects(
-    model: Annotated[str | None, typer.Argument(metavar="[MODEL]", help="A built-in model or a model file.")] = None,
+    model: Annotated[
+        str | None, typer.Argument(metavar="[MODEL]", help="A built-in model or a model file.")
+    ] = None,
     catalogue: OwnCatalogue = None,
     as_json: AsJson = False,
 ) -> None:
@@ -26,8 +30,16 @@ def effects(
         return
     loaded = load_model(model)
     entries = [
-        effect_json(effect) | {"balance": target, "parameters": parameters_json(effect.parameters(loaded.site(target, effect)))}
+        effect_json(effect)
+        | {
+            "balance": target,
+            "parameters": parameters_json(effect.parameters(loaded.site(target, effect))),
+        }
         for effect, target in ((EFFECTS[id], target) for id, target in candidates(loaded))
     ]
     present = [{"effect": use.id, "balance": use.target} for use in loaded.effects]
-    report({"model": loaded.name, "present": present, "effects": entries}, "\n".join(map(effect_line, entries)), as_json=as_json)
+    report(
+        {"model": loaded.name, "present": present, "effects": entries},
+        "\n".join(map(effect_line, entries)),
+        as_json=as_json,
+    )

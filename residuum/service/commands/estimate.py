@@ -27,13 +27,17 @@ _NOT_WRITTEN = "not written (--anyway writes the model all the same)"
 def estimate_command(
     model: ModelSource,
     records: RecordFiles,
-    out: Annotated[Path, typer.Option(help="File for the model with the estimated parameters (YAML).")],
+    out: Annotated[
+        Path, typer.Option(help="File for the model with the estimated parameters (YAML).")
+    ],
     asked: Estimate,
     reading: Reading,
     catalogue: OwnCatalogue = None,
     as_json: AsJson = False,
 ) -> None:
-    """Estimate the free parameters. The note `# split: 0.7` in a record keeps the last 30 % for validation."""
+    """Estimate the free parameters. The note `# split: 0.7` in a record keeps the last 30 % for
+    validation.
+    """
     check_output_file(out)
     loaded = reading.for_model(records)
     estimation = read(model).estimate(loaded, map=reading.signals, **asked.model_dump())
@@ -41,6 +45,8 @@ def estimate_command(
     if written:
         estimation.model.save(out)
     answer = estimation.to_dict() | {"model_file": str(out) if written else None}
-    report(answer, estimate_text(answer) + ("" if written else f"\n{_NOT_WRITTEN}"), as_json=as_json)
+    report(
+        answer, estimate_text(answer) + ("" if written else f"\n{_NOT_WRITTEN}"), as_json=as_json
+    )
     if not estimation.converged:
         raise typer.Exit(ANSWER_IS_NO)

@@ -24,11 +24,16 @@ def export_command(
     out: Annotated[Path, typer.Option(help="File to write.")],
     as_json: AsJson = False,
 ) -> None:
-    """Write a model, effects included, for another tool: source code, or an FMU (FMI 2.0) with sources and a library."""
+    """Write a model, effects included, for another tool: source code, or an FMU (FMI 2.0) with
+    sources and a library.
+    """
     if to not in _TARGETS:
         raise BadInput(f"--to {to!r}: there is no such target; {known_names(to, _TARGETS)}")
     check_output_file(out)
-    from residuum.identification.physics import load_model  # noqa: PLC0415  SymPy is imported for this command alone
+    # SymPy is imported for this command alone
+    from residuum.identification.physics import (  # noqa: PLC0415
+        load_model,
+    )
     from residuum.identification.physics.export import EXPORTS, explicit  # noqa: PLC0415
 
     explicit_model = explicit(load_model(model))

@@ -14,11 +14,18 @@ app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 @app.command()
 def fault(
-    machine: Annotated[str, typer.Argument(help="gate-actuator, gripping-pliers or process-plant.")],
+    machine: Annotated[
+        str, typer.Argument(help="gate-actuator, gripping-pliers or process-plant.")
+    ],
     fault: Annotated[
-        str | None, typer.Argument(metavar="FAULT[:size]", help="Fault, or none to clear all; left out: list them.")
+        str | None,
+        typer.Argument(
+            metavar="FAULT[:size]", help="Fault, or none to clear all; left out: list them."
+        ),
     ] = None,
-    clear: Annotated[bool, typer.Option("--clear", help="Clear the fault (or all, when none is named).")] = False,
+    clear: Annotated[
+        bool, typer.Option("--clear", help="Clear the fault (or all, when none is named).")
+    ] = False,
     url: ServiceUrl = HERE,
     as_json: AsJson = False,
 ) -> None:
@@ -29,11 +36,15 @@ def fault(
     order = _order(fault, clear)
     answer = ask(url, f"/demo/machines/{urllib.parse.quote(machine, safe='')}/fault", order)
     outcome = (
-        f"{machine}: {order['fault']} switched {'off' if order.get('size') == 0 or order['fault'] == 'none' else 'on'}"
+        f"{machine}: {order['fault']} switched"
+        f" {'off' if order.get('size') == 0 or order['fault'] == 'none' else 'on'}"
         if order
         else ""
     )
-    lines = [f"  {entry['id']:<16} {_size(entry)}  {entry.get('meaning', '')}" for entry in answer["faults"]]
+    lines = [
+        f"  {entry['id']:<16} {_size(entry)}  {entry.get('meaning', '')}"
+        for entry in answer["faults"]
+    ]
     report(answer, outcome or "\n".join([f"{machine} has", *lines]), as_json=as_json)
 
 

@@ -1,4 +1,6 @@
-"""What `rescore` and `reidentify` share: where the records are, the results file, the workers, and the report."""
+"""What `rescore` and `reidentify` share: where the records are, the results file, the workers, and
+the report.
+"""
 
 import os
 from pathlib import Path
@@ -15,13 +17,28 @@ Source = Annotated[
     str,
     typer.Argument(
         metavar="FOLDER|URL",
-        help="Record files in a folder or a bucket (s3://…, file://…), or a service's database (sqlite:///…).",
+        help=(
+            "Record files in a folder or a bucket (s3://…, file://…), or a service's database"
+            " (sqlite:///…)."
+        ),
     ),
 ]
-Data = Annotated[Path | None, typer.Option(help="Data folder of the service, for the signals of its database.")]
-Results = Annotated[Path, typer.Option("--out", help="Write one JSON line per record. An existing unfinished file is resumed.")]
-Workers = Annotated[int | None, typer.Option(min=1, max=256, help="Worker processes (default: one a processor).")]
-Scheduler = Annotated[str | None, typer.Option(metavar="tcp://…", help="Dask scheduler whose workers see the same files.")]
+Data = Annotated[
+    Path | None, typer.Option(help="Data folder of the service, for the signals of its database.")
+]
+Results = Annotated[
+    Path,
+    typer.Option(
+        "--out", help="Write one JSON line per record. An existing unfinished file is resumed."
+    ),
+]
+Workers = Annotated[
+    int | None, typer.Option(min=1, max=256, help="Worker processes (default: one a processor).")
+]
+Scheduler = Annotated[
+    str | None,
+    typer.Option(metavar="tcp://…", help="Dask scheduler whose workers see the same files."),
+]
 
 _STEPS = 20
 
@@ -36,7 +53,9 @@ def run_over_fleet(
     as_json: bool,
     counts: dict[str, str],
 ) -> None:
-    """Do the work for every record of a fleet and report how many; `counts` maps a name to a dotted place and value."""
+    """Do the work for every record of a fleet and report how many; `counts` maps a name to a dotted
+    place and value.
+    """
     check_output_file(results)
     files = [item for item in source.items() if item != str(results)]
     if not files:
@@ -53,7 +72,10 @@ def run_over_fleet(
     with open_executor(many, scheduler) as executor:
         answers = run_fleet(files, work, executor, results, workers=many, tell=tell)
     summary = {"files": len(answers), "refused": sum("refused" in answer for answer in answers)}
-    summary |= {name: sum(_at(answer, *place.split("=")) for answer in answers) for name, place in counts.items()}
+    summary |= {
+        name: sum(_at(answer, *place.split("=")) for answer in answers)
+        for name, place in counts.items()
+    }
     says = ", ".join(f"{count} {name}" for name, count in summary.items())
     report(summary | {"results": str(results)}, f"{says}; written to {results}", as_json=as_json)
 

@@ -1,4 +1,6 @@
-"""Commands on a model that is an FMU run in a process of their own: a foreign library may end it, and nothing else."""
+"""Commands on a model that is an FMU run in a process of their own: a foreign library may end it,
+and nothing else.
+"""
 
 from __future__ import annotations
 
@@ -34,23 +36,36 @@ def run_apart(arguments: list[str], fmu: str) -> int:
     Raises
     ------
     BadModel
-        The FMU cannot run on this platform (said before anything of it is loaded), or it ended the process.
+        The FMU cannot run on this platform (said before anything of it is loaded), or it ended the
+        process.
     """
     describe(fmu)
     done = subprocess.run(
-        [sys.executable, "-m", "residuum", *arguments], env=os.environ | {INSIDE: "1"}, stdout=subprocess.PIPE, check=False
+        [sys.executable, "-m", "residuum", *arguments],
+        env=os.environ | {INSIDE: "1"},
+        stdout=subprocess.PIPE,
+        check=False,
     )
     sys.stdout.write(done.stdout.decode("utf-8", "replace"))
     if done.returncode < 0:
         how = signal.Signals(-done.returncode).name
-        raise BadModel(f"model {fmu!r}: the FMU ended the process that ran it ({how}); nothing else was harmed")
+        raise BadModel(
+            f"model {fmu!r}: the FMU ended the process that ran it ({how}); nothing else was harmed"
+        )
     return done.returncode
 
 
-def model_for(name: str, records: list[Record], signals: Mapping[str, str]) -> tuple[Model, list[Record]]:
-    """The model of a command, and the records with what it needs beside them: an FMU may have to be simulated along each."""
+def model_for(
+    name: str, records: list[Record], signals: Mapping[str, str]
+) -> tuple[Model, list[Record]]:
+    """The model of a command, and the records with what it needs beside them: an FMU may have to be
+    simulated along each.
+    """
     if is_fmu(name) and is_inside():
-        from residuum.library.fmu import fmu_model  # noqa: PLC0415  loads what compiles, for FMUs alone
+        # loads what compiles, for FMUs alone
+        from residuum.library.fmu import (  # noqa: PLC0415
+            fmu_model,
+        )
 
         return fmu_model(name, records, signals)
     return model(name), records

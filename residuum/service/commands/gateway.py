@@ -21,20 +21,32 @@ app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 @app.command()
 def gateway(
     name: Annotated[
-        str | None, typer.Option(help="Name of this gateway; each needs its own. Default: this computer's name.")
+        str | None,
+        typer.Option(
+            help="Name of this gateway; each needs its own. Default: this computer's name."
+        ),
     ] = None,
-    data: Annotated[Path | None, typer.Option(help="Folder that keeps windows until a scorer has stored them.")] = None,
+    data: Annotated[
+        Path | None, typer.Option(help="Folder that keeps windows until a scorer has stored them.")
+    ] = None,
 ) -> None:
-    """Read the machines that the settings name, and send their windows. Each window is kept here until a scorer has stored it."""
+    """Read the machines that the settings name, and send their windows. Each window is kept here
+    until a scorer has stored it.
+    """
     settings = load_settings(data=data)
     if not settings.mqtt or not settings.machines:
-        raise BadInput("settings mqtt and machines: a gateway needs a broker to send to and machines to read")
+        raise BadInput(
+            "settings mqtt and machines: a gateway needs a broker to send to and machines to read"
+        )
     name = name or socket.gethostname()
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}", name):
         raise BadInput(f"--name {name!r}: must be letters, digits, '.', '_' and '-'")
     set_up_logs(settings)
     sender = Gateway(name, Spool(settings.data / "spool", settings.keep_bytes), settings.broker)
-    lines = [MachineLine(machine, partial(partial, sender.handle), lambda _: None) for machine in settings.machines]
+    lines = [
+        MachineLine(machine, partial(partial, sender.handle), lambda _: None)
+        for machine in settings.machines
+    ]
     sender.start()
     for line in lines:
         line.start()

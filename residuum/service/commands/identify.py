@@ -27,7 +27,9 @@ def identify(
     plot: Plot = None,
     as_json: AsJson = False,
 ) -> None:
-    """Identify a linear model from INPUT to OUTPUT; the note `# split: 0.7` in a record keeps the last 30 % for validation."""
+    """Identify a linear model from INPUT to OUTPUT; the note `# split: 0.7` in a record keeps the
+    last 30 % for validation.
+    """
     if out is not None:
         check_output_file(out)
     check_plot(plot)
@@ -36,5 +38,7 @@ def identify(
     if out is not None:
         plant.save(out)
     title = f"{', '.join(asked.outputs)} identified"
-    result = plant.to_dict() | {"file": None if out is None else str(out)} | drawn(plot, [plant], title)
+    result = (
+        plant.to_dict() | {"file": None if out is None else str(out)} | drawn(plot, [plant], title)
+    )
     report(result, plant.report(result), as_json=as_json)

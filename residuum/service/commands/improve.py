@@ -28,7 +28,9 @@ app = typer.Typer(add_completion=False)
 def improve_command(
     model: ModelSource,
     records: RecordFiles,
-    out: Annotated[Path, typer.Option(help="Model file to write. The model that was read is not changed.")],
+    out: Annotated[
+        Path, typer.Option(help="Model file to write. The model that was read is not changed.")
+    ],
     asked: Improve,
     reading: Reading,
     catalogue: OwnCatalogue = None,
@@ -38,13 +40,26 @@ def improve_command(
     """Add effects to a model, re-estimate it, and show its error on data not used for that."""
     check_output_file(out)
     if Path(model).exists() and out.exists() and Path(model).samefile(out):
-        raise BadInput(f"improve: --out {out} is the model itself; write a new file, the previous one is the way back")
+        raise BadInput(
+            f"improve: --out {out} is the model itself; write a new file, the previous one is the"
+            " way back"
+        )
     check_plot(plot)
     loaded = reading.for_model(records)
     keep_large_arrays()
-    improvement = read(model).improve(loaded, map=reading.signals, progress=told, **asked.model_dump())
+    improvement = read(model).improve(
+        loaded, map=reading.signals, progress=told, **asked.model_dump()
+    )
     file = str(out) if improvement.found.helps else None
     if file:
         improvement.model.save(out)
-    text = "\n".join([*warning_lines(improvement.warnings), improvement_text(improvement.found, file)])
-    report(improvement.to_dict() | {"model_file": file} | drawn(plot, [improvement], f"{model} improved"), text, as_json=as_json)
+    text = "\n".join(
+        [*warning_lines(improvement.warnings), improvement_text(improvement.found, file)]
+    )
+    report(
+        improvement.to_dict()
+        | {"model_file": file}
+        | drawn(plot, [improvement], f"{model} improved"),
+        text,
+        as_json=as_json,
+    )

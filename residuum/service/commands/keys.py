@@ -24,13 +24,23 @@ app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 def keys(
     folder: Annotated[
         Path,
-        typer.Argument(help="Folder for `api_keys`, `metrics_key`, `broker_password` and `broker_users`. What is there is kept."),
+        typer.Argument(
+            help=(
+                "Folder for `api_keys`, `metrics_key`, `broker_password` and `broker_users`. What"
+                " is there is kept."
+            )
+        ),
     ],
     as_json: AsJson = False,
 ) -> None:
-    """Make keys for an engineer and Prometheus, and a broker's user, unless they exist. The engineer's is shown only now."""
+    """Make keys for an engineer and Prometheus, and a broker's user, unless they exist. The
+    engineer's is shown only now.
+    """
     files = {"api_keys": str(folder / API_KEYS), "metrics_key": str(folder / METRICS_KEY)}
-    files |= {"broker_password": str(folder / BROKER_PASSWORD), "broker_users": str(folder / BROKER_USERS)}
+    files |= {
+        "broker_password": str(folder / BROKER_PASSWORD),
+        "broker_users": str(folder / BROKER_USERS),
+    }
 
     def show(key: str) -> None:
         message = f"API key of 'engineer', shown this once (the page asks for it):\n\n    {key}\n"
@@ -39,4 +49,8 @@ def keys(
     are_new = make_first_keys(folder, show)
     make_broker_user(folder)
     if not are_new:
-        report({"made": False, "key": None} | files, f"Keys are in {files['api_keys']}; none was made.", as_json=as_json)
+        report(
+            {"made": False, "key": None} | files,
+            f"Keys are in {files['api_keys']}; none was made.",
+            as_json=as_json,
+        )

@@ -1,4 +1,6 @@
-"""What `inspect` says of a CAN log beside its DBC file: each message as it is in the log, and what its signals make of it."""
+"""What `inspect` says of a CAN log beside its DBC file: each message as it is in the log, and what
+its signals make of it.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,9 @@ from residuum.service.fieldbus.settings import map_file
 
 
 def inspect_log(file: Path, dbc: Path) -> tuple[dict[str, Any], str]:
-    """What is found, as plain values and as text; BadBusDescription when the log or the DBC file cannot be read."""
+    """What is found, as plain values and as text; BadBusDescription when the log or the DBC file
+    cannot be read.
+    """
     log, messages = read_can_log(file), read_dbc(map_file(str(dbc)))
     logged, unknown = logged_messages(log, messages)
     plain = {
@@ -22,7 +26,9 @@ def inspect_log(file: Path, dbc: Path) -> tuple[dict[str, Any], str]:
         "dbc": str(dbc),
         "frames": len(log.frames),
         "messages": [_message(message) for message in logged],
-        "absent": [name for name in messages if name not in {message.layout.name for message in logged}],
+        "absent": [
+            name for name in messages if name not in {message.layout.name for message in logged}
+        ],
         "unusable": dict(messages.unusable),
         "unknown": unknown,
         "remarks": [*log.remarks, *(remark for message in logged for remark in message.remarks)],
@@ -70,17 +76,29 @@ def _text(plain: dict[str, Any]) -> str:
     lines = [f"{plain['file']}: {plain['frames']} frames by {plain['dbc']}"]
     for message in plain["messages"]:
         lost = message["counter"] if message["lost"] is None else f"{message['lost']} lost"
-        name, rate = f"{message['message']} {message['identifier']}", f"one every {message['frame_time']:.6g} s"
-        lines += [f"  {name}: {message['frames']} frames, {rate}, {lost}", f"    first frame  {message['first_bytes']}"]
+        name, rate = (
+            f"{message['message']} {message['identifier']}",
+            f"one every {message['frame_time']:.6g} s",
+        )
+        lines += [
+            f"  {name}: {message['frames']} frames, {rate}, {lost}",
+            f"    first frame  {message['first_bytes']}",
+        ]
         lines += ["    " + _channel_line(channel) for channel in message["channels"]]
     lines += [f"  not in the log: {', '.join(plain['absent'])}"] if plain["absent"] else []
     lines += [f"  not usable: {why}" for why in plain["unusable"].values()]
-    lines += [f"  not in the DBC file: {name}, {count} frames" for name, count in plain["unknown"].items()]
+    lines += [
+        f"  not in the DBC file: {name}, {count} frames" for name, count in plain["unknown"].items()
+    ]
     return "\n".join(lines + [f"  {remark}" for remark in plain["remarks"]])
 
 
 def _channel_line(channel: dict[str, Any]) -> str:
     first = "not in it" if channel["first"] is None else f"{channel['first']:.6g}"
-    span = "never" if channel["lowest"] is None else f"{channel['lowest']:.6g} … {channel['highest']:.6g}"
+    span = (
+        "never"
+        if channel["lowest"] is None
+        else f"{channel['lowest']:.6g} … {channel['highest']:.6g}"
+    )
     missing = f", missing in {channel['missing']}" if channel["missing"] else ""
     return f"{channel['channel']} [{channel['unit']}]: {first} there; {span}{missing}"

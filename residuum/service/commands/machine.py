@@ -20,19 +20,43 @@ app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 @app.command()
 def machine(
-    name: Annotated[str, typer.Argument(metavar="MACHINE", help="gate-actuator, gripping-pliers or process-plant.")],
+    name: Annotated[
+        str,
+        typer.Argument(metavar="MACHINE", help="gate-actuator, gripping-pliers or process-plant."),
+    ],
     can: Annotated[
-        str | None, typer.Option(help="CAN bus, for example udp_multicast:239.74.163.2:43113 or socketcan:can0.")
+        str | None,
+        typer.Option(
+            help="CAN bus, for example udp_multicast:239.74.163.2:43113 or socketcan:can0."
+        ),
     ] = None,
-    modbus: Annotated[str | None, typer.Option(help="HOST:PORT to serve Modbus TCP on; port 0 takes a free one.")] = None,
+    modbus: Annotated[
+        str | None, typer.Option(help="HOST:PORT to serve Modbus TCP on; port 0 takes a free one.")
+    ] = None,
     opcua: Annotated[
-        str | None, typer.Option(help="Address to offer its slow streams over OPC UA, for example opc.tcp://127.0.0.1:4840/.")
+        str | None,
+        typer.Option(
+            help=(
+                "Address to offer its slow streams over OPC UA, for example"
+                " opc.tcp://127.0.0.1:4840/."
+            )
+        ),
     ] = None,
-    speed: Annotated[float, typer.Option(min=0.01, max=100, help="Speed of the simulation; 2 is twice real time.")] = 1.0,
+    speed: Annotated[
+        float,
+        typer.Option(min=0.01, max=100, help="Speed of the simulation; 2 is twice real time."),
+    ] = 1.0,
     seed: Annotated[int, typer.Option(min=0, help="Seed of noise and start values.")] = 0,
-    exemplar: Annotated[int, typer.Option(min=0, help="Number of the specimen: no two machines of a series are equal.")] = 0,
+    exemplar: Annotated[
+        int,
+        typer.Option(min=0, help="Number of the specimen: no two machines of a series are equal."),
+    ] = 0,
     with_parent: Annotated[
-        bool, typer.Option("--with-parent", help="End when standard input closes, that is, with the program that started it.")
+        bool,
+        typer.Option(
+            "--with-parent",
+            help="End when standard input closes, that is, with the program that started it.",
+        ),
     ] = False,
 ) -> None:
     """Run a simulated machine on a real bus until it is interrupted.
@@ -40,14 +64,24 @@ def machine(
     Prints one JSON line when it is on its buses. Give at least one bus.
     """
     wiring = wiring_of(name)
-    buses = (("--can", wiring.dbc, can), ("--modbus", wiring.registers, modbus), ("--opcua", wiring.registers, opcua))
+    buses = (
+        ("--can", wiring.dbc, can),
+        ("--modbus", wiring.registers, modbus),
+        ("--opcua", wiring.registers, opcua),
+    )
     if not any(has and given for _, has, given in buses):
         needed = " or ".join(option for option, has, _ in buses if has)
         raise BadInput(f"machine {name!r}: needs a bus; give {needed}")
     device_machine = MACHINES[wiring.machine](seed=seed, exemplar=exemplar)
     try:
         device = Device(
-            device_machine, wiring, can if wiring.dbc else None, _address(modbus) if modbus else None, speed, _say, opcua
+            device_machine,
+            wiring,
+            can if wiring.dbc else None,
+            _address(modbus) if modbus else None,
+            speed,
+            _say,
+            opcua,
         )
     except (OSError, CanError) as error:
         raise BadInput(f"--can {can}: cannot open the bus: {error}") from None
@@ -63,7 +97,9 @@ async def _live(device: Device, name: str, can: str | None, with_parent: bool) -
         threading.Thread(target=_until_input_closes, args=(loop, stopped), daemon=True).start()
 
     def ready(port: int | None) -> None:
-        sys.stdout.buffer.write(orjson.dumps({"machine": name, "can": can, "modbus_port": port}) + b"\n")
+        sys.stdout.buffer.write(
+            orjson.dumps({"machine": name, "can": can, "modbus_port": port}) + b"\n"
+        )
         sys.stdout.buffer.flush()
 
     try:

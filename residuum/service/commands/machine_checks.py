@@ -1,4 +1,6 @@
-"""What a machine of the settings lacks: signals, a model, a baseline; each with what to do about it."""
+"""What a machine of the settings lacks: signals, a model, a baseline; each with what to do about
+it.
+"""
 
 from __future__ import annotations
 
@@ -19,18 +21,28 @@ ENOUGH = 20
 
 
 def bus_signals(machine: MachineSettings) -> dict[str, str]:
-    """Name and unit of every signal on the machine's buses; BadInput for a description that cannot be read."""
+    """Name and unit of every signal on the machine's buses; BadInput for a description that cannot
+    be read.
+    """
     sources = [SOURCES[source.kind](source, lambda _: True) for source in machine.sources]
-    return {name: unit for source in sources for stream in source.streams for name, unit in stream.units.items()}
+    return {
+        name: unit
+        for source in sources
+        for stream in source.streams
+        for name, unit in stream.units.items()
+    }
 
 
-def machine_check(machine: MachineSettings, baseline: tuple[bool, int] | None) -> tuple[str, list[str]]:
+def machine_check(
+    machine: MachineSettings, baseline: tuple[bool, int] | None
+) -> tuple[str, list[str]]:
     """What a machine has, in a sentence, and what it lacks, a sentence each.
 
     Parameters
     ----------
     baseline : (bool, int) or None
-        Whether it has a baseline, and the number of recorded windows; None where the service has not run yet.
+        Whether it has a baseline, and the number of recorded windows; None where the service has
+        not run yet.
     """
     try:
         MachineLine(machine, lambda *_: lambda: None, lambda _: None)
@@ -58,14 +70,27 @@ def _model_lacks(machine: MachineSettings, bus: Mapping[str, str]) -> list[str]:
     for name, (unit, role, needed) in model_signals(model).items():
         channel = machine.channels.get(name, name)
         if channel in bus and not compatible(bus[channel], unit):
-            lacks.append(f"channels, {name}: the model has it in {unit}, the bus has {channel} in {bus[channel] or 'no unit'}")
+            lacks.append(
+                f"channels, {name}: the model has it in {unit}, the bus has {channel} in"
+                f" {bus[channel] or 'no unit'}"
+            )
         elif channel in bus:
             outputs += role == "output"
         elif needed:
-            hint = f"; perhaps it is {guesses[name]}" if name in guesses else f"; {known_names(name, bus, 'the bus has')}"
-            lacks.append(f"channels, {name}: the model needs this {role}, the bus has no signal of this name{hint}")
+            hint = (
+                f"; perhaps it is {guesses[name]}"
+                if name in guesses
+                else f"; {known_names(name, bus, 'the bus has')}"
+            )
+            lacks.append(
+                f"channels, {name}: the model needs this {role}, the bus has no signal of this"
+                f" name{hint}"
+            )
     if not outputs:
-        lacks.append(f"channels: none of the model's outputs is on the bus ({', '.join(model.outputs)}); map at least one")
+        lacks.append(
+            f"channels: none of the model's outputs is on the bus ({', '.join(model.outputs)}); map"
+            " at least one"
+        )
     return lacks
 
 
@@ -75,5 +100,9 @@ def _state(machine: MachineSettings, baseline: tuple[bool, int] | None) -> str:
     trained, count = baseline
     if trained:
         return "has a baseline"
-    then = f"train with: residuum watch train {machine.asset}" if count >= ENOUGH else f"let it run until there are {ENOUGH}"
+    then = (
+        f"train with: residuum watch train {machine.asset}"
+        if count >= ENOUGH
+        else f"let it run until there are {ENOUGH}"
+    )
     return f"has no baseline yet, {count} windows recorded; {then}"

@@ -4,4 +4,6 @@ from typing import Annotated
 
 import typer
 
-ModelSource = Annotated[str, typer.Argument(metavar="MODEL", help="A built-in model or a model file.")]
+ModelSource = Annotated[
+    str, typer.Argument(metavar="MODEL", help="A built-in model or a model file.")
+]

@@ -1,4 +1,6 @@
-"""`residuum opcua`: what an OPC UA server has, as a node map; and its certificate, to be trusted."""
+"""`residuum opcua`: what an OPC UA server has, as a node map; and its certificate, to be
+trusted.
+"""
 
 from __future__ import annotations
 
@@ -25,22 +27,40 @@ _TIMEOUT = 5.0
 def browse(
     url: Url,
     out: Annotated[Path, typer.Option(help="The node map to write.")],
-    under: Annotated[str, typer.Option(help="Only nodes whose id begins so, for example 'ns=2;s=Press1.'.")] = "",
-    every: Annotated[float, typer.Option(min=0.001, max=3600, help="Sample time of the stream [s].")] = 0.1,
-    entered: Annotated[Path | None, typer.Option("--map", help="A node map that says how the server is entered.")] = None,
+    under: Annotated[
+        str, typer.Option(help="Only nodes whose id begins so, for example 'ns=2;s=Press1.'.")
+    ] = "",
+    every: Annotated[
+        float, typer.Option(min=0.001, max=3600, help="Sample time of the stream [s].")
+    ] = 0.1,
+    entered: Annotated[
+        Path | None, typer.Option("--map", help="A node map that says how the server is entered.")
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Write a node map of the variables that hold numbers; units are taken where the server says them."""
+    """Write a node map of the variables that hold numbers; units are taken where the server says
+    them.
+    """
     check_output_file(out)
     nodes = None if entered is None else read_node_map(entered)
-    variables = asyncio.run(_answered(url, _library().numeric_variables(url, nodes, under, _TIMEOUT)))
+    variables = asyncio.run(
+        _answered(url, _library().numeric_variables(url, nodes, under, _TIMEOUT))
+    )
     if not variables:
-        raise BadInput(f"{url}: no variable with a number{f' whose id begins with {under!r}' if under else ''}")
+        raise BadInput(
+            f"{url}: no variable with a number{f' whose id begins with {under!r}' if under else ''}"
+        )
     channels = {name: ChannelNode(**_said(node)) for name, node in variables.items()}
     out.write_text(node_map_text({"signals": (every, channels)}), encoding="utf-8")
     lines = [f"{out}: {len(variables)} channels, a sample every {every:g} s"]
-    lines += [f"  {name} [{node.unit or '1'}]  {node.node}{_what(node)}" for name, node in variables.items()]
-    plain = {name: {**_said(node), "kind": node.kind, "names": list(node.names)} for name, node in variables.items()}
+    lines += [
+        f"  {name} [{node.unit or '1'}]  {node.node}{_what(node)}"
+        for name, node in variables.items()
+    ]
+    plain = {
+        name: {**_said(node), "kind": node.kind, "names": list(node.names)}
+        for name, node in variables.items()
+    }
     report({"file": str(out), "channels": plain}, "\n".join(lines), as_json=as_json)
 
 
@@ -56,16 +76,25 @@ def _what(node: Any) -> str:
 
 @app.command()
 def trust(
-    url: Url, out: Annotated[Path, typer.Option(help="File for the server's certificate (DER).")], as_json: AsJson = False
+    url: Url,
+    out: Annotated[Path, typer.Option(help="File for the server's certificate (DER).")],
+    as_json: AsJson = False,
 ) -> None:
-    """Save the certificate that a server shows. Compare its fingerprint with the server's own before you trust it."""
+    """Save the certificate that a server shows. Compare its fingerprint with the server's own
+    before you trust it.
+    """
     check_output_file(out)
     certificate = asyncio.run(_answered(url, _library().server_certificate(url, _TIMEOUT)))
     if not certificate:
-        raise BadInput(f"{url}: the server shows no certificate; it can only be entered without security")
+        raise BadInput(
+            f"{url}: the server shows no certificate; it can only be entered without security"
+        )
     out.write_bytes(certificate)
     fingerprint = hashlib.sha256(certificate).hexdigest()
-    says = f"{out}: SHA-256 {fingerprint}\ncompare it at the server, then name the file at `security: trusted` of the node map"
+    says = (
+        f"{out}: SHA-256 {fingerprint}\ncompare it at the server, then name the file at `security:"
+        " trusted` of the node map"
+    )
     report({"file": str(out), "sha256": fingerprint}, says, as_json=as_json)
 
 

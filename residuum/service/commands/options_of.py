@@ -12,7 +12,9 @@ T = TypeVar("T")
 def parameter_of(function: Callable[..., Any], kind: type[T]) -> tuple[str, type[T]]:
     """Name and class of the parameter of this kind."""
     return next(
-        (name, hint) for name, hint in get_type_hints(function).items() if inspect.isclass(hint) and issubclass(hint, kind)
+        (name, hint)
+        for name, hint in get_type_hints(function).items()
+        if inspect.isclass(hint) and issubclass(hint, kind)
     )
 
 
@@ -22,7 +24,9 @@ def expanded(
     options: Mapping[str, inspect.Parameter],
     question_of: Callable[[dict[str, Any]], Any],
 ) -> Callable[..., Any]:
-    """A command with these options in the place of the parameter `name`, which is `question_of` of what they say."""
+    """A command with these options in the place of the parameter `name`, which is `question_of` of
+    what they say.
+    """
     hints = get_type_hints(function, include_extras=True)
 
     def command(**given: Any) -> Any:

@@ -16,8 +16,9 @@ def _used(path: Path | None) -> Path | None:
     return path
 
 
-# Used before the model is read, which may name them: for that alone `compare` and `estimate` take a catalogue, and in no other
-# door; a model that the service or Python has read brought its own. The question that a command asks says no more of it.
+# Used before the model is read, which may name them: for that alone `compare` and `estimate` take a
+# catalogue, and in no other door; a model that the service or Python has read brought its own. The
+# question that a command asks says no more of it.
 OwnCatalogue = Annotated[
     Path | None,
     typer.Option(metavar="FILE", help=help_of(Explain.model_fields["catalogue"]), callback=_used),

@@ -14,7 +14,8 @@ from residuum.service.commands.output_file import check_output_file
 Plot = Annotated[
     Path | None,
     typer.Option(
-        metavar="FILE.png|.html", help="Draw the answer: an image (needs residuum\\[plots]), or a page that works offline."
+        metavar="FILE.png|.html",
+        help="Draw the answer: an image (needs residuum\\[plots]), or a page that works offline.",
     ),
 ]
 

@@ -20,26 +20,41 @@ from residuum.identification.record_formats.time_bases import MEASURED_AT, NOT_R
 from residuum.service.commands.options_of import expanded, parameter_of
 from residuum.service.commands.report import progress
 
-RecordFiles = Annotated[list[Path], typer.Argument(metavar="RECORD…", help="Record files; each is a separate experiment.")]
+RecordFiles = Annotated[
+    list[Path],
+    typer.Argument(metavar="RECORD…", help="Record files; each is a separate experiment."),
+]
 Resample = Annotated[
     bool,
     typer.Option(
-        "--resample", help="Accept uneven time stamps: interpolate onto even ones. Holes of more than three steps stay missing."
+        "--resample",
+        help=(
+            "Accept uneven time stamps: interpolate onto even ones. Holes of more than three steps"
+            " stay missing."
+        ),
     ),
 ]
-SampleTime = Annotated[float | None, typer.Option(help="Seconds from sample to sample, for a file that does not say them.")]
+SampleTime = Annotated[
+    float | None,
+    typer.Option(help="Seconds from sample to sample, for a file that does not say them."),
+]
 Units = Annotated[
     list[str] | None,
     typer.Option(
         "--unit",
         metavar="CHANNEL=UNIT",
-        help="Unit of a channel for which the file says none, as speed=rpm; of the times too, as t=ms.",
+        help=(
+            "Unit of a channel for which the file says none, as speed=rpm; of the times too, as"
+            " t=ms."
+        ),
     ),
 ]
 ChannelMap = Annotated[
     list[str] | None,
     typer.Option(
-        "--map", metavar="NAME=COLUMN", help="Take the signal NAME from this column. time=COLUMN names the column of times."
+        "--map",
+        metavar="NAME=COLUMN",
+        help="Take the signal NAME from this column. time=COLUMN names the column of times.",
     ),
 ]
 
@@ -47,11 +62,19 @@ MappingFile = Annotated[
     Path | None,
     typer.Option(
         "--mapping",
-        help="Mapping by which a logger's file is read (`residuum inspect` writes it). Default: FILE.mapping.yaml beside it.",
+        help=(
+            "Mapping by which a logger's file is read (`residuum inspect` writes it). Default:"
+            " FILE.mapping.yaml beside it."
+        ),
     ),
 ]
 DbcFile = Annotated[
-    Path | None, typer.Option("--dbc", metavar="FILE", help=f"DBC file by which CAN logs ({', '.join(CAN_LOGS)}) are read.")
+    Path | None,
+    typer.Option(
+        "--dbc",
+        metavar="FILE",
+        help=f"DBC file by which CAN logs ({', '.join(CAN_LOGS)}) are read.",
+    ),
 ]
 
 _TOLD = (RESAMPLED, MEASURED_AT, NOT_READ, NO_VALUE)
@@ -88,11 +111,17 @@ class Reading:
     def for_model(self, files: Sequence[Path]) -> list[Record]:
         """The records, their columns named as in the file: a model maps them (`signals`)."""
         if self.dbc is not None and not any(is_can_log(file) for file in files):
-            raise BadRecord(f"--dbc {self.dbc}: no record is a CAN log; these end in {', '.join(CAN_LOGS)}")
+            raise BadRecord(
+                f"--dbc {self.dbc}: no record is a CAN log; these end in {', '.join(CAN_LOGS)}"
+            )
         # a unit is said of a column, or of the name that it gets
-        units = {self._columns.get(name, name): unit for name, unit in pairs("--unit", self.unit).items()}
+        units = {
+            self._columns.get(name, name): unit for name, unit in pairs("--unit", self.unit).items()
+        }
         time = self._columns.get("time")
-        options = ReadOptions(resample=self.resample, sample_time=self.sample_time, units=units, time_column=time)
+        options = ReadOptions(
+            resample=self.resample, sample_time=self.sample_time, units=units, time_column=time
+        )
         return [_read(file, options, self.mapping, self.dbc) for file in files]
 
     def named(self, files: Sequence[Path]) -> list[Record]:
@@ -106,13 +135,20 @@ class Reading:
 
 
 def reads(without: Container[str] = ()) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Turn the parameter of a command that is a `Reading` into its options, but for those in `without`."""
+    """Turn the parameter of a command that is a `Reading` into its options, but for those in
+    `without`.
+    """
 
     def command(function: Callable[..., Any]) -> Callable[..., Any]:
         name, kind = parameter_of(function, Reading)
         hints = get_type_hints(kind, include_extras=True)
         options = {
-            field.name: Parameter(field.name, Parameter.KEYWORD_ONLY, default=field.default, annotation=hints[field.name])
+            field.name: Parameter(
+                field.name,
+                Parameter.KEYWORD_ONLY,
+                default=field.default,
+                annotation=hints[field.name],
+            )
             for field in fields(kind)
             if field.name not in without
         }
@@ -127,17 +163,23 @@ def is_can_log(file: Path) -> bool:
 
 
 def _can_record(file: Path, options: ReadOptions, dbc: Path | None) -> Record:
-    """The record of a CAN log; the libraries of buses are imported for one only, they take a second."""
+    """The record of a CAN log; the libraries of buses are imported for one only, they take a
+    second.
+    """
     if dbc is None:
         raise BadRecord(f"{file}: is a CAN log; name the DBC file of its bus with --dbc FILE")
     if not file.is_file():
         raise BadRecord(f"{file}: no such file")
-    record: Record = import_module("residuum.service.fieldbus.can.can_record").read_can_record(file, dbc, options)
+    record: Record = import_module("residuum.service.fieldbus.can.can_record").read_can_record(
+        file, dbc, options
+    )
     return record
 
 
 def _read(file: Path, options: ReadOptions, mapping: Path | None, dbc: Path | None) -> Record:
-    """One record, by `mapping` or the mapping beside it where there is one; what was done to its samples is told."""
+    """One record, by `mapping` or the mapping beside it where there is one; what was done to its
+    samples is told.
+    """
     if is_can_log(file):
         record = _can_record(file, options, dbc)
         for note in record.notes:
@@ -145,7 +187,11 @@ def _read(file: Path, options: ReadOptions, mapping: Path | None, dbc: Path | No
         return record
     chosen = mapping or mapping_beside(file)
     record = read_mapped(file, options, chosen)
-    done = record.notes if chosen is not None or any(note.startswith(AS_LOGGER) for note in record.notes) else ()
+    done = (
+        record.notes
+        if chosen is not None or any(note.startswith(AS_LOGGER) for note in record.notes)
+        else ()
+    )
     for note in done or [note for note in record.notes if any(word in note for word in _TOLD)]:
         progress(f"{file}: {note}")
     return record

@@ -5,7 +5,14 @@ import typer
 from residuum.identification.errors import BadInput
 from residuum.library.questions.identify import Identify
 from residuum.service.commands.asked import asks
-from residuum.service.commands.fleet_options import Data, Results, Scheduler, Source, Workers, run_over_fleet
+from residuum.service.commands.fleet_options import (
+    Data,
+    Results,
+    Scheduler,
+    Source,
+    Workers,
+    run_over_fleet,
+)
 from residuum.service.commands.report import AsJson
 from residuum.service.work.fleet import Reidentify, fleet_source
 
@@ -23,7 +30,8 @@ def reidentify(
     scheduler: Scheduler = None,
     as_json: AsJson = False,
 ) -> None:
-    """Identify a model of every record of a folder, bucket or database, on all processors or a Dask cluster.
+    """Identify a model of every record of a folder, bucket or database, on all processors or a Dask
+    cluster.
 
     An interrupted run can be resumed.
     """
@@ -32,5 +40,11 @@ def reidentify(
     source = fleet_source(records, data)
     work = Reidentify(asked, source)
     run_over_fleet(
-        source, work, out, workers=workers, scheduler=scheduler, as_json=as_json, counts={"identified": "model.method"}
+        source,
+        work,
+        out,
+        workers=workers,
+        scheduler=scheduler,
+        as_json=as_json,
+        counts={"identified": "model.method"},
     )

@@ -35,15 +35,29 @@ app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 @app.command()
 @reads(without=("dbc",))
 def replay(
-    file: Annotated[Path, typer.Argument(help="BLF, ASC, candump or TRC log, register trace, or any record file.")],
-    to: Annotated[str, typer.Option(help="can:INTERFACE:CHANNEL, or modbus:HOST:PORT to serve there.")],
+    file: Annotated[
+        Path,
+        typer.Argument(help="BLF, ASC, candump or TRC log, register trace, or any record file."),
+    ],
+    to: Annotated[
+        str, typer.Option(help="can:INTERFACE:CHANNEL, or modbus:HOST:PORT to serve there.")
+    ],
     reading: Reading,
-    speed: Annotated[float, typer.Option(min=0.01, max=1000, help="Playing speed; 2 is twice as fast as recorded.")] = 1.0,
-    bus_map: Annotated[str | None, typer.Option(help="DBC file or register map for a record; default: what fits.")] = None,
-    linger: Annotated[float, typer.Option(min=0, help="modbus: seconds to keep serving after the last page.")] = 3.0,
+    speed: Annotated[
+        float,
+        typer.Option(min=0.01, max=1000, help="Playing speed; 2 is twice as fast as recorded."),
+    ] = 1.0,
+    bus_map: Annotated[
+        str | None, typer.Option(help="DBC file or register map for a record; default: what fits.")
+    ] = None,
+    linger: Annotated[
+        float, typer.Option(min=0, help="modbus: seconds to keep serving after the last page.")
+    ] = 3.0,
     as_json: AsJson = False,
 ) -> None:
-    """Send a recording to a CAN bus, or offer it as a Modbus device. The device starts at its first request."""
+    """Send a recording to a CAN bus, or offer it as a Modbus device. The device starts at its first
+    request.
+    """
     kind, _, address = to.partition(":")
 
     def load() -> Record:
@@ -58,7 +72,9 @@ def replay(
         raise BadInput(f"--to {to!r}: must be can:INTERFACE:CHANNEL or modbus:HOST:PORT")
     unit = "frames" if kind == "can" else "pages"
     report(
-        {"file": str(file), "to": to, "sent": sent, "kind": unit}, f"{file.name}: {sent} {unit} replayed to {to}", as_json=as_json
+        {"file": str(file), "to": to, "sent": sent, "kind": unit},
+        f"{file.name}: {sent} {unit} replayed to {to}",
+        as_json=as_json,
     )
 
 
@@ -77,7 +93,9 @@ def _frames(file: Path, bus_map: str | None, load: Callable[[], Record]) -> list
     return list(record_frames(record, layout_for(record, dbc_files)))
 
 
-def _pages(file: Path, bus_map: str | None, load: Callable[[], Record]) -> tuple[RegisterMap, list[TracedPage]]:
+def _pages(
+    file: Path, bus_map: str | None, load: Callable[[], Record]
+) -> tuple[RegisterMap, list[TracedPage]]:
     if file.suffix.lower() == TRACE:
         registers, pages = read_trace(file)
         return registers, list(pages)
@@ -91,7 +109,9 @@ def _pages(file: Path, bus_map: str | None, load: Callable[[], Record]) -> tuple
         except BadInput:
             continue
         return registers, list(record_pages(record, name, stream))
-    raise BadInput(f"{file.name}: no register map carries {', '.join(record.names)}; name one with --bus-map")
+    raise BadInput(
+        f"{file.name}: no register map carries {', '.join(record.names)}; name one with --bus-map"
+    )
 
 
 def _send(frames: list[TimedFrame], channel: str, speed: float) -> int:
@@ -107,7 +127,9 @@ def _send(frames: list[TimedFrame], channel: str, speed: float) -> int:
         bus.close()
 
 
-def _serve(registers: RegisterMap, pages: list[TracedPage], address: str, speed: float, linger: float) -> int:
+def _serve(
+    registers: RegisterMap, pages: list[TracedPage], address: str, speed: float, linger: float
+) -> int:
     host, colon, port = address.rpartition(":")
     if not (host and colon and port.isdecimal() and int(port) <= 65535):
         raise BadInput(f"--to modbus:{address}: must be modbus:HOST:PORT")
@@ -117,6 +139,8 @@ def _serve(registers: RegisterMap, pages: list[TracedPage], address: str, speed:
         sys.stderr.flush()
 
     try:
-        return asyncio.run(replay_to_modbus(registers, pages, (host, int(port)), speed, linger, ready))
+        return asyncio.run(
+            replay_to_modbus(registers, pages, (host, int(port)), speed, linger, ready)
+        )
     except OSError as error:
         raise BadInput(f"--to modbus:{address}: {error}") from None

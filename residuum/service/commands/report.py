@@ -14,7 +14,9 @@ __all__ = ["PROGRESS", "AsJson", "progress", "report", "to_plain"]
 
 PROGRESS = re.compile(r"(\d{1,3}) % (.+)")
 """A line of progress that tells the share done."""
-AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output and nothing else.")]
+AsJson = Annotated[
+    bool, typer.Option("--json", help="Print one JSON object on standard output and nothing else.")
+]
 
 
 def report(result: Mapping[str, Any], human: str, *, as_json: bool) -> None:
@@ -23,7 +25,8 @@ def report(result: Mapping[str, Any], human: str, *, as_json: bool) -> None:
 
 
 def progress(message: str, share: float | None = None) -> None:
-    """Say on standard error what a long command does; with the share done 0 … 1 in front, for who watches it at a terminal.
+    """Say on standard error what a long command does; with the share done 0 … 1 in front, for who
+    watches it at a terminal.
 
     Where nobody watches, standard error holds what went wrong and nothing else.
 

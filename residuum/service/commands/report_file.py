@@ -24,17 +24,27 @@ _MODEL_FILES = (".yaml", ".yml")
 @reads()
 def report_command(
     files: Annotated[
-        list[str], typer.Argument(metavar="[MODEL] RECORD…", help="Record files; before them a model to hold against them.")
+        list[str],
+        typer.Argument(
+            metavar="[MODEL] RECORD…",
+            help="Record files; before them a model to hold against them.",
+        ),
     ],
     out: Annotated[Path, typer.Option(help="The HTML file to write.")],
     reading: Reading,
-    explain: Annotated[bool, typer.Option("--explain", help="Also say which physical effect the model lacks.")] = False,
+    explain: Annotated[
+        bool, typer.Option("--explain", help="Also say which physical effect the model lacks.")
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Write records, and how well a model meets them, as one page that opens offline and can be sent."""
+    """Write records, and how well a model meets them, as one page that opens offline and can be
+    sent.
+    """
     model, records = (files[0], files[1:]) if _is_model(files[0]) else (None, files)
     if not records:
-        raise BadInput("report: names no record; write `residuum report MODEL RECORD… --out FILE.html`")
+        raise BadInput(
+            "report: names no record; write `residuum report MODEL RECORD… --out FILE.html`"
+        )
     if explain and model is None:
         raise BadInput("report: --explain needs a model; name it before the records")
     check_output_file(out)
@@ -48,7 +58,9 @@ def report_command(
             answers.append(given.compare(loaded, map=channels))
     title = f"{model}: {', '.join(records)}" if model else ", ".join(records)
     write_whole(out, analysis_page(title, [shown(record) for record in loaded], answers))
-    report({"file": str(out), "model": model, "records": records}, f"{out}: written", as_json=as_json)
+    report(
+        {"file": str(out), "model": model, "records": records}, f"{out}: written", as_json=as_json
+    )
 
 
 def _is_model(name: str) -> bool:

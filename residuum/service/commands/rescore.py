@@ -7,14 +7,23 @@ import typer
 from residuum.diagnosis.diagnosers import DIAGNOSERS, diagnoser_class
 from residuum.identification.errors import BadInput
 from residuum.service.commands.diagnoser_options import Baseline
-from residuum.service.commands.fleet_options import Data, Results, Scheduler, Source, Workers, run_over_fleet
+from residuum.service.commands.fleet_options import (
+    Data,
+    Results,
+    Scheduler,
+    Source,
+    Workers,
+    run_over_fleet,
+)
 from residuum.service.commands.report import AsJson
 from residuum.service.work.fleet import Rescore, StoredWindows, fleet_source
 from residuum.service.work.own_judges import OWN, rescore_own
 
 app = typer.Typer(add_completion=False)
 
-_VERDICTS = {verdict: f"finding.verdict={verdict}" for verdict in ("healthy", "faulty", "not-assessable")}
+_VERDICTS = {
+    verdict: f"finding.verdict={verdict}" for verdict in ("healthy", "faulty", "not-assessable")
+}
 
 
 @app.command()
@@ -23,7 +32,10 @@ def rescore(
         str,
         typer.Argument(
             metavar="DIAGNOSER|own",
-            help=f"One of {', '.join(DIAGNOSERS)}; of a database also own: each machine's own diagnoser, baseline and method.",
+            help=(
+                f"One of {', '.join(DIAGNOSERS)}; of a database also own: each machine's own"
+                " diagnoser, baseline and method."
+            ),
         ),
     ],
     records: Source,
@@ -43,9 +55,20 @@ def rescore(
             raise BadInput("--baseline: each has its own; leave it out")
         source = fleet_source(records, data)
         if not isinstance(source, StoredWindows):
-            raise BadInput(f"{records}: is no database; files and buckets have no diagnoser of their own, name one")
+            raise BadInput(
+                f"{records}: is no database; files and buckets have no diagnoser of their own,"
+                " name one"
+            )
         source.items()  # refused here where the database is none of this version
-        run_over_fleet(source, rescore_own(source), out, workers=workers, scheduler=scheduler, as_json=as_json, counts=_VERDICTS)
+        run_over_fleet(
+            source,
+            rescore_own(source),
+            out,
+            workers=workers,
+            scheduler=scheduler,
+            as_json=as_json,
+            counts=_VERDICTS,
+        )
         return
     if baseline is not None:
         if not baseline.is_file():
@@ -55,4 +78,6 @@ def rescore(
         diagnoser_class(diagnoser)
     source = fleet_source(records, data)
     work = Rescore(diagnoser, None if baseline is None else str(baseline.resolve()), source)
-    run_over_fleet(source, work, out, workers=workers, scheduler=scheduler, as_json=as_json, counts=_VERDICTS)
+    run_over_fleet(
+        source, work, out, workers=workers, scheduler=scheduler, as_json=as_json, counts=_VERDICTS
+    )

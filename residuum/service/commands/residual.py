@@ -1,4 +1,6 @@
-"""`residuum residual design` and `residuum residual run`: a detector from an identified model, and what it says of a record."""
+"""`residuum residual design` and `residuum residual run`: a detector from an identified model, and
+what it says of a record.
+"""
 
 from pathlib import Path
 from typing import Annotated, Any
@@ -32,11 +34,16 @@ app = typer.Typer(add_completion=False)
 @app.command()
 @asks()
 def design(
-    identified: Annotated[Path, typer.Argument(help="Model file, as `residuum identify` writes it.")],
+    identified: Annotated[
+        Path, typer.Argument(help="Model file, as `residuum identify` writes it.")
+    ],
     out: Annotated[Path, typer.Option(help="File for the design.")],
     asked: DesignResidual,
     healthy: Annotated[
-        list[Path] | None, typer.Option("--healthy", metavar="RECORD", help="Healthy records; default: those of the model.")
+        list[Path] | None,
+        typer.Option(
+            "--healthy", metavar="RECORD", help="Healthy records; default: those of the model."
+        ),
     ] = None,
     channel_map: ChannelMap = None,
     as_json: AsJson = False,
@@ -47,7 +54,11 @@ def design(
         answer = _design_several(identified, out, asked, healthy or [], channel_map)
         return report(answer, several.design_text(answer), as_json=as_json)
     model = load_identified(identified)
-    records = Reading(channel_map).named(healthy) if healthy else _own_records(model.provenance.get("records", ()))
+    records = (
+        Reading(channel_map).named(healthy)
+        if healthy
+        else _own_records(model.provenance.get("records", ()))
+    )
     designed = residual_for(model, records, asked)
     designed.save(out)
     answer = design_json(designed, records, identified=str(identified), file=str(out))
@@ -55,12 +66,18 @@ def design(
 
 
 def _design_several(
-    identified: Path, out: Path, asked: DesignResidual, healthy: list[Path], channel_map: list[str] | None
+    identified: Path,
+    out: Path,
+    asked: DesignResidual,
+    healthy: list[Path],
+    channel_map: list[str] | None,
 ) -> dict[str, Any]:
     model = load_multivariable(identified)
     own = model.models[0][0].provenance.get("records", ())
     records = Reading(channel_map).named(healthy) if healthy else _own_records(own)
-    designed = design_multivariable_residual(model, records, method=asked.method, unknown=asked.unknown_input or [])
+    designed = design_multivariable_residual(
+        model, records, method=asked.method, unknown=asked.unknown_input or []
+    )
     designed.save(out)
     return several.design_json(designed, identified=str(identified), file=str(out))
 
@@ -69,7 +86,10 @@ def _own_records(names: Any) -> list[Record]:
     """The records a model was identified from, where they are still readable."""
     files = [Path(name) for name in names if isinstance(name, str) and name]
     if not files or not all(file.is_file() for file in files):
-        progress("no healthy record at hand: noise as the model says, no `calibrated` threshold (give one with --healthy)")
+        progress(
+            "no healthy record at hand: noise as the model says, no `calibrated` threshold (give"
+            " one with --healthy)"
+        )
         return []
     return Reading().named(files)
 
@@ -78,7 +98,9 @@ def _own_records(names: Any) -> list[Record]:
 @asks()
 @reads()
 def run(
-    design: Annotated[Path, typer.Argument(help="Design file, as `residuum residual design` writes it.")],
+    design: Annotated[
+        Path, typer.Argument(help="Design file, as `residuum residual design` writes it.")
+    ],
     record: Annotated[Path, typer.Argument(metavar="RECORD", help="Record file.")],
     asked: RunResidual,
     reading: Reading,
@@ -88,7 +110,11 @@ def run(
     loaded = reading.named([record])[0]
     if stored_kind(design) == KIND:
         _only_posterior(asked)
-        joint = detect_multivariable(MultivariableResidual.load(design), loaded, false_alarms_per_day=asked.false_alarms_per_day)
+        joint = detect_multivariable(
+            MultivariableResidual.load(design),
+            loaded,
+            false_alarms_per_day=asked.false_alarms_per_day,
+        )
         answer = several.run_json(loaded, joint, asked.false_alarms_per_day)
         return report(answer, several.run_text(answer), as_json=as_json)
     outcome = judged(ResidualDesign.load(design), loaded, asked)
@@ -99,5 +125,8 @@ def _only_posterior(asked: RunResidual) -> None:
     """Refuse what a design with several inputs or outputs does not have."""
     for name in ("threshold", "evaluation", "noise_bound"):
         if (value := getattr(asked, name)) != getattr(RunResidual(), name):
-            rule = "is not for a design with several inputs or outputs: it has the threshold posterior alone; leave it out"
+            rule = (
+                "is not for a design with several inputs or outputs: it has the threshold posterior"
+                " alone; leave it out"
+            )
             raise BadInput(repr(value), name, rule)

@@ -22,13 +22,16 @@ app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 @app.command()
 def restore(
     file: Annotated[Path, typer.Argument(help="A backup, from either kind of database.")],
-    data: Annotated[Path | None, typer.Option(help="Folder for signal blocks and the default database.")] = None,
+    data: Annotated[
+        Path | None, typer.Option(help="Folder for signal blocks and the default database.")
+    ] = None,
     database: DatabaseUrl = None,
     as_json: AsJson = False,
 ) -> None:
     """Verify a backup and restore all of it, or nothing. Existing data are never changed.
 
-    Files of settings come into the folder `settings-of-backup` of the data folder, for you to put in place.
+    Files of settings come into the folder `settings-of-backup` of the data folder, for you to put
+    in place.
     """
     settings = load_settings(data=data, database=database)
     rows = Database(settings.database_url)
@@ -38,4 +41,6 @@ def restore(
         raise BadInput(f"{settings.data}: cannot be written: {error}") from None
     finally:
         rows.close()
-    report(described(contents), f"Verified and restored: {file}\n{in_words(contents)}", as_json=as_json)
+    report(
+        described(contents), f"Verified and restored: {file}\n{in_words(contents)}", as_json=as_json
+    )

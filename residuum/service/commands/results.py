@@ -24,35 +24,60 @@ from residuum.service.storage.database import Database, sqlite_file
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 AssetArgument = Annotated[str, typer.Argument(metavar="MACHINE", help="Name of the machine.")]
-Data = Annotated[Path | None, typer.Option(help="Folder of signal blocks and the default database.")]
-DatabaseUrl = Annotated[str | None, typer.Option(help="SQLAlchemy URL; default: SQLite in the data folder.")]
+Data = Annotated[
+    Path | None, typer.Option(help="Folder of signal blocks and the default database.")
+]
+DatabaseUrl = Annotated[
+    str | None, typer.Option(help="SQLAlchemy URL; default: SQLite in the data folder.")
+]
 
 
 @app.command()
 def parquet(
     asset: AssetArgument,
     begin: Annotated[
-        str, typer.Option("--from", help="Begin, for example 2026-11-01 or 2026-11-01T08:00+01:00. Without a zone it is UTC.")
+        str,
+        typer.Option(
+            "--from",
+            help=(
+                "Begin, for example 2026-11-01 or 2026-11-01T08:00+01:00. Without a zone it is UTC."
+            ),
+        ),
     ],
-    end: Annotated[str, typer.Option("--to", help="End of the span. What begins there is not part of it.")],
-    out: Annotated[Path, typer.Option(help="Folder for MACHINE-findings.parquet and MACHINE-windows.parquet.")],
-    windows: Annotated[bool, typer.Option(help="Write the windows with their signals, too.")] = True,
+    end: Annotated[
+        str, typer.Option("--to", help="End of the span. What begins there is not part of it.")
+    ],
+    out: Annotated[
+        Path, typer.Option(help="Folder for MACHINE-findings.parquet and MACHINE-windows.parquet.")
+    ],
+    windows: Annotated[
+        bool, typer.Option(help="Write the windows with their signals, too.")
+    ] = True,
     data: Data = None,
     database: DatabaseUrl = None,
     settings_file: SettingsFile = None,
     as_json: AsJson = False,
 ) -> None:
-    """Write a machine's findings and windows of a span of time as Parquet files. The service may be running."""
+    """Write a machine's findings and windows of a span of time as Parquet files. The service may be
+    running.
+    """
     span = span_of(begin, end)
     with _store(settings_file, data, database) as store:
         store.asset(asset)
         out.mkdir(parents=True, exist_ok=True)
-        files = {"findings": out / f"{asset}-findings.parquet", "windows": out / f"{asset}-windows.parquet"}
+        files = {
+            "findings": out / f"{asset}-findings.parquet",
+            "windows": out / f"{asset}-windows.parquet",
+        }
         rows = {"findings": write_findings(store, asset, span, files["findings"])}
         if windows:
             rows["windows"] = write_windows(store, asset, span, files["windows"])
     written = {name: {"file": str(files[name]), "rows": number} for name, number in rows.items()}
-    tell(written, "\n".join(f"{entry['file']}: {entry['rows']} rows" for entry in written.values()), as_json=as_json)
+    tell(
+        written,
+        "\n".join(f"{entry['file']}: {entry['rows']} rows" for entry in written.values()),
+        as_json=as_json,
+    )
 
 
 @app.command("report")
@@ -72,11 +97,17 @@ def month(
     out.write_text(report_page(report), encoding="utf-8")
     verdicts = dict(report.verdicts)
     says = ", ".join(f"{number} {name}" for name, number in verdicts.items()) or "no window"
-    tell({"file": str(out), "windows": verdicts, "faults": list(report.faults)}, f"{out}: {says}", as_json=as_json)
+    tell(
+        {"file": str(out), "windows": verdicts, "faults": list(report.faults)},
+        f"{out}: {says}",
+        as_json=as_json,
+    )
 
 
 @contextmanager
-def _store(settings_file: Path | None, data: Path | None, database: str | None) -> Iterator[DiskStore]:
+def _store(
+    settings_file: Path | None, data: Path | None, database: str | None
+) -> Iterator[DiskStore]:
     settings = load_settings(settings_file, data=data, database=database)
     source = sqlite_file(settings.database_url)
     if source is not None and not source.is_file():

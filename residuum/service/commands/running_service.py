@@ -16,12 +16,17 @@ _TIMEOUT = 30.0
 _KEY = "RESIDUUM_API_KEY"
 
 _URL_HELP = "Address of the running service; RESIDUUM_URL in the environment says it, too."
-ServiceUrl = Annotated[str, typer.Option("--url", envvar="RESIDUUM_URL", show_envvar=False, help=_URL_HELP)]
+ServiceUrl = Annotated[
+    str, typer.Option("--url", envvar="RESIDUUM_URL", show_envvar=False, help=_URL_HELP)
+]
 HERE = "http://127.0.0.1:8000"
 
 
-def ask(url: str, address: str, body: dict[str, Any] | None = None, method: str | None = None) -> dict[str, Any]:
-    """The answer of the service at `url` to a request under /api/v1; its refusal becomes BadInput with its one line.
+def ask(
+    url: str, address: str, body: dict[str, Any] | None = None, method: str | None = None
+) -> dict[str, Any]:
+    """The answer of the service at `url` to a request under /api/v1; its refusal becomes BadInput
+    with its one line.
 
     A key, where the service asks for one, is taken from the environment variable RESIDUUM_API_KEY.
     """
@@ -46,7 +51,9 @@ def answered(url: str, address: str, body: bytes | None = None, method: str | No
     except urllib.error.HTTPError as error:
         raise BadInput(_problem(error)) from None
     except (OSError, ValueError) as error:
-        raise BadInput(f"--url: no running service answers at {url}: {getattr(error, 'reason', error)}") from None
+        raise BadInput(
+            f"--url: no running service answers at {url}: {getattr(error, 'reason', error)}"
+        ) from None
 
 
 def _problem(error: urllib.error.HTTPError) -> str:

@@ -51,15 +51,24 @@ def score(
 
     One record gives its finding; several give the worst one and all of them under `findings`.
     """
-    settings = diagnoser_settings(speed_rpm, orders, hertz, method) | model_settings(None, False, false_alarms_per_day)
+    settings = diagnoser_settings(speed_rpm, orders, hertz, method) | model_settings(
+        None, False, false_alarms_per_day
+    )
     check_plot(plot)
     judge = _judge(diagnoser, baseline, settings)
     loaded = reading.named(records)
     judged = [judge.score(record) for record in loaded]
-    findings = [finding.to_json() | {"record": str(file)} for file, finding in zip(records, judged, strict=True)]
+    findings = [
+        finding.to_json() | {"record": str(file)}
+        for file, finding in zip(records, judged, strict=True)
+    ]
     worst = min(findings, key=lambda finding: _WORST_FIRST.index(finding["verdict"]))
     result = findings[0] if len(findings) == 1 else worst | {"findings": findings}
-    result |= drawn(plot, [Finding(finding) for finding in judged], f"{diagnoser}: {', '.join(map(str, records))}")
+    result |= drawn(
+        plot,
+        [Finding(finding) for finding in judged],
+        f"{diagnoser}: {', '.join(map(str, records))}",
+    )
     report(result, "\n".join(finding_text(finding) for finding in findings), as_json=as_json)
     if worst["verdict"] == Verdict.FAULTY:
         raise typer.Exit(ANSWER_IS_NO)

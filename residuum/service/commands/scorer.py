@@ -23,16 +23,26 @@ def scorer(
     part: Annotated[
         str,
         typer.Option(
-            metavar="K/N", help="Number of this scorer and of all scorers, as 1/3. Each scorer has its share of the machines."
+            metavar="K/N",
+            help=(
+                "Number of this scorer and of all scorers, as 1/3. Each scorer has its share of the"
+                " machines."
+            ),
         ),
-    ] = ("1/1"),
+    ] = "1/1",
     database: DatabaseUrl = None,
-    data: Annotated[Path | None, typer.Option(help="Folder of signal blocks, shared with the service.")] = None,
+    data: Annotated[
+        Path | None, typer.Option(help="Folder of signal blocks, shared with the service.")
+    ] = None,
 ) -> None:
-    """Take windows from the broker that the settings name, judge them, and store each once. Runs until interrupted."""
+    """Take windows from the broker that the settings name, judge them, and store each once. Runs
+    until interrupted.
+    """
     settings = load_settings(database=database, data=data)
     if not settings.mqtt:
-        raise BadInput("setting mqtt: is empty; a scorer needs the broker that its windows come from")
+        raise BadInput(
+            "setting mqtt: is empty; a scorer needs the broker that its windows come from"
+        )
     number, _, many = part.partition("/")
     if not (number.isdecimal() and many.isdecimal()):
         raise BadInput(f"--part {part!r}: must be K/N, for example 1/2")

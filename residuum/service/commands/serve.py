@@ -37,15 +37,24 @@ _STOP_WITHIN = 5
 
 @app.command()
 def serve(
-    demo: Annotated[bool | None, typer.Option("--demo", help="Start the simulated machines and watch them.")] = None,
-    host: Annotated[str | None, typer.Option(help="Address to listen on; any but this machine's own needs API keys.")] = None,
-    port: Annotated[int | None, typer.Option(min=0, max=65535, help="TCP port; 0 takes a free one.")] = None,
+    demo: Annotated[
+        bool | None, typer.Option("--demo", help="Start the simulated machines and watch them.")
+    ] = None,
+    host: Annotated[
+        str | None,
+        typer.Option(help="Address to listen on; any but this machine's own needs API keys."),
+    ] = None,
+    port: Annotated[
+        int | None, typer.Option(min=0, max=65535, help="TCP port; 0 takes a free one.")
+    ] = None,
     database: DatabaseUrl = None,
     data: DataFolder = None,
     settings_file: SettingsFile = None,
 ) -> None:
     """Run the service until it is interrupted."""
-    settings = load_settings(settings_file, demo=demo or None, host=host, port=port, database=database, data=data)
+    settings = load_settings(
+        settings_file, demo=demo or None, host=host, port=port, database=database, data=data
+    )
     _check_certificate(settings)
     give_back_large_arrays()
     try:
@@ -61,14 +70,17 @@ def serve(
 
 
 def _run(settings: Settings, sockets: list[socket.socket]) -> list[int]:
-    """Serve until a signal comes; gives the signals other than SIGINT, which is raised as KeyboardInterrupt."""
+    """Serve until a signal comes; gives the signals other than SIGINT, which is raised as
+    KeyboardInterrupt.
+    """
     service = create_app(settings)
     config = uvicorn.Config(
         service,
         log_config=None,
         access_log=False,
         proxy_headers=False,  # the gate believes those of trusted proxies alone
-        lifespan="off",  # begun and ended below: what fails at the start is then told as every other failure
+        # begun and ended below: what fails at the start is then told as every other failure
+        lifespan="off",
         http=bounded_connections(settings),  # type: ignore[arg-type]  # TLS, too
         ws="none",  # a connection that turned into one would be bounded no more
         timeout_graceful_shutdown=_STOP_WITHIN,
@@ -82,7 +94,9 @@ def _run(settings: Settings, sockets: list[socket.socket]) -> list[int]:
 
 
 class _Server(uvicorn.Server):
-    """Ends streams of events when it stops: they have no end of their own, and would be waited for as long as may be."""
+    """Ends streams of events when it stops: they have no end of their own, and would be waited for
+    as long as may be.
+    """
 
     def __init__(self, config: uvicorn.Config, app: FastAPI) -> None:
         super().__init__(config)
@@ -91,7 +105,9 @@ class _Server(uvicorn.Server):
 
     @contextmanager
     def capture_signals(self) -> Iterator[None]:
-        """Keep the signals that end it: raised again here, they would end the process before the rest of the service ends."""
+        """Keep the signals that end it: raised again here, they would end the process before the
+        rest of the service ends.
+        """
         with super().capture_signals():
             yield
             self.ended_by = list(self._captured_signals)
@@ -103,7 +119,9 @@ class _Server(uvicorn.Server):
         await super().shutdown(sockets)
 
 
-async def _serve(server: uvicorn.Server, service: FastAPI, sockets: list[socket.socket], settings: Settings) -> None:
+async def _serve(
+    server: uvicorn.Server, service: FastAPI, sockets: list[socket.socket], settings: Settings
+) -> None:
     async with service.router.lifespan_context(service):
         running = asyncio.create_task(server.serve(sockets))
         while not server.started and not running.done():
@@ -128,31 +146,47 @@ def _greeting(settings: Settings, port: int) -> str:
         lines.append("It listens on this machine only.")
     if settings.demo:
         lines.append(
-            "Demo: three simulated machines; their diagnosers are being trained. Switch a fault on the page, or in another shell:"
+            "Demo: three simulated machines; their diagnosers are being trained. Switch a fault on"
+            " the page, or in another shell:"
         )
-        lines.append(f"  {_typed_command()} fault process-plant sensor-offset --url {scheme}://{host}:{port}")
+        lines.append(
+            f"  {_typed_command()} fault process-plant sensor-offset --url {scheme}://{host}:{port}"
+        )
     return "\n".join(lines) + "\n"
 
 
 def _typed_command() -> str:
-    """How this program is called from another shell: by its whole path where its environment is not on the PATH."""
+    """How this program is called from another shell: by its whole path where its environment is not
+    on the PATH.
+    """
     return "residuum" if shutil.which("residuum") else str(Path(sys.prefix, "bin", "residuum"))
 
 
 def _check_certificate(settings: Settings) -> None:
-    """BadInput in one line, rather than a failure at the start, for files that are no certificate with its key."""
+    """BadInput in one line, rather than a failure at the start, for files that are no certificate
+    with its key.
+    """
     if settings.tls_certificate is None:
         return
     try:
-        ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER).load_cert_chain(settings.tls_certificate, settings.tls_key)
+        ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER).load_cert_chain(
+            settings.tls_certificate, settings.tls_key
+        )
     except (OSError, ssl.SSLError) as error:
-        raise BadInput(f"settings tls_certificate, tls_key: {settings.tls_certificate}: {error}") from None
+        raise BadInput(
+            f"settings tls_certificate, tls_key: {settings.tls_certificate}: {error}"
+        ) from None
 
 
 def _refuse_damage(database: Database) -> None:
-    """BadInput for a small file of which SQLite says that it is damaged; the rest is looked through while the service runs."""
+    """BadInput for a small file of which SQLite says that it is damaged; the rest is looked through
+    while the service runs.
+    """
     if database.looked_through_first() and (damage := database.damage()) is not None:
-        raise BadInput(f"setting database: {database.url.database}: is damaged: {damage}; restore a backup into a new folder")
+        raise BadInput(
+            f"setting database: {database.url.database}: is damaged: {damage}; restore a backup"
+            " into a new folder"
+        )
 
 
 def _end(reason: str) -> None:
@@ -163,15 +197,19 @@ def _end(reason: str) -> None:
 
 @contextmanager
 def _owned(settings: Settings) -> Iterator[None]:
-    """Hold data folder and database for this service alone, with the newest schema and the same identity.
+    """Hold data folder and database for this service alone, with the newest schema and the same
+    identity.
 
-    BadInput in one line where another service holds them, they do not belong together, or one cannot be read and written.
+    BadInput in one line where another service holds them, they do not belong together, or one
+    cannot be read and written.
     """
     with ExitStack() as held:
         try:
             held.enter_context(folder_lock(settings.data))
         except OSError as error:
-            raise BadInput(f"setting data: {settings.data}: cannot be written: {error.strerror}") from None
+            raise BadInput(
+                f"setting data: {settings.data}: cannot be written: {error.strerror}"
+            ) from None
         try:
             database = Database(settings.database_url)
             held.callback(database.close)
@@ -181,7 +219,9 @@ def _owned(settings: Settings) -> Iterator[None]:
         except StorageUnavailable as error:
             raise BadInput(f"setting database: {error}") from None
         except OSError as error:
-            raise BadInput(f"settings data, database: {error.filename}: cannot be written: {error.strerror}") from None
+            raise BadInput(
+                f"settings data, database: {error.filename}: cannot be written: {error.strerror}"
+            ) from None
         yield
 
 
@@ -195,7 +235,9 @@ def _listening(host: str, port: int) -> Iterator[list[socket.socket]]:
         listening.listen(512)
     except OSError as error:
         listening.close()
-        raise BadInput(f"--host {host} --port {port}: cannot listen there: {error.strerror or error}") from None
+        raise BadInput(
+            f"--host {host} --port {port}: cannot listen there: {error.strerror or error}"
+        ) from None
     try:
         yield [listening]
     finally:

@@ -1,4 +1,6 @@
-"""`residuum set-aside`: the messages of the broker that were set aside; one of them whole, or all of them once more."""
+"""`residuum set-aside`: the messages of the broker that were set aside; one of them whole, or all
+of them once more.
+"""
 
 from __future__ import annotations
 
@@ -18,25 +20,44 @@ app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 @app.command()
 def set_aside(
-    name: Annotated[str | None, typer.Argument(help="Name of one message, as it is listed; default: all.")] = None,
-    to: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the message there, byte for byte.")] = None,
-    again: Annotated[bool, typer.Option("--again", help="Send it, or all, to the scorers once more.")] = False,
+    name: Annotated[
+        str | None, typer.Argument(help="Name of one message, as it is listed; default: all.")
+    ] = None,
+    to: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write the message there, byte for byte.")
+    ] = None,
+    again: Annotated[
+        bool, typer.Option("--again", help="Send it, or all, to the scorers once more.")
+    ] = False,
     data: Annotated[Path | None, typer.Option(help="Data folder of the scorers.")] = None,
     as_json: AsJson = False,
 ) -> None:
-    """List what scorers could not store and set aside. Once an update has mended the reason, --again has it stored."""
+    """List what scorers could not store and set aside. Once an update has mended the reason,
+    --again has it stored.
+    """
     settings = load_settings(data=data)
     aside = SetAside(settings.data)
     chosen = aside.newest(limit=None) if name is None else [aside.get(name)]
     if to is not None:
         if name is None:
-            raise BadInput("--to: takes one message; give its name, as `residuum set-aside` lists them")
+            raise BadInput(
+                "--to: takes one message; give its name, as `residuum set-aside` lists them"
+            )
         _write(aside.payload(name), to)
     if again and not settings.mqtt:
-        raise BadInput("setting mqtt: is empty; --again needs the broker that the messages came from")
-    refused = {message.name: why for message, why in send_again(settings.broker, aside, chosen)} if again and chosen else {}
+        raise BadInput(
+            "setting mqtt: is empty; --again needs the broker that the messages came from"
+        )
+    refused = (
+        {message.name: why for message, why in send_again(settings.broker, aside, chosen)}
+        if again and chosen
+        else {}
+    )
     lines = [_line(message, refused) for message in chosen]
-    answer = {"messages": [asdict(entry) for entry in chosen], "stored": [entry for entry, why in refused.items() if why is None]}
+    answer = {
+        "messages": [asdict(entry) for entry in chosen],
+        "stored": [entry for entry, why in refused.items() if why is None],
+    }
     report(answer, "\n".join(lines) or "Nothing is set aside.", as_json=as_json)
 
 
@@ -45,7 +66,11 @@ def _line(message: Poisoned, refused: dict[str, str | None]) -> str:
     if message.name not in refused:
         return f"{begin}: {message.reason}"
     why = refused[message.name]
-    return f"{begin}: is stored now" if why is None else f"{begin}: was refused and set aside anew: {why}"
+    return (
+        f"{begin}: is stored now"
+        if why is None
+        else f"{begin}: was refused and set aside anew: {why}"
+    )
 
 
 def _write(content: bytes, to: Path) -> None:

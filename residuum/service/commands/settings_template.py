@@ -20,7 +20,11 @@ machines:
 
 
 def settings_template(
-    asset: str, machine: MachineSettings | None, signals: Mapping[str, str], model: str | None, channels: Mapping[str, str]
+    asset: str,
+    machine: MachineSettings | None,
+    signals: Mapping[str, str],
+    model: str | None,
+    channels: Mapping[str, str],
 ) -> str:
     """The file's text.
 
@@ -41,12 +45,19 @@ def settings_template(
 
 
 def _judge(model: str | None) -> list[str]:
-    named = f"    model: {model}" if model else "    model: my-machine.yaml     # FILL IN: the file with the machine's balances"
+    named = (
+        f"    model: {model}"
+        if model
+        else "    model: my-machine.yaml     # FILL IN: the file with the machine's balances"
+    )
     return [
         "    diagnoser: model-based     # judges any machine that has a model",
         named,
         "",
-        "    # Signals are cut into windows: `length` seconds every `step` seconds. A window must show the machine at work.",
+        (
+            "    # Signals are cut into windows: `length` seconds every `step` seconds. A window"
+            " must show the machine at work."
+        ),
     ]
 
 
@@ -58,10 +69,22 @@ def _sources(machine: MachineSettings | None) -> list[str]:
     if machine is not None:
         return [_source(source) for source in machine.sources]
     return [
-        '      - {kind: can, channel: "socketcan:can0", map: my-machine.dbc}          # FILL IN, or the next line in its place',
-        "      # - {kind: modbus, host: 192.168.0.10, port: 502, map: registers.yaml}   # `residuum watch map` makes the map",
-        '      # - {kind: opcua, channel: "opc.tcp://192.168.0.10:4840", map: nodes.yaml}   # map: `residuum opcua browse`',
-        '      # - {kind: sparkplug, channel: "mqtt://192.168.0.11", map: metrics.yaml}   # map: `residuum sparkplug browse`',
+        (
+            '      - {kind: can, channel: "socketcan:can0", map: my-machine.dbc}          # FILL'
+            " IN, or the next line in its place"
+        ),
+        (
+            "      # - {kind: modbus, host: 192.168.0.10, port: 502, map: registers.yaml}   #"
+            " `residuum watch map` makes the map"
+        ),
+        (
+            '      # - {kind: opcua, channel: "opc.tcp://192.168.0.10:4840", map: nodes.yaml}   #'
+            " map: `residuum opcua browse`"
+        ),
+        (
+            '      # - {kind: sparkplug, channel: "mqtt://192.168.0.11", map: metrics.yaml}   #'
+            " map: `residuum sparkplug browse`"
+        ),
     ]
 
 
@@ -72,12 +95,22 @@ def _source(source: SourceSettings) -> str:
 
 
 def _channels(signals: Mapping[str, str], channels: Mapping[str, str]) -> list[str]:
-    lines = ["    # Names of signals: the model's on the left, the bus's on the right. Equal names need no line."]
+    lines = [
+        "    # Names of signals: the model's on the left, the bus's on the right. Equal names need"
+        " no line."
+    ]
     if signals:
-        lines.append(f"    # The bus has {', '.join(f'{name} [{unit or 1}]' for name, unit in signals.items())}.")
+        lines.append(
+            "    # The bus has"
+            f" {', '.join(f'{name} [{unit or 1}]' for name, unit in signals.items())}."
+        )
     different = {name: bus for name, bus in channels.items() if name != bus}
     if different:
-        return [*lines, "    channels:", *(f"      {name}: {bus}" for name, bus in different.items())]
+        return [
+            *lines,
+            "    channels:",
+            *(f"      {name}: {bus}" for name, bus in different.items()),
+        ]
     return [*lines, "    # channels:", "    #   speed: n_motor"]
 
 

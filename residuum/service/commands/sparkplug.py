@@ -27,37 +27,59 @@ def sparkplug() -> None:
 
 @app.command()
 def browse(
-    broker: Annotated[str, typer.Argument(metavar="BROKER", help="For example mqtt://192.168.0.11.")],
+    broker: Annotated[
+        str, typer.Argument(metavar="BROKER", help="For example mqtt://192.168.0.11.")
+    ],
     node: Annotated[str, typer.Argument(metavar="GROUP/NODE", help="The edge node.")],
     out: Annotated[Path, typer.Option(help="The metric map to write.")],
-    entered: Annotated[Path | None, typer.Option("--map", help="A metric map that says how the broker is entered.")] = None,
-    every: Annotated[float, typer.Option(min=0.001, max=3600, help="Sample time of the streams [s].")] = 0.1,
+    entered: Annotated[
+        Path | None, typer.Option("--map", help="A metric map that says how the broker is entered.")
+    ] = None,
+    every: Annotated[
+        float, typer.Option(min=0.001, max=3600, help="Sample time of the streams [s].")
+    ] = 0.1,
     as_json: AsJson = False,
 ) -> None:
-    """Ask a node to be born again, and write a map of the metrics that are numbers; a stream a device."""
+    """Ask a node to be born again, and write a map of the metrics that are numbers; a stream a
+    device.
+    """
     check_output_file(out)
     try:
-        address = broker_address(broker) if entered is None else read_metric_map(entered).entered(broker)
+        address = (
+            broker_address(broker) if entered is None else read_metric_map(entered).entered(broker)
+        )
     except ValueError as error:
         raise BadInput(f"{broker}: {error}") from None
     if re.fullmatch(f"{NAME}/{NAME}", node) is None:
         raise BadInput(f"{node}: must be GROUP/NODE, without + and #")
     try:
-        numeric_metrics = import_module("residuum.service.fieldbus.sparkplug.sparkplug_browse").numeric_metrics
+        numeric_metrics = import_module(
+            "residuum.service.fieldbus.sparkplug.sparkplug_browse"
+        ).numeric_metrics
     except ModuleNotFoundError:
-        raise BadInput("Sparkplug needs the extra `sparkplug`: pip install 'residuum[sparkplug]'") from None
+        raise BadInput(
+            "Sparkplug needs the extra `sparkplug`: pip install 'residuum[sparkplug]'"
+        ) from None
     try:
         devices = numeric_metrics(address, node, _TIMEOUT)
     except OSError as error:
         raise BadInput(f"{address.host}:{address.port}: {error}") from None
     if not devices:
-        raise BadInput(f"{node}: no birth with a number came within {_TIMEOUT:g} s; is the node connected to this broker?")
+        raise BadInput(
+            f"{node}: no birth with a number came within {_TIMEOUT:g} s; is the node connected to"
+            " this broker?"
+        )
     out.write_text(metric_map_text(node, every, devices), encoding="utf-8")
-    lines = [f"{out}: {sum(map(len, devices.values()))} channels of {node}, a sample every {every:g} s"]
+    lines = [
+        f"{out}: {sum(map(len, devices.values()))} channels of {node}, a sample every {every:g} s"
+    ]
     lines += [
         f"  {device or 'the node'}: {name} [{unit or '1'}]  {metric}"
         for device, channels in devices.items()
         for name, (metric, unit) in channels.items()
     ]
-    plain = {device: {n: {"metric": m, "unit": u} for n, (m, u) in channels.items()} for device, channels in devices.items()}
+    plain = {
+        device: {n: {"metric": m, "unit": u} for n, (m, u) in channels.items()}
+        for device, channels in devices.items()
+    }
     report({"file": str(out), "devices": plain}, "\n".join(lines), as_json=as_json)

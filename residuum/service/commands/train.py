@@ -30,8 +30,8 @@ from residuum.service.commands.report import AsJson, report
 
 app = typer.Typer(add_completion=False)
 _LABELS = (
-    "CSV of `record,label`, or `record,label,exemplar` (gate-actuator: which actuator it comes from, so that the limits "
-    "hold for one never seen); without it every record is healthy."
+    "CSV of `record,label`, or `record,label,exemplar` (gate-actuator: which actuator it comes"
+    " from, so that the limits hold for one never seen); without it every record is healthy."
 )
 
 
@@ -53,20 +53,26 @@ def train(
     validate: Annotated[
         Literal["object-wise", "bootstrap"] | None,
         typer.Option(
-            help="Also validate on exemplars (or records) left out of the training: each in turn, or by the .632+ bootstrap."
+            help=(
+                "Also validate on exemplars (or records) left out of the training: each in turn, or"
+                " by the .632+ bootstrap."
+            )
         ),
     ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Train a diagnoser on records and store it for `score --baseline`."""
     of_model = model_settings(model, fix_undetermined, false_alarms_per_day)
-    untrained = new_diagnoser(diagnoser, diagnoser_settings(speed_rpm, orders, hertz, method) | of_model)
+    untrained = new_diagnoser(
+        diagnoser, diagnoser_settings(speed_rpm, orders, hertz, method) | of_model
+    )
     check_output_file(out)
     names, exemplars = read_labels(labels, records) if labels else (None, None)
     loaded = reading.named(records)
     if exemplars is not None and validate is None and not isinstance(untrained, GateActuator):
         raise BadInput(
-            f"{labels}: only the gate-actuator diagnoser knows exemplars, not {diagnoser!r}; give record,label, or --validate"
+            f"{labels}: only the gate-actuator diagnoser knows exemplars, not {diagnoser!r}; give"
+            " record,label, or --validate"
         )
     settings = diagnoser_settings(speed_rpm, orders, hertz, method) | of_model
 
@@ -82,7 +88,13 @@ def train(
     if validate is not None:
         truth = names or ["healthy"] * len(loaded)
         objects = exemplars or [str(k) for k in range(len(loaded))]
-        validation = validated(validate, lambda indices: fit(new_diagnoser(diagnoser, settings), indices), loaded, truth, objects)
+        validation = validated(
+            validate,
+            lambda indices: fit(new_diagnoser(diagnoser, settings), indices),
+            loaded,
+            truth,
+            objects,
+        )
     seconds = sum(record.duration for record in loaded)
     result = {
         "diagnoser": diagnoser,

@@ -1,4 +1,6 @@
-"""`residuum uncertainty`: the weight above the error of the models that an identified model's distribution allows."""
+"""`residuum uncertainty`: the weight above the error of the models that an identified model's
+distribution allows.
+"""
 
 from pathlib import Path
 from typing import Annotated
@@ -17,7 +19,9 @@ app = typer.Typer(add_completion=False)
 @app.command()
 @asks()
 def uncertainty(
-    identified: Annotated[Path, typer.Argument(help="Model file, as `residuum identify` writes it.")],
+    identified: Annotated[
+        Path, typer.Argument(help="Model file, as `residuum identify` writes it.")
+    ],
     asked: Uncertainty,
     as_json: AsJson = False,
 ) -> None:

@@ -23,7 +23,7 @@ from residuum.service.commands.settings_file import SettingsFile
 from residuum.service.commands.settings_template import settings_template
 from residuum.service.fieldbus import SOURCES
 from residuum.service.fieldbus.modbus.register_map import read_register_map
-from residuum.service.fieldbus.modbus.register_server import register_map_of, register_map_text
+from residuum.service.fieldbus.modbus.register_table import register_map_of, register_map_text
 from residuum.service.fieldbus.settings import MachineSettings, SourceSettings, WindowSettings
 from residuum.service.machines.adding import guessed_channels
 from residuum.service.machines.machine_state import LiveValues
@@ -41,32 +41,57 @@ def init(
     asset: Annotated[str, typer.Option(help="Name of the machine.")] = "my-machine",
     can: Annotated[str | None, typer.Option(help="CAN bus, for example socketcan:can0.")] = None,
     modbus: Annotated[str | None, typer.Option(help="HOST:PORT of a Modbus TCP device.")] = None,
-    opcua: Annotated[str | None, typer.Option(help="OPC UA server, for example opc.tcp://192.168.0.10:4840.")] = None,
-    sparkplug: Annotated[str | None, typer.Option(help="Broker of a Sparkplug B node, for example mqtt://192.168.0.11.")] = None,
+    opcua: Annotated[
+        str | None, typer.Option(help="OPC UA server, for example opc.tcp://192.168.0.10:4840.")
+    ] = None,
+    sparkplug: Annotated[
+        str | None,
+        typer.Option(help="Broker of a Sparkplug B node, for example mqtt://192.168.0.11."),
+    ] = None,
     bus_map: Annotated[
         str | None,
-        typer.Option("--map", help="DBC file (CAN), register map (Modbus), node map (OPC UA) or metric map (Sparkplug)."),
+        typer.Option(
+            "--map",
+            help=(
+                "DBC file (CAN), register map (Modbus), node map (OPC UA) or metric map"
+                " (Sparkplug)."
+            ),
+        ),
     ] = None,
-    model: Annotated[str | None, typer.Option(help="Model file of the machine, or a built-in model.")] = None,
+    model: Annotated[
+        str | None, typer.Option(help="Model file of the machine, or a built-in model.")
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Write a commented settings file for one machine. Options that are left out stay in it as examples to fill in."""
+    """Write a commented settings file for one machine. Options that are left out stay in it as
+    examples to fill in.
+    """
     if out.exists():
         raise BadInput(f"--out {out}: is there already; choose another name or remove it")
     check_output_file(out)
-    machine = _machine(asset, {"can": can, "modbus": modbus, "opcua": opcua, "sparkplug": sparkplug}, bus_map)
+    machine = _machine(
+        asset, {"can": can, "modbus": modbus, "opcua": opcua, "sparkplug": sparkplug}, bus_map
+    )
     signals = {} if machine is None else bus_signals(machine)
     channels = guessed_channels(load_model(model), signals) if model and signals else {}
     out.write_text(settings_template(asset, machine, signals, model, channels), encoding="utf-8")
     says = [f"wrote {out}", f"next: residuum doctor --settings {out}    says what is missing in it"]
-    report({"file": str(out), "signals": signals, "channels": channels}, "\n".join(says), as_json=as_json)
+    report(
+        {"file": str(out), "signals": signals, "channels": channels},
+        "\n".join(says),
+        as_json=as_json,
+    )
 
 
 @app.command("map")
 def make_map(
-    table: Annotated[Path, typer.Argument(help="Table of names, registers, types, units (CSV, `;` or tab).")],
+    table: Annotated[
+        Path, typer.Argument(help="Table of names, registers, types, units (CSV, `;` or tab).")
+    ],
     out: Annotated[Path, typer.Option(help="The register map to write.")],
-    every: Annotated[float, typer.Option(min=0.001, max=3600, help="Seconds between two reads.")] = 0.1,
+    every: Annotated[
+        float, typer.Option(min=0.001, max=3600, help="Seconds between two reads.")
+    ] = 0.1,
     unit_id: Annotated[int, typer.Option(min=0, max=247, help="Unit of the device.")] = 1,
     as_json: AsJson = False,
 ) -> None:
@@ -99,10 +124,23 @@ def signals(
         raise BadInput(f"machine {machine!r}: is not in the settings; {known}")
     live, silent = _listened(watched, seconds)
     units = bus_signals(watched)
-    lines = [f"  {bus:<20} {value['value']:>12.6g} {units[bus]:<8} {_alias(bus, value['name'])}" for bus, value in live.items()]
-    lines += [f"  nothing came from {name}: {trouble or 'the bus is silent'}" for name, trouble in silent.items()]
-    present = {bus: {"name": value["name"], "value": value["value"], "unit": units[bus]} for bus, value in live.items()}
-    report({"machine": machine, "signals": present, "silent": silent}, "\n".join([f"{machine} reads", *lines]), as_json=as_json)
+    lines = [
+        f"  {bus:<20} {value['value']:>12.6g} {units[bus]:<8} {_alias(bus, value['name'])}"
+        for bus, value in live.items()
+    ]
+    lines += [
+        f"  nothing came from {name}: {trouble or 'the bus is silent'}"
+        for name, trouble in silent.items()
+    ]
+    present = {
+        bus: {"name": value["name"], "value": value["value"], "unit": units[bus]}
+        for bus, value in live.items()
+    }
+    report(
+        {"machine": machine, "signals": present, "silent": silent},
+        "\n".join([f"{machine} reads", *lines]),
+        as_json=as_json,
+    )
     if silent:
         raise typer.Exit(1)
 
@@ -115,7 +153,10 @@ def status(machine: MachineArgument, url: ServiceUrl = HERE, as_json: AsJson = F
     doing = answer["status"]["doing"] if answer["status"] else "not watched"
     lines = [
         f"{machine}: {asset['state']}; {doing}",
-        f"  windows kept: {asset['windows']}; recorded without a judge: {len(answer['recorded_windows'])}",
+        (
+            f"  windows kept: {asset['windows']}; recorded without a judge:"
+            f" {len(answer['recorded_windows'])}"
+        ),
     ]
     report(answer | {"state": asset["state"]}, "\n".join(lines), as_json=as_json)
 
@@ -133,23 +174,41 @@ def windows(
     files = [out / f"{machine}-{number}.npz" for number in numbers]
     for number, file in zip(numbers, files, strict=True):
         file.write_bytes(answered(url, f"/assets/{_quoted(machine)}/windows/{number}/record"))
-    report({"files": [str(file) for file in files]}, f"{machine}: {len(files)} windows → {out}/", as_json=as_json)
+    report(
+        {"files": [str(file) for file in files]},
+        f"{machine}: {len(files)} windows → {out}/",
+        as_json=as_json,
+    )
 
 
 @app.command()
 def train(
     machine: MachineArgument,
     url: ServiceUrl = HERE,
-    model: Annotated[str | None, typer.Option(help="model-based: a stored or built-in model; default: the machine's.")] = None,
+    model: Annotated[
+        str | None,
+        typer.Option(help="model-based: a stored or built-in model; default: the machine's."),
+    ] = None,
     second: Annotated[bool, typer.Option("--second", help="Train its second opinion.")] = False,
-    leave_out: Annotated[list[int] | None, typer.Option(help="A recorded window in which the machine was not healthy.")] = None,
+    leave_out: Annotated[
+        list[int] | None,
+        typer.Option(help="A recorded window in which the machine was not healthy."),
+    ] = None,
     fix_undetermined: Annotated[
-        bool, typer.Option("--fix-undetermined", help="Keep the file's value of a parameter that the windows do not determine.")
+        bool,
+        typer.Option(
+            "--fix-undetermined",
+            help="Keep the file's value of a parameter that the windows do not determine.",
+        ),
     ] = False,
-    false_alarms_per_day: Annotated[float | None, typer.Option(help="Number of false alarms a day that is accepted.")] = None,
+    false_alarms_per_day: Annotated[
+        float | None, typer.Option(help="Number of false alarms a day that is accepted.")
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Train a machine's baseline from its recorded windows; the service judges by it from now on."""
+    """Train a machine's baseline from its recorded windows; the service judges by it from now
+    on.
+    """
     body: dict[str, Any] = {"leave_out": leave_out or [], "fix_undetermined": fix_undetermined}
     body |= {"model": model} if model else {}
     body |= {"second": True} if second else {}
@@ -162,20 +221,35 @@ def train(
     if job["state"] != "done":
         raise BadInput(job["error"] or f"the training was {job['state']}")
     result = job["result"]
-    lines = [f"{machine}: trained on {result['windows']} windows; {result['alarms']} of them would raise an alarm"]
-    lines += [f"  passed over, since samples are missing: {result['passed_over']}"] if result.get("passed_over") else []
+    lines = [
+        f"{machine}: trained on {result['windows']} windows; {result['alarms']} of them would raise"
+        " an alarm"
+    ]
+    lines += (
+        [f"  passed over, since samples are missing: {result['passed_over']}"]
+        if result.get("passed_over")
+        else []
+    )
     report(result, "\n".join([*lines, *result["learned"].get("says", [])]), as_json=as_json)
 
 
-def _machine(asset: str, buses: Mapping[str, str | None], bus_map: str | None) -> MachineSettings | None:
+def _machine(
+    asset: str, buses: Mapping[str, str | None], bus_map: str | None
+) -> MachineSettings | None:
     """The machine with the source that was told (kind → where it is); None when none was."""
     given = [(kind, where) for kind, where in buses.items() if where is not None]
     if not given:
         return None
     kind, where = given[0]
     if bus_map is None:
-        makers = "residuum watch map makes one, residuum opcua browse a node map, residuum sparkplug browse a metric map"
-        raise BadInput(f"--map: is missing; a source needs its DBC file, register map, node map or metric map ({makers})")
+        makers = (
+            "residuum watch map makes one, residuum opcua browse a node map, residuum sparkplug"
+            " browse a metric map"
+        )
+        raise BadInput(
+            "--map: is missing; a source needs its DBC file, register map, node map or metric map"
+            f" ({makers})"
+        )
     try:
         return MachineSettings(
             asset=asset,
@@ -184,7 +258,9 @@ def _machine(asset: str, buses: Mapping[str, str | None], bus_map: str | None) -
             sources=[_source(kind, where, bus_map)],
         )
     except ValueError as error:
-        raise BadInput(f"--{kind} {where!r}, --asset {asset!r}: {str(error).splitlines()[0]}") from None
+        raise BadInput(
+            f"--{kind} {where!r}, --asset {asset!r}: {str(error).splitlines()[0]}"
+        ) from None
 
 
 def _source(kind: str, where: str, bus_map: str) -> SourceSettings:
@@ -197,7 +273,9 @@ def _source(kind: str, where: str, bus_map: str) -> SourceSettings:
 
 
 def _listened(machine: MachineSettings, seconds: float) -> tuple[dict[str, Any], dict[str, str]]:
-    """What came within some seconds, and the sources from which nothing came, with their trouble."""
+    """What came within some seconds, and the sources from which nothing came, with their
+    trouble.
+    """
     live = LiveValues(machine.channels)
     stopped = threading.Event()
 
@@ -215,7 +293,9 @@ def _listened(machine: MachineSettings, seconds: float) -> tuple[dict[str, Any],
     for source in sources:
         source.join()
     sys.stdout.flush()
-    return live.now(), {name: str(s["last_trouble"]) for name, s in states.items() if s["quality"] == "never-seen"}
+    return live.now(), {
+        name: str(s["last_trouble"]) for name, s in states.items() if s["quality"] == "never-seen"
+    }
 
 
 def _alias(bus: str, name: str) -> str:

@@ -24,9 +24,13 @@ def _opcua(settings: SourceSettings, sink: Sink) -> Source:
     """Imported when it is opened: the library is an extra."""
     nodes = read_node_map(settings.map_file)
     try:
-        source: Source = import_module("residuum.service.fieldbus.opcua.opcua_source").OpcuaSource(settings.channel, nodes, sink)
+        source: Source = import_module("residuum.service.fieldbus.opcua.opcua_source").OpcuaSource(
+            settings.channel, nodes, sink
+        )
     except ModuleNotFoundError:
-        raise BadBusDescription("an OPC UA source needs the extra `opcua`: pip install 'residuum[opcua]'") from None
+        raise BadBusDescription(
+            "an OPC UA source needs the extra `opcua`: pip install 'residuum[opcua]'"
+        ) from None
     return source
 
 
@@ -36,7 +40,9 @@ def _sparkplug(settings: SourceSettings, sink: Sink) -> Source:
     try:
         module = import_module("residuum.service.fieldbus.sparkplug.sparkplug_source")
     except ModuleNotFoundError:
-        raise BadBusDescription("a Sparkplug source needs the extra `sparkplug`: pip install 'residuum[sparkplug]'") from None
+        raise BadBusDescription(
+            "a Sparkplug source needs the extra `sparkplug`: pip install 'residuum[sparkplug]'"
+        ) from None
     source: Source = module.SparkplugSource(metrics.entered(settings.channel), metrics, sink)
     return source
 
@@ -45,6 +51,8 @@ SOURCES: dict[str, Open] = {
     "can": lambda settings, sink: CanSource(settings.channel, read_dbc(settings.map_file), sink),
     "opcua": _opcua,
     "sparkplug": _sparkplug,
-    "modbus": lambda settings, sink: ModbusSource(settings.host, settings.port, read_register_map(settings.map_file), sink),
+    "modbus": lambda settings, sink: ModbusSource(
+        settings.host, settings.port, read_register_map(settings.map_file), sink
+    ),
 }
 """Kind of source → how to open it."""

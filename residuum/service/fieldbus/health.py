@@ -13,7 +13,10 @@ COUNTERS = {
     "duplicated": "frames that came twice (the second one is dropped)",
     "reordered": "frames that came late and were put in their place",
     "counter_jumps": "jumps of the sequence counter that no loss explains (a restarted device)",
-    "pauses": "times that a message without a counter paused: what was lost meanwhile is not known, no window reaches across",
+    "pauses": (
+        "times that a message without a counter paused: what was lost meanwhile is not known, no"
+        " window reaches across"
+    ),
     "undecodable": "frames of wrong length or form",
     "bus_errors": "error frames, bus-off, a bus that could not be opened or read",
     "modbus_exceptions": "exception replies of a Modbus device",
@@ -24,12 +27,22 @@ COUNTERS = {
     "reconnects": "times the source was opened again",
     "bad_status": "OPC UA and Sparkplug values whose status is not good, taken as missing",
     "unstamped": "OPC UA values without a source time stamp, dropped",
-    "late_values": "OPC UA and Sparkplug values that came after their sample had been handed on, dropped",
-    "sequence_gaps": "gaps in the sequence of a Sparkplug node: nothing is taken until it is born again",
+    "late_values": (
+        "OPC UA and Sparkplug values that came after their sample had been handed on, dropped"
+    ),
+    "sequence_gaps": (
+        "gaps in the sequence of a Sparkplug node: nothing is taken until it is born again"
+    ),
     "unborn": "Sparkplug messages and values that came before a birth or after a gap, dropped",
     "rebirths_asked": "times a Sparkplug node was asked to be born again",
-    "surplus": "OPC UA and Sparkplug values of a sample that has one already, dropped: they come faster than the map says",
-    "overflow": "Sparkplug messages that came faster than they were read, dropped: the node is asked to be born again",
+    "surplus": (
+        "OPC UA and Sparkplug values of a sample that has one already, dropped: they come faster"
+        " than the map says"
+    ),
+    "overflow": (
+        "Sparkplug messages that came faster than they were read, dropped: the node is asked to be"
+        " born again"
+    ),
     "queue_drops": "samples dropped because the windows could not be cut fast enough",
 }
 """Name of each loss counter and what it counts."""
@@ -51,12 +64,15 @@ class SourceHealth:
     clock : callable
         Monotonic seconds; wall-clock jumps must not matter.
 
-    `remarks` are sentences that hold as long as the source does, such as a message without a counter; with one, quality is
-    `uncounted` instead of `good`. `doubts` are, by stream, sentences about values that look wrong; with one, it is `doubtful`.
-    With losses within the last minute it is `losing`.
+    `remarks` are sentences that hold as long as the source does, such as a message without a
+    counter; with one, quality is `uncounted` instead of `good`. `doubts` are, by stream, sentences
+    about values that look wrong; with one, it is `doubtful`. With losses within the last minute it
+    is `losing`.
     """
 
-    def __init__(self, stale_after: float = 2.0, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self, stale_after: float = 2.0, clock: Callable[[], float] = time.monotonic
+    ) -> None:
         self.remarks: Sequence[str] = ()
         self.doubts: dict[str, Sequence[str]] = {}
         self._counts = dict.fromkeys(COUNTERS, 0)
@@ -69,7 +85,9 @@ class SourceHealth:
         self._lock = threading.Lock()
 
     def count(self, name: str, times: int = 1, trouble: str = "") -> None:
-        """Add to a loss counter (`lost` may also go down, when a late frame arrives); `trouble` says what happened."""
+        """Add to a loss counter (`lost` may also go down, when a late frame arrives); `trouble`
+        says what happened.
+        """
         with self._lock:
             self._counts[name] += times
             if name in LOSSES:
@@ -94,7 +112,9 @@ class SourceHealth:
             return self._counts[name]
 
     def silence(self) -> str:
-        """What is said of a source that gives nothing now, with its last trouble; empty for one that gives something."""
+        """What is said of a source that gives nothing now, with its last trouble; empty for one
+        that gives something.
+        """
         now = self._clock()
         with self._lock:
             age = None if self._seen is None else now - self._seen
@@ -104,7 +124,9 @@ class SourceHealth:
             return ("gave nothing yet" if age is None else "gives nothing any more") + trouble
 
     def snapshot(self) -> dict[str, Any]:
-        """What the interface shows: quality, rates over the last seconds, counters, age of the last frame [s]."""
+        """What the interface shows: quality, rates over the last seconds, counters, age of the last
+        frame [s].
+        """
         now = self._clock()
         with self._lock:
             recent = [entry for entry in self._recent if entry[0] >= now - _RATE_OVER]
@@ -138,7 +160,9 @@ class SourceHealth:
         return max(0, sum(self._losses.values()))
 
     def _forget_losses(self, second: int) -> None:
-        """Keep a number a second, of the last minute: a bus that loses every frame must not fill the memory."""
+        """Keep a number a second, of the last minute: a bus that loses every frame must not fill
+        the memory.
+        """
         while self._losses and (oldest := next(iter(self._losses))) < second - LOSSES_OVER:
             del self._losses[oldest]
 

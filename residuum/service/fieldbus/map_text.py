@@ -24,7 +24,10 @@ class _EachNameOnce(PlainNumbers):
             name = self.construct_object(key, deep=True)
             if name in names:
                 raise yaml.constructor.ConstructorError(
-                    None, None, f"{name!r} is named twice in one place; rename or remove one", key.start_mark
+                    None,
+                    None,
+                    f"{name!r} is named twice in one place; rename or remove one",
+                    key.start_mark,
                 )
             names.add(name)
         return super().construct_mapping(node, deep)
@@ -47,7 +50,9 @@ def read_map_text(path: str | Path) -> Any:
 
 
 def read_map(path: Path, kind: type[Map], way_on: Callable[[str], str] = lambda _field: "") -> Map:
-    """The map of a kind in a YAML file; BadBusDescription names file and field, and says what `way_on` knows for it."""
+    """The map of a kind in a YAML file; BadBusDescription names file and field, and says what
+    `way_on` knows for it.
+    """
     try:
         return kind.model_validate(read_yaml(path, BadBusDescription, _EachNameOnce))
     except ValidationError as error:

@@ -1,4 +1,6 @@
-"""SequenceCounter: turns a counter that wraps into numbers that do not, and tells loss, repetition and disorder apart."""
+"""SequenceCounter: turns a counter that wraps into numbers that do not, and tells loss, repetition
+and disorder apart.
+"""
 
 from __future__ import annotations
 
@@ -19,8 +21,8 @@ _REMEMBERED = 8192
 class Placed:
     """Where a batch of frames belongs.
 
-    `number` is the place of each frame, shape (n,); `keep` is False for repetitions. `lost` counts frames newly missing minus
-    frames that filled an earlier hole.
+    `number` is the place of each frame, shape (n,); `keep` is False for repetitions. `lost` counts
+    frames newly missing minus frames that filled an earlier hole.
     """
 
     number: Numbers
@@ -34,11 +36,12 @@ class Placed:
 class SequenceCounter:
     """Unwraps a sequence counter of `bits` bits.
 
-    A step ahead of up to a quarter of the counter's range is a loss. A step back to a number that is missing is a late
-    frame; a step back of up to an eighth of the range to one that is not is a repetition; anything else is a jump: the sender
-    has restarted, and the numbers advance by `BREAK`. A counter that goes on where it stopped, however long after, belongs to
-    a sender that paused; after any other silence long enough for the counter to have wrapped, the number of frames lost is
-    the one nearest to silence × rate that the counter allows.
+    A step ahead of up to a quarter of the counter's range is a loss. A step back to a number that
+    is missing is a late frame; a step back of up to an eighth of the range to one that is not is a
+    repetition; anything else is a jump: the sender has restarted, and the numbers advance by
+    `BREAK`. A counter that goes on where it stopped, however long after, belongs to a sender that
+    paused; after any other silence long enough for the counter to have wrapped, the number of
+    frames lost is the one nearest to silence × rate that the counter allows.
 
     Parameters
     ----------
@@ -59,10 +62,13 @@ class SequenceCounter:
         self._next: int | None = None
         self._missing: dict[int, None] = {}
 
-    def place(self, counters: npt.NDArray[np.integer], silence: float = 0.0, rate: float = 0.0) -> Placed:
+    def place(
+        self, counters: npt.NDArray[np.integer], silence: float = 0.0, rate: float = 0.0
+    ) -> Placed:
         """Place the frames of one batch, in their order of arrival.
 
-        `silence` is how long the bus was seen empty before this batch [s], `rate` the frames a second it carries otherwise.
+        `silence` is how long the bus was seen empty before this batch [s], `rate` the frames a
+        second it carries otherwise.
         """
         n = len(counters)
         if n == 0:

@@ -29,17 +29,21 @@ def map_file(name: str) -> Path:
 class SourceSettings(StrictModel):
     """One bus connection.
 
-    `can` needs `channel` (`socketcan:can0`, `udp_multicast:239.74.163.2:43113`, `virtual:bench`) and a DBC file; `modbus`
-    needs `host`, `port` and a register map; `opcua` needs `channel` (`opc.tcp://host:4840`) and a node map; `sparkplug`
-    needs `channel` (`mqtt[s]://[user:password@]broker[:port]`) and a metric map. `map` is a file, or the name of one that comes
-    with Residuum.
+    `can` needs `channel` (`socketcan:can0`, `udp_multicast:239.74.163.2:43113`, `virtual:bench`)
+    and a DBC file; `modbus` needs `host`, `port` and a register map; `opcua` needs `channel`
+    (`opc.tcp://host:4840`) and a node map; `sparkplug` needs `channel`
+    (`mqtt[s]://[user:password@]broker[:port]`) and a metric map. `map` is a file, or the name of
+    one that comes with Residuum.
     """
 
-    kind: Literal["can", "modbus", "opcua", "sparkplug"] = Field(json_schema_extra={"x-titles": dict(KINDS)})
+    kind: Literal["can", "modbus", "opcua", "sparkplug"] = Field(
+        json_schema_extra={"x-titles": dict(KINDS)}
+    )
     map: str
     channel: str = field(
         "",
-        "Address of the bus: can socketcan:can0, opcua opc.tcp://host:4840, sparkplug mqtt://broker:1883.",
+        "Address of the bus: can socketcan:can0, opcua opc.tcp://host:4840, sparkplug"
+        " mqtt://broker:1883.",
         only_with=({"kind": ["can", "opcua", "sparkplug"]},),
     )
     host: str = field("127.0.0.1", "Address of the device.", only_with=_OF_MODBUS)
@@ -50,7 +54,9 @@ class SourceSettings(StrictModel):
         if self.kind == "can" and not self.channel:
             raise ValueError("a CAN source needs a channel, for example socketcan:can0")
         if self.kind == "opcua" and not self.channel.startswith("opc.tcp://"):
-            raise ValueError("an OPC UA source needs a channel, for example opc.tcp://192.168.0.10:4840")
+            raise ValueError(
+                "an OPC UA source needs a channel, for example opc.tcp://192.168.0.10:4840"
+            )
         if self.kind == "sparkplug":
             broker_address(self.channel)
         return self
@@ -64,58 +70,84 @@ class SourceSettings(StrictModel):
 class WindowSettings(StrictModel):
     """How the streams are cut into windows.
 
-    `movement`: from the phase signal's leaving 0 to its return. `round`: from the first of four indicator pulses to the next
-    one like it.
-    `sliding`: `length` seconds every `step` seconds.
+    `movement`: from the phase signal's leaving 0 to its return. `round`: from the first of four
+    indicator pulses to the next one like it. `sliding`: `length` seconds every `step` seconds.
     """
 
     cut: Literal["movement", "round", "sliding"]
-    length: float = Field(default=60.0, gt=0, le=3600, description="Length of a sliding window [s].")
-    step: float = Field(default=10.0, gt=0, le=3600, description="From one sliding window to the next [s].")
+    length: float = Field(
+        default=60.0, gt=0, le=3600, description="Length of a sliding window [s]."
+    )
+    step: float = Field(
+        default=10.0, gt=0, le=3600, description="From one sliding window to the next [s]."
+    )
 
 
 class SecondOpinion(StrictModel):
-    """Who else judges the windows of a machine: its findings are shown beside the first one's and raise no alarm."""
+    """Who else judges the windows of a machine: its findings are shown beside the first one's and
+    raise no alarm.
+    """
 
     diagnoser: Literal["model-based"] = "model-based"
     model: str = Field(description="The machine's model, stored, built in, or a file.")
-    baseline: str | None = Field(default=None, description="Name of its trained baseline; None: the asset's, with `.second`.")
+    baseline: str | None = Field(
+        default=None, description="Name of its trained baseline; None: the asset's, with `.second`."
+    )
 
 
 class MachineSettings(StrictModel):
-    """One machine: its name (the asset), the diagnoser that judges it, its windows, sources and alarm rule."""
+    """One machine: its name (the asset), the diagnoser that judges it, its windows, sources and
+    alarm rule.
+    """
 
     asset: str = Field(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")
     diagnoser: str
     window: WindowSettings
     sources: list[SourceSettings] = Field(min_length=1)
-    baseline: str | None = Field(default=None, description="Name of the trained baseline; None: the asset's own.")
+    baseline: str | None = Field(
+        default=None, description="Name of the trained baseline; None: the asset's own."
+    )
     model: str | None = Field(
         default=None,
-        description="model-based: the machine's model, a file or a built-in name; its baseline has it too.",
+        description=(
+            "model-based: the machine's model, a file or a built-in name; its baseline has it too."
+        ),
     )
     channels: dict[str, str] = Field(
         default={},
         max_length=100,
-        description="Names of signals: the one that the diagnoser or its model uses → the one on the bus.",
+        description=(
+            "Names of signals: the one that the diagnoser or its model uses → the one on the bus."
+        ),
     )
-    second: SecondOpinion | None = Field(default=None, description="A second opinion on every window; None: none.")
+    second: SecondOpinion | None = Field(
+        default=None, description="A second opinion on every window; None: none."
+    )
     method: Literal["source", "default"] | None = Field(
-        default=None, description="gate-actuator, robust-residual: what decides; None: what the baseline was trained with."
+        default=None,
+        description=(
+            "gate-actuator, robust-residual: what decides; None: what the baseline was trained"
+            " with."
+        ),
     )
     alarms: AlarmRule | None = Field(
-        default=None, description="Deadband, delays and latch of its alarms; None: those of the service."
+        default=None,
+        description="Deadband, delays and latch of its alarms; None: those of the service.",
     )
 
     @model_validator(mode="after")
     def _each_channel_once(self) -> MachineSettings:
         if len(set(self.channels.values())) < len(self.channels):
-            twice = next(bus for bus in self.channels.values() if list(self.channels.values()).count(bus) > 1)
+            twice = next(
+                bus for bus in self.channels.values() if list(self.channels.values()).count(bus) > 1
+            )
             raise ValueError(f"channels: {twice!r} of the bus has two names")
         return self
 
     @model_validator(mode="after")
     def _model_where_one_is_used(self) -> MachineSettings:
         if self.model is not None and self.diagnoser != "model-based":
-            raise ValueError(f"model: only the diagnoser model-based has one, not {self.diagnoser!r}")
+            raise ValueError(
+                f"model: only the diagnoser model-based has one, not {self.diagnoser!r}"
+            )
         return self

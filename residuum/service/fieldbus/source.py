@@ -1,4 +1,6 @@
-"""Source: one connection to a bus, read in a thread of its own; hands blocks of samples to a sink."""
+"""Source: one connection to a bus, read in a thread of its own; hands blocks of samples to a
+sink.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,8 @@ from residuum.service.fieldbus.health import SourceHealth
 
 
 class Backoff:
-    """Waits that double from `first` to `longest` seconds, each spread by ±50 % so that many sources do not knock in step.
+    """Waits that double from `first` to `longest` seconds, each spread by ±50 % so that many
+    sources do not knock in step.
 
     Examples
     --------
@@ -72,8 +75,9 @@ class StreamFormat:
 class Block:
     """Samples of one stream.
 
-    `number[k]` is the place of sample k on the stream's clock (sample time × number = seconds). Numbers are unique over
-    the life of a source and mostly rise; a hole is a loss, and a late sample fills its hole.
+    `number[k]` is the place of sample k on the stream's clock (sample time × number = seconds).
+    Numbers are unique over the life of a source and mostly rise; a hole is a loss, and a late
+    sample fills its hole.
 
     Parameters
     ----------
@@ -134,7 +138,9 @@ class Source(ABC):
         return {}
 
     def switch_fault(self, fault: str, size: float) -> None:
-        """Ask the device to switch a fault: 0 clears it, a negative size means its default. FaultsUnavailable when it cannot."""
+        """Ask the device to switch a fault: 0 clears it, a negative size means its default.
+        FaultsUnavailable when it cannot.
+        """
         raise FaultsUnavailable(f"{self.name}: cannot switch fault {fault!r}")
 
     def start(self) -> None:
@@ -155,7 +161,13 @@ class Source(ABC):
         """Read until stopped; never raises."""
 
     def _deliver(self, block: Block, frames: int) -> None:
-        """Hand on a block, then count it: whoever reads the counters finds every counted sample delivered."""
+        """Hand on a block, then count it: whoever reads the counters finds every counted sample
+        delivered.
+        """
         if not self._sink(block):
-            self.health.count("queue_drops", block.n, f"{block.stream}: {block.n} samples dropped, the windows are behind")
+            self.health.count(
+                "queue_drops",
+                block.n,
+                f"{block.stream}: {block.n} samples dropped, the windows are behind",
+            )
         self.health.received(frames, block.n)

@@ -1,8 +1,10 @@
-"""StampedSamples: values that come one by one, each with its own time stamp, put together into samples of a stream.
+"""StampedSamples: values that come one by one, each with its own time stamp, put together into
+samples of a stream.
 
-A value belongs to the sample nearest to its stamp. Stamps are those of the server's clock, which may be set: a stamp that steps
-back, or that runs ahead of our own clock, begins the stream anew (its numbers advance by `BREAK`), and for `quarantine` seconds
-nothing is taken, since values of other channels may still be stamped by the clock as it was. A sample is handed on once it is
+A value belongs to the sample nearest to its stamp. Stamps are those of the server's clock, which
+may be set: a stamp that steps back, or that runs ahead of our own clock, begins the stream anew
+(its numbers advance by `BREAK`), and for `quarantine` seconds nothing is taken, since values of
+other channels may still be stamped by the clock as it was. A sample is handed on once it is
 complete, or once it is `patience` seconds older than the newest: what is missing then is NaN.
 """
 
@@ -20,13 +22,19 @@ from residuum.service.fieldbus.sequence import BREAK
 from residuum.service.fieldbus.source import Block, StreamFormat
 
 _AHEAD = 2.0
-"""Seconds by which stamps may run ahead of the time that has passed here: a reader that was late catches up."""
+"""Seconds by which stamps may run ahead of the time that has passed here: a reader that was late
+catches up.
+"""
 _DRIFT = 1e-3
 """Seconds a second by which the clocks may drift apart."""
 _FIRST, _OLD = 0.3, 1.5
-"""Seconds for which first reports are collected; steps by which one is older than the newest to state what holds, no more."""
+"""Seconds for which first reports are collected; steps by which one is older than the newest to
+state what holds, no more.
+"""
 _REPORTS, _FEWEST_REPORTS = 10, 4
-"""Samples that tell whether a channel reports by change, and that it takes to tell that it does not."""
+"""Samples that tell whether a channel reports by change, and that it takes to tell that it does
+not.
+"""
 _MOST_OPEN = 100_000
 """Samples that wait; of more, the oldest is lost."""
 
@@ -38,13 +46,15 @@ class StampedSamples:
     ----------
     format : StreamFormat
     health : SourceHealth
-        Counts what is lost (samples that never came whole are missing, not lost), repeated, or stamped by a clock that was set.
+        Counts what is lost (samples that never came whole are missing, not lost), repeated, or
+        stamped by a clock that was set.
     patience, quarantine : float
         See the module [s].
     held : mapping of channel to bool or None, or None
-        Of a source that reports changes: whether a channel's last value, or that it has none, holds until its next report. None
-        for a channel: where it reported in less than half of the last samples. Its first report is stated, not stamped: it may
-        say when the value was written, long ago. None: nothing is held.
+        Of a source that reports changes: whether a channel's last value, or that it has none, holds
+        until its next report. None for a channel: where it reported in less than half of the last
+        samples. Its first report is stated, not stamped: it may say when the value was written,
+        long ago. None: nothing is held.
 
     Examples
     --------
@@ -66,7 +76,9 @@ class StampedSamples:
     ) -> None:
         self.format, self._held = format, held
         self._holds: dict[str, float] = {}
-        self._reports: dict[str, deque[bool]] = {name: deque(maxlen=_REPORTS) for name in format.units}
+        self._reports: dict[str, deque[bool]] = {
+            name: deque(maxlen=_REPORTS) for name in format.units
+        }
         self._first: list[tuple[float, str, float]] | None = None if held is None else []
         self._first_until = math.inf
         self._health, self._patience, self._quarantine = health, patience, quarantine
@@ -83,7 +95,9 @@ class StampedSamples:
         self._reopened = False
 
     def reopened(self) -> None:
-        """The connection was lost and is there again: the server's clock may have been set in either direction meanwhile."""
+        """The connection was lost and is there again: the server's clock may have been set in
+        either direction meanwhile.
+        """
         self._reopened = True
         if self._held is not None:
             self._first, self._first_until, self._holds = [], math.inf, {}
@@ -127,7 +141,9 @@ class StampedSamples:
                 self._holds[channel] = value
                 if self._holding(channel):
                     return  # it holds from the next sample on
-            self._health.count("late_values", 1, f"{self.format.name}: a value came after its sample was handed on")
+            self._health.count(
+                "late_values", 1, f"{self.format.name}: a value came after its sample was handed on"
+            )
             return
         if number not in self._open:
             heapq.heappush(self._order, number)
@@ -159,11 +175,15 @@ class StampedSamples:
         if missing:
             self._health.count("lost", missing, f"{self.format.name}: {missing} samples never came")
         self._delivered = ready[-1]
-        channels = {name: np.array([row.get(name, math.nan) for row in rows]) for name in self.format.units}
+        channels = {
+            name: np.array([row.get(name, math.nan) for row in rows]) for name in self.format.units
+        }
         return Block(self.format.name, np.array(ready, np.int64), channels)
 
     def _is_whole(self, number: int) -> bool:
-        """Whether nothing is awaited of a sample: channels that are held are, for as long as a message takes."""
+        """Whether nothing is awaited of a sample: channels that are held are, for as long as a
+        message takes.
+        """
         lacking = [name for name in self.format.units if name not in self._open[number]]
         if not lacking:
             return True
@@ -182,7 +202,11 @@ class StampedSamples:
         """A sample with what holds in it."""
         if self._held is None:
             return row
-        whole = {name: self._holds[name] for name in self.format.units if name in self._holds and self._holding(name)} | row
+        whole = {
+            name: self._holds[name]
+            for name in self.format.units
+            if name in self._holds and self._holding(name)
+        } | row
         self._holds |= row
         for name, reports in self._reports.items():
             reports.append(name in row)

@@ -1,4 +1,6 @@
-"""What a description of a bus or of what is watched is read into: fixed once read, and what it does not know is refused."""
+"""What a description of a bus or of what is watched is read into: fixed once read, and what it does
+not know is refused.
+"""
 
 from pydantic import BaseModel, ConfigDict
 

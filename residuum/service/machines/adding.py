@@ -24,9 +24,15 @@ from residuum.service.broker import is_hidden, with_hidden_password
 from residuum.service.fieldbus.can.can_source import streamed
 from residuum.service.fieldbus.can.frame_layout import read_dbc
 from residuum.service.fieldbus.modbus.register_map import read_register_map
-from residuum.service.fieldbus.modbus.register_server import register_map_of, register_map_text
+from residuum.service.fieldbus.modbus.register_table import register_map_of, register_map_text
 from residuum.service.fieldbus.opcua.node_map import read_node_map
-from residuum.service.fieldbus.settings import MAPS, MachineSettings, SecondOpinion, SourceSettings, WindowSettings
+from residuum.service.fieldbus.settings import (
+    MAPS,
+    MachineSettings,
+    SecondOpinion,
+    SourceSettings,
+    WindowSettings,
+)
 from residuum.service.fieldbus.source import StreamFormat
 from residuum.service.fieldbus.sparkplug.metric_map import read_metric_map
 from residuum.service.settings import Settings
@@ -36,7 +42,13 @@ from residuum.service.store import Conflict, NotFound
 # What a DBC file, a map or a table of registers says of a bus, before any machine is
 # read by it.
 
-OF_SOURCE = {"dbc": "can", "table": "modbus", "registers": "modbus", "nodes": "opcua", "metrics": "sparkplug"}
+OF_SOURCE = {
+    "dbc": "can",
+    "table": "modbus",
+    "registers": "modbus",
+    "nodes": "opcua",
+    "metrics": "sparkplug",
+}
 """Kind of a bus description → kind of the sources that are read by it."""
 _MAPS: Mapping[str, Callable[[Path], Any]] = {
     "registers": read_register_map,
@@ -56,18 +68,32 @@ class BusDescription:
 
     def to_json(self) -> dict[str, Any]:
         """As plain values."""
-        streams = [{"name": s.name, "sample_time": s.sample_time, "channels": dict(s.units)} for s in self.streams]
-        return {"name": self.name, "text": self.text, "streams": streams, "remarks": list(self.remarks)}
+        streams = [
+            {"name": s.name, "sample_time": s.sample_time, "channels": dict(s.units)}
+            for s in self.streams
+        ]
+        return {
+            "name": self.name,
+            "text": self.text,
+            "streams": streams,
+            "remarks": list(self.remarks),
+        }
 
 
-def bus_description(kind: str, name: str, text: str, sample_time: float = 0.1, unit_id: int = 1) -> BusDescription:
-    """Understand a description: `dbc`, `table` (made into a register map), or a map in YAML: `registers`, `nodes`, `metrics`.
+def bus_description(
+    kind: str, name: str, text: str, sample_time: float = 0.1, unit_id: int = 1
+) -> BusDescription:
+    """Understand a description: `dbc`, `table` (made into a register map), or a map in YAML:
+    `registers`, `nodes`, `metrics`.
 
     BadBusDescription when it cannot be read, or carries no stream of samples.
     """
     stem = Path(name).stem or "bus"
     if kind == "table":
-        text, kind = register_map_text(register_map_of(text, sample_time, name, unit_id)), "registers"
+        text, kind = (
+            register_map_text(register_map_of(text, sample_time, name, unit_id)),
+            "registers",
+        )
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / f"{stem}{'.dbc' if kind == 'dbc' else '.yaml'}"
         file.write_text(text, encoding="utf-8")
@@ -79,7 +105,11 @@ def _of_dbc(file: Path) -> tuple[list[StreamFormat], list[str]]:
     messages = read_dbc(file)
     read = streamed(messages)
     remarks = [f"message {layout.name}: {layout.remark}" for layout in read if layout.remark]
-    left_out = [f"message {name} is not read: it {msg.why_no_stream}" for name, msg in messages.items() if msg.why_no_stream]
+    left_out = [
+        f"message {name} is not read: it {msg.why_no_stream}"
+        for name, msg in messages.items()
+        if msg.why_no_stream
+    ]
     return [layout.format for layout in read], [*remarks, *left_out, *messages.unusable.values()]
 
 
@@ -88,7 +118,10 @@ def _of_map(streams: Mapping[str, Any]) -> tuple[list[StreamFormat], list[str]]:
     polled = [f"stream {name} is polled: a read that comes late leaves a hole" for name in slow]
     formats = [each.format(name) for name, each in streams.items()]
     bare = [name for each in formats for name, unit in each.units.items() if not unit]
-    says = f"no unit is said for {', '.join(bare)}: a model takes a signal with a unit only where it is said"
+    says = (
+        f"no unit is said for {', '.join(bare)}: a model takes a signal with a unit only where it"
+        " is said"
+    )
     return formats, [*polled, *([says] if bare else [])]
 
 
@@ -97,8 +130,13 @@ def _of_map(streams: Mapping[str, Any]) -> tuple[list[StreamFormat], list[str]]:
 
 
 def model_signals(model: PhysicalModel) -> dict[str, tuple[str, str, bool]]:
-    """Every input and output of a model: its unit, `input` or `output`, and whether a machine must have it."""
-    inputs = {name: (signal.unit, "input", signal.default is None) for name, signal in model.inputs.items()}
+    """Every input and output of a model: its unit, `input` or `output`, and whether a machine must
+    have it.
+    """
+    inputs = {
+        name: (signal.unit, "input", signal.default is None)
+        for name, signal in model.inputs.items()
+    }
     return inputs | {name: (signal.unit, "output", False) for name, signal in model.outputs.items()}
 
 
@@ -114,8 +152,13 @@ def guessed_channels(model: PhysicalModel, bus: Mapping[str, str]) -> dict[str, 
     channels = {name: lower[name.lower()] for name in wanted if name.lower() in lower}
     open_names = [name for name in wanted if name not in channels]
     for name in open_names:
-        left = _fitting({channel: unit for channel, unit in bus.items() if channel not in channels.values()}, wanted[name])
-        rivals = [rival for rival in open_names if rival not in channels and _fitting(left, wanted[rival])]
+        left = _fitting(
+            {channel: unit for channel, unit in bus.items() if channel not in channels.values()},
+            wanted[name],
+        )
+        rivals = [
+            rival for rival in open_names if rival not in channels and _fitting(left, wanted[rival])
+        ]
         if len(left) == 1 and rivals == [name]:
             channels[name] = next(iter(left))
     return channels
@@ -130,10 +173,11 @@ def _fitting(bus: Mapping[str, str], unit: str) -> dict[str, str]:
 
 
 def named(record: Record, channels: Mapping[str, str]) -> Record:
-    """The record with the names that the diagnoser uses, where `channels` gives them (diagnoser's name → bus's name).
+    """The record with the names that the diagnoser uses, where `channels` gives them (diagnoser's
+    name → bus's name).
 
-    A channel of the bus that is called as another one is to be called gives way to it. A record that has the
-    diagnoser's names already stays as it is.
+    A channel of the bus that is called as another one is to be called gives way to it. A record
+    that has the diagnoser's names already stays as it is.
     """
     renamed = {bus: name for name, bus in channels.items() if bus in record.names and bus != name}
     taken = set(renamed.values())
@@ -161,7 +205,9 @@ def document_name(asset: str) -> str:
     return f"{asset}.{KIND}"
 
 
-def keep_machine(store: DiskStore, machine: MachineSettings, maps: Mapping[str, str], by: str) -> None:
+def keep_machine(
+    store: DiskStore, machine: MachineSettings, maps: Mapping[str, str], by: str
+) -> None:
     """Keep a machine's settings with the texts of the bus descriptions that its sources name."""
     content = orjson.dumps({"machine": machine.model_dump(mode="json"), "maps": dict(maps)})
     store.add_model_version(document_name(machine.asset), KIND, content, "settings", by)
@@ -169,11 +215,15 @@ def keep_machine(store: DiskStore, machine: MachineSettings, maps: Mapping[str, 
 
 def forget_machine(store: DiskStore, asset: str, by: str) -> None:
     """Note that a machine is watched no more."""
-    store.add_model_version(document_name(asset), KIND, orjson.dumps({"machine": None}), "removed", by)
+    store.add_model_version(
+        document_name(asset), KIND, orjson.dumps({"machine": None}), "removed", by
+    )
 
 
 def kept_document(store: DiskStore, name: str) -> Any:
-    """The newest version of a machine's document; None where there is none, also where a model has that name."""
+    """The newest version of a machine's document; None where there is none, also where a model has
+    that name.
+    """
     try:
         newest = store.model_versions(name)[0]
     except NotFound:
@@ -198,30 +248,51 @@ def kept_machines(store: DiskStore, data: Path) -> Sequence[MachineSettings]:
             try:
                 document = orjson.loads(store.model_content(version.model))
                 if document["machine"] is not None:
-                    machines.append(with_map_files(MachineSettings(**document["machine"]), document["maps"], data))
-            except (ValidationError, BadInput, KeyError, TypeError, orjson.JSONDecodeError) as error:
-                log.error("a kept machine cannot be read", document=version.model, reason=str(error))
+                    machines.append(
+                        with_map_files(
+                            MachineSettings(**document["machine"]), document["maps"], data
+                        )
+                    )
+            except (
+                ValidationError,
+                BadInput,
+                KeyError,
+                TypeError,
+                orjson.JSONDecodeError,
+            ) as error:
+                log.error(
+                    "a kept machine cannot be read", document=version.model, reason=str(error)
+                )
         cursor = page.next_cursor
         if cursor is None:
             return machines
 
 
-def with_map_files(machine: MachineSettings, maps: Mapping[str, str], data: Path) -> MachineSettings:
+def with_map_files(
+    machine: MachineSettings, maps: Mapping[str, str], data: Path
+) -> MachineSettings:
     """The settings with the files that hold the bus descriptions in place of their names.
 
-    BadInput for a name that is neither among `maps` nor one that comes with Residuum: other files of this computer are
-    not read for who adds a machine.
+    BadInput for a name that is neither among `maps` nor one that comes with Residuum: other files
+    of this computer are not read for who adds a machine.
     """
-    sources = [{**source.model_dump(), "map": _file(source.map, maps, data)} for source in machine.sources]
+    sources = [
+        {**source.model_dump(), "map": _file(source.map, maps, data)} for source in machine.sources
+    ]
     return MachineSettings(**{**machine.model_dump(), "sources": sources})
 
 
 def _file(name: str, maps: Mapping[str, Any], data: Path) -> str:
     if _PLAIN_NAME.fullmatch(name) is None:
-        raise BadInput(f"map {name[:60]!r}: must be a plain file name of letters, digits, '.', '_' and '-'")
+        raise BadInput(
+            f"map {name[:60]!r}: must be a plain file name of letters, digits, '.', '_' and '-'"
+        )
     if name not in maps:
         if not (MAPS / name).is_file():
-            raise BadInput(f"map {name!r}: is not among the bus descriptions that were sent, and none comes with Residuum")
+            raise BadInput(
+                f"map {name!r}: is not among the bus descriptions that were sent, and none comes"
+                " with Residuum"
+            )
         return name
     text = str(maps[name]).encode()
     folder = data / "maps" / hashlib.sha256(text).hexdigest()[:24]
@@ -234,20 +305,32 @@ def _file(name: str, maps: Mapping[str, Any], data: Path) -> str:
 # comes back.
 
 
-def with_kept_passwords(asked: Sequence[SourceSettings], stored: Sequence[SourceSettings]) -> list[SourceSettings]:
+def with_kept_passwords(
+    asked: Sequence[SourceSettings], stored: Sequence[SourceSettings]
+) -> list[SourceSettings]:
     """The sources that are asked for, with a kept password wherever one is hidden.
 
-    A password goes to no other address, user or kind of source than those it was given for: BadInput when none was.
+    A password goes to no other address, user or kind of source than those it was given for:
+    BadInput when none was.
     """
     return [_with_password(place, source, stored) for place, source in enumerate(asked)]
 
 
-def _with_password(place: int, source: SourceSettings, stored: Sequence[SourceSettings]) -> SourceSettings:
+def _with_password(
+    place: int, source: SourceSettings, stored: Sequence[SourceSettings]
+) -> SourceSettings:
     if not is_hidden(source.channel):
         return source
-    same = {old.channel for old in stored if (old.kind, with_hidden_password(old.channel)) == (source.kind, source.channel)}
+    same = {
+        old.channel
+        for old in stored
+        if (old.kind, with_hidden_password(old.channel)) == (source.kind, source.channel)
+    }
     if len(same) != 1:
-        raise BadInput(f"sources[{place}].channel: its password is hidden, and not one alone is kept for this address; give it")
+        raise BadInput(
+            f"sources[{place}].channel: its password is hidden, and not one alone is kept for this"
+            " address; give it"
+        )
     return source.model_copy(update={"channel": same.pop()})
 
 
@@ -255,12 +338,21 @@ def _with_password(place: int, source: SourceSettings, stored: Sequence[SourceSe
 
 
 def known_dbc(settings: Settings, store: DiskStore, name: str) -> Path:
-    """The DBC file of this name; BadInput names those that are known. No other file of the computer can be asked for."""
+    """The DBC file of this name; BadInput names those that are known. No other file of the computer
+    can be asked for.
+    """
     machines = [*settings.machines, *kept_machines(store, settings.data)]
-    files = [source.map_file for machine in machines for source in machine.sources if source.kind == "can"]
+    files = [
+        source.map_file
+        for machine in machines
+        for source in machine.sources
+        if source.kind == "can"
+    ]
     known = {file.name: file for file in [*sorted(MAPS.glob("*.dbc")), *files]}
     if name not in known:
-        raise BadInput(f"dbc {name[:60]!r}: no machine has a DBC file of this name; {known_names(name, known)}")
+        raise BadInput(
+            f"dbc {name[:60]!r}: no machine has a DBC file of this name; {known_names(name, known)}"
+        )
     return known[name]
 
 
@@ -271,7 +363,9 @@ ModelText = tuple[str, bytes | None]
 
 
 def stored_model(store: DiskStore, name: str, version: int | None = None) -> ModelText:
-    """Name and text of a built-in or stored model; NotFound, or Conflict when it is not a physical one."""
+    """Name and text of a built-in or stored model; NotFound, or Conflict when it is not a physical
+    one.
+    """
     if version is None and name in BUILT_IN:
         return name, None
     actual = store.model_versions(name)[0].kind
@@ -290,7 +384,8 @@ def model_of_settings(store: DiskStore, name: str) -> ModelText:
         return Path(name).stem, Path(name).read_bytes()
     except OSError as error:
         raise BadInput(
-            f"model {name!r}: is neither stored nor built in, and no file that can be read: {error.strerror}"
+            f"model {name!r}: is neither stored nor built in, and no file that can be read:"
+            f" {error.strerror}"
         ) from None
 
 
@@ -306,12 +401,16 @@ class WatchedMachine(BaseModel, extra="forbid"):
     diagnoser: str = Field(max_length=64)
     window: WindowSettings
     sources: list[SourceSettings] = Field(min_length=1, max_length=8)
-    channels: dict[Text, Text] = Field({}, max_length=100, description="Diagnoser's name of a signal → the bus's.")
+    channels: dict[Text, Text] = Field(
+        {}, max_length=100, description="Diagnoser's name of a signal → the bus's."
+    )
     model: Text | None = Field(None, description="model-based: a stored or a built-in model.")
     second: SecondOpinion | None = None
     alarms: AlarmRule | None = None
     maps: dict[Text, Annotated[str, StringConstraints(max_length=2**20)]] = Field(
-        {}, max_length=8, description="Texts of the DBC files and register maps that the sources name."
+        {},
+        max_length=8,
+        description="Texts of the DBC files and register maps that the sources name.",
     )
 
     def settings(self, asset: str) -> MachineSettings:

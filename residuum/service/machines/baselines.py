@@ -40,7 +40,9 @@ from residuum.service.work.worker_pool import RecordParts
 FALSE_ALARM = 1e-3
 """Share of healthy windows whose model error may exceed its limit."""
 _MODELLED = 8
-"""Healthy records, the newest, that both models are simulated beside: a movement at 5 kHz costs seconds a model."""
+"""Healthy records, the newest, that both models are simulated beside: a movement at 5 kHz costs
+seconds a model.
+"""
 _FEWEST_MODELLED = 5
 
 
@@ -53,7 +55,8 @@ def propose(
     models: tuple[ModelText | None, ModelText],
     mapping: Mapping[str, str],
 ) -> Mapping[str, Any]:
-    """Learn a diagnoser's limits anew from healthy records, and hold old and new against each other on healthy windows.
+    """Learn a diagnoser's limits anew from healthy records, and hold old and new against each other
+    on healthy windows.
 
     Parameters
     ----------
@@ -67,10 +70,11 @@ def propose(
     Returns
     -------
     mapping
-        `thresholds`, by name `old`, `new`, `unit`; `alarms`, how many of the checked windows each diagnoser would call faulty;
-        `model_error`, by output the limit that a healthy window's RMS simulation error passes once in a thousand windows
-        (Student's limit of a log-normal RMS), of both models, or `reason` why the windows cannot be simulated; `baseline`, the
-        new diagnoser's file.
+        `thresholds`, by name `old`, `new`, `unit`; `alarms`, how many of the checked windows each
+        diagnoser would call faulty; `model_error`, by output the limit that a healthy window's RMS
+        simulation error passes once in a thousand windows (Student's limit of a log-normal RMS), of
+        both models, or `reason` why the windows cannot be simulated; `baseline`, the new
+        diagnoser's file.
 
     Raises
     ------
@@ -90,7 +94,11 @@ def propose(
         "diagnoser": diagnoser,
         "learned_from": len(learned),
         "thresholds": _thresholds(before, after),
-        "alarms": {"windows": len(windows), "old": _faulty(before) if old else None, "new": _faulty(after)},
+        "alarms": {
+            "windows": len(windows),
+            "old": _faulty(before) if old else None,
+            "new": _faulty(after),
+        },
         "model_error": _model_errors(models, (records + windows)[-_MODELLED:], mapping),
         "baseline": content_of(new),
     }
@@ -111,7 +119,10 @@ def _thresholds(before: Sequence[Finding], after: Sequence[Finding]) -> dict[str
     """The middle of each threshold over the checked windows, old against new."""
     old, new = _middle(before), _middle(after)
     units = {name: unit for finding in (*before, *after) for name, unit in finding.units.items()}
-    return {name: {"old": old.get(name), "new": new.get(name), "unit": units.get(name, "")} for name in {**old, **new}}
+    return {
+        name: {"old": old.get(name), "new": new.get(name), "unit": units.get(name, "")}
+        for name in {**old, **new}
+    }
 
 
 def _middle(findings: Sequence[Finding]) -> dict[str, float]:
@@ -123,7 +134,9 @@ def _middle(findings: Sequence[Finding]) -> dict[str, float]:
 
 
 def _model_errors(
-    models: tuple[ModelText | None, ModelText], windows: Sequence[Record], mapping: Mapping[str, str]
+    models: tuple[ModelText | None, ModelText],
+    windows: Sequence[Record],
+    mapping: Mapping[str, str],
 ) -> dict[str, Any]:
     try:
         old, new = (None if model is None else _limits(model, windows, mapping) for model in models)
@@ -136,10 +149,15 @@ def _model_errors(
     return {"reason": None, "windows": len(windows), "outputs": outputs}
 
 
-def _limits(model: ModelText, windows: Sequence[Record], mapping: Mapping[str, str]) -> dict[str, tuple[float, str]]:
+def _limits(
+    model: ModelText, windows: Sequence[Record], mapping: Mapping[str, str]
+) -> dict[str, tuple[float, str]]:
     """Limit and unit of every measured output's RMS error in a healthy window."""
     if len(windows) < _FEWEST_MODELLED:
-        raise BadInput(f"{len(windows)} healthy windows; at least {_FEWEST_MODELLED} are needed for a limit of the model's error")
+        raise BadInput(
+            f"{len(windows)} healthy windows; at least {_FEWEST_MODELLED} are needed for a limit of"
+            " the model's error"
+        )
     errors = []
     for window in windows:
         matched, experiments = match(model_of(*model), [window], mapping)
@@ -148,14 +166,19 @@ def _limits(model: ModelText, windows: Sequence[Record], mapping: Mapping[str, s
     rms = np.array(errors)
     measured = [k for k in range(len(outputs)) if np.all(np.isfinite(rms[:, k]) & (rms[:, k] > 0))]
     limits = HealthyBand.of(rms[:, measured]).upper(FALSE_ALARM)
-    return {outputs[k].name: (float(limit), outputs[k].unit) for k, limit in zip(measured, limits, strict=True)}
+    return {
+        outputs[k].name: (float(limit), outputs[k].unit)
+        for k, limit in zip(measured, limits, strict=True)
+    }
 
 
 # A stored baseline as a file that worker processes can load.
 
 
 def baseline_file(data: Path, content: bytes) -> str:
-    """The name of the file with this content, below the data folder; written once, however many ask for it at once."""
+    """The name of the file with this content, below the data folder; written once, however many ask
+    for it at once.
+    """
     folder = data / "baselines"
     folder.mkdir(parents=True, exist_ok=True)
     file = folder / f"{hashlib.sha256(content).hexdigest()[:24]}.zip"
@@ -181,13 +204,14 @@ def train_baseline(
 ) -> Mapping[str, Any]:
     """Train a diagnoser on windows of a machine and judge these same windows with it.
 
-    `present` is the baseline that is at work: it is asked first whether these windows may be learned from.
+    `present` is the baseline that is at work: it is asked first whether these windows may be
+    learned from.
 
     Returns
     -------
     mapping
-        `learned` (what training found), `windows`, `alarms` (how many of the windows the new baseline would call faulty),
-        `baseline` (its file).
+        `learned` (what training found), `windows`, `alarms` (how many of the windows the new
+        baseline would call faulty), `baseline` (its file).
 
     Raises
     ------
@@ -225,10 +249,14 @@ def _name(asset: str) -> str:
     return f"{asset}.method"
 
 
-def deciding_method(store: DiskStore, asset: str, diagnoser: str, otherwise: str | None = None) -> str | None:
-    """Which of a diagnoser's methods decides for a machine: the one that somebody chose while the service ran, else `otherwise`.
+def deciding_method(
+    store: DiskStore, asset: str, diagnoser: str, otherwise: str | None = None
+) -> str | None:
+    """Which of a diagnoser's methods decides for a machine: the one that somebody chose while the
+    service ran, else `otherwise`.
 
-    The store is asked only for a diagnoser that has a choice. NotFound for a diagnoser that there is not.
+    The store is asked only for a diagnoser that has a choice. NotFound for a diagnoser that there
+    is not.
     """
     methods = diagnoser_class(diagnoser).methods
     if len(methods) < 2:
@@ -238,7 +266,8 @@ def deciding_method(store: DiskStore, asset: str, diagnoser: str, otherwise: str
 
 
 def chosen_method(store: DiskStore, asset: str) -> str | None:
-    """`source` or `default` as somebody chose for this machine; None: as its baseline was trained, or its settings say.
+    """`source` or `default` as somebody chose for this machine; None: as its baseline was trained,
+    or its settings say.
 
     For a machine whose name is too long for a document nothing can have been chosen.
     """
@@ -263,7 +292,10 @@ def choose_method(store: DiskStore, asset: str, method: str | None, by: str) -> 
         raise BadInput(f"asset {asset!r}: has no diagnoser yet, so no method can decide")
     known = diagnoser_class(diagnoser).methods
     if method is not None and method not in known:
-        raise BadInput(f"diagnoser {diagnoser!r}, method {method!r}: {did_you_mean(method, known)}must be {' or '.join(known)}")
+        raise BadInput(
+            f"diagnoser {diagnoser!r}, method {method!r}: {did_you_mean(method, known)}must be"
+            f" {' or '.join(known)}"
+        )
     document_name(asset)  # refuses a name that is too long
     store.add_model_version(_name(asset), KIND, orjson.dumps({"method": method}), "method", by)
 
@@ -277,7 +309,8 @@ _CHECKED_SHARE = 0.3
 
 
 def healthy_windows(store: DiskStore, asset: str) -> list[Record]:
-    """The newest windows judged healthy whose signals are kept and alike (channels, units, rate), oldest first.
+    """The newest windows judged healthy whose signals are kept and alike (channels, units, rate),
+    oldest first.
 
     Conflict when there are fewer than 8.
     """
@@ -288,13 +321,16 @@ def healthy_windows(store: DiskStore, asset: str) -> list[Record]:
             records.append(record)
     if len(records) < FEWEST_HEALTHY_WINDOWS:
         raise Conflict(
-            f"asset {asset!r}: {len(records)} healthy windows with their signals; at least {FEWEST_HEALTHY_WINDOWS} are needed"
+            f"asset {asset!r}: {len(records)} healthy windows with their signals; at least"
+            f" {FEWEST_HEALTHY_WINDOWS} are needed"
         )
     return records[::-1]
 
 
 def parted(windows: Sequence[Record]) -> tuple[list[Record], list[Record]]:
-    """Earlier windows to learn from, overlapping ones joined, and the last 30 % to check with, none of which was learned from."""
+    """Earlier windows to learn from, overlapping ones joined, and the last 30 % to check with, none
+    of which was learned from.
+    """
     count = len(windows) - max(2, round(_CHECKED_SHARE * len(windows)))
     learned, last = joined(windows[:count]), windows[count - 1]
     apart = [record for record in windows[count:] if not _overlap(last, record)]
@@ -302,7 +338,9 @@ def parted(windows: Sequence[Record]) -> tuple[list[Record], list[Record]]:
 
 
 def joined(windows: Sequence[Record]) -> list[Record]:
-    """Windows of one recorder that overlap, sample for sample, as the one record they were cut from."""
+    """Windows of one recorder that overlap, sample for sample, as the one record they were cut
+    from.
+    """
     records: list[Record] = []
     for window in windows:
         last = records[-1] if records else None
@@ -310,20 +348,28 @@ def joined(windows: Sequence[Record]) -> list[Record]:
         if last is None or not _same(last, window, shared):
             records.append(window)
             continue
-        channels = {name: np.concatenate([last[name], window[name][shared:]]) for name in last.channels}
+        channels = {
+            name: np.concatenate([last[name], window[name][shared:]]) for name in last.channels
+        }
         records[-1] = replace(last, channels=channels)
     return records
 
 
 def _overlap(last: Record, window: Record) -> int:
-    """Samples at the end of `last` that the next window begins with, by the recorder's clock; 0 when it does not go on."""
+    """Samples at the end of `last` that the next window begins with, by the recorder's clock; 0
+    when it does not go on.
+    """
     begin = round((window.t0 - last.t0) / last.sample_time)
     return last.n - begin if 0 <= begin < last.n < begin + window.n else 0
 
 
 def _same(last: Record, window: Record, shared: int) -> bool:
-    """Whether the shared samples are equal: a clock that began anew could make strangers look like neighbours."""
-    return shared > 0 and all(np.array_equal(last[c][-shared:], window[c][:shared], equal_nan=True) for c in last.channels)
+    """Whether the shared samples are equal: a clock that began anew could make strangers look like
+    neighbours.
+    """
+    return shared > 0 and all(
+        np.array_equal(last[c][-shared:], window[c][:shared], equal_nan=True) for c in last.channels
+    )
 
 
 def _alike(first: Record, second: Record) -> bool:
@@ -336,10 +382,14 @@ BASELINE = "baseline"
 
 
 def baseline_name(store: DiskStore, asset: str, wanted: str | None = None) -> str:
-    """The wanted name or the asset's own; with the ending `.baseline` where a model of another kind has that one."""
+    """The wanted name or the asset's own; with the ending `.baseline` where a model of another kind
+    has that one.
+    """
     name = wanted or asset
     try:
-        return name if store.model_versions(name)[0].kind == BASELINE else f"{asset[:54]}.{BASELINE}"
+        return (
+            name if store.model_versions(name)[0].kind == BASELINE else f"{asset[:54]}.{BASELINE}"
+        )
     except NotFound:
         return name
 
@@ -374,7 +424,8 @@ def training_windows(
     channels: Mapping[str, str],
     used: Collection[str],
 ) -> tuple[list[Record], int]:
-    """The windows, oldest first, and how many were passed over for a hole; Conflict when there are too few.
+    """The windows, oldest first, and how many were passed over for a hole; Conflict when there are
+    too few.
 
     Parameters
     ----------

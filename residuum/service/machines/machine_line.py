@@ -21,37 +21,50 @@ from residuum.service.fieldbus import SOURCES
 from residuum.service.fieldbus.settings import MachineSettings
 from residuum.service.fieldbus.source import Block
 from residuum.service.machines.adding import named
-from residuum.service.machines.machine_state import LATE, SOON, LiveValues, MachineState, state_of_judging
+from residuum.service.machines.machine_state import (
+    LATE,
+    SOON,
+    LiveValues,
+    MachineState,
+    state_of_judging,
+)
 from residuum.service.machines.windows import make_cutter
 
 log = structlog.get_logger()
 
 _MOST_BLOCKS = 4096
 _MOST_WINDOWS, _MOST_BYTES = 32, 16 * 2**20
-"""So many windows wait at least, and more as long as their samples take no more than so many bytes: a database that is away for
-ten minutes is waited for."""
+"""So many windows wait at least, and more as long as their samples take no more than so many bytes:
+a database that is away for ten minutes is waited for.
+"""
 _AT_ONCE = 2
 _WAIT = 0.2
 _LAST_WINDOW = 3.0
 
-Handle = Callable[[MachineSettings, Record, str | None, threading.Event], Callable[[], Finding | None]]
-"""Begins with a window: (machine, window, file of the baseline or None to record it only, stopped). The call that it returns
-ends it, in the windows' order, and gives the finding that was stored, if any was."""
+Handle = Callable[
+    [MachineSettings, Record, str | None, threading.Event], Callable[[], Finding | None]
+]
+"""Begins with a window: (machine, window, file of the baseline or None to record it only, stopped).
+The call that it returns ends it, in the windows' order, and gives the finding that was stored, if
+any was.
+"""
 Changed = Callable[[str], None]
 """Told when the state of the machine of this name has changed."""
 
 
 class MachineLine:
-    """One machine: its sources, the cutter of its windows, and the judging of them, each in a thread of its own.
+    """One machine: its sources, the cutter of its windows, and the judging of them, each in a
+    thread of its own.
 
-    No part waits for the one behind it: blocks and windows that find no room are dropped and counted, and a failure of one
-    machine stays with it.
+    No part waits for the one behind it: blocks and windows that find no room are dropped and
+    counted, and a failure of one machine stays with it.
 
     Parameters
     ----------
     settings : MachineSettings
     handle : callable
-        Has a window judged and kept, or sends it to where that is done; the next window is begun while one is being kept.
+        Has a window judged and kept, or sends it to where that is done; the next window is begun
+        while one is being kept.
     changed : callable
 
     Raises
@@ -69,14 +82,20 @@ class MachineLine:
         self._window_came = threading.Event()
         self._stopped = threading.Event()
         self.sources = [
-            SOURCES[source.kind](source, partial(self._take, number)) for number, source in enumerate(settings.sources)
+            SOURCES[source.kind](source, partial(self._take, number))
+            for number, source in enumerate(settings.sources)
         ]
         streams = {stream.name: stream for source in self.sources for stream in source.streams}
-        wanted = list(streams.values()) if settings.window.cut == "round" else list(streams.values())[:1]
+        wanted = (
+            list(streams.values()) if settings.window.cut == "round" else list(streams.values())[:1]
+        )
         _refuse_unknown(settings, {name for stream in wanted for name in stream.units})
         self._cutter = make_cutter(settings.window, wanted, settings.asset)
         self._source_of = {
-            stream.name: number for number, source in enumerate(self.sources) for stream in source.streams if stream in wanted
+            stream.name: number
+            for number, source in enumerate(self.sources)
+            for stream in source.streams
+            if stream in wanted
         }
         self._baseline: str | None = None
         self._recording = False
@@ -113,7 +132,9 @@ class MachineLine:
                 thread.join(_LAST_WINDOW)
 
     def record_windows(self, doing: str) -> None:
-        """Keep windows from now on although nothing can judge them: a baseline is to be trained from them."""
+        """Keep windows from now on although nothing can judge them: a baseline is to be trained
+        from them.
+        """
         self._baseline, self._recording = None, True
         self.set_state("recording", 0.0, doing)
         self._window_came.set()
@@ -126,9 +147,11 @@ class MachineLine:
         self._window_came.set()
 
     def set_state(self, state: str, progress: float, doing: str, way_on: str = "") -> None:
-        """What the interface shows: idle, recording, training, running or failed, how far, and what is being done.
+        """What the interface shows: idle, recording, training, running or failed, how far, and what
+        is being done.
 
-        Of a machine that is `running`, `state` tells besides whether its windows are being judged now.
+        Of a machine that is `running`, `state` tells besides whether its windows are being judged
+        now.
         """
         machine_state = MachineState(state, doing, way_on)
         if (machine_state, round(progress, 2)) != (self._state, round(self._progress, 2)):
@@ -136,14 +159,20 @@ class MachineLine:
             self._changed(self.settings.asset)
 
     def state(self) -> MachineState:
-        """The state of this moment: `running` while windows are being judged, else what the machine waits for."""
+        """The state of this moment: `running` while windows are being judged, else what the machine
+        waits for.
+        """
         silent, late = self._silent(), self._late()
         if self._state.state == "running":
             waiting = len(self._windows) + len(self._begun)
-            judging = state_of_judging(self.settings.window.cut, silent, waiting, judged=self._judged > 0, late=late)
+            judging = state_of_judging(
+                self.settings.window.cut, silent, waiting, judged=self._judged > 0, late=late
+            )
             return self._not_judged or judging
         if self._state.state == "recording" and silent and late:
-            return replace(state_of_judging("sliding", silent, 0, judged=False, late=True), state="recording")
+            return replace(
+                state_of_judging("sliding", silent, 0, judged=False, late=True), state="recording"
+            )
         return self._state
 
     def tell_of_time(self) -> MachineState | None:
@@ -159,7 +188,9 @@ class MachineLine:
         return time.monotonic() - self._waits_since > max(SOON, LATE * self._window_seconds)
 
     def _silent(self) -> list[str]:
-        """The sources that give nothing, each with its last trouble; none unless all of the windows wait for it."""
+        """The sources that give nothing, each with its last trouble; none unless all of the windows
+        wait for it.
+        """
         silences = [(source.name, source.health.silence()) for source in self.sources]
         return [f"{name} {silence}" for name, silence in silences if silence]
 
@@ -195,7 +226,9 @@ class MachineLine:
         }
 
     def _take(self, source: int, block: Block) -> bool:
-        """Queue a block; where two sources describe a stream of one name, the one that is listed last carries it."""
+        """Queue a block; where two sources describe a stream of one name, the one that is listed
+        last carries it.
+        """
         if self._source_of.get(block.stream) != source:
             return True
         self.live.take(block)
@@ -213,7 +246,9 @@ class MachineLine:
                 continue
             try:
                 windows = self._cutter.push(block)
-            except Exception:  # one block must never end the machine's thread; it is counted and logged
+            except (
+                Exception
+            ):  # one block must never end the machine's thread; it is counted and logged
                 self._errors += 1
                 log.exception("cutting windows", machine=self.settings.asset)
                 continue
@@ -230,7 +265,11 @@ class MachineLine:
 
     def _judge(self) -> None:
         while not self._stopped.is_set():
-            if (self._baseline is not None or self._recording) and self._windows and len(self._begun) < _AT_ONCE:
+            if (
+                (self._baseline is not None or self._recording)
+                and self._windows
+                and len(self._begun) < _AT_ONCE
+            ):
                 self._safely(partial(self._begin, self._windows.popleft(), self._baseline))
             elif self._begun:
                 self._safely(self._end_first)
@@ -243,7 +282,9 @@ class MachineLine:
     def _safely(self, step: Callable[[], None]) -> None:
         try:
             step()
-        except Exception as error:  # one window must never end the machine's thread; it is counted and logged
+        except (
+            Exception
+        ) as error:  # one window must never end the machine's thread; it is counted and logged
             self._errors += 1
             if not self._stopped.is_set():  # else its worker was ended with the service
                 log.exception("judging a window", machine=self.settings.asset, reason=str(error))
@@ -292,4 +333,7 @@ def _refuse_unknown(settings: MachineSettings, bus_signals: Collection[str]) -> 
     for name, bus in settings.channels.items():
         if bus not in bus_signals:
             known = known_names(bus, sorted(bus_signals), "it has")
-            raise BadInput(f"machine {settings.asset!r}, channels, {name}: the bus has no signal {bus!r}; {known}")
+            raise BadInput(
+                f"machine {settings.asset!r}, channels, {name}: the bus has no signal {bus!r};"
+                f" {known}"
+            )

@@ -1,4 +1,6 @@
-"""MachineState: whether a machine's windows are being judged now, and if not, what it waits for and what would help."""
+"""MachineState: whether a machine's windows are being judged now, and if not, what it waits for and
+what would help.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,9 @@ class LiveValues:
         Monotonic seconds.
     """
 
-    def __init__(self, channels: Mapping[str, str], clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self, channels: Mapping[str, str], clock: Callable[[], float] = time.monotonic
+    ) -> None:
         self._name_of = {bus: name for name, bus in channels.items()}
         self._clock = clock
         self._lock = threading.Lock()
@@ -52,10 +56,14 @@ class LiveValues:
                 if len(values):
                     self._newest[name] = float(values[-1])
                     if due:
-                        self._history.setdefault(name, deque(maxlen=_POINTS)).append((now, float(values[-1])))
+                        self._history.setdefault(name, deque(maxlen=_POINTS)).append(
+                            (now, float(values[-1]))
+                        )
 
     def now(self) -> dict[str, Any]:
-        """By the bus's name of each signal: `name` (the diagnoser's), `value`, and `history` with ages [s] and values."""
+        """By the bus's name of each signal: `name` (the diagnoser's), `value`, and `history` with
+        ages [s] and values.
+        """
         now = self._clock()
         with self._lock:
             return {
@@ -79,22 +87,32 @@ LATE = 3.0
 SOON = 30.0
 """Seconds within which no machine is late, however short its windows are."""
 
-_NEXT = {"movement": "the machine's next movement", "round": "the next whole round", "sliding": "the next whole window"}
+_NEXT = {
+    "movement": "the machine's next movement",
+    "round": "the next whole round",
+    "sliding": "the next whole window",
+}
 _BUS = "look at the device and its bus; `residuum doctor` tries each"
-_WORKERS = "give the service more `workers`, or see in its log whether the disk takes what it stores"
+_WORKERS = (
+    "give the service more `workers`, or see in its log whether the disk takes what it stores"
+)
 _LOSSES = "see at its sources how many samples are lost: no window reaches across a pause"
 
 
 @dataclass(frozen=True)
 class MachineState:
-    """A state, a sentence on what is being done or waited for, and what a person can do; nothing where nothing is wrong."""
+    """A state, a sentence on what is being done or waited for, and what a person can do; nothing
+    where nothing is wrong.
+    """
 
     state: str
     doing: str
     way_on: str = ""
 
 
-def state_of_judging(cut: str, silent: Sequence[str], waiting: int, *, judged: bool, late: bool) -> MachineState:
+def state_of_judging(
+    cut: str, silent: Sequence[str], waiting: int, *, judged: bool, late: bool
+) -> MachineState:
     """The state of a machine that has a baseline.
 
     Parameters
@@ -113,10 +131,16 @@ def state_of_judging(cut: str, silent: Sequence[str], waiting: int, *, judged: b
     if judged and not late:
         return MachineState("running", "judging windows")
     if silent:
-        return MachineState("waiting", f"waiting for data: {'; '.join(silent)}", _BUS if late else "")
+        return MachineState(
+            "waiting", f"waiting for data: {'; '.join(silent)}", _BUS if late else ""
+        )
     if waiting:
-        return MachineState("waiting", "waiting until windows are judged and stored", _WORKERS if late else "")
-    lacking = late and cut == "sliding"  # a machine that stands still moves nothing and turns no round
+        return MachineState(
+            "waiting", "waiting until windows are judged and stored", _WORKERS if late else ""
+        )
+    lacking = (
+        late and cut == "sliding"
+    )  # a machine that stands still moves nothing and turns no round
     return MachineState("waiting", f"waiting for {_NEXT[cut]}", _LOSSES if lacking else "")
 
 

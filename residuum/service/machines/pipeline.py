@@ -56,7 +56,11 @@ class JudgeAndStore:
         """Machine → file of the baseline of its second opinion, once there is one."""
 
     def __call__(
-        self, machine: MachineSettings, window: Record, baseline: str | None, stopped: threading.Event
+        self,
+        machine: MachineSettings,
+        window: Record,
+        baseline: str | None,
+        stopped: threading.Event,
     ) -> Callable[[], Finding | None]:
         """Begin to judge; the call that is returned stores the window and gives its finding.
 
@@ -66,30 +70,45 @@ class JudgeAndStore:
         judged = self._judged(machine, window, baseline)
 
         def store() -> Finding | None:
-            finding, key = judged(), secrets.token_hex(16)  # tried again under one key: a first try may have been kept
+            finding, key = (
+                judged(),
+                secrets.token_hex(16),
+            )  # tried again under one key: a first try may have been kept
             while True:
                 try:
-                    self._store.add_window(asset=machine.asset, record=window, finding=finding, idempotency_key=key)
+                    self._store.add_window(
+                        asset=machine.asset, record=window, finding=finding, idempotency_key=key
+                    )
                     return finding
                 except StorageUnavailable as error:
-                    log.error("window not stored, trying again", machine=machine.asset, reason=str(error))
+                    log.error(
+                        "window not stored, trying again", machine=machine.asset, reason=str(error)
+                    )
                     if stopped.wait(_STORAGE_RETRY):
                         return None
 
         return store
 
     def _method(self, machine: MachineSettings) -> str | None:
-        """What decides: as chosen for the machine while the service runs, else as its settings say."""
+        """What decides: as chosen for the machine while the service runs, else as its settings
+        say.
+        """
         try:
             return deciding_method(self._store, machine.asset, machine.diagnoser, machine.method)
-        except StorageUnavailable:  # the window is judged all the same, and stored when the store is back
+        except (
+            StorageUnavailable
+        ):  # the window is judged all the same, and stored when the store is back
             return machine.method
 
-    def _judged(self, machine: MachineSettings, window: Record, baseline: str | None) -> Callable[[], Finding]:
+    def _judged(
+        self, machine: MachineSettings, window: Record, baseline: str | None
+    ) -> Callable[[], Finding]:
         if baseline is None:
             return lambda: Finding.recorded(machine.diagnoser)
         plain = PlainRecord.of(window)
-        first = self._pool.begin(score_window, machine.diagnoser, baseline, plain, self._method(machine))
+        first = self._pool.begin(
+            score_window, machine.diagnoser, baseline, plain, self._method(machine)
+        )
         second = self.second_baselines.get(machine.asset)
         if machine.second is None or second is None:
             return first
@@ -99,42 +118,55 @@ class JudgeAndStore:
 
 _LOOK_FOR_BASELINE = 2.0
 _LOOK_AT_STATES = 1.0
-"""Seconds between looks at which machines have come to a stop or gone on, which no event of theirs tells."""
+"""Seconds between looks at which machines have come to a stop or gone on, which no event of theirs
+tells.
+"""
 _TRAIN_AGAIN = "see the log; stop the service and start it again to train once more"
 
 
 class Pipeline:
     """Reads the buses of all machines, has their windows judged, and stores what was found.
 
-    `start` returns at once: connecting, the demo's machines and the training of their diagnosers go on beside.
+    `start` returns at once: connecting, the demo's machines and the training of their diagnosers go
+    on beside.
 
     Parameters
     ----------
     settings : Settings
-        `machines` are watched; with `demo` the simulated machines are started, their diagnosers trained, and watched too.
+        `machines` are watched; with `demo` the simulated machines are started, their diagnosers
+        trained, and watched too.
     store : DiskStore
     events : Events
         Told `pipeline` whenever a machine's state changes.
     executor : WorkerPool
     """
 
-    def __init__(self, settings: Settings, store: DiskStore, events: Events, executor: WorkerPool) -> None:
+    def __init__(
+        self, settings: Settings, store: DiskStore, events: Events, executor: WorkerPool
+    ) -> None:
         self._settings, self._store, self._events, self._pool = settings, store, events, executor
         self._demo = Demo(settings.demo_speed, settings.demo_opcua) if settings.demo else None
         machines = [*settings.machines, *(self._demo.machines if self._demo else [])]
         names = [machine.asset for machine in machines]
         if twice := {name for name in names if names.count(name) > 1}:
-            raise BadInput(f"settings, machines: {', '.join(sorted(twice))}: there are two of this name")
+            raise BadInput(
+                f"settings, machines: {', '.join(sorted(twice))}: there are two of this name"
+            )
         self._of_settings = frozenset(names)
         self._handle = JudgeAndStore(executor, store)
-        self._lines = {machine.asset: MachineLine(machine, self._handle, self._announce) for machine in machines}
+        self._lines = {
+            machine.asset: MachineLine(machine, self._handle, self._announce)
+            for machine in machines
+        }
         self._unreadable: dict[str, dict[str, Any]] = {}
         self._tasks: list[asyncio.Task[None]] = []
         self._watched: dict[str, asyncio.Task[None]] = {}
         self._changing = asyncio.Lock()
 
     async def start(self) -> None:
-        """Begin to read; everything else goes on beside. A demo's machine is read once it is on its buses."""
+        """Begin to read; everything else goes on beside. A demo's machine is read once it is on its
+        buses.
+        """
         await asyncio.to_thread(self._add_kept)
         for line in self._lines.values():
             self._store.ensure_asset(line.settings.asset, diagnoser=line.settings.diagnoser)
@@ -144,34 +176,56 @@ class Pipeline:
         self._tasks.append(asyncio.create_task(self._watch_states()))
         if self._demo:
             await asyncio.to_thread(self._demo.start)
-            self._tasks += [asyncio.create_task(self._read_when_ready(self._demo, machine)) for machine in self._demo.machines]
+            self._tasks += [
+                asyncio.create_task(self._read_when_ready(self._demo, machine))
+                for machine in self._demo.machines
+            ]
             self._tasks.append(asyncio.create_task(self._train_demo(self._demo)))
 
     async def stop(self) -> None:
-        """Stop reading, give what is being judged three seconds to finish, end the demo's machines and all worker processes."""
+        """Stop reading, give what is being judged three seconds to finish, end the demo's machines
+        and all worker processes.
+        """
         for task in (*self._tasks, *self._watched.values()):
             task.cancel()
-        stops = [line.stop for line in self._lines.values()] + ([self._demo.stop] if self._demo else [])
+        stops = [line.stop for line in self._lines.values()] + (
+            [self._demo.stop] if self._demo else []
+        )
         if stops:
-            threads = ThreadPoolExecutor(len(stops))  # of their own: those of the loop may all wait for what is stopped here
-            await asyncio.gather(*(asyncio.get_running_loop().run_in_executor(threads, stop) for stop in stops))
+            threads = ThreadPoolExecutor(
+                len(stops)
+            )  # of their own: those of the loop may all wait for what is stopped here
+            await asyncio.gather(
+                *(asyncio.get_running_loop().run_in_executor(threads, stop) for stop in stops)
+            )
             threads.shutdown(wait=False)
         self._pool.terminate()
 
     def _add_kept(self) -> None:
-        """The machines that were added while the service ran; one that can no longer be read is left out and logged."""
+        """The machines that were added while the service ran; one that can no longer be read is
+        left out and logged.
+        """
         for machine in kept_machines(self._store, self._settings.data):
             if machine.asset in self._lines:
-                log.warning("a machine of the settings stands before one of this name that was added", machine=machine.asset)
+                log.warning(
+                    "a machine of the settings stands before one of this name that was added",
+                    machine=machine.asset,
+                )
                 continue
             try:
                 self._lines[machine.asset] = MachineLine(machine, self._handle, self._announce)
             except BadInput as error:
                 self._unreadable[machine.asset] = unreadable(machine, str(error))
-                log.error("a machine that was added cannot be read", machine=machine.asset, reason=str(error))
+                log.error(
+                    "a machine that was added cannot be read",
+                    machine=machine.asset,
+                    reason=str(error),
+                )
 
     async def _watch_states(self) -> None:
-        """Tell what time alone changed, and log which machines are not judged and why, and which are again."""
+        """Tell what time alone changed, and log which machines are not judged and why, and which
+        are again.
+        """
         troubled: set[str] = set()
         while True:
             for asset, line in list(self._lines.items()):
@@ -179,7 +233,12 @@ class Pipeline:
                     continue
                 if state.way_on:
                     troubled.add(asset)
-                    details = {"machine": asset, "state": state.state, "reason": state.doing, "way_on": state.way_on}
+                    details = {
+                        "machine": asset,
+                        "state": state.state,
+                        "reason": state.doing,
+                        "way_on": state.way_on,
+                    }
                     log.error("a machine is not judged", **details)
                 elif state.state == "running" and asset in troubled:
                     troubled.discard(asset)
@@ -192,12 +251,16 @@ class Pipeline:
         self._watched[asset] = asyncio.create_task(self._find_baseline(line.settings))
 
     async def put_machine(self, machine: MachineSettings) -> None:
-        """Watch a machine from now on, or watch it by other settings; Conflict for one of the settings or the demo."""
+        """Watch a machine from now on, or watch it by other settings; Conflict for one of the
+        settings or the demo.
+        """
         self.refuse_fixed(machine.asset)
         async with self._changing:
             line = await asyncio.to_thread(MachineLine, machine, self._handle, self._announce)
             await self._end(machine.asset)
-            await asyncio.to_thread(self._store.ensure_asset, machine.asset, diagnoser=machine.diagnoser)
+            await asyncio.to_thread(
+                self._store.ensure_asset, machine.asset, diagnoser=machine.diagnoser
+            )
             self._lines[machine.asset] = line
             self._unreadable.pop(machine.asset, None)
             self._watch(machine.asset)
@@ -219,21 +282,33 @@ class Pipeline:
     def refuse_fixed(self, asset: str) -> None:
         """Conflict for a machine that stands in the settings' file or belongs to the demo."""
         if asset in self._of_settings:
-            raise Conflict(f"machine {asset!r}: stands in the settings' file or is the demo's; change it there")
+            raise Conflict(
+                f"machine {asset!r}: stands in the settings' file or is the demo's; change it there"
+            )
 
     def machine(self, asset: str) -> MachineSettings:
         """The settings of a watched machine; NotFound."""
         return self._line(asset).settings
 
     def live(self, asset: str) -> Mapping[str, Any]:
-        """What the signals of a machine read now: unit, value and the last half minute of each; NotFound."""
+        """What the signals of a machine read now: unit, value and the last half minute of each;
+        NotFound.
+        """
         units = self.units(asset)
-        return {name: {"unit": units.get(name, ""), **value} for name, value in self._line(asset).live.now().items()}
+        return {
+            name: {"unit": units.get(name, ""), **value}
+            for name, value in self._line(asset).live.now().items()
+        }
 
     def units(self, asset: str) -> Mapping[str, str]:
         """Name and unit of every signal on a machine's buses; NotFound."""
         sources = self._line(asset).sources
-        return {name: unit for source in sources for stream in source.streams for name, unit in stream.units.items()}
+        return {
+            name: unit
+            for source in sources
+            for stream in source.streams
+            for name, unit in stream.units.items()
+        }
 
     def alarm_rule(self, asset: str) -> AlarmRule:
         """The rule of a machine's alarms: its own, or that of the service."""
@@ -242,34 +317,54 @@ class Pipeline:
 
     def _line(self, asset: str) -> MachineLine:
         if asset not in self._lines:
-            raise NotFound(f"machine {asset!r}: there is none of this name; {known_names(asset, self._lines)}")
+            raise NotFound(
+                f"machine {asset!r}: there is none of this name; {known_names(asset, self._lines)}"
+            )
         return self._lines[asset]
 
     def status(self) -> dict[str, Any]:
         """State of every machine, and rates and loss counters of every source."""
         return {
-            "machines": {name: line.status() for name, line in self._lines.items()} | self._unreadable,
-            "sources": {name: state for line in self._lines.values() for name, state in line.source_status().items()},
+            "machines": (
+                {name: line.status() for name, line in self._lines.items()} | self._unreadable
+            ),
+            "sources": {
+                name: state
+                for line in self._lines.values()
+                for name, state in line.source_status().items()
+            },
         }
 
     def faults(self, machine: str) -> Mapping[str, Any]:
-        """The faults that a simulated machine offers, and the sizes of those that it reports as on."""
+        """The faults that a simulated machine offers, and the sizes of those that it reports as
+        on.
+        """
         source = self._fault_source(machine)
         on = dict(source.fault_sizes)
         described = self._demo.describe_faults(machine) if self._demo else {}
         return {
             "machine": machine,
             "faults": [
-                {"id": fault, **described.get(fault, {}), "on": fault in on, "size": on.get(fault)} for fault in source.fault_ids
+                {"id": fault, **described.get(fault, {}), "on": fault in on, "size": on.get(fault)}
+                for fault in source.fault_ids
             ],
         }
 
     async def switch_fault(self, machine: str, fault: str, size: float | None) -> None:
-        """Send the order over the machine's own bus: `none` clears all; size None takes the default, 0 clears."""
+        """Send the order over the machine's own bus: `none` clears all; size None takes the
+        default, 0 clears.
+        """
         source = self._fault_source(machine)
         if fault != "none" and fault not in source.fault_ids:
-            raise BadInput(f"machine {machine!r}: has no fault {fault!r}; {known_names(fault, ['none', *source.fault_ids])}")
-        orders = [(name, 0.0) for name in source.fault_ids] if fault == "none" else [(fault, -1.0 if size is None else size)]
+            raise BadInput(
+                f"machine {machine!r}: has no fault {fault!r};"
+                f" {known_names(fault, ['none', *source.fault_ids])}"
+            )
+        orders = (
+            [(name, 0.0) for name in source.fault_ids]
+            if fault == "none"
+            else [(fault, -1.0 if size is None else size)]
+        )
         try:
             for name, wanted in orders:
                 await asyncio.to_thread(source.switch_fault, name, wanted)
@@ -279,7 +374,9 @@ class Pipeline:
     def _fault_source(self, machine: str) -> Source:
         sources = [source for source in self._line(machine).sources if source.fault_ids]
         if not sources:
-            raise NotFound(f"machine {machine!r}: is not a simulated one; it has no faults to switch")
+            raise NotFound(
+                f"machine {machine!r}: is not a simulated one; it has no faults to switch"
+            )
         return sources[0]
 
     def _announce(self, asset: str) -> None:
@@ -290,33 +387,55 @@ class Pipeline:
         line, known, second = self._lines[machine.asset], "", ""
         while True:
             try:
-                version = await asyncio.to_thread(newest_baseline, self._store, machine.asset, machine.baseline)
+                version = await asyncio.to_thread(
+                    newest_baseline, self._store, machine.asset, machine.baseline
+                )
                 if version.checksum != known:
-                    content = await asyncio.to_thread(self._store.model_content, version.model, version.number)
-                    line.use_baseline(await asyncio.to_thread(baseline_file, self._settings.data, content))
+                    content = await asyncio.to_thread(
+                        self._store.model_content, version.model, version.number
+                    )
+                    line.use_baseline(
+                        await asyncio.to_thread(baseline_file, self._settings.data, content)
+                    )
                     known = version.checksum
             except NotFound:
                 recorded = await asyncio.to_thread(self._store.recorded_windows, machine.asset)
                 line.record_windows(waits_for_baseline(machine, len(recorded)))
-            except Exception as error:  # the disk may come back: ask again; whatever it is, the machine is not given up
+            # the disk may come back: ask again; whatever it is, the machine is not given up
+            except Exception as error:
                 log.exception("baseline not taken up", machine=machine.asset, reason=str(error))
                 if not known:
-                    line.set_state("failed", 0.0, f"its baseline cannot be taken up: {error}", "see the log; it is tried again")
+                    line.set_state(
+                        "failed",
+                        0.0,
+                        f"its baseline cannot be taken up: {error}",
+                        "see the log; it is tried again",
+                    )
             second = await self._look_for_second(machine, second)
             await asyncio.sleep(_LOOK_FOR_BASELINE)
 
     async def _look_for_second(self, machine: MachineSettings, known: str) -> str:
-        """Take up a new version of the baseline of a machine's second opinion; gives the checksum that is at work."""
+        """Take up a new version of the baseline of a machine's second opinion; gives the checksum
+        that is at work.
+        """
         if machine.second is None:
             return known
         try:
-            name = await asyncio.to_thread(second_name, self._store, machine.asset, machine.second.baseline)
+            name = await asyncio.to_thread(
+                second_name, self._store, machine.asset, machine.second.baseline
+            )
             version = (await asyncio.to_thread(self._store.model_versions, name))[0]
             if version.checksum == known:
                 return known
-            content = await asyncio.to_thread(self._store.model_content, version.model, version.number)
+            content = await asyncio.to_thread(
+                self._store.model_content, version.model, version.number
+            )
             file = await asyncio.to_thread(baseline_file, self._settings.data, content)
-        except (NotFound, OSError, StorageUnavailable):  # there is none yet, or the disk may come back: ask again
+        except (
+            NotFound,
+            OSError,
+            StorageUnavailable,
+        ):  # there is none yet, or the disk may come back: ask again
             return known
         self._handle.second_baselines[machine.asset] = file
         return version.checksum
@@ -340,27 +459,44 @@ class Pipeline:
             self._tasks.append(asyncio.create_task(self._find_baseline(machine)))
         except Exception as error:  # the machine's state tells it, and the others go on
             reason = " ".join(f"training failed: {type(error).__name__}: {error}".split())
-            log.exception("training failed", machine=machine.asset, reason=reason, way_on=_TRAIN_AGAIN)
+            log.exception(
+                "training failed", machine=machine.asset, reason=reason, way_on=_TRAIN_AGAIN
+            )
             line.set_state("failed", 0.0, reason, _TRAIN_AGAIN)
 
-    async def _stored_or_trained(self, demo: Demo, machine: MachineSettings, tell: Callable[[str, float, str], None]) -> bytes:
-        note = await asyncio.to_thread(demo.training_key, machine.asset)  # reads the program's files
+    async def _stored_or_trained(
+        self, demo: Demo, machine: MachineSettings, tell: Callable[[str, float, str], None]
+    ) -> bytes:
+        note = await asyncio.to_thread(
+            demo.training_key, machine.asset
+        )  # reads the program's files
         try:
             versions = await asyncio.to_thread(self._store.model_versions, machine.asset)
-            if any(version.note == note for version in versions):  # what was stored since, somebody accepted
-                return await asyncio.to_thread(self._store.model_content, machine.asset, versions[0].number)
+            if any(
+                version.note == note for version in versions
+            ):  # what was stored since, somebody accepted
+                return await asyncio.to_thread(
+                    self._store.model_content, machine.asset, versions[0].number
+                )
         except NotFound:
             pass
         training = asyncio.create_task(asyncio.to_thread(demo.train, machine.asset))
-        training.add_done_callback(lambda over: over.cancelled() or over.exception())  # also when nobody waits any more
+        training.add_done_callback(
+            lambda over: over.cancelled() or over.exception()
+        )  # also when nobody waits any more
         while not (await asyncio.wait([training], timeout=0.5))[0]:
             tell("training", *demo.progress(machine.asset))
         content = training.result()
-        await asyncio.to_thread(self._store.add_model_version, machine.asset, "baseline", content, note)
+        await asyncio.to_thread(
+            self._store.add_model_version, machine.asset, "baseline", content, note
+        )
         return content
 
 
 def waits_for_baseline(machine: MachineSettings, recorded: int) -> str:
     """How a machine that has no baseline comes to one."""
     windows = "1 window" if recorded == 1 else f"{recorded} windows"
-    return f"waiting for a baseline: {windows} recorded, train with: residuum watch train {machine.asset}"
+    return (
+        f"waiting for a baseline: {windows} recorded, train with: residuum watch train"
+        f" {machine.asset}"
+    )

@@ -1,4 +1,6 @@
-"""A machine's parameters and effects over its windows, from the findings that are kept; the work of a job."""
+"""A machine's parameters and effects over its windows, from the findings that are kept; the work of
+a job.
+"""
 
 from __future__ import annotations
 
@@ -27,12 +29,19 @@ def _name(asset: str) -> str:
 
 
 def limits_of(store: DiskStore, asset: str) -> dict[str, float]:
-    """Name of a parameter → its limit, in the parameter's unit; none for a machine whose name is too long for a document."""
-    return {str(name): float(value) for name, value in (kept_document(store, _name(asset)) or {}).items()}
+    """Name of a parameter → its limit, in the parameter's unit; none for a machine whose name is
+    too long for a document.
+    """
+    return {
+        str(name): float(value)
+        for name, value in (kept_document(store, _name(asset)) or {}).items()
+    }
 
 
 def keep_limits(store: DiskStore, asset: str, limits: Mapping[str, float], by: str) -> None:
-    """Keep the limits in the place of those before; Conflict for a machine whose name is too long for a document."""
+    """Keep the limits in the place of those before; Conflict for a machine whose name is too long
+    for a document.
+    """
     document_name(asset)  # refuses a name that is too long
     store.add_model_version(_name(asset), KIND, orjson.dumps(dict(limits)), "limits", by)
 
@@ -44,7 +53,9 @@ _SHORTEST = 1e-3
 
 
 def told_parameters(store: DiskStore, asset: str) -> list[dict[str, Any]]:
-    """What the newest windows told of every parameter, oldest first: `at` [s since 1970], `parameters`, `conditions`."""
+    """What the newest windows told of every parameter, oldest first: `at` [s since 1970],
+    `parameters`, `conditions`.
+    """
     rows: list[dict[str, Any]] = []
     cursor = None
     while len(rows) < _MOST:
@@ -52,8 +63,18 @@ def told_parameters(store: DiskStore, asset: str) -> list[dict[str, Any]]:
         for stored in page.items:
             evidence = stored.finding.evidence
             if evidence.get("parameters"):
-                header = {"at": stored.at.timestamp(), "window": stored.window, "verdict": stored.finding.verdict.value}
-                rows.append({**header, "parameters": evidence["parameters"], "conditions": evidence.get("conditions", {})})
+                header = {
+                    "at": stored.at.timestamp(),
+                    "window": stored.window,
+                    "verdict": stored.finding.verdict.value,
+                }
+                rows.append(
+                    {
+                        **header,
+                        "parameters": evidence["parameters"],
+                        "conditions": evidence.get("conditions", {}),
+                    }
+                )
         cursor = page.next_cursor
         if cursor is None:
             break
@@ -61,7 +82,10 @@ def told_parameters(store: DiskStore, asset: str) -> list[dict[str, Any]]:
 
 
 def follow(
-    progress: Progress, rows: Sequence[Mapping[str, Any]], limits: Mapping[str, float], moves_with: Sequence[str] | None
+    progress: Progress,
+    rows: Sequence[Mapping[str, Any]],
+    limits: Mapping[str, float],
+    moves_with: Sequence[str] | None,
 ) -> Mapping[str, Any]:
     """Follow every parameter over the windows.
 
@@ -77,8 +101,8 @@ def follow(
     Returns
     -------
     mapping
-        `items`: by parameter its `unit`, `healthy` band, the windows' `time`, `window`, `verdict`, `value` and `std`, the
-        `limit`, and `track`, or None with the `reason`.
+        `items`: by parameter its `unit`, `healthy` band, the windows' `time`, `window`, `verdict`,
+        `value` and `std`, the `limit`, and `track`, or None with the `reason`.
     """
     names = sorted({name for row in rows for name in row["parameters"]})
     items = []
@@ -89,9 +113,16 @@ def follow(
 
 
 def _followed(
-    name: str, all_rows: Sequence[Mapping[str, Any]], limit: float | None, moves_with: Sequence[str] | None
+    name: str,
+    all_rows: Sequence[Mapping[str, Any]],
+    limit: float | None,
+    moves_with: Sequence[str] | None,
 ) -> dict[str, Any]:
-    rows = [entry for entry in all_rows if name in entry["parameters"] and entry["parameters"][name]["value"] is not None]
+    rows = [
+        entry
+        for entry in all_rows
+        if name in entry["parameters"] and entry["parameters"][name]["value"] is not None
+    ]
     newest = rows[-1]["parameters"][name]
     healthy = newest.get("healthy") or {}
     values = [row["parameters"][name]["value"] for row in rows]
@@ -108,13 +139,19 @@ def _followed(
         "std": deviations,
     }
     chosen = _moves_with(rows, moves_with)
-    x = np.array([[row["conditions"].get(c, {}).get("mean", np.nan) for c in chosen] for row in rows]).reshape(len(rows), -1)
+    x = np.array(
+        [[row["conditions"].get(c, {}).get("mean", np.nan) for c in chosen] for row in rows]
+    ).reshape(len(rows), -1)
     t = np.maximum.accumulate(np.array(item["time"])) + _SHORTEST * np.arange(len(rows))
     band = (healthy["low"], healthy["high"]) if healthy else None
     try:
         if len(rows) < FEWEST_WINDOWS_OF_A_TRACK:
-            raise BadInput(f"{len(rows)} windows tell it; at least {FEWEST_WINDOWS_OF_A_TRACK} are needed")
-        trend = track(t, values, deviations, moves_with=x if chosen else None, healthy=band, limit=limit)
+            raise BadInput(
+                f"{len(rows)} windows tell it; at least {FEWEST_WINDOWS_OF_A_TRACK} are needed"
+            )
+        trend = track(
+            t, values, deviations, moves_with=x if chosen else None, healthy=band, limit=limit
+        )
     except BadInput as error:
         return {**item, "moves_with": chosen, "track": None, "reason": str(error)}
     return {**item, "moves_with": chosen, "track": trend.to_json(), "reason": None}
@@ -122,14 +159,20 @@ def _followed(
 
 def _moves_with(rows: Sequence[Mapping[str, Any]], wanted: Sequence[str] | None) -> list[str]:
     """The signals that all windows have the mean of."""
-    known = [name for name in rows[-1]["conditions"] if all(name in row["conditions"] for row in rows)]
+    known = [
+        name for name in rows[-1]["conditions"] if all(name in row["conditions"] for row in rows)
+    ]
     if wanted is not None:
         return [name for name in wanted if name in known]
     return [name for name in known if compatible(rows[-1]["conditions"][name]["unit"], "K")]
 
 
 def missing_terms(
-    progress: Progress, model: ModelText, window: RecordParts, healthy: Sequence[RecordParts], channels: Mapping[str, str]
+    progress: Progress,
+    model: ModelText,
+    window: RecordParts,
+    healthy: Sequence[RecordParts],
+    channels: Mapping[str, str],
 ) -> Mapping[str, Any]:
     """What the balances lack along every axis: in one window now, and in healthy windows.
 

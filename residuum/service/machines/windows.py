@@ -22,8 +22,12 @@ from residuum.service.views.model_view import model_of
 # Stored windows whose signals are still kept.
 
 
-def kept_windows(store: DiskStore, asset: str, windows: Iterable[int]) -> Iterator[tuple[int, Record]]:
-    """Of these windows, in their order, each with its record; one whose signals were let go is passed over."""
+def kept_windows(
+    store: DiskStore, asset: str, windows: Iterable[int]
+) -> Iterator[tuple[int, Record]]:
+    """Of these windows, in their order, each with its record; one whose signals were let go is
+    passed over.
+    """
     for window in windows:
         try:
             record = store.window_record(asset, window)
@@ -36,11 +40,18 @@ def kept_windows(store: DiskStore, asset: str, windows: Iterable[int]) -> Iterat
 
 
 def complete_windows(
-    store: DiskStore, asset: str, windows: Sequence[int], channels: Mapping[str, str], used: Collection[str], most: int
+    store: DiskStore,
+    asset: str,
+    windows: Sequence[int],
+    channels: Mapping[str, str],
+    used: Collection[str],
+    most: int,
 ) -> dict[int, Record]:
-    """The newest of these windows without a hole, at most so many, oldest first; Conflict when each has one.
+    """The newest of these windows without a hole, at most so many, oldest first; Conflict when each
+    has one.
 
-    A machine whose registers are polled loses a sample now and then; one such window must not stop a comparison.
+    A machine whose registers are polled loses a sample now and then; one such window must not stop
+    a comparison.
 
     Parameters
     ----------
@@ -60,7 +71,10 @@ def complete_windows(
     return dict(sorted(complete.items()))
 
 
-REMEDY = "samples of a signal that the model uses are missing: read less often (seconds between two reads), or record longer"
+REMEDY = (
+    "samples of a signal that the model uses are missing: read less often (seconds between two"
+    " reads), or record longer"
+)
 
 
 def holed(record: Record, used: Collection[str]) -> bool:
@@ -133,7 +147,9 @@ class StreamBuffer:
         self.first = first
 
     def forget_before(self, number: int) -> None:
-        """Nothing before this number is needed any more; the room is taken back when it is needed."""
+        """Nothing before this number is needed any more; the room is taken back when it is
+        needed.
+        """
         if number > self.first:
             number = min(number, self.end)
             held = self._values[:, number - self.first : self.end - self.first].copy()
@@ -145,17 +161,27 @@ class StreamBuffer:
         return self._values[self._names.index(name), start - self.first : stop - self.first]
 
     def record(self, start: int, stop: int, source: str, leave_out: tuple[str, ...] = ()) -> Record:
-        """Samples `start` … `stop` − 1 as a record (a copy); numbers outside the buffer are missing."""
+        """Samples `start` … `stop` − 1 as a record (a copy); numbers outside the buffer are
+        missing.
+        """
         inside = slice(max(start, self.first), min(stop, self.end))
         channels = {}
         for name in self._names:
             if name not in leave_out:
                 values = np.full(stop - start, np.nan, np.float32)
                 if inside.stop > inside.start:
-                    values[inside.start - start : inside.stop - start] = self.channel(name, inside.start, inside.stop)
+                    values[inside.start - start : inside.stop - start] = self.channel(
+                        name, inside.start, inside.stop
+                    )
                 channels[name] = values
         units = {name: self.format.units[name] for name in channels}
-        return Record(channels, units, self.format.sample_time, t0=start * self.format.sample_time, source=source)
+        return Record(
+            channels,
+            units,
+            self.format.sample_time,
+            t0=start * self.format.sample_time,
+            source=source,
+        )
 
 
 def filled_forward(values: npt.NDArray[np.floating], before: float) -> Samples:
@@ -167,7 +193,8 @@ def filled_forward(values: npt.NDArray[np.floating], before: float) -> Samples:
 
 # Windows: how streams of samples are cut into the records that a diagnoser judges.
 
-# RoundCutter: rounds of a rotating machine, out of a vibration stream and a machine stream with clocks of their own.
+# RoundCutter: rounds of a rotating machine, out of a vibration stream and a machine stream with
+# clocks of their own.
 
 _QUADRANTS = 4
 _LONGER = 1.4
@@ -184,8 +211,8 @@ _FAR_OFF_ROUNDS = 3
 class EdgeFinder:
     """Pulses of a two-valued channel, found as the samples come.
 
-    `rising` holds the times of rising edges on the stream's clock (half a sample before the first high sample), `pulses` their
-    (first high sample, width in samples).
+    `rising` holds the times of rising edges on the stream's clock (half a sample before the first
+    high sample), `pulses` their (first high sample, width in samples).
     """
 
     def __init__(self, buffer: StreamBuffer, channel: str) -> None:
@@ -207,7 +234,9 @@ class EdgeFinder:
         if end <= begin:
             return
         level = filled_forward(self._buffer.channel(self._channel, begin, end), self._level) > 0.5
-        before = bool(level[0]) if np.isnan(self._level) else self._level > 0.5  # a stream that begins high shows no edge
+        before = (
+            bool(level[0]) if np.isnan(self._level) else self._level > 0.5
+        )  # a stream that begins high shows no edge
         for step in np.flatnonzero(np.diff(np.concatenate([[before], level]))).tolist():
             self._edge(begin + step, bool(level[step]))
         self._level, self._looked_at = float(level[-1]), end
@@ -224,10 +253,11 @@ class EdgeFinder:
 class RoundCutter:
     """One window a round, on the vibration stream's clock, with the machine's signals held on it.
 
-    A round runs from one marking pulse of `indicator` to the next: the pulse longer than the others, or every fourth one when
-    none is longer. The clocks are aligned by the pulses that both streams have in `sync`; which pulse belongs to which is
-    decided once by when samples arrived, and watched from then on. When no marking pulse has come for ten seconds, those ten
-    seconds are a window of their own (whatever is judged of it, it says that the indicator is dead).
+    A round runs from one marking pulse of `indicator` to the next: the pulse longer than the
+    others, or every fourth one when none is longer. The clocks are aligned by the pulses that both
+    streams have in `sync`; which pulse belongs to which is decided once by when samples arrived,
+    and watched from then on. When no marking pulse has come for ten seconds, those ten seconds are
+    a window of their own (whatever is judged of it, it says that the indicator is dead).
 
     Parameters
     ----------
@@ -242,13 +272,28 @@ class RoundCutter:
     """
 
     def __init__(self, streams: Mapping[str, StreamFormat], source: str) -> None:
-        machine = [stream for stream in streams.values() if {"sync", "indicator"} <= set(stream.units)]
-        vibration = [stream for stream in streams.values() if "sync" in stream.units and "indicator" not in stream.units]
+        machine = [
+            stream for stream in streams.values() if {"sync", "indicator"} <= set(stream.units)
+        ]
+        vibration = [
+            stream
+            for stream in streams.values()
+            if "sync" in stream.units and "indicator" not in stream.units
+        ]
         if len(machine) != 1 or len(vibration) != 1:
-            raise BadInput("windows by round: need one stream with sync and indicator and one with sync and without indicator")
-        self._machine, self._vibration = StreamBuffer(machine[0], _KEEP), StreamBuffer(vibration[0], _KEEP)
+            raise BadInput(
+                "windows by round: need one stream with sync and indicator and one with sync and"
+                " without indicator"
+            )
+        self._machine, self._vibration = (
+            StreamBuffer(machine[0], _KEEP),
+            StreamBuffer(vibration[0], _KEEP),
+        )
         self._indicator = EdgeFinder(self._machine, "indicator")
-        self._machine_sync, self._vibration_sync = EdgeFinder(self._machine, "sync"), EdgeFinder(self._vibration, "sync")
+        self._machine_sync, self._vibration_sync = (
+            EdgeFinder(self._machine, "sync"),
+            EdgeFinder(self._vibration, "sync"),
+        )
         self._source = source
         self._begin_anew()
 
@@ -277,7 +322,9 @@ class RoundCutter:
         return windows
 
     def _note_arrival(self) -> None:
-        """Remember how the two clocks read at the same moment, to within the time that samples are under way."""
+        """Remember how the two clocks read at the same moment, to within the time that samples are
+        under way.
+        """
         if self._machine.end == self._machine.first or self._vibration.end == self._vibration.first:
             return
         reference = self._vibration.end * self._vibration.format.sample_time
@@ -292,7 +339,9 @@ class RoundCutter:
         return float(np.median([offset for _, offset in self._rough]))
 
     def _next_mark(self) -> int | None:
-        """The first sample (machine clock) after the open round; opens the first round on the way."""
+        """The first sample (machine clock) after the open round; opens the first round on the
+        way.
+        """
         while True:
             mark = self._mark_after(self._start)
             if self._start is not None or mark is None:
@@ -300,19 +349,25 @@ class RoundCutter:
             self._start = mark
 
     def _mark_after(self, start: int | None) -> int | None:
-        """The first marking pulse after `start`, or what stands for it where none has come for ten seconds."""
+        """The first marking pulse after `start`, or what stands for it where none has come for ten
+        seconds.
+        """
         pulses = list(self._indicator.pulses)
         longer = _longer_pulses(pulses)
         if not longer and start is None and len(pulses) <= _QUADRANTS:
             return None
-        after = [at for at in (longer or [at for at, _ in pulses]) if start is None or at > start]
+        after = [at for at in longer or [at for at, _ in pulses] if start is None or at > start]
         if not longer and start is not None:
             after = after[_QUADRANTS - 1 :]
         return after[0] if after else self._silent_until(start)
 
     def _silent_until(self, start: int | None) -> int | None:
         longest = _LONGEST_ROUND / self._machine.format.sample_time
-        return start + round(longest) if start is not None and self._machine.end - start > longest else None
+        return (
+            start + round(longest)
+            if start is not None and self._machine.end - start > longest
+            else None
+        )
 
     def _arrived(self, stop: int) -> bool:
         """Whether both streams have come far enough beyond the round to be aligned there."""
@@ -333,9 +388,13 @@ class RoundCutter:
         if alignment is None:
             return None
         Ts_machine, Ts = self._machine.format.sample_time, self._vibration.format.sample_time
-        begin, end = (int(np.ceil(alignment.to_reference(at * Ts_machine) / Ts)) for at in (start, stop))
+        begin, end = (
+            int(np.ceil(alignment.to_reference(at * Ts_machine) / Ts)) for at in (start, stop)
+        )
         spare = round(1.0 / Ts_machine)
-        machine = self._machine.record(start - spare, stop + spare, self._source, leave_out=("sync",))
+        machine = self._machine.record(
+            start - spare, stop + spare, self._source, leave_out=("sync",)
+        )
         vibration = self._vibration.record(begin, end, self._source, leave_out=("sync",))
         return on_clock_of(vibration, machine, alignment)
 
@@ -346,7 +405,9 @@ class RoundCutter:
             return None
         since, until = stop - _ALIGN_OVER, stop + 1.0
         machine_pulses = [t for t in self._machine_sync.rising if since <= t <= until]
-        reference = [t for t in self._vibration_sync.rising if since - 1.0 <= t - expected <= until + 1.0]
+        reference = [
+            t for t in self._vibration_sync.rising if since - 1.0 <= t - expected <= until + 1.0
+        ]
         try:
             self._alignment = align_clocks(reference, machine_pulses, expected)
         except BadRecord:
@@ -373,8 +434,8 @@ _LONGEST_MOVEMENT = 60.0
 class Cutter(ABC):
     """Takes blocks as they come and gives each window once it is complete.
 
-    A window never reaches across a break of its stream; a hole inside it stays as missing samples, over which no diagnoser
-    judges.
+    A window never reaches across a break of its stream; a hole inside it stays as missing samples,
+    over which no diagnoser judges.
     """
 
     @abstractmethod
@@ -383,10 +444,11 @@ class Cutter(ABC):
 
 
 class MovementCutter(Cutter):
-    """One window a movement: from the sample where `phase` leaves 0 (or changes) to the one where it changes again.
+    """One window a movement: from the sample where `phase` leaves 0 (or changes) to the one where
+    it changes again.
 
-    A movement that was under way when the stream began is left out. One that lasts over a minute is cut there. Cutting runs
-    50 ms behind, so that late frames can find their place.
+    A movement that was under way when the stream began is left out. One that lasts over a minute is
+    cut there. Cutting runs 50 ms behind, so that late frames can find their place.
     """
 
     def __init__(self, format: StreamFormat, source: str) -> None:
@@ -435,11 +497,15 @@ class MovementCutter(Cutter):
 
 
 class SlidingCutter(Cutter):
-    """Windows of `length` seconds every `step` seconds, beginning at multiples of the step on the stream's clock."""
+    """Windows of `length` seconds every `step` seconds, beginning at multiples of the step on the
+    stream's clock.
+    """
 
     def __init__(self, format: StreamFormat, source: str, length: float, step: float) -> None:
         self._buffer = StreamBuffer(format, keep=length + 2 * step, longest_gap=length)
-        self._length, self._step = (max(1, round(seconds / format.sample_time)) for seconds in (length, step))
+        self._length, self._step = (
+            max(1, round(seconds / format.sample_time)) for seconds in (length, step)
+        )
         self._source = source
         self._next: int | None = None
 
@@ -461,7 +527,9 @@ class _RoundCutter(RoundCutter, Cutter):
 
 CUTTERS: dict[str, Callable[[Mapping[str, StreamFormat], WindowSettings, str], Cutter]] = {
     "movement": lambda streams, _, source: MovementCutter(_only(streams), source),
-    "sliding": lambda streams, window, source: SlidingCutter(_only(streams), source, window.length, window.step),
+    "sliding": lambda streams, window, source: SlidingCutter(
+        _only(streams), source, window.length, window.step
+    ),
     "round": lambda streams, _, source: _RoundCutter(streams, source),
 }
 """Kind of window → how to make its cutter from the machine's streams."""
@@ -474,5 +542,8 @@ def make_cutter(window: WindowSettings, streams: Sequence[StreamFormat], source:
 
 def _only(streams: Mapping[str, StreamFormat]) -> StreamFormat:
     if len(streams) != 1:
-        raise BadInput(f"sliding windows: need a source of one stream, not of several; there are {', '.join(streams) or 'none'}")
+        raise BadInput(
+            "sliding windows: need a source of one stream, not of several; there are"
+            f" {', '.join(streams) or 'none'}"
+        )
     return next(iter(streams.values()))

@@ -1,6 +1,8 @@
-"""What happened at a machine in a month: windows and verdicts by day, faults, alarms, indicators and parameters over time.
+"""What happened at a machine in a month: windows and verdicts by day, faults, alarms, indicators
+and parameters over time.
 
-Findings whose rows were let go are counted from their hours; their indicators then count with the hour's mean and last limit.
+Findings whose rows were let go are counted from their hours; their indicators then count with the
+hour's mean and last limit.
 """
 
 from __future__ import annotations
@@ -21,7 +23,9 @@ _JOURNAL = 10_000
 
 @dataclass
 class Followed:
-    """A number over the month: when, its value, and the limit (for a parameter the healthy band) that held then."""
+    """A number over the month: when, its value, and the limit (for a parameter the healthy band)
+    that held then.
+    """
 
     unit: str
     at: list[datetime] = field(default_factory=list)
@@ -50,7 +54,8 @@ class Fault:
 class MonthReport:
     """The facts of a report.
 
-    `days` has a count of every verdict for each day of the month; `reasons` why windows could not be judged, with their number.
+    `days` has a count of every verdict for each day of the month; `reasons` why windows could not
+    be judged, with their number.
     """
 
     asset: Asset
@@ -70,7 +75,9 @@ class MonthReport:
 
 
 def month_report(store: DiskStore, asset: str, month: str) -> MonthReport:
-    """The report of a month `YYYY-MM` (UTC). NotFound for an asset that is not there, BadInput for what is no month."""
+    """The report of a month `YYYY-MM` (UTC). NotFound for an asset that is not there, BadInput for
+    what is no month.
+    """
     span = month_of(month)
     known = store.asset(asset)
     days: list[Counter[str]] = [Counter() for _ in range((span.end - span.begin).days)]
@@ -91,17 +98,25 @@ def month_report(store: DiskStore, asset: str, month: str) -> MonthReport:
         elif verdict == "not-assessable":
             reasons[stored.finding.reason or "no reason given"] += 1
     alarms = list(_alarms_in(store, asset, span))
-    return MonthReport(known, month, span, days, faults, reasons.most_common(5), alarms, indicators, parameters)
+    return MonthReport(
+        known, month, span, days, faults, reasons.most_common(5), alarms, indicators, parameters
+    )
 
 
-def _add_hour(indicators: dict[str, Followed], hour: datetime, means: Mapping[str, Mapping[str, Any]]) -> None:
+def _add_hour(
+    indicators: dict[str, Followed], hour: datetime, means: Mapping[str, Mapping[str, Any]]
+) -> None:
     for name, entry in means.items():
         followed = indicators.setdefault(name, Followed(""))
         followed.unit = followed.unit or str(entry.get("unit") or "")
-        followed.append(hour + timedelta(minutes=30), entry.get("mean"), None, entry.get("threshold"))
+        followed.append(
+            hour + timedelta(minutes=30), entry.get("mean"), None, entry.get("threshold")
+        )
 
 
-def _add_finding(indicators: dict[str, Followed], parameters: dict[str, Followed], stored: StoredFinding) -> None:
+def _add_finding(
+    indicators: dict[str, Followed], parameters: dict[str, Followed], stored: StoredFinding
+) -> None:
     finding = stored.finding
     for name, value in finding.indicators.items():
         unit = finding.units.get(name, "")
@@ -116,15 +131,28 @@ def _add_finding(indicators: dict[str, Followed], parameters: dict[str, Followed
 
 def _add_fault(faults: dict[str, Fault], stored: StoredFinding) -> None:
     causes = stored.finding.evidence.get("causes") or []
-    name = f"{causes[0]['name']} of {causes[0]['place']}" if causes else stored.finding.fault_class or "faulty"
+    name = (
+        f"{causes[0]['name']} of {causes[0]['place']}"
+        if causes
+        else stored.finding.fault_class or "faulty"
+    )
     says = str(causes[0]["says"]) if causes else stored.finding.reason or ""
     before = faults.get(name)
-    faults[name] = Fault(says, (before.windows if before else 0) + 1, before.first if before else stored.at, stored.at)
+    faults[name] = Fault(
+        says,
+        (before.windows if before else 0) + 1,
+        before.first if before else stored.at,
+        stored.at,
+    )
 
 
-def _alarms_in(store: DiskStore, asset: str, span: Span) -> Iterable[tuple[Alarm, Sequence[AlarmEntry]]]:
+def _alarms_in(
+    store: DiskStore, asset: str, span: Span
+) -> Iterable[tuple[Alarm, Sequence[AlarmEntry]]]:
     """Alarms of the asset to which something happened in the month, with what, oldest first."""
     for alarm in store.alarms(asset, active=False).items:
-        entries = [e for e in store.alarm_journal(alarm.id, _JOURNAL) if span.begin <= e.at < span.end]
+        entries = [
+            e for e in store.alarm_journal(alarm.id, _JOURNAL) if span.begin <= e.at < span.end
+        ]
         if entries:
             yield alarm, entries[::-1]

@@ -1,7 +1,9 @@
-"""Findings and windows of a span of time as Parquet files (extra `parquet`), written some rows at a time.
+"""Findings and windows of a span of time as Parquet files (extra `parquet`), written some rows at a
+time.
 
-`findings.parquet` has a row a finding. `windows.parquet` has a row a window and channel, its samples as a list; `values` is null
-where the retention rule has let the signal go. A missing sample is NaN, as it was measured.
+`findings.parquet` has a row a finding. `windows.parquet` has a row a window and channel, its
+samples as a list; `values` is null where the retention rule has let the signal go. A missing sample
+is NaN, as it was measured.
 """
 
 from __future__ import annotations
@@ -34,7 +36,8 @@ class Span(NamedTuple):
 
 
 def span_of(begin: str, end: str) -> Span:
-    """The span of two ISO 8601 times; a time without a zone is UTC. BadInput for what is none, or ends before it begins.
+    """The span of two ISO 8601 times; a time without a zone is UTC. BadInput for what is none, or
+    ends before it begins.
 
     >>> span_of("2026-11-01", "2026-11-02T12:00+01:00").end.isoformat()
     '2026-11-02T12:00:00+01:00'
@@ -49,7 +52,9 @@ def open_span(begin: str | None, end: str | None) -> tuple[datetime | None, date
     """The span of two ISO 8601 times either of which may be missing; BadInput as `span_of`."""
     if begin is not None and end is not None:
         return span_of(begin, end)
-    return None if begin is None else _moment("from", begin), None if end is None else _moment("to", end)
+    return None if begin is None else _moment("from", begin), (
+        None if end is None else _moment("to", end)
+    )
 
 
 def month_of(text: str) -> Span:
@@ -63,7 +68,10 @@ def month_of(text: str) -> Span:
             raise ValueError
         begin = datetime(int(text[:4]), int(text[5:]), 1, tzinfo=UTC)
         return Span(begin, (begin + timedelta(days=32)).replace(day=1))
-    except (ValueError, OverflowError):  # no such year, or its last month: the calendar ends with it
+    except (
+        ValueError,
+        OverflowError,
+    ):  # no such year, or its last month: the calendar ends with it
         raise BadInput(f"month {text[:40]!r}: must be YYYY-MM, for example 2026-11") from None
 
 
@@ -88,8 +96,13 @@ def _moment(name: str, text: str) -> datetime:
         read = datetime.fromisoformat(text)
         read = read if read.tzinfo else read.replace(tzinfo=UTC)
         read.astimezone(UTC)  # the database keeps UTC
-    except (ValueError, OverflowError):  # no time, or one that lies before or after the calendar in UTC
-        raise BadInput(f"{name} {text[:40]!r}: must be a time like 2026-11-25 or 2026-11-25T08:00+01:00") from None
+    except (
+        ValueError,
+        OverflowError,
+    ):  # no time, or one that lies before or after the calendar in UTC
+        raise BadInput(
+            f"{name} {text[:40]!r}: must be a time like 2026-11-25 or 2026-11-25T08:00+01:00"
+        ) from None
     return read
 
 
@@ -100,7 +113,9 @@ _GROUP_BYTES = 64 * 2**20
 
 
 def write_findings(store: DiskStore, asset: str, span: Span, path: Path) -> int:
-    """Write the findings of an asset; gives their number. NotFound for an asset that is not there."""
+    """Write the findings of an asset; gives their number. NotFound for an asset that is not
+    there.
+    """
     pa = need("pyarrow", "Parquet", "parquet")
     numbers, texts = pa.map_(pa.string(), pa.float64()), pa.map_(pa.string(), pa.string())
     schema = pa.schema(
@@ -124,13 +139,32 @@ def write_findings(store: DiskStore, asset: str, span: Span, path: Path) -> int:
         for stored in findings_in(store, asset, span):
             plain = stored.to_json()
             evidence = orjson.dumps(plain["evidence"], option=orjson.OPT_SERIALIZE_NUMPY).decode()
-            row = {name: plain[name] for name in ("id", "asset", "window", "at", "diagnoser", "verdict", "class", "reason")}
-            yield row | {name: _pairs(plain[name]) for name in ("indicators", "thresholds", "units")} | {"evidence": evidence}, 0
+            row = {
+                name: plain[name]
+                for name in (
+                    "id",
+                    "asset",
+                    "window",
+                    "at",
+                    "diagnoser",
+                    "verdict",
+                    "class",
+                    "reason",
+                )
+            }
+            yield (
+                row
+                | {name: _pairs(plain[name]) for name in ("indicators", "thresholds", "units")}
+                | {"evidence": evidence},
+                0,
+            )
 
     return _write(path, schema, rows())
 
 
-def write_windows(store: DiskStore, asset: str, span: Span, path: Path, most_bytes: int | None = None) -> int:
+def write_windows(
+    store: DiskStore, asset: str, span: Span, path: Path, most_bytes: int | None = None
+) -> int:
     """Write the windows of an asset with their signals; gives the number of rows.
 
     Raises
@@ -161,12 +195,18 @@ def write_windows(store: DiskStore, asset: str, span: Span, path: Path, most_byt
             taken += sum(values.nbytes for values in signals.values())
             if most_bytes is not None and taken > most_bytes:
                 raise BadInput(
-                    f"from, to: the samples take more than {most_bytes / 2**20:.0f} MiB; ask for a shorter span, "
-                    "or use `residuum results parquet`"
+                    f"from, to: the samples take more than {most_bytes / 2**20:.0f} MiB; ask for a"
+                    " shorter span, or use `residuum results parquet`"
                 )
             for channel, unit in window.units.items():
                 values = signals.get(channel)
-                row = {"window": window.id, "asset": asset, "received_at": window.received_at, "channel": channel, "unit": unit}
+                row = {
+                    "window": window.id,
+                    "asset": asset,
+                    "received_at": window.received_at,
+                    "channel": channel,
+                    "unit": unit,
+                }
                 row |= {"t0": window.t0, "sample_time": window.sample_time, "values": values}
                 yield row, 0 if values is None else values.nbytes
 
@@ -183,7 +223,10 @@ def _signals(store: DiskStore, asset: str, window: int) -> dict[str, Any]:
 
 
 def _write(path: Path, schema: Any, rows: Iterable[tuple[dict[str, Any], int]]) -> int:
-    pa, parquet = need("pyarrow", "Parquet", "parquet"), need("pyarrow.parquet", "Parquet", "parquet")
+    pa, parquet = (
+        need("pyarrow", "Parquet", "parquet"),
+        need("pyarrow.parquet", "Parquet", "parquet"),
+    )
     written = held = 0
     waiting: list[dict[str, Any]] = []
     with parquet.ParquetWriter(path, schema, compression="zstd") as writer:

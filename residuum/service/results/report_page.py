@@ -1,4 +1,6 @@
-"""A month's report as one HTML page that opens offline: the page's own style, pictures as SVG, no scripts."""
+"""A month's report as one HTML page that opens offline: the page's own style, pictures as SVG, no
+scripts.
+"""
 
 from __future__ import annotations
 
@@ -20,9 +22,9 @@ from residuum.service.results.month_report import Followed, MonthReport
 
 _STYLES = ("tokens", "base", "parts")
 _OWN = (
-    "main { max-width: 70rem; margin: 0 auto; padding: 1rem; } svg { display: block; margin: .5rem 0; } "
-    "td.number, th.number { text-align: right; } .day { font-variant-numeric: tabular-nums; } "
-    "@media print { section { break-inside: avoid; } }"
+    "main { max-width: 70rem; margin: 0 auto; padding: 1rem; } svg { display: block; margin: .5rem"
+    " 0; } td.number, th.number { text-align: right; } .day { font-variant-numeric: tabular-nums; }"
+    " @media print { section { break-inside: avoid; } }"
 )
 POLICY = "default-src 'none'; style-src 'unsafe-inline'; frame-ancestors 'none'"
 """What a browser may do with the page: nothing but show it."""
@@ -48,18 +50,25 @@ def report_page(report: MonthReport, written_at: datetime | None = None) -> str:
 
 def whole_page(title: str, parts: Sequence[str]) -> str:
     """A page of these parts that opens offline: the pages' own style, no scripts."""
-    css = "\n".join(files("residuum.service.web").joinpath(f"assets/css/{name}.css").read_text("utf-8") for name in _STYLES)
+    css = "\n".join(
+        files("residuum.service.web").joinpath(f"assets/css/{name}.css").read_text("utf-8")
+        for name in _STYLES
+    )
     head = (
         '<meta charset="utf-8"><meta name="viewport" content="width=device-width">'
         f"<title>{escape(title)}</title><style>{css}\n{_OWN}</style>"
     )
-    return f'<!doctype html>\n<html lang="en"><head>{head}</head><body><main>{"".join(parts)}</main></body></html>\n'
+    return (
+        "<!doctype html>\n<html"
+        f' lang="en"><head>{head}</head><body><main>{"".join(parts)}</main></body></html>\n'
+    )
 
 
 def written_by(written_at: datetime | None = None) -> str:
     """Who wrote a page, and when (now)."""
     return (
-        f'<p class="muted small">Residuum {escape(version("residuum"))}, written {_moment(written_at or datetime.now(UTC))}.</p>'
+        f'<p class="muted small">Residuum {escape(version("residuum"))}, written'
+        f" {_moment(written_at or datetime.now(UTC))}.</p>"
     )
 
 
@@ -68,10 +77,13 @@ def _summary(report: MonthReport) -> str:
     total = sum(verdicts.values())
     if not total:
         return "<p>No window was judged in this month.</p>"
-    shares = ", ".join(f"{n} {escape(name)} ({100 * n / total:.1f} %)" for name, n in sorted(verdicts.items()))
+    shares = ", ".join(
+        f"{n} {escape(name)} ({100 * n / total:.1f} %)" for name, n in sorted(verdicts.items())
+    )
     raised = sum(entry.event == "raise" for _, entries in report.alarms for entry in entries)
     return (
-        f"<p>{total} windows were judged by {escape(report.asset.diagnoser or 'nobody')}: {shares}. Alarms raised: {raised}.</p>"
+        f"<p>{total} windows were judged by {escape(report.asset.diagnoser or 'nobody')}: {shares}."
+        f" Alarms raised: {raised}.</p>"
     )
 
 
@@ -85,18 +97,33 @@ def _faults(report: MonthReport) -> str:
 
 def _alarms(report: MonthReport) -> str:
     rows = [
-        (_moment(entry.at), alarm.kind, entry.event, str(entry.state), entry.by or "", entry.comment or "")
+        (
+            _moment(entry.at),
+            alarm.kind,
+            entry.event,
+            str(entry.state),
+            entry.by or "",
+            entry.comment or "",
+        )
         for alarm, entries in report.alarms
         for entry in entries
     ]
-    return _table(("When", "Alarm", "Event", "State then", "By", "Comment"), sorted(rows)) if rows else "<p>None.</p>"
+    return (
+        _table(("When", "Alarm", "Event", "State then", "By", "Comment"), sorted(rows))
+        if rows
+        else "<p>None.</p>"
+    )
 
 
 def _days(report: MonthReport) -> str:
     names = sorted(report.verdicts)
-    days = [(f"{report.month}-{number:02d}", day) for number, day in enumerate(report.days, 1) if day]
+    days = [
+        (f"{report.month}-{number:02d}", day) for number, day in enumerate(report.days, 1) if day
+    ]
     rows = [(date, *(str(day.get(name, 0)) for name in names)) for date, day in days]
-    return _table(("Day", *names), rows, numbers=range(1, len(names) + 1)) if rows else "<p>None.</p>"
+    return (
+        _table(("Day", *names), rows, numbers=range(1, len(names) + 1)) if rows else "<p>None.</p>"
+    )
 
 
 def _reasons(report: MonthReport) -> str:
@@ -105,7 +132,10 @@ def _reasons(report: MonthReport) -> str:
 
 
 def _curves(followed: Mapping[str, Followed], report: MonthReport, limits: str) -> str:
-    panels = [_panel(name, series, report, limits) for name, series in list(followed.items())[:_MOST_CURVES]]
+    panels = [
+        _panel(name, series, report, limits)
+        for name, series in list(followed.items())[:_MOST_CURVES]
+    ]
     if not panels:
         return "<p>None.</p>"
     left_out = list(followed)[_MOST_CURVES:]
@@ -115,12 +145,18 @@ def _curves(followed: Mapping[str, Followed], report: MonthReport, limits: str) 
 
 def _panel(name: str, series: Followed, report: MonthReport, limits: str) -> Panel:
     order = np.argsort(np.array([at.timestamp() for at in series.at]), kind="stable")
-    day = np.array([(at - report.span.begin).total_seconds() / 86400 + 1 for at in series.at])[order]
-    value, low, high = (np.array(numbers)[order] for numbers in (series.value, series.low, series.high))
+    day = np.array([(at - report.span.begin).total_seconds() / 86400 + 1 for at in series.at])[
+        order
+    ]
+    value, low, high = (
+        np.array(numbers)[order] for numbers in (series.value, series.low, series.high)
+    )
     curves = [Curve(name, day, value)]
     edges = [edge for edge in (low, high) if np.isfinite(edge).any()]
     curves += [Curve(limits if edge is edges[-1] else "", day, edge) for edge in edges]
-    return Panel(f"{name} [{series.unit}]" if series.unit else name, "day of the month", series.unit, curves)
+    return Panel(
+        f"{name} [{series.unit}]" if series.unit else name, "day of the month", series.unit, curves
+    )
 
 
 def section(title: str, content: str) -> str:
@@ -133,7 +169,9 @@ def _table(head: Sequence[str], rows: Iterable[Sequence[str]], numbers: Iterable
 
     def cells(row: Sequence[str], tag: str) -> str:
         kinds = [' class="number"' if k in right else "" for k in range(len(row))]
-        return "".join(f"<{tag}{kind}>{escape(text)}</{tag}>" for kind, text in zip(kinds, row, strict=True))
+        return "".join(
+            f"<{tag}{kind}>{escape(text)}</{tag}>" for kind, text in zip(kinds, row, strict=True)
+        )
 
     body = "".join(f"<tr>{cells(row, 'td')}</tr>" for row in rows)
     table = f"<table><thead><tr>{cells(head, 'th')}</tr></thead><tbody>{body}</tbody></table>"
@@ -149,8 +187,13 @@ def _moment(at: datetime) -> str:
 
 
 def analysis_page(title: str, records: Sequence[Record], answers: Sequence[Result]) -> str:
-    """The page's text: each answer with its sentences and picture, then each record as it was read."""
-    parts = [f"<h1>{escape(title)}</h1>", *(section(_question(answer), _answer(answer)) for answer in answers)]
+    """The page's text: each answer with its sentences and picture, then each record as it was
+    read.
+    """
+    parts = [
+        f"<h1>{escape(title)}</h1>",
+        *(section(_question(answer), _answer(answer)) for answer in answers),
+    ]
     parts += [section(record.source or "record", _record(record)) for record in records]
     return whole_page(title, [*parts, written_by()])
 
@@ -159,7 +202,9 @@ def _question(answer: Result) -> str:
     """What an answer answers, as its heading."""
     if isinstance(answer, Explanation):
         return "What the model lacks"
-    return "The model beside the records" if isinstance(answer, Comparison) else type(answer).__name__
+    return (
+        "The model beside the records" if isinstance(answer, Comparison) else type(answer).__name__
+    )
 
 
 def _answer(answer: Result) -> str:

@@ -1,4 +1,6 @@
-"""API keys: who may call, and what. Keys are kept as SHA-256 hashes; a key is 256 random bits, so no salt is needed."""
+"""API keys: who may call, and what. Keys are kept as SHA-256 hashes; a key is 256 random bits, so
+no salt is needed.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,9 @@ LONGEST_NAME = 64
 
 
 class Role(IntEnum):
-    """What a caller may do; each role includes those before it. A monitor reads metrics and health alone."""
+    """What a caller may do; each role includes those before it. A monitor reads metrics and health
+    alone.
+    """
 
     MONITOR = 0
     VIEWER = 1
@@ -45,7 +49,9 @@ class Caller:
     name: str
     role: Role
     sites: frozenset[str] | None = None
-    """Sites whose assets the caller may see and handle: those called SITE or SITE.…; None: all, and all that is no asset's."""
+    """Sites whose assets the caller may see and handle: those called SITE or SITE.…; None: all, and
+    all that is no asset's.
+    """
 
     def may_see(self, asset: str) -> bool:
         """Whether an asset is of the caller's sites.
@@ -75,18 +81,27 @@ class _Key:
 
 
 class ApiKeys:
-    """The keys of a file with a line each: `name role sha256 [site,site…] [until=2027-01-31]`; `#` begins a comment.
+    """The keys of a file with a line each: `name role sha256 [site,site…] [until=2027-01-31]`; `#`
+    begins a comment.
 
-    The file is read again when it changes: a key that is taken out of it is nobody's a second later, and one name may have two
-    while one takes over from the other. A file that cannot be read any more leaves the keys as they were, and is told in the log.
-    Without a file everybody may do everything, unless there are `tokens` to be shown instead.
+    The file is read again when it changes: a key that is taken out of it is nobody's a second
+    later, and one name may have two while one takes over from the other. A file that cannot be read
+    any more leaves the keys as they were, and is told in the log. Without a file everybody may do
+    everything, unless there are `tokens` to be shown instead.
 
-    Raises BadSettings with the line that is malformed, or when the file cannot be read or has no key.
+    Raises BadSettings with the line that is malformed, or when the file cannot be read or has no
+    key.
     """
 
     def __init__(self, path: Path | None, *, tokens: bool = False) -> None:
-        self._path, self._seen, self._looked = path, None if path is None else _version(path), time.monotonic()
-        self._keys: dict[str, _Key] | None = _read(path) if path is not None else {} if tokens else None
+        self._path, self._seen, self._looked = (
+            path,
+            None if path is None else _version(path),
+            time.monotonic(),
+        )
+        self._keys: dict[str, _Key] | None = (
+            _read(path) if path is not None else {} if tokens else None
+        )
         self._lock = threading.Lock()
 
     @property
@@ -95,7 +110,9 @@ class ApiKeys:
         return self._keys is not None
 
     def caller(self, key: str | None) -> Caller | None:
-        """Who has this key; None when nobody does, or it has ended. The lookup is by hash, so its time tells nothing of keys."""
+        """Who has this key; None when nobody does, or it has ended. The lookup is by hash, so its
+        time tells nothing of keys.
+        """
         if self._keys is None:
             return ANYBODY
         known = self._known(key)
@@ -114,7 +131,11 @@ class ApiKeys:
 
     def _read_again(self) -> None:
         """Read the file when it has changed, looking at most once a second."""
-        if self._path is None or time.monotonic() - self._looked < LOOK_EVERY or not self._lock.acquire(blocking=False):
+        if (
+            self._path is None
+            or time.monotonic() - self._looked < LOOK_EVERY
+            or not self._lock.acquire(blocking=False)
+        ):
             return
         try:
             self._looked = time.monotonic()
@@ -124,7 +145,10 @@ class ApiKeys:
             self._keys = _read(self._path)
             log.info("the file of API keys was read again", keys=len(self._keys))
         except BadSettings as error:
-            log.error("the file of API keys has changed and cannot be read; the keys before it count", reason=str(error))
+            log.error(
+                "the file of API keys has changed and cannot be read; the keys before it count",
+                reason=str(error),
+            )
         finally:
             self._lock.release()
 
@@ -153,12 +177,22 @@ def _read(path: Path) -> dict[str, _Key]:
         if not words:
             continue
         words, until = _without_end(words, f"{path}, line {number}")
-        if len(words) not in (3, 4) or words[1].upper() not in Role.__members__ or len(words[2]) != 64:
-            rule = "must be 'name monitor|viewer|operator|engineer|admin sha256', and may name sites: 'hall-1,hall-2'"
+        if (
+            len(words) not in (3, 4)
+            or words[1].upper() not in Role.__members__
+            or len(words[2]) != 64
+        ):
+            rule = (
+                "must be 'name monitor|viewer|operator|engineer|admin sha256', and may name sites:"
+                " 'hall-1,hall-2'"
+            )
             rule += ", and its end: until=2027-01-31"
             raise BadSettings(f"setting api_keys: {path}, line {number}: {rule}")
         if len(words[0]) > LONGEST_NAME:
-            raise BadSettings(f"setting api_keys: {path}, line {number}: a name has at most {LONGEST_NAME} characters")
+            raise BadSettings(
+                f"setting api_keys: {path}, line {number}: a name has at most {LONGEST_NAME}"
+                " characters"
+            )
         caller = Caller(words[0], Role[words[1].upper()], _sites(words, f"{path}, line {number}"))
         callers[words[2].lower()] = _Key(caller, until)
     if not callers:
@@ -174,9 +208,14 @@ def _without_end(words: list[str], where: str) -> tuple[list[str], datetime | No
     try:
         until = datetime.fromisoformat(endings[-1].removeprefix(_UNTIL))
     except ValueError:
-        says = f"{endings[-1][:60]!r}: must be until=2027-01-31, or with a time, until=2027-01-31T18:00+01:00"
+        says = (
+            f"{endings[-1][:60]!r}: must be until=2027-01-31, or with a time,"
+            " until=2027-01-31T18:00+01:00"
+        )
         raise BadSettings(f"setting api_keys: {where}: {says}") from None
-    return [word for word in words if word not in endings], until if until.tzinfo else until.replace(tzinfo=UTC)
+    return [word for word in words if word not in endings], (
+        until if until.tzinfo else until.replace(tzinfo=UTC)
+    )
 
 
 def _sites(words: list[str], where: str) -> frozenset[str] | None:
@@ -209,10 +248,12 @@ _MODE = 0o640
 
 
 def make_first_keys(folder: Path, show: Callable[[str], None]) -> bool:
-    """Make both files in `folder` unless they are there; whether an engineer's key was made, which `show` is told.
+    """Make both files in `folder` unless they are there; whether an engineer's key was made, which
+    `show` is told.
 
-    Files that are there stay as they are; where only Prometheus's key is missing, it alone is made anew. A file appears whole or
-    not at all, and the engineer's key counts only once it has been shown.
+    Files that are there stay as they are; where only Prometheus's key is missing, it alone is made
+    anew. A file appears whole or not at all, and the engineer's key counts only once it has been
+    shown.
 
     Raises
     ------
@@ -231,18 +272,24 @@ def make_first_keys(folder: Path, show: Callable[[str], None]) -> bool:
     scraper, digest = new_key()
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        written = _beside(metrics, scraper), _beside(keys, "\n".join([*lines, f"prometheus monitor {digest}"]) + "\n")
+        written = (
+            _beside(metrics, scraper),
+            _beside(keys, "\n".join([*lines, f"prometheus monitor {digest}"]) + "\n"),
+        )
         if first:
             show(key)
         written[1].replace(keys)
         written[0].replace(metrics)
     except OSError as error:
-        raise BadSettings(f"keys in {folder}: cannot be written: {error.strerror or error}") from None
+        raise BadSettings(
+            f"keys in {folder}: cannot be written: {error.strerror or error}"
+        ) from None
     return first
 
 
 def make_broker_user(folder: Path) -> None:
-    """Make the password of the broker's user, and Mosquitto's file of users with its hash, unless both are there.
+    """Make the password of the broker's user, and Mosquitto's file of users with its hash, unless
+    both are there.
 
     Raises BadSettings where the folder cannot be written.
     """
@@ -257,18 +304,28 @@ def make_broker_user(folder: Path) -> None:
         written[0].replace(password)
         written[1].replace(users)
     except OSError as error:
-        raise BadSettings(f"keys in {folder}: cannot be written: {error.strerror or error}") from None
+        raise BadSettings(
+            f"keys in {folder}: cannot be written: {error.strerror or error}"
+        ) from None
 
 
 def _without(file: Path, name: str) -> list[str]:
-    return [line for line in file.read_text(encoding="utf-8").splitlines() if line.split()[:1] != [name]]
+    return [
+        line for line in file.read_text(encoding="utf-8").splitlines() if line.split()[:1] != [name]
+    ]
 
 
 def _beside(file: Path, content: str) -> Path:
-    """The content in a file beside `file`, for its owner and the owner's group alone, to be put in its place."""
+    """The content in a file beside `file`, for its owner and the owner's group alone, to be put in
+    its place.
+    """
     part = file.with_name(f".{file.name}.part")
     part.unlink(missing_ok=True)
-    with os.fdopen(os.open(part, os.O_CREAT | os.O_EXCL | os.O_WRONLY, _MODE), "w", encoding="utf-8") as opened:
-        os.fchmod(opened.fileno(), _MODE)  # whatever the umask takes away: another container reads it by the group
+    with os.fdopen(
+        os.open(part, os.O_CREAT | os.O_EXCL | os.O_WRONLY, _MODE), "w", encoding="utf-8"
+    ) as opened:
+        os.fchmod(
+            opened.fileno(), _MODE
+        )  # whatever the umask takes away: another container reads it by the group
         opened.write(content)
     return part

@@ -1,4 +1,6 @@
-"""Who asks, and by which name and scheme, where a proxy that ends TLS stands in front of the service."""
+"""Who asks, and by which name and scheme, where a proxy that ends TLS stands in front of the
+service.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,9 @@ class TrustedProxies:
         self._is_one = lru_cache(maxsize=1024)(self._looked_up)
 
     def seen(self, peer: str, scheme: str, forwarded_for: bytes, forwarded_proto: bytes) -> Seen:
-        """Who asks: the last address of `X-Forwarded-For` that is no trusted proxy's; what stands left of it anybody may say."""
+        """Who asks: the last address of `X-Forwarded-For` that is no trusted proxy's; what stands
+        left of it anybody may say.
+        """
         if not self.trusts(peer):
             return Seen(peer, scheme)
         address = peer
@@ -67,7 +71,8 @@ def _is_address(text: str) -> bool:
 
 
 def origin_of(url: str) -> str:
-    """Scheme, name and port of an address as a browser writes an `Origin`: no port where it is the scheme's own.
+    """Scheme, name and port of an address as a browser writes an `Origin`: no port where it is the
+    scheme's own.
 
     >>> origin_of("https://Plant.example:443/")
     'https://plant.example'

@@ -1,4 +1,6 @@
-"""The gate every request passes: id, size of head and body, host, origin, rate, key and role, security headers, log, metrics."""
+"""The gate every request passes: id, size of head and body, host, origin, rate, key and role,
+security headers, log, metrics.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +32,9 @@ from residuum.service.settings import Settings, is_loopback
 # Token buckets: how many requests a client may make, in the long run and at once.
 
 _MOST_CLIENTS = 10_000
-"""Buckets kept; beyond, the client that was silent for longest is forgotten, which fills its bucket."""
+"""Buckets kept; beyond, the client that was silent for longest is forgotten, which fills its
+bucket.
+"""
 
 
 @dataclass
@@ -65,7 +69,9 @@ class RateLimit:
         self._buckets: OrderedDict[str, _Bucket] = OrderedDict()
 
     def wait(self, client: str) -> float:
-        """Seconds until the client's next request would be taken: 0 when this one is, and then it is counted."""
+        """Seconds until the client's next request would be taken: 0 when this one is, and then it
+        is counted.
+        """
         now = self._clock()
         bucket = self._buckets.pop(client, None) or _Bucket(self._burst, now)
         self._buckets[client] = bucket
@@ -119,12 +125,20 @@ class Refusals:
         self._lock = threading.Lock()
         self._counted: Counter[Refusal] = Counter()
 
-    def note(self, address: str, by: str | None, method: str, path: str, status: int, reason: str) -> None:
+    def note(
+        self, address: str, by: str | None, method: str, path: str, status: int, reason: str
+    ) -> None:
         """Log a refusal, and count it for the trail."""
         shown = "".join(char if char.isprintable() else "?" for char in path[:_LONGEST])
         refusal = Refusal(address[:64], by, method[:10], shown, status)
         log.warning(
-            "refused", address=refusal.address, key=by, method=refusal.method, path=refusal.path, status=status, reason=reason
+            "refused",
+            address=refusal.address,
+            key=by,
+            method=refusal.method,
+            path=refusal.path,
+            status=status,
+            reason=reason,
         )
         with self._lock:
             known = refusal in self._counted or len(self._counted) < _MOST
@@ -151,24 +165,34 @@ _SLOWEST = 2.0
 """Seconds for which a wrong key's refusal is held back at most."""
 _BURST = 2.0
 """Seconds of the allowed rate that a client may ask for at once."""
-_HEALTH = frozenset(f"{root}/health/{what}" for root in ("", "/api/v1") for what in ("live", "ready"))
+_HEALTH = frozenset(
+    f"{root}/health/{what}" for root in ("", "/api/v1") for what in ("live", "ready")
+)
 _SAFE = ("GET", "HEAD", "OPTIONS")
 _METRICS = ("/metrics", "/api/v1/metrics")
 _OPERATORS = re.compile(r"/api/v1/alarms/[^/]+/(acknowledge|reset|shelve|unshelve)/?")
-"""Paths of what an operator does with an alarm: the whole path, for an asset may be called `acknowledge`, too."""
-# The hash is that of an empty style element, which Plotly fills rule by rule through the style sheet interface.
+"""Paths of what an operator does with an alarm: the whole path, for an asset may be called
+`acknowledge`, too.
+"""
+# The hash is that of an empty style element, which Plotly fills rule by rule through the style
+# sheet interface.
 _POLICY = (
-    "default-src 'none'; script-src 'self'; style-src 'self' 'sha256-47DEQpj8HBSa+/TImW+5JCeuQeRkm5NMpJWZG3hSuFU='; "
-    "img-src 'self' data: blob:; font-src 'self'; "
-    "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    "default-src 'none'; script-src 'self'; style-src 'self'"
+    " 'sha256-47DEQpj8HBSa+/TImW+5JCeuQeRkm5NMpJWZG3hSuFU='; img-src 'self' data: blob:; font-src"
+    " 'self'; connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
 _EVERY_ANSWER = [
     (b"x-content-type-options", b"nosniff"),
     (b"cross-origin-resource-policy", b"same-origin"),
 ]
 _BY_TLS = [(b"strict-transport-security", b"max-age=31536000")]
-"""A browser that was here by HTTPS comes by nothing else for a year, whatever a link or somebody in between says."""
-_DATA = [*_EVERY_ANSWER, (b"content-security-policy", b"default-src 'none'; frame-ancestors 'none'")]
+"""A browser that was here by HTTPS comes by nothing else for a year, whatever a link or somebody in
+between says.
+"""
+_DATA = [
+    *_EVERY_ANSWER,
+    (b"content-security-policy", b"default-src 'none'; frame-ancestors 'none'"),
+]
 _PAGES = [
     *_EVERY_ANSWER,
     (b"content-security-policy", _POLICY.encode()),
@@ -182,10 +206,11 @@ _PAGES = [
 class Gate:
     """ASGI middleware around the whole app.
 
-    A body over the limit is refused by its declared length, or as soon as what came exceeds the limit; of one that is not far
-    over it the rest is taken and thrown away, for its sender looks for an answer only then. When the service listens on
-    this machine alone, a request must name it as this machine does (a foreign name pointed at 127.0.0.1 is the usual way into a
-    local service), and a page of another origin may not write.
+    A body over the limit is refused by its declared length, or as soon as what came exceeds the
+    limit; of one that is not far over it the rest is taken and thrown away, for its sender looks
+    for an answer only then. When the service listens on this machine alone, a request must name it
+    as this machine does (a foreign name pointed at 127.0.0.1 is the usual way into a local
+    service), and a page of another origin may not write.
     """
 
     def __init__(
@@ -208,8 +233,12 @@ class Gate:
         self.name = None if self.origin is None else urlsplit(self.origin).hostname
         self.refusals = refusals or Refusals()
         rate = settings.requests_per_second
-        self.wrong_keys = None if rate is None else RateLimit(rate / 200.0, max(1.0, rate / 10.0), time.monotonic)
-        self.rate_limit = None if rate is None else RateLimit(rate, max(1.0, _BURST * rate), time.monotonic)
+        self.wrong_keys = (
+            None if rate is None else RateLimit(rate / 200.0, max(1.0, rate / 10.0), time.monotonic)
+        )
+        self.rate_limit = (
+            None if rate is None else RateLimit(rate, max(1.0, _BURST * rate), time.monotonic)
+        )
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Refuse the request, or hand it on."""
@@ -228,11 +257,16 @@ class Gate:
             if message["type"] == "http.response.start":
                 status = message["status"]
                 own = {name.lower() for name, _ in message["headers"]}
-                message["headers"] = [*message["headers"], *(header for header in more if header[0] not in own)]
+                message["headers"] = [
+                    *message["headers"],
+                    *(header for header in more if header[0] not in own),
+                ]
             for part in _in_parts(message):
                 await send(part)
                 if part.get("more_body"):
-                    await asyncio.sleep(0)  # others have their turn, and a connection that was lost is noticed
+                    await asyncio.sleep(
+                        0
+                    )  # others have their turn, and a connection that was lost is noticed
 
         refusal, by = self._refusal(scope, headers), None
         if refusal is None:
@@ -247,7 +281,14 @@ class Gate:
             if key and caller is None and refusal is not None:
                 refusal = await self._slowed_down(scope, refusal)
         if refusal is not None and (code := getattr(refusal, "status_code", 0)) in (401, 403):
-            self.refusals.note(_address(scope), by, scope["method"], scope["path"], code, "key" if code == 401 else "not allowed")
+            self.refusals.note(
+                _address(scope),
+                by,
+                scope["method"],
+                scope["path"],
+                code,
+                "key" if code == 401 else "not allowed",
+            )
         try:
             if refusal is not None:
                 await refusal(scope, receive, send_with_headers)
@@ -259,44 +300,85 @@ class Gate:
             self.measure(scope["method"], route, status, seconds)
             if status >= 500 or self.settings.log_level == "debug":
                 note = log.error if status >= 500 else log.debug
-                note("request", method=scope["method"], path=scope["path"], status=status, seconds=round(seconds, 4))
+                note(
+                    "request",
+                    method=scope["method"],
+                    path=scope["path"],
+                    status=status,
+                    seconds=round(seconds, 4),
+                )
 
     def _refusal(self, scope: Scope, headers: dict[bytes, bytes]) -> Any:
         """The answer to a request that may not pass, None for one that may."""
-        if sum(len(name) + len(value) for name, value in scope["headers"]) + len(scope["path"]) > self.settings.header_limit:
-            return problem(431, f"request head: larger than {self.settings.header_limit} bytes", "too-large")
+        if (
+            sum(len(name) + len(value) for name, value in scope["headers"]) + len(scope["path"])
+            > self.settings.header_limit
+        ):
+            return problem(
+                431, f"request head: larger than {self.settings.header_limit} bytes", "too-large"
+            )
         length = headers.get(b"content-length", b"0")
         if not length.isdigit():
             return problem(400, "Content-Length: is not a number", "bad-request")
         if len(length) > 18 or int(length) > self.settings.body_limit:
-            says = f"body: {length.decode()[:20]} bytes; at most {self.settings.body_limit} are taken"
-            refusal, most = problem(413, says, "too-large", _CLOSE), _DRAINED * self.settings.body_limit
+            says = (
+                f"body: {length.decode()[:20]} bytes; at most {self.settings.body_limit} are taken"
+            )
+            refusal, most = (
+                problem(413, says, "too-large", _CLOSE),
+                _DRAINED * self.settings.body_limit,
+            )
             asks_first = b"expect" in headers
-            return refusal if asks_first or len(length) > 18 or int(length) > most else _after_the_body(refusal, most)
+            return (
+                refusal
+                if asks_first or len(length) > 18 or int(length) > most
+                else _after_the_body(refusal, most)
+            )
         if (wrapped := _wrapped(headers)) is not None:
             return problem(415, wrapped, "unsupported-body", {"Accept-Encoding": "identity"})
         host = headers.get(b"host", b"").decode("latin-1")
         if self.local and not is_loopback(name := _host_name(host)) and name.lower() != self.name:
-            says = f"Host {host[:100]!r}: this service answers to its own machine's names only; a proxy's is set by public_url"
+            says = (
+                f"Host {host[:100]!r}: this service answers to its own machine's names only; a"
+                " proxy's is set by public_url"
+            )
             return problem(421, says, "wrong-host")
         origin = headers.get(b"origin", b"").decode("latin-1")
-        if origin and scope["method"] not in _SAFE and not self._is_own(origin, scope["scheme"], host):
-            return problem(403, f"Origin {origin[:100]!r}: another site's page may not write here", "wrong-origin")
+        if (
+            origin
+            and scope["method"] not in _SAFE
+            and not self._is_own(origin, scope["scheme"], host)
+        ):
+            return problem(
+                403,
+                f"Origin {origin[:100]!r}: another site's page may not write here",
+                "wrong-origin",
+            )
         return None
 
     def _is_own(self, origin: str, scheme: str, host: str) -> bool:
-        """Whether a page of this origin is ours; without a public name the scheme is a proxy's matter, and not compared."""
+        """Whether a page of this origin is ours; without a public name the scheme is a proxy's
+        matter, and not compared.
+        """
         if self.origin is None:
             return urlsplit(origin).netloc == host
         return origin.lower() in (self.origin, f"{scheme}://{host}".lower())
 
     def _look_behind_the_proxy(self, scope: Scope, headers: dict[bytes, bytes]) -> None:
-        """Let the rest of the service see the client of a trusted proxy, and the scheme by which it came."""
+        """Let the rest of the service see the client of a trusted proxy, and the scheme by which it
+        came.
+        """
         peer, port = scope.get("client") or ("unknown", 0)
         client = self.proxies.seen(
-            peer, scope["scheme"], headers.get(b"x-forwarded-for", b""), headers.get(b"x-forwarded-proto", b"")
+            peer,
+            scope["scheme"],
+            headers.get(b"x-forwarded-for", b""),
+            headers.get(b"x-forwarded-proto", b""),
         )
-        scope["client"], scope["scheme"] = (client.address, port if client.address == peer else 0), client.scheme
+        scope["client"], scope["scheme"] = (
+            (client.address, port if client.address == peer else 0),
+            client.scheme,
+        )
 
     async def _owner_of_token(self, tokens: BearerTokens, token: str | None) -> Caller | None:
         """Who has this token of the issuer."""
@@ -305,21 +387,32 @@ class Gate:
         return tokens.known(token) or await asyncio.to_thread(tokens.caller, token)
 
     async def _slowed_down(self, scope: Scope, refusal: Any) -> Any:
-        """The refusal of a key that nobody has; who has shown many such keys of late waits for it, and is refused as too many."""
+        """The refusal of a key that nobody has; who has shown many such keys of late waits for it,
+        and is refused as too many.
+        """
         wait = 0.0 if self.wrong_keys is None else self.wrong_keys.wait(_address(scope))
         if not wait:
             return refusal
         await asyncio.sleep(min(wait, _SLOWEST))
-        self.refusals.note(_address(scope), None, scope["method"], scope["path"], 429, "wrong keys again and again")
-        says = f"API key: too many wrong ones from {_address(scope)}; show the right one, or ask for a new one"
+        self.refusals.note(
+            _address(scope), None, scope["method"], scope["path"], 429, "wrong keys again and again"
+        )
+        says = (
+            f"API key: too many wrong ones from {_address(scope)}; show the right one, or ask for a"
+            " new one"
+        )
         return problem(429, says, "too-many-wrong-keys", retry_after(wait) | _CLOSE)
 
     def _refusal_of_caller(self, scope: Scope, key: str | None, caller: Caller | None) -> Any:
         guarded = scope["path"].startswith("/api/") or scope["path"] in _METRICS
-        return self._too_often(scope, caller) or (self._without_role(scope, key, caller) if guarded else None)
+        return self._too_often(scope, caller) or (
+            self._without_role(scope, key, caller) if guarded else None
+        )
 
     def _too_often(self, scope: Scope, caller: Caller | None) -> Any:
-        """A client is the key it shows, or without a known one its address. Health is always told."""
+        """A client is the key it shows, or without a known one its address. Health is always
+        told.
+        """
         if self.rate_limit is None or scope["path"] in _HEALTH:
             return None
         client = _address(scope) if caller is None or caller is ANYBODY else f"key {caller.name}"
@@ -328,7 +421,10 @@ class Gate:
             return None
         rate = self.settings.requests_per_second
         return problem(
-            429, f"requests: more than {rate:g} a second from {client}", "too-many-requests", retry_after(wait) | _CLOSE
+            429,
+            f"requests: more than {rate:g} a second from {client}",
+            "too-many-requests",
+            retry_after(wait) | _CLOSE,
         )
 
     def _without_role(self, scope: Scope, key: str | None, caller: Caller | None) -> Any:
@@ -337,23 +433,34 @@ class Gate:
             reason = (
                 f"of {ended!r} has ended"
                 if ended
-                else "is not known"
-                if key
-                else "is needed: send it as 'Authorization: Bearer …' or 'X-API-Key: …'"
+                else (
+                    "is not known"
+                    if key
+                    else "is needed: send it as 'Authorization: Bearer …' or 'X-API-Key: …'"
+                )
             )
             return problem(401, f"API key: {reason}", "no-key", {"WWW-Authenticate": "Bearer"})
         needed = _role_for(scope["method"], scope["path"])
         if caller.role < needed:
             has, needs = caller.role.name.lower(), needed.name.lower()
-            return problem(403, f"API key of {caller.name!r}: role {has} may not do this; it needs the role {needs}", "role")
+            return problem(
+                403,
+                f"API key of {caller.name!r}: role {has} may not do this; it needs the role"
+                f" {needs}",
+                "role",
+            )
         if caller.sites is not None and not _of_sites(scope, caller):
             sites = ", ".join(sorted(caller.sites))
-            return problem(403, f"API key of {caller.name!r}: is limited to machines of {sites}", "site")
+            return problem(
+                403, f"API key of {caller.name!r}: is limited to machines of {sites}", "site"
+            )
         scope.setdefault("state", {})["caller"] = caller
         return None
 
     def _limited(self, receive: Receive, headers: dict[bytes, bytes]) -> Receive:
-        """`receive` that ends the request when more comes than may (a declared length has been checked already)."""
+        """`receive` that ends the request when more comes than may (a declared length has been
+        checked already).
+        """
         if b"transfer-encoding" not in headers:
             return receive
         taken = 0
@@ -365,7 +472,11 @@ class Gate:
             if taken > self.settings.body_limit:
                 if message.get("more_body"):
                     await _throw_away(receive, _DRAINED * self.settings.body_limit - taken)
-                raise HTTPException(413, f"body: more than {self.settings.body_limit} bytes came; no more are taken", _CLOSE)
+                raise HTTPException(
+                    413,
+                    f"body: more than {self.settings.body_limit} bytes came; no more are taken",
+                    _CLOSE,
+                )
             return message
 
         return limited
@@ -376,7 +487,9 @@ def _nothing() -> None:
 
 
 def _in_parts(message: Message) -> Iterator[Message]:
-    """A long body in parts, of which the next is made when the client has taken the one before: else it waits in memory whole."""
+    """A long body in parts, of which the next is made when the client has taken the one before:
+    else it waits in memory whole.
+    """
     body = memoryview(message.get("body", b""))  # what is left of bytes would be copied each time
     while len(body) > _PART:
         yield {"type": message["type"], "body": bytes(body[:_PART]), "more_body": True}
@@ -387,8 +500,9 @@ def _in_parts(message: Message) -> Iterator[Message]:
 def _after_the_body(refusal: Response, most: int) -> ASGIApp:
     """A refusal that is sent when all of the body has come, and was thrown away.
 
-    Most clients send everything before they look for an answer; a connection that is closed in the middle resets theirs, and the
-    answer is lost. One that asks first (`Expect: 100-continue`), or announces far too much, is answered at once.
+    Most clients send everything before they look for an answer; a connection that is closed in the
+    middle resets theirs, and the answer is lost. One that asks first (`Expect: 100-continue`), or
+    announces far too much, is answered at once.
     """
 
     async def answer(scope: Scope, receive: Receive, send: Send) -> None:
@@ -409,14 +523,22 @@ async def _throw_away(receive: Receive, most: int) -> None:
 
 
 def _wrapped(headers: dict[bytes, bytes]) -> str | None:
-    """Why a body that is compressed or part of a message cannot be read; None for one that is sent as it is."""
+    """Why a body that is compressed or part of a message cannot be read; None for one that is sent
+    as it is.
+    """
     encoding = headers.get(b"content-encoding", b"").decode("latin-1").strip()
     if encoding.lower() not in ("", "identity"):
-        return f"Content-Encoding {encoding[:60]!r}: bodies are read as they are; send it uncompressed, without this header"
+        return (
+            f"Content-Encoding {encoding[:60]!r}: bodies are read as they are; send it"
+            " uncompressed, without this header"
+        )
     kind = headers.get(b"content-type", b"").decode("latin-1").strip().lower()
     if kind.startswith("multipart/"):
         shown = kind.split(";")[0][:60]
-        return f"Content-Type {shown!r}: send the file's bytes themselves as the body (curl --data-binary @FILE), not as a form"
+        return (
+            f"Content-Type {shown!r}: send the file's bytes themselves as the body (curl"
+            " --data-binary @FILE), not as a form"
+        )
     return None
 
 
@@ -427,7 +549,11 @@ def _address(scope: Scope) -> str:
 
 def _host_name(host: str) -> str:
     """The name in a Host header, without port and brackets."""
-    return host[1:].split("]", maxsplit=1)[0] if host.startswith("[") else host.split(":", maxsplit=1)[0]
+    return (
+        host[1:].split("]", maxsplit=1)[0]
+        if host.startswith("[")
+        else host.split(":", maxsplit=1)[0]
+    )
 
 
 def _bearer(headers: dict[bytes, bytes]) -> str | None:
@@ -436,19 +562,36 @@ def _bearer(headers: dict[bytes, bytes]) -> str | None:
 
 
 def _role_for(method: str, path: str) -> Role:
-    """Metrics and health ask for a monitor, reading for a viewer, handling an alarm for an operator, all else for an engineer."""
+    """Metrics and health ask for a monitor, reading for a viewer, handling an alarm for an
+    operator, all else for an engineer.
+    """
     if method in _SAFE:
         return Role.MONITOR if path in _METRICS or path in _HEALTH else Role.VIEWER
     return Role.OPERATOR if method == "POST" and _OPERATORS.fullmatch(path) else Role.ENGINEER
 
 
-_FOR_EVERY_SITE = ("score", "diagnosers", "effects", "alarms", "health", "events", "status", "sources")
-"""First words of the paths that a caller of some sites may use; what they list is cut down to the sites by the routes."""
+_FOR_EVERY_SITE = (
+    "score",
+    "diagnosers",
+    "effects",
+    "alarms",
+    "health",
+    "events",
+    "status",
+    "sources",
+)
+"""First words of the paths that a caller of some sites may use; what they list is cut down to the
+sites by the routes.
+"""
 
 
 def _of_sites(scope: Scope, caller: Caller) -> bool:
-    """Whether a path is one that a caller of some sites may use: its own assets, their alarms, and what is nobody's."""
-    words = scope["path"].split("/")[3:]  # after "", "api", "v1"; nothing is left of /metrics, which tells of the whole plant
+    """Whether a path is one that a caller of some sites may use: its own assets, their alarms, and
+    what is nobody's.
+    """
+    words = scope["path"].split("/")[
+        3:
+    ]  # after "", "api", "v1"; nothing is left of /metrics, which tells of the whole plant
     query = parse_qs(scope["query_string"].decode("latin-1"))
     if not all(caller.may_see(name) for name in query.get("baseline", [])):
         return False

@@ -1,4 +1,6 @@
-"""HTTP connections within bounds: none holds a place without moving on, and strangers take none from who has shown a key."""
+"""HTTP connections within bounds: none holds a place without moving on, and strangers take none
+from who has shown a key.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,9 @@ from residuum.service.security.forwarded import TrustedProxies
 from residuum.service.settings import Settings
 
 MOVES_WITHIN = 10.0
-"""Seconds in which a connection must move on: ask to the end of a head, or send or take `LEAST_RATE` of a body."""
+"""Seconds in which a connection must move on: ask to the end of a head, or send or take
+`LEAST_RATE` of a body.
+"""
 LEAST_RATE = 1024.0
 """Bytes a second of a body that is waited for, and of an answer that waits to be taken."""
 HANDSHAKE_WITHIN = 5.0
@@ -32,13 +36,16 @@ MOST_STRANGERS = 1000
 _MOST_ACQUAINTED = 10_000
 """Addresses from which a key has been shown that are remembered."""
 _UNSENT = 2**16
-"""Bytes of an answer that wait in a connection, beside those that TLS and the system keep, before no more is made."""
+"""Bytes of an answer that wait in a connection, beside those that TLS and the system keep, before
+no more is made.
+"""
 KNOWN = "residuum.known"
 """What the scope of a request holds under this name is called when its caller has shown a key."""
 
 
 def most_connections() -> int:
-    """Half of the files that this process may open: the others are for the database, blocks and workers.
+    """Half of the files that this process may open: the others are for the database, blocks and
+    workers.
 
     >>> 0 < most_connections() <= resource.getrlimit(resource.RLIMIT_NOFILE)[0]
     True
@@ -47,18 +54,21 @@ def most_connections() -> int:
 
 
 class Places:
-    """Who holds a connection: so many in all, of which strangers leave half to those who have shown a key.
+    """Who holds a connection: so many in all, of which strangers leave half to those who have shown
+    a key.
 
-    A stranger for whom no place is left takes that of the stranger who has been there for longest: of its own address, where
-    that has as many as it may, else of an address from which no key has been shown. So sources and pages, which are strangers
-    until their first request is read, have the time for it.
+    A stranger for whom no place is left takes that of the stranger who has been there for longest:
+    of its own address, where that has as many as it may, else of an address from which no key has
+    been shown. So sources and pages, which are strangers until their first request is read, have
+    the time for it.
 
     Parameters
     ----------
     most : int
         Connections.
     per_address : int
-        Connections of strangers of one address (one network of 64 bits by IPv6); a trusted proxy has as many as all.
+        Connections of strangers of one address (one network of 64 bits by IPv6); a trusted proxy
+        has as many as all.
     proxies : TrustedProxies
         Whose address stands for many.
     """
@@ -82,7 +92,14 @@ class Places:
             next(iter(neighbours)).give_up()
         elif len(self._strangers) > self._strangers_most or self._count > self._most:
             oldest = next(iter(self._strangers))
-            next((stranger for stranger, of in self._strangers.items() if of not in self._acquainted), oldest).give_up()
+            next(
+                (
+                    stranger
+                    for stranger, of in self._strangers.items()
+                    if of not in self._acquainted
+                ),
+                oldest,
+            ).give_up()
 
     def know(self, connection: BoundedConnection) -> None:
         """It has shown a key, and is no stranger any more."""
@@ -107,7 +124,8 @@ class Places:
 
 
 def bounded_connections(settings: Settings) -> Callable[..., BoundedConnection]:
-    """What makes the connections of a service, for uvicorn's `http`; by TLS where there is a certificate.
+    """What makes the connections of a service, for uvicorn's `http`; by TLS where there is a
+    certificate.
 
     Raises OSError (ssl.SSLError) for files that are no certificate with its key.
     """
@@ -116,14 +134,19 @@ def bounded_connections(settings: Settings) -> Callable[..., BoundedConnection]:
         tls = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
         tls.load_cert_chain(settings.tls_certificate, settings.tls_key)
     proxies = TrustedProxies(settings.trusted_proxies)
-    return partial(BoundedConnection, Places(most_connections(), settings.connections_per_address, proxies), tls)
+    return partial(
+        BoundedConnection,
+        Places(most_connections(), settings.connections_per_address, proxies),
+        tls,
+    )
 
 
 class BoundedConnection(H11Protocol):
     """A connection that is closed when it does not move on, or when its place is another's.
 
-    Without this a client that sends heads a byte at a time, stops in a handshake or never takes its answer has a place for ever,
-    and some hundreds of them have all. A handshake is ours, not uvicorn's, for it takes a place, too.
+    Without this a client that sends heads a byte at a time, stops in a handshake or never takes its
+    answer has a place for ever, and some hundreds of them have all. A handshake is ours, not
+    uvicorn's, for it takes a place, too.
     """
 
     def __init__(self, places: Places, tls: ssl.SSLContext | None, /, **uvicorns: Any) -> None:
@@ -172,7 +195,10 @@ class BoundedConnection(H11Protocol):
                 ssl_handshake_timeout=HANDSHAKE_WITHIN,
                 ssl_shutdown_timeout=HANDSHAKE_WITHIN,
             )
-        except (OSError, asyncio.CancelledError):  # no client of TLS, or one that went or was sent away
+        except (
+            OSError,
+            asyncio.CancelledError,
+        ):  # no client of TLS, or one that went or was sent away
             transport.abort()
             self._leave()
             return
@@ -217,8 +243,12 @@ class BoundedConnection(H11Protocol):
     def give_up(self) -> None:
         """Close it at once; its place is free."""
         self._leave()
-        if self.transport is not None and self._unsent():  # else the system keeps it, and a name for it, for minutes
-            self._raw.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        if (
+            self.transport is not None and self._unsent()
+        ):  # else the system keeps it, and a name for it, for minutes
+            self._raw.get_extra_info("socket").setsockopt(
+                socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0)
+            )
         self._raw.abort()
 
     def _leave(self) -> None:
@@ -247,7 +277,9 @@ class BoundedConnection(H11Protocol):
             self._watch()
 
     def _holds_up(self) -> bool:
-        """Whether the client alone keeps this connection from moving on; what the service does may take its time."""
+        """Whether the client alone keeps this connection from moving on; what the service does may
+        take its time.
+        """
         least = LEAST_RATE * MOVES_WITHIN
         received, unsent_before, wanted_body = self._seen
         unsent = self._unsent()
@@ -259,11 +291,15 @@ class BoundedConnection(H11Protocol):
         return wanted_body and self._wants_body and self._received - received < least
 
     def _unsent(self) -> int:
-        """Bytes of answers that the client's system has not confirmed: in the transports, and in our system's queue."""
+        """Bytes of answers that the client's system has not confirmed: in the transports, and in
+        our system's queue.
+        """
         connected: socket.socket | None = self._raw.get_extra_info("socket")
         if connected is None or connected.fileno() < 0:
             return 0
-        queued: int = struct.unpack("i", fcntl.ioctl(connected.fileno(), termios.TIOCOUTQ, bytes(4)))[0]
+        queued: int = struct.unpack(
+            "i", fcntl.ioctl(connected.fileno(), termios.TIOCOUTQ, bytes(4))
+        )[0]
         return queued + sum(link.get_write_buffer_size() for link in {self._raw, self.transport})
 
 

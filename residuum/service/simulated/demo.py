@@ -1,4 +1,6 @@
-"""Demo: the three simulated machines as processes on real buses of this computer, and the training of their diagnosers."""
+"""Demo: the three simulated machines as processes on real buses of this computer, and the training
+of their diagnosers.
+"""
 
 from __future__ import annotations
 
@@ -25,10 +27,16 @@ from residuum.code_digest import code_digest
 from residuum.diagnosis.diagnosers import DIAGNOSERS
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
-from residuum.service.fieldbus.can.can_bus import FrameSender
 from residuum.service.fieldbus.can.frame_layout import read_dbc
+from residuum.service.fieldbus.can.frame_sender import FrameSender
 from residuum.service.fieldbus.modbus.register_map import read_register_map
-from residuum.service.fieldbus.settings import MAPS, MachineSettings, SecondOpinion, SourceSettings, WindowSettings
+from residuum.service.fieldbus.settings import (
+    MAPS,
+    MachineSettings,
+    SecondOpinion,
+    SourceSettings,
+    WindowSettings,
+)
 from residuum.service.fieldbus.source import Backoff, Block
 from residuum.service.machines.windows import make_cutter
 from residuum.service.simulated.wiring import Wiring, wiring_of
@@ -45,22 +53,27 @@ _ON_OPCUA = "process-plant"
 class Demo:
     """Starts the machines' processes, keeps them alive, and trains what judges them.
 
-    Everything stays on this computer: the CAN buses are multicast groups with no hop, the Modbus servers listen on the loopback
-    address. A machine's process ends when this one does, however it ends: it watches its standard input.
+    Everything stays on this computer: the CAN buses are multicast groups with no hop, the Modbus
+    servers listen on the loopback address. A machine's process ends when this one does, however it
+    ends: it watches its standard input.
 
-    Training has a worker process of its own: findings of a machine that is ready do not wait for the training of another.
+    Training has a worker process of its own: findings of a machine that is ready do not wait for
+    the training of another.
 
     Parameters
     ----------
     speed : float
         How many times faster than real time the machines live.
     opcua : str
-        Address at which the process plant offers itself over OPC UA beside Modbus; empty: none. BadInput without the extra.
+        Address at which the process plant offers itself over OPC UA beside Modbus; empty: none.
+        BadInput without the extra.
     """
 
     def __init__(self, speed: float = 1.0, opcua: str = "") -> None:
         if opcua and find_spec("asyncua") is None:
-            raise BadInput("setting demo_opcua: needs the extra `opcua`: pip install 'residuum[opcua]'")
+            raise BadInput(
+                "setting demo_opcua: needs the extra `opcua`: pip install 'residuum[opcua]'"
+            )
         self._speed, self._opcua = speed, {_ON_OPCUA: opcua} if opcua else {}
         self._pool = WorkerPool(1)
         self.machines = _demo_machines()
@@ -108,7 +121,11 @@ class Demo:
             for machine in self.machines:
                 status = self._processes[machine.asset].poll()
                 if status is not None and not self._stopped.is_set():
-                    log.warning("a demo machine ended and is started again", machine=machine.asset, status=status)
+                    log.warning(
+                        "a demo machine ended and is started again",
+                        machine=machine.asset,
+                        status=status,
+                    )
                     if not self._stopped.wait(backoffs[machine.asset].next()):
                         self._processes[machine.asset] = self._start(machine)
 
@@ -123,7 +140,9 @@ class Demo:
         }
 
     def training_key(self, machine: str) -> str:
-        """Changes whenever anything of this program does; a baseline stored under it is still right."""
+        """Changes whenever anything of this program does; a baseline stored under it is still
+        right.
+        """
         return f"demo {machine} {code_digest('residuum')[:16]}"
 
     def train(self, machine: str) -> bytes:
@@ -164,18 +183,24 @@ _MODEL_OF = {"gate-actuator": "gate-drive", "process-plant": "process"}
 def _machine(asset: str, window: WindowSettings, sources: list[SourceSettings]) -> MachineSettings:
     model = _MODEL_OF.get(asset)
     second = None if model is None else SecondOpinion(model=model)
-    return MachineSettings(asset=asset, diagnoser=DIAGNOSER_OF[asset], window=window, sources=sources, second=second)
+    return MachineSettings(
+        asset=asset, diagnoser=DIAGNOSER_OF[asset], window=window, sources=sources, second=second
+    )
 
 
 def _free_group() -> str:
-    """A multicast group and port of our own, chosen at random: two demos on one computer must not hear each other."""
+    """A multicast group and port of our own, chosen at random: two demos on one computer must not
+    hear each other.
+    """
     numbers = random.SystemRandom()
     group = f"239.{numbers.randint(1, 250)}.{numbers.randint(1, 250)}.{numbers.randint(1, 250)}"
     return f"udp_multicast:{group}:{numbers.randint(20_000, 32_000)}/0"
 
 
 def _free_port() -> int:
-    """A port that nobody listens at, below those that outgoing connections are given: one of these could take it meanwhile."""
+    """A port that nobody listens at, below those that outgoing connections are given: one of these
+    could take it meanwhile.
+    """
     while True:
         port = random.SystemRandom().randint(20_000, 32_000)
         with socket.socket() as probe, contextlib.suppress(OSError):
@@ -184,15 +209,27 @@ def _free_port() -> int:
 
 
 def _start(machine: MachineSettings, speed: float, opcua: str | None) -> subprocess.Popen[bytes]:
-    command = [sys.executable, "-c", "from residuum.service.cli import main; main()", "machine", machine.asset, "--with-parent"]
+    command = [
+        sys.executable,
+        "-c",
+        "from residuum.service.cli import main; main()",
+        "machine",
+        machine.asset,
+        "--with-parent",
+    ]
     command += ["--speed", str(speed)]
     for source in machine.sources:
-        command += ["--can", source.channel] if source.kind == "can" else ["--modbus", f"{source.host}:{source.port}"]
+        command += (
+            ["--can", source.channel]
+            if source.kind == "can"
+            else ["--modbus", f"{source.host}:{source.port}"]
+        )
     command += ["--opcua", opcua] if opcua else []
     return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
 
 
-# Training of the demo's diagnosers on simulated records, taken through the same bus coding and window cutting as live ones.
+# Training of the demo's diagnosers on simulated records, taken through the same bus coding and
+# window cutting as live ones.
 
 _SEED = 1000
 _STEP = 1.0
@@ -206,19 +243,30 @@ Training = tuple[Sequence[Record], Sequence[str] | None]
 
 
 def coded_blocks(machine: Machine, wiring: Wiring, on_can: bool = False) -> Iterator[Block]:
-    """What a source would deliver of a machine's life, second by second, without a bus: encoded, decoded, in blocks."""
+    """What a source would deliver of a machine's life, second by second, without a bus: encoded,
+    decoded, in blocks.
+    """
     layouts = read_dbc(MAPS / wiring.dbc) if wiring.dbc else {}
     registers = read_register_map(MAPS / wiring.registers).streams if wiring.registers else {}
     in_registers = {} if on_can else wiring.register_streams
-    senders = {stream: FrameSender(layouts[name]) for stream, name in wiring.messages.items() if stream not in in_registers}
+    senders = {
+        stream: FrameSender(layouts[name])
+        for stream, name in wiring.messages.items()
+        if stream not in in_registers
+    }
     sent = dict.fromkeys([*senders, *in_registers], 0)
     while True:
         for stream, signals in machine.advance(_STEP).items():
-            channels = {name: np.asarray(values, np.float64) for name, values in signals.channels.items()}
+            channels = {
+                name: np.asarray(values, np.float64) for name, values in signals.channels.items()
+            }
             if stream in in_registers:
                 name = in_registers[stream]
                 table = registers[name].encode(channels).reshape(-1, registers[name].words)
-                decoded = {channel: where.decode(table) for channel, where in registers[name].channels.items()}
+                decoded = {
+                    channel: where.decode(table)
+                    for channel, where in registers[name].channels.items()
+                }
             else:
                 name = wiring.messages[stream]
                 _, decoded = layouts[name].decode(senders[stream].frames(channels))
@@ -227,12 +275,18 @@ def coded_blocks(machine: Machine, wiring: Wiring, on_can: bool = False) -> Iter
             sent[stream] += n
 
 
-def simulated_windows(machine: Machine, wiring: Wiring, window: WindowSettings, count: int) -> list[Record]:
+def simulated_windows(
+    machine: Machine, wiring: Wiring, window: WindowSettings, count: int
+) -> list[Record]:
     """The first `count` windows of a machine's life."""
     layouts = read_dbc(MAPS / wiring.dbc) if wiring.dbc else {}
     registers = read_register_map(MAPS / wiring.registers).streams if wiring.registers else {}
     formats = [registers[name].format(name) for name in wiring.register_streams.values()]
-    formats += [layouts[name].format for stream, name in wiring.messages.items() if stream not in wiring.register_streams]
+    formats += [
+        layouts[name].format
+        for stream, name in wiring.messages.items()
+        if stream not in wiring.register_streams
+    ]
     cutter = make_cutter(window, formats, machine.name)
     records: list[Record] = []
     for block in coded_blocks(machine, wiring):
@@ -243,17 +297,27 @@ def simulated_windows(machine: Machine, wiring: Wiring, window: WindowSettings, 
 
 
 def gate_actuator(tell: Tell) -> Training:
-    """Movements of several specimens, healthy and with each fault, labelled with the classes that the diagnoser tells apart."""
+    """Movements of several specimens, healthy and with each fault, labelled with the classes that
+    the diagnoser tells apart.
+    """
     wiring, window = wiring_of("gate-actuator"), WindowSettings(cut="movement")
-    plan = [("healthy", None, _HEALTHY_MOVEMENTS), ("pinion-or-gear", "gear-notch", _FAULTY_MOVEMENTS)]
-    plan += [("pinion-or-gear", "pinion-tooth", _FAULTY_MOVEMENTS), ("rack", "rack-tooth", _FAULTY_MOVEMENTS)]
+    plan = [
+        ("healthy", None, _HEALTHY_MOVEMENTS),
+        ("pinion-or-gear", "gear-notch", _FAULTY_MOVEMENTS),
+    ]
+    plan += [
+        ("pinion-or-gear", "pinion-tooth", _FAULTY_MOVEMENTS),
+        ("rack", "rack-tooth", _FAULTY_MOVEMENTS),
+    ]
     records: list[Record] = []
     labels: list[str] = []
     for exemplar in range(_GATE_EXEMPLARS):
         tell(exemplar / _GATE_EXEMPLARS, f"simulating actuator {exemplar + 1} of {_GATE_EXEMPLARS}")
         for k, (label, fault, count) in enumerate(plan):
             faults = {fault: None} if fault else {}
-            machine = MACHINES[wiring.machine](seed=_SEED + 10 * exemplar + k, exemplar=exemplar, faults=faults)
+            machine = MACHINES[wiring.machine](
+                seed=_SEED + 10 * exemplar + k, exemplar=exemplar, faults=faults
+            )
             cut = simulated_windows(machine, wiring, window, count)
             records += cut
             labels += [label] * len(cut)
@@ -285,7 +349,11 @@ TRAINING_RECIPES: dict[str, Callable[[Tell], Training]] = {
 """Demo machine → what its diagnoser is trained on."""
 
 
-DIAGNOSER_OF = {"gate-actuator": "gate-actuator", "gripping-pliers": "gripping-pliers", "process-plant": "robust-residual"}
+DIAGNOSER_OF = {
+    "gate-actuator": "gate-actuator",
+    "gripping-pliers": "gripping-pliers",
+    "process-plant": "robust-residual",
+}
 """Demo machine → what watches it."""
 
 
@@ -304,7 +372,9 @@ def train(machine: str, folder: str) -> bytes:
     diagnoser = DIAGNOSER_OF[machine]
     records, labels = TRAINING_RECIPES[machine](lambda done, doing: tell(0.6 * done, doing))
     tell(0.6, f"fitting {diagnoser} to {len(records)} records")
-    with threadpool_limits(1):  # small matrices: more threads than cores that are free cost a hundred times over
+    with threadpool_limits(
+        1
+    ):  # small matrices: more threads than cores that are free cost a hundred times over
         trained = DIAGNOSERS[diagnoser]().fit(records, labels)
     file = Path(folder) / f"{machine}.zip"
     trained.save(file)

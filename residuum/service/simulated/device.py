@@ -13,9 +13,10 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.errors import BadInput
-from residuum.service.fieldbus.can.can_bus import CanBus, FrameSender, open_bus
+from residuum.service.fieldbus.can.can_bus import CanBus, open_bus
 from residuum.service.fieldbus.can.can_source import COMMAND, STATE
 from residuum.service.fieldbus.can.frame_layout import FrameLayout, read_dbc
+from residuum.service.fieldbus.can.frame_sender import FrameSender
 from residuum.service.fieldbus.modbus.device_reading import DeviceRegisters
 from residuum.service.fieldbus.modbus.register_map import read_register_map
 from residuum.service.fieldbus.modbus.register_server import RegisterServer
@@ -31,8 +32,9 @@ _FURTHEST_BEHIND = 0.2
 class Device:
     """A machine on a CAN bus, a Modbus server, or both.
 
-    Time runs `speed` times as fast as real time. When the computer cannot keep up for a fifth of a second, the machine's life
-    pauses: nothing is skipped, and nothing is sent in a burst that no machine could make and no reader be ready for.
+    Time runs `speed` times as fast as real time. When the computer cannot keep up for a fifth of a
+    second, the machine's life pauses: nothing is skipped, and nothing is sent in a burst that no
+    machine could make and no reader be ready for.
 
     Parameters
     ----------
@@ -41,12 +43,14 @@ class Device:
     can_channel : str or None
         Bus for the streams that the wiring has on CAN.
     modbus : (host, port) or None
-        Address to serve the streams that the wiring has in registers; without it they go to CAN too, where the DBC file has them.
+        Address to serve the streams that the wiring has in registers; without it they go to CAN
+        too, where the DBC file has them.
     speed : float
     say : callable
         Told, in one line, of every order that was refused.
     opcua : str or None
-        Address of an OPC UA server for the streams that the wiring has in registers: `ns=2;s=MACHINE.STREAM.CHANNEL`.
+        Address of an OPC UA server for the streams that the wiring has in registers:
+        `ns=2;s=MACHINE.STREAM.CHANNEL`.
     """
 
     def __init__(
@@ -65,12 +69,28 @@ class Device:
         layouts = read_dbc(MAPS / wiring.dbc) if can_channel else {}
         self._command: FrameLayout | None = layouts.get(COMMAND)
         self._state: FrameLayout | None = layouts.get(STATE)
-        self._registers = DeviceRegisters(read_register_map(MAPS / wiring.registers), self._switch) if modbus else None
-        self._server = RegisterServer(self._registers, *modbus) if self._registers and modbus else None
+        self._registers = (
+            DeviceRegisters(read_register_map(MAPS / wiring.registers), self._switch)
+            if modbus
+            else None
+        )
+        self._server = (
+            RegisterServer(self._registers, *modbus) if self._registers and modbus else None
+        )
         self._register_streams = dict(wiring.register_streams) if modbus else {}
-        self._offered = NodeStreams(opcua, machine.name, wiring.register_streams, speed) if opcua else None
-        on_can = {stream: message for stream, message in wiring.messages.items() if stream not in self._register_streams}
-        self._senders = {stream: FrameSender(layouts[message]) for stream, message in on_can.items()} if self._bus else {}
+        self._offered = (
+            NodeStreams(opcua, machine.name, wiring.register_streams, speed) if opcua else None
+        )
+        on_can = {
+            stream: message
+            for stream, message in wiring.messages.items()
+            if stream not in self._register_streams
+        }
+        self._senders = (
+            {stream: FrameSender(layouts[message]) for stream, message in on_can.items()}
+            if self._bus
+            else {}
+        )
 
     async def run(self, stopped: asyncio.Event, ready: Callable[[int | None], None]) -> None:
         """Live until stopped; `ready` is told the Modbus port once the device is on its buses."""
@@ -113,7 +133,9 @@ class Device:
 
     def _advance(self, duration: float) -> None:
         for stream, signals in self.machine.advance(duration).items():
-            channels = {name: np.asarray(values, np.float64) for name, values in signals.channels.items()}
+            channels = {
+                name: np.asarray(values, np.float64) for name, values in signals.channels.items()
+            }
             if self._offered:
                 self._offered.take(stream, channels, signals.sample_time)
             if self._registers and stream in self._register_streams:
@@ -129,7 +151,9 @@ class Device:
                 self._say(f"cannot send: {error}")
 
     def _take_orders(self) -> None:
-        """Read all that waits: behind what was sent here, which some buses bring back, an order would wait for long."""
+        """Read all that waits: behind what was sent here, which some buses bring back, an order
+        would wait for long.
+        """
         while self._bus is not None and not (batch := self._bus.read(0.0)).empty:
             if self._command is not None:
                 for frames in batch.frames.get(self._command.bus_id, ()):
@@ -159,7 +183,9 @@ class Device:
         if self._bus and self._state:
             choices = self._state.choices["fault"]
             sizes = [active.get(fault, 0.0) for fault in choices.values()]
-            frames = self._state.encode(np.zeros(len(sizes)), {"fault": list(choices), "size": sizes})
+            frames = self._state.encode(
+                np.zeros(len(sizes)), {"fault": list(choices), "size": sizes}
+            )
             try:
                 self._bus.send_many(self._state.frame_id, frames)
             except (OSError, can.CanError) as error:
@@ -183,9 +209,13 @@ class NodeStreams:
 
     def __init__(self, url: str, machine: str, streams: Collection[str], speed: float) -> None:
         try:
-            self._server: Any = import_module("residuum.service.fieldbus.opcua.node_server").NodeServer(url)
+            self._server: Any = import_module(
+                "residuum.service.fieldbus.opcua.node_server"
+            ).NodeServer(url)
         except ModuleNotFoundError:
-            raise BadInput("--opcua: needs the extra `opcua`: pip install 'residuum[opcua]'") from None
+            raise BadInput(
+                "--opcua: needs the extra `opcua`: pip install 'residuum[opcua]'"
+            ) from None
         self._machine, self._streams, self._speed = machine, streams, speed
         self._begun = time.time()
         self._lived = dict.fromkeys(streams, 0)
@@ -199,14 +229,19 @@ class NodeStreams:
         """End all sessions."""
         await self._server.stop()
 
-    def take(self, stream: str, channels: Mapping[str, npt.NDArray[np.float64]], sample_time: float) -> None:
+    def take(
+        self, stream: str, channels: Mapping[str, npt.NDArray[np.float64]], sample_time: float
+    ) -> None:
         """Samples that the machine gave; `write` offers them."""
         if stream not in self._streams:
             return
         first = self._lived[stream]
         for name, values in channels.items():
             stamps = self._begun + (first + np.arange(len(values))) * sample_time / self._speed
-            self._waiting += [(f"{stream}.{name}", *pair) for pair in zip(values.tolist(), stamps.tolist(), strict=True)]
+            self._waiting += [
+                (f"{stream}.{name}", *pair)
+                for pair in zip(values.tolist(), stamps.tolist(), strict=True)
+            ]
             self._lived[stream] = first + len(values)
 
     async def write(self) -> None:

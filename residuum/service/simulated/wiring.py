@@ -31,7 +31,9 @@ class Wiring:
 
 
 WIRINGS: dict[str, Wiring] = {
-    "gate-actuator": Wiring("gate-actuator", dbc="gate_actuator.dbc", messages={"signals": "drive"}),
+    "gate-actuator": Wiring(
+        "gate-actuator", dbc="gate_actuator.dbc", messages={"signals": "drive"}
+    ),
     "gripping-pliers": Wiring(
         "gripping-pliers",
         dbc="gripping_pliers.dbc",
@@ -39,7 +41,9 @@ WIRINGS: dict[str, Wiring] = {
         messages={"vibration": "vibration", "machine": "machine"},
         register_streams={"machine": "machine"},
     ),
-    "process-plant": Wiring("process", registers="process_plant.yaml", register_streams={"signals": "process"}),
+    "process-plant": Wiring(
+        "process", registers="process_plant.yaml", register_streams={"signals": "process"}
+    ),
 }
 """Devices by the name they have in the demo."""
 
@@ -48,5 +52,8 @@ def wiring_of(device: str) -> Wiring:
     """The wiring of a device (`process` is `process-plant`); BadInput lists what there is."""
     name = "process-plant" if device == "process" else device
     if name not in WIRINGS:
-        raise BadInput(f"machine {device!r}: there is none of this name on a bus; {known_names(device, WIRINGS)}")
+        raise BadInput(
+            f"machine {device!r}: there is none of this name on a bus;"
+            f" {known_names(device, WIRINGS)}"
+        )
     return WIRINGS[name]

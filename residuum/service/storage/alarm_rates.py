@@ -37,8 +37,13 @@ def rates(connection: Connection, now: datetime) -> AlarmRates:
     moments: dict[int, list[float]] = defaultdict(list)
     for row, time in zip(rows, times.tolist(), strict=True):
         moments[row.alarm_id].append(time)
-    named = {row.alarm_id: {"alarm": row.alarm_id, "asset": row.asset_id, "kind": row.kind} for row in rows}
-    often = Counter({alarm: len(raises) for alarm, raises in moments.items()}).most_common(_MOST_NAMED)
+    named = {
+        row.alarm_id: {"alarm": row.alarm_id, "asset": row.asset_id, "kind": row.kind}
+        for row in rows
+    }
+    often = Counter({alarm: len(raises) for alarm, raises in moments.items()}).most_common(
+        _MOST_NAMED
+    )
     last = [int((times > -span.total_seconds()).sum()) for span in (_TEN_MINUTES, _HOUR, _DAY)]
     return AlarmRates(
         last_10_minutes=last[0],
@@ -72,11 +77,17 @@ def _chatters(times: list[float]) -> bool:
 
 
 def _standing(connection: Connection) -> dict[str, int]:
-    counted = connection.execute(select(alarms.c.state, func.count()).group_by(alarms.c.state)).all()
+    counted = connection.execute(
+        select(alarms.c.state, func.count()).group_by(alarms.c.state)
+    ).all()
     return {row[0]: row[1] for row in counted}
 
 
 def _stale(connection: Connection, now: datetime) -> list[int]:
     states = [state.value for state in ACTIVE]
-    query = select(alarms.c.id).where(alarms.c.state.in_(states), alarms.c.raised_at < now - _DAY).order_by(alarms.c.id)
+    query = (
+        select(alarms.c.id)
+        .where(alarms.c.state.in_(states), alarms.c.raised_at < now - _DAY)
+        .order_by(alarms.c.id)
+    )
     return list(connection.execute(query).scalars())

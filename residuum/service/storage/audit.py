@@ -1,8 +1,9 @@
-"""Audit trail: what was done, by whom, each entry chained to the one before, so that an edit or a deletion shows.
+"""Audit trail: what was done, by whom, each entry chained to the one before, so that an edit or a
+deletion shows.
 
-digest_k = SHA-256(digest_{k−1} ‖ number, time, who, action, subject, detail), digest_0 = 0; the head row keeps the last number
-and digest. Who can write the database and knows this page can forge a whole new chain: the head that `residuum doctor` prints,
-noted elsewhere, shows that too.
+digest_k = SHA-256(digest_{k−1} ‖ number, time, who, action, subject, detail), digest_0 = 0; the
+head row keeps the last number and digest. Who can write the database and knows this page can forge
+a whole new chain: the head that `residuum doctor` prints, noted elsewhere, shows that too.
 """
 
 from __future__ import annotations
@@ -37,14 +38,28 @@ class AuditHead:
 
 
 def append(
-    connection: Connection, action: str, subject: str, *, by: str | None, now: datetime, detail: Mapping[str, Any] | None = None
+    connection: Connection,
+    action: str,
+    subject: str,
+    *,
+    by: str | None,
+    now: datetime,
+    detail: Mapping[str, Any] | None = None,
 ) -> None:
     """Add an entry in the transaction of what it tells of."""
     head = connection.execute(select(audit_head).with_for_update()).one()
     detail_json = orjson.dumps(dict(detail or {}), option=orjson.OPT_SORT_KEYS).decode()
     number = head.entries + 1
     digest = _digest(head.digest, number, now, by, action, subject, detail_json)
-    entry = {"number": number, "at": now, "by": by, "action": action, "subject": subject, "detail": detail_json, "digest": digest}
+    entry = {
+        "number": number,
+        "at": now,
+        "by": by,
+        "action": action,
+        "subject": subject,
+        "detail": detail_json,
+        "digest": digest,
+    }
     connection.execute(insert(audit).values(entry))
     connection.execute(update(audit_head).values(entries=number, digest=digest))
 
@@ -62,14 +77,19 @@ def verify(connection: Connection) -> AuditHead:
         raise BrokenAudit(f"audit: an entry was changed into none: {error}") from None
     heads = connection.execute(select(audit_head)).all()
     if [(head.entries, head.digest) for head in heads] != [(number, digest)]:
-        raise BrokenAudit(f"audit: its head does not fit the last entry, {number}: entries at the end were removed or added")
+        raise BrokenAudit(
+            f"audit: its head does not fit the last entry, {number}: entries at the end were"
+            " removed or added"
+        )
     return AuditHead(number, digest)
 
 
 def _followed(connection: Connection) -> tuple[int, str]:
     """The number of the last entry, and the digest over all."""
     number, digest = 0, _BEGIN
-    for row in connection.execute(select(audit).order_by(audit.c.number).execution_options(yield_per=_AT_ONCE)):
+    for row in connection.execute(
+        select(audit).order_by(audit.c.number).execution_options(yield_per=_AT_ONCE)
+    ):
         number += 1
         if row.number != number:
             raise BrokenAudit(f"audit: entry {number} is missing")
@@ -87,17 +107,25 @@ def page(connection: Connection, cursor: str | None = None, limit: int = 100) ->
     rows = connection.execute(query).all()
     before = [entry.digest for entry in rows[1:]] + ([_BEGIN] if len(rows) <= limit else [])
     for row, before_it in zip(rows, before, strict=False):
-        if _digest(before_it, row.number, row.at, row.by, row.action, row.subject, row.detail) != row.digest:
+        if (
+            _digest(before_it, row.number, row.at, row.by, row.action, row.subject, row.detail)
+            != row.digest
+        ):
             raise StorageUnavailable(
-                f"audit: entry {row.number} or the one before it was changed; `residuum doctor` names the first"
+                f"audit: entry {row.number} or the one before it was changed; `residuum doctor`"
+                " names the first"
             )
     return paging.page(rows, limit, "number", _entry)
 
 
-def _digest(before: str, number: int, at: datetime, by: str | None, action: str, subject: str, detail: str) -> str:
+def _digest(
+    before: str, number: int, at: datetime, by: str | None, action: str, subject: str, detail: str
+) -> str:
     content = orjson.dumps([number, at.isoformat(), by, action, subject, detail])
     return hashlib.sha256(before.encode() + content).hexdigest()
 
 
 def _entry(row: Row[Any]) -> AuditEntry:
-    return AuditEntry(row.number, row.at, row.by, row.action, row.subject, orjson.loads(row.detail), row.digest)
+    return AuditEntry(
+        row.number, row.at, row.by, row.action, row.subject, orjson.loads(row.detail), row.digest
+    )

@@ -37,7 +37,9 @@ _PIECE = 2**20
 
 
 class BadBackup(BadInput):
-    """The file is no backup, is not whole, or differs from its checksums; or there is something where it is to be restored."""
+    """The file is no backup, is not whole, or differs from its checksums; or there is something
+    where it is to be restored.
+    """
 
 
 @dataclass(frozen=True)
@@ -54,7 +56,9 @@ class Contents:
 
 
 class BackupReader:
-    """Reads a backup once and verifies it; a subclass takes what it holds on the way, before the whole is known to be good."""
+    """Reads a backup once and verifies it; a subclass takes what it holds on the way, before the
+    whole is known to be good.
+    """
 
     def take_block(self, _path: str, pieces: Iterator[bytes]) -> None:
         """A signal block, piece by piece."""
@@ -70,7 +74,8 @@ class BackupReader:
         """A file of the settings."""
 
     def read(self, file: Path) -> Contents:
-        """Read the whole file: every block against the checksum in its row, every table against the manifest.
+        """Read the whole file: every block against the checksum in its row, every table against the
+        manifest.
 
         Raises BadBackup with one line that says what is wrong and where.
         """
@@ -115,7 +120,9 @@ class _Seen:
 
     def begin(self, file: Path, described: Mapping[str, Any]) -> None:
         if described["format"] != FORMAT:
-            raise BadBackup(f"{file}: format {str(described['format'])[:40]!r}; this program reads {FORMAT}")
+            raise BadBackup(
+                f"{file}: format {str(described['format'])[:40]!r}; this program reads {FORMAT}"
+            )
         self.revision, self.created_at = str(described["revision"]), str(described["created_at"])
 
     def block(self, path: str, stream: IO[bytes]) -> Iterator[bytes]:
@@ -145,12 +152,15 @@ class _Seen:
     def verified(self, file: Path, described: Mapping[str, Any]) -> Contents:
         if described["rows"] != self.tables:
             raise BadBackup(f"{file}: the rows differ from their checksums")
-        if described.get("settings", {}) != self.settings:  # a backup of an earlier version has none
+        if (
+            described.get("settings", {}) != self.settings
+        ):  # a backup of an earlier version has none
             raise BadBackup(f"{file}: the settings differ from their checksums")
         for path, checksum in self.referred.items():
             if self.blocks.get(path) != checksum:
                 raise BadBackup(
-                    f"{file}: signal block {path} {'differs from its checksum' if path in self.blocks else 'is missing'}"
+                    f"{file}: signal block {path}"
+                    f" {'differs from its checksum' if path in self.blocks else 'is missing'}"
                 )
         if surplus := self.blocks.keys() - self.referred.keys():
             raise BadBackup(f"{file}: no row points to signal block {min(surplus)}")
@@ -174,26 +184,35 @@ class _Seen:
 # is refused.
 
 
-def write_backup(database: Database, blocks: Path, file: Path, settings: Mapping[str, bytes] = MappingProxyType({})) -> Contents:
+def write_backup(
+    database: Database,
+    blocks: Path,
+    file: Path,
+    settings: Mapping[str, bytes] = MappingProxyType({}),
+) -> Contents:
     """Back up a running or a stopped service, with the files of its settings by name.
 
     Returns what the file holds, after it has been read back and verified.
 
-    Rows are those of one moment. A signal that the retention rule removes meanwhile is marked as let go in the backup.
-    Raises BadBackup when `file` exists, a block is missing or differs from its checksum, or the schema is not up to date; OSError
-    when the file cannot be written.
+    Rows are those of one moment. A signal that the retention rule removes meanwhile is marked as
+    let go in the backup. Raises BadBackup when `file` exists, a block is missing or differs from
+    its checksum, or the schema is not up to date; OSError when the file cannot be written.
     """
     if file.exists():
         raise BadBackup(f"{file}: is there already; a backup never replaces a file")
     if database.revision() != newest_revision():
         raise BadBackup(
-            f"database: its schema is at revision {database.revision()}; a start of the service brings it to {newest_revision()}"
+            f"database: its schema is at revision {database.revision()}; a start of the service"
+            f" brings it to {newest_revision()}"
         )
     unfinished = file.with_name(f"{file.name}.unfinished")
     unfinished.unlink(missing_ok=True)  # what lies there keeps its own mode
     try:
         with open(os.open(unfinished, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as raw:
-            with database.snapshot() as connection, tarfile.open(fileobj=raw, mode="w", format=tarfile.PAX_FORMAT) as archive:
+            with (
+                database.snapshot() as connection,
+                tarfile.open(fileobj=raw, mode="w", format=tarfile.PAX_FORMAT) as archive,
+            ):
                 _write_members(archive, database, connection, blocks, settings)
             raw.flush()
             os.fsync(raw.fileno())
@@ -207,12 +226,24 @@ def write_backup(database: Database, blocks: Path, file: Path, settings: Mapping
 
 
 def _write_members(
-    archive: tarfile.TarFile, database: Database, connection: Connection, blocks: Path, settings: Mapping[str, bytes]
+    archive: tarfile.TarFile,
+    database: Database,
+    connection: Connection,
+    blocks: Path,
+    settings: Mapping[str, bytes],
 ) -> None:
-    _add_json(archive, BEGIN, {"format": FORMAT, "created_at": datetime.now(UTC), "revision": database.revision()})
+    _add_json(
+        archive,
+        BEGIN,
+        {"format": FORMAT, "created_at": datetime.now(UTC), "revision": database.revision()},
+    )
     for name, content in settings.items():
         archive.addfile(_member(f"settings/{name}", len(content)), io.BytesIO(content))
-    missing = {block.path for block in block_rows.references(connection) if not _add_block(archive, blocks, block)}
+    missing = {
+        block.path
+        for block in block_rows.references(connection)
+        if not _add_block(archive, blocks, block)
+    }
     _refuse_lost(database, missing)
     described = {}
     for table in plain_rows.tables_of(connection):
@@ -226,7 +257,9 @@ def _write_members(
 def _add_block(archive: tarfile.TarFile, blocks: Path, block: BlockReference) -> bool:
     try:
         with open(blocks / block.path, "rb") as stream:
-            archive.addfile(_member(f"blocks/{block.path}", os.fstat(stream.fileno()).st_size), stream)
+            archive.addfile(
+                _member(f"blocks/{block.path}", os.fstat(stream.fileno()).st_size), stream
+            )
     except FileNotFoundError:
         return False
     return True
@@ -239,14 +272,20 @@ def _refuse_lost(database: Database, missing: set[str]) -> None:
     with database.read() as connection:
         lost = sorted(missing & {block.path for block in block_rows.references(connection)})
     if lost:
-        raise BadBackup(f"signal block {lost[0]}: is missing ({len(lost)} in all); nothing was backed up")
+        raise BadBackup(
+            f"signal block {lost[0]}: is missing ({len(lost)} in all); nothing was backed up"
+        )
 
 
 def _let_go(row_lines: Iterator[bytes], missing: set[str]) -> Iterator[bytes]:
     now = datetime.now(UTC).replace(tzinfo=None)
     for line in row_lines:
         row = orjson.loads(line)
-        yield orjson.dumps(row | {"signal_let_go_at": now}) + b"\n" if row["block_path"] in missing else line
+        yield (
+            orjson.dumps(row | {"signal_let_go_at": now}) + b"\n"
+            if row["block_path"] in missing
+            else line
+        )
 
 
 def _add_rows(archive: tarfile.TarFile, table: Table, row_lines: Iterator[bytes]) -> dict[str, Any]:
@@ -282,16 +321,19 @@ SETTINGS = "settings-of-backup"
 
 
 def restore_backup(file: Path, database: Database, blocks: Path) -> Contents:
-    """Bring back what `write_backup` wrote, from either kind of database into either kind; returns what was restored.
+    """Bring back what `write_backup` wrote, from either kind of database into either kind; returns
+    what was restored.
 
-    Files of settings come into `SETTINGS` beside the blocks' folder, for somebody to look at: what a service runs by is never
-    replaced. The file is verified before anything is written. Rows get the backup's schema, which is then migrated to the newest.
-    Raises BadBackup when the file is not a whole backup of this program's or an older schema, or the target is not empty.
+    Files of settings come into `SETTINGS` beside the blocks' folder, for somebody to look at: what
+    a service runs by is never replaced. The file is verified before anything is written. Rows get
+    the backup's schema, which is then migrated to the newest. Raises BadBackup when the file is not
+    a whole backup of this program's or an older schema, or the target is not empty.
     """
     contents = BackupReader().read(file)
     if contents.revision not in known_revisions():
         raise BadBackup(
-            f"{file}: its schema, revision {contents.revision}, is none that this program knows; it knows {newest_revision()}"
+            f"{file}: its schema, revision {contents.revision}, is none that this program knows; it"
+            f" knows {newest_revision()}"
         )
     if database.revision() is not None:
         raise BadBackup("database: is not empty; restore goes into a new one")
@@ -299,7 +341,9 @@ def restore_backup(file: Path, database: Database, blocks: Path) -> Contents:
         raise BadBackup(f"{blocks}: is not empty; restore goes into a new folder")
     beside = blocks.parent / SETTINGS
     if contents.settings and beside.exists():
-        raise BadBackup(f"{beside}: is there already; the settings of the backup go into a new folder")
+        raise BadBackup(
+            f"{beside}: is there already; the settings of the backup go into a new folder"
+        )
     database.migrate(contents.revision)
     written: list[Path] = []
     try:
@@ -340,12 +384,18 @@ class _Restorer(BackupReader):
         """Write a file of the settings, for its owner alone: it may hold passwords."""
         folder = self._blocks.parent / SETTINGS
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-        with open(os.open(folder / name, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as stream:
+        with open(
+            os.open(folder / name, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb"
+        ) as stream:
             stream.write(content)
 
     def take_rows(self, table: str, lines: Iterator[bytes]) -> None:
         """Insert a table's rows; the blocks they point to are on disk by now."""
-        for folder in {self._blocks, *(file.parent for file in self._written)} if self._written else ():
+        for folder in (
+            {self._blocks, *(file.parent for file in self._written)} if self._written else ()
+        ):
             sync_folder(folder)
-        self._connection.execute(delete(self._tables[table]))  # a migration may have begun a table with a row of its own
+        self._connection.execute(
+            delete(self._tables[table])
+        )  # a migration may have begun a table with a row of its own
         plain_rows.insert_lines(self._connection, self._tables[table], lines)

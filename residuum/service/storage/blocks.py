@@ -1,4 +1,6 @@
-"""Signal blocks: one file a record, self-describing, with checksums, on disk before anybody is told so."""
+"""Signal blocks: one file a record, self-describing, with checksums, on disk before anybody is told
+so.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,9 @@ from residuum.service.store import ReadInPieces, StorageUnavailable
 
 MAGIC = b"RESIDUUM-BLOCK-2\n"
 _WITHOUT_CHECKSUM = b"RESIDUUM-BLOCK-1\n"
-"""Blocks of before headers had a checksum of their own: these are compared as a whole with that of their row."""
+"""Blocks of before headers had a checksum of their own: these are compared as a whole with that of
+their row.
+"""
 _BEGIN = len(MAGIC) + 8
 _CRC = 4
 _ALIGNMENT = 64
@@ -35,7 +39,9 @@ _PIECE = 2**20
 
 
 class BrokenBlock(Exception):
-    """A block's content does not match its checksum, or it is no block; the message names the file."""
+    """A block's content does not match its checksum, or it is no block; the message names the
+    file.
+    """
 
 
 @dataclass(frozen=True)
@@ -50,9 +56,10 @@ class BlockReference:
 class Blocks:
     """The folder of signal blocks.
 
-    A file is: magic line, length of the header and CRC-32 over both and it (8 and 4 bytes, little endian), header as JSON, then
-    each channel's samples (little endian, contiguous, aligned to 64 bytes). The header carries a CRC-32 of every channel, so one
-    channel of a long record can be read and verified alone. Names are ours (date and UUID), never a user's.
+    A file is: magic line, length of the header and CRC-32 over both and it (8 and 4 bytes, little
+    endian), header as JSON, then each channel's samples (little endian, contiguous, aligned to 64
+    bytes). The header carries a CRC-32 of every channel, so one channel of a long record can be
+    read and verified alone. Names are ours (date and UUID), never a user's.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -77,21 +84,37 @@ class Blocks:
             raise _unavailable(error) from error
         return BlockReference(f"{day}/{name}", digest, sum(map(len, parts)))
 
-    def read(self, path: str, channels: Sequence[str] | None = None, checksum: str | None = None) -> Record:
-        """The record of a block, or some of its channels, verified by the checksums of its header and of the channels.
+    def read(
+        self, path: str, channels: Sequence[str] | None = None, checksum: str | None = None
+    ) -> Record:
+        """The record of a block, or some of its channels, verified by the checksums of its header
+        and of the channels.
 
-        `checksum` is that of the whole file, by which a block is verified whose header has none of its own.
+        `checksum` is that of the whole file, by which a block is verified whose header has none of
+        its own.
         """
         with _broken(path):
             header, start, wanted = self._described(path, channels, checksum)
-            arrays = {entry["name"]: _array(self.folder / path, entry, start, header["n"]) for entry in wanted}
+            arrays = {
+                entry["name"]: _array(self.folder / path, entry, start, header["n"])
+                for entry in wanted
+            }
             units = {entry["name"]: entry["unit"] for entry in wanted}
         return Record(
-            arrays, units, header["sample_time"], header["t0"], notes=tuple(header["notes"]), source=str(header["source"])
+            arrays,
+            units,
+            header["sample_time"],
+            header["t0"],
+            notes=tuple(header["notes"]),
+            source=str(header["source"]),
         )
 
-    def in_pieces(self, path: str, channels: Sequence[str] | None = None, checksum: str | None = None) -> ReadInPieces:
-        """As `read`, piece by piece: a channel is verified when its last piece was taken, and BrokenBlock comes then."""
+    def in_pieces(
+        self, path: str, channels: Sequence[str] | None = None, checksum: str | None = None
+    ) -> ReadInPieces:
+        """As `read`, piece by piece: a channel is verified when its last piece was taken, and
+        BrokenBlock comes then.
+        """
         with _broken(path):
             header, start, wanted = self._described(path, channels, checksum)
             known = {entry["name"]: entry for entry in wanted}
@@ -113,12 +136,18 @@ class Blocks:
     def _described(
         self, path: str, channels: Sequence[str] | None, checksum: str | None
     ) -> tuple[dict[str, Any], int, list[dict[str, Any]]]:
-        """(header, where the samples start, what the header says of the channels that are asked for)."""
+        """(header, where the samples start, what the header says of the channels that are asked
+        for).
+        """
         file = self.folder / path
         if checksum is not None and _begins_with(file, _WITHOUT_CHECKSUM):
             self.verify(BlockReference(path, checksum, 0))
         header, start = _header(file)
-        return header, start, header["channels"] if channels is None else [_entry(header, name) for name in channels]
+        return (
+            header,
+            start,
+            header["channels"] if channels is None else [_entry(header, name) for name in channels],
+        )
 
     def verify(self, reference: BlockReference) -> None:
         """Raise BrokenBlock when the file differs from what was written."""
@@ -135,12 +164,16 @@ class Blocks:
         (self.folder / path).unlink(missing_ok=True)
 
     def discard(self, path: str) -> None:
-        """Remove a block that will get no row; one that cannot be removed now (a read-only disk) is left to a sweep."""
+        """Remove a block that will get no row; one that cannot be removed now (a read-only disk) is
+        left to a sweep.
+        """
         with suppress(OSError):
             self.remove(path)
 
     def probe(self) -> None:
-        """Raise StorageUnavailable when there is no room for a small block, or none can be written."""
+        """Raise StorageUnavailable when there is no room for a small block, or none can be
+        written.
+        """
         file = self.folder / f"{uuid.uuid4().hex}.probe"
         try:
             with open(file, "xb", buffering=0) as opened:
@@ -154,7 +187,11 @@ class Blocks:
     def paths(self, settled: float = 0.0) -> list[str]:
         """All blocks there are that were written at least `settled` seconds ago."""
         latest = time.time() - settled
-        return sorted(str(file.relative_to(self.folder)) for file in self.folder.glob("*/*.block") if _written(file) <= latest)
+        return sorted(
+            str(file.relative_to(self.folder))
+            for file in self.folder.glob("*/*.block")
+            if _written(file) <= latest
+        )
 
     def _day_folder(self, day: str) -> Path:
         folder = self.folder / day
@@ -183,7 +220,13 @@ def _parts(record: Record) -> list[bytes | memoryview]:
         little = np.ascontiguousarray(signal, dtype=signal.dtype.newbyteorder("<"))
         body = little.view(np.uint8).data
         entries.append(
-            {"name": name, "unit": record.units[name], "dtype": little.dtype.str, "offset": offset, "crc32": zlib.crc32(body)}
+            {
+                "name": name,
+                "unit": record.units[name],
+                "dtype": little.dtype.str,
+                "offset": offset,
+                "crc32": zlib.crc32(body),
+            }
         )
         padding = -len(body) % _ALIGNMENT
         bodies += [body, bytes(padding)]
@@ -218,7 +261,9 @@ def _header(file: Path) -> tuple[dict[str, Any], int]:
         begin = stream.read(_BEGIN)
         if begin[: len(MAGIC)] not in (MAGIC, _WITHOUT_CHECKSUM):
             raise ValueError("is not a signal block")
-        length = min(int.from_bytes(begin[len(MAGIC) :], "little"), os.fstat(stream.fileno()).st_size)
+        length = min(
+            int.from_bytes(begin[len(MAGIC) :], "little"), os.fstat(stream.fileno()).st_size
+        )
         if begin[: len(MAGIC)] == _WITHOUT_CHECKSUM:
             return orjson.loads(stream.read(length)), _BEGIN + length
         crc, header = stream.read(_CRC), stream.read(length)
@@ -249,7 +294,9 @@ def _broken(path: str) -> Iterator[None]:
         raise BrokenBlock(f"signal block {path}: {error}") from error
 
 
-def _pieces(file: Path, entry: dict[str, Any], start: int, n: int) -> Iterator[np.ndarray[Any, Any]]:
+def _pieces(
+    file: Path, entry: dict[str, Any], start: int, n: int
+) -> Iterator[np.ndarray[Any, Any]]:
     dtype, crc, left = np.dtype(entry["dtype"]), 0, n
     with open(file, "rb") as stream:
         stream.seek(start + entry["offset"])
@@ -266,7 +313,9 @@ def _pieces(file: Path, entry: dict[str, Any], start: int, n: int) -> Iterator[n
 
 
 def _array(file: Path, entry: dict[str, Any], start: int, n: int) -> np.ndarray[Any, Any]:
-    array = np.fromfile(file, dtype=np.dtype(entry["dtype"]), count=n, offset=start + entry["offset"])
+    array = np.fromfile(
+        file, dtype=np.dtype(entry["dtype"]), count=n, offset=start + entry["offset"]
+    )
     if array.shape[0] != n or zlib.crc32(array.view(np.uint8).data) != entry["crc32"]:
         raise ValueError(f"channel {entry['name']!r} differs from its checksum")
     return array

@@ -1,4 +1,6 @@
-"""The database connection: SQLite (WAL, synchronous=FULL) or PostgreSQL by URL, and its schema migrations."""
+"""The database connection: SQLite (WAL, synchronous=FULL) or PostgreSQL by URL, and its schema
+migrations.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,14 @@ from alembic.migration import MigrationContext
 from alembic.script import ScriptDirectory
 from sqlalchemy import Connection, Engine, create_engine, event
 from sqlalchemy.engine import URL, make_url
-from sqlalchemy.exc import ArgumentError, DatabaseError, DataError, DBAPIError, NoSuchModuleError, OperationalError
+from sqlalchemy.exc import (
+    ArgumentError,
+    DatabaseError,
+    DataError,
+    DBAPIError,
+    NoSuchModuleError,
+    OperationalError,
+)
 from sqlalchemy.exc import TimeoutError as PoolTimeout
 
 from residuum.identification.errors import BadInput
@@ -32,7 +41,9 @@ _MIGRATIONS = Path(__file__).parent / "migrations"
 _PATIENCE = 10.0
 """How long a writer waits for another process's lock [s]."""
 _MOST_WRITERS = 16
-"""Writers that wait for each other; beyond, who wants to write is told to come again, so that threads are left for readers."""
+"""Writers that wait for each other; beyond, who wants to write is told to come again, so that
+threads are left for readers.
+"""
 _POOL_PATIENCE = 10.0
 """Seconds for which a connection of the pool is waited for."""
 
@@ -41,7 +52,9 @@ _SMALL = 64 * 2**20
 
 
 SILENCE, LONG = 8.0, 600.0
-"""Seconds without a byte from a server after which a statement is given up; of what may take long on a large database."""
+"""Seconds without a byte from a server after which a statement is given up; of what may take long
+on a large database.
+"""
 
 
 class OutcomeUnknown(StorageUnavailable):
@@ -49,16 +62,20 @@ class OutcomeUnknown(StorageUnavailable):
 
 
 class Busy(StorageUnavailable):
-    """Others write, or hold the database's lock; nothing was done, and it can be tried again soon."""
+    """Others write, or hold the database's lock; nothing was done, and it can be tried again
+    soon.
+    """
 
 
 class Database:
     """One database; `read()` and `write()` give a connection in a transaction.
 
-    SQLite writers are queued by a lock of ours, and a write takes the database's lock at its start, so that two never
-    meet half-way; readers go on beside it (WAL). `synchronous=FULL`: a commit that returned survives a power cut.
+    SQLite writers are queued by a lock of ours, and a write takes the database's lock at its start,
+    so that two never meet half-way; readers go on beside it (WAL). `synchronous=FULL`: a commit
+    that returned survives a power cut.
 
-    Raises BadSettings when the URL names no usable database, StorageUnavailable when it cannot be reached or written.
+    Raises BadSettings when the URL names no usable database, StorageUnavailable when it cannot be
+    reached or written.
     """
 
     def __init__(self, url: str) -> None:
@@ -66,7 +83,9 @@ class Database:
             self.url = make_url(url)
             self.engine = _engine(self.url)
         except (ArgumentError, NoSuchModuleError, ModuleNotFoundError) as error:
-            raise BadSettings(f"database {_without_password(url)!r}: {str(error).splitlines()[0]}") from None
+            raise BadSettings(
+                f"database {_without_password(url)!r}: {str(error).splitlines()[0]}"
+            ) from None
         self._writing, self._writers = threading.Lock(), threading.BoundedSemaphore(_MOST_WRITERS)
 
     @contextmanager
@@ -87,7 +106,11 @@ class Database:
     @contextmanager
     def snapshot(self) -> Iterator[Connection]:
         """A connection that sees one moment, however long it reads."""
-        level = {} if self.url.get_backend_name() == "sqlite" else {"isolation_level": "REPEATABLE READ"}
+        level = (
+            {}
+            if self.url.get_backend_name() == "sqlite"
+            else {"isolation_level": "REPEATABLE READ"}
+        )
         with _storage_errors(), self.patiently(), self.engine.connect() as connection:
             connection = connection.execution_options(**level)
             if level:  # between two questions files may be written for minutes
@@ -96,7 +119,9 @@ class Database:
 
     @contextmanager
     def held_open(self) -> Iterator[Connection]:
-        """A connection of its own, outside of any transaction, for what lasts as long as the connection."""
+        """A connection of its own, outside of any transaction, for what lasts as long as the
+        connection.
+        """
         with _storage_errors(), self.engine.connect() as connection:
             connection = connection.execution_options(isolation_level="AUTOCOMMIT")
             connection.detach()  # or the pool would keep it, and what it holds, when it is closed
@@ -104,9 +129,11 @@ class Database:
 
     @contextmanager
     def write(self) -> Iterator[Connection]:
-        """A connection to write through; committed, and on disk, when the block ends without an exception.
+        """A connection to write through; committed, and on disk, when the block ends without an
+        exception.
 
-        OutcomeUnknown where the answer to the commit was lost, Busy where so many write already that this one had to wait long.
+        OutcomeUnknown where the answer to the commit was lost, Busy where so many write already
+        that this one had to wait long.
         """
         with self._turn(), _storage_errors(), self.engine.connect() as connection:
             connection = connection.execution_options(residuum_write=True)
@@ -121,7 +148,9 @@ class Database:
                 transaction.commit()
             except DBAPIError as error:
                 if error.connection_invalidated:
-                    raise OutcomeUnknown("database: the connection was lost before it said whether all was kept") from error
+                    raise OutcomeUnknown(
+                        "database: the connection was lost before it said whether all was kept"
+                    ) from error
                 raise
 
     @contextmanager
@@ -131,7 +160,10 @@ class Database:
             raise Busy(f"database: {_MOST_WRITERS} others wait to write; try again in some seconds")
         try:
             if not self._writing.acquire(timeout=_PATIENCE):
-                raise Busy(f"database: others have been writing for {_PATIENCE:g} s; try again in some seconds")
+                raise Busy(
+                    f"database: others have been writing for {_PATIENCE:g} s; try again in some"
+                    " seconds"
+                )
             try:
                 yield
             finally:
@@ -140,13 +172,16 @@ class Database:
             self._writers.release()
 
     def migrate(self, revision: str = "head") -> None:
-        """Bring the schema to a revision, up or down; BadInput for the schema of a newer program."""
+        """Bring the schema to a revision, up or down; BadInput for the schema of a newer
+        program.
+        """
         current = self.revision()
         if current is not None and current not in known_revisions():
             url = self.url.render_as_string(hide_password=True)
             raise BadInput(
-                f"database {url}: its schema, revision {current}, is newer than this program, which knows {newest_revision()}; "
-                "start the program that wrote it, or restore a backup into a new folder"
+                f"database {url}: its schema, revision {current}, is newer than this program, which"
+                f" knows {newest_revision()}; start the program that wrote it, or restore a backup"
+                " into a new folder"
             )
         with self.patiently(), self.write() as connection:
             config = _alembic()
@@ -162,23 +197,38 @@ class Database:
             return MigrationContext.configure(connection).get_current_revision()
 
     def looked_through_first(self) -> bool:
-        """Whether a start looks through the structure before anything else, rather than beside the service: of small files."""
+        """Whether a start looks through the structure before anything else, rather than beside the
+        service: of small files.
+        """
         file = Path(self.url.database or "")
-        return self.url.get_backend_name() == "sqlite" and file.is_file() and file.stat().st_size <= _SMALL
+        return (
+            self.url.get_backend_name() == "sqlite"
+            and file.is_file()
+            and file.stat().st_size <= _SMALL
+        )
 
     def damage(self) -> str | None:
-        """What is wrong with the structure of a SQLite file, as SQLite says; None where nothing is, and for other databases."""
+        """What is wrong with the structure of a SQLite file, as SQLite says; None where nothing is,
+        and for other databases.
+        """
         if self.url.get_backend_name() != "sqlite":
             return None
         with self.read() as connection:
-            says = str(connection.exec_driver_sql("PRAGMA integrity_check(1)").scalar())  # with indexes, unlike quick_check
+            says = str(
+                connection.exec_driver_sql("PRAGMA integrity_check(1)").scalar()
+            )  # with indexes, unlike quick_check
         return None if says == "ok" else " ".join(says.split())
 
     def refuse_other_revision(self) -> None:
-        """BadInput when the schema is not this program's: who only reads must not migrate what another program may be using."""
+        """BadInput when the schema is not this program's: who only reads must not migrate what
+        another program may be using.
+        """
         if self.revision() != newest_revision():
             url = self.url.render_as_string(hide_password=True)
-            raise BadInput(f"{url}: is no database of this version of the service; start the service on it once")
+            raise BadInput(
+                f"{url}: is no database of this version of the service; start the service on it"
+                " once"
+            )
 
     def close(self) -> None:
         """Close all connections."""
@@ -209,7 +259,9 @@ def _alembic() -> Config:
 
 
 _of_thread = threading.local()
-"""`patience`: seconds for which what this thread asks a server for is waited for; None or none: the usual ones."""
+"""`patience`: seconds for which what this thread asks a server for is waited for; None or none: the
+usual ones.
+"""
 
 
 def _engine(url: URL) -> Engine:
@@ -224,7 +276,9 @@ def _engine(url: URL) -> Engine:
 
     @event.listens_for(engine, "do_connect")
     def _refuse_to_make_anew(_dialect: Any, _record: Any, _arguments: Any, _more: Any) -> None:
-        """A file that has gone while it was in use was moved: SQLite would begin an empty one in its place."""
+        """A file that has gone while it was in use was moved: SQLite would begin an empty one in
+        its place.
+        """
         if any(not file.exists() for file in opened):
             raise sqlite3.OperationalError("its file was moved or removed")
 
@@ -245,7 +299,9 @@ def _engine(url: URL) -> Engine:
 
 
 def _document(content: str) -> Any:
-    """A document in SQLite's file. One that is no JSON any more comes as its text: its row is then told as damaged, by name."""
+    """A document in SQLite's file. One that is no JSON any more comes as its text: its row is then
+    told as damaged, by name.
+    """
     try:
         return json.loads(content)
     except ValueError:
@@ -253,10 +309,14 @@ def _document(content: str) -> Any:
 
 
 def _server_engine(url: URL) -> Engine:
-    """An engine for a server that may go away: what is asked of it ends in time, and the next asks over a new connection."""
+    """An engine for a server that may go away: what is asked of it ends in time, and the next asks
+    over a new connection.
+    """
     engine = create_engine(url, pool_pre_ping=True, pool_timeout=_POOL_PATIENCE)
     if url.get_driver_name() == "psycopg":
-        patient = importlib.import_module("residuum.service.storage.database")  # the extra `postgres`
+        patient = importlib.import_module(
+            "residuum.service.storage.database"
+        )  # the extra `postgres`
 
         @event.listens_for(engine, "do_connect")
         def _connect(_dialect: Any, _record: Any, arguments: Any, options: Any) -> Any:
@@ -277,21 +337,32 @@ def _server_engine(url: URL) -> Engine:
 
 @contextmanager
 def _storage_errors() -> Iterator[None]:
-    """Failures of disk or server, as StorageUnavailable; values that no column takes, as BadInput; ours stay what they are."""
+    """Failures of disk or server, as StorageUnavailable; values that no column takes, as BadInput;
+    ours stay what they are.
+    """
     try:
         yield
     except OperationalError as error:
         says = str(error.orig).splitlines()[0]
         if "database is locked" in says:
-            locked = f"database: another process has held its lock for {_PATIENCE:g} s; try again in some seconds"
+            locked = (
+                f"database: another process has held its lock for {_PATIENCE:g} s; try again in"
+                " some seconds"
+            )
             raise Busy(locked) from error
         raise StorageUnavailable(f"database: {says}", full="full" in says.lower()) from error
     except PoolTimeout:
         raise Busy("database: all connections are in use; try again in some seconds") from None
-    except DataError as error:  # PostgreSQL's: NUL in a text, a text longer than its column, a number out of range
-        raise BadInput(f"database: cannot keep what it was given: {str(error.orig).splitlines()[0]}") from error
+    except (
+        DataError
+    ) as error:  # PostgreSQL's: NUL in a text, a text longer than its column, a number out of range
+        raise BadInput(
+            f"database: cannot keep what it was given: {str(error.orig).splitlines()[0]}"
+        ) from error
     except DBAPIError as error:
-        if type(error) is DatabaseError:  # the bare class: SQLite's word for a file that is damaged or no database
+        if (
+            type(error) is DatabaseError
+        ):  # the bare class: SQLite's word for a file that is damaged or no database
             raise StorageUnavailable(f"database: {error.orig}") from error
         if error.connection_invalidated:
             raise StorageUnavailable("database: the connection was lost") from error
@@ -311,7 +382,13 @@ def _without_password(url: str) -> str:
 # locks, and with them hold up every other writer, until its system notices.
 
 CONNECT_WITHIN = 5
-_KEEPALIVE = {"keepalives": 1, "keepalives_idle": 5, "keepalives_interval": 2, "keepalives_count": 3, "tcp_user_timeout": 10_000}
+_KEEPALIVE = {
+    "keepalives": 1,
+    "keepalives_idle": 5,
+    "keepalives_interval": 2,
+    "keepalives_count": 3,
+    "tcp_user_timeout": 10_000,
+}
 _OF_SESSIONS = {
     "idle_in_transaction_session_timeout": 10_000,
     "tcp_keepalives_idle": 5,
@@ -322,7 +399,9 @@ _OF_SESSIONS = {
 
 
 class PatientConnection(psycopg.Connection[Any]):
-    """A connection whose waits end with OperationalError, and with the connection, after `patience` seconds of silence."""
+    """A connection whose waits end with OperationalError, and with the connection, after `patience`
+    seconds of silence.
+    """
 
     patience: float = SILENCE
 
@@ -331,7 +410,9 @@ class PatientConnection(psycopg.Connection[Any]):
         return super().wait(self._watched(gen), *arguments, **more)
 
     def _watched(self, generator: Generator[Any, Any, Any]) -> Generator[Any, Any, Any]:
-        """The same steps; silence that is too long ends them, and what the server did meanwhile is unknown."""
+        """The same steps; silence that is too long ends them, and what the server did meanwhile is
+        unknown.
+        """
         try:
             step = next(generator)
             heard = time.monotonic()
@@ -341,7 +422,9 @@ class PatientConnection(psycopg.Connection[Any]):
                     heard = time.monotonic()
                 elif time.monotonic() - heard > self.patience:
                     self.pgconn.finish()
-                    raise psycopg.OperationalError(f"the server has been silent for {self.patience:g} s")
+                    raise psycopg.OperationalError(
+                        f"the server has been silent for {self.patience:g} s"
+                    )
                 step = generator.send(ready)
         except StopIteration as end:
             return end.value
@@ -362,7 +445,8 @@ def connect(arguments: list[Any], options: Mapping[str, Any]) -> PatientConnecti
 class SamePlace:
     """The folder of signal blocks and the file of the database, known by device and inode.
 
-    A folder or file that is moved or removed stays open, and takes writes that nobody ever finds again.
+    A folder or file that is moved or removed stays open, and takes writes that nobody ever finds
+    again.
 
     Parameters
     ----------
@@ -377,7 +461,10 @@ class SamePlace:
         """Raise StorageUnavailable when one of them is not there any more, or another one."""
         for place, known in self._known.items():
             if _identity(place) != known:
-                says = "was moved, removed or replaced while the service runs; put it back, or start the service again"
+                says = (
+                    "was moved, removed or replaced while the service runs; put it back, or start"
+                    " the service again"
+                )
                 raise StorageUnavailable(f"{place}: {says}")
 
 

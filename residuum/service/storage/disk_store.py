@@ -1,4 +1,6 @@
-"""The store on disk: rows in a database, signals in blocks, joined so that what was acknowledged is there after a crash."""
+"""The store on disk: rows in a database, signals in blocks, joined so that what was acknowledged is
+there after a crash.
+"""
 
 from __future__ import annotations
 
@@ -45,16 +47,22 @@ from residuum.service.store import (
 )
 
 SETTLED = 120.0
-"""Age [s] at which a block without a row is an orphan: longer than a writer waits for the database."""
+"""Age [s] at which a block without a row is an orphan: longer than a writer waits for the
+database.
+"""
 
 _CHECK_WITHIN = 2.0
 """Seconds for which who asks meanwhile waits for what another look finds."""
 _CHECK_EVERY = 1.0
-"""Seconds between looks at whether something can be stored: each writes to the disk, and anybody may ask for one."""
+"""Seconds between looks at whether something can be stored: each writes to the disk, and anybody
+may ask for one.
+"""
 _BETWEEN_ROWS = 0.1
 """Pause [s] after every thousand rows that are looked at, in which requests are answered."""
 _FIRST_CLOCK, _LAST_CLOCK = 946_684_800.0, 253_402_300_000.0
-"""[s] Of window times that are taken for a clock: from the year 2000 to 9999; others count from some start."""
+"""[s] Of window times that are taken for a clock: from the year 2000 to 9999; others count from
+some start.
+"""
 _AHEAD = timedelta(minutes=1)
 """By how much a window's own clock may be ahead of ours to be believed."""
 
@@ -74,8 +82,12 @@ def _plain(_asset: str) -> AlarmRule:
     return AlarmRule()
 
 
-def _asked(rows: Callable[Concatenate[Connection, P], Answer]) -> Callable[Concatenate[DiskStore, P], Answer]:
-    """A question of the store that its rows answer in one read: their signature and their words are the method's."""
+def _asked(
+    rows: Callable[Concatenate[Connection, P], Answer],
+) -> Callable[Concatenate[DiskStore, P], Answer]:
+    """A question of the store that its rows answer in one read: their signature and their words are
+    the method's.
+    """
 
     @wraps(rows)
     def method(self: DiskStore, /, *given: P.args, **named: P.kwargs) -> Answer:
@@ -88,11 +100,12 @@ def _asked(rows: Callable[Concatenate[Connection, P], Answer]) -> Callable[Conca
 class DiskStore:
     """Everything that outlives a run of the service, in a folder and a database.
 
-    All methods are thread-safe and block until they are done. What is only read is asked of the rows as it stands there.
+    All methods are thread-safe and block until they are done. What is only read is asked of the
+    rows as it stands there.
 
-    Order of a write: the signal block, fsync of file and folder, then one transaction with the rows (window, finding,
-    asset, alarms); only after its commit does the call return and the change get announced. A crash in between
-    leaves at most a block without a row, which `sweep` removes.
+    Order of a write: the signal block, fsync of file and folder, then one transaction with the rows
+    (window, finding, asset, alarms); only after its commit does the call return and the change get
+    announced. A crash in between leaves at most a block without a row, which `sweep` removes.
 
     Parameters
     ----------
@@ -107,7 +120,11 @@ class DiskStore:
     """
 
     def __init__(
-        self, data: Path, database_url: str, announce: Announce = _silent, rule_of: Callable[[str], AlarmRule] = _plain
+        self,
+        data: Path,
+        database_url: str,
+        announce: Announce = _silent,
+        rule_of: Callable[[str], AlarmRule] = _plain,
     ) -> None:
         self._database = Database(database_url)
         self._database.migrate()
@@ -151,13 +168,16 @@ class DiskStore:
         self._database.close()
 
     def check(self) -> None:
-        """Raise StorageUnavailable when a small window could not be stored now: a block and a row are written.
+        """Raise StorageUnavailable when a small window could not be stored now: a block and a row
+        are written.
 
         At most once a second, however many ask: what was found then is what they are told.
         """
         self._place.check()
         if not self._checking.acquire(timeout=_CHECK_WITHIN):
-            raise Busy(f"database: has not answered for {_CHECK_WITHIN:g} s whether it can be written")
+            raise Busy(
+                f"database: has not answered for {_CHECK_WITHIN:g} s whether it can be written"
+            )
         try:
             if time.monotonic() - self._checked_at >= _CHECK_EVERY:
                 self._refusal = self._looked()
@@ -184,31 +204,53 @@ class DiskStore:
             self._announce("alarm", alarm.to_json())
 
     def add_window(
-        self, asset: str, record: Record, finding: Finding, idempotency_key: str | None = None, digest: str | None = None
+        self,
+        asset: str,
+        record: Record,
+        finding: Finding,
+        idempotency_key: str | None = None,
+        digest: str | None = None,
     ) -> int:
         """Keep a window and its finding; returns the window's id only when both are on disk.
 
-        A second call with the same `idempotency_key` stores nothing and returns the first one's id; Conflict when its
-        `digest` (of the content) differs.
+        A second call with the same `idempotency_key` stores nothing and returns the first one's id;
+        Conflict when its `digest` (of the content) differs.
         """
         now = _now()
         with self._noted():
-            if idempotency_key is not None and (known := self.window_with_key(asset, idempotency_key, digest)) is not None:
+            if (
+                idempotency_key is not None
+                and (known := self.window_with_key(asset, idempotency_key, digest)) is not None
+            ):
                 return known
             self._place.check()
             block = self._blocks.write(record, _day(now))
             try:
                 with self._discarded_on_failure(block):
-                    return self._add_rows(asset, record, finding, block, now=now, idempotency_key=idempotency_key, digest=digest)
+                    return self._add_rows(
+                        asset,
+                        record,
+                        finding,
+                        block,
+                        now=now,
+                        idempotency_key=idempotency_key,
+                        digest=digest,
+                    )
             except IntegrityError:  # another request with the same key was faster
-                known = None if idempotency_key is None else self.window_with_key(asset, idempotency_key, digest)
+                known = (
+                    None
+                    if idempotency_key is None
+                    else self.window_with_key(asset, idempotency_key, digest)
+                )
                 if known is None:
                     raise
                 return known
 
     @contextmanager
     def _discarded_on_failure(self, block: BlockReference) -> Iterator[None]:
-        """Discard a block whose row could not be written; one whose row may be there stays, and who asks again finds out."""
+        """Discard a block whose row could not be written; one whose row may be there stays, and who
+        asks again finds out.
+        """
         try:
             yield
         except OutcomeUnknown:
@@ -230,7 +272,9 @@ class DiskStore:
             self._checked_at = -math.inf
 
     def _refuse_moved(self) -> None:
-        """OutcomeUnknown when what was just committed is not in what the next start opens: it is not acknowledged."""
+        """OutcomeUnknown when what was just committed is not in what the next start opens: it is
+        not acknowledged.
+        """
         try:
             self._place.check()
         except StorageUnavailable as error:
@@ -249,10 +293,20 @@ class DiskStore:
     ) -> int:
         with self._database.write() as connection:
             asset_rows.ensure(connection, asset, None, finding.diagnoser, now)
-            window = window_rows.add(connection, asset, record, block, now=now, idempotency_key=idempotency_key, digest=digest)
+            window = window_rows.add(
+                connection,
+                asset,
+                record,
+                block,
+                now=now,
+                idempotency_key=idempotency_key,
+                digest=digest,
+            )
             number = asset_rows.add_finding(connection, asset, window, finding, now)
             finding_notices.add(connection, number)
-            changed = alarm_rows.follow(connection, asset, window, finding, now, self._rule_of(asset), _seen_at(record, now))
+            changed = alarm_rows.follow(
+                connection, asset, window, finding, now, self._rule_of(asset), _seen_at(record, now)
+            )
         self._refuse_moved()
         self._announce("finding", StoredFinding(number, asset, window, now, finding).to_json())
         for alarm in changed:
@@ -260,29 +314,41 @@ class DiskStore:
         return window
 
     def window_with_key(self, asset: str, idempotency_key: str, digest: str | None) -> int | None:
-        """The window stored under a key before, None when there is none; Conflict when its content differed."""
+        """The window stored under a key before, None when there is none; Conflict when its content
+        differed.
+        """
         self._place.check()
         with self._database.read() as connection:
             return window_rows.with_key(connection, asset, idempotency_key, digest)
 
-    def ensure_asset(self, asset: str, title: str | None = None, diagnoser: str | None = None) -> None:
+    def ensure_asset(
+        self, asset: str, title: str | None = None, diagnoser: str | None = None
+    ) -> None:
         """Make an asset known, or update its title and diagnoser."""
         with self._database.write() as connection:
             asset_rows.ensure(connection, asset, title, diagnoser, _now())
 
-    def window_record(self, asset: str, window: int, channels: Sequence[str] | None = None) -> Record:
-        """The samples of a window (of some channels), verified; SignalLetGo when the retention rule has removed them."""
+    def window_record(
+        self, asset: str, window: int, channels: Sequence[str] | None = None
+    ) -> Record:
+        """The samples of a window (of some channels), verified; SignalLetGo when the retention rule
+        has removed them.
+        """
         with self._let_go_meanwhile(asset, window) as row:
             return self._blocks.read(row.block_path, channels, row.block_checksum)
 
-    def window_in_pieces(self, asset: str, window: int, channels: Sequence[str] | None = None) -> ReadInPieces:
+    def window_in_pieces(
+        self, asset: str, window: int, channels: Sequence[str] | None = None
+    ) -> ReadInPieces:
         """The same, to be read piece by piece."""
         with self._let_go_meanwhile(asset, window) as row:
             return self._blocks.in_pieces(row.block_path, channels, row.block_checksum)
 
     @contextmanager
     def _let_go_meanwhile(self, asset: str, window: int) -> Iterator[Row[Any]]:
-        """The row of a window whose signal is kept; SignalLetGo also where it goes while its block is read."""
+        """The row of a window whose signal is kept; SignalLetGo also where it goes while its block
+        is read.
+        """
         row = self._held(asset, window)
         try:
             yield row
@@ -295,15 +361,25 @@ class DiskStore:
             row = window_rows.row_of(connection, asset, window)
         if row.signal_let_go_at is not None:
             let_go_at = row.signal_let_go_at.isoformat(" ", "seconds")
-            raise SignalLetGo(f"asset {asset!r}, window {window}: its signal was let go at {let_go_at} by the retention rule")
+            raise SignalLetGo(
+                f"asset {asset!r}, window {window}: its signal was let go at {let_go_at} by the"
+                " retention rule"
+            )
         return row
 
     def operate_alarm(
-        self, alarm: int, event: AlarmEvent, by: str | None = None, comment: str | None = None, until: datetime | None = None
+        self,
+        alarm: int,
+        event: AlarmEvent,
+        by: str | None = None,
+        comment: str | None = None,
+        until: datetime | None = None,
     ) -> Alarm:
         """What an operator asks of an alarm; IllegalTransition when its state does not allow it."""
         with self._database.write() as connection:
-            changed = alarm_rows.operate(connection, alarm, event, by=by, comment=comment, until=until, now=_now())
+            changed = alarm_rows.operate(
+                connection, alarm, event, by=by, comment=comment, until=until, now=_now()
+            )
         self._announce("alarm", changed.to_json())
         return changed
 
@@ -336,34 +412,58 @@ class DiskStore:
         return self._blocks.in_pieces(row.block_path, channels, row.block_checksum)
 
     def audit_refusals(self, refusals: Sequence[tuple[Mapping[str, Any], int]]) -> None:
-        """Note in the trail what was refused: address, name of the key, method, path and status of each, and how often."""
+        """Note in the trail what was refused: address, name of the key, method, path and status of
+        each, and how often.
+        """
         now = _now()
         with self._database.write() as connection:
             for refusal, times in refusals:
                 subject = f"{refusal['method']} {refusal['path']}"
-                detail = {"address": refusal["address"], "status": refusal["status"], "times": times}
-                audit_trail.append(connection, "refused", subject, by=refusal["by"], now=now, detail=detail)
+                detail = {
+                    "address": refusal["address"],
+                    "status": refusal["status"],
+                    "times": times,
+                }
+                audit_trail.append(
+                    connection, "refused", subject, by=refusal["by"], now=now, detail=detail
+                )
 
     def remove_record(self, record: int, by: str | None = None) -> None:
-        """Delete an uploaded record for good: its row first, so that a crash leaves at most an orphan for `sweep`."""
+        """Delete an uploaded record for good: its row first, so that a crash leaves at most an
+        orphan for `sweep`.
+        """
         with self._database.write() as connection:
             row = record_rows.row_of(connection, record)
             path = record_rows.remove(connection, record)
             detail = {"name": row.name, "checksum": row.block_checksum}
-            audit_trail.append(connection, "record removed", f"record {record}", by=by, now=_now(), detail=detail)
+            audit_trail.append(
+                connection, "record removed", f"record {record}", by=by, now=_now(), detail=detail
+            )
         self._blocks.remove(path)
 
-    def add_model_version(self, model: str, kind: str, content: bytes, note: str = "", by: str | None = None) -> ModelVersion:
+    def add_model_version(
+        self, model: str, kind: str, content: bytes, note: str = "", by: str | None = None
+    ) -> ModelVersion:
         """Keep a new version of a model; the first makes the model."""
         with self._database.write() as connection:
-            version = model_rows.add_version(connection, model, kind, content, note=note, by=by, now=_now())
+            version = model_rows.add_version(
+                connection, model, kind, content, note=note, by=by, now=_now()
+            )
             detail = {"kind": kind, "number": version.number, "checksum": version.checksum}
-            audit_trail.append(connection, "model version", f"model {model}", by=by, now=version.created_at, detail=detail)
+            audit_trail.append(
+                connection,
+                "model version",
+                f"model {model}",
+                by=by,
+                now=version.created_at,
+                detail=detail,
+            )
         self._announce("model", version.to_json())
         return version
 
     def retain(self, rule: Retention) -> int:
-        """Remove the signals, and then the rows, that the retention rule no longer keeps; returns how many signals.
+        """Remove the signals, and then the rows, that the retention rule no longer keeps; returns
+        how many signals.
 
         The rows say so before the files go: a crash in between leaves files that `sweep` removes.
         """
@@ -373,7 +473,12 @@ class DiskStore:
                 paths = retention.let_go(connection, rule, _now(), self._clock)
                 if paths:
                     audit_trail.append(
-                        connection, "signals let go", "windows", by=None, now=_now(), detail={"windows": len(paths)}
+                        connection,
+                        "signals let go",
+                        "windows",
+                        by=None,
+                        now=_now(),
+                        detail={"windows": len(paths)},
                     )
             for path in paths:
                 self._blocks.remove(path)
@@ -388,7 +493,14 @@ class DiskStore:
         with self._database.patiently(), self._database.write() as connection:
             count = retention.forget(connection, rule, _now(), self._clock)
             if count:
-                audit_trail.append(connection, "rows let go", "windows", by=None, now=_now(), detail={"windows": count})
+                audit_trail.append(
+                    connection,
+                    "rows let go",
+                    "windows",
+                    by=None,
+                    now=_now(),
+                    detail={"windows": count},
+                )
             return count
 
     def troubles(self) -> Mapping[str, str]:
@@ -397,10 +509,11 @@ class DiskStore:
         return {subject: says for subject, says in doubts.items() if says is not None}
 
     def look_for_damage(self) -> str | None:
-        """Read what a start has not of a SQLite database for damage, which may take minutes; what is found is kept in `damage`.
+        """Read what a start has not of a SQLite database for damage, which may take minutes; what
+        is found is kept in `damage`.
 
-        The structure of a large file, then each row: a value that flipped where rows are chosen by it may leave a row out of an
-        answer.
+        The structure of a large file, then each row: a value that flipped where rows are chosen by
+        it may leave a row out of an answer.
         """
         self.damage = None if self._database.looked_through_first() else self._database.damage()
         if self.damage is None:
@@ -425,21 +538,29 @@ class DiskStore:
             return paths - {block.path for block in block_rows.references(connection)}
 
     def sweep(self, settled: float = 0.0) -> int:
-        """Remove the orphans, for good; returns how many. Only when somebody asks: beside another database all would be."""
+        """Remove the orphans, for good; returns how many. Only when somebody asks: beside another
+        database all would be.
+        """
         orphans = self.orphans(settled)
         for path in orphans:
             self._blocks.remove(path)
         if orphans:
             with self._database.write() as connection:
                 detail = {"blocks": len(orphans)}
-                audit_trail.append(connection, "blocks swept", "signal blocks", by=None, now=_now(), detail=detail)
+                audit_trail.append(
+                    connection, "blocks swept", "signal blocks", by=None, now=_now(), detail=detail
+                )
         return len(orphans)
 
 
 def _seen_at(record: Record, now: datetime) -> datetime:
-    """When a window ended by its own clock, where that is one: windows that a gateway sends late were not all seen at once."""
+    """When a window ended by its own clock, where that is one: windows that a gateway sends late
+    were not all seen at once.
+    """
     end = record.t0 + record.n * record.sample_time
-    own = datetime.fromtimestamp(end, UTC) if record.t0 > _FIRST_CLOCK and end < _LAST_CLOCK else now
+    own = (
+        datetime.fromtimestamp(end, UTC) if record.t0 > _FIRST_CLOCK and end < _LAST_CLOCK else now
+    )
     return own if own <= now + _AHEAD else now
 
 

@@ -1,4 +1,6 @@
-"""Folders that are there after a power cut: an entry is on disk only when the folder that holds it has been synced."""
+"""Folders that are there after a power cut: an entry is on disk only when the folder that holds it
+has been synced.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,9 @@
-"""Which data folder and which database belong together: an identity that both hold from the first start on.
+"""Which data folder and which database belong together: an identity that both hold from the first
+start on.
 
-Signal blocks and the rows that name them are in two places. With another database beside a folder no row would name its blocks,
-with another folder no signal of a row would be there; the service refuses to start on either.
+Signal blocks and the rows that name them are in two places. With another database beside a folder
+no row would name its blocks, with another folder no signal of a row would be there; the service
+refuses to start on either.
 """
 
 from __future__ import annotations
@@ -20,7 +22,9 @@ from residuum.service.storage.tables import identity
 
 _FILE = "identity"
 _LOOKED_AT = 100
-"""Newest signals of the rows of which one must be there, where folder or database hold no identity yet."""
+"""Newest signals of the rows of which one must be there, where folder or database hold no identity
+yet.
+"""
 
 
 class OtherDatabase(BadInput):
@@ -30,7 +34,8 @@ class OtherDatabase(BadInput):
 def claim(folder: Path, database: Database) -> str:
     """The identity of a data folder and its database, written into whichever holds none yet.
 
-    Raises OtherDatabase where they hold two, or where one holds none and signals and rows do not know each other.
+    Raises OtherDatabase where they hold two, or where one holds none and signals and rows do not
+    know each other.
     """
     theirs, ours = _of_database(database), _of_folder(folder)
     if theirs is not None and theirs == ours:
@@ -49,7 +54,9 @@ def claim(folder: Path, database: Database) -> str:
 
 
 def forget(database: Database) -> None:
-    """Let a database that was restored belong to no folder yet: the one that it was copied from goes on elsewhere."""
+    """Let a database that was restored belong to no folder yet: the one that it was copied from
+    goes on elsewhere.
+    """
     with database.write() as connection:
         connection.execute(delete(identity))
 
@@ -61,14 +68,19 @@ def _strangers(folder: Path, database: Database) -> str | None:
     if named:
         known = any((folder / "blocks" / path).is_file() for path in named)
         return None if known else "names signals of which none is there"
-    return "names none of the signals that are there" if any((folder / "blocks").glob("*/*.block")) else None
+    return (
+        "names none of the signals that are there"
+        if any((folder / "blocks").glob("*/*.block"))
+        else None
+    )
 
 
 def _refusal(folder: Path, database: Database, why: str) -> str:
     url = database.url.render_as_string(hide_password=True)
     return (
-        f"data folder {folder} and database {url}: the database {why}; nothing was changed. "
-        "Give the database that belongs to this folder (--database), or the folder that belongs to this database (--data)"
+        f"data folder {folder} and database {url}: the database {why}; nothing was changed. Give"
+        " the database that belongs to this folder (--database), or the folder that belongs to"
+        " this database (--data)"
     )
 
 

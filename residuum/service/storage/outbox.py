@@ -1,8 +1,10 @@
-"""Outbox: changes of alarms, and findings, that receivers are still to be told, written in the transaction of the change itself.
+"""Outbox: changes of alarms, and findings, that receivers are still to be told, written in the
+transaction of the change itself.
 
-A notice of an alarm is numbered without gaps under the lock of the audit trail, so that numbers are in the order of the commits.
-How far a receiver has been told is kept beside. A finding has a row for every receiver that waits for it, which goes when it was
-told. One process at a time tells a receiver, and another takes over when that one was silent for `HELD`.
+A notice of an alarm is numbered without gaps under the lock of the audit trail, so that numbers are
+in the order of the commits. How far a receiver has been told is kept beside. A finding has a row
+for every receiver that waits for it, which goes when it was told. One process at a time tells a
+receiver, and another takes over when that one was silent for `HELD`.
 """
 
 from __future__ import annotations
@@ -33,7 +35,9 @@ HANDED_OUT_AT_ONCE = 100
 
 @dataclass(frozen=True)
 class Notice:
-    """A change of an alarm, None where its row is damaged; `passed_over` are those before it that were let go untold."""
+    """A change of an alarm, None where its row is damaged; `passed_over` are those before it that
+    were let go untold.
+    """
 
     number: int
     alarm: Mapping[str, Any] | None
@@ -58,7 +62,12 @@ def add(connection: Connection, alarm: Alarm) -> None:
 
 def after(connection: Connection, last_number: int) -> Notice | None:
     """The notice that follows one that was told."""
-    query = select(alarm_notices).where(alarm_notices.c.number > last_number).order_by(alarm_notices.c.number).limit(1)
+    query = (
+        select(alarm_notices)
+        .where(alarm_notices.c.number > last_number)
+        .order_by(alarm_notices.c.number)
+        .limit(1)
+    )
     row = connection.execute(query).first()
     if row is None:
         return None
@@ -74,20 +83,28 @@ class Outbox:
         self._holder = secrets.token_hex(16)
 
     def register(self, address: str, *, findings: bool = False) -> str:
-        """Make a receiver known: it is told what changes from its first registration on. Gives its id; addresses hold secrets."""
+        """Make a receiver known: it is told what changes from its first registration on. Gives its
+        id; addresses hold secrets.
+        """
         receiver = hashlib.sha256(address.encode()).hexdigest()
         with self._database.read() as connection:
-            known = connection.execute(select(receivers.c.findings).where(receivers.c.id == receiver)).first()
+            known = connection.execute(
+                select(receivers.c.findings).where(receivers.c.id == receiver)
+            ).first()
         if known is None:
             try:
                 with self._database.write() as connection:
                     newest = connection.scalar(select(func.max(alarm_notices.c.number))) or 0
-                    connection.execute(insert(receivers).values(id=receiver, told=newest, findings=findings))
+                    connection.execute(
+                        insert(receivers).values(id=receiver, told=newest, findings=findings)
+                    )
             except IntegrityError:
                 """Another process was faster."""
         elif known.findings != findings:
             with self._database.write() as connection:
-                connection.execute(update(receivers).where(receivers.c.id == receiver).values(findings=findings))
+                connection.execute(
+                    update(receivers).where(receivers.c.id == receiver).values(findings=findings)
+                )
         return receiver
 
     def next(self, receiver: str) -> Notice | None:
@@ -105,8 +122,16 @@ class Outbox:
     def _take(self, connection: Connection, *conditions: ColumnElement[bool]) -> bool:
         """Whether this process may tell a receiver now; it then holds it for a while."""
         now = datetime.now(UTC)
-        free = or_(receivers.c.holder.is_(None), receivers.c.holder == self._holder, receivers.c.held_until < now)
-        mine = update(receivers).where(*conditions, free).values(holder=self._holder, held_until=now + HELD)
+        free = or_(
+            receivers.c.holder.is_(None),
+            receivers.c.holder == self._holder,
+            receivers.c.held_until < now,
+        )
+        mine = (
+            update(receivers)
+            .where(*conditions, free)
+            .values(holder=self._holder, held_until=now + HELD)
+        )
         return bool(connection.execute(mine).rowcount)
 
     def told(self, receiver: str, notice: Notice) -> None:
@@ -116,24 +141,39 @@ class Outbox:
             connection.execute(update(receivers).where(*held).values(told=notice.number))
 
     def findings(self, receiver: str) -> WaitingFindings:
-        """The findings that the receiver is to be told now by this process, the oldest first; none while another tells it."""
+        """The findings that the receiver is to be told now by this process, the oldest first; none
+        while another tells it.
+        """
         with self._database.read() as connection:
             if not finding_notices.waiting(connection, receiver, 1):
                 return WaitingFindings([], 0)
         with self._database.write() as connection:
             if not self._take(connection, receivers.c.id == receiver):
                 return WaitingFindings([], 0)
-            lost = connection.scalar(select(receivers.c.findings_lost).where(receivers.c.id == receiver)) or 0
-            return WaitingFindings(finding_notices.waiting(connection, receiver, HANDED_OUT_AT_ONCE), lost)
+            lost = (
+                connection.scalar(
+                    select(receivers.c.findings_lost).where(receivers.c.id == receiver)
+                )
+                or 0
+            )
+            return WaitingFindings(
+                finding_notices.waiting(connection, receiver, HANDED_OUT_AT_ONCE), lost
+            )
 
     def told_findings(self, receiver: str, finding_ids: Collection[int], lost: int = 0) -> None:
-        """Note that the receiver knows these findings, and that it was noticed how many were let go before them."""
+        """Note that the receiver knows these findings, and that it was noticed how many were let go
+        before them.
+        """
         with self._database.write() as connection:
-            less = {"findings_lost": receivers.c.findings_lost - lost}  # its row first, as where notices are let go
+            less = {
+                "findings_lost": receivers.c.findings_lost - lost
+            }  # its row first, as where notices are let go
             connection.execute(update(receivers).where(receivers.c.id == receiver).values(less))
             finding_notices.told(connection, receiver, finding_ids)
 
     def release(self) -> None:
         """Let others tell the receivers of this process at once."""
         with self._database.write() as connection:
-            connection.execute(update(receivers).where(receivers.c.holder == self._holder).values(holder=None))
+            connection.execute(
+                update(receivers).where(receivers.c.holder == self._holder).values(holder=None)
+            )

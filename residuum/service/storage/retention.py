@@ -1,5 +1,5 @@
-"""What may go: first the signals of the oldest windows beyond an age or an amount, then their rows, unless somebody may still
-ask for them.
+"""What may go: first the signals of the oldest windows beyond an age or an amount, then their rows,
+unless somebody may still ask for them.
 """
 
 from __future__ import annotations
@@ -22,16 +22,22 @@ _DAY = 86_400.0
 _AT_ONCE = 500
 """Signals let go in one transaction, so that writers never wait long for it."""
 _SHARE = 0.1
-"""Share of what is there that may go for its age within a day, where the age by itself asks for less."""
+"""Share of what is there that may go for its age within a day, where the age by itself asks for
+less.
+"""
 _LEAST = 10
 """Windows that may go for their age within a day, however few there are."""
 _FARTHEST = timedelta(days=7)
-"""How far back the newest window may lie: beyond, the clock may have jumped, and nothing goes for its age."""
+"""How far back the newest window may lie: beyond, the clock may have jumped, and nothing goes for
+its age.
+"""
 
 
 @dataclass(frozen=True)
 class Retention:
-    """How long, and how many bytes of, the windows' signals are kept; and how long, and how many of, their rows."""
+    """How long, and how many bytes of, the windows' signals are kept; and how long, and how many
+    of, their rows.
+    """
 
     days: float
     size_bytes: int
@@ -40,10 +46,12 @@ class Retention:
 
 
 class Clock:
-    """How far the clock is believed: a share of the windows a day may go for their age, none while the newest lies far back.
+    """How far the clock is believed: a share of the windows a day may go for their age, none while
+    the newest lies far back.
 
-    A clock that stands two years ahead makes all windows old at once. What went within a day is known by a clock that nobody can
-    set, and of signals also from their rows. `doubt` says why some that are old were kept.
+    A clock that stands two years ahead makes all windows old at once. What went within a day is
+    known by a clock that nobody can set, and of signals also from their rows. `doubt` says why some
+    that are old were kept.
     """
 
     def __init__(self) -> None:
@@ -53,9 +61,13 @@ class Clock:
 
     def signals(self, connection: Connection, days: float, now: datetime) -> int:
         """How many signals may go for their age now."""
-        held = connection.execute(select(func.count()).select_from(windows).where(_HELD)).scalar_one()
+        held = connection.execute(
+            select(func.count()).select_from(windows).where(_HELD)
+        ).scalar_one()
         lately = windows.c.signal_let_go_at > now - timedelta(days=1)
-        recent = connection.execute(select(func.count()).select_from(windows).where(lately)).scalar_one()
+        recent = connection.execute(
+            select(func.count()).select_from(windows).where(lately)
+        ).scalar_one()
         return self._may_go(connection, held, max(recent, self._lately("signals")), days, now)
 
     def rows(self, connection: Connection, days: float, now: datetime) -> int:
@@ -74,8 +86,12 @@ class Clock:
             departures.popleft()
         return sum(count for _, count in departures)
 
-    def _may_go(self, connection: Connection, total: int, past: int, days: float, now: datetime) -> int:
-        newest = connection.execute(select(windows.c.received_at).order_by(windows.c.id.desc()).limit(1)).scalar_one_or_none()
+    def _may_go(
+        self, connection: Connection, total: int, past: int, days: float, now: datetime
+    ) -> int:
+        newest = connection.execute(
+            select(windows.c.received_at).order_by(windows.c.id.desc()).limit(1)
+        ).scalar_one_or_none()
         self._far = newest if newest is not None and now - newest > _FARTHEST else None
         if self._far is not None:
             return 0
@@ -85,21 +101,34 @@ class Clock:
     def kept_back(self, days: float, now: datetime) -> None:
         """Note that more is old than may go."""
         if self._far is not None:
-            says = f"the newest window is of {self._far:%Y-%m-%d}, the clock says {now:%Y-%m-%d}: none goes until newer ones come"
+            says = (
+                f"the newest window is of {self._far:%Y-%m-%d}, the clock says {now:%Y-%m-%d}: none"
+                " goes until newer ones come"
+            )
         else:
-            says = f"more is older than {days:g} days than the {100 * max(_SHARE, 2.0 / days):.0f} % that go within a day"
+            says = (
+                f"more is older than {days:g} days than the {100 * max(_SHARE, 2.0 / days):.0f} %"
+                " that go within a day"
+            )
         self.doubt = f"{says}; set the clock right if it is wrong"
 
 
 def let_go(connection: Connection, retention: Retention, now: datetime, clock: Clock) -> list[str]:
-    """Write down that the oldest signals beyond the age or the amount are gone, a batch at most; returns their blocks' paths.
+    """Write down that the oldest signals beyond the age or the amount are gone, a batch at most;
+    returns their blocks' paths.
 
-    Those beyond the age go as far as the clock is believed. Signals of rows that are to go go too. Kept whatever their age: the
-    newest window of every asset, and the window behind every alarm that is not normal.
+    Those beyond the age go as far as the clock is believed. Signals of rows that are to go go too.
+    Kept whatever their age: the newest window of every asset, and the window behind every alarm
+    that is not normal.
     """
-    held = connection.execute(select(func.coalesce(func.sum(windows.c.size_bytes), 0)).where(_HELD)).scalar_one()
+    held = connection.execute(
+        select(func.coalesce(func.sum(windows.c.size_bytes), 0)).where(_HELD)
+    ).scalar_one()
     surplus = int(held) - retention.size_bytes
-    rows = connection.execute(select(func.count()).select_from(windows).where(_HELD)).scalar_one() - retention.rows
+    rows = (
+        connection.execute(select(func.count()).select_from(windows).where(_HELD)).scalar_one()
+        - retention.rows
+    )
     days = min(retention.days, retention.row_days)
     aged = may_go = clock.signals(connection, days, now)
     freed: list[Row[Any]] = []
@@ -121,13 +150,19 @@ def let_go(connection: Connection, retention: Retention, now: datetime, clock: C
 
 
 def forget(connection: Connection, retention: Retention, now: datetime, clock: Clock) -> int:
-    """Fold the findings of the oldest windows beyond the age or the number into their hours, and delete the rows of both.
+    """Fold the findings of the oldest windows beyond the age or the number into their hours, and
+    delete the rows of both.
 
-    A batch at most; returns how many. Only windows whose signal is gone; kept is what `let_go` keeps, and what any alarm names.
+    A batch at most; returns how many. Only windows whose signal is gone; kept is what `let_go`
+    keeps, and what any alarm names.
     """
-    surplus = connection.execute(select(func.count()).select_from(windows)).scalar_one() - retention.rows
+    surplus = (
+        connection.execute(select(func.count()).select_from(windows)).scalar_one() - retention.rows
+    )
     aged, forgotten = clock.rows(connection, retention.row_days, now), list[int]()
-    for row in connection.execute(_may_go(windows.c.signal_let_go_at.is_not(None), alarming=alarms.c.window_id.is_not(None))):
+    for row in connection.execute(
+        _may_go(windows.c.signal_let_go_at.is_not(None), alarming=alarms.c.window_id.is_not(None))
+    ):
         if len(forgotten) >= surplus:
             if (now - row.received_at).total_seconds() <= retention.row_days * _DAY:
                 break
@@ -139,7 +174,10 @@ def forget(connection: Connection, retention: Retention, now: datetime, clock: C
         clock.went("rows", len(forgotten) - max(0, surplus))
         theirs = findings.c.window_id.in_(forgotten)
         finding_notices.forget(connection, theirs)
-        finding_hours.add(connection, connection.execute(select(findings).where(theirs).order_by(findings.c.id)).all())
+        finding_hours.add(
+            connection,
+            connection.execute(select(findings).where(theirs).order_by(findings.c.id)).all(),
+        )
         connection.execute(delete(findings).where(theirs))
         connection.execute(delete(windows).where(windows.c.id.in_(forgotten)))
     return len(forgotten)
@@ -150,8 +188,15 @@ _ALARMING = (alarms.c.state != AlarmState.NORMAL.value) & alarms.c.window_id.is_
 
 
 def _may_go(where: ColumnElement[bool], alarming: ColumnElement[bool] = _ALARMING) -> Select[Any]:
-    newest = select(func.max(windows.c.id)).where(windows.c.asset_id == assets.c.id).correlate(assets).scalar_subquery()
-    query = select(windows.c.id, windows.c.block_path, windows.c.size_bytes, windows.c.received_at).where(
+    newest = (
+        select(func.max(windows.c.id))
+        .where(windows.c.asset_id == assets.c.id)
+        .correlate(assets)
+        .scalar_subquery()
+    )
+    query = select(
+        windows.c.id, windows.c.block_path, windows.c.size_bytes, windows.c.received_at
+    ).where(
         where,
         windows.c.id.not_in(select(newest).select_from(assets).where(newest.is_not(None))),
         windows.c.id.not_in(select(alarms.c.window_id).where(alarming)),

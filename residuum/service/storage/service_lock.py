@@ -1,6 +1,8 @@
-"""One service on a data folder and database: a lock of the system on the folder, and one of PostgreSQL for the folder's identity.
+"""One service on a data folder and database: a lock of the system on the folder, and one of
+PostgreSQL for the folder's identity.
 
-Both end with the process that holds them, however it ends. Two services would both read the buses and store every window twice.
+Both end with the process that holds them, however it ends. Two services would both read the buses
+and store every window twice.
 """
 
 from __future__ import annotations
@@ -27,7 +29,9 @@ log = structlog.get_logger()
 LOOK_EVERY = 2.0
 """Seconds between looks at whether the lock is still held."""
 _FILE = "service.lock"
-_WAYS_ON = "stop that one, or give this one a data folder and a database of its own (--data, --database)"
+_WAYS_ON = (
+    "stop that one, or give this one a data folder and a database of its own (--data, --database)"
+)
 
 
 def _nobody(_reason: str) -> None:
@@ -40,7 +44,9 @@ class ServiceRuns(BadInput):
 
 @contextmanager
 def folder_lock(folder: Path) -> Iterator[None]:
-    """Hold a data folder for this service alone; ServiceRuns where another one holds it, OSError where none can be written."""
+    """Hold a data folder for this service alone; ServiceRuns where another one holds it, OSError
+    where none can be written.
+    """
     make_folder(folder)
     descriptor = os.open(folder / _FILE, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
     try:
@@ -49,7 +55,9 @@ def folder_lock(folder: Path) -> Iterator[None]:
         except BlockingIOError:
             holder = os.read(descriptor, 32).decode("ascii", "replace").strip()
             holder_name = f"process {holder}" if holder.isdecimal() else "another process"
-            raise ServiceRuns(f"data folder {folder}: a service runs on it already ({holder_name}); {_WAYS_ON}") from None
+            raise ServiceRuns(
+                f"data folder {folder}: a service runs on it already ({holder_name}); {_WAYS_ON}"
+            ) from None
         os.truncate(descriptor, 0)
         os.pwrite(descriptor, f"{os.getpid()}\n".encode(), 0)
         yield
@@ -58,11 +66,15 @@ def folder_lock(folder: Path) -> Iterator[None]:
 
 
 @contextmanager
-def database_lock(database: Database, identity: str, lost: Callable[[str], None] = _nobody) -> Iterator[None]:
-    """Hold a PostgreSQL database's data folder, by its identity, for this service alone; ServiceRuns where another holds it.
+def database_lock(
+    database: Database, identity: str, lost: Callable[[str], None] = _nobody
+) -> Iterator[None]:
+    """Hold a PostgreSQL database's data folder, by its identity, for this service alone;
+    ServiceRuns where another holds it.
 
-    The lock ends with its connection: it is looked after, and taken again over a new one. `lost` is told, once, when another
-    service has taken it meanwhile. SQLite needs none: its file has the lock of the one folder that it belongs to.
+    The lock ends with its connection: it is looked after, and taken again over a new one. `lost` is
+    told, once, when another service has taken it meanwhile. SQLite needs none: its file has the
+    lock of the one folder that it belongs to.
     """
     if database.url.get_backend_name() != "postgresql":
         yield
@@ -70,9 +82,14 @@ def database_lock(database: Database, identity: str, lost: Callable[[str], None]
     lock = _AdvisoryLock(database, identity)
     if not lock.take():
         url = database.url.render_as_string(hide_password=True)
-        raise ServiceRuns(f"database {url}: a service runs on it already, with a copy of this data folder; {_WAYS_ON}")
+        raise ServiceRuns(
+            f"database {url}: a service runs on it already, with a copy of this data folder;"
+            f" {_WAYS_ON}"
+        )
     stopped = threading.Event()
-    thread = threading.Thread(target=lock.look_after, args=(stopped, lost), name="service lock", daemon=True)
+    thread = threading.Thread(
+        target=lock.look_after, args=(stopped, lost), name="service lock", daemon=True
+    )
     thread.start()
     try:
         yield
@@ -87,16 +104,22 @@ class _AdvisoryLock:
 
     def __init__(self, database: Database, identity: str) -> None:
         self._database = database
-        self._number = int.from_bytes(hashlib.sha256(identity.encode()).digest()[:8], "big", signed=True)
+        self._number = int.from_bytes(
+            hashlib.sha256(identity.encode()).digest()[:8], "big", signed=True
+        )
         self._held = ExitStack()
         self._connection: Connection | None = None
         self._sessions: set[int] = set()
-        """Sessions of the server that hold it for us, or may: of one whose answer was lost, it is not known."""
+        """Sessions of the server that hold it for us, or may: of one whose answer was lost, it is
+        not known.
+        """
 
     def take(self) -> bool:
-        """Whether it is held now, over a new connection; a session of ours that the server still believes in is ended first.
+        """Whether it is held now, over a new connection; a session of ours that the server still
+        believes in is ended first.
 
-        StorageUnavailable where the connection is lost meanwhile, or a session of ours has not ended yet.
+        StorageUnavailable where the connection is lost meanwhile, or a session of ours has not
+        ended yet.
         """
         connection = self._held.enter_context(self._database.held_open())
         try:
@@ -111,12 +134,18 @@ class _AdvisoryLock:
             raise StorageUnavailable(f"database: {str(error.orig).splitlines()[0]}") from error
         self.let_go()
         if holders <= self._sessions:
-            raise StorageUnavailable("database: a session of this service that held the lock of the data folder ends")
+            raise StorageUnavailable(
+                "database: a session of this service that held the lock of the data folder ends"
+            )
         return False
 
     def _free(self, connection: Connection) -> bool:
         """Whether nobody held it; then this session does."""
-        return bool(connection.scalar(text("SELECT pg_try_advisory_lock(:number)"), {"number": self._number}))
+        return bool(
+            connection.scalar(
+                text("SELECT pg_try_advisory_lock(:number)"), {"number": self._number}
+            )
+        )
 
     def let_go(self) -> None:
         """Close the connection, and with it the lock."""
@@ -132,7 +161,10 @@ class _AdvisoryLock:
                     continue
                 self.let_go()
                 if not self.take():
-                    lost("another service has taken the data folder while the database was away; this one ends")
+                    lost(
+                        "another service has taken the data folder while the database was away;"
+                        " this one ends"
+                    )
                     return
                 log.info("the lock of the data folder is held again, over a new connection")
             except StorageUnavailable as error:
@@ -151,5 +183,6 @@ class _AdvisoryLock:
 
 
 _HOLDERS = text(
-    "SELECT pid FROM pg_locks WHERE locktype = 'advisory' AND granted AND ((classid::bigint << 32) | objid::bigint) = :number"
+    "SELECT pid FROM pg_locks WHERE locktype = 'advisory' AND granted AND ((classid::bigint << 32)"
+    " | objid::bigint) = :number"
 )

@@ -30,7 +30,9 @@ from sqlalchemy.dialects.postgresql import JSONB
 
 
 class UtcDateTime(TypeDecorator[datetime]):
-    """A moment, stored as UTC without zone, so that both databases keep microseconds and order alike."""
+    """A moment, stored as UTC without zone, so that both databases keep microseconds and order
+    alike.
+    """
 
     impl = DateTime
     cache_ok = True

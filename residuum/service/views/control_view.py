@@ -1,4 +1,5 @@
-"""What a page draws of a robust controller: the front of what is possible, and for each of its points bounds, loops and steps.
+"""What a page draws of a robust controller: the front of what is possible, and for each of its
+points bounds, loops and steps.
 
 The work of a job.
 """
@@ -19,7 +20,13 @@ from residuum.library.answers.control_promise import promise_and_measurement
 from residuum.library.answers.plain import finite
 from residuum.library.control import law, posed
 from residuum.library.questions.control_design import DesignController
-from residuum.robust_control.certificates import StepResponse, control_response, h_infinity_norm, over_plants, step_response
+from residuum.robust_control.certificates import (
+    StepResponse,
+    control_response,
+    h_infinity_norm,
+    over_plants,
+    step_response,
+)
 from residuum.robust_control.control_problem import ControlProblem, Wishes
 from residuum.robust_control.controller_export import LANGUAGES, DifferenceEquation
 from residuum.robust_control.loop import weighted_loop
@@ -43,7 +50,8 @@ def view_control_design(
     joined: bytes | None,
     asked: DesignController,
 ) -> Mapping[str, Any]:
-    """Design controllers along the Pareto front, and say of each what it promises and how it behaves on drawn plants.
+    """Design controllers along the Pareto front, and say of each what it promises and how it
+    behaves on drawn plants.
 
     Parameters
     ----------
@@ -56,8 +64,9 @@ def view_control_design(
     Returns
     -------
     mapping
-        `feasible`, else `reason`; `frequency` [Hz] of all that is drawn; `uncertainty`; `input` and `output` of the plant;
-        `points` of the front with `chosen`, the index of the preferred one. A point has its `controller`, certified `cost`, |S|,
+        `feasible`, else `reason`; `frequency` [Hz] of all that is drawn; `uncertainty`; `input` and
+        `output` of the plant; `points` of the front with `chosen`, the index of the preferred one.
+        A point has its `controller`, certified `cost`, |S|,
         |T|, |W_S|, |W_T| and their `total`, the open `loop` with the range over drawn plants, step responses (`time` [s],
         `nominal`, `drawn`, and the same of the `control` signal u), their `figures`, and `exports`.
 
@@ -79,7 +88,11 @@ def view_control_design(
         "wishes": wanted.names,
         "limit": wanted.limit,
     }
-    described |= {"sample_time": problem.loop.sample_time, "uncertainty": _uncertainty(problem), **_signals(problem)}
+    described |= {
+        "sample_time": problem.loop.sample_time,
+        "uncertainty": _uncertainty(problem),
+        **_signals(problem),
+    }
     try:
         solution = problem.solve(structure, wanted)
     except Infeasible as no:
@@ -89,7 +102,10 @@ def view_control_design(
     measured = problem.measured(solution, wanted)
     figures = []
     for index, point in enumerate(points):
-        progress(0.5 + 0.4 * index / len(points), f"following {len(plants)} drawn plants, point {index + 1} of {len(points)}")
+        progress(
+            0.5 + 0.4 * index / len(points),
+            f"following {len(plants)} drawn plants, point {index + 1} of {len(points)}",
+        )
         figures.append(over_plants(plants, point.design.controller, problem.horizon))
     progress(0.9, "preparing the charts")
     picture = _Picture(problem, plants)
@@ -108,12 +124,20 @@ def view_control_design(
 
 
 def _with_chosen(
-    problem: ControlProblem, wishes: Wishes, front: Sequence[Point[Synthesis]], chosen: Point[Synthesis]
+    problem: ControlProblem,
+    wishes: Wishes,
+    front: Sequence[Point[Synthesis]],
+    chosen: Point[Synthesis],
 ) -> tuple[list[Point[Synthesis]], int]:
     """The front with every cost minimised to the end, and where on it the chosen point is."""
-    index = next(k for k, point in enumerate(front) if (point.first, point.second) == (chosen.first, chosen.second))
+    index = next(
+        k
+        for k, point in enumerate(front)
+        if (point.first, point.second) == (chosen.first, chosen.second)
+    )
     return [
-        chosen if k == index else refined(problem.loop, problem.weights(wishes, point), point) for k, point in enumerate(front)
+        chosen if k == index else refined(problem.loop, problem.weights(wishes, point), point)
+        for k, point in enumerate(front)
     ], index
 
 
@@ -139,7 +163,11 @@ def _uncertainty(problem: ControlProblem) -> dict[str, Any]:
 
 def _promises(problem: ControlProblem, point: Point[Synthesis]) -> dict[str, Any]:
     design = point.design
-    norm = h_infinity_norm(weighted_loop(problem.plant, design.controller, W_T=problem.W_T))[0] if design.stable else None
+    norm = (
+        h_infinity_norm(weighted_loop(problem.plant, design.controller, W_T=problem.W_T))[0]
+        if design.stable
+        else None
+    )
     return {
         "first": point.first,
         "second": point.second,
@@ -159,14 +187,22 @@ def _promises(problem: ControlProblem, point: Point[Synthesis]) -> dict[str, Any
 def _exports(point: Point[Synthesis], limits: tuple[float, float]) -> dict[str, Any]:
     equation = DifferenceEquation(point.design.controller, *limits)
     exports = {name: source(equation) for name, source in LANGUAGES.items()}
-    return {"difference_equation": equation.text(), "b": equation.b.tolist(), "a": equation.a.tolist(), "exports": exports}
+    return {
+        "difference_equation": equation.text(),
+        "b": equation.b.tolist(),
+        "a": equation.a.tolist(),
+        "exports": exports,
+    }
 
 
 def _figures(steps: Sequence[StepResponse]) -> dict[str, Any]:
     """Medians over the drawn plants, and how many are unstable."""
     rows = [asdict(step) for step in steps]
     medians = {name: finite(float(np.median([row[name] for row in rows]))) for name in rows[0]}
-    return {**medians, "unstable": sum(not math.isfinite(step.integral_absolute_error) for step in steps)}
+    return {
+        **medians,
+        "unstable": sum(not math.isfinite(step.integral_absolute_error) for step in steps),
+    }
 
 
 class _Picture:
@@ -184,8 +220,12 @@ class _Picture:
         """[Hz]."""
         return np.asarray(self._omega / (2 * np.pi))
 
-    def of(self, wishes: Wishes, point: Point[Synthesis], figures: Sequence[StepResponse]) -> dict[str, Any]:
-        """|S|, |T| and their weights, the open loop with the range over the drawn plants, and the step responses."""
+    def of(
+        self, wishes: Wishes, point: Point[Synthesis], figures: Sequence[StepResponse]
+    ) -> dict[str, Any]:
+        """|S|, |T| and their weights, the open loop with the range over the drawn plants, and the
+        step responses.
+        """
         K = point.design.controller.frequency_response(self._omega)
         L = self._nominal * K
         S = 1.0 / (1.0 + L)
@@ -204,8 +244,12 @@ class _Picture:
             "steps": self._steps(point.design.controller, figures),
         }
 
-    def _loop(self, nominal: npt.NDArray[np.complex128], drawn: npt.NDArray[np.complex128]) -> dict[str, Any]:
-        """Bode points of the open loop; drawn phases are counted from the nominal one, so that none is a turn away."""
+    def _loop(
+        self, nominal: npt.NDArray[np.complex128], drawn: npt.NDArray[np.complex128]
+    ) -> dict[str, Any]:
+        """Bode points of the open loop; drawn phases are counted from the nominal one, so that none
+        is a turn away.
+        """
         phase = np.unwrap(np.angle(nominal))
         turned = phase + np.angle(drawn / nominal)
         size = np.abs(drawn)
@@ -218,15 +262,25 @@ class _Picture:
             "highest_phase": _plain(np.degrees(turned.max(axis=0))),
         }
 
-    def _steps(self, controller: TransferFunction, figures: Sequence[StepResponse]) -> dict[str, Any]:
-        """Responses until three median settling times, or the horizon that the figures were taken over."""
+    def _steps(
+        self, controller: TransferFunction, figures: Sequence[StepResponse]
+    ) -> dict[str, Any]:
+        """Responses until three median settling times, or the horizon that the figures were taken
+        over.
+        """
         sample_time = self._problem.loop.sample_time
         settling = float(np.median([step.settling_time for step in figures]))
-        end = max(min(_SHOWN_SETTLING_TIMES * settling, self._problem.horizon), _FEWEST_SAMPLES * sample_time)
+        end = max(
+            min(_SHOWN_SETTLING_TIMES * settling, self._problem.horizon),
+            _FEWEST_SAMPLES * sample_time,
+        )
         shown = _spread(max(2, round(end / sample_time)), _TIMES)
 
         def responses(follow: Follow) -> dict[str, Any]:
-            nominal, *drawn = [_plain(follow(plant, controller, end)[shown]) for plant in (self._problem.plant, *self._plants)]
+            nominal, *drawn = [
+                _plain(follow(plant, controller, end)[shown])
+                for plant in (self._problem.plant, *self._plants)
+            ]
             return {"nominal": nominal, "drawn": drawn}
 
         time = _plain(np.asarray(shown * sample_time, dtype=float))

@@ -1,4 +1,5 @@
-"""What a page draws of a model beside records: signals, residuals and missing terms; the work of jobs.
+"""What a page draws of a model beside records: signals, residuals and missing terms; the work of
+jobs.
 
 The signals come back as records of their own, so that a page can zoom into them as into any record.
 """
@@ -66,9 +67,10 @@ def view_model(
     Returns
     -------
     mapping
-        `comparison`; `signals`, a record's parts each (`y measured`, `y simulated`, `y residual` of every output);
-        `points`, a thinned cloud of missing terms and residuals with the axes they may be shown along; `curves`, the mean
-        and band of every term along every axis; `spectra` of the residuals; `phases`, every term by phase and direction.
+        `comparison`; `signals`, a record's parts each (`y measured`, `y simulated`, `y residual` of
+        every output); `points`, a thinned cloud of missing terms and residuals with the axes they
+        may be shown along; `curves`, the mean and band of every term along every axis; `spectra` of
+        the residuals; `phases`, every term by phase and direction.
     """
     loaded = [Record(*parts) for parts in records]
     progress(0.05, "simulating, and smoothing the missing terms")
@@ -93,32 +95,60 @@ def effect_curves(
     mapping: Mapping[str, str],
     effects: Sequence[tuple[str, str, Mapping[str, float]]],
 ) -> Mapping[str, Any]:
-    """What each effect (id, balance, values) would add to its balance, along every axis of the model's simulation."""
+    """What each effect (id, balance, values) would add to its balance, along every axis of the
+    model's simulation.
+    """
     loaded, curves = [Record(*parts) for parts in records], []
     model, experiments = match(model_of(name, text), loaded, mapping)
     for index, (id, balance, values) in enumerate(effects):
         progress(index / len(effects), id)
-        for axis, curve in term_curves.effect_curves(model, experiments, Key(id, balance), values, loaded):
-            curves.append({"effect": id, "balance": balance, "axis": axis.name, "at": curve.at, "value": curve.mean})
+        for axis, curve in term_curves.effect_curves(
+            model, experiments, Key(id, balance), values, loaded
+        ):
+            curves.append(
+                {
+                    "effect": id,
+                    "balance": balance,
+                    "axis": axis.name,
+                    "at": curve.at,
+                    "value": curve.mean,
+                }
+            )
     return {"curves": curves}
 
 
 def _terms(comparison: Comparison) -> list[dict[str, Any]]:
-    """Missing terms of the balances, then residuals of the measured outputs, records one after the other."""
+    """Missing terms of the balances, then residuals of the measured outputs, records one after the
+    other.
+    """
     terms: list[dict[str, Any]] = []
     for name in comparison.smoothed[0].missing:
         missing = [smoothed.missing[name] for smoothed in comparison.smoothed]
-        value, std = (np.concatenate([getattr(term, part) for term in missing]) for part in ("value", "std"))
-        terms.append({"of": name, "kind": "balance", "unit": missing[0].unit, "value": value, "std": std})
+        value, std = (
+            np.concatenate([getattr(term, part) for term in missing]) for part in ("value", "std")
+        )
+        terms.append(
+            {"of": name, "kind": "balance", "unit": missing[0].unit, "value": value, "std": std}
+        )
     for k, output in enumerate(comparison.model.outputs.values()):
         if output.name in comparison.outputs:
             value = np.concatenate([residual[:, k] for residual in comparison.simulation.residuals])
-            terms.append({"of": output.name, "kind": "output", "unit": output.unit, "value": value, "std": None})
+            terms.append(
+                {
+                    "of": output.name,
+                    "kind": "output",
+                    "unit": output.unit,
+                    "value": value,
+                    "std": None,
+                }
+            )
     return terms
 
 
 def _phases(comparison: Comparison, terms: Sequence[Mapping[str, Any]]) -> Iterator[dict[str, Any]]:
-    """Every term by phase and direction of the movement; none for a model without velocity, temperature or level."""
+    """Every term by phase and direction of the movement; none for a model without velocity,
+    temperature or level.
+    """
     ends = np.cumsum([experiment.n for experiment in comparison.experiments])[:-1]
     sample_times = [experiment.sample_time for experiment in comparison.experiments]
     for term in terms:
@@ -134,13 +164,20 @@ def _signals(comparison: Comparison, number: int) -> RecordParts:
     for k, output in enumerate(comparison.model.outputs.values()):
         shown = {"simulated": comparison.simulation.predicted[number][:, k]}
         if experiment.measured[k]:
-            shown |= {"measured": experiment.Y[:, k], "residual": comparison.simulation.residuals[number][:, k]}
-        channels |= {f"{output.name} {kind}": np.ascontiguousarray(values) for kind, values in shown.items()}
+            shown |= {
+                "measured": experiment.Y[:, k],
+                "residual": comparison.simulation.residuals[number][:, k],
+            }
+        channels |= {
+            f"{output.name} {kind}": np.ascontiguousarray(values) for kind, values in shown.items()
+        }
         units |= {f"{output.name} {kind}": output.unit for kind in shown}
     return channels, units, experiment.sample_time, experiment.t0, (), experiment.source
 
 
-def _points(comparison: Comparison, axes: Sequence[Axis], terms: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def _points(
+    comparison: Comparison, axes: Sequence[Axis], terms: Sequence[Mapping[str, Any]]
+) -> dict[str, Any]:
     sizes = [experiment.n for experiment in comparison.experiments]
     shown = slice(None, None, max(1, -(-sum(sizes) // SHOWN_POINTS)))
     time = np.concatenate([e.sample_time * np.arange(e.n) for e in comparison.experiments])
@@ -148,27 +185,47 @@ def _points(comparison: Comparison, axes: Sequence[Axis], terms: Sequence[Mappin
     return {
         "record": record[shown].tolist(),
         "time": time[shown].tolist(),
-        "axes": [{"name": a.name, "unit": a.unit, "kind": a.kind, "values": a.values[shown].tolist()} for a in axes],
+        "axes": [
+            {"name": a.name, "unit": a.unit, "kind": a.kind, "values": a.values[shown].tolist()}
+            for a in axes
+        ],
         "terms": [{**t, "value": t["value"][shown].tolist(), "std": None} for t in terms],
     }
 
 
 def _curve(axis: Axis, term: Mapping[str, Any]) -> dict[str, Any]:
-    """Mean of a term in bins of an axis, with ± two standard deviations of a missing term, or of a residual's scatter."""
+    """Mean of a term in bins of an axis, with ± two standard deviations of a missing term, or of a
+    residual's scatter.
+    """
     shown = term_curves.binned(axis.values, term["value"], _BINS)
-    band = shown.scatter if term["std"] is None else term_curves.binned(axis.values, term["std"], _BINS).mean
+    band = (
+        shown.scatter
+        if term["std"] is None
+        else term_curves.binned(axis.values, term["std"], _BINS).mean
+    )
     low, high = shown.mean - 2 * band, shown.mean + 2 * band
-    return {"of": term["of"], "axis": axis.name, "at": shown.at, "mean": shown.mean, "low": low, "high": high}
+    return {
+        "of": term["of"],
+        "axis": axis.name,
+        "at": shown.at,
+        "mean": shown.mean,
+        "low": low,
+        "high": high,
+    }
 
 
 def _spectra(comparison: Comparison) -> Iterator[dict[str, Any]]:
-    """Residual amplitude |E(f)|/√n over frequency of the first record (white noise of RMS σ is flat at σ)."""
+    """Residual amplitude |E(f)|/√n over frequency of the first record (white noise of RMS σ is flat
+    at σ).
+    """
     experiment, residuals = comparison.experiments[0], comparison.simulation.residuals[0]
     for k, output in enumerate(comparison.model.outputs.values()):
         if output.name not in comparison.outputs:
             continue
         error = np.where(np.isfinite(residuals[:, k]), residuals[:, k], 0.0)
-        amplitude = extremes(np.abs(np.fft.rfft(error))[1:] / np.sqrt(experiment.n), _SPECTRUM_LINES)
+        amplitude = extremes(
+            np.abs(np.fft.rfft(error))[1:] / np.sqrt(experiment.n), _SPECTRUM_LINES
+        )
         step = amplitude.samples / (experiment.n * experiment.sample_time)
         yield {"of": output.name, "unit": output.unit, "step": step, "amplitude": amplitude.maximum}
 
@@ -192,10 +249,11 @@ def add_effect(
 ) -> Mapping[str, Any]:
     """The model with one more effect, all free parameters estimated, and how its error fell.
 
-    The parameters come from the first 70 % of each record, at the input timing that leaves the model with the effect the
-    smaller error; their bands know the colour of the noise. `errors` are RMS simulation errors of every output on the rest
-    (on the same data when the rest is too short: `held_out` says which): of the model as given, with its own parameters
-    estimated, and with the effect. `values` are where the effect's parameters start.
+    The parameters come from the first 70 % of each record, at the input timing that leaves the
+    model with the effect the smaller error; their bands know the colour of the noise. `errors` are
+    RMS simulation errors of every output on the rest (on the same data when the rest is too short:
+    `held_out` says which): of the model as given, with its own parameters estimated, and with the
+    effect. `values` are where the effect's parameters start.
 
     Raises
     ------
@@ -213,7 +271,9 @@ def add_effect(
     before = estimate(matched, training)
     progress(0.4, f"estimating with {effect}")
     larger = before.model.with_effect(effect, target, values)
-    timed, after = at_likelier_timing(training, lambda tried: with_coloured_noise(estimate(larger, tried), tried))
+    timed, after = at_likelier_timing(
+        training, lambda tried: with_coloured_noise(estimate(larger, tried), tried)
+    )
     if timed[0] is not training[0]:
         before = estimate(matched, timed)
     progress(0.8, "simulating what was held out")
@@ -259,7 +319,12 @@ def _parameters(result: Estimate) -> dict[str, Any]:
     declared = result.model.all_parameters
     values = zip(result.parameters, result.theta, result.std, strict=True)
     return {
-        name: {"value": float(value), "std": float(std), "unit": declared[name].unit, "at_bound": name in result.at_bound}
+        name: {
+            "value": float(value),
+            "std": float(std),
+            "unit": declared[name].unit,
+            "at_bound": name in result.at_bound,
+        }
         for name, value, std in values
     }
 
@@ -269,24 +334,36 @@ def _parameters(result: Estimate) -> dict[str, Any]:
 
 
 def describe(model: PhysicalModel) -> dict[str, Any]:
-    """The model as plain values; an expression is a tree of `["+", a, b]`, names (text) and numbers."""
+    """The model as plain values; an expression is a tree of `["+", a, b]`, names (text) and
+    numbers.
+    """
     return {
         "name": model.name,
         "inputs": [
-            {"name": signal.name, "unit": signal.unit, "required": signal.default is None} for signal in model.inputs.values()
+            {"name": signal.name, "unit": signal.unit, "required": signal.default is None}
+            for signal in model.inputs.values()
         ],
         "outputs": [
-            {"name": output.name, "unit": output.unit, "value": _tree(output.value.tree)} for output in model.outputs.values()
+            {"name": output.name, "unit": output.unit, "value": _tree(output.value.tree)}
+            for output in model.outputs.values()
         ],
-        "states": [{"name": state.name, "unit": state.unit, "rate": state.rate} for state in model.states.values()],
-        "parameters": [_parameter(name, parameter) for name, parameter in model.all_parameters.items()],
+        "states": [
+            {"name": state.name, "unit": state.unit, "rate": state.rate}
+            for state in model.states.values()
+        ],
+        "parameters": [
+            _parameter(name, parameter) for name, parameter in model.all_parameters.items()
+        ],
         "balances": [
             {
                 "name": balance.name,
                 "kind": balance.kind,
                 "unit": balance.unit,
                 "storage": _tree(balance.storage.tree),
-                "terms": [{"name": name, "value": _tree(term.tree)} for name, term in balance.terms.items()],
+                "terms": [
+                    {"name": name, "value": _tree(term.tree)}
+                    for name, term in balance.terms.items()
+                ],
             }
             for balance in model.balances.values()
         ],
@@ -297,7 +374,9 @@ def describe(model: PhysicalModel) -> dict[str, Any]:
                 "equation": use.effect.equation,
                 "target": use.target,
                 "label": use.label,
-                "parameters": [_parameter(name, parameter) for name, parameter in use.parameters.items()],
+                "parameters": [
+                    _parameter(name, parameter) for name, parameter in use.parameters.items()
+                ],
                 "provenance": dict(use.provenance),
             }
             for use in model.effects
@@ -324,7 +403,12 @@ def _tree(node: Node) -> Any:
         return node.name
     if isinstance(node, Call) and node.function in ("table", "cubic"):
         first, *knots = map(_tree, node.operands)
-        return ["table", first, ["[]", *knots[: len(knots) // 2]], ["[]", *knots[len(knots) // 2 :]]]
+        return [
+            "table",
+            first,
+            ["[]", *knots[: len(knots) // 2]],
+            ["[]", *knots[len(knots) // 2 :]],
+        ]
     return [node.function if isinstance(node, Call) else node.operator, *map(_tree, node.operands)]
 
 
@@ -336,25 +420,36 @@ _UNBOUNDED = {"lower": -inf, "upper": inf}
 def with_parameters(model: PhysicalModel, changes: Mapping[str, Mapping[str, Any]]) -> str:
     """The text of the model with some parameters changed.
 
-    `changes` maps a parameter's full name (`R`, `coulomb-friction@shaft.tau_c`) to its new `value`, `lower`, `upper` (None: no
-    bound) or `fixed`. BadModel for an unknown name, or for what no model file may hold (a value outside its bounds).
+    `changes` maps a parameter's full name (`R`, `coulomb-friction@shaft.tau_c`) to its new `value`,
+    `lower`, `upper` (None: no bound) or `fixed`. BadModel for an unknown name, or for what no model
+    file may hold (a value outside its bounds).
     """
     if unknown := [name for name in changes if name not in model.all_parameters]:
         known = known_names(unknown[0], model.all_parameters, "there are")
         raise BadModel(f"model {model.name!r}: no parameter {unknown[0][:60]!r}; {known}")
-    changed = {name: _changed(parameter, changes.get(name, {})) for name, parameter in model.all_parameters.items()}
+    changed = {
+        name: _changed(parameter, changes.get(name, {}))
+        for name, parameter in model.all_parameters.items()
+    }
     for name, parameter in changed.items():
         if name in changes and not parameter.lower <= parameter.value <= parameter.upper:
             bounds = f"{parameter.lower:g} … {parameter.upper:g} {parameter.unit}".rstrip()
             raise BadModel(f"parameter {name!r}: value {parameter.value:g} must be within {bounds}")
     effects = tuple(
-        replace(use, parameters={name: changed[f"{use.label}.{name}"] for name in use.parameters}) for use in model.effects
+        replace(use, parameters={name: changed[f"{use.label}.{name}"] for name in use.parameters})
+        for use in model.effects
     )
-    text = write_model(replace(model, parameters={name: changed[name] for name in model.parameters}, effects=effects))
+    text = write_model(
+        replace(
+            model, parameters={name: changed[name] for name in model.parameters}, effects=effects
+        )
+    )
     read_model(text, model.name)
     return text
 
 
 def _changed(parameter: Parameter, change: Mapping[str, Any]) -> Parameter:
-    fields: dict[str, Any] = {field: _UNBOUNDED.get(field) if value is None else value for field, value in change.items()}
+    fields: dict[str, Any] = {
+        field: _UNBOUNDED.get(field) if value is None else value for field, value in change.items()
+    }
     return replace(parameter, **fields)

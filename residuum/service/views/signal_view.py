@@ -1,7 +1,7 @@
 """What a page shows of a long signal: minimum and maximum an interval.
 
-Every `interval` keeps its extremes, so a peak of one sample survives any reduction; picking one sample an interval
-(largest-triangle and the like) can lose it.
+Every `interval` keeps its extremes, so a peak of one sample survives any reduction; picking one
+sample an interval (largest-triangle and the like) can lose it.
 """
 
 from __future__ import annotations
@@ -27,7 +27,9 @@ from residuum.service.work.worker_pool import RecordParts
 
 @dataclass(frozen=True, eq=False)
 class Extremes:
-    """Minimum and maximum of every `samples` samples, shapes (intervals,); NaN where an interval has no sample."""
+    """Minimum and maximum of every `samples` samples, shapes (intervals,); NaN where an interval
+    has no sample.
+    """
 
     samples: int
     minimum: FloatArray
@@ -35,7 +37,8 @@ class Extremes:
 
 
 def extremes(signal: npt.NDArray[Any], most: int) -> Extremes:
-    """Reduce a signal of n samples to at most `most` intervals of equal length (the last may be shorter).
+    """Reduce a signal of n samples to at most `most` intervals of equal length (the last may be
+    shorter).
 
     Missing samples (NaN) are passed over; an interval of nothing else is NaN.
 
@@ -68,11 +71,21 @@ def extremes_of_pieces(pieces: Iterator[npt.NDArray[Any]], n: int, most: int) ->
             held = held[whole * samples :]
     if len(held):
         reduced.append(extremes(held, 1))
-    return Extremes(samples, *(np.concatenate([getattr(part, end) for part in reduced]) for end in ("minimum", "maximum")))
+    return Extremes(
+        samples,
+        *(
+            np.concatenate([getattr(part, end) for part in reduced])
+            for end in ("minimum", "maximum")
+        ),
+    )
 
 
-def stretch(pieces: Iterator[npt.NDArray[Any]], first: int, last: int) -> Iterator[npt.NDArray[Any]]:
-    """The samples first … last − 1 of a signal that comes piece by piece; it is taken to its end, where damage shows."""
+def stretch(
+    pieces: Iterator[npt.NDArray[Any]], first: int, last: int
+) -> Iterator[npt.NDArray[Any]]:
+    """The samples first … last − 1 of a signal that comes piece by piece; it is taken to its end,
+    where damage shows.
+    """
     begin = 0
     for piece in pieces:
         if len(inside := piece[max(0, first - begin) : max(0, last - begin)]):
@@ -104,23 +117,25 @@ def view_residual(
     asked: DesignResidual,
     judged: RunResidual,
 ) -> Mapping[str, Any]:
-    """Design a residual generator, run it on a record, and on its healthy records with and without a sensor offset.
+    """Design a residual generator, run it on a record, and on its healthy records with and without
+    a sensor offset.
 
     Parameters
     ----------
     content : bytes
         File of the identified model.
     offset : float or None
-        Sensor offset of the receiver operating characteristic [output unit]; None: twice the noise's standard deviation.
+        Sensor offset of the receiver operating characteristic [output unit]; None: twice the
+        noise's standard deviation.
     asked : DesignResidual
     judged : RunResidual
 
     Returns
     -------
     mapping
-        `time`, `residual` (`lowest`, `highest`), `statistic` and `threshold` of the record; `alarm_time`; `roc`: shares of
-        samples above a level, of healthy data (`false_alarms`) and of the same data with the offset (`detections`), by RMS
-        of the residual.
+        `time`, `residual` (`lowest`, `highest`), `statistic` and `threshold` of the record;
+        `alarm_time`; `roc`: shares of samples above a level, of healthy data (`false_alarms`) and
+        of the same data with the offset (`detections`), by RMS of the residual.
 
     Raises
     ------
@@ -134,11 +149,17 @@ def view_residual(
     progress(0.7, "running it")
     run = detect(design, looked_at, **judged.model_dump())
     size = 2 * design.noise.sigma if offset is None else offset
-    return {**_over_time(design, looked_at, run), "roc": {"offset": size, **_characteristic(design, good, size)}}
+    return {
+        **_over_time(design, looked_at, run),
+        "roc": {"offset": size, **_characteristic(design, good, size)},
+    }
 
 
 def _over_time(design: ResidualDesign, record: Record, run: Detection) -> dict[str, Any]:
-    residual, statistic = (np.where(run.signals.valid, values, np.nan) for values in (run.signals.robust, run.statistic))
+    residual, statistic = (
+        np.where(run.signals.valid, values, np.nan)
+        for values in (run.signals.robust, run.statistic)
+    )
     reduced = extremes(residual, _POINTS)
     level = np.broadcast_to(np.asarray(run.threshold.level, dtype=float), (record.n,))
     first = run.first_alarm
@@ -158,15 +179,27 @@ def _over_time(design: ResidualDesign, record: Record, run: Detection) -> dict[s
     }
 
 
-def _characteristic(design: ResidualDesign, healthy: Sequence[Record], offset: float) -> dict[str, Any]:
-    """Share of samples whose windowed RMS residual passes a level, without and with a sensor offset."""
+def _characteristic(
+    design: ResidualDesign, healthy: Sequence[Record], offset: float
+) -> dict[str, Any]:
+    """Share of samples whose windowed RMS residual passes a level, without and with a sensor
+    offset.
+    """
     output = design.model.output_name
     shifted = [replace(r, channels={**r.channels, output: r[output] + offset}) for r in healthy]
     without, with_fault = (np.sort(_statistics(design, records)) for records in (healthy, shifted))
     levels = np.quantile(np.concatenate([without, with_fault]), np.linspace(1, 0, _LEVELS))
-    shares = [1 - np.searchsorted(values, levels, side="left") / len(values) for values in (without, with_fault)]
+    shares = [
+        1 - np.searchsorted(values, levels, side="left") / len(values)
+        for values in (without, with_fault)
+    ]
     area = float(np.trapezoid(np.append(0.0, shares[1]), np.append(0.0, shares[0])))
-    return {"level": levels.tolist(), "false_alarms": shares[0].tolist(), "detections": shares[1].tolist(), "area": area}
+    return {
+        "level": levels.tolist(),
+        "false_alarms": shares[0].tolist(),
+        "detections": shares[1].tolist(),
+        "area": area,
+    }
 
 
 def _statistics(design: ResidualDesign, records: Sequence[Record]) -> FloatArray:

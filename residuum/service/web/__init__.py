@@ -1,4 +1,6 @@
-"""The page: plain HTML, ES modules and CSS beside this file, and Plotly from the installed package."""
+"""The page: plain HTML, ES modules and CSS beside this file, and Plotly from the installed
+package.
+"""
 
 from __future__ import annotations
 
@@ -32,19 +34,32 @@ def web_routes() -> list[BaseRoute]:
 
 
 class _Assets(StaticFiles):
-    """Files that the browser asks about every time (they are small), so a new version shows at once; packed on the way."""
+    """Files that the browser asks about every time (they are small), so a new version shows at
+    once; packed on the way.
+    """
 
     def file_response(
-        self, full_path: str | os.PathLike[str], stat_result: os.stat_result, scope: Scope, status_code: int = 200
+        self,
+        full_path: str | os.PathLike[str],
+        stat_result: os.stat_result,
+        scope: Scope,
+        status_code: int = 200,
     ) -> Response:
         """The file, to be revalidated."""
         response = super().file_response(full_path, stat_result, scope, status_code)
         response.headers["Cache-Control"] = "no-cache"
-        if not isinstance(response, FileResponse) or "gzip" not in Headers(scope=scope).get("accept-encoding", ""):
+        if not isinstance(response, FileResponse) or "gzip" not in Headers(scope=scope).get(
+            "accept-encoding", ""
+        ):
             return response
         tags = {name: response.headers[name] for name in ("etag", "last-modified", "cache-control")}
         headers = {**tags, "Content-Encoding": "gzip", "Vary": "Accept-Encoding"}
-        return Response(_packed(str(full_path), stat_result.st_mtime_ns), status_code, headers, response.media_type)
+        return Response(
+            _packed(str(full_path), stat_result.st_mtime_ns),
+            status_code,
+            headers,
+            response.media_type,
+        )
 
 
 @lru_cache(maxsize=128)

@@ -21,7 +21,12 @@ from residuum.service.broker import BrokerAddress
 from residuum.service.fieldbus.settings import MachineSettings
 from residuum.service.machines.judging.scoring import PlainRecord
 from residuum.service.storage.durable_folder import make_folder, sync_folder
-from residuum.service.window_queue.window_message import WindowMessage, broker_client, receipt_topic, window_topic
+from residuum.service.window_queue.window_message import (
+    WindowMessage,
+    broker_client,
+    receipt_topic,
+    window_topic,
+)
 
 # Spool: a gateway's windows on its disk, until each of them is known to be stored elsewhere.
 
@@ -31,7 +36,8 @@ _ENDING = ".window"
 class Spool:
     """Files in a folder, in the order in which they came; safe to use from any thread.
 
-    A message is on disk when `put` returns. What was there at a crash is there at the next start, under the same keys.
+    A message is on disk when `put` returns. What was there at a crash is there at the next start,
+    under the same keys.
 
     Parameters
     ----------
@@ -53,7 +59,10 @@ class Spool:
         for file in files:
             _, *name_parts = file.name.removesuffix(_ENDING).split("-", maxsplit=2)
             if len(name_parts) != 2:
-                raise BadInput(f"{file}: its name does not say of which machine it is; move it out of the spool")
+                raise BadInput(
+                    f"{file}: its name does not say of which machine it is; move it out of the"
+                    " spool"
+                )
             self._list(name_parts[0], name_parts[1], file)
         self._sizes = {key: file.stat().st_size for key, file in self._files.items()}
         self._bytes = sum(self._sizes.values())
@@ -65,7 +74,9 @@ class Spool:
             return len(self._files)
 
     def put(self, payload: bytes, machine: str) -> str:
-        """Keep a message of a machine; returns its key once it is on disk. OSError when it cannot be written."""
+        """Keep a message of a machine; returns its key once it is on disk. OSError when it cannot
+        be written.
+        """
         key = uuid.uuid4().hex
         with self._lock:
             file = self._folder / f"{self._next:012d}-{key}-{machine}{_ENDING}"
@@ -120,16 +131,22 @@ class Spool:
 log = structlog.get_logger()
 
 _AHEAD = 8
-"""Windows of a machine that are under way at once; what those of one machine wait for holds up no other."""
+"""Windows of a machine that are under way at once; what those of one machine wait for holds up no
+other.
+"""
 _RESEND_AFTER, _LONGEST_RESEND = 15.0, 240.0
-"""Seconds without a receipt for a machine after which its windows are sent again; doubled each time, up to the second."""
+"""Seconds without a receipt for a machine after which its windows are sent again; doubled each
+time, up to the second.
+"""
 _LOOK = 0.5
 _RETRY = 2.0
 
 
 @dataclass
 class _Machine:
-    """What is under way of one machine's windows; `progress` is when the last was sent or known to be stored."""
+    """What is under way of one machine's windows; `progress` is when the last was sent or known to
+    be stored.
+    """
 
     patience: float
     under_way: dict[str, None] = field(default_factory=dict)
@@ -140,8 +157,9 @@ class _Machine:
 class Gateway:
     """The sending side of the window queue.
 
-    The windows of a machine come to its scorer in their order. Before the scorer has ever subscribed, a broker forgets what it is
-    sent; so after each connecting a machine's first window goes alone, and the others once its receipt has come.
+    The windows of a machine come to its scorer in their order. Before the scorer has ever
+    subscribed, a broker forgets what it is sent; so after each connecting a machine's first window
+    goes alone, and the others once its receipt has come.
 
     Parameters
     ----------
@@ -153,7 +171,9 @@ class Gateway:
         See `_RESEND_AFTER` [s].
     """
 
-    def __init__(self, name: str, spool: Spool, address: BrokerAddress, resend_after: float = _RESEND_AFTER) -> None:
+    def __init__(
+        self, name: str, spool: Spool, address: BrokerAddress, resend_after: float = _RESEND_AFTER
+    ) -> None:
         self.name, self.spool = name, spool
         self._address, self._resend_after = address, resend_after
         self.sent = self.stored = self.refused = 0
@@ -174,10 +194,22 @@ class Gateway:
         if self._thread.ident is not None:
             self._thread.join(5.0)
 
-    def handle(self, machine: MachineSettings, window: Record, _baseline: str | None, stopped: threading.Event) -> Finding | None:
-        """Keep a window of a machine in the spool (what a `MachineLine` does with it); there is no finding yet."""
+    def handle(
+        self,
+        machine: MachineSettings,
+        window: Record,
+        _baseline: str | None,
+        stopped: threading.Event,
+    ) -> Finding | None:
+        """Keep a window of a machine in the spool (what a `MachineLine` does with it); there is no
+        finding yet.
+        """
         message = WindowMessage(
-            machine.asset, machine.diagnoser, machine.baseline or machine.asset, PlainRecord.of(window), machine.method
+            machine.asset,
+            machine.diagnoser,
+            machine.baseline or machine.asset,
+            PlainRecord.of(window),
+            machine.method,
         )
         payload = message.pack()
         while True:
@@ -186,7 +218,9 @@ class Gateway:
                 self._moved.set()
                 return None
             except OSError as error:
-                log.error("window not spooled, trying again", machine=machine.asset, reason=str(error))
+                log.error(
+                    "window not spooled, trying again", machine=machine.asset, reason=str(error)
+                )
                 if stopped.wait(_RETRY):
                     return None
 
@@ -199,7 +233,12 @@ class Gateway:
     def _send_all(self) -> None:
         receipts = [receipt_topic(self._address.prefix, self.name)]
         client = broker_client(
-            self._address, f"residuum-gateway-{self.name}", receipts, self._take_receipt, self._connected.set, kept=False
+            self._address,
+            f"residuum-gateway-{self.name}",
+            receipts,
+            self._take_receipt,
+            self._connected.set,
+            kept=False,
         )
         machines: dict[str, _Machine] = {}
         try:
@@ -219,7 +258,10 @@ class Gateway:
     def _send_what_is_due(self, client: Any, machines: dict[str, _Machine]) -> None:
         waiting = self.spool.oldest(_AHEAD)
         for asset in waiting.keys() | machines.keys():
-            machine, keys = machines.setdefault(asset, _Machine(self._resend_after)), waiting.get(asset, [])
+            machine, keys = (
+                machines.setdefault(asset, _Machine(self._resend_after)),
+                waiting.get(asset, []),
+            )
             self._follow(machine, keys)
             for key in keys if machine.heard else keys[:1]:
                 if key not in machine.under_way:
@@ -241,7 +283,9 @@ class Gateway:
     def _send(self, client: Any, asset: str, key: str) -> None:
         payload = self.spool.read(key)
         if payload is not None:
-            client.publish(window_topic(self._address.prefix, asset, self.name, key), payload, qos=1)
+            client.publish(
+                window_topic(self._address.prefix, asset, self.name, key), payload, qos=1
+            )
             self.sent += 1
 
     def _take_receipt(self, client: Any, message: Any) -> None:

@@ -1,4 +1,6 @@
-"""Scorer: takes windows from the broker, has them judged, stores them once, and only then says so."""
+"""Scorer: takes windows from the broker, has them judged, stores them once, and only then says
+so.
+"""
 
 from __future__ import annotations
 
@@ -45,24 +47,36 @@ _LAST_WINDOW = 4.0
 class Scorer:
     """One of several consumers of the window queue; each has its share of the machines.
 
-    At least once: the broker and the gateway are told of a window after it is on disk. Once: the key under which it was sent
-    is the store's idempotency key. A window whose judging ends its process again and again is stored as not assessable.
-    A message that is refused, or that was begun several times and never finished, is set aside with its reason.
+    At least once: the broker and the gateway are told of a window after it is on disk. Once: the
+    key under which it was sent is the store's idempotency key. A window whose judging ends its
+    process again and again is stored as not assessable. A message that is refused, or that was
+    begun several times and never finished, is set aside with its reason.
 
     Parameters
     ----------
     address : BrokerAddress
     part, parts : int
-        Which of how many scorers this is, from 1. Two with the same part end each other's connection.
+        Which of how many scorers this is, from 1. Two with the same part end each other's
+        connection.
     pool : WorkerPool
     store : DiskStore
     data : Path
         Folder for baselines.
     """
 
-    def __init__(self, address: BrokerAddress, part: int, parts: int, pool: WorkerPool, store: DiskStore, data: Path) -> None:
+    def __init__(
+        self,
+        address: BrokerAddress,
+        part: int,
+        parts: int,
+        pool: WorkerPool,
+        store: DiskStore,
+        data: Path,
+    ) -> None:
         if not 1 <= part <= parts <= PARTITIONS:
-            raise BadInput(f"scorer {part}/{parts}: must be one of at most {PARTITIONS}, numbered from 1")
+            raise BadInput(
+                f"scorer {part}/{parts}: must be one of at most {PARTITIONS}, numbered from 1"
+            )
         self._address, self._part, self._parts = address, part, parts
         self._pool, self._store, self._data = pool, store, data
         self._set_aside, self._attempts = SetAside(data), Attempts(data, f"{part}-of-{parts}")
@@ -70,7 +84,9 @@ class Scorer:
         self._came: queue.Queue[tuple[int, Any]] = queue.Queue()
         self._connection = 0
         self._stopped = threading.Event()
-        self._thread = threading.Thread(target=self._score_all, name=f"scorer {part}/{parts}", daemon=True)
+        self._thread = threading.Thread(
+            target=self._score_all, name=f"scorer {part}/{parts}", daemon=True
+        )
         self.stored = self.seen_before = self.refused = 0
 
     def start(self) -> None:
@@ -78,7 +94,9 @@ class Scorer:
         self._thread.start()
 
     def stop(self) -> None:
-        """End; the window that is being judged is finished if that takes no longer than some seconds, else it comes again."""
+        """End; the window that is being judged is finished if that takes no longer than some
+        seconds, else it comes again.
+        """
         self._stopped.set()
         if self._thread.ident is not None:
             self._thread.join(_LAST_WINDOW)
@@ -86,7 +104,9 @@ class Scorer:
     def _score_all(self) -> None:
         topics = windows_of_part(self._address.prefix, self._part, self._parts)
         name = f"residuum-scorer-{self._address.prefix}-{self._part}-of-{self._parts}"
-        client = broker_client(self._address, name, topics, self._queue, self._reconnected, kept=True)
+        client = broker_client(
+            self._address, name, topics, self._queue, self._reconnected, kept=True
+        )
         try:
             while not self._stopped.is_set():
                 try:
@@ -122,13 +142,22 @@ class Scorer:
             self._set_aside.put(key, gateway, message.payload, refused, message.topic)
             self._attempts.finish(key)
             log.error("window refused and set aside", gateway=gateway, reason=refused)
-        except Exception:  # one window must not end the scorer; it is not acknowledged, so it comes again
+        except (
+            Exception
+        ):  # one window must not end the scorer; it is not acknowledged, so it comes again
             log.exception("window not scored", gateway=gateway, attempt=attempt)
             self._stopped.wait(_STORAGE_RETRY)
             return
-        if stored is not None:  # before the receipt: a scorer that is killed in between stores nothing new, but tells anew
+        if (
+            stored is not None
+            # before the receipt: a scorer that is killed in between stores nothing new, but tells anew
+        ):
             client.publish(stored_topic(self._address.prefix), stored.pack(), qos=1)
-        client.publish(receipt_topic(self._address.prefix, gateway), orjson.dumps({"key": key, "refused": refused}), qos=1)
+        client.publish(
+            receipt_topic(self._address.prefix, gateway),
+            orjson.dumps({"key": key, "refused": refused}),
+            qos=1,
+        )
         client.ack(message.mid, message.qos)
 
     def _store_once(self, key: str, payload: bytes) -> StoredNews | None:
@@ -137,7 +166,8 @@ class Scorer:
         message = WindowMessage.unpack(payload)
         if message.diagnoser not in DIAGNOSERS:
             raise BadInput(
-                f"diagnoser {message.diagnoser[:60]!r}: there is none of this name; {known_names(message.diagnoser, DIAGNOSERS)}"
+                f"diagnoser {message.diagnoser[:60]!r}: there is none of this name;"
+                f" {known_names(message.diagnoser, DIAGNOSERS)}"
             )
         record = message.window.record()
         finding: Finding | None = None
@@ -151,7 +181,9 @@ class Scorer:
                 self.stored += 1
                 return StoredNews(message.asset, window)
             except StorageUnavailable as error:
-                log.error("window not stored, trying again", machine=message.asset, reason=str(error))
+                log.error(
+                    "window not stored, trying again", machine=message.asset, reason=str(error)
+                )
                 self._stopped.wait(_STORAGE_RETRY)
         return None
 
@@ -159,11 +191,15 @@ class Scorer:
         try:
             baseline = self._baseline(message.baseline)
             method = deciding_method(self._store, message.asset, message.diagnoser, message.method)
-            return self._pool.call(score_window, message.diagnoser, baseline, message.window, method)
+            return self._pool.call(
+                score_window, message.diagnoser, baseline, message.window, method
+            )
         except BrokenProcessPool:
             if self._stopped.is_set():
                 raise
-            return Finding.not_assessable(message.diagnoser, "judging it ended its process several times")
+            return Finding.not_assessable(
+                message.diagnoser, "judging it ended its process several times"
+            )
 
     def _baseline(self, name: str) -> str:
         """The file of the newest version of a baseline; empty when there is none."""

@@ -1,7 +1,9 @@
-"""SetAside: messages of the broker that cannot be stored, kept beside the others with the reason, so that none holds up the rest.
+"""SetAside: messages of the broker that cannot be stored, kept beside the others with the reason,
+so that none holds up the rest.
 
-A message that ends the scorer would come again after its start, and end it again. So a scorer notes on disk which message it
-has begun; one that it has begun several times and never finished is set aside before it is read.
+A message that ends the scorer would come again after its start, and end it again. So a scorer notes
+on disk which message it has begun; one that it has begun several times and never finished is set
+aside before it is read.
 """
 
 from __future__ import annotations
@@ -35,9 +37,11 @@ _LONGEST_REASON = 500
 
 @dataclass(frozen=True)
 class Poisoned:
-    """A message that was set aside: what it was sent under, from where, when, why, and how many bytes it has.
+    """A message that was set aside: what it was sent under, from where, when, why, and how many
+    bytes it has.
 
-    `name` is that of its files, `topic` where it came; empty for one that an older version set aside.
+    `name` is that of its files, `topic` where it came; empty for one that an older version set
+    aside.
     """
 
     key: str
@@ -50,7 +54,8 @@ class Poisoned:
 
 
 class SetAside:
-    """A folder of messages (`*.message`) with their reasons (`*.json`), newest last; the service reads what scorers write.
+    """A folder of messages (`*.message`) with their reasons (`*.json`), newest last; the service
+    reads what scorers write.
 
     Parameters
     ----------
@@ -83,13 +88,20 @@ class SetAside:
     def newest(self, limit: int | None = 20) -> list[Poisoned]:
         """The messages that were set aside last (None: all), the newest first."""
         descriptions = sorted(self._folder.glob("*.json"), reverse=True)[:limit]
-        return [Poisoned(**{"name": file.stem, **orjson.loads(file.read_bytes())}) for file in descriptions if file.is_file()]
+        return [
+            Poisoned(**{"name": file.stem, **orjson.loads(file.read_bytes())})
+            for file in descriptions
+            if file.is_file()
+        ]
 
     def get(self, name: str) -> Poisoned:
         """The message of a name; BadInput where none has it."""
         by_name = {message.name: message for message in self.newest(limit=None)}
         if name not in by_name:
-            raise BadInput(f"message {name[:80]!r}: none of this name is set aside; {known_names(name, by_name, 'there are')}")
+            raise BadInput(
+                f"message {name[:80]!r}: none of this name is set aside;"
+                f" {known_names(name, by_name, 'there are')}"
+            )
         return by_name[name]
 
     def payload(self, name: str) -> bytes:
@@ -117,7 +129,8 @@ class SetAside:
 class Attempts:
     """Which messages one scorer has begun and not finished, in a file that outlives it.
 
-    The file is not synced: it guards against a process that ends, not against a power cut, and is written for every window.
+    The file is not synced: it guards against a process that ends, not against a power cut, and is
+    written for every window.
 
     Parameters
     ----------
@@ -136,7 +149,9 @@ class Attempts:
             self._begun = {}
 
     def begin(self, key: str) -> int:
-        """Note that a message is begun; returns how many times it was begun without being finished, this one included."""
+        """Note that a message is begun; returns how many times it was begun without being finished,
+        this one included.
+        """
         self._begun[key] = self._begun.get(key, 0) + 1
         self._write()
         return self._begun[key]
@@ -158,30 +173,52 @@ _PATIENCE = 60.0
 
 
 def send_again(
-    address: BrokerAddress, aside: SetAside, messages: Sequence[Poisoned], patience: float = _PATIENCE
+    address: BrokerAddress,
+    aside: SetAside,
+    messages: Sequence[Poisoned],
+    patience: float = _PATIENCE,
 ) -> Iterator[tuple[Poisoned, str | None]]:
-    """Send them, the oldest first, under their own keys: what is stored already is stored no second time.
+    """Send them, the oldest first, under their own keys: what is stored already is stored no second
+    time.
 
-    Gives each with why it was refused anew (and set aside anew), None where it is stored now; it has left the folder then.
-    Raises BadInput where the broker or the message's scorer does not answer, or for one of which no topic was noted.
+    Gives each with why it was refused anew (and set aside anew), None where it is stored now; it
+    has left the folder then. Raises BadInput where the broker or the message's scorer does not
+    answer, or for one of which no topic was noted.
     """
     for message in messages:
         if not message.topic:
-            raise BadInput(f"{message.name}: was set aside by an older version, which did not note for whom; take it out by --to")
-    gateway, ready, receipts = f"again-{secrets.token_hex(8)}", queue.Queue[None](), queue.Queue[Any]()
+            raise BadInput(
+                f"{message.name}: was set aside by an older version, which did not note for whom;"
+                " take it out by --to"
+            )
+    gateway, ready, receipts = (
+        f"again-{secrets.token_hex(8)}",
+        queue.Queue[None](),
+        queue.Queue[Any](),
+    )
 
     def take(client: Any, message: Any) -> None:
         receipts.put(orjson.loads(message.payload))
         client.ack(message.mid, message.qos)
 
     topics = [receipt_topic(address.prefix, gateway)]
-    client = broker_client(address, gateway, topics, take, lambda: None, kept=False, subscribed=lambda: ready.put(None))
+    client = broker_client(
+        address, gateway, topics, take, lambda: None, kept=False, subscribed=lambda: ready.put(None)
+    )
     try:
-        _waited(ready, patience, f"broker {address.host}:{address.port}: does not let us in; nothing was sent")
+        _waited(
+            ready,
+            patience,
+            f"broker {address.host}:{address.port}: does not let us in; nothing was sent",
+        )
         for message in sorted(messages, key=lambda poisoned: poisoned.name):
             beginning, _, key = message.topic.rsplit("/", 2)
             client.publish(f"{beginning}/{gateway}/{key}", aside.payload(message.name), qos=1)
-            receipt = _waited(receipts, patience, f"{message.name}: no scorer says that it has it, so it stays; is one running?")
+            receipt = _waited(
+                receipts,
+                patience,
+                f"{message.name}: no scorer says that it has it, so it stays; is one running?",
+            )
             aside.let_go(message.name)
             yield message, receipt["refused"]
     finally:

@@ -1,4 +1,6 @@
-"""StoredWindows: what scorers store, told to the listeners of this service as what it stores itself."""
+"""StoredWindows: what scorers store, told to the listeners of this service as what it stores
+itself.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,12 @@ from residuum.identification.errors import BadInput
 from residuum.service.broker import BrokerAddress
 from residuum.service.storage.disk_store import DiskStore
 from residuum.service.store import StorageUnavailable
-from residuum.service.window_queue.window_message import ASSET_NAME, PARTITIONS, broker_client, stored_topic
+from residuum.service.window_queue.window_message import (
+    ASSET_NAME,
+    PARTITIONS,
+    broker_client,
+    stored_topic,
+)
 
 # StoredNews: which window has been stored, as bytes. It names what to read from the store and
 # says nothing of what is in it.
@@ -49,7 +56,9 @@ class StoredNews:
             plain = orjson.loads(payload)
         except orjson.JSONDecodeError as error:
             raise BadInput(f"stored news: cannot be read: {error}") from None
-        asset, window = (plain.get("asset"), plain.get("window")) if isinstance(plain, dict) else (None, None)
+        asset, window = (
+            (plain.get("asset"), plain.get("window")) if isinstance(plain, dict) else (None, None)
+        )
         if not isinstance(asset, str) or not ASSET_NAME.fullmatch(asset):
             raise BadInput("stored news, asset: is no name of a machine")
         if type(window) is not int or not 0 < window < _LARGEST:
@@ -69,7 +78,9 @@ _REMEMBERED = 20_000
 
 Tell = Callable[[str, Mapping[str, Any]], None]
 Count = Callable[[str], None]
-"""Told what became of a message: `taken`, `refused` (it is none), or `overflow` (too many machines wait)."""
+"""Told what became of a message: `taken`, `refused` (it is none), or `overflow` (too many machines
+wait).
+"""
 
 
 class Told:
@@ -93,10 +104,10 @@ class Told:
 class StoredWindows:
     """The listening side of the news of stored windows.
 
-    A message is a hint to look: what is told is read from the store, is newer than the connection to the broker, and is told
-    once, so whoever can write to the broker can show nobody anything but what is there. With every connection listeners are
-    told `reset`: what was stored meanwhile is in the state that they then read anew. Memory and work are bounded however many
-    messages come.
+    A message is a hint to look: what is told is read from the store, is newer than the connection
+    to the broker, and is told once, so whoever can write to the broker can show nobody anything but
+    what is there. With every connection listeners are told `reset`: what was stored meanwhile is in
+    the state that they then read anew. Memory and work are bounded however many messages come.
 
     Parameters
     ----------
@@ -109,8 +120,16 @@ class StoredWindows:
     count : callable
     """
 
-    def __init__(self, address: BrokerAddress, store: DiskStore, told: Told, tell: Tell, count: Count) -> None:
-        self._address, self._store, self._told, self._tell, self._count = address, store, told, tell, count
+    def __init__(
+        self, address: BrokerAddress, store: DiskStore, told: Told, tell: Tell, count: Count
+    ) -> None:
+        self._address, self._store, self._told, self._tell, self._count = (
+            address,
+            store,
+            told,
+            tell,
+            count,
+        )
         self._lock = threading.Lock()
         self._waiting: dict[str, int] = {}
         self._anew = False
@@ -133,14 +152,23 @@ class StoredWindows:
     def _follow(self) -> None:
         name = f"residuum-live-{secrets.token_hex(8)}"
         topics = [stored_topic(self._address.prefix)]
-        client = broker_client(self._address, name, topics, self._take, lambda: None, kept=False, subscribed=self._begin_anew)
+        client = broker_client(
+            self._address,
+            name,
+            topics,
+            self._take,
+            lambda: None,
+            kept=False,
+            subscribed=self._begin_anew,
+        )
         try:
             while not self._stopped.is_set():
                 self._came.wait()
                 self._came.clear()
                 try:
                     self._look()
-                except Exception as error:  # the store may come back, and nothing that comes over the network may end this
+                # the store may come back, and nothing that comes over the network may end this
+                except Exception as error:
                     note = log.error if isinstance(error, StorageUnavailable) else log.exception
                     note("stored windows not read, trying again", reason=str(error))
                     self._came.set()
@@ -172,14 +200,17 @@ class StoredWindows:
         self._came.set()
 
     def _begin_anew(self) -> None:
-        """What was stored until now, listeners read themselves: a new subscription, or more than is told one by one."""
+        """What was stored until now, listeners read themselves: a new subscription, or more than is
+        told one by one.
+        """
         with self._lock:
             self._anew = True
         self._came.set()
 
     def _look(self) -> None:
         if self._anew:
-            # A number may be given before another's and be committed after it, but a scorer stores one window after the other.
+            # A number may be given before another's and be committed after it, but a scorer stores
+            # one window after the other.
             since = max(0, self._store.newest_finding() - PARTITIONS)
             with self._lock:
                 self._anew = False
@@ -197,7 +228,9 @@ class StoredWindows:
 
     def _tell_of(self, asset: str) -> None:
         """Tell what the store has of a machine that was not told yet."""
-        findings = self._store.findings_after(asset, self._seen.get(asset, self._since), _AT_ONCE + 1)
+        findings = self._store.findings_after(
+            asset, self._seen.get(asset, self._since), _AT_ONCE + 1
+        )
         if not findings:
             return
         if len(findings) > _AT_ONCE:

@@ -21,7 +21,9 @@ from residuum.service.machines.judging.scoring import PlainRecord
 # Where on the broker windows, receipts and the news of stored windows are.
 
 PARTITIONS = 64
-"""Parts into which the machines are divided; scorers share them, so there can be at most so many."""
+"""Parts into which the machines are divided; scorers share them, so there can be at most so
+many.
+"""
 
 
 def partition_of(asset: str) -> int:
@@ -81,7 +83,8 @@ def broker_client(
     kept: bool,
     subscribed: Callable[[], None] = _nobody,
 ) -> Any:
-    """A paho client whose network thread runs: subscribed (QoS 1) again after each break, messages acknowledged by hand.
+    """A paho client whose network thread runs: subscribed (QoS 1) again after each break, messages
+    acknowledged by hand.
 
     Parameters
     ----------
@@ -96,20 +99,27 @@ def broker_client(
     kept : bool
         Whether the broker keeps messages for this client while it is away.
     subscribed : callable
-        Told when the broker has taken the subscription of a new connection: what is published from then on comes.
+        Told when the broker has taken the subscription of a new connection: what is published from
+        then on comes.
     """
     client = address.client(client_id=client_id, clean_session=not kept, manual_ack=True)
     client.reconnect_delay_set(1, _LONGEST_PAUSE)
 
     def on_connect(client: Any, _data: Any, _flags: Any, reason: Any, _properties: Any) -> None:
         if reason.is_failure:
-            log.warning("the broker refuses us", broker=f"{address.host}:{address.port}", reason=str(reason))
+            log.warning(
+                "the broker refuses us", broker=f"{address.host}:{address.port}", reason=str(reason)
+            )
             return
         connected()
         client.subscribe([(topic, 1) for topic in topics])
 
     def on_connect_fail(_client: Any, _data: Any) -> None:
-        log.warning("the broker does not let us in", broker=f"{address.host}:{address.port}", reason=str(sys.exception()))
+        log.warning(
+            "the broker does not let us in",
+            broker=f"{address.host}:{address.port}",
+            reason=str(sys.exception()),
+        )
 
     client.on_connect, client.on_connect_fail = on_connect, on_connect_fail
     client.on_subscribe = lambda *_: subscribed()
@@ -127,9 +137,11 @@ ASSET_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
 
 @dataclass(frozen=True)
 class WindowMessage:
-    """A window of `asset`, to be judged by `diagnoser` with the stored baseline of the name `baseline`.
+    """A window of `asset`, to be judged by `diagnoser` with the stored baseline of the name
+    `baseline`.
 
-    `method` decides, where a diagnoser has two, unless another was chosen where the window is judged.
+    `method` decides, where a diagnoser has two, unless another was chosen where the window is
+    judged.
     """
 
     asset: str
@@ -142,27 +154,64 @@ class WindowMessage:
         """The message as bytes: MessagePack, samples little endian."""
         window = self.window
         channels = {name: _packed(signal) for name, signal in window.channels.items()}
-        names = {"asset": self.asset, "diagnoser": self.diagnoser, "baseline": self.baseline, "source": window.source}
+        names = {
+            "asset": self.asset,
+            "diagnoser": self.diagnoser,
+            "baseline": self.baseline,
+            "source": window.source,
+        }
         names |= {} if self.method is None else {"method": self.method}
         times = {"sample_time": window.sample_time, "t0": window.t0}
-        packed: bytes = msgpack.packb({"version": _VERSION, **names, **times, "channels": channels, "units": dict(window.units)})
+        packed: bytes = msgpack.packb(
+            {
+                "version": _VERSION,
+                **names,
+                **times,
+                "channels": channels,
+                "units": dict(window.units),
+            }
+        )
         return packed
 
     @classmethod
     def unpack(cls, payload: bytes) -> WindowMessage:
-        """The message again; BadInput, in one line, when it is none. Nothing larger than the payload is allocated."""
+        """The message again; BadInput, in one line, when it is none. Nothing larger than the
+        payload is allocated.
+        """
         try:
             plain = msgpack.unpackb(payload)
             if plain["version"] != _VERSION:
-                raise BadInput(f"window message: is of version {plain['version']!r}; {_VERSION} is read here")
+                raise BadInput(
+                    f"window message: is of version {plain['version']!r}; {_VERSION} is read here"
+                )
             if len(plain["channels"]) > MOST_CHANNELS or len(plain["units"]) > MOST_CHANNELS:
-                raise BadInput(f"window message: {len(plain['channels'])} channels; at most {MOST_CHANNELS} are read")
-            channels = {str(name): _unpacked(str(name), *packed) for name, packed in plain["channels"].items()}
+                raise BadInput(
+                    f"window message: {len(plain['channels'])} channels; at most {MOST_CHANNELS}"
+                    " are read"
+                )
+            channels = {
+                str(name): _unpacked(str(name), *packed)
+                for name, packed in plain["channels"].items()
+            }
             units = {str(name): str(unit) for name, unit in plain["units"].items()}
-            window = PlainRecord(channels, units, float(plain["sample_time"]), float(plain["t0"]), str(plain["source"]))
-            message = cls(str(plain["asset"]), str(plain["diagnoser"]), str(plain["baseline"]), window, plain.get("method"))
+            window = PlainRecord(
+                channels,
+                units,
+                float(plain["sample_time"]),
+                float(plain["t0"]),
+                str(plain["source"]),
+            )
+            message = cls(
+                str(plain["asset"]),
+                str(plain["diagnoser"]),
+                str(plain["baseline"]),
+                window,
+                plain.get("method"),
+            )
         except (ValueError, TypeError, KeyError, AttributeError, msgpack.UnpackException) as error:
-            raise BadInput(f"window message: cannot be read: {type(error).__name__} {error}") from None
+            raise BadInput(
+                f"window message: cannot be read: {type(error).__name__} {error}"
+            ) from None
         if not ASSET_NAME.fullmatch(message.asset):
             raise BadInput(f"window message, asset: {message.asset[:40]!r} is no name of a machine")
         return message
@@ -175,5 +224,8 @@ def _packed(signal: Any) -> tuple[str, bytes]:
 
 def _unpacked(name: str, kind: str, samples: bytes) -> Any:
     if kind not in _TYPES:
-        raise BadInput(f"window message, channel {name[:40]!r}: samples are {kind!r}; {known_names(kind, _TYPES)}")
+        raise BadInput(
+            f"window message, channel {name[:40]!r}: samples are {kind!r};"
+            f" {known_names(kind, _TYPES)}"
+        )
     return np.frombuffer(samples, kind)

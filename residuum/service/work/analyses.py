@@ -1,6 +1,8 @@
-"""Analyses as the work of jobs: records and models in, the contract's object out, by the functions that a notebook calls, too.
+"""Analyses as the work of jobs: records and models in, the contract's object out, by the functions
+that a notebook calls, too.
 
-Each is told where to say how far it is, and is called in a worker process, which ends when the job is cancelled.
+Each is told where to say how far it is, and is called in a worker process, which ends when the job
+is cancelled.
 """
 
 from __future__ import annotations
@@ -34,7 +36,11 @@ from residuum.service.work.worker_pool import RecordParts, keep_large_arrays, pa
 
 
 def simulate(
-    progress: Progress, machine: str, effects: Mapping[str, Mapping[str, float] | str], duration: float | None, seed: int
+    progress: Progress,
+    machine: str,
+    effects: Mapping[str, Mapping[str, float] | str],
+    duration: float | None,
+    seed: int,
 ) -> Mapping[str, Any]:
     """`record`: the parts of the machine's record, without a word of what is hidden in it."""
     progress(0.0, "running the virtual machine")
@@ -48,7 +54,9 @@ MODEL_FILE = "model.yaml"
 
 @dataclass(frozen=True)
 class Asked:
-    """A model (its text, or the built-in one of this name), the records it is held against, and model name → channel."""
+    """A model (its text, or the built-in one of this name), the records it is held against, and
+    model name → channel.
+    """
 
     model: str
     text: bytes | None
@@ -56,7 +64,9 @@ class Asked:
     mapping: Mapping[str, str]
 
     def opened(self, progress: Progress, work: str) -> tuple[Model, list[Record]]:
-        """Model and records as the library takes them, as the work begins; BadModel for a text that is none."""
+        """Model and records as the library takes them, as the work begins; BadModel for a text that
+        is none.
+        """
         progress(0.0, work)
         keep_large_arrays()
         name = self.model if self.text is None else MODEL_FILE
@@ -72,7 +82,13 @@ def compare(progress: Progress, asked: Asked, question: Compare) -> Mapping[str,
 def explain(progress: Progress, asked: Asked, question: Explain) -> Mapping[str, Any]:
     """`result`: the `explain` object."""
     model, records = asked.opened(progress, "explain")
-    return {"result": model.explain(records, map=asked.mapping, progress=progress, **question.model_dump()).to_dict()}
+    return {
+        "result": (
+            model.explain(
+                records, map=asked.mapping, progress=progress, **question.model_dump()
+            ).to_dict()
+        )
+    }
 
 
 def improve(progress: Progress, asked: Asked, question: Improve) -> Mapping[str, Any]:
@@ -83,14 +99,18 @@ def improve(progress: Progress, asked: Asked, question: Improve) -> Mapping[str,
 
 
 def estimate(progress: Progress, asked: Asked, question: Estimate) -> Mapping[str, Any]:
-    """`result`: the `estimate` object; `file`: the model's text, where its values have not settled only with `anyway`."""
+    """`result`: the `estimate` object; `file`: the model's text, where its values have not settled
+    only with `anyway`.
+    """
     model, records = asked.opened(progress, "estimate")
     fitted = model.estimate(records, map=asked.mapping, **question.model_dump())
     written = question.anyway or not fitted.unsettled
     return {"result": fitted.to_dict(), "file": None if not written else fitted.model.text.encode()}
 
 
-def identify(progress: Progress, records: Sequence[RecordParts], asked: Identify) -> Mapping[str, Any]:
+def identify(
+    progress: Progress, records: Sequence[RecordParts], asked: Identify
+) -> Mapping[str, Any]:
     """`result`: the `identify` object; `file`: the identified model's."""
     progress(0.0, "identify")
     plant = identified(_records(records), asked, progress)
@@ -105,7 +125,9 @@ def residuals(
     asked: DesignResidual,
     judged: RunResidual,
 ) -> Mapping[str, Any]:
-    """`design`: the `residual design` object; `runs`: the `residual run` object of each record. `judged` is asked of these."""
+    """`design`: the `residual design` object; `runs`: the `residual run` object of each record.
+    `judged` is asked of these.
+    """
     steps = 1 + len(records)
     progress(0.0, "residual")
     known = _records(healthy)
@@ -114,7 +136,10 @@ def residuals(
     for number, record in enumerate(_records(records), start=1):
         progress(number / steps, "residual")
         runs.append(run_of(design.design, record, judged).to_dict())
-    return {"design": design.to_dict() | {"identified": "model.json", "file": "design.json"}, "runs": runs}
+    return {
+        "design": design.to_dict() | {"identified": "model.json", "file": "design.json"},
+        "runs": runs,
+    }
 
 
 def design_controller(
@@ -125,11 +150,15 @@ def design_controller(
     asked: DesignController,
     export: str | None = None,
 ) -> Mapping[str, Any]:
-    """`result`: the `control design` object, infeasible or with the controller, and its source text in the language `export`."""
+    """`result`: the `control design` object, infeasible or with the controller, and its source text
+    in the language `export`.
+    """
     progress(0.0, "control")
     middle = None if joined is None else read_identified(joined)
     try:
-        controller = control.designed(names, [read_identified(text) for text in models], middle, asked)
+        controller = control.designed(
+            names, [read_identified(text) for text in models], middle, asked
+        )
     except Infeasible as no:
         described = {"aim": asked.aim, "structure": asked.structure, "models": list(names)}
         return {"result": described | {"feasible": False, "reason": str(no)}}

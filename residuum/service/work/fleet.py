@@ -1,8 +1,10 @@
-"""A fleet's worth of files through one executor: each file once, whatever happens to the workers, and resumable.
+"""A fleet's worth of files through one executor: each file once, whatever happens to the workers,
+and resumable.
 
-The executor is the one seam: `concurrent.futures` with a local pool that survives killed workers, or a Dask cluster by its
-address. The results file gets a line of JSON a file as they come; when all are done it is put in order of the files, so that
-it is the same to the byte however many workers did it, and however often it was begun anew.
+The executor is the one seam: `concurrent.futures` with a local pool that survives killed workers,
+or a Dask cluster by its address. The results file gets a line of JSON a file as they come; when all
+are done it is put in order of the files, so that it is the same to the byte however many workers
+did it, and however often it was begun anew.
 """
 
 from __future__ import annotations
@@ -45,7 +47,9 @@ _DATABASES = ("sqlite", "postgresql")
 
 
 class Unreachable(Exception):
-    """The place of the records is away. That says nothing of a record: none is refused, and the run can be gone on with."""
+    """The place of the records is away. That says nothing of a record: none is refused, and the run
+    can be gone on with.
+    """
 
 
 class FleetSource(Protocol):
@@ -69,9 +73,13 @@ class Folder:
 
     def items(self) -> list[str]:
         """Paths of the files, sorted; BadInput for one that no line of results could name."""
-        files = sorted(str(file) for file in Path(self.folder).rglob("*") if file.suffix.lower() in _ENDINGS)
+        files = sorted(
+            str(file) for file in Path(self.folder).rglob("*") if file.suffix.lower() in _ENDINGS
+        )
         if nameless := next((file for file in files if _is_no_text(file)), None):
-            raise BadInput(f"{os.fsencode(nameless)!r}: is a file name that is not UTF-8; rename the file")
+            raise BadInput(
+                f"{os.fsencode(nameless)!r}: is a file name that is not UTF-8; rename the file"
+            )
         return files
 
     def read(self, item: str) -> Record:
@@ -81,9 +89,11 @@ class Folder:
 
 @dataclass(frozen=True)
 class Bucket:
-    """Record files below a URL that fsspec opens: `s3://bucket/plant`, `file:///srv`, `zip::file:///srv/plant.zip`.
+    """Record files below a URL that fsspec opens: `s3://bucket/plant`, `file:///srv`,
+    `zip::file:///srv/plant.zip`.
 
-    Who may read it is said by the environment, as the library of its protocol wants it (for s3 the AWS variables).
+    Who may read it is said by the environment, as the library of its protocol wants it (for s3 the
+    AWS variables).
     """
 
     url: str
@@ -99,7 +109,9 @@ class Bucket:
         except BadInput:
             raise
         except Exception as error:  # a protocol's library has errors of its own
-            raise BadInput(f"{self.url}: cannot be listed: {type(error).__name__} {error}") from None
+            raise BadInput(
+                f"{self.url}: cannot be listed: {type(error).__name__} {error}"
+            ) from None
         return sorted(str(key) for key in keys if PurePosixPath(key).suffix.lower() in _ENDINGS)
 
     def read(self, item: str) -> Record:
@@ -115,13 +127,17 @@ class Bucket:
                 raise BadInput(str(error).replace(str(local), item)) from None
             except OSError as error:
                 raise BadInput(f"{item}: cannot be read: {error}") from None
-            except Exception as error:  # a protocol's library has errors of its own, which cannot always leave the worker
-                raise Unreachable(f"{item}: cannot be reached: {type(error).__name__} {error}") from None
+            # a protocol's library has errors of its own, which cannot always leave the worker
+            except Exception as error:
+                raise Unreachable(
+                    f"{item}: cannot be reached: {type(error).__name__} {error}"
+                ) from None
 
 
 @dataclass(frozen=True)
 class StoredWindows:
-    """Windows in a service's database whose signals are still kept; a name is `ASSET/NUMBER`. Nothing is changed.
+    """Windows in a service's database whose signals are still kept; a name is `ASSET/NUMBER`.
+    Nothing is changed.
 
     Parameters
     ----------
@@ -166,11 +182,16 @@ class StoredWindows:
 
 
 def fleet_source(text: str, data: Path | None) -> FleetSource:
-    """What a command's argument names; BadInput for a folder that is none and a database without its data folder."""
+    """What a command's argument names; BadInput for a folder that is none and a database without
+    its data folder.
+    """
     scheme = text.split("://", maxsplit=1)[0].split("+", maxsplit=1)[0] if "://" in text else ""
     if scheme in _DATABASES:
         if data is None or not data.is_dir():
-            raise BadInput(f"{text}: the signals of a database are in the service's data folder; give it with --data")
+            raise BadInput(
+                f"{text}: the signals of a database are in the service's data folder; give it with"
+                " --data"
+            )
         return StoredWindows(text, str(data.resolve()))
     if scheme:
         return Bucket(text)
@@ -201,7 +222,14 @@ def _is_no_text(name: str) -> bool:
 
 
 def _named(record: Record, source: str) -> Record:
-    return Record(record.channels, record.units, record.sample_time, t0=record.t0, notes=record.notes, source=source)
+    return Record(
+        record.channels,
+        record.units,
+        record.sample_time,
+        t0=record.t0,
+        notes=record.notes,
+        source=source,
+    )
 
 
 # What is done with each record of a fleet, in a worker: judge it, or identify a model from it.
@@ -271,7 +299,8 @@ def _mark(asked: str, baseline: str | None) -> str:
 
 
 Work = Callable[[str], dict[str, Any]]
-"""What is done with a file; must be known to the workers by name. A refusal is a value, `{"refused": …}`.
+"""What is done with a file; must be known to the workers by name. A refusal is a value,
+`{"refused": …}`.
 
 A work with a `mark` says it in every result, as `by`; results of another mark are not gone on with.
 """
@@ -292,7 +321,9 @@ class _Task:
 
 @contextmanager
 def open_executor(workers: int, scheduler: str | None) -> Iterator[Executor]:
-    """A local pool of so many processes, or the Dask cluster at an address; BadInput when it cannot be reached."""
+    """A local pool of so many processes, or the Dask cluster at an address; BadInput when it cannot
+    be reached.
+    """
     if scheduler is None:
         pool = WorkerPool(workers)
         try:
@@ -303,7 +334,9 @@ def open_executor(workers: int, scheduler: str | None) -> Iterator[Executor]:
     try:
         connect: Any = import_module("distributed").Client  # optional: the extra `fleet`
     except ImportError:
-        raise BadInput("--scheduler: needs the extra `fleet`: pip install 'residuum[fleet]'") from None
+        raise BadInput(
+            "--scheduler: needs the extra `fleet`: pip install 'residuum[fleet]'"
+        ) from None
     try:
         client = connect(scheduler, timeout=10)
     except (OSError, ValueError, TimeoutError) as error:
@@ -313,12 +346,20 @@ def open_executor(workers: int, scheduler: str | None) -> Iterator[Executor]:
 
 
 def run_fleet(
-    files: Sequence[str], work: Work, executor: Executor, results: Path, *, workers: int, tell: Callable[[int, int], None]
+    files: Sequence[str],
+    work: Work,
+    executor: Executor,
+    results: Path,
+    *,
+    workers: int,
+    tell: Callable[[int, int], None],
 ) -> list[dict[str, Any]]:
-    """Do `work` for every file that the results file does not have yet; returns all results, in order of the files.
+    """Do `work` for every file that the results file does not have yet; returns all results, in
+    order of the files.
 
-    A file whose worker is killed is done again; one that ends its worker again and again, even alone, is refused.
-    `tell(done, all)` is told of progress. BadInput when the results file holds results of other work.
+    A file whose worker is killed is done again; one that ends its worker again and again, even
+    alone, is refused. `tell(done, all)` is told of progress. BadInput when the results file holds
+    results of other work.
     """
     mark = getattr(work, "mark", None)
     known = _read(results, set(files), mark)
@@ -359,14 +400,25 @@ def _work_all(work: Work, files: list[str]) -> list[dict[str, Any]]:
     return [{"file": file, **work(file)} for file in files]
 
 
-def _found(future: Future[list[dict[str, Any]]], task: _Task, mark: str | None) -> list[dict[str, Any]] | None:
-    """What a task gave, None when its worker was lost; a lone file that has lost too many is refused."""
+def _found(
+    future: Future[list[dict[str, Any]]], task: _Task, mark: str | None
+) -> list[dict[str, Any]] | None:
+    """What a task gave, None when its worker was lost; a lone file that has lost too many is
+    refused.
+    """
     error = future.exception()
     if error is None:
         return future.result()
     if isinstance(error, Unreachable):
-        raise BadInput(f"{error}; what was done before is in the results file, give the same command to go on")
-    if type(error).__name__ not in ("BrokenProcessPool", "KilledWorker", "CancelledError", "FutureCancelledError"):
+        raise BadInput(
+            f"{error}; what was done before is in the results file, give the same command to go on"
+        )
+    if type(error).__name__ not in (
+        "BrokenProcessPool",
+        "KilledWorker",
+        "CancelledError",
+        "FutureCancelledError",
+    ):
         raise error
     task.attempts += 1
     if len(task.files) == 1 and task.attempts > 2 * _ATTEMPTS:
@@ -377,11 +429,17 @@ def _found(future: Future[list[dict[str, Any]]], task: _Task, mark: str | None) 
 
 def _again(task: _Task) -> list[_Task]:
     """A task that lost its worker too often is done file by file."""
-    return [task] if task.attempts < _ATTEMPTS else [_Task([file], max(task.attempts, _ATTEMPTS)) for file in task.files]
+    return (
+        [task]
+        if task.attempts < _ATTEMPTS
+        else [_Task([file], max(task.attempts, _ATTEMPTS)) for file in task.files]
+    )
 
 
 def _read(results: Path, wanted: set[str], mark: str | None) -> dict[str, dict[str, Any]]:
-    """What an earlier run left; a line that it could not finish is cut off. BadInput for a file of another kind or work."""
+    """What an earlier run left; a line that it could not finish is cut off. BadInput for a file of
+    another kind or work.
+    """
     if not results.exists():
         return {}
     content = results.read_bytes()
@@ -391,9 +449,13 @@ def _read(results: Path, wanted: set[str], mark: str | None) -> dict[str, dict[s
         known = {line["file"]: line for line in lines if line["file"] in wanted}
         marks = {line.get("by") for line in lines}
     except (orjson.JSONDecodeError, AttributeError, KeyError, TypeError):
-        raise BadInput(f"{results}: is there already and holds no results; give another name") from None
+        raise BadInput(
+            f"{results}: is there already and holds no results; give another name"
+        ) from None
     if marks - {mark}:
-        raise BadInput(f"{results}: holds results of another diagnoser, baseline or method; give another name")
+        raise BadInput(
+            f"{results}: holds results of another diagnoser, baseline or method; give another name"
+        )
     if whole != content:
         with results.open("r+b") as file:
             file.truncate(len(whole))

@@ -51,9 +51,13 @@ class CompilingBehind:
             return
         log.info("compiling behind what the first explanation needs")
         command = [sys.executable, "-m", compile_ahead.__name__, "--with-parent"]
-        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+        self._process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
+        )
         os.setpriority(os.PRIO_PROCESS, self._process.pid, _LOWEST_PRIORITY)
-        threading.Thread(target=self._wait, args=(self._process,), name="compiling behind", daemon=True).start()
+        threading.Thread(
+            target=self._wait, args=(self._process,), name="compiling behind", daemon=True
+        ).start()
 
     def stop(self) -> None:
         """End it; what was compiled by then is kept."""
@@ -72,14 +76,19 @@ class CompilingBehind:
         if process.returncode == 0:
             log.info("compiled what the first explanation needs")
         elif not self._stopped:
-            reason = output.decode("utf-8", "replace").strip().rpartition("\n")[-1] or f"exit status {process.returncode}"
+            reason = (
+                output.decode("utf-8", "replace").strip().rpartition("\n")[-1]
+                or f"exit status {process.returncode}"
+            )
             log.error("compiling behind failed; the first explanation compiles", reason=reason)
 
 
 Progress = Callable[[float, str], None]
 """Told by the work how far it is: (share done 0 … 1, what it is doing)."""
 Work = Callable[..., Mapping[str, Any]]
-"""A function of a module: `work(progress, *arguments)`; arguments and result travel between processes."""
+"""A function of a module: `work(progress, *arguments)`; arguments and result travel between
+processes.
+"""
 Then = Callable[[Mapping[str, Any]], Mapping[str, Any]]
 Announce = Callable[[str, Mapping[str, Any]], None]
 
@@ -130,7 +139,8 @@ class Job:
 class Jobs:
     """Runs jobs, a few at a time, each in a worker process; cancelling one ends its process.
 
-    Workers stay warm between jobs (a fresh one costs the imports). A worker that dies takes only its own job along.
+    Workers stay warm between jobs (a fresh one costs the imports). A worker that dies takes only
+    its own job along.
     """
 
     def __init__(self, announce: Announce, at_once: int = 2, queued: int = 64) -> None:
@@ -144,14 +154,23 @@ class Jobs:
         self._closed = False
 
     def submit(self, kind: str, work: Work, *arguments: Any, then: Then = dict) -> Job:
-        """Queue a job; `then` makes its result of what the work returned, in this process. TooManyJobs when the queue is full."""
+        """Queue a job; `then` makes its result of what the work returned, in this process.
+        TooManyJobs when the queue is full.
+        """
         job = Job(secrets.token_hex(8), kind, JobState.QUEUED, 0.0, "waiting", datetime.now(UTC))
         with self._lock:
             if sum(listed.state not in OVER for listed in self._jobs.values()) >= self._most:
-                raise TooManyJobs(f"job {kind!r}: {self._most} are waiting or running; try again later")
+                raise TooManyJobs(
+                    f"job {kind!r}: {self._most} are waiting or running; try again later"
+                )
             self._forget_oldest()
             self._jobs[job.id] = job
-        threading.Thread(target=self._run, args=(job.id, work, arguments, then), name=f"job-{job.id}", daemon=True).start()
+        threading.Thread(
+            target=self._run,
+            args=(job.id, work, arguments, then),
+            name=f"job-{job.id}",
+            daemon=True,
+        ).start()
         return job
 
     def get(self, job: str) -> Job:
@@ -171,7 +190,9 @@ class Jobs:
         with self._lock:
             if self.get(job).state in OVER:
                 return self._jobs[job]
-            changed = self._update(job, state=JobState.CANCELLED, doing="cancelled", finished_at=datetime.now(UTC))
+            changed = self._update(
+                job, state=JobState.CANCELLED, doing="cancelled", finished_at=datetime.now(UTC)
+            )
             if worker := self._running.get(job):
                 worker.kill()
         return changed
@@ -202,7 +223,9 @@ class Jobs:
                         self._idle.append(worker)
             self._conclude(job, state, outcome, then)
 
-    def _follow(self, job: str, worker: _Worker, order: tuple[Work, tuple[Any, ...]]) -> tuple[JobState, Any]:
+    def _follow(
+        self, job: str, worker: _Worker, order: tuple[Work, tuple[Any, ...]]
+    ) -> tuple[JobState, Any]:
         """The state that the work ended in, and its result or what it said."""
         try:
             worker.channel.send(order)
@@ -214,7 +237,8 @@ class Jobs:
         except (EOFError, OSError):  # the process is gone: cancelled, or it died
             worker.kill()
             return JobState.FAILED, "the worker process ended unexpectedly (out of memory?)"
-        except Exception as error:  # what cannot travel to the worker: the job has failed, it must not stay running
+        # what cannot travel to the worker: the job has failed, it must not stay running
+        except Exception as error:
             worker.kill()
             return JobState.FAILED, f"{type(error).__name__}: {error}"
 
@@ -224,7 +248,9 @@ class Jobs:
                 outcome = then(outcome)
             except BadInput as error:
                 state, outcome = JobState.REFUSED, error.told(as_key)
-            except Exception as error:  # what was computed cannot be kept: the job has failed, and says why
+            except (
+                Exception
+            ) as error:  # what was computed cannot be kept: the job has failed, and says why
                 state, outcome = JobState.FAILED, f"{type(error).__name__}: {error}"
         self._finish(job, state, outcome)
 
@@ -232,8 +258,12 @@ class Jobs:
         done = state is JobState.DONE
         answer = outcome if done else (str(outcome).strip().splitlines() or [state.value])[-1]
         fields = {"result": answer, "progress": 1.0} if done else {"error": answer}
-        ended = self._update(job, state=state, doing=state.value, finished_at=datetime.now(UTC), **fields)
-        if ended.state is JobState.FAILED:  # said last: a log that cannot be written must not leave the job running
+        ended = self._update(
+            job, state=state, doing=state.value, finished_at=datetime.now(UTC), **fields
+        )
+        if (
+            ended.state is JobState.FAILED
+        ):  # said last: a log that cannot be written must not leave the job running
             log.error("job failed", job=job, reason=outcome)
 
     def _update(self, job: str, **fields: Any) -> Job:
@@ -241,7 +271,9 @@ class Jobs:
             if self._jobs[job].state in OVER:
                 return self._jobs[job]
             changed = self._jobs[job] = replace(self._jobs[job], **fields)
-            self._announce("job", changed.to_json(with_result=False))  # in the order of the changes: the last one is the end
+            self._announce(
+                "job", changed.to_json(with_result=False)
+            )  # in the order of the changes: the last one is the end
         return changed
 
     def _forget_oldest(self) -> None:
@@ -278,8 +310,11 @@ def _work_on(channel: Connection[Any, Any]) -> None:
         while True:
             work, arguments = channel.recv()
             try:
-                # in a context of its own: what a job's model brings, effects of its own above all, is no other job's
-                channel.send((JobState.DONE.value, dict(copy_context().run(work, progress, *arguments))))
+                # in a context of its own: what a job's model brings, effects of its own above all,
+                # is no other job's
+                channel.send(
+                    (JobState.DONE.value, dict(copy_context().run(work, progress, *arguments)))
+                )
             except BadInput as error:
                 channel.send((JobState.REFUSED.value, " ".join(error.told(as_key).split())))
             except Exception:

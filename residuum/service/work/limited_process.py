@@ -1,8 +1,8 @@
-"""A stranger's bytes are read in a process of its own, with limits on memory, time, files and output. What is hostile or
-broken can end that process, and nothing else.
+"""A stranger's bytes are read in a process of its own, with limits on memory, time, files and
+output. What is hostile or broken can end that process, and nothing else.
 
-The process is a module run as a program, `python -m MODULE MEMORY SECONDS …`. A refusal is its kind and its parts, JSON on
-standard output, and exit status 2.
+The process is a module run as a program, `python -m MODULE MEMORY SECONDS …`. A refusal is its kind
+and its parts, JSON on standard output, and exit status 2.
 """
 
 from __future__ import annotations
@@ -22,18 +22,20 @@ from residuum.identification.errors import BadInput
 _REFUSED = 2
 _FILES = 64
 _PATIENCE = 20
-"""Waiting time a second of processor time, after which a process that only waits is ended. Long, because a busy machine gives a
-small part of a processor, and whether a file can be read must not hang on that."""
+"""Waiting time a second of processor time, after which a process that only waits is ended. Long,
+because a busy machine gives a small part of a processor, and whether a file can be read must not
+hang on that.
+"""
 
 
 def run_limited(
     module: str, arguments: Sequence[str], folder: Path, *, memory: int, seconds: int
 ) -> tuple[str, dict[str, Any]] | None:
-    """Run a module in `folder` with at most `memory` bytes and `seconds` of processor time. How many run at once is
-    the caller's to say (`Services.reading`).
+    """Run a module in `folder` with at most `memory` bytes and `seconds` of processor time. How
+    many run at once is the caller's to say (`Services.reading`).
 
-    Gives why it refused, as kind and parts, where the kind is empty when a limit was exceeded or the process ended; None when it
-    did what it was asked.
+    Gives why it refused, as kind and parts, where the kind is empty when a limit was exceeded or
+    the process ended; None when it did what it was asked.
     """
     threads = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
     names = ("PATH", "PYTHONPATH", "LANG", "HOME", "NUMBA_CACHE_DIR", "RESIDUUM_CACHE")
@@ -41,7 +43,9 @@ def run_limited(
     try:
         done = subprocess.run(
             [sys.executable, "-P", "-m", module, str(memory), str(seconds), *arguments],
-            env=inherited | threads | {"TMPDIR": str(folder)},  # libraries leave files there when they fail
+            env=inherited
+            | threads
+            | {"TMPDIR": str(folder)},  # libraries leave files there when they fail
             cwd=folder,
             stdin=subprocess.DEVNULL,
             capture_output=True,
@@ -55,12 +59,17 @@ def run_limited(
     if done.returncode == _REFUSED:
         kind, parts = json.loads(done.stdout)
         return kind, parts
-    ended = f"reading it ended the process that did ({done.returncode}); at most {memory} bytes and {seconds} s are given"
+    ended = (
+        f"reading it ended the process that did ({done.returncode}); at most {memory} bytes and"
+        f" {seconds} s are given"
+    )
     return "", {"what": ended}
 
 
 def within_limits(work: Callable[[], None], memory: int, seconds: int) -> int:
-    """Do the work of such a process; gives its exit status. The limits stay: this is for a process of its own."""
+    """Do the work of such a process; gives its exit status. The limits stay: this is for a process
+    of its own.
+    """
     _limit(memory, seconds)
     try:
         with contextlib.redirect_stdout(sys.stderr):  # a library's chatter is no refusal
@@ -69,7 +78,9 @@ def within_limits(work: Callable[[], None], memory: int, seconds: int) -> int:
         json.dump([type(error).__name__, error.parts], sys.stdout)
         return _REFUSED
     except MemoryError:
-        json.dump(["", {"what": f"reading it takes more than {memory} bytes of memory"}], sys.stdout)
+        json.dump(
+            ["", {"what": f"reading it takes more than {memory} bytes of memory"}], sys.stdout
+        )
         return _REFUSED
     return 0
 

@@ -7,10 +7,11 @@ from contextlib import contextmanager
 
 @contextmanager
 def loading_modules() -> Iterator[None]:
-    """Import here what a command needs: nothing is collected meanwhile, and what is in memory afterwards is left alone.
+    """Import here what a command needs: nothing is collected meanwhile, and what is in memory
+    afterwards is left alone.
 
-    Modules are no garbage, yet every few hundred objects that they make the collector looks through all of them: a quarter of the
-    seconds that imports take.
+    Modules are no garbage, yet every few hundred objects that they make the collector looks through
+    all of them: a quarter of the seconds that imports take.
     """
     collecting = gc.isenabled()
     gc.disable()
@@ -23,9 +24,11 @@ def loading_modules() -> Iterator[None]:
 
 
 def leave_loaded_modules() -> None:
-    """Let later collections, and those at the end of the process, pass over what is in memory now, once a process.
+    """Let later collections, and those at the end of the process, pass over what is in memory now,
+    once a process.
 
-    Half a million objects of the libraries stay until the end; to look through them takes a tenth of a second each time.
+    Half a million objects of the libraries stay until the end; to look through them takes a tenth
+    of a second each time.
     """
     if gc.get_freeze_count() == 0:
         gc.freeze()

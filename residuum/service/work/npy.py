@@ -1,4 +1,6 @@
-"""Arrays in NumPy's .npy form, from a stranger: every size is checked before anything is allocated."""
+"""Arrays in NumPy's .npy form, from a stranger: every size is checked before anything is
+allocated.
+"""
 
 from __future__ import annotations
 
@@ -14,13 +16,15 @@ from residuum.service.problems import BadBody, TooLarge
 def read_npy(body: bytes | memoryview, subject: str = "body") -> npt.NDArray[Any]:
     """The array of an .npy body (format versions 1 and 2), without a copy.
 
-    Plain integer and floating types only, one or two dimensions. The shape that the header declares must be that of the
-    bytes that follow, so a header cannot make the service allocate more than was sent.
+    Plain integer and floating types only, one or two dimensions. The shape that the header declares
+    must be that of the bytes that follow, so a header cannot make the service allocate more than
+    was sent.
 
     Raises
     ------
     BadBody
-        No .npy, another type (object arrays are never read), a shape that differs from the bytes, no sample.
+        No .npy, another type (object arrays are never read), a shape that differs from the bytes,
+        no sample.
     TooLarge
         A header of more than a kilobyte.
 
@@ -35,13 +39,21 @@ def read_npy(body: bytes | memoryview, subject: str = "body") -> npt.NDArray[Any
     dtype, shape, received = header.dtype, header.shape, len(body) - header.start
     if dtype.kind not in "fiu" or dtype.itemsize > 8:
         raise BadBody(
-            f"{subject}: .npy type {str(dtype)[:80]}: only plain integer and floating arrays are read; {_way_on(dtype)}"
+            f"{subject}: .npy type {str(dtype)[:80]}: only plain integer and floating arrays are"
+            f" read; {_way_on(dtype)}"
         )
     if not 1 <= len(shape) <= 2 or not header.size:
-        raise BadBody(f"{subject}: .npy shape {shape}: must have one or two dimensions and hold samples")
+        raise BadBody(
+            f"{subject}: .npy shape {shape}: must have one or two dimensions and hold samples"
+        )
     if header.size != received:
-        raise BadBody(f"{subject}: .npy shape {shape} of {dtype.str} needs {header.size} bytes; {received} came")
-    return np.frombuffer(body, dtype=dtype, offset=header.start).reshape(shape, order="F" if header.fortran_order else "C")
+        raise BadBody(
+            f"{subject}: .npy shape {shape} of {dtype.str} needs {header.size} bytes; {received}"
+            " came"
+        )
+    return np.frombuffer(body, dtype=dtype, offset=header.start).reshape(
+        shape, order="F" if header.fortran_order else "C"
+    )
 
 
 def _way_on(dtype: np.dtype[Any]) -> str:

@@ -1,4 +1,6 @@
-"""Each machine of a service's database judged by its own diagnoser, in workers that read what they need from that database."""
+"""Each machine of a service's database judged by its own diagnoser, in workers that read what they
+need from that database.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,9 @@ OWN = "own"
 
 @dataclass(frozen=True)
 class OwnJudge:
-    """What judges a machine: diagnoser, its newest baseline (name, version, checksum) or none, and the method that decides."""
+    """What judges a machine: diagnoser, its newest baseline (name, version, checksum) or none, and
+    the method that decides.
+    """
 
     asset: str
     diagnoser: str | None
@@ -52,14 +56,18 @@ class RescoreOwn:
             own = next((judge for judge in self.judges if judge.asset == asset), None)
             if own is None or own.diagnoser is None:
                 raise BadInput(f"asset {asset!r}: has no diagnoser")
-            finding = IN_THIS_PROCESS.get((self.source, own), lambda: _judge(self.source, own)).score(self.source.read(window))
+            finding = IN_THIS_PROCESS.get(
+                (self.source, own), lambda: _judge(self.source, own)
+            ).score(self.source.read(window))
         except BadInput as error:
             return {"by": self.mark, "refused": str(error)}
         return {"by": self.mark, "finding": to_plain(finding.to_json())}
 
 
 def rescore_own(source: StoredWindows) -> RescoreOwn:
-    """The work for a database whose schema is the newest; what judges each machine is settled now, for all workers."""
+    """The work for a database whose schema is the newest; what judges each machine is settled now,
+    for all workers.
+    """
     store = DiskStore(Path(source.data), source.url)
     try:
         return RescoreOwn(source, tuple(_own(store)))
@@ -75,7 +83,11 @@ def _own(store: DiskStore) -> Sequence[OwnJudge]:
         for asset in page.items:
             baseline = _baseline(store, asset.id)
             key = None if baseline is None else (baseline.model, baseline.number, baseline.checksum)
-            method = None if asset.diagnoser not in DIAGNOSERS else deciding_method(store, asset.id, asset.diagnoser)
+            method = (
+                None
+                if asset.diagnoser not in DIAGNOSERS
+                else deciding_method(store, asset.id, asset.diagnoser)
+            )
             judges.append(OwnJudge(asset.id, asset.diagnoser, key, method))
         cursor = page.next_cursor
         if cursor is None:

@@ -1,4 +1,6 @@
-"""A window's signals from a stranger's bytes: JSON, CSV or NPZ; every declared size is checked before anything is allocated."""
+"""A window's signals from a stranger's bytes: JSON, CSV or NPZ; every declared size is checked
+before anything is allocated.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,16 @@ from residuum.service.problems import BadBody, TooLarge
 from residuum.service.work.npy import read_header
 
 MOST_CHANNELS = 256
-_DAMAGED = (zipfile.BadZipFile, zlib.error, struct.error, NotImplementedError, EOFError, OSError, RuntimeError, ValueError)
+_DAMAGED = (
+    zipfile.BadZipFile,
+    zlib.error,
+    struct.error,
+    NotImplementedError,
+    EOFError,
+    OSError,
+    RuntimeError,
+    ValueError,
+)
 """What reading an archive raises that is none, or is damaged."""
 _NO_NUMBER = re.compile(r"-?(NaN|nan|Infinity|inf)\b")
 _UNQUOTED = "; numbers stand without quotes, a missing sample is null"
@@ -35,13 +46,19 @@ _JSON_KEYS = {"sample_time", "t0", "channels", "units", "notes"}
 
 
 def from_json(body: bytes, _unpacked: int) -> Record:
-    """Of an object with `sample_time`, `channels`, `units` and, if it likes, `t0` and `notes`; null is a missing sample."""
+    """Of an object with `sample_time`, `channels`, `units` and, if it likes, `t0` and `notes`; null
+    is a missing sample.
+    """
     try:
         content = orjson.loads(body.removeprefix(codecs.BOM_UTF8))
     except orjson.JSONDecodeError as error:
         if "memory" in error.msg:
             raise MemoryError from None
-        says = "JSON is UTF-8, send it so" if _other_text(body) else f"{error}{_no_number(body, error.pos)}"
+        says = (
+            "JSON is UTF-8, send it so"
+            if _other_text(body)
+            else f"{error}{_no_number(body, error.pos)}"
+        )
         raise BadBody(f"body: is not JSON: {says}") from None
     if not isinstance(content, dict) or not isinstance(content.get("channels"), dict):
         raise BadBody("body: must be an object with 'sample_time', 'channels' and 'units'")
@@ -69,7 +86,9 @@ def _other_text(body: bytes) -> bool:
 
 
 def _no_number(body: bytes, at: int) -> str:
-    """What to write instead of the words that some programs write for numbers JSON does not have."""
+    """What to write instead of the words that some programs write for numbers JSON does not
+    have.
+    """
     match = _NO_NUMBER.match(body.decode("utf-8", "replace"), at)
     return "; JSON has neither NaN nor Infinity, a missing sample is null" if match else ""
 
@@ -101,7 +120,9 @@ FORMATS: dict[str, Callable[[bytes, int], Record]] = {
 
 
 def unpacked_size(body: bytes) -> int:
-    """Bytes that the arrays of an NPZ say they hold in all (none of them can hold more); 0 for what is no NPZ."""
+    """Bytes that the arrays of an NPZ say they hold in all (none of them can hold more); 0 for what
+    is no NPZ.
+    """
     try:
         with zipfile.ZipFile(io.BytesIO(body)) as archive:
             return sum(member.file_size for member in archive.infolist())
@@ -110,13 +131,19 @@ def unpacked_size(body: bytes) -> int:
 
 
 def check_npz(file: IO[bytes], unpacked: int, subject: str = "body") -> None:
-    """Refuse an NPZ that holds more than `unpacked` bytes in all, or whose arrays differ from what their headers declare."""
+    """Refuse an NPZ that holds more than `unpacked` bytes in all, or whose arrays differ from what
+    their headers declare.
+    """
     try:
         with zipfile.ZipFile(file) as archive:
             members = archive.infolist()
-            if len(members) > MOST_CHANNELS or sum(member.file_size for member in members) > unpacked:
+            if (
+                len(members) > MOST_CHANNELS
+                or sum(member.file_size for member in members) > unpacked
+            ):
                 raise TooLarge(
-                    f"{subject}: an NPZ of more than {MOST_CHANNELS} arrays or {unpacked} bytes unpacked; no more are read"
+                    f"{subject}: an NPZ of more than {MOST_CHANNELS} arrays or {unpacked} bytes"
+                    " unpacked; no more are read"
                 )
             for member in members:
                 _check_member(archive, member, subject)
@@ -133,7 +160,9 @@ def _check_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo, file: str) 
     if header.dtype.kind not in "fiubU":
         raise BadBody(f"{where}: is not a plain array")
     if header.start + header.size > member.file_size:
-        raise BadBody(f"{where}: declares {header.size} bytes and holds {member.file_size - header.start}")
+        raise BadBody(
+            f"{where}: declares {header.size} bytes and holds {member.file_size - header.start}"
+        )
 
 
 def few(channels: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -149,13 +178,20 @@ def _samples(name: str, values: Any) -> np.ndarray[Any, Any]:
     for index, value in enumerate(values):
         if type(value) not in _NUMBERS:
             how = _UNQUOTED if isinstance(value, str) else ""
-            raise BadBody(f"body, channel {name[:60]!r}, sample {index}: {str(value)[:40]!r} is not a number{how}")
+            raise BadBody(
+                f"body, channel {name[:60]!r}, sample {index}: {str(value)[:40]!r} is not a"
+                f" number{how}"
+            )
     return np.array(values, dtype=np.float64)
 
 
 def _texts(content: Any, field: str) -> dict[str, str]:
-    if not isinstance(content, dict) or not all(isinstance(value, str) for value in content.values()):
-        raise BadBody(f'body, {field}: must be an object of channel name to text, as {{"speed": "rpm"}}')
+    if not isinstance(content, dict) or not all(
+        isinstance(value, str) for value in content.values()
+    ):
+        raise BadBody(
+            f'body, {field}: must be an object of channel name to text, as {{"speed": "rpm"}}'
+        )
     return content
 
 
@@ -169,5 +205,7 @@ def _notes(content: Any) -> tuple[str, ...]:
     if not isinstance(content, list) or not all(isinstance(note, str) for note in content):
         raise BadBody("body, notes: must be an array of texts")
     if sum(map(len, content)) > _LONGEST_NOTES:
-        raise BadBody(f"body, notes: more than {_LONGEST_NOTES} characters in all; no more are kept")
+        raise BadBody(
+            f"body, notes: more than {_LONGEST_NOTES} characters in all; no more are kept"
+        )
     return tuple(content)

@@ -1,7 +1,7 @@
 """Uploaded files, and bodies that are long, are read in a limited process of their own.
 
-As a program (`python -m residuum.service.work.upload_reader MEMORY SECONDS FILE HOW`) it reads FILE and leaves the record
-beside it as plain arrays with a description in JSON.
+As a program (`python -m residuum.service.work.upload_reader MEMORY SECONDS FILE HOW`) it reads FILE
+and leaves the record beside it as plain arrays with a description in JSON.
 """
 
 from __future__ import annotations
@@ -23,8 +23,14 @@ from residuum.service.problems import BadBody, TooLarge
 from residuum.service.work.limited_process import run_limited, within_limits
 
 _OF_READING = (*vars(errors).values(), BadBody, TooLarge)
-_REFUSALS = {each.__name__: each for each in _OF_READING if isinstance(each, type) and issubclass(each, BadInput)}
-"""What reading may raise, by the name under which the process tells it: a refusal is the same as without a process."""
+_REFUSALS = {
+    each.__name__: each
+    for each in _OF_READING
+    if isinstance(each, type) and issubclass(each, BadInput)
+}
+"""What reading may raise, by the name under which the process tells it: a refusal is the same as
+without a process.
+"""
 
 
 def read_upload(
@@ -37,23 +43,27 @@ def read_upload(
     options: Mapping[str, object] | None = None,
     dbc: Path | None = None,
 ) -> Record:
-    """The record of an uploaded file. `name` is what messages call it; the file's name on disk is ours; `options` are those of
-    `ReadOptions`, as plain values; by `dbc` a CAN log is read.
+    """The record of an uploaded file. `name` is what messages call it; the file's name on disk is
+    ours; `options` are those of `ReadOptions`, as plain values; by `dbc` a CAN log is read.
 
-    `memory` [bytes] and `seconds` (of processor time) limit the process that reads it.
-    Raises what reading raises, with one line (BadRecord, BadUnit, …; for an NPZ also BadBody and TooLarge), and BadRecord when
-    reading it exceeds a limit or ends the process.
+    `memory` [bytes] and `seconds` (of processor time) limit the process that reads it. Raises what
+    reading raises, with one line (BadRecord, BadUnit, …; for an NPZ also BadBody and TooLarge), and
+    BadRecord when reading it exceeds a limit or ends the process.
     """
     how = {"options": options or {}, "unpacked": memory, "dbc": None if dbc is None else str(dbc)}
     return _read(content, ending, name, how, memory, seconds)
 
 
 def read_body(content: bytes, kind: str, *, memory: int, seconds: int, unpacked: int) -> Record:
-    """The record of a body of one of `FORMATS`, which may unpack to so many bytes; limits and refusals as of `read_upload`."""
+    """The record of a body of one of `FORMATS`, which may unpack to so many bytes; limits and
+    refusals as of `read_upload`.
+    """
     return _read(content, "", "body", {"kind": kind, "unpacked": unpacked}, memory, seconds)
 
 
-def _read(content: bytes, ending: str, name: str, how: Mapping[str, object], memory: int, seconds: int) -> Record:
+def _read(
+    content: bytes, ending: str, name: str, how: Mapping[str, object], memory: int, seconds: int
+) -> Record:
     with tempfile.TemporaryDirectory(prefix="residuum-upload-") as folder:
         file = Path(folder) / f"upload{ending}"
         file.write_bytes(content)
@@ -75,7 +85,11 @@ def _load(file: Path, name: str) -> Record:
 
 
 def _record(file: Path, how: Mapping[str, Any]) -> Record:
-    from residuum.identification.record_formats import ReadOptions, read_record  # noqa: PLC0415 - within the limits
+    # - within the limits
+    from residuum.identification.record_formats import (  # noqa: PLC0415
+        ReadOptions,
+        read_record,
+    )
     from residuum.service.work.signal_formats import FORMATS, check_npz  # noqa: PLC0415
 
     if "kind" in how:
@@ -93,7 +107,9 @@ def _record(file: Path, how: Mapping[str, Any]) -> Record:
 def main(memory: int, seconds: int, name: str, described: str) -> int:
     """Read a file within the limits; gives the exit status."""
     file = Path(name)
-    return within_limits(lambda: keep_plain(_record(file, orjson.loads(described)), file.parent), memory, seconds)
+    return within_limits(
+        lambda: keep_plain(_record(file, orjson.loads(described)), file.parent), memory, seconds
+    )
 
 
 if __name__ == "__main__":

@@ -1,4 +1,6 @@
-"""WorkerPool: worker processes that compute for the service, and that are replaced when one of them dies."""
+"""WorkerPool: worker processes that compute for the service, and that are replaced when one of them
+dies.
+"""
 
 from __future__ import annotations
 
@@ -23,16 +25,20 @@ from residuum.identification.record import Record
 LARGE = 1 << 20
 """Bytes from which an array gets pages of its own in a service."""
 _KEPT = 64 << 20
-"""Bytes up to which an array comes from kept memory, and which at most are kept at the end of the heap."""
+"""Bytes up to which an array comes from kept memory, and which at most are kept at the end of the
+heap.
+"""
 _TRIM_THRESHOLD, _MMAP_THRESHOLD, _ARENA_MAX = -1, -3, -8
 """Names of the settings in glibc's malloc.h."""
 
 
 def give_back_large_arrays() -> bool:
-    """Fix the size from which the C library maps allocations apart; False where the library has no such setting.
+    """Fix the size from which the C library maps allocations apart; False where the library has no
+    such setting.
 
-    Left alone, glibc raises this size up to 32 MB with every large array that is freed; such arrays then come from the heaps of
-    the threads, which keep what they once held: twenty pages that each look at 10⁶ samples left tens of megabytes behind.
+    Left alone, glibc raises this size up to 32 MB with every large array that is freed; such arrays
+    then come from the heaps of the threads, which keep what they once held: twenty pages that each
+    look at 10⁶ samples left tens of megabytes behind.
     """
     return _set({_MMAP_THRESHOLD: LARGE})
 
@@ -40,8 +46,9 @@ def give_back_large_arrays() -> bool:
 def keep_large_arrays() -> bool:
     """Keep freed memory for the next array; False where the library has no such settings.
 
-    Simulations with sensitivities allocate a few megabytes each, thousands of times: left alone, the system gives and takes every
-    page anew, and zeroes it, which is a fifth of the time that explaining takes.
+    Simulations with sensitivities allocate a few megabytes each, thousands of times: left alone,
+    the system gives and takes every page anew, and zeroes it, which is a fifth of the time that
+    explaining takes.
     """
     return _set({_MMAP_THRESHOLD: _KEPT, _TRIM_THRESHOLD: _KEPT, _ARENA_MAX: 2})
 
@@ -61,9 +68,18 @@ RecordParts = tuple[dict[str, Any], dict[str, str], float, float, tuple[str, ...
 
 
 def parts_of(record: Record, source: str | None = None) -> RecordParts:
-    """The record's content, for a worker process; `source` is what results and messages call it (default: as the record does)."""
+    """The record's content, for a worker process; `source` is what results and messages call it
+    (default: as the record does).
+    """
     named = record.source if source is None else source
-    return dict(record.channels), dict(record.units), record.sample_time, record.t0, record.notes, named
+    return (
+        dict(record.channels),
+        dict(record.units),
+        record.sample_time,
+        record.t0,
+        record.notes,
+        named,
+    )
 
 
 T = TypeVar("T")
@@ -75,8 +91,9 @@ _SERVER = multiprocessing.get_context("forkserver")
 class WorkerPool(Executor):
     """A process pool that survives a killed worker.
 
-    A pool of the standard library is of no more use once one of its processes has been killed. Here the pool is then made anew,
-    and `call` tries again: the work must therefore be such that doing it twice does no harm.
+    A pool of the standard library is of no more use once one of its processes has been killed. Here
+    the pool is then made anew, and `call` tries again: the work must therefore be such that doing
+    it twice does no harm.
 
     Parameters
     ----------
@@ -92,12 +109,15 @@ class WorkerPool(Executor):
         self.replaced = 0
 
     def _new_pool(self) -> ProcessPoolExecutor:
-        # Not forked from here: a fork would take along the threads' locks. A server without threads that has loaded what workers
-        # need makes them: a worker then costs some milliseconds instead of the seconds of its imports.
+        # Not forked from here: a fork would take along the threads' locks. A server without threads
+        # that has loaded what workers need makes them: a worker then costs some milliseconds
+        # instead of the seconds of its imports.
         return ProcessPoolExecutor(self._workers, mp_context=_SERVER, initializer=_begin_worker)
 
     def submit(self, fn: Callable[..., T], /, *args: Any, **kwargs: Any) -> Future[T]:
-        """Hand work to a worker process; waits while the server loads, and gives up when the pool is closed meanwhile."""
+        """Hand work to a worker process; waits while the server loads, and gives up when the pool
+        is closed meanwhile.
+        """
         while not self._server_ready.wait(_LOOK):
             if self._closed:
                 raise BrokenProcessPool("the pool was closed before it had begun")
@@ -110,7 +130,9 @@ class WorkerPool(Executor):
             return self._pool.submit(fn, *args, **kwargs)
 
     def call(self, fn: Callable[..., T], *args: Any) -> T:
-        """Do work in a worker process and wait for it; when its worker is killed, do it again (three times at most)."""
+        """Do work in a worker process and wait for it; when its worker is killed, do it again
+        (three times at most).
+        """
         for _ in range(_ATTEMPTS - 1):
             pool = self._pool
             try:
@@ -151,7 +173,9 @@ class WorkerPool(Executor):
         self._pool.shutdown(wait=wait, cancel_futures=cancel_futures)
 
     def terminate(self) -> None:
-        """End the worker processes at once, whatever they are doing; who waits for their work gets BrokenProcessPool."""
+        """End the worker processes at once, whatever they are doing; who waits for their work gets
+        BrokenProcessPool.
+        """
         with self._lock:
             self._closed = True
         workers = list((self._pool._processes or {}).values())
@@ -162,7 +186,9 @@ class WorkerPool(Executor):
 
 @cache
 def _begin_server() -> threading.Event:
-    """Start the server of workers, once; set when it can make them. Nothing waits for it at the end of this process."""
+    """Start the server of workers, once; set when it can make them. Nothing waits for it at the end
+    of this process.
+    """
     ready = threading.Event()
 
     def begin() -> None:
@@ -189,10 +215,11 @@ def _begin_worker() -> None:
 
 
 def _end_with_the_service() -> None:
-    """End this worker when the process that it works for has ended, however it did (a kill tells nobody).
+    """End this worker when the process that it works for has ended, however it did (a kill tells
+    nobody).
 
-    A worker waits for work at a pipe whose writing end it holds itself, so the pipe never says that nobody is left; and the
-    server of workers stays as long as one of them does.
+    A worker waits for work at a pipe whose writing end it holds itself, so the pipe never says that
+    nobody is left; and the server of workers stays as long as one of them does.
     """
     if (service := multiprocessing.parent_process()) is not None:
         service.join()

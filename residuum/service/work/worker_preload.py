@@ -1,7 +1,8 @@
-"""What worker processes have loaded before they are made: the fork server imports this once, each worker is a copy of it.
+"""What worker processes have loaded before they are made: the fork server imports this once, each
+worker is a copy of it.
 
-One thread a worker, set before NumPy is loaded, because the workers share the cores; a library that starts threads when it is
-loaded must not come in here, since they are not copied.
+One thread a worker, set before NumPy is loaded, because the workers share the cores; a library that
+starts threads when it is loaded must not come in here, since they are not copied.
 """
 
 import os

@@ -11,7 +11,12 @@ from sklearn.metrics import roc_auc_score
 
 from residuum.diagnosis.diagnosers.bearing import Bearing
 from residuum.diagnosis.finding import Verdict
-from residuum.diagnosis.vibration.bearing_lines import BearingFrequencies, _best, line_evidence, orders_from_geometry
+from residuum.diagnosis.vibration.bearing_lines import (
+    BearingFrequencies,
+    _best,
+    line_evidence,
+    orders_from_geometry,
+)
 from residuum.diagnosis.vibration.bearings.moving_lines import faulty_bearing
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
@@ -26,11 +31,23 @@ def acceleration(x, rate, **channels):
     return Record({"housing": x, **channels}, units, 1 / rate)
 
 
-@pytest.mark.parametrize(("fault", "part"), [("bpfi", "inner-race"), ("bpfo", "outer-race"), ("bsf", "ball"), (None, None)])
+@pytest.mark.parametrize(
+    ("fault", "part"),
+    [("bpfi", "inner-race"), ("bpfo", "outer-race"), ("bsf", "ball"), (None, None)],
+)
 @pytest.mark.parametrize(("rate", "shaft", "seconds"), [(12000, 29.93, 2), (48828, 25.0, 3)])
 def test_the_damaged_part_is_named_without_baseline(fault, part, rate, shaft, seconds):
     for seed in (0, 1):
-        x = faulty_bearing(int(seconds * rate), rate, shaft, ORDERS, fault, snr_db=-4, seed=seed, resonance=0.22 * rate)
+        x = faulty_bearing(
+            int(seconds * rate),
+            rate,
+            shaft,
+            ORDERS,
+            fault,
+            snr_db=-4,
+            seed=seed,
+            resonance=0.22 * rate,
+        )
         hertz = {name: order * shaft * 1.004 for name, order in ORDERS.items()}
         for judge in (Bearing(orders=ORDERS, speed_rpm=60 * shaft), Bearing(hertz=hertz)):
             assert judge.score(acceleration(x, rate)).fault_class == part
@@ -38,14 +55,18 @@ def test_the_damaged_part_is_named_without_baseline(fault, part, rate, shaft, se
 
 def test_the_cage_is_named_when_it_leads():
     x = faulty_bearing(12000 * 10, 12000, 30.0, ORDERS, "ftf", snr_db=0, seed=1)
-    assert Bearing(orders=ORDERS, speed_rpm=1800).score(acceleration(x, 12000)).fault_class == "cage"
+    assert (
+        Bearing(orders=ORDERS, speed_rpm=1800).score(acceleration(x, 12000)).fault_class == "cage"
+    )
 
 
 def healthy_machine(kind, n, rate, shaft, rng):
     t = np.arange(n) / rate
     x = rng.standard_normal(n)
     if kind == "gear":
-        return x + (1 + 0.6 * np.cos(2 * np.pi * shaft * t)) * 2 * np.cos(2 * np.pi * 23 * shaft * t)
+        return x + (1 + 0.6 * np.cos(2 * np.pi * shaft * t)) * 2 * np.cos(
+            2 * np.pi * 23 * shaft * t
+        )
     if kind == "knocks":
         struck = np.bincount(rng.integers(0, n, 24), minlength=n)
         ring = 30 * np.exp(-np.arange(40) / 8) * np.cos(2 * np.pi * 0.2 * np.arange(40))
@@ -97,7 +118,9 @@ def test_a_few_knocks_are_no_fault_and_hide_none(knocks, trained):
             x[k : k + 600] += rng.uniform(20, 60) * np.exp(-0.1 * f * t) * np.sin(2 * np.pi * f * t)
         judged = judge.score(acceleration(x, 12000))
         assert judged.fault_class == expected, judged.reason
-        assert any(abs(k / 12000 - found) < 0.02 for k in at for found in judged.evidence["knocks_s"])
+        assert any(
+            abs(k / 12000 - found) < 0.02 for k in at for found in judged.evidence["knocks_s"]
+        )
 
 
 def test_slip_of_nearly_two_percent_and_a_loud_gear_hide_no_fault():
@@ -106,15 +129,28 @@ def test_slip_of_nearly_two_percent_and_a_loud_gear_hide_no_fault():
     slipped = {name: 0.982 * order for name, order in ORDERS.items()}
     t = np.arange(2 * rate) / rate
     gear = 4 * (1 + 0.4 * np.cos(2 * np.pi * shaft * t)) * np.cos(2 * np.pi * 97 * shaft * t)
-    for fault, part in (("bpfi", "inner-race"), ("bpfo", "outer-race"), ("bsf", "ball"), (None, None)):
+    for fault, part in (
+        ("bpfi", "inner-race"),
+        ("bpfo", "outer-race"),
+        ("bsf", "ball"),
+        (None, None),
+    ):
         x = faulty_bearing(2 * rate, rate, shaft, slipped, fault, snr_db=-3.0, seed=80) + gear
-        assert Bearing(orders=ORDERS, speed_rpm=60 * shaft).score(acceleration(x, rate)).fault_class == part
+        assert (
+            Bearing(orders=ORDERS, speed_rpm=60 * shaft).score(acceleration(x, rate)).fault_class
+            == part
+        )
 
 
 def test_a_machine_class_puts_the_severity_zone_into_the_evidence():
     x = faulty_bearing(24000, 12000, 30.0, ORDERS, None, seed=90)
-    judged = Bearing(orders=ORDERS, speed_rpm=1800, machine_class="II").score(acceleration(x, 12000))
-    assert judged.evidence["severity"]["zone"] in "ABCD" and judged.evidence["severity"]["velocity"] > 0
+    judged = Bearing(orders=ORDERS, speed_rpm=1800, machine_class="II").score(
+        acceleration(x, 12000)
+    )
+    assert (
+        judged.evidence["severity"]["zone"] in "ABCD"
+        and judged.evidence["severity"]["velocity"] > 0
+    )
 
 
 def test_a_varying_speed_is_followed():
@@ -129,7 +165,10 @@ def test_a_varying_speed_is_followed():
     x = ringing / ringing.std() + np.random.default_rng(0).standard_normal(n)
     followed = Bearing(orders=ORDERS).score(acceleration(x, rate, speed=speed))
     assert followed.fault_class == "outer-race"
-    assert Bearing(orders=ORDERS, speed_rpm=1800).score(acceleration(x, rate)).fault_class != "outer-race"
+    assert (
+        Bearing(orders=ORDERS, speed_rpm=1800).score(acceleration(x, rate)).fault_class
+        != "outer-race"
+    )
 
 
 @cache
@@ -144,7 +183,9 @@ def test_baseline_finds_a_change_that_no_line_explains_and_survives_another_rate
     hiss = np.convolve(rng.standard_normal(24000), [1, 0, -1, 0, 1, 0, -1, 0, 1], "same")
     assert baseline().score(acceleration(healthy, 12000)).verdict is Verdict.HEALTHY
     judged = baseline().score(acceleration(healthy + hiss, 12000))
-    assert judged.fault_class == "unknown" and any("2000_4000" in name for name in judged.evidence["changed"])
+    assert judged.fault_class == "unknown" and any(
+        "2000_4000" in name for name in judged.evidence["changed"]
+    )
     faster = faulty_bearing(2 * 48000, 48000, 30.0, ORDERS, "bpfi", snr_db=-3, seed=52) * 2
     assert baseline().score(acceleration(faster, 48000)).fault_class == "inner-race"
 
@@ -159,7 +200,9 @@ def test_gain_and_time_shift_change_no_line_evidence():
     x = faulty_bearing(24000, 12000, 30.0, ORDERS, "bpfo", seed=2)
     frequencies = BearingFrequencies.from_orders(ORDERS, 30.0)
     once, scaled = (line_evidence(signal, 12000, frequencies) for signal in (x, 1e-3 * x))
-    assert all(scaled[name].prominence == pytest.approx(once[name].prominence, rel=1e-6) for name in once)
+    assert all(
+        scaled[name].prominence == pytest.approx(once[name].prominence, rel=1e-6) for name in once
+    )
     single = line_evidence(x.astype(np.float32), 12000, frequencies)
     assert single["bpfo"].prominence == pytest.approx(once["bpfo"].prominence, rel=1e-2)
 
@@ -182,7 +225,9 @@ def test_odd_signals_give_a_verdict(kind, single):
     plain = Bearing(orders=ORDERS, speed_rpm=1800)
     for judge in (plain, baseline()):
         finding = judge.score(acceleration(x, 12000))
-        assert finding.verdict is Verdict.NOT_ASSESSABLE or all(np.isfinite(list(finding.indicators.values())))
+        assert finding.verdict is Verdict.NOT_ASSESSABLE or all(
+            np.isfinite(list(finding.indicators.values()))
+        )
         calm = finding.verdict is Verdict.HEALTHY or finding.within_absolute_limits
         assert not calm or kind in ("a prime length", "a pure tone")
 
@@ -204,7 +249,14 @@ def test_settings_and_speed_are_checked():
 
 
 def windows(name, rate=12000, seconds=1, sensor="DE"):
-    x, n = next(value.ravel() for key, value in loadmat(RIG / name).items() if key.endswith(f"{sensor}_time")), seconds * rate
+    x, n = (
+        next(
+            value.ravel()
+            for key, value in loadmat(RIG / name).items()
+            if key.endswith(f"{sensor}_time")
+        ),
+        seconds * rate,
+    )
     return [acceleration(x[k : k + n], rate) for k in range(0, x.size - n + 1, n)]
 
 
@@ -220,14 +272,18 @@ def test_a_second_look_costs_what_chance_gains_by_it():
     """A part at one of two frequencies stands out by the better one, less ln 2 / ln 5 deciles."""
     grid, bands = np.geomspace(50.0, 200.0, 1001), [(0.0, 6000.0)]
     height = np.interp(grid, [50, 70, 72, 140, 142, 200], [0, 3, 3, 7, 7, 0])[None, :]
-    once, twice = (_best(centres, grid, bands, height, height, height) for centres in ([141.0], [141.0, 71.0]))
+    once, twice = (
+        _best(centres, grid, bands, height, height, height) for centres in ([141.0], [141.0, 71.0])
+    )
     assert twice.expected == once.expected == 141.0 and twice.depth == once.depth
     assert once.prominence - twice.prominence == pytest.approx(np.log(2) / np.log(5))
 
 
 @real
 def test_real_bearings_are_separated_and_named():
-    healthy, inner, outer = (windows(name) for name in ("97_Normal_0.mat", "105_0.mat", "130_0.mat"))
+    healthy, inner, outer = (
+        windows(name) for name in ("97_Normal_0.mat", "105_0.mat", "130_0.mat")
+    )
     judge = Bearing(orders=ORDERS, speed_rpm=1796).fit(healthy[::2])
     plain = Bearing(orders=ORDERS, speed_rpm=1796)
     held_out = [judge.score(window) for window in healthy[1::2]]
@@ -239,14 +295,20 @@ def test_real_bearings_are_separated_and_named():
         assert {finding.fault_class for finding in findings} == {expected}
         assert {plain.score(window).fault_class for window in part} == {expected}
         severities = [finding.indicators["severity"] for finding in findings]
-        assert roc_auc_score([0] * len(scores) + [1] * len(severities), scores + severities) >= 0.999
+        assert (
+            roc_auc_score([0] * len(scores) + [1] * len(severities), scores + severities) >= 0.999
+        )
 
 
 def test_a_harmonic_at_the_width_of_a_band_is_no_line():
     """Beyond a band's width its squared envelope is empty: a fourth harmonic there must not stand out of nothing."""
-    frequencies = BearingFrequencies.from_hertz({"bpfi": 358.6, "bpfo": 260.2, "bsf": 157.0, "ftf": 21.7}, 51.6)
+    frequencies = BearingFrequencies.from_hertz(
+        {"bpfi": 358.6, "bpfo": 260.2, "bsf": 157.0, "ftf": 21.7}, 51.6
+    )
     noise = np.random.default_rng(0).standard_normal((12, 23_000))
-    found = [line_evidence(x, 10_000, frequencies) for x in noise]  # bands of 1250 Hz, 4 · 2 · 157 Hz = 1256 Hz
+    found = [
+        line_evidence(x, 10_000, frequencies) for x in noise
+    ]  # bands of 1250 Hz, 4 · 2 · 157 Hz = 1256 Hz
     assert max(line.prominence for evidence in found for line in evidence.values()) < 5.0
 
 
@@ -264,7 +326,9 @@ def test_two_lines_that_beat_are_no_fault_and_hide_none():
     t = np.arange(24000) / 12000
     for seed, (fault, expected) in enumerate([(None, None), (None, None), ("bpfo", "outer-race")]):
         x = faulty_bearing(24000, 12000, 30.0, ORDERS, fault, seed=60 + seed)
-        judged = Bearing(orders=ORDERS, speed_rpm=1800).score(acceleration(x + 3 * x.std() * np.sin(2 * np.pi * 100 * t), 12000))
+        judged = Bearing(orders=ORDERS, speed_rpm=1800).score(
+            acceleration(x + 3 * x.std() * np.sin(2 * np.pi * 100 * t), 12000)
+        )
         assert judged.fault_class == expected
         assert "one line, at 100 Hz, holds" in judged.reason
 
@@ -273,7 +337,11 @@ def test_a_sensor_that_nothing_reaches_is_never_healthy():
     judge, noise = baseline(), np.random.default_rng(1).standard_normal(24000)
     healthy = faulty_bearing(24000, 12000, 30.0, ORDERS, None, seed=61)
     padded = signal.lfilter(*signal.butter(2, 500, fs=12000), healthy)
-    for x, says in ((1e-3 * noise, "dead"), (padded, "above 2000 Hz"), (0.2 * healthy, "another sensitivity")):
+    for x, says in (
+        (1e-3 * noise, "dead"),
+        (padded, "above 2000 Hz"),
+        (0.2 * healthy, "another sensitivity"),
+    ):
         judged = judge.score(acceleration(x, 12000))
         assert judged.verdict is Verdict.NOT_ASSESSABLE and says in judged.reason
     spiky = healthy.copy()

@@ -21,7 +21,10 @@ def examples(name):
 
 
 def with_signals(record, change):
-    return replace(record, channels={name: change(np.array(signal)) for name, signal in record.channels.items()})
+    return replace(
+        record,
+        channels={name: change(np.array(signal)) for name, signal in record.channels.items()},
+    )
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -29,10 +32,16 @@ def test_tells_its_healthy_and_faulty_examples_apart(name, trained):
     assert examples(name), "a diagnoser shows at least one example"
     for position, example in enumerate(examples(name)):
         judge = trained(name, position)
-        assert [judge.score(record).verdict for record in example.healthy] == [Verdict.HEALTHY] * len(example.healthy)
+        assert [judge.score(record).verdict for record in example.healthy] == [
+            Verdict.HEALTHY
+        ] * len(example.healthy)
         faulty = [judge.score(record) for record in example.faulty]
         assert [finding.verdict for finding in faulty] == [Verdict.FAULTY] * len(example.faulty)
-        assert all(finding.fault_class in judge.classes for finding in faulty if finding.fault_class is not None)
+        assert all(
+            finding.fault_class in judge.classes
+            for finding in faulty
+            if finding.fault_class is not None
+        )
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -57,9 +66,15 @@ def test_relearned_from_healthy_records_it_still_tells_the_faults(name, trained)
     example = examples(name)[0]
     before = trained(name)
     judged = [before.score(record).to_json() for record in example.faulty]
-    healthy = [r for k, r in enumerate(example.training) if example.labels is None or example.labels[k] == "healthy"]
+    healthy = [
+        r
+        for k, r in enumerate(example.training)
+        if example.labels is None or example.labels[k] == "healthy"
+    ]
     fresh = before.relearned(healthy)
-    assert [fresh.score(record).verdict for record in example.healthy] == [Verdict.HEALTHY] * len(example.healthy)
+    assert [fresh.score(record).verdict for record in example.healthy] == [Verdict.HEALTHY] * len(
+        example.healthy
+    )
     found = [fresh.score(record) for record in example.faulty]
     assert [finding.verdict for finding in found] == [Verdict.FAULTY] * len(found)
     assert set(found[0].thresholds) == set(judged[0]["thresholds"])
@@ -79,8 +94,12 @@ def test_a_foreign_file_is_refused(name, other, trained, tmp_path):
 
 UNUSABLE = {
     "too short": lambda record: record.window(0, 5),
-    "a gap": lambda record: with_signals(record, lambda x: np.where(np.arange(x.size) // (x.size // 8 + 1) == 3, np.nan, x)),
-    "one missing sample": lambda record: with_signals(record, lambda x: np.where(np.arange(x.size) == x.size // 2, np.nan, x)),
+    "a gap": lambda record: with_signals(
+        record, lambda x: np.where(np.arange(x.size) // (x.size // 8 + 1) == 3, np.nan, x)
+    ),
+    "one missing sample": lambda record: with_signals(
+        record, lambda x: np.where(np.arange(x.size) == x.size // 2, np.nan, x)
+    ),
     "flat": lambda record: with_signals(record, lambda x: np.full_like(x, x[0])),
     "all missing": lambda record: with_signals(record, lambda x: np.full_like(x, np.nan)),
     "another rate": lambda record: replace(record, sample_time=record.sample_time * 2.7),
@@ -88,7 +107,12 @@ UNUSABLE = {
 
 
 ANY_RATE = {"bearing"}
-CASES = [(name, harm) for name in NAMES for harm in UNUSABLE if not (harm == "another rate" and name in ANY_RATE)]
+CASES = [
+    (name, harm)
+    for name in NAMES
+    for harm in UNUSABLE
+    if not (harm == "another rate" and name in ANY_RATE)
+]
 
 
 @pytest.mark.parametrize(("name", "harm"), CASES)

@@ -31,7 +31,12 @@ def life(exemplar, count, seed, faults=None, event=None):
 
 @cache
 def trained():
-    plan = ((None, "healthy", 5), ("gear-notch", "gear-notch", 2), ("pinion-tooth", "pinion", 2), ("rack-tooth", "rack", 2))
+    plan = (
+        (None, "healthy", 5),
+        ("gear-notch", "gear-notch", 2),
+        ("pinion-tooth", "pinion", 2),
+        ("rack-tooth", "rack", 2),
+    )
     records, labels, exemplars = [], [], []
     for exemplar in range(4):
         for fault, label, count in plan:
@@ -49,7 +54,11 @@ def healthy_movement():
 
 def test_movements_of_trained_exemplars_not_seen_before_are_judged_right():
     assert [trained().score(record).fault_class for record in life(1, 4, 501)] == [None] * 4
-    for fault, expected in (("gear-notch", "pinion-or-gear"), ("pinion-tooth", "pinion-or-gear"), ("rack-tooth", "rack")):
+    for fault, expected in (
+        ("gear-notch", "pinion-or-gear"),
+        ("pinion-tooth", "pinion-or-gear"),
+        ("rack-tooth", "rack"),
+    ):
         finding = trained().score(life(2, 1, 502, {fault: None})[0])
         assert (finding.verdict, finding.fault_class) == ("faulty", expected), fault
 
@@ -61,7 +70,10 @@ def test_missing_teeth_of_an_unseen_exemplar_are_named(fault):
 
 
 def test_a_small_notch_is_seen_in_a_gear_whose_healthy_teeth_are_known():
-    known, stranger = trained().score(life(2, 1, 510, {"gear-notch": 0.5})[0]), life(7, 1, 510, {"gear-notch": 0.5})[0]
+    known, stranger = (
+        trained().score(life(2, 1, 510, {"gear-notch": 0.5})[0]),
+        life(7, 1, 510, {"gear-notch": 0.5})[0],
+    )
     assert (known.fault_class, known.evidence["known_gear"]) == ("pinion-or-gear", True)
     assert trained().score(stranger).evidence["known_gear"] is False
     commissioned = trained().relearned(life(7, 3, 511))
@@ -108,7 +120,12 @@ def test_current_and_phase_may_be_absent():
 
 @pytest.mark.parametrize(
     ("event", "named"),
-    [("cut-short", "cut-short"), ("obstacle", "obstacle-stop"), ("supply-sag", "supply-sag"), ("manual-push", "manual-pushing")],
+    [
+        ("cut-short", "cut-short"),
+        ("obstacle", "obstacle-stop"),
+        ("supply-sag", "supply-sag"),
+        ("manual-push", "manual-pushing"),
+    ],
 )
 def test_operating_events_are_named_and_never_a_tooth_fault(event, named):
     for exemplar in (0, 6):
@@ -119,14 +136,21 @@ def test_operating_events_are_named_and_never_a_tooth_fault(event, named):
 
 
 def changed(record, name, change):
-    return replace(record, channels=dict(record.channels) | {name: change(np.array(record[name], dtype=float))})
+    return replace(
+        record, channels=dict(record.channels) | {name: change(np.array(record[name], dtype=float))}
+    )
 
 
 @pytest.mark.parametrize(
     ("harm", "reason"),
     [
         (lambda r: r.window(0, r.n // 2), "breaks off at full voltage"),
-        (lambda r: changed(r, "speed", lambda x: np.where(np.arange(x.size) == 30000, np.nan, x)), "gap: 1 of"),
+        (
+            lambda r: changed(
+                r, "speed", lambda x: np.where(np.arange(x.size) == 30000, np.nan, x)
+            ),
+            "gap: 1 of",
+        ),
         (lambda r: replace(r, sample_time=1e-3), "trained at 5000 Hz"),
         (lambda r: changed(r, "speed", lambda x: np.clip(x, -396.0, 396.0)), "clipped"),
         (lambda r: changed(r, "voltage", np.zeros_like), "flat: voltage"),
@@ -149,7 +173,11 @@ def test_healthy_movements_alone_suffice_to_detect_on_the_same_exemplar():
 
 def test_a_disturbance_like_no_trained_fault_is_unknown():
     t = np.arange(healthy_movement().n) / 5000.0
-    chirping = changed(healthy_movement(), "speed", lambda x: x + 20.0 * np.sin(2 * np.pi * 90.0 * t) * (np.abs(x) > 100))
+    chirping = changed(
+        healthy_movement(),
+        "speed",
+        lambda x: x + 20.0 * np.sin(2 * np.pi * 90.0 * t) * (np.abs(x) > 100),
+    )
     finding = trained().score(chirping)
     assert (finding.verdict, finding.fault_class) == ("faulty", "unknown")
 
@@ -181,7 +209,9 @@ def test_a_larger_fault_of_a_known_kind_stays_near_its_ray():
 
 def test_averaging_over_the_way_finds_the_place_of_a_small_rack_damage():
     records = life(5, 6, 509, {"rack-tooth": 0.2})
-    features = [movement_features(cut_movements(record)[0], trained().constants) for record in records]
+    features = [
+        movement_features(cut_movements(record)[0], trained().constants) for record in records
+    ]
     average = average_profile([one.profile for one in features])
     assert average.place == pytest.approx(1.2 / 2.85, abs=0.02)
     assert average.contrast > np.median([one.profile.contrast for one in features])
@@ -205,4 +235,6 @@ def test_a_gate_three_times_as_long_as_those_trained_is_judged_like_them():
     assert trained().score(longer_gate(7.9)).verdict == "healthy"
     assert trained().score(longer_gate(7.9, {"rack-tooth": None})).fault_class == "rack"
     assert trained().score(longer_gate(7.9, {"pinion-tooth": None})).fault_class == "pinion-or-gear"
-    assert trained().score(longer_gate(7.9, event="manual-push")).evidence["event"] == "manual-pushing"
+    assert (
+        trained().score(longer_gate(7.9, event="manual-push")).evidence["event"] == "manual-pushing"
+    )

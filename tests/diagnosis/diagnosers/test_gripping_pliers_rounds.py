@@ -19,7 +19,11 @@ def record(signals):
 
 
 def run(seconds, seed=1, fault=None, **settings):
-    return record(Machine(seed=seed, faults={"plier-bearing": fault} if fault else {}, **settings).simulate(seconds))
+    return record(
+        Machine(seed=seed, faults={"plier-bearing": fault} if fault else {}, **settings).simulate(
+            seconds
+        )
+    )
 
 
 @cache
@@ -37,14 +41,21 @@ def test_faulty_rounds_are_found_at_once_and_the_plier_named():
 
 @pytest.mark.parametrize("plier", [1, 2, 3, 4])
 def test_damage_in_any_plier_is_found_and_named(plier):
-    findings = [trained().score(run(20.0, seed=seed, fault=1.0, damaged_plier=plier)) for seed in range(30, 33)]
+    findings = [
+        trained().score(run(20.0, seed=seed, fault=1.0, damaged_plier=plier))
+        for seed in range(30, 33)
+    ]
     assert {finding.verdict for finding in findings} == {Verdict.FAULTY}
     assert [finding.evidence["loudest_plier"] for finding in findings] == [plier] * 3
 
 
 def test_healthy_rounds_of_other_runs_stay_healthy():
     judged = trained().score(run(120.0, seed=5))
-    assert judged.verdict is Verdict.HEALTHY and judged.evidence["exceeding_rounds"] == 0 and judged.evidence["rounds"] >= 58
+    assert (
+        judged.verdict is Verdict.HEALTHY
+        and judged.evidence["exceeding_rounds"] == 0
+        and judged.evidence["rounds"] >= 58
+    )
     assert all(judged.indicators[name] < limit for name, limit in judged.thresholds.items())
 
 
@@ -52,12 +63,17 @@ def test_table_6_envelope_grows_as_in_the_source():
     """Trained with a faulty test too, the kurtogram chooses the frame's mode; kurtosis and RMS of the envelope rise."""
     faulty = run(40.0, seed=2, fault=1.0)
     diagnoser = GrippingPliers().fit([run(60.0), faulty], ["healthy", "plier-bearing"])
-    assert diagnoser.band.low - 70 < FRAME.frequency < diagnoser.band.high + 70 and diagnoser.band.width <= 800
+    assert (
+        diagnoser.band.low - 70 < FRAME.frequency < diagnoser.band.high + 70
+        and diagnoser.band.width <= 800
+    )
     healthy = [diagnoser.score(run(40.0, seed=seed)).indicators for seed in (3, 4)]
     judged = diagnoser.score(faulty)
     assert judged.verdict is Verdict.FAULTY
     for name, least in (("kurtosis", 2.0), ("rms", 1.3)):
-        assert judged.indicators[name] > least * np.mean([indicators[name] for indicators in healthy])
+        assert judged.indicators[name] > least * np.mean(
+            [indicators[name] for indicators in healthy]
+        )
     compared = diagnoser.compare(faulty)
     medians = np.median(compared.quadrant_rms, axis=0)
     assert medians[2] > medians[3] > 1.1 * medians[:2].max()
@@ -78,7 +94,9 @@ def test_what_does_not_fit_the_baseline_is_not_assessed():
     assert unmarked.verdict is Verdict.NOT_ASSESSABLE and "longer pulse" in unmarked.reason
     whole = run(4.0)
     t = np.arange(whole.n) * whole.sample_time
-    humming = dict(whole.channels) | {"acceleration": whole["acceleration"] + 5 * np.cos(2 * np.pi * 50 * t)}
+    humming = dict(whole.channels) | {
+        "acceleration": whole["acceleration"] + 5 * np.cos(2 * np.pi * 50 * t)
+    }
     assert "mains hum" in trained().score(replace(whole, channels=humming)).reason
 
 
@@ -88,4 +106,6 @@ def test_training_refuses_too_few_rounds_and_unusable_records():
     with pytest.raises(BadInput, match=r"cannot be trained on: .*lost or extra"):
         whole = run(30.0)
         pulses = np.where(np.arange(whole.n) // 6400 == 9, 0.0, whole["indicator"])
-        GrippingPliers().fit([replace(whole, channels=dict(whole.channels) | {"indicator": pulses})])
+        GrippingPliers().fit(
+            [replace(whole, channels=dict(whole.channels) | {"indicator": pulses})]
+        )

@@ -34,7 +34,9 @@ from residuum.simulation.process import Process
 
 TS = 0.1
 PROCESS = TransferFunction([47619.0], [1.0, 234.0136, 6857.1, 5442.2]).discretise(TS)
-STD = float(np.sqrt(np.sum(PROCESS.simulate(np.eye(1, 2000)[0]) ** 2) / 9.0))  # of the noise at a variance ratio of 9
+STD = float(
+    np.sqrt(np.sum(PROCESS.simulate(np.eye(1, 2000)[0]) ** 2) / 9.0)
+)  # of the noise at a variance ratio of 9
 
 
 def record(seed, n, *, mean=0.0, noise=None):
@@ -78,8 +80,12 @@ def test_stream_equals_batch_and_can_be_resumed(diagnoser):
         monitor.resume(state)
         parts.append(monitor.process(data["u"][start:stop], data["y"][start:stop]))
     for name in ResidualSignals._fields:
-        assert np.array_equal(np.concatenate([getattr(part, name) for part, _ in parts]), getattr(whole_signals, name)), name
-    assert np.array_equal(np.concatenate([part.statistic for _, part in parts]), whole_bank.statistic)
+        assert np.array_equal(
+            np.concatenate([getattr(part, name) for part, _ in parts]), getattr(whole_signals, name)
+        ), name
+    assert np.array_equal(
+        np.concatenate([part.statistic for _, part in parts]), whole_bank.statistic
+    )
     assert whole_bank.alarm.any()
 
 
@@ -101,7 +107,10 @@ def test_step_of_three_within_a_second_and_of_one_within_ten(design):
         data = faulty(record(6, 6000), lambda y, size=size: y + size * (np.arange(6000) >= 4000))
         found = detect(design, data, false_alarms_per_day=1.0)
         assert 4000 <= found.first_alarm <= 4000 + limit
-        assert found.estimate.kind == "sensor-offset" and abs(found.estimate.value - size) < 4 * found.estimate.std
+        assert (
+            found.estimate.kind == "sensor-offset"
+            and abs(found.estimate.value - size) < 4 * found.estimate.std
+        )
 
 
 @pytest.mark.parametrize(
@@ -122,7 +131,9 @@ def test_chosen_false_alarm_rate_is_met(noise, slack):
     scores = fitted.normal_scores(np.nan_to_num(fitted.whiten(white(n))))
     template = signal.lfilter([1.0], [1.0, -0.9], rng.standard_normal(n))
     bank = LikelihoodRatioBank(rate, np.zeros((1, 1)), 1)
-    alarms = bank.process(ResidualSignals(scores, scores, scores, template, template, np.ones(n, dtype=bool))).alarm.sum()
+    alarms = bank.process(
+        ResidualSignals(scores, scores, scores, template, template, np.ones(n, dtype=bool))
+    ).alarm.sum()
     assert slack[0] < alarms / (rate * n) < slack[1]
 
 
@@ -147,7 +158,12 @@ def test_the_bank_allows_for_model_error_but_not_for_faults():
         e = rng.standard_normal(n) + signal.lfilter(np.concatenate([[0.0], error]), 1.0, u)
         valid = np.arange(n) > m
         signals = ResidualSignals(e, e, np.where(valid, e, 0.0), np.zeros(n), u, valid)
-        alarms.append([LikelihoodRatioBank(1e-6, c, 1).process(signals).alarm.any() for c in (covariance, 0 * covariance)])
+        alarms.append(
+            [
+                LikelihoodRatioBank(1e-6, c, 1).process(signals).alarm.any()
+                for c in (covariance, 0 * covariance)
+            ]
+        )
     known, ignored = np.array(alarms).sum(axis=0)
     assert known == 0 and ignored >= 15
 
@@ -155,7 +171,9 @@ def test_the_bank_allows_for_model_error_but_not_for_faults():
 def test_cusum_rate_and_single_window_rate_are_the_closed_forms():
     x = np.random.default_rng(9).standard_normal(2_000_000)
     h = cusum_threshold(1e-4, 0.5)
-    assert np.count_nonzero(cusum(x, np.ones(len(x), dtype=bool), 0.5, h).alarm) / 200 == pytest.approx(1.0, abs=0.3)
+    assert np.count_nonzero(
+        cusum(x, np.ones(len(x), dtype=bool), 0.5, h).alarm
+    ) / 200 == pytest.approx(1.0, abs=0.3)
     b = scan_threshold(1e-5, [(2, [1])])
     assert 2 * scan_rate(b, [1]) == pytest.approx(1e-5, rel=1e-6)
     assert 2 * stats.norm.sf(b) == pytest.approx(1e-5, rel=0.1)
@@ -170,13 +188,19 @@ def test_peak_threshold_is_never_exceeded_and_is_nearly_reached(design):
     n = 3000
     impulse = np.eye(1, n)[0]
     from_noise = design.post_filter.Q.simulate(impulse[:, None])[0][:, 0]
-    from_error = design.post_filter.Q.simulate(design.W_T.simulate(np.convolve(impulse, path)[:n])[:, None])[0][:, 0]
+    from_error = design.post_filter.Q.simulate(
+        design.W_T.simulate(np.convolve(impulse, path)[:n])[:, None]
+    )[0][:, 0]
     worst = noise_bound * np.abs(from_noise).sum() + input_bound * np.abs(from_error).sum()
     assert 0.999 * tau < worst <= tau * (1 + 1e-9)
     rng = np.random.default_rng(10)
     for _ in range(20):
-        e = noise_bound * np.sign(signal.lfilter([1.0], [1.0, -rng.uniform(-0.99, 0.99)], rng.standard_normal(50_000)))
-        error = input_bound * np.sign(signal.lfilter([1.0], [1.0, -rng.uniform(-0.99, 0.99)], rng.standard_normal(50_000)))
+        e = noise_bound * np.sign(
+            signal.lfilter([1.0], [1.0, -rng.uniform(-0.99, 0.99)], rng.standard_normal(50_000))
+        )
+        error = input_bound * np.sign(
+            signal.lfilter([1.0], [1.0, -rng.uniform(-0.99, 0.99)], rng.standard_normal(50_000))
+        )
         y = e + design.W_T.simulate(np.convolve(error, path)[:50_000])
         assert np.abs(design.post_filter.Q.simulate(y[:, None])[0]).max() <= tau
 
@@ -184,7 +208,9 @@ def test_peak_threshold_is_never_exceeded_and_is_nearly_reached(design):
 def test_source_threshold_has_no_healthy_exceedance_and_sees_thirty_at_once(design):
     healthy = record(11, 2600)
     assert detect(design, healthy, threshold="source").first_alarm is None
-    found = detect(design, faulty(healthy, lambda y: y + 30.0 * (np.arange(2600) >= 1500)), threshold="source")
+    found = detect(
+        design, faulty(healthy, lambda y: y + 30.0 * (np.arange(2600) >= 1500)), threshold="source"
+    )
     assert found.first_alarm == 1500
     with pytest.raises(BadInput, match="point"):
         detect(design, healthy, threshold="peak", evaluation="glr")
@@ -196,7 +222,9 @@ def test_posterior_point_threshold_follows_the_input(design):
     u[1500:] += 60.0
     y = PROCESS.simulate(u) + np.array(data["y"]) - PROCESS.simulate(data["u"])
     found = detect(design, replace(data, channels={"u": u, "y": y}), evaluation="point")
-    assert np.median(found.threshold.level[2000:]) > 1.5 * np.median(found.threshold.level[500:1400])
+    assert np.median(found.threshold.level[2000:]) > 1.5 * np.median(
+        found.threshold.level[500:1400]
+    )
 
 
 def test_calibrated_threshold_promises_only_what_its_data_bear():
@@ -206,7 +234,9 @@ def test_calibrated_threshold_promises_only_what_its_data_bear():
     little = calibrated_threshold(np.abs(rng.standard_normal((200, BLOCK))).max(axis=1), rate, TS)
     truth = -np.sqrt(2) * float(__import__("scipy.special").special.erfcinv(rate)) * -1
     assert plenty.guaranteed and not little.guaranteed and little.days < little.days_needed
-    assert plenty.value == pytest.approx(truth, rel=0.12) and little.value == pytest.approx(truth, rel=0.2)
+    assert plenty.value == pytest.approx(truth, rel=0.12) and little.value == pytest.approx(
+        truth, rel=0.2
+    )
     with pytest.raises(BadInput, match="blocks"):
         calibrated_threshold(np.ones(3), rate, TS)
 
@@ -225,13 +255,17 @@ def test_size_is_unbiased_and_its_band_covers():
         y += offset * (np.arange(600) >= 300)
         found = FaultEstimator(base.generator, model.covariance, model.delay).estimate(u, y, 310)
         errors.append(((found.value - offset) / found.std, found.kind))
-    z = np.array([error for error, kind in errors if kind == "sensor-offset"])  # another kind's size has another unit
+    z = np.array(
+        [error for error, kind in errors if kind == "sensor-offset"]
+    )  # another kind's size has another unit
     assert sum(kind == "sensor-offset" for _, kind in errors) >= 95
     assert abs(z.mean()) < 0.35
     assert 0.90 <= np.mean(np.abs(z) < 1.96) <= 0.99
 
 
-@pytest.mark.parametrize("fault", ["sensor-offset", "sensor-drift", "actuator-gain", "stuck-sensor"])
+@pytest.mark.parametrize(
+    "fault", ["sensor-offset", "sensor-drift", "actuator-gain", "stuck-sensor"]
+)
 def test_finds_and_names_every_fault_of_the_process_machine(fault):
     def window(machine, seconds):
         part = next(iter(machine.advance(seconds).values()))
@@ -260,12 +294,17 @@ def test_structured_error_in_healthy_records_is_said_not_hidden():
     finding = crude.score(Record({"u": u[:600], "y": y[:600]}, {"u": "", "y": ""}, TS))
     assert "explain" in finding.reason and finding.evidence["model_explains_healthy_data"] is False
     assert finding.verdict == "healthy"
-    assert crude._threshold * crude.design.noise.sigma > 1.5 * informed._threshold * informed.design.noise.sigma
+    assert (
+        crude._threshold * crude.design.noise.sigma
+        > 1.5 * informed._threshold * informed.design.noise.sigma
+    )
 
 
 def test_with_the_missing_effect_added_a_far_smaller_fault_is_found():
     """Dry friction that the model lacks hides an offset of 1 rad/s; the prediction with friction lets a tenth of that be seen."""
-    machine = MACHINES["gate-drive"](seed=3, effects={"coulomb-friction": {}}, profile="rich", rate=50.0)
+    machine = MACHINES["gate-drive"](
+        seed=3, effects={"coulomb-friction": {}}, profile="rich", rate=50.0
+    )
     training, window = drive_record(machine, 60.0), drive_record(machine, 20.0)
     found = {}
     for effects in ((), ("coulomb-friction",)):
@@ -274,12 +313,19 @@ def test_with_the_missing_effect_added_a_far_smaller_fault_is_found():
             model = model.with_effect(effect, "shaft", {"tau_c": 0.05})
         matched, experiments = match(model, [training])
         fitted = estimate(matched, experiments).model
-        diagnoser = RobustResidual(input="prediction", output="speed").fit([with_prediction(fitted, training, "speed")])
+        diagnoser = RobustResidual(input="prediction", output="speed").fit(
+            [with_prediction(fitted, training, "speed")]
+        )
         predicted = with_prediction(fitted, window, "speed")
         assert diagnoser.score(predicted).verdict == "healthy"
         after = np.arange(window.n) > window.n // 2
         offset = {
-            size: diagnoser.score(replace(predicted, channels={**predicted.channels, "speed": predicted["speed"] + size * after}))
+            size: diagnoser.score(
+                replace(
+                    predicted,
+                    channels={**predicted.channels, "speed": predicted["speed"] + size * after},
+                )
+            )
             for size in (0.3, 1.0)
         }
         found[effects] = [offset[size].verdict for size in (0.3, 1.0)]
@@ -293,7 +339,9 @@ def test_with_the_missing_effect_added_a_far_smaller_fault_is_found():
 def drive_record(machine, seconds):
     signals = machine.simulate(seconds)
     names = ("voltage", "speed")
-    channels, units = ({name: of[name] for name in names} for of in (signals.channels, signals.units))
+    channels, units = (
+        {name: of[name] for name in names} for of in (signals.channels, signals.units)
+    )
     return Record(channels, units, signals.sample_time)
 
 
@@ -313,7 +361,9 @@ def test_an_offset_of_one_sigma_is_found_as_fast_as_by_a_cusum_made_for_it():
 
 def test_few_structured_healthy_peaks_widen_the_threshold_without_extrapolation(design):
     fields = {name: getattr(design, name) for name in design.__dataclass_fields__}
-    short = ResidualDesign(**fields | {"peaks": {"glr": np.array([4.0, 9.0, 6.0])}, "structured_p": 1e-6})
+    short = ResidualDesign(
+        **fields | {"peaks": {"glr": np.array([4.0, 9.0, 6.0])}, "structured_p": 1e-6}
+    )
     assert RobustResidual()._use(short)._threshold == pytest.approx(13.5)
 
 
@@ -330,7 +380,12 @@ def test_unfit_records_are_refused(design):
     with pytest.raises(BadInput, match="false alarms per day"):
         detect(design, good, false_alarms_per_day=-1.0)
     centimetres = detect(
-        design, replace(good, channels={"u": good["u"], "y": 100 * np.array(good["y"])}, units={"u": "V", "y": "cm"})
+        design,
+        replace(
+            good,
+            channels={"u": good["u"], "y": 100 * np.array(good["y"])},
+            units={"u": "V", "y": "cm"},
+        ),
     )
     assert centimetres.first_alarm is None
 
@@ -357,7 +412,10 @@ def test_stored_design_is_the_same_design(design, tmp_path):
     data = record(25, 1500)
     for kind in ("posterior", "peak", "source", "calibrated"):
         one, other = (detect(part, data, threshold=kind) for part in (design, loaded))
-        assert np.array_equal(one.statistic, other.statistic) and one.threshold.typical == other.threshold.typical
+        assert (
+            np.array_equal(one.statistic, other.statistic)
+            and one.threshold.typical == other.threshold.typical
+        )
     assert bounds(loaded, np.zeros(3)) == bounds(design, np.zeros(3))
 
 
@@ -380,14 +438,27 @@ def test_bounded_noise_gives_away_no_power():
     """Scores of uniform noise are normal, so a small offset is found sooner than under Gaussian noise of the same size."""
     rng = np.random.default_rng(21)
     delays = {}
-    for name, draw in (("gaussian", rng.standard_normal), ("uniform", lambda n: np.sqrt(3) * rng.uniform(-1, 1, n))):
+    for name, draw in (
+        ("gaussian", rng.standard_normal),
+        ("uniform", lambda n: np.sqrt(3) * rng.uniform(-1, 1, n)),
+    ):
         fitted = fit_noise_model([draw(50_000)])
         found = []
         for _ in range(40):
-            scores = fitted.normal_scores(np.nan_to_num(fitted.whiten(draw(600) + 0.7 * (np.arange(600) >= 200))))
+            scores = fitted.normal_scores(
+                np.nan_to_num(fitted.whiten(draw(600) + 0.7 * (np.arange(600) >= 200)))
+            )
             zero, valid = np.zeros(600), np.ones(600, dtype=bool)
             bank = LikelihoodRatioBank(1e-6, np.zeros((1, 1)), 1)
-            found.append(int(np.argmax(bank.process(ResidualSignals(scores, scores, scores, zero, zero, valid)).alarm[200:])))
+            found.append(
+                int(
+                    np.argmax(
+                        bank.process(
+                            ResidualSignals(scores, scores, scores, zero, zero, valid)
+                        ).alarm[200:]
+                    )
+                )
+            )
         delays[name] = np.mean(found)
     assert delays["uniform"] < 0.5 * delays["gaussian"]
 
@@ -397,6 +468,14 @@ def test_light_tails_are_recovered_and_bounds_hold(shape):
     rng = np.random.default_rng(22)
     e = 3.0 * stats.gennorm.rvs(shape, scale=shape ** (1 / shape), size=100_000, random_state=rng)
     fitted = fit_noise_model([e])
-    assert fitted.shape == pytest.approx(shape, rel=0.1) and fitted.innovation_std == pytest.approx(e.std(), rel=0.02)
-    assert np.mean(np.abs(e) / fitted.innovation_std > fitted.limit(1e-3)) == pytest.approx(1e-3, rel=0.5)
-    assert fitted.normal_scores(np.array([-1e9, 0.0, 1e9])) == pytest.approx([-141.0, 0.0, 141.0], abs=1.0) or shape == 2.0
+    assert fitted.shape == pytest.approx(shape, rel=0.1) and fitted.innovation_std == pytest.approx(
+        e.std(), rel=0.02
+    )
+    assert np.mean(np.abs(e) / fitted.innovation_std > fitted.limit(1e-3)) == pytest.approx(
+        1e-3, rel=0.5
+    )
+    assert (
+        fitted.normal_scores(np.array([-1e9, 0.0, 1e9]))
+        == pytest.approx([-141.0, 0.0, 141.0], abs=1.0)
+        or shape == 2.0
+    )

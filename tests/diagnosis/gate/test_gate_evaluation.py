@@ -9,12 +9,25 @@ from residuum.diagnosis.gate.actuator_model import NotchMatch
 from residuum.diagnosis.gate.classifier_plane import decision_regions
 from residuum.diagnosis.gate.fmeca import Risk, coverage, criticality_matrix, load_fmeca
 from residuum.diagnosis.gate.gate_baseline import LEAST_NOTCH_LIMIT, NEW_NOTCH_LIMIT, KnownGears
-from residuum.diagnosis.gate.movement_features import envelope_spectrum, fault_indicators, residual_envelope
-from residuum.diagnosis.learning.diagnoser_validation import Validation, mixed_folds, object_wise, proportion_interval
+from residuum.diagnosis.gate.movement_features import (
+    envelope_spectrum,
+    fault_indicators,
+    residual_envelope,
+)
+from residuum.diagnosis.learning.diagnoser_validation import (
+    Validation,
+    mixed_folds,
+    object_wise,
+    proportion_interval,
+)
 from residuum.diagnosis.residuals.fault_isolation import source_classifier
 from residuum.diagnosis.thresholds.tails import UpperTail
 from residuum.diagnosis.vibration.rotation import shaft_pattern
-from residuum.diagnosis.vibration.vibration_indicators import autoregressive_whitener, matched_filter, pulse_templates
+from residuum.diagnosis.vibration.vibration_indicators import (
+    autoregressive_whitener,
+    matched_filter,
+    pulse_templates,
+)
 from residuum.identification.errors import BadInput
 
 
@@ -26,14 +39,19 @@ def test_indicators_sum_the_harmonics_that_modulate_the_residual():
     F1, F2 = fault_indicators(envelope_spectrum(envelope[1000:-1000], 0.002), f)
     assert pytest.approx(0.5, abs=0.05) == F1
     assert F2 > F1
-    steady, _ = fault_indicators(envelope_spectrum(residual_envelope(np.sin(2 * np.pi * 6 * t), 0.002)[1000:-1000], 0.002), f)
+    steady, _ = fault_indicators(
+        envelope_spectrum(residual_envelope(np.sin(2 * np.pi * 6 * t), 0.002)[1000:-1000], 0.002), f
+    )
     assert steady < 0.02
 
 
 def test_zero_padding_does_not_change_the_area_of_a_neighbourhood():
     rng = np.random.default_rng(1)
     spectra = [envelope_spectrum(rng.standard_normal(n), 0.01) for n in (4000, 4099)]
-    areas = [np.mean([s.around(f, 0.2) / (0.4 * f / s.resolution) for f in np.arange(2, 40)]) for s in spectra]
+    areas = [
+        np.mean([s.around(f, 0.2) / (0.4 * f / s.resolution) for f in np.arange(2, 40)])
+        for s in spectra
+    ]
     levels = [np.mean(s.modulus) for s in spectra]
     np.testing.assert_allclose(areas, levels, rtol=0.05)
 
@@ -117,13 +135,23 @@ def test_object_wise_needs_two_objects():
 
 
 def test_confusion_has_predictions_in_rows_as_the_source_prints_it():
-    truth, predicted = np.array(["healthy", "healthy", "rack"]), np.array(["healthy", "rack", "rack"])
-    assert Validation(truth, predicted, np.arange(3)).confusion(["healthy", "rack"]).tolist() == [[1, 0], [1, 1]]
+    truth, predicted = (
+        np.array(["healthy", "healthy", "rack"]),
+        np.array(["healthy", "rack", "rack"]),
+    )
+    assert Validation(truth, predicted, np.arange(3)).confusion(["healthy", "rack"]).tolist() == [
+        [1, 0],
+        [1, 1],
+    ]
 
 
 def test_fmeca_places_the_six_modes_as_the_source_and_links_to_diagnosers_that_exist():
     modes = load_fmeca()
-    cells = {cell: [mode.id for mode in found] for cell, found in criticality_matrix(modes).items() if found}
+    cells = {
+        cell: [mode.id for mode in found]
+        for cell, found in criticality_matrix(modes).items()
+        if found
+    }
     assert cells == {
         ("D", "IV"): ["rack-tooth", "pinion-tooth"],
         ("C", "I"): ["broken-shaft"],
@@ -141,7 +169,9 @@ def test_fmeca_refuses_what_it_cannot_keep(tmp_path):
     with pytest.raises(BadInput, match="no diagnoser 'gate-actuator' with class 'rack'"):
         coverage(load_fmeca(), {"gate-actuator": ("pinion-or-gear",)})
     path = tmp_path / "modes.yaml"
-    path.write_text("modes: [{id: a, component: b, failure: c, cause: d, effect: e, probability: Z, severity: I}]")
+    path.write_text(
+        "modes: [{id: a, component: b, failure: c, cause: d, effect: e, probability: Z, severity: I}]"
+    )
     with pytest.raises(BadInput, match="probability 'Z'"):
         load_fmeca(path)
     path.write_text("nothing: here")
@@ -156,7 +186,9 @@ def random_turns(count, seed, worse=1.0):
     turns = []
     for _ in range(count):
         X = np.zeros(129, dtype=complex)
-        X[1:44] = (rng.standard_normal(43) + 1j * rng.standard_normal(43)) * worse * 40.0 / np.sqrt(order)
+        X[1:44] = (
+            (rng.standard_normal(43) + 1j * rng.standard_normal(43)) * worse * 40.0 / np.sqrt(order)
+        )
         turns.append(np.fft.irfft(X, 256))
     return turns
 
@@ -171,7 +203,11 @@ def notch_of(size, place=0.3):
 
 def again(turn, rng):
     """The same gear in another movement: from another angle, a little larger or smaller, and not quite the same."""
-    spectrum = np.fft.rfft(turn) * np.exp(1j * rng.uniform(0, 2 * np.pi) * np.arange(129)) * rng.uniform(0.8, 1.3)
+    spectrum = (
+        np.fft.rfft(turn)
+        * np.exp(1j * rng.uniform(0, 2 * np.pi) * np.arange(129))
+        * rng.uniform(0.8, 1.3)
+    )
     return np.fft.irfft(spectrum, 256) + 0.05 * np.std(turn) * rng.standard_normal(256)
 
 
@@ -185,14 +221,20 @@ def test_a_known_gear_is_recognised_and_a_notch_that_is_new_in_it_seen_early():
     small = [again(turn, rng) + notch_of(1.5, rng.uniform(0.1, 0.9)) for turn in seen]
     assert min(gears.recognise(turn, match, 430.0, 0.05).match for turn in small) > NEW_NOTCH_LIMIT
     assert np.mean([match.statistic(turn, 430.0, 0.05) > LEAST_NOTCH_LIMIT for turn in small]) < 0.2
-    assert [gears.recognise(turn, match, 430.0, 0.05) for turn in random_turns(30, 6)] == [None] * 30
+    assert [gears.recognise(turn, match, 430.0, 0.05) for turn in random_turns(30, 6)] == [
+        None
+    ] * 30
 
 
 def test_a_notch_is_found_among_tooth_errors_and_a_gear_worse_all_round_is_none():
     match = NotchMatch.of(random_turns(60, 0), 44)
     healthy = np.array([match.statistic(turn, 430.0, 0.05) for turn in random_turns(300, 1)])
-    worse = np.array([match.statistic(turn, 430.0, 0.05) for turn in random_turns(100, 2, worse=1.5)])
-    notched = np.array([match.statistic(turn + notch_of(10.0), 430.0, 0.05) for turn in random_turns(40, 4)])
+    worse = np.array(
+        [match.statistic(turn, 430.0, 0.05) for turn in random_turns(100, 2, worse=1.5)]
+    )
+    notched = np.array(
+        [match.statistic(turn + notch_of(10.0), 430.0, 0.05) for turn in random_turns(40, 4)]
+    )
     assert 2.5 < np.median(healthy) < 3.5
     assert max(healthy.max(), worse.max()) < LEAST_NOTCH_LIMIT
     assert np.mean(notched > LEAST_NOTCH_LIMIT) >= 0.95

@@ -18,12 +18,18 @@ from residuum.identification.errors import BadInput
 def trained():
     rng = np.random.default_rng(0)
     x = rng.normal(size=(40, 2)) + np.repeat([[0.0, 0.0], [3.0, 3.0]], 20, axis=0)
-    return make_pipeline(StandardScaler(), SVC(kernel="linear")).fit(x, np.repeat(["a", "b"], 20)), x
+    return make_pipeline(StandardScaler(), SVC(kernel="linear")).fit(
+        x, np.repeat(["a", "b"], 20)
+    ), x
 
 
 def test_everything_comes_back(tmp_path, trained):
     svm, x = trained
-    arrays = {"a": np.arange(6.0).reshape(2, 3), "scalar": np.float64(2.5), "mask": np.array([True, False])}
+    arrays = {
+        "a": np.arange(6.0).reshape(2, 3),
+        "scalar": np.float64(2.5),
+        "mask": np.array([True, False]),
+    }
     save_stored(tmp_path / "m", "gate-actuator", 3, {"rate": 5000.0}, arrays, {"svm": svm})
     stored = load_stored(tmp_path / "m", "gate-actuator")
     assert (stored.version, stored.meta) == (3, {"rate": 5000.0})
@@ -54,9 +60,16 @@ def test_other_kind_and_foreign_files_are_refused(tmp_path):
 
 def test_a_header_larger_than_the_member_is_refused_before_allocation(tmp_path):
     buffer = io.BytesIO()
-    np.lib.format.write_array_header_1_0(buffer, {"descr": "<f8", "fortran_order": False, "shape": (10**15,)})
+    np.lib.format.write_array_header_1_0(
+        buffer, {"descr": "<f8", "fortran_order": False, "shape": (10**15,)}
+    )
     with zipfile.ZipFile(tmp_path / "m", "w") as archive:
-        archive.writestr("header.json", json.dumps({"format": "residuum-diagnoser", "kind": "bearing", "version": 1, "meta": {}}))
+        archive.writestr(
+            "header.json",
+            json.dumps(
+                {"format": "residuum-diagnoser", "kind": "bearing", "version": 1, "meta": {}}
+            ),
+        )
         archive.writestr("arrays/a.npy", buffer.getvalue())
     with pytest.raises(BadInput, match="which the member does not hold"):
         load_stored(tmp_path / "m", "bearing")

@@ -12,7 +12,13 @@ from residuum.identification.record import Record
 def holed(record, name, *places):
     values = np.array(record[name])
     values[list(places)] = np.nan
-    return Record({**record.channels, name: values}, record.units, record.sample_time, record.t0, source=record.source)
+    return Record(
+        {**record.channels, name: values},
+        record.units,
+        record.sample_time,
+        record.t0,
+        source=record.source,
+    )
 
 
 @pytest.fixture
@@ -41,8 +47,16 @@ def test_half_a_window_does_not_stand_for_it(record):
 
 def test_a_lost_sample_leaves_a_window_that_is_judged_and_says_by_what(complete_axis):
     example = ModelBased.examples()[0]
-    for one, verdict in ((example.healthy[0], Verdict.HEALTHY), (example.faulty[0], Verdict.FAULTY)):
+    for one, verdict in (
+        (example.healthy[0], Verdict.HEALTHY),
+        (example.faulty[0], Verdict.FAULTY),
+    ):
         finding = complete_axis.score(holed(one, "force", 300))
         assert finding.verdict is verdict
-        assert finding.evidence["judged"] == {"from": pytest.approx(1.505), "to": pytest.approx(7.5), "samples": 1199, "of": 1500}
+        assert finding.evidence["judged"] == {
+            "from": pytest.approx(1.505),
+            "to": pytest.approx(7.5),
+            "samples": 1199,
+            "of": 1500,
+        }
         assert "1199 of 1500 samples" in finding.reason

@@ -37,13 +37,19 @@ outputs: {speed: {value: w, unit: rpm}}
 @cache
 def axis_windows(count, mass=1.0, friction=1.0):
     """Windows of one axis with dry friction, which the model lacks; its mass or friction changed from window 20 on."""
-    machine = MACHINES["linear-axis"](seed=5, effects={"coulomb-friction": {}}, rate=250.0, deviation=0.05)
+    machine = MACHINES["linear-axis"](
+        seed=5, effects={"coulomb-friction": {}}, rate=250.0, deviation=0.05
+    )
     found = []
     for k in range(20 + count):
         if k == 20:
-            machine.axis = machine.axis._replace(M=machine.axis.M * mass, tau_c=machine.axis.tau_c * friction)
+            machine.axis = machine.axis._replace(
+                M=machine.axis.M * mass, tau_c=machine.axis.tau_c * friction
+            )
         s = machine.simulate(WINDOW)
-        found.append(Record(dict(s.channels), dict(s.units), s.sample_time, t0=s.t0, source=f"window {k}"))
+        found.append(
+            Record(dict(s.channels), dict(s.units), s.sample_time, t0=s.t0, source=f"window {k}")
+        )
     return found, machine.axis
 
 
@@ -51,7 +57,9 @@ def train_axis(file):
     """A baseline, and beside it what the diagnoser says that was not stored yet."""
     trained = ModelBased(model="linear-axis").fit(axis_windows(6)[0][:20])
     trained.save(file)
-    file.with_suffix(".json").write_text(json.dumps(trained.score(axis_windows(6)[0][21]).to_json()))
+    file.with_suffix(".json").write_text(
+        json.dumps(trained.score(axis_windows(6)[0][21]).to_json())
+    )
 
 
 @pytest.fixture(scope="session")
@@ -66,9 +74,14 @@ def watched(axis_file):
 
 def lag_window(rng, gain, k):
     u = np.repeat(rng.uniform(2.0, 8.0, 12), 50)
-    x = signal.lfilter([0.0, 1.0 - np.exp(-0.01 / 0.05)], [1.0, -np.exp(-0.01 / 0.05)], u - u[0]) + u[0]
+    x = (
+        signal.lfilter([0.0, 1.0 - np.exp(-0.01 / 0.05)], [1.0, -np.exp(-0.01 / 0.05)], u - u[0])
+        + u[0]
+    )
     y = gain * x + 0.1 * rng.standard_normal(len(u))
-    return Record({"voltage": u, "speed": y}, {"voltage": "V", "speed": "rpm"}, 0.01, source=f"window {k}")
+    return Record(
+        {"voltage": u, "speed": y}, {"voltage": "V", "speed": "rpm"}, 0.01, source=f"window {k}"
+    )
 
 
 def group(finding):
@@ -84,7 +97,9 @@ def test_healthy_windows_are_healthy_and_the_friction_is_told_as_missing_physics
     findings = [watched.score(record) for record in axis_windows(6)[0][20:]]
     assert [f.verdict for f in findings].count(Verdict.HEALTHY) >= 5
     missing = findings[0].evidence["missing_physics"]
-    assert {m["place"] for m in missing} == {"axis"} and any("friction" in m["effect"] for m in missing)
+    assert {m["place"] for m in missing} == {"axis"} and any(
+        "friction" in m["effect"] for m in missing
+    )
     assert "residuum explain" in findings[0].reason and "extrapolated" in findings[0].reason
 
 
@@ -115,7 +130,10 @@ def test_two_things_at_once_are_both_named(watched):
     finding = watched.score(changed(record, velocity=record["velocity"] + 0.03))
     causes = finding.to_json()["causes"][:2]
     assert {(c["name"], c["place"]) for c in causes} == {("M", ""), ("offset", "velocity")}
-    assert all(c["beside"] and c["probability"] > 0.5 for c in causes) and f", and {causes[1]['says']}" in finding.reason
+    assert (
+        all(c["beside"] and c["probability"] > 0.5 for c in causes)
+        and f", and {causes[1]['says']}" in finding.reason
+    )
 
 
 def test_a_stuck_sensor_is_told_with_its_onset(watched):
@@ -124,7 +142,9 @@ def test_a_stuck_sensor_is_told_with_its_onset(watched):
     held = np.where(np.arange(record.n) > half, record["velocity"][half], record["velocity"])
     finding = watched.score(changed(record, velocity=held))
     assert finding.fault_class == "sensor-stuck"
-    assert finding.to_json()["causes"][0]["onset_time"] == pytest.approx(record.time[half], abs=0.05)
+    assert finding.to_json()["causes"][0]["onset_time"] == pytest.approx(
+        record.time[half], abs=0.05
+    )
 
 
 def test_lost_readings_are_a_drop_out(watched):
@@ -143,7 +163,9 @@ def test_a_machine_that_stands_is_not_assessable(watched):
 
 def test_a_rarer_alarm_has_a_higher_limit(watched):
     record = axis_windows(6)[0][20]
-    often, seldom = (watched.with_settings(false_alarms_per_day=rate).score(record) for rate in (10.0, 0.01))
+    often, seldom = (
+        watched.with_settings(false_alarms_per_day=rate).score(record) for rate in (10.0, 0.01)
+    )
     assert often.thresholds["deviation"] < seldom.thresholds["deviation"]
 
 
@@ -161,7 +183,9 @@ def test_without_a_model_that_fits_it_asks_for_one():
         ModelBased().fit([Record({"a": np.arange(100.0)}, {"a": "V"}, 0.01)])
 
 
-def test_a_stored_baseline_judges_as_the_trained_one_and_still_knows_what_the_user_s_model_lacks(axis_file, watched):
+def test_a_stored_baseline_judges_as_the_trained_one_and_still_knows_what_the_user_s_model_lacks(
+    axis_file, watched
+):
     told = json.loads(axis_file.with_suffix(".json").read_text())
     assert json.loads(json.dumps(watched.score(axis_windows(6)[0][21]).to_json())) == told
     assert watched.baseline.mended and not watched.model.effects
@@ -192,9 +216,14 @@ def test_what_a_baseline_cannot_see_is_told(watched):
 
 def test_a_window_that_stands_apart_is_told_when_training():
     rng = np.random.default_rng(4)
-    windows = [lag_window(rng, gain=2.6 if k == 7 else 2.0 + 0.02 * rng.standard_normal(), k=k) for k in range(12)]
+    windows = [
+        lag_window(rng, gain=2.6 if k == 7 else 2.0 + 0.02 * rng.standard_normal(), k=k)
+        for k in range(12)
+    ]
     told = ModelBased(model=read_model(LAG)).fit(windows).learned()
-    assert told["apart"] == [7] and any("window 7" in line and "apart" in line for line in told["says"])
+    assert told["apart"] == [7] and any(
+        "window 7" in line and "apart" in line for line in told["says"]
+    )
 
 
 def test_relearned_it_still_lacks_what_it_lacked_and_an_accepted_model_takes_its_place(watched):
@@ -202,7 +231,9 @@ def test_relearned_it_still_lacks_what_it_lacked_and_an_accepted_model_takes_its
     again = watched.relearned(windows[:8])
     assert again.baseline.mended == watched.baseline.mended and not again.model.effects
     use = watched.baseline.stand_ins[0]
-    improved = load_model("linear-axis").with_effect(*use.key, {name: p.value for name, p in use.parameters.items()})
+    improved = load_model("linear-axis").with_effect(
+        *use.key, {name: p.value for name, p in use.parameters.items()}
+    )
     accepted = watched.relearned(windows[:8], improved)
     assert accepted.baseline.mended == () and accepted.baseline.asked.effects == improved.effects
     assert accepted.score(windows[22]).verdict is Verdict.HEALTHY
@@ -214,7 +245,10 @@ def test_an_offset_is_held_against_that_of_healthy_windows(watched):
     moved = seen_window(b, changed(record, velocity=record["velocity"] + 0.01))
     assert moved.offsets[0][1] - seen.offsets[0][1] == pytest.approx(0.01, rel=0.05)
     untold = (moved.offsets[0], 1e-12 * moved.offsets[1])
-    healthy, faulty, open_ = (detected(b, seen.fit, each, seen.features).p for each in (seen.offsets, moved.offsets, untold))
+    healthy, faulty, open_ = (
+        detected(b, seen.fit, each, seen.features).p
+        for each in (seen.offsets, moved.offsets, untold)
+    )
     assert faulty < 1e-6 < healthy <= open_
 
 
@@ -222,13 +256,27 @@ def test_the_information_on_an_offset_is_what_it_scatters_by():
     """Beside a gain with a prior, of which a nearly steady input says little: simulated again and again."""
     model, rng = read_model(LAG), np.random.default_rng(3)
     u, told, found = np.repeat(5.0 + 0.3 * rng.standard_normal(8), 50), [], []
-    x = signal.lfilter([0.0, 1.0 - np.exp(-0.01 / 0.05)], [1.0, -np.exp(-0.01 / 0.05)], u - u[0]) + u[0]
+    x = (
+        signal.lfilter([0.0, 1.0 - np.exp(-0.01 / 0.05)], [1.0, -np.exp(-0.01 / 0.05)], u - u[0])
+        + u[0]
+    )
     for _ in range(200):
         y = (2.0 + 0.05 * rng.standard_normal()) * x + 0.1 * rng.standard_normal(400)
-        _, (window,) = match(model, [Record({"voltage": u, "speed": y}, {"voltage": "V", "speed": "rpm"}, 0.01)])
+        _, (window,) = match(
+            model, [Record({"voltage": u, "speed": y}, {"voltage": "V", "speed": "rpm"}, 0.01)]
+        )
         window = replace(window, hold=np.ones(1))
-        fitter = WindowFitter(model, window, np.array([2.0]), np.array([[0.05**2]]), Whitening.plain(np.array([0.1])), 1e6)
-        fit = fitter.fit(Variant(model, sizes=(0.0,), lower=(-np.inf,), reading=edited(0, shifted)), 8)
+        fitter = WindowFitter(
+            model,
+            window,
+            np.array([2.0]),
+            np.array([[0.05**2]]),
+            Whitening.plain(np.array([0.1])),
+            1e6,
+        )
+        fit = fitter.fit(
+            Variant(model, sizes=(0.0,), lower=(-np.inf,), reading=edited(0, shifted)), 8
+        )
         found.append(fit.own[0])
         told.append(information_on_size(fit, fitter.covariance))
     assert np.std(found) == pytest.approx(np.mean(np.array(told) ** -0.5), rel=0.15)

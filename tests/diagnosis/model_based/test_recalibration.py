@@ -15,7 +15,13 @@ def judge(complete_axis):
 
 def with_fault(record, name, fault):
     values = fault(np.array(record[name]))
-    return Record({**record.channels, name: values}, record.units, record.sample_time, t0=record.t0, source=record.source)
+    return Record(
+        {**record.channels, name: values},
+        record.units,
+        record.sample_time,
+        t0=record.t0,
+        source=record.source,
+    )
 
 
 FAULTS = {
@@ -58,5 +64,9 @@ def test_a_new_friction_is_not_learned_where_the_user_has_accepted_another_effec
 
 
 def test_a_new_friction_is_learned_where_the_user_has_accepted_it(judge, rubbing):
-    accepted = judge.relearned(rubbing, judge.model.with_effect("coulomb-friction", "axis", {"tau_c": 2.0}))
-    assert accepted.baseline.model.values["coulomb-friction@axis.tau_c"] == pytest.approx(2.0, rel=0.05)
+    accepted = judge.relearned(
+        rubbing, judge.model.with_effect("coulomb-friction", "axis", {"tau_c": 2.0})
+    )
+    assert accepted.baseline.model.values["coulomb-friction@axis.tau_c"] == pytest.approx(
+        2.0, rel=0.05
+    )

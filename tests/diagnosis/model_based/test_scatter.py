@@ -28,7 +28,9 @@ def test_values_that_move_with_the_run_are_expected_to():
     F, x = drawn(2, slope=1.0, doubt=0.0)
     found = Scatter.of(F, x, None, np.array([1e-3]))
     mean, covariance = found.at(np.array([1.0, 2.0]))
-    assert mean[0] == pytest.approx(5.0, abs=0.1) and np.sqrt(covariance[0, 0]) == pytest.approx(0.2, rel=0.15)
+    assert mean[0] == pytest.approx(5.0, abs=0.1) and np.sqrt(covariance[0, 0]) == pytest.approx(
+        0.2, rel=0.15
+    )
 
 
 def test_the_scatter_widens_far_from_the_runs_seen():
@@ -42,13 +44,18 @@ def test_values_that_nothing_tells_are_those_of_the_others():
     F, x = drawn(4, slope=0.0, doubt=0.0)
     x[0] = 1e3
     information = [np.array([[0.0]]), *[np.array([[1e6]])] * (WINDOWS - 1)]
-    assert Scatter.of(F, x, information, np.array([1e-3])).at(F[1])[0][0] == pytest.approx(3.0, abs=0.1)
+    assert Scatter.of(F, x, information, np.array([1e-3])).at(F[1])[0][0] == pytest.approx(
+        3.0, abs=0.1
+    )
 
 
 @pytest.mark.parametrize("told", [0.0, 1e-4])
 def test_values_that_no_window_tells_scatter_no_more_than_they_must(told):
     """Few windows of several features: what nothing tells may not grow from step to step of the search for the scatter."""
     rng = np.random.default_rng(5)
-    F, x = np.column_stack([np.ones(8), rng.standard_normal((8, 3))]), 1e-9 * rng.standard_normal((8, 1))
+    F, x = (
+        np.column_stack([np.ones(8), rng.standard_normal((8, 3))]),
+        1e-9 * rng.standard_normal((8, 1)),
+    )
     found = Scatter.of(F, x, [np.array([[told]])] * 8, np.array([1e-6]))
     assert 0.0 < found.S[0, 0] < (1e-4) ** 2

@@ -9,16 +9,24 @@ from residuum.diagnosis.model_based.hypotheses import Hypothesis
 
 def cause(kind, name, size, probability, std=0.1, **more):
     sizes = np.atleast_1d(np.asarray(size, float))
-    return Cause(Hypothesis(kind, name, "joint"), probability, sizes, np.full(len(sizes), std), 0, **more)
+    return Cause(
+        Hypothesis(kind, name, "joint"), probability, sizes, np.full(len(sizes), std), 0, **more
+    )
 
 
 def told(listed):
-    return [(c.hypothesis.label if c.hypothesis else "unknown", round(c.probability, 6)) for c in of_some_size(listed)]
+    return [
+        (c.hypothesis.label if c.hypothesis else "unknown", round(c.probability, 6))
+        for c in of_some_size(listed)
+    ]
 
 
 @pytest.mark.parametrize("std", [0.1, 0.0, np.nan])
 def test_a_cause_of_size_zero_is_an_unknown_one(std):
-    listed = [cause("effect", "coulomb-friction", 0.0, 0.7, std), cause("sensor", "offset", 0.4, 0.3)]
+    listed = [
+        cause("effect", "coulomb-friction", 0.0, 0.7, std),
+        cause("sensor", "offset", 0.4, 0.3),
+    ]
     assert told(listed) == [("unknown", 0.7), ("offset@joint", 0.3)]
 
 

@@ -48,7 +48,9 @@ def warm_motor(seed, fault=1.0):
 
 
 def train_motor(file):
-    ModelBased(model=read_model(MOTOR, "motor")).fit([warm_motor(seed)[0] for seed in range(20)]).save(file)
+    ModelBased(model=read_model(MOTOR, "motor")).fit(
+        [warm_motor(seed)[0] for seed in range(20)]
+    ).save(file)
 
 
 @pytest.fixture(scope="session")
@@ -63,7 +65,9 @@ def size_of(finding, name):
 def test_values_that_move_with_a_temperature_scatter_less_than_they_move(motor):
     b = motor.baseline
     at = b.free.index("R")
-    assert np.sqrt(b.values.S[at, at]) < 0.01 * b.model.values["R"]  # over all temperatures they move by a twelfth on either side
+    assert (
+        np.sqrt(b.values.S[at, at]) < 0.01 * b.model.values["R"]
+    )  # over all temperatures they move by a twelfth on either side
 
 
 def test_a_changed_resistance_lies_in_its_band_at_any_temperature(motor):
@@ -81,7 +85,9 @@ def test_values_far_from_the_usual_are_told_where_they_are(motor):
     for seed in (70, 71):
         record, R = warm_motor(seed, 1.3)
         told = motor.score(record).evidence["parameters"]["R"]
-        assert abs(told["value"] - R) < 2e-3 * R  # to first order a tenth of the change would be missing
+        assert (
+            abs(told["value"] - R) < 2e-3 * R
+        )  # to first order a tenth of the change would be missing
 
 
 CART = """
@@ -100,7 +106,9 @@ outputs:
 
 
 def test_where_only_a_ratio_is_determined_one_value_is_held_and_either_may_have_changed():
-    judge = ModelBased(model=read_model(CART, "cart"), fix_undetermined=True).fit([_axis(seed) for seed in range(6)])
+    judge = ModelBased(model=read_model(CART, "cart"), fix_undetermined=True).fit(
+        [_axis(seed) for seed in range(6)]
+    )
     assert len(judge.baseline.free) == 1 and set(judge.baseline.asked.free) == {"M", "g"}
     first = judge.score(_axis(51, mass=120.0)).evidence["causes"][0]
     assert {"M", "g"} <= {first["name"], *first["indistinguishable_from"]}

@@ -36,7 +36,10 @@ def weight(model):
 
 @pytest.fixture(scope="module")
 def designs(model, weight):
-    return {method: design_residual(model, weight, [record(1)], method=method) for method in CLASSICAL_METHODS}
+    return {
+        method: design_residual(model, weight, [record(1)], method=method)
+        for method in CLASSICAL_METHODS
+    }
 
 
 @pytest.mark.parametrize("method", CLASSICAL_METHODS)
@@ -50,14 +53,19 @@ def test_an_offset_is_found_and_a_healthy_record_is_not_blamed(designs, method, 
 
 def test_healthy_records_that_never_fill_the_memory_are_refused(model, weight):
     short = record(1).window(0, 30)
-    with pytest.raises(NotIdentifiable, match=r"remembers \d+ samples, and no healthy record has more .*30 samples.*longer ones"):
+    with pytest.raises(
+        NotIdentifiable,
+        match=r"remembers \d+ samples, and no healthy record has more .*30 samples.*longer ones",
+    ):
         design_residual(model, weight, [short])
 
 
 @pytest.mark.parametrize("method", CLASSICAL_METHODS)
 def test_the_input_does_not_move_the_residual_of_the_model_itself(designs, model, method):
     u = np.random.default_rng(0).standard_normal(500)
-    r = designs[method].generator.run(u + designs[method].input_mean, model.simulate(u) + designs[method].output_mean)
+    r = designs[method].generator.run(
+        u + designs[method].input_mean, model.simulate(u) + designs[method].output_mean
+    )
     assert np.abs(r.robust[100:]).max() < 1e-6 * np.abs(designs[method].post_filter.beta)
 
 
@@ -69,7 +77,9 @@ def test_the_kalman_innovation_is_white_where_the_noise_is_as_assumed(model, wei
     assert abs(np.corrcoef(r[1:], r[:-1])[0, 1]) < 0.03
 
 
-def test_no_gain_and_no_other_filter_estimates_the_fault_better_than_the_h_infinity_one(model, weight, designs):
+def test_no_gain_and_no_other_filter_estimates_the_fault_better_than_the_h_infinity_one(
+    model, weight, designs
+):
     factors = left_coprime(StateSpace.from_transfer_function(model.transfer_function()))
     noise = noise_path(factors, weight)
 
@@ -80,7 +90,10 @@ def test_no_gain_and_no_other_filter_estimates_the_fault_better_than_the_h_infin
 
     best = worst(designs["h-infinity"].post_filter.Q)
     others = [StateSpace.gain([[gain]], 0.1) for gain in (0.2, 0.4, 0.45, 0.55, 0.7, 1.0)]
-    lags = [StateSpace(np.array([[a]]), np.array([[1 - a]]), np.array([[0.5]]), np.zeros((1, 1)), 0.1) for a in (0.3, 0.7)]
+    lags = [
+        StateSpace(np.array([[a]]), np.array([[1 - a]]), np.array([[0.5]]), np.zeros((1, 1)), 0.1)
+        for a in (0.3, 0.7)
+    ]
     assert all(worst(Q) >= best - 1e-9 for Q in [*others, *lags])
     assert h_infinity_norm(designs["h-infinity"].post_filter.Q)[0] < 0.51
 

@@ -57,14 +57,21 @@ def test_the_bank_allows_for_the_operating_points_error_but_not_for_faults():
     rng = np.random.default_rng(3)
     for _ in range(20):
         scores = rng.standard_normal(n) + 0.15 * rng.standard_normal()
-        signals = ResidualSignals(scores, scores, scores, np.zeros(n), np.zeros(n), np.ones(n, dtype=bool))
-        banks = [LikelihoodRatioBank(1e-6, np.zeros((1, 1)), 1, level_variance=v) for v in (0.15**2, 0.0)]
+        signals = ResidualSignals(
+            scores, scores, scores, np.zeros(n), np.zeros(n), np.ones(n, dtype=bool)
+        )
+        banks = [
+            LikelihoodRatioBank(1e-6, np.zeros((1, 1)), 1, level_variance=v) for v in (0.15**2, 0.0)
+        ]
         known.append([bank.process(signals).alarm.any() for bank in banks])
     allowed, ignored = np.sum(known, axis=0)
     assert allowed == 0 and ignored >= 5
     scores[n // 2 :] += 2.0
     assert (
-        LikelihoodRatioBank(1e-6, np.zeros((1, 1)), 1, level_variance=0.15**2).process(signals).alarm[n // 2 : n // 2 + 30].any()
+        LikelihoodRatioBank(1e-6, np.zeros((1, 1)), 1, level_variance=0.15**2)
+        .process(signals)
+        .alarm[n // 2 : n // 2 + 30]
+        .any()
     )
 
 
@@ -74,7 +81,9 @@ def test_the_limit_allows_for_a_size_that_was_estimated():
     rng, n = np.random.default_rng(4), 4_000_000
     scores = np.abs(rng.standard_normal(n)) / np.sqrt(rng.chisquare(100.0, n) / 100.0)
     chosen = 2.0 * stats.norm.sf(4.0) * n
-    assert np.count_nonzero(scores > noise.allowing_for_size(4.0)) == pytest.approx(chosen, rel=0.25)
+    assert np.count_nonzero(scores > noise.allowing_for_size(4.0)) == pytest.approx(
+        chosen, rel=0.25
+    )
     assert np.count_nonzero(scores > 4.0) > 1.5 * chosen
 
 
@@ -94,21 +103,37 @@ def test_a_system_by_modes_is_the_same_system(q):
     for n in (0, 1, 5, 12):
         A = rng.standard_normal((n, n))
         A *= 0.95 / max(np.abs(np.linalg.eigvals(A)).max(initial=0.0), 0.1)
-        system = StateSpace(A, rng.standard_normal((n, q)), rng.standard_normal((1, n)), rng.standard_normal((1, q)), TS)
+        system = StateSpace(
+            A,
+            rng.standard_normal((n, q)),
+            rng.standard_normal((1, n)),
+            rng.standard_normal((1, q)),
+            TS,
+        )
         w, by_modes = system.simulate(v)[0], system.modal.simulate(v)[0]
         assert np.abs(w - by_modes).max() < 1e-10 * np.abs(w).max()
         first, state = system.modal.simulate(v[:17])
-        assert np.array_equal(np.concatenate([first, system.modal.simulate(v[17:], state)[0]]), by_modes)
-    jordan = StateSpace(0.5 * np.eye(6) + np.eye(6, k=1), np.ones((6, 1)), np.ones((1, 6)), np.zeros((1, 1)), TS)
-    assert jordan.modal.simulate(v[:, :1])[0] == pytest.approx(jordan.simulate(v[:, :1])[0], abs=1e-9)
+        assert np.array_equal(
+            np.concatenate([first, system.modal.simulate(v[17:], state)[0]]), by_modes
+        )
+    jordan = StateSpace(
+        0.5 * np.eye(6) + np.eye(6, k=1), np.ones((6, 1)), np.ones((1, 6)), np.zeros((1, 1)), TS
+    )
+    assert jordan.modal.simulate(v[:, :1])[0] == pytest.approx(
+        jordan.simulate(v[:, :1])[0], abs=1e-9
+    )
 
 
 def test_scores_of_bounded_noise_allow_for_the_models_error():
     noise = NoiseModel(np.ones(1), 1.0, shape=20.0, blur=0.1)
     rng, n = np.random.default_rng(7), 400_000
-    epsilon = stats.gennorm(20.0, scale=20.0**0.05).rvs(n, random_state=rng) + 0.1 * rng.standard_normal(n)
+    epsilon = stats.gennorm(20.0, scale=20.0**0.05).rvs(
+        n, random_state=rng
+    ) + 0.1 * rng.standard_normal(n)
     chosen = 2.0 * stats.norm.sf(3.5) * n
-    assert np.count_nonzero(np.abs(noise.normal_scores(epsilon)) > 3.5) == pytest.approx(chosen, rel=0.3)
+    assert np.count_nonzero(np.abs(noise.normal_scores(epsilon)) > 3.5) == pytest.approx(
+        chosen, rel=0.3
+    )
     limit = float(noise.limit(1e-4, 0.1 / noise.innovation_std)) * noise.innovation_std
     assert np.count_nonzero(np.abs(epsilon) > limit) == pytest.approx(1e-4 * n, abs=25)
     without = NoiseModel(np.ones(1), 1.0, shape=20.0)

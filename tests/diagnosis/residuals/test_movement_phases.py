@@ -28,8 +28,13 @@ def test_an_error_while_slowing_down_backwards_is_in_that_cell_alone():
     found = phase_cells([axes(v)], [DT], [error])
     cells = {(cell["phase"], cell["direction"]): cell for cell in found["cells"]}
     worst = cells["slowing down", "backward"]
-    assert worst["share"] > 0.99 and (worst["record"], worst["time"]) == (0, pytest.approx((begin + 70) * DT))
-    assert cells["steady", "forward"]["rms"] == 0 and cells["steady", "forward"]["time_share"] == pytest.approx(1 / 6, abs=0.02)
+    assert worst["share"] > 0.99 and (worst["record"], worst["time"]) == (
+        0,
+        pytest.approx((begin + 70) * DT),
+    )
+    assert cells["steady", "forward"]["rms"] == 0 and cells["steady", "forward"][
+        "time_share"
+    ] == pytest.approx(1 / 6, abs=0.02)
     assert sum(cell["time_share"] for cell in found["cells"]) == pytest.approx(1)
     assert found["axis"] == "speed"
 
@@ -40,7 +45,11 @@ def test_records_are_kept_apart_and_missing_samples_left_out():
     loud[400] = 9.0
     quiet[:50] = np.nan
     found = phase_cells([axes(v), axes(v)], [DT, DT], [quiet, loud])
-    steady = next(cell for cell in found["cells"] if (cell["phase"], cell["direction"]) == ("steady", "forward"))
+    steady = next(
+        cell
+        for cell in found["cells"]
+        if (cell["phase"], cell["direction"]) == ("steady", "forward")
+    )
     assert (steady["record"], steady["time"]) == (1, pytest.approx(4.0))
 
 

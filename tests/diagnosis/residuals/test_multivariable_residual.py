@@ -64,12 +64,19 @@ def three_outputs():
 @pytest.fixture(scope="module")
 def blind(three_outputs):
     healthy = [plant(1, 3, without=("heater",))]
-    return design_multivariable_residual(three_outputs, healthy, method="unknown-input-observer", unknown=["heater"])
+    return design_multivariable_residual(
+        three_outputs, healthy, method="unknown-input-observer", unknown=["heater"]
+    )
 
 
 def test_healthy_records_alarm_no_more_often_than_asked(two_by_two):
-    a_day = 1e-4 * 86400 / 0.5  # one alarm in 10 000 samples: 4 of 20 records of 2000 may alarm, 9 with a chance of a hundredth
-    found = [detect_multivariable(two_by_two, plant(100 + k), false_alarms_per_day=a_day) for k in range(20)]
+    a_day = (
+        1e-4 * 86400 / 0.5
+    )  # one alarm in 10 000 samples: 4 of 20 records of 2000 may alarm, 9 with a chance of a hundredth
+    found = [
+        detect_multivariable(two_by_two, plant(100 + k), false_alarms_per_day=a_day)
+        for k in range(20)
+    ]
     assert sum(one.alarm.any() for one in found) <= 8
     assert min(one.statistic.max() for one in found) > 2.5  # and the statistic is not idle
     scores = np.concatenate([one.residual.scores[one.residual.valid] for one in found])
@@ -81,7 +88,11 @@ def test_the_faulty_sensor_is_named_with_its_size(two_by_two, place):
     found = detect_multivariable(two_by_two, plant(200, sensor=(place, 0.4)))
     fault = found.fault
     assert found.first_alarm is not None and ONSET <= found.first_alarm < ONSET + 150
-    assert (fault.hypothesis.kind, fault.hypothesis.name, fault.hypothesis.unit) == ("sensor", f"y{place}", "V")
+    assert (fault.hypothesis.kind, fault.hypothesis.name, fault.hypothesis.unit) == (
+        "sensor",
+        f"y{place}",
+        "V",
+    )
     assert abs(fault.value - 0.4) < 3 * fault.std < 0.1 and abs(fault.onset - ONSET) < 40
     assert fault.probability > 0.95 and not fault.indistinguishable_from
 
@@ -98,7 +109,10 @@ def test_a_model_from_little_data_does_not_alarm_for_its_own_error():
     model = identify_multivariable(short, ["valve", "heater"], ["y0", "y1"], order=30)
     design = design_multivariable_residual(model, [short])
     a_day = 1e-4 * 86400 / 0.5
-    loud = [detect_multivariable(design, plant(300 + k, sizes=(5.0, 5.0)), false_alarms_per_day=a_day) for k in range(5)]
+    loud = [
+        detect_multivariable(design, plant(300 + k, sizes=(5.0, 5.0)), false_alarms_per_day=a_day)
+        for k in range(5)
+    ]
     assert sum(one.alarm.any() for one in loud) <= 4
     spread = np.std(np.concatenate([one.residual.scores[one.residual.valid] for one in loud]))
     assert spread > 1.3  # the residual itself has grown by the model's error
@@ -106,13 +120,25 @@ def test_a_model_from_little_data_does_not_alarm_for_its_own_error():
 
 def test_an_unknown_input_is_decoupled_and_sensors_are_still_told_apart(blind, three_outputs):
     omega = np.linspace(0.01, np.pi / 0.5, 200)
-    through = np.linalg.norm(blind.Q.frequency_response(omega) @ three_outputs.frequency_response(omega)[:, :, 1:], axis=(1, 2))
+    through = np.linalg.norm(
+        blind.Q.frequency_response(omega) @ three_outputs.frequency_response(omega)[:, :, 1:],
+        axis=(1, 2),
+    )
     direct = np.linalg.norm(three_outputs.frequency_response(omega)[:, :, 1], axis=1)
     assert np.max(through / direct) < 0.01 and blind.Q.D.shape == (2, 3)
-    watched = {"outputs": 3, "sizes": (1.0, 3.0), "without": ("heater",)}  # it moves three times as much as in the healthy record
+    watched = {
+        "outputs": 3,
+        "sizes": (1.0, 3.0),
+        "without": ("heater",),
+    }  # it moves three times as much as in the healthy record
     a_day = 1e-4 * 86400 / 0.5
     assert (
-        sum(detect_multivariable(blind, plant(400 + k, **watched), false_alarms_per_day=a_day).alarm.any() for k in range(10))
+        sum(
+            detect_multivariable(
+                blind, plant(400 + k, **watched), false_alarms_per_day=a_day
+            ).alarm.any()
+            for k in range(10)
+        )
         <= 6
     )
     for place in range(3):
@@ -124,7 +150,9 @@ def test_an_unknown_input_is_decoupled_and_sensors_are_still_told_apart(blind, t
 
 
 def test_with_one_residual_left_faults_cannot_be_told_apart():
-    design = design_multivariable_residual(identified(2, 2), [plant(2)], method="unknown-input-observer", unknown=["heater"])
+    design = design_multivariable_residual(
+        identified(2, 2), [plant(2)], method="unknown-input-observer", unknown=["heater"]
+    )
     found = detect_multivariable(design, plant(502, sensor=(0, 1.0)))
     assert found.fault is not None and found.fault.probability < 0.7
     assert found.fault.indistinguishable_from
@@ -134,17 +162,23 @@ def test_gaps_start_the_residual_anew(two_by_two):
     record = plant(600, sensor=(0, 0.5))
     y = record["y0"].copy()
     y[900:905] = np.nan
-    found = detect_multivariable(two_by_two, Record({**record.channels, "y0": y}, record.units, 0.5))
+    found = detect_multivariable(
+        two_by_two, Record({**record.channels, "y0": y}, record.units, 0.5)
+    )
     assert not found.residual.valid[900 : 905 + two_by_two.warm_up - 1].any()
     assert found.fault.hypothesis.name == "y0" and found.first_alarm >= ONSET
 
 
 def test_a_stored_design_says_the_same(two_by_two, blind, tmp_path):
-    for design, record in ((two_by_two, plant(700, sensor=(1, 0.4))), (blind, plant(701, 3, without=("heater",)))):
+    for design, record in (
+        (two_by_two, plant(700, sensor=(1, 0.4))),
+        (blind, plant(701, 3, without=("heater",))),
+    ):
         design.save(tmp_path / "d")
         read = MultivariableResidual.load(tmp_path / "d")
         np.testing.assert_array_equal(
-            detect_multivariable(read, record).statistic, detect_multivariable(design, record).statistic
+            detect_multivariable(read, record).statistic,
+            detect_multivariable(design, record).statistic,
         )
         assert read.method == design.method
     with pytest.raises(BadInput, match="no such file"):
@@ -158,13 +192,17 @@ def test_what_cannot_be_made_is_refused(three_outputs, two_by_two):
     with pytest.raises(BadInput, match="needs at least one"):
         design_multivariable_residual(three_outputs, healthy, method="unknown-input-observer")
     with pytest.raises(BadInput, match="there are valve, heater"):
-        design_multivariable_residual(three_outputs, healthy, method="unknown-input-observer", unknown=["y0"])
+        design_multivariable_residual(
+            three_outputs, healthy, method="unknown-input-observer", unknown=["y0"]
+        )
     with pytest.raises(BadInput, match="needs healthy records"):
         design_multivariable_residual(three_outputs, [])
     with pytest.raises(BadModel, match="2 unknown inputs use up all 2 outputs"):
         unknown_input_decoupling(two_by_two.model, ["valve", "heater"])
     with pytest.raises(BadRecord, match="sample time"):
-        detect_multivariable(two_by_two, Record(dict(plant(1).channels), dict(plant(1).units), 0.25))
+        detect_multivariable(
+            two_by_two, Record(dict(plant(1).channels), dict(plant(1).units), 0.25)
+        )
     with pytest.raises(BadInput, match="no stretch without a gap"):
         detect_multivariable(two_by_two, plant(1, n=30))
     with pytest.raises(BadRecord, match="too short"):
@@ -180,7 +218,9 @@ def test_the_size_of_an_actuator_s_fault_is_as_uncertain_as_the_gain_that_tells_
     for seed in range(6):
         short = plant(800 + seed, n=300)
         model = identify_multivariable(short, ["valve", "heater"], ["y0", "y1"], order=30)
-        fault = detect_multivariable(design_multivariable_residual(model, [short]), plant(900 + seed, actuator=(0, 3.0))).fault
+        fault = detect_multivariable(
+            design_multivariable_residual(model, [short]), plant(900 + seed, actuator=(0, 3.0))
+        ).fault
         assert (fault.hypothesis.kind, fault.hypothesis.name) == ("actuator", "valve")
         held += abs(fault.value - 3.0) < 1.96 * fault.std
         wide += fault.std > 0.02 * fault.value
@@ -190,7 +230,9 @@ def test_the_size_of_an_actuator_s_fault_is_as_uncertain_as_the_gain_that_tells_
 def test_a_plant_whose_only_input_is_not_measured_is_watched_by_its_sensors():
     model = identify_multivariable(plant(4), ["heater"], ["y0", "y1"], order=40)
     healthy = [plant(4, without=("valve", "heater"))]
-    design = design_multivariable_residual(model, healthy, method="unknown-input-observer", unknown=["heater"])
+    design = design_multivariable_residual(
+        model, healthy, method="unknown-input-observer", unknown=["heater"]
+    )
     found = detect_multivariable(design, plant(5, sensor=(1, 6.0), without=("valve", "heater")))
     assert found.alarm[ONSET:].any() and not found.alarm[:ONSET].any()
 

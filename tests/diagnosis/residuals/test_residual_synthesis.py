@@ -8,7 +8,13 @@ from residuum.diagnosis.residuals.generators.approximate_fault_detection import 
     approximate_fault_detection,
     noise_path,
 )
-from residuum.diagnosis.systems import balanced_truncation, co_outer_factor, h_infinity_norm, left_coprime, peak_gain
+from residuum.diagnosis.systems import (
+    balanced_truncation,
+    co_outer_factor,
+    h_infinity_norm,
+    left_coprime,
+    peak_gain,
+)
 from residuum.identification.errors import BadModel
 from residuum.identification.linear_models.state_space import StateSpace
 from residuum.identification.linear_models.transfer_function import TransferFunction
@@ -43,7 +49,9 @@ def test_coprime_factors_are_stable_and_give_the_plant_back(name, normalised):
 
 
 def test_an_undetectable_plant_is_refused():
-    hidden = StateSpace(np.diag([2.0, 0.5]), np.ones((2, 1)), np.array([[0.0, 1.0]]), np.zeros((1, 1)), TS)
+    hidden = StateSpace(
+        np.diag([2.0, 0.5]), np.ones((2, 1)), np.array([[0.0, 1.0]]), np.zeros((1, 1)), TS
+    )
     with pytest.raises(BadModel, match="not detectable"):
         left_coprime(hidden)
 
@@ -55,7 +63,9 @@ def test_co_outer_factor_has_the_spectrum_and_a_stable_inverse():
                       rng.standard_normal((2, 3)), TS)  # fmt: skip
     factor = co_outer_factor(wide)
     G, Go = (system.frequency_response(OMEGA[::10]) for system in (wide, factor))
-    assert np.allclose(G @ G.conj().transpose(0, 2, 1), Go @ Go.conj().transpose(0, 2, 1), atol=1e-8)
+    assert np.allclose(
+        G @ G.conj().transpose(0, 2, 1), Go @ Go.conj().transpose(0, 2, 1), atol=1e-8
+    )
     assert factor.is_stable and factor.inverse().is_stable
 
 
@@ -79,7 +89,9 @@ def test_peak_gain_is_reached_by_the_worst_input():
 def test_balanced_truncation_keeps_its_error_bound():
     full = state_space(finite_impulse_response(PROCESS, 120))
     reduced = balanced_truncation(full, 0.05)
-    error = h_infinity_norm(full.beside(reduced.system * -1.0) @ StateSpace.gain([[1.0], [1.0]], TS))[0]
+    error = h_infinity_norm(
+        full.beside(reduced.system * -1.0) @ StateSpace.gain([[1.0], [1.0]], TS)
+    )[0]
     assert reduced.system.order < 10 and error <= reduced.error_bound <= 0.05
 
 
@@ -89,8 +101,14 @@ def test_post_filter_keeps_the_budget_decouples_u_and_is_optimal(name, fault):
     plant = finite_impulse_response(PROCESS, 60) if name == "impulse response" else PLANTS[name]
     factors = left_coprime(state_space(plant))
     found = approximate_fault_detection(factors, WEIGHT, fault=fault, gamma=0.1)
-    budget = np.linalg.norm((found.Q @ noise_path(factors, WEIGHT)).frequency_response(OMEGA), axis=(1, 2))
-    assert found.Q.is_stable and budget.max() <= 0.1 * (1 + 1e-9) and found.gamma == pytest.approx(0.1, rel=1e-9)
+    budget = np.linalg.norm(
+        (found.Q @ noise_path(factors, WEIGHT)).frequency_response(OMEGA), axis=(1, 2)
+    )
+    assert (
+        found.Q.is_stable
+        and budget.max() <= 0.1 * (1 + 1e-9)
+        and found.gamma == pytest.approx(0.1, rel=1e-9)
+    )
     through = found.Q @ factors.observer
     G = np.stack([plant.frequency_response(OMEGA), np.ones(len(OMEGA))], axis=1)[:, :, None]
     assert np.abs(through.frequency_response(OMEGA) @ G).max() < 1e-9
@@ -115,9 +133,13 @@ def test_a_weight_that_cannot_serve_is_refused(weight, says):
 
 
 def test_sample_times_that_differ_by_rounding_are_the_same():
-    read = TransferFunction([0.5, -0.45], [1.0, -0.3], float(np.median(np.diff(TS * np.arange(4000)))) * (1.0 - 1e-15))
+    read = TransferFunction(
+        [0.5, -0.45], [1.0, -0.3], float(np.median(np.diff(TS * np.arange(4000)))) * (1.0 - 1e-15)
+    )
     assert read.sample_time != TS
-    assert approximate_fault_detection(left_coprime(state_space(PROCESS)), read, gamma=0.1).gamma == pytest.approx(0.1)
+    assert approximate_fault_detection(
+        left_coprime(state_space(PROCESS)), read, gamma=0.1
+    ).gamma == pytest.approx(0.1)
 
 
 def test_improper_and_continuous_models_are_refused():

@@ -20,4 +20,7 @@ def test_is_the_convolution_and_blind_to_blocks(m):
 def test_what_is_far_too_large_spoils_no_sample_before_it():
     v = np.ones(3000)
     v[2000] = 1e300
-    assert np.array_equal(FirFilter(np.full(100, 0.5)).process(v)[:2000], FirFilter(np.full(100, 0.5)).process(np.ones(2000)))
+    assert np.array_equal(
+        FirFilter(np.full(100, 0.5)).process(v)[:2000],
+        FirFilter(np.full(100, 0.5)).process(np.ones(2000)),
+    )

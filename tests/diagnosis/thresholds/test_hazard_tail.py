@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 from scipy import signal, stats
 
-from residuum.diagnosis.residuals.noise_model import NoiseModel, fit_noise_model, single_sample_law, with_healthy_tail
+from residuum.diagnosis.residuals.noise_model import (
+    NoiseModel,
+    fit_noise_model,
+    single_sample_law,
+    with_healthy_tail,
+)
 from residuum.diagnosis.residuals.residual_design import ResidualDesign, design_residual
 from residuum.diagnosis.residuals.residual_detection import detect
 from residuum.diagnosis.thresholds.tails import HazardTail, differing_tail, fit_hazard_tail
@@ -39,9 +44,15 @@ def normal_tail(x):
 
 
 def test_a_level_and_its_probability_are_inverse():
-    for tail in (HazardTail(2.0, 0.01, 3.0, 0.0), HazardTail(1.5, 0.02, 0.0, 50.0), HazardTail(1.5, 0.02, 2.0, 10.0)):
+    for tail in (
+        HazardTail(2.0, 0.01, 3.0, 0.0),
+        HazardTail(1.5, 0.02, 0.0, 50.0),
+        HazardTail(1.5, 0.02, 2.0, 10.0),
+    ):
         probabilities = np.array([0.01, 1e-4, 1e-9])
-        assert np.exp(tail.log_probability(tail.level(probabilities))) == pytest.approx(probabilities, rel=1e-9)
+        assert np.exp(tail.log_probability(tail.level(probabilities))) == pytest.approx(
+            probabilities, rel=1e-9
+        )
 
 
 @pytest.mark.parametrize(("hazard", "growth"), [(2.0, 0.0), (1.0, 5.0), (0.0, 3.0)])
@@ -70,7 +81,9 @@ def test_a_tail_that_is_cut_off_far_out_is_not_fitted_from_where_it_still_looks_
     rng = np.random.default_rng(10)
     fresh, ratios = np.abs(truncated(rng, 2_000_000) + ERROR * rng.standard_normal(2_000_000)), []
     for _ in range(5):
-        tail = differing_tail(truncated(rng, 50_000) + ERROR * rng.standard_normal(50_000), normal_tail)
+        tail = differing_tail(
+            truncated(rng, 50_000) + ERROR * rng.standard_normal(50_000), normal_tail
+        )
         ratios.append(np.mean(fresh > tail.level(1e-4)) / 1e-4)
     assert 0.5 < np.mean(ratios) < 2.0
 
@@ -95,7 +108,9 @@ def test_scores_of_clipped_noise_are_normal_beyond_its_bound():
     rng = np.random.default_rng(5)
     e = clipped(rng, 50_000) + ERROR * rng.standard_normal(50_000)
     plain = replace(fit_noise_model([e]), blur=ERROR)
-    scores = with_healthy_tail(plain, [e]).normal_scores(clipped(rng, 2_000_000) + ERROR * rng.standard_normal(2_000_000))
+    scores = with_healthy_tail(plain, [e]).normal_scores(
+        clipped(rng, 2_000_000) + ERROR * rng.standard_normal(2_000_000)
+    )
     chosen = 2.0 * stats.norm.sf(3.5)
     assert 0.5 < np.mean(np.abs(scores) > 3.5) / chosen < 2.0
     assert np.mean(np.abs(plain.normal_scores(e)) > 3.5) < 0.1 * chosen
@@ -116,10 +131,14 @@ def bounded_design():
 
 
 @pytest.mark.parametrize("evaluation", ["point", "rms"])
-def test_single_samples_and_short_windows_of_bounded_noise_alarm_as_often_as_chosen(bounded_design, evaluation):
+def test_single_samples_and_short_windows_of_bounded_noise_alarm_as_often_as_chosen(
+    bounded_design, evaluation
+):
     design, fresh = bounded_design
     per_day = 300.0
-    alarm = np.flatnonzero(detect(design, fresh, evaluation=evaluation, false_alarms_per_day=per_day).alarm)
+    alarm = np.flatnonzero(
+        detect(design, fresh, evaluation=evaluation, false_alarms_per_day=per_day).alarm
+    )
     alarms = len(alarm) - int(np.sum(np.diff(alarm) <= 50))
     assert 0.5 < alarms / (per_day * fresh.n * 0.1 / 86400.0) < 2.0
 
@@ -129,7 +148,10 @@ def test_a_stored_design_keeps_its_tails(bounded_design, tmp_path):
     assert design.noise.tail is not None and design.robust_noise.tail is not None
     design.save(tmp_path / "bounded.design")
     again = ResidualDesign.load(tmp_path / "bounded.design")
-    assert again.noise.tail == design.noise.tail and again.robust_noise.tail == design.robust_noise.tail
+    assert (
+        again.noise.tail == design.noise.tail
+        and again.robust_noise.tail == design.robust_noise.tail
+    )
     part = fresh.window(0, 2000)
     levels = [detect(item, part, evaluation="point").threshold.level for item in (design, again)]
     assert np.array_equal(*levels)

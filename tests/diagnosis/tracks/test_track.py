@@ -18,11 +18,18 @@ _spec.loader.exec_module(benchmark)
 
 def irregular(n, seed, scatter=0.1):
     rng = np.random.default_rng(seed)
-    return np.cumsum(rng.exponential(1.0, n)), scatter * rng.standard_normal(n), np.full(n, scatter), rng
+    return (
+        np.cumsum(rng.exponential(1.0, n)),
+        scatter * rng.standard_normal(n),
+        np.full(n, scatter),
+        rng,
+    )
 
 
 def test_the_band_of_the_time_to_the_limit_holds_the_truth_as_often_as_it_says():
-    told = [benchmark.linear_wear(seed, later=later) for seed in range(60) for later in (False, True)]
+    told = [
+        benchmark.linear_wear(seed, later=later) for seed in range(60) for later in (False, True)
+    ]
     said = [each.side for each in told if each.said]
     assert len(said) > 0.8 * len(told)
     assert 0.85 <= said.count(0) / len(said) <= 0.95
@@ -40,7 +47,10 @@ def test_without_a_trend_it_says_that_it_cannot_say():
     assert left.median is None and left.says == "cannot say: there is no trend"
     away = track(t, noise - 0.05 * t, std, limit=1.0).remaining
     assert away.median is None and "away from the limit" in away.says
-    assert track(t, noise + 0.05 * t, std, limit=float(0.05 * t[-1])).remaining.says == "the limit is reached"
+    assert (
+        track(t, noise + 0.05 * t, std, limit=float(0.05 * t[-1])).remaining.says
+        == "the limit is reached"
+    )
 
 
 def test_what_it_moves_with_is_no_drift():

@@ -45,7 +45,9 @@ def test_polyphase_tree_equals_the_direct_form():
     direct = direct_kurtogram(x, 4)
     indices = np.rint(k.centre / k.width - 0.5).astype(int)
     rows = zip(k.level, indices, k.kurtosis, strict=True)
-    pairs = [(direct[round(float(level), 6), index], value) for level, index, value in rows if level > 0]
+    pairs = [
+        (direct[round(float(level), 6), index], value) for level, index, value in rows if level > 0
+    ]
     assert len(pairs) == len(direct) == k.level.size - 1
     assert max(abs(a - b) for a, b in pairs) < 1e-9
     assert np.abs(kurtogram(x.astype(np.float32), 2.0, 4).kurtosis / k.kurtosis - 1).max() < 1e-3
@@ -79,7 +81,9 @@ def test_envelope_equals_hilbert_of_the_band(n):
     assert ours.values.std() == pytest.approx(direct.std(), rel=1e-10 if n == 4096 else 0.01)
     decimated = band_envelope(x, 1000.0, 100.0, 200.0)
     assert decimated.values.size < n / 4
-    assert np.mean(decimated.values**2) == pytest.approx(np.mean(ours.values**2), rel=1e-6 if n == 4096 else 0.01)
+    assert np.mean(decimated.values**2) == pytest.approx(
+        np.mean(ours.values**2), rel=1e-6 if n == 4096 else 0.01
+    )
 
 
 @given(st.integers(2, 300), st.floats(1e-3, 1e3), st.integers(0, 50))
@@ -92,7 +96,9 @@ def test_indicators_equal_the_formulas_and_scale(n, gain, seed):
     assert found.rms == pytest.approx(np.sqrt(np.mean(x**2)), rel=1e-12)
     assert found.impulsiveness == pytest.approx(np.abs(x).max() / np.abs(x).mean(), rel=1e-12)
     assert scaled.rms == pytest.approx(gain * found.rms, rel=1e-9)
-    assert (scaled.kurtosis, shifted.kurtosis) == pytest.approx((found.kurtosis, found.kurtosis), rel=1e-9)
+    assert (scaled.kurtosis, shifted.kurtosis) == pytest.approx(
+        (found.kurtosis, found.kurtosis), rel=1e-9
+    )
 
 
 def test_indicators_of_constant_and_single_samples_are_values():
@@ -112,14 +118,18 @@ def test_long_signals_agree_with_the_direct_formula(n):
     """Long ones go another way: matrix transform, bands in single precision; weak bands keep their own digits."""
     x = long_signal(n)
     k = kurtogram(x, 1.0, 4, method="fft")
-    padded = next(n_ for n_ in range(n, 2 * n) if n_ % 192 == 0 and n_ // 192 == fft.next_fast_len(n_ // 192))
+    padded = next(
+        n_ for n_ in range(n, 2 * n) if n_ % 192 == 0 and n_ // 192 == fft.next_fast_len(n_ // 192)
+    )
     spectrum = np.fft.rfft(x - x.mean(), padded)[: padded // 2]
     for level, row in ((4.0, 0), (4.0, 14), (1 + np.log2(3), 5)):
         bands = round(2**level)
         band = spectrum.reshape(bands, -1)[row]
         power = np.abs(np.fft.ifft(band)[: n * band.size // padded]) ** 2
         found = k.kurtosis[k.level == level][row]
-        assert found == pytest.approx(np.mean(power**2) / np.mean(power) ** 2 - 2, rel=1e-6, abs=1e-6)
+        assert found == pytest.approx(
+            np.mean(power**2) / np.mean(power) ** 2 - 2, rel=1e-6, abs=1e-6
+        )
     segmented = kurtogram(x, 1.0, 4, segments=4, method="fft").moments.sum(axis=1)
     assert np.allclose(segmented, k.moments[:, 0], rtol=1e-9)
 
@@ -132,4 +142,7 @@ def test_long_envelope_agrees_with_hilbert_of_the_band():
     ours = band_envelope(x, 1.0, 0.1, 0.2, decimate=False)
     assert np.abs(ours.values - direct).max() < 1e-11 * direct.max()
     single = band_envelope(x.astype(np.float32), 1.0, 0.1, 0.2, decimate=False)
-    assert single.values.dtype == np.float32 and np.abs(single.values - direct).max() < 1e-4 * direct.max()
+    assert (
+        single.values.dtype == np.float32
+        and np.abs(single.values - direct).max() < 1e-4 * direct.max()
+    )

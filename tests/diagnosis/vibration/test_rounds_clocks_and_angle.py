@@ -3,7 +3,14 @@
 import numpy as np
 import pytest
 
-from residuum.diagnosis.vibration.rotation import align_clocks, angle_from_speed, at_even_angle, cut_rounds, on_clock_of, pulses
+from residuum.diagnosis.vibration.rotation import (
+    align_clocks,
+    angle_from_speed,
+    at_even_angle,
+    cut_rounds,
+    on_clock_of,
+    pulses,
+)
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
 from residuum.simulation.gripping_pliers import GrippingPliers
@@ -19,7 +26,10 @@ def indicator(quadrants, width=20, long_every=0, first_long=0, length=100):
 
 def test_rounds_begin_at_the_first_pulse_and_the_long_one_names_the_quadrants():
     plain = cut_rounds(indicator(9))
-    assert plain.edges.tolist() == [[0, 100, 200, 300, 400], [400, 500, 600, 700, 800]] and plain.phase is None
+    assert (
+        plain.edges.tolist() == [[0, 100, 200, 300, 400], [400, 500, 600, 700, 800]]
+        and plain.phase is None
+    )
     marked = cut_rounds(indicator(8, long_every=4, first_long=1))
     assert [marked.quadrant(s) for s in range(4)] == [3, 0, 1, 2]
 
@@ -44,7 +54,9 @@ def test_lost_pulse_silent_indicator_and_gaps_are_refused():
 def test_clock_offset_and_drift_come_back_and_a_pulse_only_one_saw_is_left_out():
     true = np.arange(300.0)
     other = np.delete(0.2 + true * (1 - 50e-6), [7, 100])
-    alignment = align_clocks(np.append(true, 33.4), other + np.where(np.arange(298) == 50, 0.3, 0.0))
+    alignment = align_clocks(
+        np.append(true, 33.4), other + np.where(np.arange(298) == 50, 0.3, 0.0)
+    )
     assert alignment.drift == pytest.approx(50e-6, rel=1e-3) and alignment.pulses == 297
     assert alignment.to_reference(0.2) == pytest.approx(0.0, abs=1e-6)
     assert alignment.to_other(alignment.to_reference(123.4)) == pytest.approx(123.4)
@@ -62,12 +74,18 @@ def pulse_times(record):
 def test_two_recorders_of_the_pliers_agree_to_a_machine_sample():
     machine = GrippingPliers(seed=3)
     streams = machine.advance(40.0)
-    vibration, slow = (Record(s.channels, s.units, s.sample_time, s.t0) for s in (streams["vibration"], streams["machine"]))
+    vibration, slow = (
+        Record(s.channels, s.units, s.sample_time, s.t0)
+        for s in (streams["vibration"], streams["machine"])
+    )
     alignment = align_clocks(pulse_times(vibration), pulse_times(slow))
     joined = on_clock_of(vibration, slow, alignment, ["indicator"])
     truth = GrippingPliers(seed=3).simulate(40.0)["indicator"]
     known = ~np.isnan(joined["indicator"])
-    shift = np.flatnonzero(np.diff(joined["indicator"][known]) > 0)[5:60] - np.flatnonzero(np.diff(truth[known]) > 0)[5:60]
+    shift = (
+        np.flatnonzero(np.diff(joined["indicator"][known]) > 0)[5:60]
+        - np.flatnonzero(np.diff(truth[known]) > 0)[5:60]
+    )
     assert known.mean() > 0.999 and np.abs(shift / 12.8).max() <= 1.5  # ms
 
 

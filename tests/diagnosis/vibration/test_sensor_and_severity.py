@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 
 from residuum.diagnosis.thresholds.tails import HealthyBand
-from residuum.diagnosis.vibration.sensor_health import clipped_share, not_heard, remarks, suspect, unusable, without_spikes
+from residuum.diagnosis.vibration.sensor_health import (
+    clipped_share,
+    not_heard,
+    remarks,
+    suspect,
+    unusable,
+    without_spikes,
+)
 from residuum.diagnosis.vibration.vibration_indicators import severity
 from residuum.identification.errors import BadInput
 
@@ -43,7 +50,14 @@ def test_suspect_sensors_say_what(x, says):
 
 def test_machine_signals_are_not_blamed_on_the_sensor():
     impacts = NOISE + 40 * (np.arange(NOISE.size) % 400 == 0)
-    for x in (NOISE, NOISE + 5, impacts, NOISE + 3 * np.cos(2 * np.pi * 100 * T), np.round(NOISE), np.cos(2 * np.pi * 47.3 * T)):
+    for x in (
+        NOISE,
+        NOISE + 5,
+        impacts,
+        NOISE + 3 * np.cos(2 * np.pi * 100 * T),
+        np.round(NOISE),
+        np.cos(2 * np.pi * 47.3 * T),
+    ):
         assert unusable(x) is None and suspect(x, FS) is None
     assert suspect(NOISE + 4 * np.cos(2 * np.pi * 50 * T), FS, shaft=49.5) is None
     assert clipped_share(impacts) == 0
@@ -51,7 +65,11 @@ def test_machine_signals_are_not_blamed_on_the_sensor():
 
 def test_healthy_limit_keeps_its_false_alarm_rate_also_for_few_observations():
     rng = np.random.default_rng(1)
-    alarms = [np.exp(rng.standard_normal(400)) > HealthyBand.of(np.exp(rng.standard_normal(12))).upper(0.02) for _ in range(200)]
+    alarms = [
+        np.exp(rng.standard_normal(400))
+        > HealthyBand.of(np.exp(rng.standard_normal(12))).upper(0.02)
+        for _ in range(200)
+    ]
     assert np.mean(alarms) == pytest.approx(0.018, abs=0.008)
     assert HealthyBand.of([1.0, 1.0, 1.01]).upper(1e-3, 1.5) >= 1.5
 
@@ -81,7 +99,10 @@ def _dropping_out() -> np.ndarray:
         (np.repeat(NOISE[::4], 4), "each value stands for 4 samples"),
         (np.round(NOISE / 1.5) * 1.5, "smaller than a step of its converter, 1.5"),
         (np.where(np.arange(NOISE.size) % 4 == 0, 0.0, NOISE), "25 % of the samples are 0"),
-        (np.where(np.random.default_rng(3).random(NOISE.size) < 0.004, 30.0 + NOISE, NOISE), "single samples stand far beside"),
+        (
+            np.where(np.random.default_rng(3).random(NOISE.size) < 0.004, 30.0 + NOISE, NOISE),
+            "single samples stand far beside",
+        ),
     ],
 )
 def test_a_line_that_hands_on_other_than_the_sensors_values_is_told(x, says):
@@ -108,7 +129,9 @@ def test_a_sensor_that_hears_less_than_it_did_calls_nothing_healthy():
     edges = [10, 100, 1000, 2000, 4000]
     assert "dead" in not_heard([1, 2, 3, 4], [0.01, 0.03, 0.001, 0.04], edges)
     assert "above 1000 Hz" in not_heard([1, 2, 3, 4], [1, 2, 0.1, 0.04], edges)
-    assert not_heard([1, 2, 3, 4], [1, 2, 3, 0.04], edges) is None  # one band may fall: a gear's line that moved
+    assert (
+        not_heard([1, 2, 3, 4], [1, 2, 3, 0.04], edges) is None
+    )  # one band may fall: a gear's line that moved
     assert not_heard([1, 2, 3, 4], [0.2, 0.4, 0.6, 0.8], edges) is None
 
 
@@ -117,4 +140,6 @@ def test_what_no_verdict_depends_on_is_remarked():
     assert "mean lies at 50" in remarks(NOISE + 50, FS, "m/s²")[0]
     assert remarks(NOISE + 50, FS, "") == []
     assert "at 1234 Hz, holds 9" in remarks(NOISE + 6 * np.cos(2 * np.pi * 1234 * T), FS, "m/s²")[0]
-    assert remarks(NOISE, FS, "m/s²", spikes=3)[0].startswith("spikes of single samples were left out, 3 of 24000")
+    assert remarks(NOISE, FS, "m/s²", spikes=3)[0].startswith(
+        "spikes of single samples were left out, 3 of 24000"
+    )

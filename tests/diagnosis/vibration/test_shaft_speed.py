@@ -8,7 +8,12 @@ import pytest
 from residuum.diagnosis.diagnosers.bearing import Bearing
 from residuum.diagnosis.finding import Verdict
 from residuum.diagnosis.vibration.bearings.moving_lines import faulty_bearing, moving_line
-from residuum.diagnosis.vibration.rotation import is_turning, speed_channel, turns_per_minute, usual_speed
+from residuum.diagnosis.vibration.rotation import (
+    is_turning,
+    speed_channel,
+    turns_per_minute,
+    usual_speed,
+)
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
 
@@ -24,7 +29,11 @@ def inner_race(**speeds):
     """Two seconds of a damaged inner race beside channels of speed: name → (value, unit)."""
     x = faulty_bearing(2 * RATE, RATE, SHAFT, ORDERS, "bpfi", snr_db=0, seed=3)
     channels = {name: value * np.ones(x.shape[0]) for name, (value, _) in speeds.items()}
-    return Record({"housing": x, **channels}, {"housing": "m/s²"} | {name: unit for name, (_, unit) in speeds.items()}, 1 / RATE)
+    return Record(
+        {"housing": x, **channels},
+        {"housing": "m/s²"} | {name: unit for name, (_, unit) in speeds.items()},
+        1 / RATE,
+    )
 
 
 @pytest.mark.parametrize("unit", A_TURN_A_SECOND)
@@ -34,7 +43,9 @@ def test_the_part_is_named_in_every_unit_of_the_speed(unit):
     assert Bearing(orders=ORDERS).score(inner_race(speed=(told, unit))).fault_class == "inner-race"
 
 
-@pytest.mark.parametrize("unit", ["%/s", "count/s", "ticks/min", "rad/s**2", "1/m", "m/s", "s", "V"])
+@pytest.mark.parametrize(
+    "unit", ["%/s", "count/s", "ticks/min", "rad/s**2", "1/m", "m/s", "s", "V"]
+)
 def test_what_is_no_speed_of_rotation_is_refused_and_named(unit):
     assert not is_turning(unit)
     with pytest.raises(BadInput, match="no unit of a speed of rotation"):
@@ -51,19 +62,27 @@ def test_a_speed_without_a_unit_is_asked_for_it():
 def test_of_two_speeds_the_shaft_s_must_be_named():
     two = {"motor_speed": (3000.0, "rpm"), "shaft_speed": (SHAFT, "Hz")}
     with pytest.raises(
-        BadInput, match=r"several speeds.*'motor_speed' 3000 rpm, 'shaft_speed' 1797 rpm.*map={'speed': 'CHANNEL'}"
+        BadInput,
+        match=r"several speeds.*'motor_speed' 3000 rpm, 'shaft_speed' 1797 rpm.*map={'speed': 'CHANNEL'}",
     ):
         Bearing(orders=ORDERS).score(inner_race(**two))
     named = inner_race(**two).rename({"shaft_speed": "speed"})
     assert usual_speed(named, speed_channel(named)) == pytest.approx(60 * SHAFT)
-    assert Bearing(orders=ORDERS, speed_rpm=60 * SHAFT).score(inner_race(**two)).fault_class == "inner-race"
+    assert (
+        Bearing(orders=ORDERS, speed_rpm=60 * SHAFT).score(inner_race(**two)).fault_class
+        == "inner-race"
+    )
     hertz = {name: order * SHAFT for name, order in ORDERS.items()}
     assert Bearing(hertz=hertz).score(inner_race(**two)).fault_class == "inner-race"
     same = {"speed_a": (1797.0, "rpm"), "speed_b": (1797.5, "1/min")}
     assert Bearing(orders=ORDERS).score(inner_race(**same)).fault_class == "inner-race"
 
 
-STRIKES = {"bpfi": (ORDERS["bpfi"], 1.0), "bpfo": (ORDERS["bpfo"], 0.0), "bsf": (2 * ORDERS["bsf"], ORDERS["ftf"])}
+STRIKES = {
+    "bpfi": (ORDERS["bpfi"], 1.0),
+    "bpfo": (ORDERS["bpfo"], 0.0),
+    "bsf": (2 * ORDERS["bsf"], ORDERS["ftf"]),
+}
 """Part → strikes a turn of the shaft, and how often a turn the load on the damage rises and falls."""
 
 
@@ -74,7 +93,9 @@ def struck(shaft, part, rate=12800, seed=5):
     if part:
         order, load = STRIKES[part]
         strikes = np.arange(1, int(turned[-1] * order)) / order
-        impacts[np.searchsorted(turned, strikes)] = 1 + 0.7 * np.cos(2 * np.pi * load * strikes) * bool(load)
+        impacts[np.searchsorted(turned, strikes)] = 1 + 0.7 * np.cos(
+            2 * np.pi * load * strikes
+        ) * bool(load)
     t = np.arange(130) / rate
     rings = np.convolve(impacts, np.exp(-t / 0.0012) * np.sin(2 * np.pi * 3200 * t))[: len(shaft)]
     return rings + 0.3 * rng.standard_normal(len(shaft))
@@ -94,11 +115,16 @@ def run_up(first, last, *, fault=True, seconds=6, rate=12800, unit="Hz", known=s
 def test_a_run_up_is_followed_by_its_speed_channel(unit):
     judged = Bearing(orders=ORDERS).score(run_up(20, 35, unit=unit))
     assert judged.fault_class == "outer-race", judged.reason
-    assert Bearing(orders=ORDERS).score(run_up(20, 35, unit=unit, fault=False)).within_absolute_limits
+    assert (
+        Bearing(orders=ORDERS).score(run_up(20, 35, unit=unit, fault=False)).within_absolute_limits
+    )
 
 
 def test_a_speed_that_is_read_four_times_a_second_is_enough():
-    assert Bearing(orders=ORDERS).score(run_up(20, 35, known=slice(None, None, 3200))).fault_class == "outer-race"
+    assert (
+        Bearing(orders=ORDERS).score(run_up(20, 35, known=slice(None, None, 3200))).fault_class
+        == "outer-race"
+    )
 
 
 def test_a_run_up_whose_speed_is_not_known_throughout_cannot_be_judged():
@@ -123,10 +149,16 @@ def without_speed(record):
 @pytest.mark.parametrize(("first", "last"), [(20, 35), (35, 20), (23, 32), (28, 29.5)])
 def test_a_run_up_that_no_channel_tells_cannot_be_judged(first, last):
     record = without_speed(run_up(first, last))
-    for bearing in (Bearing(orders=ORDERS, speed_rpm=1650), Bearing(hertz={name: 27.5 * o for name, o in ORDERS.items()})):
+    for bearing in (
+        Bearing(orders=ORDERS, speed_rpm=1650),
+        Bearing(hertz={name: 27.5 * o for name, o in ORDERS.items()}),
+    ):
         judged = bearing.score(record)
         assert judged.verdict is Verdict.NOT_ASSESSABLE, judged
-        assert "a line of the envelope goes from" in judged.reason and "record the speed beside the vibration" in judged.reason
+        assert (
+            "a line of the envelope goes from" in judged.reason
+            and "record the speed beside the vibration" in judged.reason
+        )
 
 
 CLASSES = {"bpfi": "inner-race", "bpfo": "outer-race", "bsf": "ball"}
@@ -136,28 +168,43 @@ def to_and_fro(depth, period, part, seed):
     """A shaft of 28 Hz whose speed rises and falls by the share `depth` once in `period` seconds."""
     t = np.arange(8 * 12800) / 12800
     shaft = 28 * (1 + depth * np.sin(2 * np.pi * t / period + seed))
-    return Record({"a": struck(shaft, part, seed=seed), "speed": shaft}, {"a": "m/s²", "speed": "Hz"}, 1 / 12800)
+    return Record(
+        {"a": struck(shaft, part, seed=seed), "speed": shaft},
+        {"a": "m/s²", "speed": "Hz"},
+        1 / 12800,
+    )
 
 
 @pytest.mark.parametrize(("depth", "period"), [(0.01, 5.0), *product((0.03, 0.1), (0.4, 1.5, 5.0))])
-def test_a_speed_that_goes_to_and_fro_untold_never_names_another_part_and_mostly_tells_itself(depth, period):
+def test_a_speed_that_goes_to_and_fro_untold_never_names_another_part_and_mostly_tells_itself(
+    depth, period
+):
     for part, name in CLASSES.items():
         record = to_and_fro(depth, period, part, seed=len(part))
         judged = Bearing(orders=ORDERS, speed_rpm=60 * 28).score(without_speed(record))
-        assert judged.verdict is Verdict.NOT_ASSESSABLE or judged.fault_class == name, (part, judged.fault_class)
+        assert judged.verdict is Verdict.NOT_ASSESSABLE or judged.fault_class == name, (
+            part,
+            judged.fault_class,
+        )
         assert Bearing(orders=ORDERS).score(record).fault_class == name, part
 
 
 @pytest.mark.parametrize("period", [0.4, 1.5, 5.0])
 def test_the_cage_is_not_named_where_its_lines_alone_outlast_a_speed_that_nobody_tells(period):
-    judged = Bearing(orders=ORDERS, speed_rpm=60 * 28).score(without_speed(to_and_fro(0.03, period, "bsf", seed=2)))
+    judged = Bearing(orders=ORDERS, speed_rpm=60 * 28).score(
+        without_speed(to_and_fro(0.03, period, "bsf", seed=2))
+    )
     assert judged.fault_class != "cage"
 
 
 def test_a_line_that_goes_to_and_fro_is_told_by_its_extremes():
-    line = moving_line(to_and_fro(0.1, 5.0, "bpfo", seed=1)["a"], 12800, {"bpfo": ORDERS["bpfo"] * 28})
+    line = moving_line(
+        to_and_fro(0.1, 5.0, "bpfo", seed=1)["a"], 12800, {"bpfo": ORDERS["bpfo"] * 28}
+    )
     low, high = sorted((line.first, line.last))
-    assert (low, high) == pytest.approx((0.9 * 28 * ORDERS["bpfo"], 1.1 * 28 * ORDERS["bpfo"]), rel=0.03)
+    assert (low, high) == pytest.approx(
+        (0.9 * 28 * ORDERS["bpfo"], 1.1 * 28 * ORDERS["bpfo"]), rel=0.03
+    )
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -172,14 +219,19 @@ def test_the_sweep_is_measured():
     line = moving_line(run_up(20, 35)["a"], 12800, {"bpfo": ORDERS["bpfo"] * 27.5})
     begun = 20 * ORDERS["bpfo"]
     assert begun < line.first < line.last < 35 * ORDERS["bpfo"]
-    assert (line.last - line.first) / line.seconds == pytest.approx(15 / 6 * ORDERS["bpfo"], rel=0.1)
+    assert (line.last - line.first) / line.seconds == pytest.approx(
+        15 / 6 * ORDERS["bpfo"], rel=0.1
+    )
 
 
 def test_a_part_is_named_only_where_its_lines_stand_out_against_its_neighbours():
     alike = ORDERS | {"bpfo": 5.35}
     judged = Bearing(orders=alike, speed_rpm=60 * SHAFT).score(without_speed(steady_inner_race()))
     assert judged.verdict is Verdict.FAULTY and judged.fault_class == "unknown"
-    assert set(judged.evidence["likely"]) == {"inner-race", "outer-race"} and "are alike" in judged.reason
+    assert (
+        set(judged.evidence["likely"]) == {"inner-race", "outer-race"}
+        and "are alike" in judged.reason
+    )
     apart = Bearing(orders=ORDERS, speed_rpm=60 * SHAFT).score(without_speed(steady_inner_race()))
     assert apart.fault_class == "inner-race" and "likely" not in apart.evidence
 
@@ -191,10 +243,16 @@ def steady_inner_race():
 def test_each_healthy_record_is_learnt_at_its_own_speed():
     """What modulates a healthy rig at 3.5848 orders of the second record's speed must not pass for healthy at the first's."""
     rig = [at_speed(shaft) for shaft in (20.0, 33.0)]
-    learnt = [Bearing(orders=ORDERS).fit(records)._baseline.lines["bpfo"] for records in (rig, rig[::-1])]
+    learnt = [
+        Bearing(orders=ORDERS).fit(records)._baseline.lines["bpfo"] for records in (rig, rig[::-1])
+    ]
     assert learnt[0] == pytest.approx(learnt[1]) and learnt[0] > 8
 
 
 def at_speed(shaft):
-    x = faulty_bearing(4 * RATE, RATE, shaft, ORDERS, "bpfo" if shaft > 30 else None, snr_db=0, seed=3)
-    return Record({"a": x, "speed": np.full(x.shape[0], shaft)}, {"a": "m/s²", "speed": "Hz"}, 1 / RATE)
+    x = faulty_bearing(
+        4 * RATE, RATE, shaft, ORDERS, "bpfo" if shaft > 30 else None, snr_db=0, seed=3
+    )
+    return Record(
+        {"a": x, "speed": np.full(x.shape[0], shaft)}, {"a": "m/s²", "speed": "Hz"}, 1 / RATE
+    )

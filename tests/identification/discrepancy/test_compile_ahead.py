@@ -39,7 +39,9 @@ for late in ready() - ahead:
 
 def test_nothing_is_left_to_compile():
     """Told by the types that each loop was called with, so that nothing has to be compiled: it may well be on disk already."""
-    said = subprocess.run([sys.executable, "-c", EXPLAINING], capture_output=True, text=True, check=True).stdout
+    said = subprocess.run(
+        [sys.executable, "-c", EXPLAINING], capture_output=True, text=True, check=True
+    ).stdout
     assert said == ""
 
 

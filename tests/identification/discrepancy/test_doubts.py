@@ -31,7 +31,12 @@ def test_doubts_are_as_large_as_the_estimates_scatter(freedom, rho):
         noise = lfilter([1.0], [1.0, -rho], 0.05 * np.std(experiment.Y) * e)
         records = [replace(experiment, Y=experiment.Y + noise[:, None])]
         found = with_coloured_noise(estimate(model, records, initial=[np.zeros(2)]), records)
-        scores.append([(found.model.values[n] - known[n]) / s for n, s in zip(found.parameters, found.std, strict=True)])
+        scores.append(
+            [
+                (found.model.values[n] - known[n]) / s
+                for n, s in zip(found.parameters, found.std, strict=True)
+            ]
+        )
     scores = np.array(scores)
     assert np.sqrt(np.mean(scores**2)) == pytest.approx(1.0, abs=0.1)
     assert np.mean(np.abs(scores) < 1.96) == pytest.approx(0.95, abs=0.025)

@@ -32,6 +32,10 @@ def test_machines_of_every_kind_are_drawn():
     cases = [drawn(seed, effects=2) for seed in range(10)]
     inputs, parts = {len(c.model.inputs) for c in cases}, {c.text.count("kind: ") for c in cases}
     assert {0, 1, 2} <= inputs and {1, 2, 3} <= parts
-    assert {len(c.records) for c in cases} == {1, 2, 3} and any(c.inside for c in cases) and any(c.hidden for c in cases)
+    assert (
+        {len(c.records) for c in cases} == {1, 2, 3}
+        and any(c.inside for c in cases)
+        and any(c.hidden for c in cases)
+    )
     lengths = [record.n for c in cases for record in c.records]
     assert min(lengths) < 40 and max(lengths) > 1000

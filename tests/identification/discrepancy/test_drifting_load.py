@@ -17,7 +17,9 @@ SAMPLE_TIME, FINE = 0.004, 20
 def axis(load, friction=0.0, seed=3, n=4000):
     """An axis of 40 kg that a controller moves to and fro, pushed by `load` at every sample."""
     rng = np.random.default_rng(seed)
-    wanted = np.convolve(np.repeat(rng.uniform(-0.2, 0.2, n // 200 + 1), 200)[:n], np.full(100, 1 / 100), mode="same")
+    wanted = np.convolve(
+        np.repeat(rng.uniform(-0.2, 0.2, n // 200 + 1), 200)[:n], np.full(100, 1 / 100), mode="same"
+    )
     q = v = pull = 0.0
     F, Q = np.empty(n), np.empty(n)
     h = SAMPLE_TIME / FINE
@@ -39,7 +41,9 @@ def explained(record, effects):
 def test_a_load_that_changes_slowly_is_no_effect():
     """Constant within a window, it passed for whatever has a mean there: a spring, a friction with a long travel, a weight."""
     slow = 8.0 * np.sin(2 * np.pi * np.arange(4000) * SAMPLE_TIME / 11.0)
-    found = explained(axis(slow), ["constant-load", "linear-spring", "coulomb-friction", "hysteresis"])
+    found = explained(
+        axis(slow), ["constant-load", "linear-spring", "coulomb-friction", "hysteresis"]
+    )
     assert found.drifting
     assert found.verdict == "unknown-effect"
     assert all(c.probability < 0.5 for c in found.candidates)
@@ -47,15 +51,21 @@ def test_a_load_that_changes_slowly_is_no_effect():
 
 def test_friction_is_found_though_a_load_drifts():
     slow = 8.0 * np.sin(2 * np.pi * np.arange(4000) * SAMPLE_TIME / 11.0)
-    found = explained(axis(slow, friction=12.0), ["constant-load", "linear-spring", "coulomb-friction"])
+    found = explained(
+        axis(slow, friction=12.0), ["constant-load", "linear-spring", "coulomb-friction"]
+    )
     assert found.drifting
     friction = found.candidates[0]
     assert friction.effect == "coulomb-friction"
-    assert friction.parameters["tau_c"].value == pytest.approx(12.0, rel=0.5)  # which the load that drifts is taken for, too
+    assert friction.parameters["tau_c"].value == pytest.approx(
+        12.0, rel=0.5
+    )  # which the load that drifts is taken for, too
 
 
 def test_a_weight_needs_no_load_of_every_window():
-    found = explained(axis(np.full(4000, 15.0)), ["constant-load", "linear-spring", "coulomb-friction"])
+    found = explained(
+        axis(np.full(4000, 15.0)), ["constant-load", "linear-spring", "coulomb-friction"]
+    )
     assert not found.drifting
     assert list(found.accepted) == [("constant-load", "slide")]
 

@@ -27,13 +27,20 @@ def cart_record(load, n=1500, strength=6.0, seed=4):
         speed[i] = v
         for _ in range(10):
             v += h / 10 * (force[i] - 3.0 * v + load[i]) / 2.5
-    return Record({"force": force, "speed": speed + 0.01 * rng.normal(size=n)}, {"force": "N", "speed": "m/s"}, h)
+    return Record(
+        {"force": force, "speed": speed + 0.01 * rng.normal(size=n)},
+        {"force": "N", "speed": "m/s"},
+        h,
+    )
 
 
 def kept(load):
     model, record = read_model(CART), cart_record(load)
     found = begun(climb(matched(model, [record], None)))
-    models = [found.base.model, found.base.model.with_effect("constant-load", "body", {"tau_0": 1.0})]
+    models = [
+        found.base.model,
+        found.base.model.with_effect("constant-load", "body", {"tau_0": 1.0}),
+    ]
     return first_that_holds(models[0], models[1:], found, [record], None)
 
 
@@ -51,6 +58,9 @@ def test_a_load_that_the_most_different_record_does_not_have_is_not_kept():
     model, load = read_model(CART), np.full(600, 1.5)
     records = [cart_record(load if k else -load, 600, 6.0 if k else 12.0, seed=k) for k in range(4)]
     found = begun(climb(matched(model, records, None)))
-    models = [found.base.model, found.base.model.with_effect("constant-load", "body", {"tau_0": 1.0})]
+    models = [
+        found.base.model,
+        found.base.model.with_effect("constant-load", "body", {"tau_0": 1.0}),
+    ]
     assert first_that_holds(models[0], models[1:], found, records[1:], None) == 0
     assert first_that_holds(models[0], models[1:], found, records, None) is None

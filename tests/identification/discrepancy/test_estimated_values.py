@@ -31,7 +31,11 @@ def record(mass, n=1500, Ts=0.005):
     rng = np.random.default_rng(8)
     force = np.repeat(rng.uniform(30.0, 120.0, n // 50) * np.resize([1.0, -1.0], n // 50), 50)
     velocity = np.concatenate([[0.0], np.cumsum(force[:-1]) * Ts / mass])
-    return Record({"force": force, "velocity": velocity + 2e-3 * rng.standard_normal(n)}, {"force": "N", "velocity": "m/s"}, Ts)
+    return Record(
+        {"force": force, "velocity": velocity + 2e-3 * rng.standard_normal(n)},
+        {"force": "N", "velocity": "m/s"},
+        Ts,
+    )
 
 
 def test_the_value_that_the_machine_has_now_is_told_beside_the_file_s(model):

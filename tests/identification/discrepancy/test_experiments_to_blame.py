@@ -54,11 +54,24 @@ def held_in_its_loop(course, h, steps, stiffness, damping, weight, strain, frict
 
 def record_of_the_axis(stiffness, damping, **effects):
     rng = np.random.default_rng(3)
-    course = np.cumsum(np.concatenate([np.full(n, rng.uniform(-5.0, 5.0)) for n in rng.integers(100, 700, 40)])[:6000]) * 2e-3
+    course = (
+        np.cumsum(
+            np.concatenate(
+                [np.full(n, rng.uniform(-5.0, 5.0)) for n in rng.integers(100, 700, 40)]
+            )[:6000]
+        )
+        * 2e-3
+    )
     course -= np.linspace(0.0, course[-1], 6000)
     names = ("weight", "strain", "friction", "rise", "cog")
-    torque, angle, speed = held_in_its_loop(course, 2e-3, 60, stiffness, damping, *(effects.get(n, 0.0) for n in names))
-    channels = {"torque": torque, "angle": angle + 2e-4 * rng.normal(size=6000), "speed": speed + 0.01 * rng.normal(size=6000)}
+    torque, angle, speed = held_in_its_loop(
+        course, 2e-3, 60, stiffness, damping, *(effects.get(n, 0.0) for n in names)
+    )
+    channels = {
+        "torque": torque,
+        "angle": angle + 2e-4 * rng.normal(size=6000),
+        "speed": speed + 0.01 * rng.normal(size=6000),
+    }
     return Record(channels, {"torque": "N*m", "angle": "rad", "speed": "rad/s"}, 2e-3)
 
 
@@ -80,16 +93,27 @@ def moved(voltage, h, steps):
 
 def test_strain_goes_on_from_window_to_window_and_through_those_kept_aside():
     effects = ["position-load", "hysteresis", "linear-spring", "constant-load"]
-    found = explain(read_model(SERVO), [record_of_the_axis(6.0, 0.5, weight=0.61, strain=0.375)], effects=effects)
+    found = explain(
+        read_model(SERVO),
+        [record_of_the_axis(6.0, 0.5, weight=0.61, strain=0.375)],
+        effects=effects,
+    )
     assert {id for id, _ in found.accepted} == {"position-load", "hysteresis"}
     values = found.found.best.model.values
-    assert abs(values["hysteresis@axis.f_c"] - 0.375) < 0.01 and abs(values["hysteresis@axis.x_0"] - 0.1) < 0.005
+    assert (
+        abs(values["hysteresis@axis.f_c"] - 0.375) < 0.01
+        and abs(values["hysteresis@axis.x_0"] - 0.1) < 0.005
+    )
 
 
 def test_friction_and_the_cog_of_an_axis_that_holds_on_it_are_named():
     """It goes astray over its windows: what is left beside both is told."""
     effects = ["coulomb-friction", "stribeck-friction", "tooth-ripple"]
-    found = explain(read_model(SERVO), [record_of_the_axis(2.0, 0.1, friction=0.24, rise=0.31, cog=0.22)], effects=effects)
+    found = explain(
+        read_model(SERVO),
+        [record_of_the_axis(2.0, 0.1, friction=0.24, rise=0.31, cog=0.22)],
+        effects=effects,
+    )
     named = {id for id, _ in found.accepted}
     assert "tooth-ripple" in named and named & {"coulomb-friction", "stribeck-friction"}
     assert max(times for _, _, times in found.left.values()) > 2.0
@@ -98,8 +122,17 @@ def test_friction_and_the_cog_of_an_axis_that_holds_on_it_are_named():
 def test_a_delay_of_half_a_sample_that_the_timing_of_the_inputs_feigned_goes_with_it():
     rng = np.random.default_rng(1)
     t = np.arange(12_000) / 2000.0
-    swept = sum(np.sin(2 * np.pi * f * t + p) for f, p in zip(np.geomspace(2.0, 60.0, 12), rng.uniform(0, 6, 12), strict=True))
-    voltage = 1.6 * swept + 3.0 * np.concatenate([np.full(n, rng.uniform(-1.0, 1.0)) for n in rng.integers(40, 600, 60)])[:12_000]
+    swept = sum(
+        np.sin(2 * np.pi * f * t + p)
+        for f, p in zip(np.geomspace(2.0, 60.0, 12), rng.uniform(0, 6, 12), strict=True)
+    )
+    voltage = (
+        1.6 * swept
+        + 3.0
+        * np.concatenate([np.full(n, rng.uniform(-1.0, 1.0)) for n in rng.integers(40, 600, 60)])[
+            :12_000
+        ]
+    )
     excursion, current = moved(voltage, 1 / 2000.0, 100)
     channels = {
         "voltage": voltage,
@@ -107,19 +140,36 @@ def test_a_delay_of_half_a_sample_that_the_timing_of_the_inputs_feigned_goes_wit
         "current": current + 2.3e-3 * rng.normal(size=t.size),
     }
     record = Record(channels, {"voltage": "V", "excursion": "m", "current": "A"}, 1 / 2000.0)
-    effects = ["coulomb-friction", "directional-friction", "inductance", "input-delay", "output-lag"]
+    effects = [
+        "coulomb-friction",
+        "directional-friction",
+        "inductance",
+        "input-delay",
+        "output-lag",
+    ]
     found = explain(read_model(WOOFER), [record], effects=effects)
     assert {id for id, _ in found.accepted} == {"coulomb-friction", "inductance"}
     assert not any(e.hold.any() for e in found.found.court.data.experiments)
-    assert abs(found.found.best.model.values["inductance@coil.L"] - 1.09e-3) < 7e-5  # a lag of 9 µs takes a part
+    assert (
+        abs(found.found.best.model.values["inductance@coil.L"] - 1.09e-3) < 7e-5
+    )  # a lag of 9 µs takes a part
 
 
 def test_two_bodies_on_a_spring_are_not_half_a_sample_late_because_the_timing_was_chosen_without_them():
     """The rigid drive is likelier with a voltage that moves evenly; with the spring four times the noise stayed there."""
-    signals = MACHINES["gate-drive"](seed=61, effects={"elastic-transmission": "medium"}, profile="rich").simulate(15.0)
+    signals = MACHINES["gate-drive"](
+        seed=61, effects={"elastic-transmission": "medium"}, profile="rich"
+    ).simulate(15.0)
     record = Record(signals.channels, signals.units, signals.sample_time)
-    found = explain(load_model("gate-drive"), [record], effects=["elastic-transmission", "backlash", "coulomb-friction"])
-    assert list(found.accepted) == [("elastic-transmission", "shaft")] and found.candidates[0].probability > 0.9
+    found = explain(
+        load_model("gate-drive"),
+        [record],
+        effects=["elastic-transmission", "backlash", "coulomb-friction"],
+    )
+    assert (
+        list(found.accepted) == [("elastic-transmission", "shaft")]
+        and found.candidates[0].probability > 0.9
+    )
     assert not any(e.hold.any() for e in found.found.court.data.experiments)
     assert max(times for _, _, times in found.left.values()) < 1.3
     assert abs(found.candidates[0].parameters["share"].value - 2.46e-4 / 2.812e-4) < 2e-3

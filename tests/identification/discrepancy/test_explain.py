@@ -66,7 +66,9 @@ def test_hidden_friction_is_named_and_measured(rubbing_explained):
 def test_probabilities_share_one(rubbing_explained):
     first_step = [c.probability for c in rubbing_explained.candidates if c.step == 0]
     assert all(p >= 0 for p in first_step)
-    total = sum(first_step) + rubbing_explained.probability_none + rubbing_explained.probability_unknown
+    total = (
+        sum(first_step) + rubbing_explained.probability_none + rubbing_explained.probability_unknown
+    )
     assert total == pytest.approx(1.0, abs=1e-6)
 
 
@@ -88,28 +90,42 @@ def test_a_complete_model_is_adequate_whatever_the_noise_colour(rho):
 
 def test_physics_outside_the_catalogue_is_not_claimed():
     record = drive({"x-speed-resonance": "large"}, profile="rich", duration=20.0)
-    explanation = explain(load_model("gate-drive"), [record], effects=["coulomb-friction", "input-offset", "constant-load"])
+    explanation = explain(
+        load_model("gate-drive"),
+        [record],
+        effects=["coulomb-friction", "input-offset", "constant-load"],
+    )
     assert explanation.verdict == "unknown-effect"
     assert explanation.free.balance == "shaft"
     assert explanation.free.axis == "velocity"
-    resonance = np.abs(explanation.free.at[np.argmax(np.abs(explanation.free.value - np.median(explanation.free.value)))])
+    resonance = np.abs(
+        explanation.free.at[
+            np.argmax(np.abs(explanation.free.value - np.median(explanation.free.value)))
+        ]
+    )
     assert resonance == pytest.approx(210.0, abs=40.0)
 
 
 def test_a_load_that_walks_at_random_is_not_taken_for_an_effect():
     """It has a mean, as a constant load and an off-centre spring have; only its wandering tells it apart."""
-    walk = explain(load_model("gate-drive"), [drive({"x-random-walk-load": "medium"}, profile="rich", seed=1)])
+    walk = explain(
+        load_model("gate-drive"), [drive({"x-random-walk-load": "medium"}, profile="rich", seed=1)]
+    )
     assert walk.verdict != "missing-effect"
 
 
 def test_a_constant_load_is_told_from_one_that_walks():
-    constant = explain(load_model("gate-drive"), [drive({"constant-load": "medium"}, profile="rich", seed=1)])
+    constant = explain(
+        load_model("gate-drive"), [drive({"constant-load": "medium"}, profile="rich", seed=1)]
+    )
     assert (constant.verdict, constant.candidates[0].effect) == ("missing-effect", "constant-load")
 
 
 def test_a_friction_with_three_parameters_is_followed_to_its_optimum():
     """Stopped half-way, its remaining error would invite a second effect that is not there."""
-    explanation = explain(load_model("gate-drive"), [drive({"stribeck-friction": "medium"}, rate=500.0, seed=1)])
+    explanation = explain(
+        load_model("gate-drive"), [drive({"stribeck-friction": "medium"}, rate=500.0, seed=1)]
+    )
     assert list(explanation.accepted) == [("stribeck-friction", "shaft")]
     found = explanation.candidates[0].parameters
     assert found["tau_c"].value == pytest.approx(0.02, rel=0.05)
@@ -119,7 +135,10 @@ def test_a_friction_with_three_parameters_is_followed_to_its_optimum():
 
 def test_a_supply_with_a_resistance_is_not_taken_for_friction_under_load():
     """It gives way by the same voltage for each ampere, at whatever voltage; a load friction of speed alone did nearly that."""
-    explanation = explain(load_model("gate-drive"), [drive({"supply-sag": "medium"}, duration=30.0, rate=500.0, seed=31)])
+    explanation = explain(
+        load_model("gate-drive"),
+        [drive({"supply-sag": "medium"}, duration=30.0, rate=500.0, seed=31)],
+    )
     sag = explanation.candidates[0]
     assert (explanation.verdict, sag.effect) == ("missing-effect", "supply-sag")
     values = {name: quantity.value for name, quantity in sag.parameters.items()}
@@ -128,13 +147,18 @@ def test_a_supply_with_a_resistance_is_not_taken_for_friction_under_load():
 
 
 def test_play_that_nothing_leads_to_is_reached_from_the_spring_that_fits_best():
-    play = explain(load_model("gate-drive"), [drive({"backlash": "medium"}, duration=30.0, rate=500.0, profile="rich", seed=0)])
+    play = explain(
+        load_model("gate-drive"),
+        [drive({"backlash": "medium"}, duration=30.0, rate=500.0, profile="rich", seed=0)],
+    )
     assert play.candidates[0].effect == "backlash"
     assert play.candidates[0].parameters["gap"].value == pytest.approx(1.5, rel=0.02)
 
 
 def test_a_stop_that_nothing_leads_to_is_reached_where_the_measured_speed_says_that_the_gate_was():
-    stopped = explain(load_model("gate-drive"), [drive({"end-stop": "medium"}, duration=30.0, rate=500.0, seed=0)])
+    stopped = explain(
+        load_model("gate-drive"), [drive({"end-stop": "medium"}, duration=30.0, rate=500.0, seed=0)]
+    )
     assert stopped.candidates[0].effect == "end-stop"
     assert stopped.left["speed"][0] < 3.0  # it was thirty; the noise is .3
 
@@ -156,9 +180,13 @@ def test_a_second_store_and_a_power_law_are_found_behind_a_lagging_sensor():
 
 
 def test_a_large_store_that_the_start_shows_most_joins_though_one_place_holds_most_of_the_error():
-    machine = MACHINES["oven"](seed=71, effects={"second-heat-store": "large"}, configuration="lumped")
+    machine = MACHINES["oven"](
+        seed=71, effects={"second-heat-store": "large"}, configuration="lumped"
+    )
     signals = machine.simulate(48 * 3600.0)
-    store = explain(load_model("oven"), [Record(signals.channels, signals.units, signals.sample_time)])
+    store = explain(
+        load_model("oven"), [Record(signals.channels, signals.units, signals.sample_time)]
+    )
     assert list(store.accepted) == [("second-heat-store", "chamber")]
 
 
@@ -166,7 +194,13 @@ def test_a_speed_that_is_read_without_its_sign_is_named_where_short_windows_are_
     signals = MACHINES["gate-drive"](seed=213, effects={"output-absolute": "small"}).simulate(15.0)
     told = explain(
         load_model("gate-drive"),
-        [Record({c: signals.channels[c] for c in ("voltage", "speed")}, signals.units, signals.sample_time)],
+        [
+            Record(
+                {c: signals.channels[c] for c in ("voltage", "speed")},
+                signals.units,
+                signals.sample_time,
+            )
+        ],
     )
     assert [key.effect for key in told.accepted] == ["output-absolute"]
     assert told.left["speed"][0] == pytest.approx(0.3, rel=0.05)  # its noise
@@ -193,12 +227,17 @@ def test_a_plate_in_a_draught_that_walks_at_random_is_not_called_complete():
     """Four steps of power in 800 samples: its slow error may be physics or a disturbance, but noise of a sensor it is not."""
     n, h = 800, 2.0
     rng = np.random.default_rng(4)
-    power, draught = np.repeat([2.0, 8.0, 4.0, 6.0], n // 4), np.cumsum(0.05 * rng.standard_normal(n))
+    power, draught = (
+        np.repeat([2.0, 8.0, 4.0, 6.0], n // 4),
+        np.cumsum(0.05 * rng.standard_normal(n)),
+    )
     T, seen = 30.0, np.zeros(n)
     for k in range(n):
         seen[k] = T
         T += h * (8.0 * power[k] - 1.5 * (T - 20.0 - 5.0 * draught[k])) / 90.0
-    record = Record({"u": power, "T": seen + 0.02 * rng.standard_normal(n)}, {"u": "V", "T": "degC"}, h)
+    record = Record(
+        {"u": power, "T": seen + 0.02 * rng.standard_normal(n)}, {"u": "V", "T": "degC"}, h
+    )
     explanation = explain(read_model(PLATE), [record])
     assert explanation.verdict == "unknown-effect"
     rms, unit, times = explanation.left["T"]
@@ -217,18 +256,27 @@ def test_a_model_of_ones_own_with_other_names():
         depth[k] = x
         for _ in range(100):
             x += h / 100 * (1e-3 * tap[k] - 1.6e-3 * x) / 0.5
-    record = Record({"tap": tap, "depth": depth + 1e-3 * rng.standard_normal(n)}, {"tap": "V", "depth": "m"}, h)
+    record = Record(
+        {"tap": tap, "depth": depth + 1e-3 * rng.standard_normal(n)}, {"tap": "V", "depth": "m"}, h
+    )
     explanation = explain(read_model(TANK), [record])
     assert explanation.verdict == "missing-effect"
-    assert "leak" in {explanation.candidates[0].effect, *explanation.candidates[0].indistinguishable_from}
+    assert "leak" in {
+        explanation.candidates[0].effect,
+        *explanation.candidates[0].indistinguishable_from,
+    }
 
 
 def test_linear_response_to_a_constant_is_the_kernels_own_derivative(rubbing):
     model, (experiment,) = match(load_model("gate-drive"), [rubbing])
     simulator = Simulator(model)
     x0, name = np.array([0.0, 5.0]), missing_name("shaft")
-    exact = simulator.run_vectors(experiment, x0, simulator.p(), slopes=[name], substeps=1).dY[:, :, 0]
-    response = linear_response(model, experiment, x0, 1).to("shaft", np.ones((experiment.n, 1)))[:, :, 0]
+    exact = simulator.run_vectors(experiment, x0, simulator.p(), slopes=[name], substeps=1).dY[
+        :, :, 0
+    ]
+    response = linear_response(model, experiment, x0, 1).to("shaft", np.ones((experiment.n, 1)))[
+        :, :, 0
+    ]
     np.testing.assert_allclose(response, exact, rtol=1e-9, atol=1e-9 * np.abs(exact).max())
 
 
@@ -245,7 +293,9 @@ def test_auto_adds_the_effect_and_lowers_the_error_on_data_it_never_saw(rubbing)
 
 
 def test_add_that_fits_several_places_must_say_which(rubbing):
-    with pytest.raises(BadModel, match=r"'output-offset': fits speed, current; say which, as output-offset@speed"):
+    with pytest.raises(
+        BadModel, match=r"'output-offset': fits speed, current; say which, as output-offset@speed"
+    ):
         improve(load_model("gate-drive"), [rubbing], add=["output-offset"])
 
 
@@ -259,15 +309,23 @@ def test_one_record_is_split_where_its_note_says(note, share):
 
 def test_a_machine_at_standstill_explains_nothing():
     still = {"voltage": np.zeros(2000), "speed": np.zeros(2000), "current": np.zeros(2000)}
-    record = Record(still, {"voltage": "V", "speed": "rad/s", "current": "A"}, 0.01, source="still.csv")
+    record = Record(
+        still, {"voltage": "V", "speed": "rad/s", "current": "A"}, 0.01, source="still.csv"
+    )
     with pytest.raises(BadRecord, match=r"still\.csv.*standstill explains nothing"):
         explain(load_model("gate-drive"), [record])
 
 
 def read_in_steps(step, profile):
     """Voltage and speed of a drive that lacks nothing but fine steps of its speed sensor."""
-    coarse = drive({"output-quantisation": {"step": step}}, seed=41, duration=30.0, rate=500.0, profile=profile)
-    return Record({name: coarse.channels[name] for name in ("voltage", "speed")}, coarse.units, coarse.sample_time)
+    coarse = drive(
+        {"output-quantisation": {"step": step}}, seed=41, duration=30.0, rate=500.0, profile=profile
+    )
+    return Record(
+        {name: coarse.channels[name] for name in ("voltage", "speed")},
+        coarse.units,
+        coarse.sample_time,
+    )
 
 
 @pytest.mark.parametrize("step", [4.0, 15.0])
@@ -275,7 +333,10 @@ def test_a_coarse_reading_is_named_with_the_step_that_the_record_shows(step):
     """The step is read off the stairs; estimated, it ends in one of the error's many minima, and is not believed."""
     found = explain(load_model("gate-drive"), [read_in_steps(step, "rich")])
     assert found.verdict == "missing-effect"
-    assert (found.candidates[0].effect, found.candidates[0].balance) == ("output-quantisation", "speed")
+    assert (found.candidates[0].effect, found.candidates[0].balance) == (
+        "output-quantisation",
+        "speed",
+    )
     assert found.candidates[0].parameters["q"].value == step
 
 
@@ -287,7 +348,10 @@ def test_what_a_coarse_reading_hides_at_a_few_speeds_is_blamed_on_no_effect():
 
 def test_friction_in_one_direction_alone_is_one_effect():
     """Not Coulomb friction and a constant load, which do the same together."""
-    found = explain(load_model("gate-drive"), [drive({"directional-friction": {"tau_c": 0.02, "asymmetry": 0.04}})])
+    found = explain(
+        load_model("gate-drive"),
+        [drive({"directional-friction": {"tau_c": 0.02, "asymmetry": 0.04}})],
+    )
     assert list(found.accepted) == [("directional-friction", "shaft")]
     assert found.candidates[0].parameters["tau_plus"].value == pytest.approx(0.04, abs=5e-4)
     assert found.candidates[0].parameters["tau_minus"].value < 5e-4
@@ -296,7 +360,8 @@ def test_friction_in_one_direction_alone_is_one_effect():
 def test_what_was_more_alone_is_the_plain_one_beside_another():
     """Alone, a friction of two directions stood for the load, too; beside the load both directions are alike."""
     found = explain(
-        load_model("gate-drive"), [drive({"viscous-friction": "medium", "constant-load": "medium"}, profile="rich", seed=2)]
+        load_model("gate-drive"),
+        [drive({"viscous-friction": "medium", "constant-load": "medium"}, profile="rich", seed=2)],
     )
     assert {key.effect for key in found.accepted} == {"viscous-friction", "constant-load"}
 

@@ -16,7 +16,15 @@ from residuum.identification.record import Record
 DRIVE = Path(__file__).with_name("drive.yaml").read_text()
 R, K, J, B = 1.7, 0.124, 0.00121, 0.00056
 SAMPLE_TIME, STEPS = 0.005, 40
-EFFECTS = ("quadratic-drag", "viscous-friction", "coulomb-friction", "constant-load", "inductance", "input-delay", "output-lag")
+EFFECTS = (
+    "quadratic-drag",
+    "viscous-friction",
+    "coulomb-friction",
+    "constant-load",
+    "inductance",
+    "input-delay",
+    "output-lag",
+)
 
 
 @njit
@@ -34,7 +42,10 @@ def record(drag=0.0, n=3000):
     rng = np.random.default_rng(2)
     u = np.repeat(9.0 * rng.standard_normal(n // 40), 40)
     speed, current = driven(u, drag)
-    noisy = {"speed": speed + 0.2 * rng.standard_normal(n), "current": current + 0.02 * rng.standard_normal(n)}
+    noisy = {
+        "speed": speed + 0.2 * rng.standard_normal(n),
+        "current": current + 0.02 * rng.standard_normal(n),
+    }
     return Record({"u": u} | noisy, {"u": "V", "speed": "rad/s", "current": "A"}, SAMPLE_TIME)
 
 
@@ -49,14 +60,22 @@ def test_a_wrong_torque_constant_is_told_and_nothing_is_missing():
     found = explain(held_at(0.135), [record()], effects=EFFECTS)
     (held,) = found.held
     assert (found.verdict, list(found.accepted)) == ("adequate", [])
-    assert (held.name, held.held, held.unit, held.indistinguishable_from) == ("K", 0.135, "V*s/rad", ())
+    assert (held.name, held.held, held.unit, held.indistinguishable_from) == (
+        "K",
+        0.135,
+        "V*s/rad",
+        (),
+    )
     assert abs(held.value - K) < 4.0 * held.std < 0.01 * K
 
 
 def test_beside_a_wrong_value_the_effect_is_still_found_and_improve_mends_both():
     model = held_at(0.135)
     found = explain(model, [record(drag=4e-6)], effects=EFFECTS)
-    assert ([held.name for held in found.held], list(found.accepted)) == (["K"], [("quadratic-drag", "rotor")])
+    assert ([held.name for held in found.held], list(found.accepted)) == (
+        ["K"],
+        [("quadratic-drag", "rotor")],
+    )
     improved = improve(model, [record(drag=4e-6)], free=["K"], effects=EFFECTS)
     assert [step.added for step in improved.history] == [None, "K freed", "quadratic-drag"]
     assert abs(improved.model.values["K"] / K - 1.0) < 0.002

@@ -43,7 +43,9 @@ def van(throttle, v, rng):
 
 def driving_and_coasting(seed):
     rng = np.random.default_rng(seed)
-    throttle = np.concatenate([np.full(n, rng.uniform(8.0, 60.0)) for n in rng.integers(40, 220, 60)])[:4500]
+    throttle = np.concatenate(
+        [np.full(n, rng.uniform(8.0, 60.0)) for n in rng.integers(40, 220, 60)]
+    )[:4500]
     return [van(throttle, 12.0, rng), van(np.zeros(450), 25.0, rng)]
 
 
@@ -87,10 +89,16 @@ def test_a_tank_that_runs_over_at_the_end_of_its_record_is_learnt_from_there():
     u[1500:1700] = 9.0
     height = levels(u, 0.02, 0.45)
     assert np.max(height[:1400]) < 0.44 < np.max(height)
-    record = Record({"pump": u, "height": height + 1e-3 * rng.normal(size=u.size)}, {"pump": "V", "height": "m"}, 1.0)
+    record = Record(
+        {"pump": u, "height": height + 1e-3 * rng.normal(size=u.size)},
+        {"pump": "V", "height": "m"},
+        1.0,
+    )
     found = improve(read_model(VESSEL), [record])
     assert [use.id for use in found.model.effects] == ["overflow"]
-    assert found.explanation.candidates == explain(read_model(VESSEL), [record]).candidates  # one answer at both doors
+    assert (
+        found.explanation.candidates == explain(read_model(VESSEL), [record]).candidates
+    )  # one answer at both doors
     (use,) = found.added
     rim = quantities_of(use)["h_max"]
     assert 0.0 < rim.std < 0.005 and abs(rim.value - 0.45) < 4.0 * rim.std

@@ -26,7 +26,9 @@ def fan():
 def window(fan):
     voltage, current, speed, _ = np.array([fan.step() for _ in range(500)]).T
     units = {"voltage": "V", "speed": "rpm", "current": "A"}
-    return rs.from_arrays({"voltage": voltage, "speed": speed, "current": current}, sample_time=0.01, units=units)
+    return rs.from_arrays(
+        {"voltage": voltage, "speed": speed, "current": current}, sample_time=0.01, units=units
+    )
 
 
 @pytest.mark.parametrize("seed", [2, 5])
@@ -35,7 +37,9 @@ def test_an_effect_that_does_nothing_does_not_join(fan, seed):
     for _ in range(300):
         turning.step()
     model, records = rs.model(RIG / "fan.yaml").physical, [window(turning), window(turning)]
-    found = searched(model, records, None, Wanted(("quadratic-drag", "backlash", "output-saturation")))
+    found = searched(
+        model, records, None, Wanted(("quadratic-drag", "backlash", "output-saturation"))
+    )
     joined = joined_of(found, records, None)
     first, drag = joined.history
     assert (first.added, drag.added) == (None, "quadratic-drag") and drag.error < 0.1 * first.error

@@ -25,7 +25,11 @@ def held_record(n=2000, sample_time=0.01):
     decay = np.exp(-3.0 / 2.0 * sample_time)
     for k in range(n - 1):
         v[k + 1] = decay * v[k] + (1.0 - decay) * force[k] / 3.0
-    return Record({"force": force, "speed": v + 1e-4 * rng.normal(size=n)}, {"force": "N", "speed": "m/s"}, sample_time)
+    return Record(
+        {"force": force, "speed": v + 1e-4 * rng.normal(size=n)},
+        {"force": "N", "speed": "m/s"},
+        sample_time,
+    )
 
 
 def test_a_held_input_is_recognised_by_the_error_that_it_leaves():
@@ -39,10 +43,15 @@ def test_a_held_input_is_recognised_by_the_error_that_it_leaves():
 
 def test_each_of_several_inputs_has_its_own_timing():
     """A valve that a controller holds beside a temperature that was only measured: one of them turned alone is right."""
-    text = MASS.replace("inputs: {force: N}", "inputs: {force: N, wind: N}").replace("drive: force", "drive: force, wind: wind")
+    text = MASS.replace("inputs: {force: N}", "inputs: {force: N, wind: N}").replace(
+        "drive: force", "drive: force, wind: wind"
+    )
     rng = np.random.default_rng(5)
     n, h = 2000, 0.01
-    force, wind = np.convolve(rng.normal(size=n + 40), np.hanning(40), "same")[:n], rng.normal(size=n)
+    force, wind = (
+        np.convolve(rng.normal(size=n + 40), np.hanning(40), "same")[:n],
+        rng.normal(size=n),
+    )
     v, decay = np.zeros(n), np.exp(-1.5 * h)
     for k in range(n - 1):
         v[k + 1] = decay * v[k] + (1.0 - decay) * (force[k] + wind[k]) / 3.0
@@ -62,13 +71,21 @@ def test_a_delay_is_not_half_a_sample_off_because_the_timing_was_chosen_without_
     n, h, delay = 2000, 0.01, 0.022
     force = np.convolve(rng.normal(size=n + 20), np.hanning(4), "same")[:n]
     late = (np.arange(100 * n) + 0.5) * h / 100 - delay
-    drives = force[np.clip(late // h, 0, n - 1).astype(int)] if held else np.interp(late, np.arange(n) * h, force)
+    drives = (
+        force[np.clip(late // h, 0, n - 1).astype(int)]
+        if held
+        else np.interp(late, np.arange(n) * h, force)
+    )
     v, speed = 0.0, np.empty(n)
     for k in range(100 * n):
         if k % 100 == 0:
             speed[k // 100] = v
         v += h / 100 * (drives[k] - 3.0 * v) / 2.0
-    record = Record({"force": force, "speed": speed + 3e-4 * rng.normal(size=n)}, {"force": "N", "speed": "m/s"}, h)
+    record = Record(
+        {"force": force, "speed": speed + 3e-4 * rng.normal(size=n)},
+        {"force": "N", "speed": "m/s"},
+        h,
+    )
     found = explain(read_model(MASS), [record])
     assert list(found.accepted) == [("input-delay", "force")]
     assert found.found.court.data.experiments[0].hold[0] == (0.0 if held else 1.0)

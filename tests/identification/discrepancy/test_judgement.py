@@ -27,7 +27,9 @@ outputs: {position: {value: q, unit: m}, velocity: {value: v, unit: m/s}}
 
 
 def steps(rng, n, length, low, high):
-    return np.concatenate([np.full(length, rng.uniform(low, high)) for _ in range(n // length + 1)])[:n]
+    return np.concatenate(
+        [np.full(length, rng.uniform(low, high)) for _ in range(n // length + 1)]
+    )[:n]
 
 
 def test_heat_that_went_somewhere_for_a_while_need_not_have_gone_through_a_door():
@@ -37,9 +39,15 @@ def test_heat_that_went_somewhere_for_a_while_need_not_have_gone_through_a_door(
         temperature[k] = T
         for _ in range(10):
             T += 0.05 / 48.0 * (heater[k] - 0.85 * (T - 290.0) - 6.0 * (900 <= k < 1100))
-    channels = {"heater": heater, "ambient": np.full(n, 290.0), "temperature": temperature + 0.05 * rng.normal(size=n)}
+    channels = {
+        "heater": heater,
+        "ambient": np.full(n, 290.0),
+        "temperature": temperature + 0.05 * rng.normal(size=n),
+    }
     record = Record(channels, {"heater": "W", "ambient": "K", "temperature": "K"}, 0.5)
-    found = explain(read_model(PLATE), [record], effects=["door-opening", "radiation", "input-offset"])
+    found = explain(
+        read_model(PLATE), [record], effects=["door-opening", "radiation", "input-offset"]
+    )
     assert list(found.accepted) == [("door-opening", "plate")]
     assert found.candidates[0].probability < 0.75 and found.probability_unknown > 0.25
 
@@ -54,8 +62,14 @@ def test_a_lag_that_takes_half_of_what_a_swinging_actuator_leaves_is_not_certain
             rate += h / 10 * (9.2**2 * (torque[k] - m) - 2.0 * 0.22 * 9.2 * rate)
             m += h / 10 * rate
             w += h / 10 * (m - 0.0265 * w) / 0.057
-    record = Record({"torque": torque, "speed": speed + 0.4 * rng.normal(size=n)}, {"torque": "N*m", "speed": "rad/s"}, h)
-    found = explain(read_model(FAN), [record], effects=["output-lag", "input-delay", "quadratic-drag"])
+    record = Record(
+        {"torque": torque, "speed": speed + 0.4 * rng.normal(size=n)},
+        {"torque": "N*m", "speed": "rad/s"},
+        h,
+    )
+    found = explain(
+        read_model(FAN), [record], effects=["output-lag", "input-delay", "quadratic-drag"]
+    )
     assert found.verdict != "missing-effect" or found.candidates[0].probability < 0.75
 
 
@@ -71,7 +85,9 @@ def test_a_wave_of_some_periods_may_be_a_ripple_or_a_load_that_depends_on_the_po
             q += h / 20 * v
     channels = {"force": force, "position": position, "velocity": velocity}
     record = Record(channels, {"force": "N", "position": "m", "velocity": "m/s"}, h)
-    found = explain(read_model(STAGE), [record], effects=["tooth-ripple", "position-load", "coulomb-friction"])
+    found = explain(
+        read_model(STAGE), [record], effects=["tooth-ripple", "position-load", "coulomb-friction"]
+    )
     assert 5.0 < 24.0 * np.ptp(position) < 12.0
     first = found.candidates[0]
     assert {first.effect, *first.indistinguishable_from} == {"tooth-ripple", "position-load"}

@@ -14,9 +14,20 @@ from residuum.identification.physics.effects import EFFECTS, STRUCTURAL
 ROOM = Path(discrepancy.__file__).parent
 ON_BLOCKS = Path(unseen_blocks.__file__).parent
 POLICY = [Path(policy.__file__), ON_BLOCKS / "policy.py"]
-SEARCH = [file for file in [*sorted(ROOM.rglob("*.py")), *sorted(ON_BLOCKS.rglob("*.py"))] if file not in POLICY]
+SEARCH = [
+    file
+    for file in [*sorted(ROOM.rglob("*.py")), *sorted(ON_BLOCKS.rglob("*.py"))]
+    if file not in POLICY
+]
 MOST_LINES = 400
-NO_CODE = (tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.COMMENT, tokenize.ENDMARKER)
+NO_CODE = (
+    tokenize.NL,
+    tokenize.NEWLINE,
+    tokenize.INDENT,
+    tokenize.DEDENT,
+    tokenize.COMMENT,
+    tokenize.ENDMARKER,
+)
 
 
 def code_lines(file):
@@ -35,7 +46,10 @@ def code_lines(file):
         ):
             written.update(range(token.start[0], token.end[0] + 1))
     for node in ast.walk(tree):
-        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(node) is not None:
+        if (
+            isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef)
+            and ast.get_docstring(node) is not None
+        ):
             written -= set(range(node.body[0].lineno, node.body[0].end_lineno + 1))
     return len(written)
 
@@ -45,7 +59,9 @@ def own_numbers(tree):
     for node in tree.body:
         if isinstance(node, ast.Assign | ast.AnnAssign) and node.value is not None:
             inside = list(ast.walk(node.value))
-            numbers = [n for n in inside if isinstance(n, ast.Constant) and type(n.value) in (int, float)]
+            numbers = [
+                n for n in inside if isinstance(n, ast.Constant) and type(n.value) in (int, float)
+            ]
             if numbers and not any(isinstance(n, ast.Lambda) for n in inside):
                 yield ast.unparse(node)
 
@@ -53,12 +69,18 @@ def own_numbers(tree):
 def undocumented(tree):
     """Constants of a policy without a docstring of their own."""
     for node, after in zip(tree.body, [*tree.body[1:], None], strict=True):
-        told = isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant) and isinstance(after.value.value, str)
+        told = (
+            isinstance(after, ast.Expr)
+            and isinstance(after.value, ast.Constant)
+            and isinstance(after.value.value, str)
+        )
         if isinstance(node, ast.Assign | ast.AnnAssign) and not told:
             yield ast.unparse(node)
 
 
-@pytest.mark.parametrize("file", [*SEARCH, *POLICY], ids=lambda file: f"{file.parent.name}/{file.stem}")
+@pytest.mark.parametrize(
+    "file", [*SEARCH, *POLICY], ids=lambda file: f"{file.parent.name}/{file.stem}"
+)
 def test_a_file_is_short(file):
     assert code_lines(file) <= MOST_LINES
 
@@ -89,6 +111,10 @@ def test_a_name_of_a_policy_has_one_value(files):
 
 @pytest.mark.parametrize("file", SEARCH, ids=lambda file: f"{file.parent.name}/{file.stem}")
 def test_the_search_knows_no_effect_by_name(file):
-    texts = {n.value for n in ast.walk(ast.parse(file.read_text())) if isinstance(n, ast.Constant) and isinstance(n.value, str)}
+    texts = {
+        n.value
+        for n in ast.walk(ast.parse(file.read_text()))
+        if isinstance(n, ast.Constant) and isinstance(n.value, str)
+    }
     ids = {*EFFECTS, *STRUCTURAL}
     assert [text for text in texts if text.partition("@")[0] in ids] == []

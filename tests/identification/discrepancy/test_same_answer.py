@@ -21,7 +21,9 @@ sys.exit(main())
 
 @pytest.fixture(scope="module")
 def record(tmp_path_factory):
-    signals = MACHINES["gate-drive"](seed=5, effects={"coulomb-friction": {"tau_c": 0.03}}, rate=200.0).simulate(4.0)
+    signals = MACHINES["gate-drive"](
+        seed=5, effects={"coulomb-friction": {"tau_c": 0.03}}, rate=200.0
+    ).simulate(4.0)
     path = tmp_path_factory.mktemp("record") / "drive.csv"
     write_record(Record(signals.channels, signals.units, signals.sample_time), path)
     return str(path)
@@ -31,7 +33,10 @@ def record(tmp_path_factory):
 def test_uncompiled_compiled_and_beside_busy_processes(record, bound, tmp_path):
     program = ["-m", "residuum"] if bound == "to its end" else ["-c", CUT]
     effects = "coulomb-friction,viscous-friction"
-    found = answers([sys.executable, *program, "explain", "gate-drive", record, "--effects", effects], tmp_path / "cache")
+    found = answers(
+        [sys.executable, *program, "explain", "gate-drive", record, "--effects", effects],
+        tmp_path / "cache",
+    )
     first = found.pop("filled")
     assert all(other == first for other in found.values())
     assert bool(first["work"]["not_tried"]) == (bound == "cut")

@@ -59,13 +59,17 @@ def van(drag, rolling, seed=4, n=4000, sample_time=0.01):
     noise = np.zeros(n)
     for k in range(1, n):
         noise[k] = 0.5 * noise[k - 1] + 0.004 * rng.standard_normal()
-    return Record({"traction": u, "speed": speed + noise}, {"traction": "N", "speed": "m/s"}, sample_time)
+    return Record(
+        {"traction": u, "speed": speed + noise}, {"traction": "N", "speed": "m/s"}, sample_time
+    )
 
 
 def controlled_axis(load, seed=6, n=5000, sample_time=0.002):
     """An axis that a controller moves to and fro; `load(q, v)` is what the model does not know."""
     rng = np.random.default_rng(seed)
-    wanted = np.cumsum(np.clip(np.diff(np.repeat(rng.uniform(-0.2, 0.2, n // 600 + 1), 600)[: n + 1]), -0.4, 0.4))
+    wanted = np.cumsum(
+        np.clip(np.diff(np.repeat(rng.uniform(-0.2, 0.2, n // 600 + 1), 600)[: n + 1]), -0.4, 0.4)
+    )
     wanted = np.convolve(wanted, np.full(300, 1 / 300), mode="same")
     q = v = 0.0
     F, Q, V = np.empty(n), np.empty(n), np.empty(n)
@@ -75,16 +79,34 @@ def controlled_axis(load, seed=6, n=5000, sample_time=0.002):
         for _ in range(FINE):
             v += sample_time / FINE * (F[k] - 57.0 * v + load(q, v)) / 40.0
             q += sample_time / FINE * v
-    return Record({"force": F, "position": Q, "velocity": V}, {"force": "N", "position": "m", "velocity": "m/s"}, sample_time)
+    return Record(
+        {"force": F, "position": Q, "velocity": V},
+        {"force": "N", "position": "m", "velocity": "m/s"},
+        sample_time,
+    )
 
 
 def test_two_effects_for_which_a_third_could_stand_are_both_found():
     """Drag and rolling friction of a vehicle, whose position nobody records: alone, viscous friction fits best."""
-    effects = ["viscous-friction", "quadratic-drag", "coulomb-friction", "linear-spring", "stribeck-friction"]
+    effects = [
+        "viscous-friction",
+        "quadratic-drag",
+        "coulomb-friction",
+        "linear-spring",
+        "stribeck-friction",
+    ]
     told = []
-    found = explain(read_model(VAN, "van.yaml"), [van(1.1, 320.0)], effects=effects, tell=lambda _, doing: told.append(doing))
+    found = explain(
+        read_model(VAN, "van.yaml"),
+        [van(1.1, 320.0)],
+        effects=effects,
+        tell=lambda _, doing: told.append(doing),
+    )
     accepted = dict.fromkeys(id for id, _ in found.accepted)
-    assert list(accepted) in (["quadratic-drag", "coulomb-friction"], ["coulomb-friction", "quadratic-drag"])
+    assert list(accepted) in (
+        ["quadratic-drag", "coulomb-friction"],
+        ["coulomb-friction", "quadratic-drag"],
+    )
     drag = next(c for c in found.candidates if c.effect == "quadratic-drag").parameters["c"]
     assert abs(drag.value - 1.1) < 4 * drag.std
 
@@ -117,7 +139,9 @@ def test_a_position_that_is_not_recorded_is_no_free_force_of_every_window():
     )
     assert [id for id, _ in found.accepted] == ["quadratic-drag"]
     shares = [share for share, _ in told]
-    assert shares == sorted(shares) and sum(0.2 <= share < 0.75 for share in shares) >= 2  # who waits sees the search go on
+    assert (
+        shares == sorted(shares) and sum(0.2 <= share < 0.75 for share in shares) >= 2
+    )  # who waits sees the search go on
     assert any("beside quadratic-drag" in doing for _, doing in told)
 
 
@@ -126,7 +150,9 @@ def test_an_end_stop_that_the_machine_hammers_is_found_where_it_is():
         return -max(8e4 * (q - 0.12) + 400.0 * v, 0.0) if q > 0.12 else 0.0
 
     found = explain(
-        read_model(AXIS, "axis.yaml"), [controlled_axis(stop)], effects=["end-stop", "cubic-spring", "coulomb-friction"]
+        read_model(AXIS, "axis.yaml"),
+        [controlled_axis(stop)],
+        effects=["end-stop", "cubic-spring", "coulomb-friction"],
     )
     assert found.candidates[0].effect == "end-stop" and found.verdict == "missing-effect"
     values = found.candidates[0].parameters
@@ -136,7 +162,11 @@ def test_an_end_stop_that_the_machine_hammers_is_found_where_it_is():
 def test_cogs_that_hold_an_axis_are_found_with_their_pitch():
     pitch = 2 * np.pi / 0.032
     record = controlled_axis(lambda q, _v: -30.0 * np.sin(pitch * q))
-    found = explain(read_model(AXIS, "axis.yaml"), [record], effects=["tooth-ripple", "coulomb-friction", "input-dead-zone"])
+    found = explain(
+        read_model(AXIS, "axis.yaml"),
+        [record],
+        effects=["tooth-ripple", "coulomb-friction", "input-dead-zone"],
+    )
     assert [id for id, _ in found.accepted] == ["tooth-ripple"]
     values = found.candidates[0].parameters
     assert abs(values["n"].value / pitch - 1.0) < 1e-3
@@ -152,7 +182,11 @@ def test_not_play_that_is_never_taken_up_but_the_inertia_that_is_wrong_is_the_an
         flow[k] = v
         for _ in range(FINE):
             v += 0.25 / FINE * (4910.0 * u[k] - 900.0 * v) / 5900.0
-    record = Record({"pump": u, "flow": flow + 0.005 * rng.standard_normal(u.size)}, {"pump": "bar", "flow": "m/s"}, 0.25)
+    record = Record(
+        {"pump": u, "flow": flow + 0.005 * rng.standard_normal(u.size)},
+        {"pump": "bar", "flow": "m/s"},
+        0.25,
+    )
     found = explain(read_model(COLUMN), [record], effects=["backlash", "elastic-transmission"])
     assert list(found.accepted) == [] and found.verdict == "adequate"
     (held,) = found.held
@@ -162,8 +196,12 @@ def test_not_play_that_is_never_taken_up_but_the_inertia_that_is_wrong_is_the_an
 
 def test_a_limit_that_acts_seldom_is_looked_at_though_no_first_order_test_can_see_it():
     """A limit has no zero: tested where it acts always, it is hopeless, and so it stood behind others that are."""
-    signals = MACHINES["gate-drive"](seed=23, effects={"input-saturation": "medium"}, profile="rich").simulate(30.0)
-    found = explain(load_model("gate-drive"), [Record(signals.channels, signals.units, signals.sample_time)])
+    signals = MACHINES["gate-drive"](
+        seed=23, effects={"input-saturation": "medium"}, profile="rich"
+    ).simulate(30.0)
+    found = explain(
+        load_model("gate-drive"), [Record(signals.channels, signals.units, signals.sample_time)]
+    )
     assert list(found.accepted) == [("input-saturation", "voltage")]
     assert abs(found.candidates[0].parameters["u_max"].value - 20.0) < 0.01
 
@@ -171,9 +209,15 @@ def test_a_limit_that_acts_seldom_is_looked_at_though_no_first_order_test_can_se
 def test_friction_whose_directions_a_spring_at_rest_anywhere_leaves_open_is_told_with_the_one_that_stands_for_it():
     """The spring's place of rest and the difference of the two sides do the same: only the price of a parameter parts them."""
     truth = {"directional-friction": "medium", "linear-spring": "medium"}
-    signals = MACHINES["gate-drive"](seed=4, effects=truth, profile="rich", rate=200.0).simulate(20.0)
+    signals = MACHINES["gate-drive"](seed=4, effects=truth, profile="rich", rate=200.0).simulate(
+        20.0
+    )
     record = Record(signals.channels, signals.units, signals.sample_time)
-    found = explain(load_model("gate-drive"), [record], effects=["coulomb-friction", "directional-friction", "linear-spring"])
+    found = explain(
+        load_model("gate-drive"),
+        [record],
+        effects=["coulomb-friction", "directional-friction", "linear-spring"],
+    )
     friction = next(c for c in found.candidates if c.effect == "coulomb-friction")
     assert set(found.accepted) == {("coulomb-friction", "shaft"), ("linear-spring", "shaft")}
     assert friction.indistinguishable_from == ("directional-friction",)
@@ -182,7 +226,10 @@ def test_friction_whose_directions_a_spring_at_rest_anywhere_leaves_open_is_told
 def test_play_with_a_soft_contact_is_found_over_windows():
     """Play of 22 mm behind a contact that gives way by a centimetre; stiff contacts, tried first, lead to none."""
     rng, n, h, fine = np.random.default_rng(31), 12_000, 1e-3, 20
-    swept = sum(np.sin(2 * np.pi * f * np.arange(n) * h + p) for f, p in zip((0.7, 1.9, 4.3), rng.uniform(0, 6, 3), strict=True))
+    swept = sum(
+        np.sin(2 * np.pi * f * np.arange(n) * h + p)
+        for f, p in zip((0.7, 1.9, 4.3), rng.uniform(0, 6, 3), strict=True)
+    )
     force, x, v, y, w, position = 120.0 * swept, 0.0, 0.0, 0.0, 0.0, np.empty(n)
     for k in range(n):
         position[k] = x
@@ -193,7 +240,13 @@ def test_play_with_a_soft_contact_is_found_over_windows():
             v += h / fine * (force[k] - 100.0 * v - passed) / (0.55 * 26.0)
             w += h / fine * passed / (0.45 * 26.0)
             x, y = x + h / fine * v, y + h / fine * w
-    record = Record({"force": force, "position": position + 5e-4 * rng.normal(size=n)}, {"force": "N", "position": "m"}, h)
-    found = explain(read_model(BELT), [record], effects=["backlash", "elastic-transmission", "coulomb-friction"])
+    record = Record(
+        {"force": force, "position": position + 5e-4 * rng.normal(size=n)},
+        {"force": "N", "position": "m"},
+        h,
+    )
+    found = explain(
+        read_model(BELT), [record], effects=["backlash", "elastic-transmission", "coulomb-friction"]
+    )
     assert list(found.accepted) == [("backlash", "belt")]
     assert abs(found.candidates[0].parameters["gap"].value - 0.022) < 1e-3

@@ -13,7 +13,9 @@ def test_the_functions_that_made_the_curve_are_found():
     assert "sign(z)" in found.formula
     assert found.largest == 200.0
     assert found.share > 0.99
-    coefficients = {part.split("·", 1)[1]: float(part.split("·", 1)[0]) for part in found.formula.split(" ")}
+    coefficients = {
+        part.split("·", 1)[1]: float(part.split("·", 1)[0]) for part in found.formula.split(" ")
+    }
     assert coefficients["sign(z)"] == pytest.approx(-0.02, rel=0.05)
     assert coefficients["z"] == pytest.approx(-0.06, rel=0.05)
 

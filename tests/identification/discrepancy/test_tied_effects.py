@@ -71,9 +71,19 @@ def rooms_record(k, n=4000, dt=10.0, seed=5):
         seen[i] = T
         for _ in range(steps):
             through = k * (T[0] - T[1])
-            T = T + dt / steps * np.array([heater[i] - 3.3 * (T[0] - 15) - through, -3.3 * (T[1] - 15) + through]) / 900.0
+            T = (
+                T
+                + dt
+                / steps
+                * np.array([heater[i] - 3.3 * (T[0] - 15) - through, -3.3 * (T[1] - 15) + through])
+                / 900.0
+            )
     seen += 0.02 * rng.standard_normal(seen.shape)
-    return Record({"heater": heater, "one": seen[:, 0], "two": seen[:, 1]}, {"heater": "W", "one": "°C", "two": "°C"}, dt)
+    return Record(
+        {"heater": heater, "one": seen[:, 0], "two": seen[:, 1]},
+        {"heater": "W", "one": "°C", "two": "°C"},
+        dt,
+    )
 
 
 def strange_axis_record(n=6000, dt=0.01, seed=8):
@@ -84,14 +94,24 @@ def strange_axis_record(n=6000, dt=0.01, seed=8):
         seen[i] = v
         for _ in range(steps):
             v += dt / steps * (force[i] - 6.0 * np.sin(2.5 * v) - 2.0 * v) / 9.3
-    return Record({"force": force, "velocity": seen + 0.005 * rng.standard_normal(n)}, {"force": "N", "velocity": "m/s"}, dt)
+    return Record(
+        {"force": force, "velocity": seen + 0.005 * rng.standard_normal(n)},
+        {"force": "N", "velocity": "m/s"},
+        dt,
+    )
 
 
 def test_a_recorded_flow_that_the_model_forgot_is_named_with_its_gain():
     model, record = read_model(TANK), tank_record(-0.87)
-    found = explain(model, [record], effects=["forgotten-input", "leak", "input-offset", "output-lag"])
+    found = explain(
+        model, [record], effects=["forgotten-input", "leak", "input-offset", "output-lag"]
+    )
     first = found.candidates[0]
-    assert (first.effect, first.balance, found.verdict) == ("forgotten-input", "tank(drain)", "missing-effect")
+    assert (first.effect, first.balance, found.verdict) == (
+        "forgotten-input",
+        "tank(drain)",
+        "missing-effect",
+    )
     gain = first.parameters["gain"]
     assert abs(gain.value + 0.87) < 5 * gain.std < 0.05
 
@@ -112,7 +132,9 @@ def test_a_column_that_the_outputs_tell_is_no_input():
     level = channels["level"] - np.cumsum(0.2 * np.ones(record.n)) / 31.7
     rate = np.gradient(level)
     told = Record(
-        {"inflow": channels["inflow"], "rate": rate, "level": level}, {"inflow": "l/s", "rate": "m/s", "level": "m"}, 1.0
+        {"inflow": channels["inflow"], "rate": rate, "level": level},
+        {"inflow": "l/s", "rate": "m/s", "level": "m"},
+        1.0,
     )
     found = explain(read_model(TANK), [told], effects=["forgotten-input", "leak"])
     assert all(c.effect != "forgotten-input" for c in found.candidates)
@@ -124,8 +146,17 @@ def test_two_balances_that_know_nothing_of_each_other_are_coupled():
     coupled = model.with_effect("coupling", "first(second)")
     found = estimate(coupled, match(coupled, [record])[1])
     k = list(found.parameters).index("coupling@first(second).k")
-    assert abs(found.model.values["coupling@first(second).k"] - 1.7) < 5 * np.sqrt(found.covariance[k, k]) < 0.1
-    assert explain(model, [record], effects=["coupling", "ambient-loss", "output-lag"]).candidates[0].effect == "coupling"
+    assert (
+        abs(found.model.values["coupling@first(second).k"] - 1.7)
+        < 5 * np.sqrt(found.covariance[k, k])
+        < 0.1
+    )
+    assert (
+        explain(model, [record], effects=["coupling", "ambient-loss", "output-lag"])
+        .candidates[0]
+        .effect
+        == "coupling"
+    )
     assert ("coupling", "first(second)") not in candidates(coupled)
 
 
@@ -133,7 +164,9 @@ def test_a_curve_is_learned_where_no_effect_has_a_name():
     model, record, unseen = read_model(AXIS), strange_axis_record(), strange_axis_record(seed=21)
     improved = improve(model, [record], add=["learned:axis(v)"])
     use = improved.model.effects[0]
-    at, value = (np.array([use.parameters[f"{letter}{k}"].value for k in range(1, 10)]) for letter in "av")
+    at, value = (
+        np.array([use.parameters[f"{letter}{k}"].value for k in range(1, 10)]) for letter in "av"
+    )
     truth = -6.0 * np.sin(2.5 * at) - 2.0 * at
     assert np.abs(value - truth)[1:-1].max() < 0.8
     before, after = (compare(m, [unseen]).outputs["velocity"].rmse for m in (model, improved.model))
@@ -144,7 +177,10 @@ def test_a_curve_is_learned_where_no_effect_has_a_name():
 def test_the_search_learns_only_when_asked():
     model = read_model(AXIS)
     record = strange_axis_record(n=3000)
-    plain, learned = (searched(model, [record], None, Wanted(("output-offset",), yes, held=False)) for yes in (False, True))
+    plain, learned = (
+        searched(model, [record], None, Wanted(("output-offset",), yes, held=False))
+        for yes in (False, True)
+    )
     assert plain.best.keys == ()
     assert ("learned", "axis(v)") in learned.best.keys
 

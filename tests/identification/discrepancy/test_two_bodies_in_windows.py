@@ -23,7 +23,9 @@ SAMPLE_TIME, FINE, NOISE = 0.002, 80, 2e-5
 def axis(play, k=4.0e4, d=60.0, seed=2, n=6000):
     """Two bodies of 20 kg, a spring between them that acts beyond `play`; a controller moves the first to and fro."""
     rng = np.random.default_rng(seed)
-    wanted = np.convolve(np.repeat(rng.uniform(-0.2, 0.2, n // 300 + 1), 300)[:n], np.full(150, 1 / 150), mode="same")
+    wanted = np.convolve(
+        np.repeat(rng.uniform(-0.2, 0.2, n // 300 + 1), 300)[:n], np.full(150, 1 / 150), mode="same"
+    )
     q = v = far = w = 0.0
     F, Q = np.empty(n), np.empty(n)
     h = SAMPLE_TIME / FINE
@@ -45,12 +47,18 @@ def fitted(record, *effect):
     climbed = climb_at_likelier_timing(matched(read_model(AXIS, "axis.yaml"), [record], None))
     court = replace(begun(climbed).court, last=climbed.data.rung(9), scale=plain(climbed.data))
     model = climbed.found.model.with_effect(*effect)
-    return court.judge(Structure((Key(*effect[:2]),), model, climbed.structure.states, {}), steps=40, tolerance=1e-7)
+    return court.judge(
+        Structure((Key(*effect[:2]),), model, climbed.structure.states, {}),
+        steps=40,
+        tolerance=1e-7,
+    )
 
 
 def test_the_far_body_swings_on_where_a_window_begins():
     """Settled at the beginning of every window, it would be estimated many standard deviations off, the noise never reached."""
-    found = fitted(axis(0.0), "elastic-transmission", "slide", {"k": 3.0e4, "d": 50.0, "share": 0.4})
+    found = fitted(
+        axis(0.0), "elastic-transmission", "slide", {"k": 3.0e4, "d": 50.0, "share": 0.4}
+    )
     values = {n.partition(".")[2]: v for n, v in found.model.values.items() if "@" in n}
     assert values == {
         "k": pytest.approx(4.0e4, rel=0.01),
@@ -61,7 +69,9 @@ def test_the_far_body_swings_on_where_a_window_begins():
 
 
 def test_play_whose_contact_is_begun_too_stiff_is_found():
-    found = fitted(axis(2e-3), "backlash", "slide", {"gap": 1e-3, "k": 2.5e5, "d": 500.0, "share": 0.6})
+    found = fitted(
+        axis(2e-3), "backlash", "slide", {"gap": 1e-3, "k": 2.5e5, "d": 500.0, "share": 0.6}
+    )
     assert found.model.values["backlash@slide.gap"] == pytest.approx(2e-3, rel=0.05)
 
 

@@ -39,9 +39,15 @@ def turned(u, h, steps):
 @pytest.fixture(scope="module")
 def record():
     rng = np.random.default_rng(21)
-    u = np.concatenate([np.full(n, rng.uniform(-1.8, 1.8)) for n in rng.integers(30, 250, 60)])[:6000]
+    u = np.concatenate([np.full(n, rng.uniform(-1.8, 1.8)) for n in rng.integers(30, 250, 60)])[
+        :6000
+    ]
     speed = turned(u, 0.01, 200)
-    return Record({"torque": u, "speed": speed + 0.02 * rng.standard_normal(u.size)}, {"torque": "N*m", "speed": "rad/s"}, 0.01)
+    return Record(
+        {"torque": u, "speed": speed + 0.02 * rng.standard_normal(u.size)},
+        {"torque": "N*m", "speed": "rad/s"},
+        0.01,
+    )
 
 
 def test_explain_names_both_with_their_sizes(record):

@@ -22,7 +22,9 @@ def assert_equal_sums(sums, Phi, target):
     scale = max(1.0, np.abs(Phi.T @ Phi).max())
     np.testing.assert_allclose(sums.gram, Phi.T @ Phi, atol=1e-11 * scale)
     np.testing.assert_allclose(sums.cross, Phi.T @ target, atol=1e-11 * scale)
-    np.testing.assert_allclose([sums.energy, sums.output_sum], [target @ target, target.sum()], atol=1e-11 * scale)
+    np.testing.assert_allclose(
+        [sums.energy, sums.output_sum], [target @ target, target.sum()], atol=1e-11 * scale
+    )
     np.testing.assert_allclose(sums.regressor_sum, Phi.sum(axis=0), atol=1e-11 * scale)
     assert sums.rows == len(target)
 

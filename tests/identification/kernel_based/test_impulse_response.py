@@ -8,14 +8,21 @@ from scipy import optimize, signal
 
 from residuum.identification.errors import BadInput, BadRecord, NotIdentifiable
 from residuum.identification.kernel_based.delay import estimate_delay
-from residuum.identification.kernel_based.impulse_response import identify_impulse_response, maximise, scaled_sums
+from residuum.identification.kernel_based.impulse_response import (
+    identify_impulse_response,
+    maximise,
+    scaled_sums,
+)
 from residuum.identification.kernel_based.kernels import KERNELS
 from residuum.identification.kernel_based.lagged_data import lagged_data
 from residuum.identification.kernel_based.marginal_likelihood import marginal_likelihood
 from residuum.identification.linear_models.uncertainty import design_uncertainty_weight
 from residuum.identification.record import Record
 
-NUMERATOR, DENOMINATOR = [0, 0, 0, 0.28261, 0.50666], [1, -1.41833, 1.58939, -1.31608, 0.88642]  # (2.38)
+NUMERATOR, DENOMINATOR = (
+    [0, 0, 0, 0.28261, 0.50666],
+    [1, -1.41833, 1.58939, -1.31608, 0.88642],
+)  # (2.38)
 UNITS = {"u": "V", "y": "mm"}
 
 
@@ -42,11 +49,16 @@ def fit_percent(estimate, truth):
     return 100 * (1 - np.linalg.norm(estimate - truth) / np.linalg.norm(truth - truth.mean()))
 
 
-@pytest.mark.parametrize(("kernel", "least"), [("tc", 96.8), ("dc", 96.8), ("ss", 97.0), ("di", 96.7)])
+@pytest.mark.parametrize(
+    ("kernel", "least"), [("tc", 96.8), ("dc", 96.8), ("ss", 97.0), ("di", 96.7)]
+)
 def test_two_resonances_are_found(kernel, least):
     fits = [
         fit_percent(
-            identify_impulse_response(resonant_record(5000, seed), "u", "y", kernel=kernel).impulse_response, true_response(100)
+            identify_impulse_response(
+                resonant_record(5000, seed), "u", "y", kernel=kernel
+            ).impulse_response,
+            true_response(100),
         )
         for seed in range(4)
     ]
@@ -60,26 +72,37 @@ def test_optimum_is_that_of_the_textbook_likelihood(kernel):
     drive = rng.standard_normal(60)
     swing = signal.lfilter([0, 1.0, -0.3], [1, -0.9, 0.6], drive) + 0.1 * rng.standard_normal(60)
     record = Record({"u": drive, "y": swing}, UNITS, 1.0)
-    model = identify_impulse_response(record, "u", "y", kernel=kernel, order=8, offset=False, tail=0)
+    model = identify_impulse_response(
+        record, "u", "y", kernel=kernel, order=8, offset=False, tail=0
+    )
     u, y = record["u"], record["y"]
     Phi, target = np.array([[u[t - 1 - i] for i in range(8)] for t in range(8, 60)]), y[8:]
 
     def textbook(x):
         eta = [item.value(v) for item, v in zip(KERNELS[kernel].parameters, x, strict=False)]
-        Z = math.exp(x[-2]) * Phi @ KERNELS[kernel].matrix(8, eta) @ Phi.T + math.exp(x[-1]) * np.eye(52)
+        Z = math.exp(x[-2]) * Phi @ KERNELS[kernel].matrix(8, eta) @ Phi.T + math.exp(
+            x[-1]
+        ) * np.eye(52)
         return 0.5 * (target @ np.linalg.solve(Z, target) + np.linalg.slogdet(2 * math.pi * Z)[1])
 
     names = [item.name for item in KERNELS[kernel].parameters]
-    found = [item.free(model.hyper_parameters[name]) for item, name in zip(KERNELS[kernel].parameters, names, strict=True)]
+    found = [
+        item.free(model.hyper_parameters[name])
+        for item, name in zip(KERNELS[kernel].parameters, names, strict=True)
+    ]
     x = [*found, math.log(model.hyper_parameters["scale"]), math.log(model.noise_variance)]
     assert model.negative_log_likelihood == pytest.approx(textbook(x), rel=1e-7)
-    best = optimize.minimize(textbook, x, method="Nelder-Mead", options={"xatol": 1e-7, "fatol": 1e-10, "maxiter": 4000})
+    best = optimize.minimize(
+        textbook, x, method="Nelder-Mead", options={"xatol": 1e-7, "fatol": 1e-10, "maxiter": 4000}
+    )
     assert model.negative_log_likelihood == pytest.approx(best.fun, rel=1e-6)
 
 
 @pytest.mark.parametrize("setting", ["marginal", "least-squares", 0.01])
 def test_every_way_to_the_noise_variance(setting):
-    model = identify_impulse_response(first_order_record(2000), "u", "y", order=30, noise_variance=setting)
+    model = identify_impulse_response(
+        first_order_record(2000), "u", "y", order=30, noise_variance=setting
+    )
     assert model.noise_variance == pytest.approx(0.01, rel=0.1)
     np.testing.assert_allclose(model.impulse_response[:4], 0.7 ** np.arange(4), atol=0.02)
 
@@ -95,7 +118,9 @@ def test_a_gap_costs_its_rows_only():
     record = first_order_record(600)
     u, y = np.array(record["u"]), np.array(record["y"])
     u[100], y[300:320] = np.nan, np.nan
-    model = identify_impulse_response(Record({"u": u, "y": y}, UNITS, 0.5), "u", "y", order=20, tail=0)
+    model = identify_impulse_response(
+        Record({"u": u, "y": y}, UNITS, 0.5), "u", "y", order=20, tail=0
+    )
     assert model.provenance["n"] == 600 - 20 - 20 - 20
     np.testing.assert_allclose(model.impulse_response[:3], [1, 0.7, 0.49], atol=0.05)
 
@@ -139,7 +164,11 @@ class NoNumberBeyond:
         return np.nan if x[-1] > 1.0 else self.likelihood.value(x)
 
     def value_and_gradient(self, x):
-        return (np.nan, np.full(len(x), np.nan)) if x[-1] > 1.0 else self.likelihood.value_and_gradient(x)
+        return (
+            (np.nan, np.full(len(x), np.nan))
+            if x[-1] > 1.0
+            else self.likelihood.value_and_gradient(x)
+        )
 
 
 def test_the_search_neither_begins_nor_goes_where_the_likelihood_is_no_number():
@@ -165,7 +194,9 @@ def test_the_search_neither_begins_nor_goes_where_the_likelihood_is_no_number():
     kernel=st.sampled_from(list(KERNELS)),
     drive=st.sampled_from(["white", "sine", "steps", "constant", "walk"]),
 )
-def test_any_system_gives_a_finite_proper_posterior_or_a_refusal(seed, n, order, pole, log_scale, noise, kernel, drive):
+def test_any_system_gives_a_finite_proper_posterior_or_a_refusal(
+    seed, n, order, pole, log_scale, noise, kernel, drive
+):
     rng = np.random.default_rng(seed)
     drives = {
         "white": rng.standard_normal(n),
@@ -178,7 +209,9 @@ def test_any_system_gives_a_finite_proper_posterior_or_a_refusal(seed, n, order,
     y = signal.lfilter([0, 1.0], [1, -pole], u)
     y = y + noise * (y.std() + 1e-12) * rng.standard_normal(n)
     try:
-        model = identify_impulse_response(Record({"u": u, "y": y}, UNITS, 1.0), "u", "y", kernel=kernel, order=order)
+        model = identify_impulse_response(
+            Record({"u": u, "y": y}, UNITS, 1.0), "u", "y", kernel=kernel, order=order
+        )
     except NotIdentifiable:
         return
     assert np.isfinite(model.negative_log_likelihood)
@@ -204,17 +237,24 @@ def test_an_input_that_does_not_excite_is_refused(u, match):
 def test_a_sine_is_said_to_excite_two_coefficients_only():
     u = np.sin(0.4 * np.arange(500))
     y = signal.lfilter([0, 1], [1, -0.5], u) + 0.01 * np.random.default_rng(0).standard_normal(500)
-    model = identify_impulse_response(Record({"u": u, "y": y}, UNITS, 1.0), "u", "y", order=30, tail=0)
+    model = identify_impulse_response(
+        Record({"u": u, "y": y}, UNITS, 1.0), "u", "y", order=30, tail=0
+    )
     assert any("order 2 only; 30 coefficients" in warning for warning in model.warnings)
 
 
 def test_results_that_need_care_carry_a_warning():
     rng = np.random.default_rng(3)
     u, noise = rng.standard_normal(300), rng.standard_normal(300)
-    unrelated = identify_impulse_response(Record({"u": u, "y": noise}, UNITS, 1.0), "u", "y", order=20)
+    unrelated = identify_impulse_response(
+        Record({"u": u, "y": noise}, UNITS, 1.0), "u", "y", order=20
+    )
     assert any("no significant response" in warning for warning in unrelated.warnings)
     integrator = Record({"u": u, "y": np.cumsum(u) + 0.01 * noise}, UNITS, 1.0)
-    assert any("not decayed" in warning for warning in identify_impulse_response(integrator, "u", "y", order=20).warnings)
+    assert any(
+        "not decayed" in warning
+        for warning in identify_impulse_response(integrator, "u", "y", order=20).warnings
+    )
 
 
 def test_tiny_amplitudes_scale_out():
@@ -222,7 +262,10 @@ def test_tiny_amplitudes_scale_out():
     tiny = Record({"u": 1e-12 * record["u"], "y": 1e-12 * record["y"]}, UNITS, 0.5)
     normal = identify_impulse_response(record, "u", "y", order=20)
     np.testing.assert_allclose(
-        identify_impulse_response(tiny, "u", "y", order=20).impulse_response, normal.impulse_response, rtol=1e-6, atol=1e-9
+        identify_impulse_response(tiny, "u", "y", order=20).impulse_response,
+        normal.impulse_response,
+        rtol=1e-6,
+        atol=1e-9,
     )
 
 
@@ -242,7 +285,9 @@ def test_bad_requests_are_refused_with_the_rule():
     with pytest.raises(BadRecord, match=r"sample time 1 s, others have 0\.5"):
         identify_impulse_response([record, Record(record.channels, UNITS, 1.0)], "u", "y", order=5)
     with pytest.raises(BadRecord, match="unit 'm', others have 'mm'"):
-        identify_impulse_response([record, Record(record.channels, {"u": "V", "y": "m"}, 0.5)], "u", "y", order=5)
+        identify_impulse_response(
+            [record, Record(record.channels, {"u": "V", "y": "m"}, 0.5)], "u", "y", order=5
+        )
 
 
 def covers(model, omega=0.3):
@@ -256,7 +301,10 @@ def covers(model, omega=0.3):
 @pytest.mark.parametrize(("kernel", "least"), [("tc", 0.85), ("dc", 0.85), ("ss", 0.75)])
 def test_bands_cover_the_truth_when_unknown_hyper_parameters_count(kernel, least):
     records = [first_order_record(300, seed, noise=0.5) for seed in range(40)]
-    held = [covers(identify_impulse_response(record, "u", "y", kernel=kernel, order=40)) for record in records]
+    held = [
+        covers(identify_impulse_response(record, "u", "y", kernel=kernel, order=40))
+        for record in records
+    ]
     assert np.mean(held) >= least
 
 
@@ -276,16 +324,22 @@ def test_a_bound_covers_what_the_order_cuts_off(seed):
     truth = np.polyval(NUMERATOR[3:], z) / np.polyval(DENOMINATOR, z)
     over = {}
     for covered in (True, False):
-        model = identify_impulse_response(resonant_record(5000, seed), "u", "y", order=60, offset=False, cover_cut=covered)
+        model = identify_impulse_response(
+            resonant_record(5000, seed), "u", "y", order=60, offset=False, cover_cut=covered
+        )
         made = design_uncertainty_weight(model, order=2, seed=seed)
         error = np.abs(truth / model.frequency_response(omega / model.sample_time) - 1)
-        over[covered] = float(np.max(error / np.abs(made.weight.frequency_response(omega / model.sample_time))))
+        over[covered] = float(
+            np.max(error / np.abs(made.weight.frequency_response(omega / model.sample_time)))
+        )
     assert over[True] < 1.0 < over[False]
 
 
 def test_a_response_longer_than_the_records_can_tell_is_said_to_be_uncovered():
     u = np.random.default_rng(0).standard_normal(600)
-    model = identify_impulse_response(Record({"u": u, "y": np.cumsum(u)}, UNITS, 1.0), "u", "y", order=40)
+    model = identify_impulse_response(
+        Record({"u": u, "y": np.cumsum(u)}, UNITS, 1.0), "u", "y", order=40
+    )
     assert any("do not cover what lies beyond lag" in text for text in model.warnings)
 
 
@@ -294,9 +348,13 @@ def test_random_models_of_a_cut_response_are_those_of_the_longer_one():
     omega, drawn = np.array([20.0, 150.0]), model.sample_longer(50, seed=3)
     lags = model.delay + np.arange(model.reach)
     expected = drawn @ np.exp(-1j * model.sample_time * np.outer(lags, omega))
-    np.testing.assert_allclose(model.sample_frequency_responses(50, omega, seed=3), expected, rtol=1e-10)
+    np.testing.assert_allclose(
+        model.sample_frequency_responses(50, omega, seed=3), expected, rtol=1e-10
+    )
     assert model.reach > model.order == 60
 
 
 def test_a_decayed_response_needs_no_longer_one():
-    assert identify_impulse_response(first_order_record(), "u", "y", order=40).longer_response is None
+    assert (
+        identify_impulse_response(first_order_record(), "u", "y", order=40).longer_response is None
+    )

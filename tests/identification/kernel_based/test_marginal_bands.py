@@ -18,7 +18,9 @@ def two_modes(seed, ratio=10.0, n=500):
     """A fast mode, and a slow one that is weak: no prior of a single decay follows both."""
     rng = np.random.default_rng(seed)
     fast, slow = rng.uniform(0.3, 0.7), rng.uniform(0.85, 0.95)
-    g = rng.standard_normal() * fast ** np.arange(60) + 0.3 * rng.standard_normal() * slow ** np.arange(60)
+    g = rng.standard_normal() * fast ** np.arange(
+        60
+    ) + 0.3 * rng.standard_normal() * slow ** np.arange(60)
     u = rng.standard_normal(n)
     y = signal.lfilter(np.r_[0.0, g], [1.0], u)
     y += math.sqrt(y.var() / ratio) * rng.standard_normal(n)
@@ -32,7 +34,9 @@ def held(kernel, case, systems):
         record, g = case(seed)
         model = identify_impulse_response(record, "u", "y", kernel=kernel, order=len(g))
         error = np.abs(model.impulse_response - g)
-        shares.append([np.mean(error < 1.96 * model.std), np.mean(error < 1.96 * model.conditional_std)])
+        shares.append(
+            [np.mean(error < 1.96 * model.std), np.mean(error < 1.96 * model.conditional_std)]
+        )
     return np.mean(shares, axis=0)
 
 
@@ -43,12 +47,16 @@ def random_case(seed, ratio=10.0, n=500):
     u = rng.standard_normal(2 * n)
     y = signal.lfilter(numerator, denominator, u)
     y += math.sqrt(y.var() / ratio) * rng.standard_normal(2 * n)
-    return Record({"u": u[n:], "y": y[n:]}, {"u": "", "y": ""}, 1.0), signal.lfilter(numerator, denominator, np.eye(1, 61)[0])[1:]
+    return Record({"u": u[n:], "y": y[n:]}, {"u": "", "y": ""}, 1.0), signal.lfilter(
+        numerator, denominator, np.eye(1, 61)[0]
+    )[1:]
 
 
 @pytest.mark.parametrize("kernel", ["tc", "dc"])
 def test_ninety_five_per_cent_of_random_systems_is_ninety_five_per_cent(kernel):
-    marginal, conditional = held(kernel, random_case, range(5000, 5080))  # none of those of benchmarks/results/identification.md
+    marginal, conditional = held(
+        kernel, random_case, range(5000, 5080)
+    )  # none of those of benchmarks/results/identification.md
     assert 0.91 <= marginal <= 0.985  # 92 to 98, and what 80 systems scatter
     assert conditional < marginal - 0.04
 
@@ -77,15 +85,23 @@ def test_the_bands_go_into_the_file_and_leave_the_covariance_alone(tmp_path):
 def test_bands_have_the_units_of_the_data():
     record, _ = two_modes(4)
     scaled = Record({"u": 1e-3 * record["u"], "y": 50.0 * record["y"]}, {"u": "", "y": ""}, 1.0)
-    small, large = (identify_impulse_response(each, "u", "y", order=40) for each in (record, scaled))
+    small, large = (
+        identify_impulse_response(each, "u", "y", order=40) for each in (record, scaled)
+    )
     np.testing.assert_allclose(large.std, 5e4 * small.std, rtol=0.02)
 
 
 def test_each_path_of_several_inputs_has_bands_of_its_own():
     rng = np.random.default_rng(5)
     u, v = rng.standard_normal((2, 800))
-    y = signal.lfilter([0, 1.0], [1, -0.5], u) + signal.lfilter([0, 0.2], [1, -0.9], v) + 0.1 * rng.standard_normal(800)
-    both = identify_multivariable(Record({"u": u, "v": v, "y": y}, dict.fromkeys("uvy", ""), 1.0), ["u", "v"], ["y"], order=40)
+    y = (
+        signal.lfilter([0, 1.0], [1, -0.5], u)
+        + signal.lfilter([0, 0.2], [1, -0.9], v)
+        + 0.1 * rng.standard_normal(800)
+    )
+    both = identify_multivariable(
+        Record({"u": u, "v": v, "y": y}, dict.fromkeys("uvy", ""), 1.0), ["u", "v"], ["y"], order=40
+    )
     fast, slow = both.models[0]
     assert fast.std.shape == slow.std.shape == (40,)
     assert slow.std[25] > 3 * fast.std[25]

@@ -32,7 +32,13 @@ def textbook_value(Phi, y, K, scale, variance):
 
 def search_variables(name, kappa):
     return np.array(
-        [*(item.free(value) for item, value in zip(KERNELS[name].parameters, ETA[name], strict=True)), math.log(kappa)]
+        [
+            *(
+                item.free(value)
+                for item, value in zip(KERNELS[name].parameters, ETA[name], strict=True)
+            ),
+            math.log(kappa),
+        ]
     )
 
 
@@ -52,7 +58,9 @@ def test_profiled_value_is_the_textbook_form_at_its_best_variance(name, regressi
     likelihood, x = marginal_likelihood(sums, KERNELS[name]), search_variables(name, 3.0)
     K = KERNELS[name].matrix(9, ETA[name])
     best = optimize.minimize_scalar(
-        lambda log: textbook_value(Phi, y, K, 3.0 * math.exp(log), math.exp(log)), bounds=(-8, 5), method="bounded"
+        lambda log: textbook_value(Phi, y, K, 3.0 * math.exp(log), math.exp(log)),
+        bounds=(-8, 5),
+        method="bounded",
     )
     assert likelihood.value(x) == pytest.approx(best.fun, rel=1e-8)
     assert likelihood.posterior(x).noise_variance == pytest.approx(math.exp(best.x), rel=1e-3)
@@ -61,9 +69,14 @@ def test_profiled_value_is_the_textbook_form_at_its_best_variance(name, regressi
 @pytest.mark.parametrize("name", KERNELS)
 @pytest.mark.parametrize("variance", [None, 0.5])
 def test_gradient_equals_differences_of_the_value(name, variance, regression):
-    likelihood, x = marginal_likelihood(regression[0], KERNELS[name], 1, variance), search_variables(name, 3.0)
+    likelihood, x = (
+        marginal_likelihood(regression[0], KERNELS[name], 1, variance),
+        search_variables(name, 3.0),
+    )
     value, gradient = likelihood.value_and_gradient(x)
-    numeric = [(likelihood.value(x + h) - likelihood.value(x - h)) / 2e-5 for h in 1e-5 * np.eye(len(x))]
+    numeric = [
+        (likelihood.value(x + h) - likelihood.value(x - h)) / 2e-5 for h in 1e-5 * np.eye(len(x))
+    ]
     assert value == pytest.approx(likelihood.value(x), rel=1e-12)
     np.testing.assert_allclose(gradient, numeric, rtol=1e-6, atol=1e-6)
 
@@ -71,7 +84,9 @@ def test_gradient_equals_differences_of_the_value(name, variance, regression):
 @pytest.mark.parametrize("name", KERNELS)
 def test_posterior_equals_the_textbook_form(name, regression):
     sums, Phi, y = regression
-    posterior = marginal_likelihood(sums, KERNELS[name], 1, 0.3).posterior(search_variables(name, 4.0))
+    posterior = marginal_likelihood(sums, KERNELS[name], 1, 0.3).posterior(
+        search_variables(name, 4.0)
+    )
     P = 4.0 * 0.3 * KERNELS[name].matrix(9, ETA[name])
     gain = P @ Phi.T @ np.linalg.inv(Phi @ P @ Phi.T + 0.3 * np.eye(len(y)))  # (A.17a), (A.17c)
     np.testing.assert_allclose(posterior.mean, gain @ y, rtol=1e-8, atol=1e-10)
@@ -96,8 +111,12 @@ def test_two_inputs_have_hyper_parameters_of_their_own(name):
     first[0] -= 0.5
     likelihood = marginal_likelihood(sums, KERNELS[name], 2, 0.7)
     (eta_1, _), (eta_2, _) = likelihood.hyper_parameters([*first, *second])
-    P = 0.7 * linalg.block_diag(2.0 * KERNELS[name].matrix(4, eta_1), 0.1 * KERNELS[name].matrix(4, eta_2))
+    P = 0.7 * linalg.block_diag(
+        2.0 * KERNELS[name].matrix(4, eta_1), 0.1 * KERNELS[name].matrix(4, eta_2)
+    )
     x = np.concatenate([first, second])
     assert likelihood.value(x) == pytest.approx(textbook_value(Phi, y[4:], P, 1.0, 0.7), rel=1e-8)
-    numeric = [(likelihood.value(x + h) - likelihood.value(x - h)) / 2e-5 for h in 1e-5 * np.eye(len(x))]
+    numeric = [
+        (likelihood.value(x + h) - likelihood.value(x - h)) / 2e-5 for h in 1e-5 * np.eye(len(x))
+    ]
     np.testing.assert_allclose(likelihood.value_and_gradient(x)[1], numeric, rtol=1e-6, atol=1e-6)

@@ -6,7 +6,12 @@ from scipy import signal
 
 from residuum.identification.errors import NotIdentifiable
 from residuum.identification.linear_models.prediction_error import STRUCTURES, Orders, identify
-from residuum.identification.linear_models.validation import block_bootstrap, cut_into_blocks, prediction_errors, weighed
+from residuum.identification.linear_models.validation import (
+    block_bootstrap,
+    cut_into_blocks,
+    prediction_errors,
+    weighed,
+)
 from residuum.identification.record import Record
 
 LAGS = 30
@@ -20,7 +25,9 @@ def record(seed, n=800):
 
 
 def fir(records):
-    return identify(STRUCTURES["fir"], list(records), "u", "y", orders=Orders(nb=LAGS), offset=False)
+    return identify(
+        STRUCTURES["fir"], list(records), "u", "y", orders=Orders(nb=LAGS), offset=False
+    )
 
 
 def rows(one):
@@ -41,7 +48,9 @@ def test_it_is_what_least_squares_on_the_same_blocks_gives():
 
     def least_squares(numbers):
         return np.linalg.lstsq(
-            np.vstack([blocks[k][0] for k in numbers]), np.concatenate([blocks[k][1] for k in numbers]), rcond=None
+            np.vstack([blocks[k][0] for k in numbers]),
+            np.concatenate([blocks[k][1] for k in numbers]),
+            rcond=None,
         )[0]
 
     whole = np.linalg.lstsq(*rows(data), rcond=None)[0]
@@ -53,7 +62,9 @@ def test_it_is_what_least_squares_on_the_same_blocks_gives():
         for k in set(range(len(blocks))) - set(drawn):
             left[k].append(np.mean(errors(theta, k) ** 2))
     assert found.apparent == pytest.approx(np.mean([np.mean(e**2) for e in own]), rel=1e-6)
-    assert found.out_of_bag == pytest.approx(np.mean([np.mean(each) for each in left if each]), rel=1e-6)
+    assert found.out_of_bag == pytest.approx(
+        np.mean([np.mean(each) for each in left if each]), rel=1e-6
+    )
     ys = [target - target.mean() for _, target in blocks]
     pairs = [np.mean((y[:, None] - (y - e)[None, :]) ** 2) for y, e in zip(ys, own, strict=True)]
     assert found.no_information == pytest.approx(np.mean(pairs), rel=1e-6)
@@ -76,7 +87,10 @@ def test_the_error_on_new_data_lies_where_it_says_and_beyond_the_apparent_one():
 def test_the_weight_grows_with_overfitting():
     assert weighed(0.1, 0.1, 0.5) == (pytest.approx(0.1), 0.0)  # none: nothing to weigh
     error, overfitting = weighed(0.0, 0.5, 0.5)
-    assert (error, overfitting) == (pytest.approx(0.5), 1.0)  # complete: the apparent error counts for nothing
+    assert (error, overfitting) == (
+        pytest.approx(0.5),
+        1.0,
+    )  # complete: the apparent error counts for nothing
     assert weighed(0.0, 0.2, 0.5)[0] == pytest.approx(0.2 * 0.632 / (1 - 0.368 * 0.4))
 
 

@@ -5,13 +5,20 @@ import pytest
 from scipy.signal import lfilter
 
 from residuum.identification.errors import BadInput, NotIdentifiable
-from residuum.identification.linear_models.error_bounds.error_models import ERROR_MODELS, laguerre_basis, likeliest_embedding
+from residuum.identification.linear_models.error_bounds.error_models import (
+    ERROR_MODELS,
+    laguerre_basis,
+    likeliest_embedding,
+)
 from residuum.identification.linear_models.prediction_error import STRUCTURES, identify
 from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.identification.linear_models.uncertainty import design_uncertainty_weight
 from residuum.identification.record import Record
 
-NUMERATOR, DENOMINATOR = np.array([0.5, 0.3]), np.poly([0.85, 0.6 * np.exp(1j), 0.6 * np.exp(-1j)]).real
+NUMERATOR, DENOMINATOR = (
+    np.array([0.5, 0.3]),
+    np.poly([0.85, 0.6 * np.exp(1j), 0.6 * np.exp(-1j)]).real,
+)
 OMEGA = np.linspace(0.01, np.pi, 400)
 
 
@@ -51,13 +58,19 @@ def test_stochastic_embedding_knows_of_the_bias_though_its_normal_law_may_fall_s
 @pytest.mark.parametrize("name", ["model-error", "set-membership"])
 def test_the_nominal_model_stays(low_order, name):
     trusted = ERROR_MODELS[name](low_order, [record(2)], None)
-    np.testing.assert_allclose(trusted.frequency_response(OMEGA), low_order.frequency_response(OMEGA), rtol=1e-3)
+    np.testing.assert_allclose(
+        trusted.frequency_response(OMEGA), low_order.frequency_response(OMEGA), rtol=1e-3
+    )
 
 
 def test_the_noise_bound_decides_what_is_possible(low_order):
-    with pytest.raises(NotIdentifiable, match=r"with noise of at most 0.001 mm no error response agrees"):
+    with pytest.raises(
+        NotIdentifiable, match=r"with noise of at most 0.001 mm no error response agrees"
+    ):
         ERROR_MODELS["set-membership"](low_order, [record(2)], 1e-3)
-    narrow, wide = (ERROR_MODELS["set-membership"](low_order, [record(2)], bound) for bound in (1.0, 3.0))
+    narrow, wide = (
+        ERROR_MODELS["set-membership"](low_order, [record(2)], bound) for bound in (1.0, 3.0)
+    )
     assert np.trace(wide.covariance) > np.trace(narrow.covariance)
     with pytest.raises(BadInput, match="takes no noise bound"):
         ERROR_MODELS["model-error"](low_order, [record(2)], 0.3)
@@ -66,9 +79,13 @@ def test_the_noise_bound_decides_what_is_possible(low_order):
 def test_an_embedding_as_a_method_is_least_squares_on_the_filtered_inputs():
     data = record(3)
     model = likeliest_embedding([data], "u", "y", order=60)
-    pole = float(next(text for text in model.warnings if "Laguerre" in text).split("pole ")[1].split(";")[0])
+    pole = float(
+        next(text for text in model.warnings if "Laguerre" in text).split("pole ")[1].split(";")[0]
+    )
     basis = laguerre_basis(pole, 4, 60)
-    filtered = np.stack([lfilter(np.r_[0.0, one], [1.0], data["u"]) for one in basis.T], axis=1)[60:]
+    filtered = np.stack([lfilter(np.r_[0.0, one], [1.0], data["u"]) for one in basis.T], axis=1)[
+        60:
+    ]
     design = np.column_stack([filtered, np.ones(len(filtered))])
     theta = np.linalg.lstsq(design, data["y"][60:], rcond=None)[0]
     np.testing.assert_allclose(model.impulse_response, basis @ theta[:4], atol=5e-3)

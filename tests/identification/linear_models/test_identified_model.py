@@ -5,7 +5,11 @@ import pytest
 from scipy import signal
 
 from residuum.identification.errors import BadInput, BadModel
-from residuum.identification.linear_models.identified_model import IdentifiedModel, load_identified, save_identified
+from residuum.identification.linear_models.identified_model import (
+    IdentifiedModel,
+    load_identified,
+    save_identified,
+)
 
 OMEGA = np.geomspace(0.05, np.pi / 0.5, 30)
 
@@ -20,7 +24,9 @@ def fir_model(**changes):
         "covariance": root @ root.T,
         "noise_variance": 0.1,
     }
-    return IdentifiedModel(**(fields | {"delay": 2, "offset": 3.0, "provenance": {"n": 100}} | changes))
+    return IdentifiedModel(
+        **(fields | {"delay": 2, "offset": 3.0, "provenance": {"n": 100}} | changes)
+    )
 
 
 def parametric_model():
@@ -46,15 +52,21 @@ def parametric_model():
 def test_covariances_are_those_of_the_samples(model):
     drawn = model.sample_frequency_responses(20_000, OMEGA, seed=1)
     parts = np.stack([drawn.real, drawn.imag], axis=1)
-    sampled = np.einsum("nik,njk->kij", parts - parts.mean(axis=0), parts - parts.mean(axis=0)) / len(drawn)
+    sampled = np.einsum(
+        "nik,njk->kij", parts - parts.mean(axis=0), parts - parts.mean(axis=0)
+    ) / len(drawn)
     expected = model.frequency_covariance(OMEGA)
     np.testing.assert_allclose(sampled, expected, atol=0.06 * np.abs(expected).max())
 
 
 def test_ellipses_hold_their_share_of_the_samples():
     model = fir_model()
-    drawn = model.sample_frequency_responses(4000, OMEGA[:1], seed=2)[:, 0] - model.frequency_response(OMEGA[:1])
-    edge = model.confidence_ellipses(OMEGA[:1], 0.9, points=400)[0] - model.frequency_response(OMEGA[:1])
+    drawn = model.sample_frequency_responses(4000, OMEGA[:1], seed=2)[
+        :, 0
+    ] - model.frequency_response(OMEGA[:1])
+    edge = model.confidence_ellipses(OMEGA[:1], 0.9, points=400)[0] - model.frequency_response(
+        OMEGA[:1]
+    )
     nearest = np.argmin(np.abs(np.angle(drawn[:, None] / edge[None])), axis=1)
     assert np.mean(np.abs(drawn) < np.abs(edge[nearest])) == pytest.approx(0.9, abs=0.02)
 
@@ -138,7 +150,9 @@ def test_to_control_has_the_same_response():
     control = pytest.importorskip("control")
     model = fir_model()
     np.testing.assert_allclose(
-        control.frequency_response(model.to_control(), OMEGA[:-1]).complex, model.frequency_response(OMEGA[:-1]), atol=1e-10
+        control.frequency_response(model.to_control(), OMEGA[:-1]).complex,
+        model.frequency_response(OMEGA[:-1]),
+        atol=1e-10,
     )
 
 

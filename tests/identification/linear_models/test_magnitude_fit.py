@@ -7,7 +7,11 @@ from hypothesis import strategies as st
 from scipy import optimize
 
 from residuum.identification.errors import BadInput
-from residuum.identification.linear_models.error_bounds.magnitude_fit import between_samples, fit_magnitude, worst_distance_db
+from residuum.identification.linear_models.error_bounds.magnitude_fit import (
+    between_samples,
+    fit_magnitude,
+    worst_distance_db,
+)
 from residuum.identification.linear_models.transfer_function import TransferFunction
 
 OMEGA = np.geomspace(1e-2, 1e2, 80)
@@ -22,7 +26,9 @@ def bump(omega):
 @pytest.mark.parametrize("sample_time", [None, 0.03])
 def test_a_system_of_the_same_order_comes_back(sample_time):
     truth = TRUTH if sample_time is None else TRUTH.discretise(sample_time)
-    fit = fit_magnitude(OMEGA, np.abs(truth.frequency_response(OMEGA)), order=3, bound="at", sample_time=sample_time)
+    fit = fit_magnitude(
+        OMEGA, np.abs(truth.frequency_response(OMEGA)), order=3, bound="at", sample_time=sample_time
+    )
     assert worst_distance_db(fit, OMEGA, np.abs(truth.frequency_response(OMEGA))) < 0.01
     np.testing.assert_allclose(np.sort_complex(fit.poles), np.sort_complex(truth.poles), rtol=1e-2)
 
@@ -34,14 +40,20 @@ def test_the_optimum_is_global(order):
     def spread(x):
         pairs = x.reshape(order, 2)
         ratio = (
-            np.prod([np.abs((1j * OMEGA + np.exp(z)) / (1j * OMEGA + np.exp(p))) for z, p in pairs], axis=0)
+            np.prod(
+                [np.abs((1j * OMEGA + np.exp(z)) / (1j * OMEGA + np.exp(p))) for z, p in pairs],
+                axis=0,
+            )
             if order == 1
             else None
         )
         if order == 2:
             (z, p), (dz, dp) = pairs
             s = 1j * OMEGA
-            ratio = np.abs((s**2 + 2 * np.exp(dz + z) * s + np.exp(2 * z)) / (s**2 + 2 * np.exp(dp + p) * s + np.exp(2 * p)))
+            ratio = np.abs(
+                (s**2 + 2 * np.exp(dz + z) * s + np.exp(2 * z))
+                / (s**2 + 2 * np.exp(dp + p) * s + np.exp(2 * p))
+            )
         decibel = 20 * np.log10(ratio / bump(OMEGA))
         return np.ptp(decibel)
 
@@ -70,13 +82,20 @@ def test_a_bound_that_all_but_touches_nought_has_a_real_minimum_phase_factor():
     rng = np.random.default_rng(352100)
     omega = np.cumsum(rng.uniform(0.01, 1.0, 9))
     spread = 4.199957191062478
-    fit = fit_magnitude(omega, np.exp(rng.uniform(-spread, spread, 9)), order=3, sample_time=np.pi / omega[-1])
+    fit = fit_magnitude(
+        omega, np.exp(rng.uniform(-spread, spread, 9)), order=3, sample_time=np.pi / omega[-1]
+    )
     assert fit.is_stable
     assert np.all(np.abs(fit.zeros) < 1)
 
 
 @settings(max_examples=15, deadline=None)
-@given(seed=st.integers(0, 10**6), size=st.integers(2, 60), spread=st.floats(0, 8), order=st.integers(0, 6))
+@given(
+    seed=st.integers(0, 10**6),
+    size=st.integers(2, 60),
+    spread=st.floats(0, 8),
+    order=st.integers(0, 6),
+)
 def test_any_positive_samples_give_a_stable_minimum_phase_bound(seed, size, spread, order):
     rng = np.random.default_rng(seed)
     omega = np.cumsum(rng.uniform(0.01, 1.0, size))
@@ -89,7 +108,10 @@ def test_any_positive_samples_give_a_stable_minimum_phase_bound(seed, size, spre
 
 
 def test_more_order_is_never_worse():
-    distances = [worst_distance_db(fit_magnitude(OMEGA, bump(OMEGA), order=order), OMEGA, bump(OMEGA)) for order in range(7)]
+    distances = [
+        worst_distance_db(fit_magnitude(OMEGA, bump(OMEGA), order=order), OMEGA, bump(OMEGA))
+        for order in range(7)
+    ]
     assert all(later <= earlier + 1e-6 for earlier, later in pairwise(distances))
     assert distances[6] < 0.5 * distances[1]
 

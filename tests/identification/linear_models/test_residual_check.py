@@ -13,7 +13,9 @@ from residuum.identification.record import Record
 def arx_record(seed, n=2000, holes=()):
     rng = np.random.default_rng(seed)
     u, e = rng.standard_normal((2, n))
-    y = signal.lfilter([0.0, 1.0, 0.4], [1.0, -1.3, 0.6], u) + signal.lfilter([0.5], [1.0, -1.3, 0.6], e)
+    y = signal.lfilter([0.0, 1.0, 0.4], [1.0, -1.3, 0.6], u) + signal.lfilter(
+        [0.5], [1.0, -1.3, 0.6], e
+    )
     y[list(holes)] = np.nan
     return Record({"u": u, "y": y}, {"u": "V", "y": "m"}, 0.1), 0.5 * e
 
@@ -35,7 +37,9 @@ def test_a_right_model_is_spoken_against_at_the_level_alone():
     model = fitted(0)
     checks = [residual_check(model, arx_record(seed)[0]) for seed in range(100, 160)]
     for found in ([c.whiteness for c in checks], [c.input for c in checks]):
-        assert sum(not test.passed for test in found) <= 4  # 60 at 1 %: beyond with probability .0004
+        assert (
+            sum(not test.passed for test in found) <= 4
+        )  # 60 at 1 %: beyond with probability .0004
     assert sum(c.model_error.falsified for c in checks) <= 6
     assert sum(c.passed for c in checks) >= 50
 
@@ -51,7 +55,9 @@ def test_each_wrong_model_is_told_by_the_test_that_it_fails():
     assert cut.model_error.falsified
     oe = residual_check(fitted(0, "oe", Orders(nb=2, nf=2)), record, first=1000)
     assert oe.whiteness is None
-    assert oe.passed  # the plant is right, its coloured noise is no fault of a method that has no model of it
+    assert (
+        oe.passed
+    )  # the plant is right, its coloured noise is no fault of a method that has no model of it
 
 
 def test_a_part_too_short_for_a_test_says_nothing():

@@ -17,14 +17,19 @@ def test_coloured_noise_raises_no_alarm_unless_the_colour_is_ignored():
     pairs = [coloured_pair(seed) for seed in range(150)]
     alarms = sum(not input_correlation_test(v, u, level=0.05).passed for v, u in pairs)
     assert 1 <= alarms <= 16  # 5 % of 150; beyond with probability 0.1 %
-    assert sum(not input_correlation_test(v, u, level=0.05, coloured=False).passed for v, u in pairs) > 40
+    assert (
+        sum(not input_correlation_test(v, u, level=0.05, coloured=False).passed for v, u in pairs)
+        > 40
+    )
 
 
 def test_a_missed_path_is_found_behind_coloured_noise():
     found = 0
     for seed in range(10):
         v, u = coloured_pair(seed)
-        found += not input_correlation_test(v + 0.4 * signal.lfilter([0, 0, 1.0], [1.0], u), u).passed
+        found += not input_correlation_test(
+            v + 0.4 * signal.lfilter([0, 0, 1.0], [1.0], u), u
+        ).passed
     assert found == 10
 
 
@@ -44,7 +49,10 @@ def test_feedback_shows_at_negative_lags():
 
 def test_whiteness_has_its_level_and_power():
     rng = np.random.default_rng(2)
-    assert sum(not whiteness_test(rng.standard_normal(400), level=0.05).passed for _ in range(200)) <= 20
+    assert (
+        sum(not whiteness_test(rng.standard_normal(400), level=0.05).passed for _ in range(200))
+        <= 20
+    )
     assert not whiteness_test(signal.lfilter([1.0], [1, -0.4], rng.standard_normal(400))).passed
 
 
@@ -61,7 +69,9 @@ def test_unusable_residuals_are_refused():
         whiteness_test(np.ones(100))
     with pytest.raises(NotIdentifiable, match="needs more than twice"):
         input_correlation_test(
-            np.random.default_rng(0).standard_normal(60), np.random.default_rng(1).standard_normal(60), lags=25
+            np.random.default_rng(0).standard_normal(60),
+            np.random.default_rng(1).standard_normal(60),
+            lags=25,
         )
     with pytest.raises(BadInput, match="must exceed the 9"):
         whiteness_test(np.arange(100.0), lags=5, n_parameters=9)

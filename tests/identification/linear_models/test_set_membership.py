@@ -10,7 +10,11 @@ from residuum.identification.linear_models.set_membership import feasible_set
 
 
 @settings(max_examples=25, deadline=None)
-@given(seed=st.integers(0, 10_000), norm=st.sampled_from(["inf", "2"]), scale=st.sampled_from([1e-9, 1.0, 1e6]))
+@given(
+    seed=st.integers(0, 10_000),
+    norm=st.sampled_from(["inf", "2"]),
+    scale=st.sampled_from([1e-9, 1.0, 1e6]),
+)
 def test_the_truth_is_inside(seed, norm, scale):
     rng = np.random.default_rng(seed)
     Phi, beta = rng.normal(size=(60, 3)) * [1.0, 100.0, 0.01], rng.normal(size=3) * scale

@@ -26,15 +26,21 @@ def test_intervals_are_those_of_the_polytopes_corners():
     Phi, target = np.stack([u[1:-1], u[:-2]], axis=1), y[2:]
     halves = np.r_[np.c_[Phi, -target - 0.1], np.c_[-Phi, target - 0.1]]
     corners = HalfspaceIntersection(halves, G).intersections
-    np.testing.assert_allclose(model.impulse_response, (corners.max(axis=0) + corners.min(axis=0)) / 2, atol=1e-7)
-    np.testing.assert_allclose(np.sqrt(3) * model.std, (corners.max(axis=0) - corners.min(axis=0)) / 2, atol=1e-7)
+    np.testing.assert_allclose(
+        model.impulse_response, (corners.max(axis=0) + corners.min(axis=0)) / 2, atol=1e-7
+    )
+    np.testing.assert_allclose(
+        np.sqrt(3) * model.std, (corners.max(axis=0) - corners.min(axis=0)) / 2, atol=1e-7
+    )
 
 
 @pytest.mark.parametrize("seed", range(10))
 def test_the_truth_is_inside_whatever_the_noise_does_within_its_bound(seed):
     record = bounded(seed, level=7.0)
     model = identify_set_membership([record], "u", "y", order=6, noise_bound=0.1)
-    assert np.all(np.abs(model.impulse_response - np.r_[G, np.zeros(4)]) <= np.sqrt(3) * model.std + 1e-9)
+    assert np.all(
+        np.abs(model.impulse_response - np.r_[G, np.zeros(4)]) <= np.sqrt(3) * model.std + 1e-9
+    )
     assert model.offset == pytest.approx(7.0, abs=0.05)
     assert model.hyper_parameters["smallest_noise_bound"] <= 0.1
 
@@ -51,7 +57,8 @@ def test_missing_samples_and_several_records_only_take_rows_away():
 
 def test_refusals_say_what_would_help():
     with pytest.raises(
-        NotIdentifiable, match=r"at most 0.01 mm no impulse response of 4 .* the smallest bound that leaves one is 0.0"
+        NotIdentifiable,
+        match=r"at most 0.01 mm no impulse response of 4 .* the smallest bound that leaves one is 0.0",
     ):
         identify_set_membership([bounded(0)], "u", "y", order=4, noise_bound=0.01)
     with pytest.raises(BadInput, match="must be 1 to 60"):
@@ -61,5 +68,7 @@ def test_refusals_say_what_would_help():
     with pytest.raises(BadInput, match="bound: is -1"):
         identify_set_membership([bounded(0)], "u", "y", order=4, noise_bound=-1)
     slow = lfilter([0.0, 1.0], [1.0, -0.9], bounded(0)["u"])
-    cut = identify_set_membership([Record({"u": bounded(0)["u"], "y": slow}, {"u": "V", "y": "mm"}, 1.0)], "u", "y", order=3)
+    cut = identify_set_membership(
+        [Record({"u": bounded(0)["u"], "y": slow}, {"u": "V", "y": "mm"}, 1.0)], "u", "y", order=3
+    )
     assert any("has not decayed within 3 lags" in text for text in cut.warnings)

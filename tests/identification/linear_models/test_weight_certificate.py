@@ -31,7 +31,9 @@ def resonant(parametric):
     common["covariance"] = 1e-4 * np.diag(0.95 ** np.arange(80))
     if not parametric:
         return IdentifiedModel(method="kernel-tc", **common)
-    return IdentifiedModel(method="oe", numerator=num, denominator=den, parameter_covariance=1e-6 * np.eye(5), **common)
+    return IdentifiedModel(
+        method="oe", numerator=num, denominator=den, parameter_covariance=1e-6 * np.eye(5), **common
+    )
 
 
 def brute(errors, weight):
@@ -69,7 +71,10 @@ def test_a_zero_on_the_unit_circle_is_not_called_proven():
 
 
 def test_the_weight_of_several_operating_points_is_above_all_of_them_everywhere():
-    other = replace(resonant(parametric=False), impulse_response=1.3 * resonant(parametric=False).impulse_response)
+    other = replace(
+        resonant(parametric=False),
+        impulse_response=1.3 * resonant(parametric=False).impulse_response,
+    )
     models = [resonant(parametric=False), other]
     average = average_plant(models)
     weight, largest = overall_uncertainty(models, average, COARSE, n_samples=40, seed=2)

@@ -6,7 +6,9 @@ import re
 import numpy as np
 from scipy.integrate import solve_ivp
 
-_TOKEN = re.compile(r"\s*(\d+\.?\d*(?:[eE][+-]?\d+)?|\.\d+(?:[eE][+-]?\d+)?|[A-Za-z_]\w*|<=|>=|==|<>|[-+*/^(),<>])")
+_TOKEN = re.compile(
+    r"\s*(\d+\.?\d*(?:[eE][+-]?\d+)?|\.\d+(?:[eE][+-]?\d+)?|[A-Za-z_]\w*|<=|>=|==|<>|[-+*/^(),<>])"
+)
 _WORDS = {"and": " and ", "or": " or ", "not": " not "}
 _KNOWN = {
     "abs": abs, "min": min, "max": max, "sqrt": math.sqrt, "exp": math.exp, "log": math.log, "sin": math.sin, "cos": math.cos,
@@ -62,12 +64,19 @@ class ModelicaModel:
         self.rates = dict(re.findall(r"^  der\((\w+)\) = (.*);$", then, re.M))
         self.others = dict(re.findall(r"^  (\w+) = (.*);$", then, re.M))
         self.first, self.rates, self.others = (
-            {n: compile(python_of(e), n, "eval") for n, e in part.items()} for part in (self.first, self.rates, self.others)
+            {n: compile(python_of(e), n, "eval") for n, e in part.items()}
+            for part in (self.first, self.rates, self.others)
         )
         self.outputs = [n for n in self.others if n.startswith("y_")]
 
     def _values(self, t, x, u):
-        known = {**_KNOWN, **self.p, **dict(zip(self.inputs, u, strict=True)), **dict(zip(self.rates, x, strict=True)), "time": t}
+        known = {
+            **_KNOWN,
+            **self.p,
+            **dict(zip(self.inputs, u, strict=True)),
+            **dict(zip(self.rates, x, strict=True)),
+            "time": t,
+        }
         for name in [n for n in self.others if n not in self.outputs]:
             known[name] = eval(self.others[name], {"__builtins__": {}}, known)
         return known
@@ -84,8 +93,12 @@ class ModelicaModel:
 
         for k, u in enumerate(U):
             known = self._values(k * step, x, u)
-            found.append([float(eval(self.others[n], {"__builtins__": {}}, known)) for n in self.outputs])
+            found.append(
+                [float(eval(self.others[n], {"__builtins__": {}}, known)) for n in self.outputs]
+            )
             if self.rates:
                 span = (k * step, (k + 1) * step)
-                x = solve_ivp(rates, span, x, method="DOP853", rtol=1e-9, atol=1e-12, args=(u,)).y[:, -1]
+                x = solve_ivp(rates, span, x, method="DOP853", rtol=1e-9, atol=1e-12, args=(u,)).y[
+                    :, -1
+                ]
         return np.array(found)

@@ -43,9 +43,14 @@ def heated(delay=2.6, n=600, noise=0.0):
 
 def test_a_delay_of_parts_of_a_sample_is_simulated_and_has_exact_slopes():
     power, y = heated()
-    model, e = read_model(OVEN), Experiment(np.column_stack([power, 0 * power]), y[:, None], np.zeros(2), STEP)
+    model, e = (
+        read_model(OVEN),
+        Experiment(np.column_stack([power, 0 * power]), y[:, None], np.zeros(2), STEP),
+    )
     run = Simulator(model).run(e, slopes=("L",))
-    assert np.abs(run.Y[:, 0] - y).max() < 0.02  # of some 120 K; within a sample the mean of a held power acts
+    assert (
+        np.abs(run.Y[:, 0] - y).max() < 0.02
+    )  # of some 120 K; within a sample the mean of a held power acts
     up, down = (Simulator(model).run(e, values={"L": 2.6 + s * 1e-6}).Y for s in (1, -1))
     assert np.abs(run.dY[:, :, 0] - (up - down) / 2e-6).max() < 1e-4
     assert np.abs(run.dY).max() > 1.0
@@ -53,7 +58,11 @@ def test_a_delay_of_parts_of_a_sample_is_simulated_and_has_exact_slopes():
 
 def test_a_delay_is_estimated_and_written():
     power, y = heated(delay=3.7, noise=0.05)
-    record = rs.Record({"power": power, "fan": 0 * power, "temperature": y}, {"power": "W", "fan": "1", "temperature": "K"}, STEP)
+    record = rs.Record(
+        {"power": power, "fan": 0 * power, "temperature": y},
+        {"power": "W", "fan": "1", "temperature": "K"},
+        STEP,
+    )
     found = rs.model(OVEN).estimate(record, hold="zero-order")
     assert found.parameters["L"]["value"] == pytest.approx(3.7, abs=0.03)
     assert read_model(write_model(found.model.physical)).values == found.model.physical.values
@@ -62,10 +71,18 @@ def test_a_delay_is_estimated_and_written():
 @pytest.mark.parametrize(
     ("old", "new", "says"),
     [
-        ("delay(loss * power, L)", "delay(T, L)", "delay.. of 'T': what is delayed is made of inputs"),
+        (
+            "delay(loss * power, L)",
+            "delay(T, L)",
+            "delay.. of 'T': what is delayed is made of inputs",
+        ),
         ("delay(loss * power, L)", "delay(loss * power, 2)", "by a parameter or a constant"),
         ("delay(loss * power, L)", "delay(loss * power, h)", "unit clash: delay"),
-        ("delay(loss * power, L)", "delay(power, L) + power", "more than one delay; declare a second input"),
+        (
+            "delay(loss * power, L)",
+            "delay(power, L) + power",
+            "more than one delay; declare a second input",
+        ),
         ("delay(loss * power, L)", "delay(delay(power, L), L)", "one is enough"),
         ("unit: s, lower: 0", "unit: s", "must not be negative"),
     ],

@@ -17,8 +17,18 @@ from residuum.identification.physics.effects.base import Conditions
 from residuum.identification.physics.effects.electric import BrushDrop, ResistanceHeating, SupplySag
 from residuum.identification.physics.effects.friction import Friction, LuGre
 from residuum.identification.physics.effects.hydraulic import Drain, Orifice
-from residuum.identification.physics.effects.load import Cogging, ConstantLoad, PositionLoad, ToothRipple
-from residuum.identification.physics.effects.spring import BoucWen, CubicSpring, Hysteresis, LinearSpring
+from residuum.identification.physics.effects.load import (
+    Cogging,
+    ConstantLoad,
+    PositionLoad,
+    ToothRipple,
+)
+from residuum.identification.physics.effects.spring import (
+    BoucWen,
+    CubicSpring,
+    Hysteresis,
+    LinearSpring,
+)
 from residuum.identification.physics.effects.thermal import ConstantHeat, HeatLoss, SecondHeatStore
 from residuum.identification.physics.effects.transmission import EndStop
 from residuum.identification.units import parse_unit
@@ -84,7 +94,9 @@ LAWS = {
     Friction: opposes("velocity"),
     LuGre: stays_within(lambda values: values["tau_c"] + values["tau_s"], 1e-6),
     Drain: never_fills,
-    Orifice: lambda term, variables, values: np.all(term * (variables["level"] - values["h_0"]) <= 0.0),
+    Orifice: lambda term, variables, values: np.all(
+        term * (variables["level"] - values["h_0"]) <= 0.0
+    ),
     BoucWen: stays_within(saturation, 1e-6),
     Cogging: stays_within(lambda values: amplitude(values) + np.hypot(values["a2"], values["b2"])),
     ConstantLoad: constant,
@@ -95,7 +107,9 @@ LAWS = {
     ToothRipple: stays_within(amplitude),
     ConstantHeat: constant,
     HeatLoss: cools,
-    SecondHeatStore: lambda term, variables, values: np.all(term * (variables["temperature"] - variables["T_2"]) <= 0.0),
+    SecondHeatStore: lambda term, variables, values: np.all(
+        term * (variables["temperature"] - variables["T_2"]) <= 0.0
+    ),
     EndStop: pushes_inwards,
 }
 """By class; a class without a law of its own obeys that of its nearest base, and any term is finite."""
@@ -111,7 +125,11 @@ def excitation(example):
     t = np.arange(n) / n
     if example.profile == "steps":
         return example.amplitude * (np.sin(2 * np.pi * 3.3 * t) > 0)
-    return example.amplitude * np.sin(2 * np.pi * 4 * t) * np.clip(2 * np.sin(2 * np.pi * t * 1.5), -1, 1)
+    return (
+        example.amplitude
+        * np.sin(2 * np.pi * 4 * t)
+        * np.clip(2 * np.sin(2 * np.pi * t * 1.5), -1, 1)
+    )
 
 
 def placed(effect, example):
@@ -119,14 +137,20 @@ def placed(effect, example):
     model = read_model(example.model)
     U = excitation(example)[:, None]
     hold = np.ones(1) if example.profile == "sweep" else np.zeros(1)
-    experiment = Experiment(U, np.full((len(U), len(model.outputs)), np.nan), hold, example.sample_time)
+    experiment = Experiment(
+        U, np.full((len(U), len(model.outputs)), np.nan), hold, example.sample_time
+    )
     places = [*model.balances, *model.inputs, *model.outputs]
     target = next(place for place in places if effect.fits(model.site(place, effect)))
     run = Simulator(model).run(experiment)
     return model, experiment, target, conditions_at(model, effect, target, experiment, run.X)
 
 
-CASES = [pytest.param(e, x, id=f"{i}-{k}") for i, e in EFFECTS.items() for k, x in enumerate(e.examples())]
+CASES = [
+    pytest.param(e, x, id=f"{i}-{k}")
+    for i, e in EFFECTS.items()
+    for k, x in enumerate(e.examples())
+]
 
 
 @pytest.mark.parametrize(("effect", "example"), CASES)
@@ -141,13 +165,17 @@ def test_effect_in_its_examples(effect, example):
     assert run.finite
     assert not np.allclose(run.Y, base.Y, rtol=1e-6, atol=1e-12), "the effect changes nothing"
     if target in model.balances:
-        variables = balance_variables(Simulator(with_it), with_it.balances[target], experiment, run.X)
+        variables = balance_variables(
+            Simulator(with_it), with_it.balances[target], experiment, run.X
+        )
         values = {name: parameter.value for name, parameter in use.parameters.items()}
         assert obeys_physics(effect, variables[f"term:{effect.id}"], variables, values)
     for start in starts:
         assert set(start) == set(use.parameters)
     if effect.vanishes:
-        none = model.with_effect(effect.id, target, {**starts[0], **dict.fromkeys(effect.sizes, 0.0)})
+        none = model.with_effect(
+            effect.id, target, {**starts[0], **dict.fromkeys(effect.sizes, 0.0)}
+        )
         np.testing.assert_allclose(Simulator(none).run(experiment).Y, base.Y, rtol=1e-9, atol=1e-12)
     assert read_model(write_model(with_it)) == with_it
     for parameter in use.parameters.values():
@@ -160,15 +188,24 @@ def test_sensitivities_are_the_derivatives_of_the_outputs(effect, example):
     """Central differences agree where the effect is smooth along the trajectory; set-valued friction in the bulk of samples."""
     model, experiment, target, conditions = placed(effect, example)
     start = effect.starts(conditions)[0]
-    with_it = model.with_effect(effect.id, target, {name: 0.97 * value for name, value in start.items()})
+    with_it = model.with_effect(
+        effect.id, target, {name: 0.97 * value for name, value in start.items()}
+    )
     simulator = Simulator(with_it)
     steps = simulator.substeps(experiment, simulator.x0(), simulator.p())
-    names = [name for name in with_it.all_parameters if "@" in name and not with_it.all_parameters[name].fixed]
+    names = [
+        name
+        for name in with_it.all_parameters
+        if "@" in name and not with_it.all_parameters[name].fixed
+    ]
     exact = simulator.run(experiment, slopes=names, substeps=steps).dY
     for column, name in enumerate(names):
         value = with_it.values[name]
         step = 1e-6 * (abs(value) or 1e-3)
-        up, down = (simulator.run(experiment, values={name: value + s}, substeps=steps).Y for s in (step, -step))
+        up, down = (
+            simulator.run(experiment, values={name: value + s}, substeps=steps).Y
+            for s in (step, -step)
+        )
         numeric = (up - down) / (2 * step)
         error = np.abs(exact[:, :, column] - numeric)
         scale = np.max(np.abs(exact[:, :, column])) or 1.0
@@ -200,13 +237,17 @@ def test_an_elasticity_has_first_values_where_nothing_rings():
     assert starts and all(np.isfinite(value) for start in starts for value in start.values())
 
 
-@pytest.mark.parametrize("id", ["directional-friction", "stribeck-friction", "backlash", "tooth-ripple"])
+@pytest.mark.parametrize(
+    "id", ["directional-friction", "stribeck-friction", "backlash", "tooth-ripple"]
+)
 def test_a_general_effect_gives_values_of_the_one_that_it_generalises(id):
     """At equal sides a directional friction is the plain one; names are those of the simpler effect's parameters."""
     effect, plain = EFFECTS[id], EFFECTS[EFFECTS[id].generalises]
     model, _, target, conditions = placed(effect, effect.examples()[0])
     values = effect.specialised(effect.starts(conditions)[0], conditions)
-    assert set(values) <= {parameter.name for parameter in plain.parameters(model.site(target, plain))}
+    assert set(values) <= {
+        parameter.name for parameter in plain.parameters(model.site(target, plain))
+    }
     if id == "directional-friction":
         assert effect.specialised({"tau_plus": 2.0, "tau_minus": 1.0}, conditions) == {"tau_c": 1.5}
 
@@ -234,12 +275,17 @@ def test_effects_of_a_current_that_flows_by_cases_go_together(pair):
         model = model.with_effect(id, target, dict(EFFECTS[id].starts(conditions)[0]))
     simulator = Simulator(model)
     names = [
-        name for name in ("R", "K", *model.all_parameters) if name in model.free and not name.startswith("output-quantisation")
+        name
+        for name in ("R", "K", *model.all_parameters)
+        if name in model.free and not name.startswith("output-quantisation")
     ]
     exact = simulator.run(experiment, slopes=names, substeps=4).dY
     for column, name in enumerate(names):
         step = 1e-6 * (abs(model.values[name]) or 1e-3)
-        up, down = (simulator.run(experiment, values={name: model.values[name] + s}, substeps=4).Y for s in (step, -step))
+        up, down = (
+            simulator.run(experiment, values={name: model.values[name] + s}, substeps=4).Y
+            for s in (step, -step)
+        )
         error = np.abs(exact[:, :, column] - (up - down) / (2 * step))
         if any(id == "output-quantisation" for id, _ in pair):
             error = error[:, 1:]  # the differences of what is read in steps are steps
@@ -250,7 +296,20 @@ def test_effects_of_a_current_that_flows_by_cases_go_together(pair):
 @pytest.mark.parametrize("size", [0.0, 1e-310, 1e-120])
 def test_first_values_are_numbers_where_nothing_moves(name, size):
     """A simulation of a machine at rest leaves next to nothing of a position, and its cube underflows."""
-    roles = ("position", "velocity", "current", "temperature", "ambient", "level", "signal", "supply")
+    roles = (
+        "position",
+        "velocity",
+        "current",
+        "temperature",
+        "ambient",
+        "level",
+        "signal",
+        "supply",
+    )
     still = {role: size * np.linspace(0.0, 1.0, 400) for role in roles}
-    at_rest = Conditions(sample_time=0.01, duration=4.0, magnitude=1.0, variables=still, missing=np.zeros(400))
-    assert all(np.isfinite(value) for start in EFFECTS[name].starts(at_rest) for value in start.values())
+    at_rest = Conditions(
+        sample_time=0.01, duration=4.0, magnitude=1.0, variables=still, missing=np.zeros(400)
+    )
+    assert all(
+        np.isfinite(value) for start in EFFECTS[name].starts(at_rest) for value in start.values()
+    )

@@ -11,7 +11,9 @@ from residuum.identification.physics.effects import EFFECTS
 def test_every_effect_has_a_curve_over_an_axis_with_a_unit(id):
     drawn = signature(EFFECTS[id])
     assert drawn.kind in EFFECTS[id].acts_on and len(drawn.at) == len(drawn.value) > 100
-    assert np.isfinite(drawn.value).all() and np.ptp(drawn.at) > 0 and drawn.axis_unit and drawn.unit
+    assert (
+        np.isfinite(drawn.value).all() and np.ptp(drawn.at) > 0 and drawn.axis_unit and drawn.unit
+    )
     if drawn.before is None:
         assert np.abs(drawn.value).max() > 0
     else:
@@ -48,5 +50,7 @@ def test_a_lag_follows_its_differential_equation():
 def test_what_remembers_draws_a_loop_and_what_does_not_a_line():
     for id, loop in (("hysteresis", True), ("coulomb-friction", False), ("linear-spring", False)):
         drawn = signature(EFFECTS[id])
-        middle = np.abs(drawn.at - np.median(drawn.at) - 0.1 * np.ptp(drawn.at)) < 0.01 * np.ptp(drawn.at)
+        middle = np.abs(drawn.at - np.median(drawn.at) - 0.1 * np.ptp(drawn.at)) < 0.01 * np.ptp(
+            drawn.at
+        )
         assert (np.ptp(drawn.value[middle]) > 0.5 * np.ptp(drawn.value)) == loop, id

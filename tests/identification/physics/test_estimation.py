@@ -51,7 +51,10 @@ def truth():
 
 @pytest.fixture(scope="module")
 def records(truth):
-    return [drive_record(truth, seed=1, start=(0.0, 30.0)), drive_record(truth, seed=2, start=(0.0, -80.0))]
+    return [
+        drive_record(truth, seed=1, start=(0.0, 30.0)),
+        drive_record(truth, seed=2, start=(0.0, -80.0)),
+    ]
 
 
 def structure():
@@ -71,14 +74,25 @@ def test_two_records_with_their_own_initial_states(truth, records):
 
 def test_bands_cover_the_truth_at_their_nominal_rate():
     """95 % intervals over 30 noise draws of a linear plant, off its nominal values."""
-    truth = load_model("linear-axis").with_values({"M": 70.0}).with_effect("viscous-friction", "axis", {"d": 40.0})
+    truth = (
+        load_model("linear-axis")
+        .with_values({"M": 70.0})
+        .with_effect("viscous-friction", "axis", {"d": 40.0})
+    )
     u = movement(600)[:, None] * 5
     e = Experiment(u, np.full((600, 2), np.nan), np.zeros(1), 0.005)
     y = Simulator(truth).run(e).Y
     inside = 0
     for seed in range(30):
-        noisy = Experiment(u, y + np.random.default_rng(seed).normal(size=y.shape) * [1e-4, 1e-3], np.zeros(1), 0.005)
-        result = estimate(load_model("linear-axis").with_effect("viscous-friction", "axis", {"d": 10.0}), [noisy])
+        noisy = Experiment(
+            u,
+            y + np.random.default_rng(seed).normal(size=y.shape) * [1e-4, 1e-3],
+            np.zeros(1),
+            0.005,
+        )
+        result = estimate(
+            load_model("linear-axis").with_effect("viscous-friction", "axis", {"d": 10.0}), [noisy]
+        )
         inside += int(np.sum(np.abs(result.theta - [70.0, 40.0]) < 1.96 * result.std))
     assert 50 <= inside <= 60
 
@@ -87,7 +101,9 @@ def test_speed_alone_cannot_tell_resistance_from_mass(records):
     without_current = [r.select(["voltage", "speed"]) for r in records]
     model, experiments = match(load_model("gate-drive"), without_current)
     result = estimate(model, experiments)
-    assert [set(flat.parameters) for flat in result.flat] == [{"R", "m"}] or {"R", "m"} <= set(result.flat[0].parameters)
+    assert [set(flat.parameters) for flat in result.flat] == [{"R", "m"}] or {"R", "m"} <= set(
+        result.flat[0].parameters
+    )
     assert np.isinf(result.std[list(result.parameters).index("m")])
     assert np.isfinite(result.std[list(result.parameters).index("K")])
 
@@ -95,7 +111,9 @@ def test_speed_alone_cannot_tell_resistance_from_mass(records):
 def test_prediction_over_windows_and_likelihood_agree_with_simulation(truth, records):
     model, experiments = match(structure().with_values({"R": 0.8, "m": 560.0}), records[:1])
     cut = estimate(model, [w for e in experiments for w in windows(e, 100)])
-    filtered = estimate_by_likelihood(model, experiments, free=["K", "coulomb-friction@shaft.tau_c"])
+    filtered = estimate_by_likelihood(
+        model, experiments, free=["K", "coulomb-friction@shaft.tau_c"]
+    )
     for result in (cut, filtered):
         assert result.model.values["K"] == pytest.approx(0.066, rel=0.01)
         assert result.model.values["coulomb-friction@shaft.tau_c"] == pytest.approx(0.05, rel=0.25)
@@ -122,17 +140,25 @@ def test_missing_samples_are_left_out_and_missing_inputs_refused(truth, records)
     voltage = np.array(record["voltage"])
     voltage[7] = np.nan
     with pytest.raises(BadRecord, match="has no value at sample 7"):
-        match(structure(), [Record({**record.channels, "voltage": voltage}, record.units, sample_time=0.005)])
+        match(
+            structure(),
+            [Record({**record.channels, "voltage": voltage}, record.units, sample_time=0.005)],
+        )
     with pytest.raises(BadRecord, match="input 'voltage' is missing"):
         match(structure(), [record.select(["speed"])])
     with pytest.raises(
-        BadRecord, match=r"input 'voltage' is mapped to 'u', which is not there; the columns are .*map={'voltage': 'COLUMN'}"
+        BadRecord,
+        match=r"input 'voltage' is mapped to 'u', which is not there; the columns are .*map={'voltage': 'COLUMN'}",
     ):
         match(structure(), [record], {"voltage": "u"})
 
 
 def test_columns_are_mapped_and_converted(records):
-    rpm = Record({"u": records[0]["voltage"], "n": records[0]["speed"] * 30 / np.pi}, {"u": "V", "n": "rpm"}, sample_time=0.005)
+    rpm = Record(
+        {"u": records[0]["voltage"], "n": records[0]["speed"] * 30 / np.pi},
+        {"u": "V", "n": "rpm"},
+        sample_time=0.005,
+    )
     _, [mapped] = match(load_model("gate-drive"), [rpm], {"voltage": "u", "speed": "n"})
     np.testing.assert_allclose(mapped.Y[:, 0], records[0]["speed"], rtol=1e-12)
     assert not mapped.measured[1]
@@ -166,7 +192,9 @@ def test_an_integrating_plant_is_followed_where_simulation_drifts():
 
 
 def test_a_model_that_diverges_at_its_start_is_refused_in_one_line(records):
-    model, experiments = match(load_model("gate-drive").with_effect("linear-spring", "shaft"), records)
+    model, experiments = match(
+        load_model("gate-drive").with_effect("linear-spring", "shaft"), records
+    )
     bad = model.with_values({"linear-spring@shaft.k": -1e4})
     with pytest.raises(NotIdentifiable, match="diverges at its starting values"):
         estimate(bad, experiments)
@@ -181,7 +209,9 @@ def test_silverbox_with_a_cubic_spring():
     cut = slice(40650, 40650 + 12000)
     units = {"force": "V", "position": "V"}
     record = Record({"force": u[cut], "position": y[cut]}, units, sample_time=1 / 610.35)
-    model, experiments = match(load_model("oscillator").with_effect("cubic-spring", "mass"), [record])
+    model, experiments = match(
+        load_model("oscillator").with_effect("cubic-spring", "mass"), [record]
+    )
     result = estimate(model, experiments)
     assert result.rmse[0] < 1.1e-3
     later = slice(115000, 127400)
@@ -196,7 +226,9 @@ def test_bands_hold_the_truth_where_the_noise_is_coloured():
     model = load_model("gate-drive").with_values({"R": 0.8, "K": 0.066, "m": 560.0})
     scores = []
     for seed in range(30):
-        matched, experiments = match(model, [drive_record(model, seed=seed, colour=0.95)], hold="linear")
+        matched, experiments = match(
+            model, [drive_record(model, seed=seed, colour=0.95)], hold="linear"
+        )
         found = with_coloured_noise(estimate(matched, experiments), experiments)
         known = np.isfinite(found.std)
         truth = np.array([model.values[name] for name in found.parameters])
@@ -206,7 +238,9 @@ def test_bands_hold_the_truth_where_the_noise_is_coloured():
 
 
 def test_curvature_that_overflows_says_nothing_of_any_parameter():
-    covariance, flat = covariance_of(np.array([[1e300, 1e308], [1e308, np.inf]]), 1.0, ("a", "b"), np.ones(2))
+    covariance, flat = covariance_of(
+        np.array([[1e300, 1e308], [1e308, np.inf]]), 1.0, ("a", "b"), np.ones(2)
+    )
     assert np.all(np.isinf(np.diag(covariance))) and flat == ()
 
 
@@ -219,7 +253,10 @@ def test_a_drive_switched_on_with_its_record_begins_without_current():
     assert Y[0] == pytest.approx([0.0, 0.0])
     e = Experiment(e.U, Y + rng.normal(size=Y.shape) * [0.3, 0.05], e.hold, e.sample_time)
     found = estimate(truth.with_values({"inductance@winding.L": 3e-3, "R": 0.7}), [e])
-    assert abs(found.model.values["inductance@winding.L"] - 8e-3) < 4 * found.std[found.parameters.index("inductance@winding.L")]
+    assert (
+        abs(found.model.values["inductance@winding.L"] - 8e-3)
+        < 4 * found.std[found.parameters.index("inductance@winding.L")]
+    )
     np.testing.assert_allclose(found.rmse, [0.3, 0.05], rtol=0.1)
 
 
@@ -227,7 +264,11 @@ def test_curvature_that_underflows_is_scaled_without_overflow():
     H = np.diag([4.0, 1e-320])
     covariance, _ = covariance_of(H, 1.0, ("a", "b"), np.ones(2))
     assert covariance[0, 0] == pytest.approx(0.25)
-    np.testing.assert_allclose(solve_scaled(H, np.array([[8.0], [1e-320]]))[:, 0], [2.0, 1.0], rtol=1e-3)
-    alike = np.array([[4.0, 1e300], [1e300, 1e-320]])  # no Gram matrix has it; a sum that overflowed may
+    np.testing.assert_allclose(
+        solve_scaled(H, np.array([[8.0], [1e-320]]))[:, 0], [2.0, 1.0], rtol=1e-3
+    )
+    alike = np.array(
+        [[4.0, 1e300], [1e300, 1e-320]]
+    )  # no Gram matrix has it; a sum that overflowed may
     assert np.all(np.isinf(np.diag(covariance_of(alike, 1.0, ("a", "b"), np.ones(2))[0])))
     assert not solve_scaled(alike, np.ones((2, 1))).any()

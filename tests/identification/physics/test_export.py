@@ -20,7 +20,9 @@ from residuum.service.cli import BAD_INPUT, DONE, run
 
 fmpy = pytest.importorskip("fmpy")
 
-_reader = importlib.util.spec_from_file_location("modelica_reader", Path(__file__).with_name("modelica_reader.py"))
+_reader = importlib.util.spec_from_file_location(
+    "modelica_reader", Path(__file__).with_name("modelica_reader.py")
+)
 modelica_reader = importlib.util.module_from_spec(_reader)
 _reader.loader.exec_module(modelica_reader)
 validate_fmu = pytest.importorskip("fmpy.validation").validate_fmu
@@ -77,9 +79,15 @@ def models():
     mended = [
         read_model(AXIS),
         read_model(PUMP),
-        drive.with_effect("viscous-friction", "shaft", {"d": 3e-5}).with_effect("inductance", "winding", {"L": 1e-3}),
-        drive.with_effect("coulomb-friction", "shaft", {"tau_c": 0.05}).with_effect("brush-drop", "winding", {"V_b": 1.0}),
-        axis.with_effect("coulomb-friction", "axis", {"tau_c": 0.5}).with_effect("output-quantisation", "position", {"q": 1e-3}),
+        drive.with_effect("viscous-friction", "shaft", {"d": 3e-5}).with_effect(
+            "inductance", "winding", {"L": 1e-3}
+        ),
+        drive.with_effect("coulomb-friction", "shaft", {"tau_c": 0.05}).with_effect(
+            "brush-drop", "winding", {"V_b": 1.0}
+        ),
+        axis.with_effect("coulomb-friction", "axis", {"tau_c": 0.5}).with_effect(
+            "output-quantisation", "position", {"q": 1e-3}
+        ),
     ]
     return [*map(load_model, BUILT_IN), *mended]
 
@@ -94,7 +102,9 @@ def movement(model, n=120):
 
 
 def expected(model, U):
-    experiment = Experiment(U, np.full((len(U), len(model.outputs)), np.nan), np.zeros(U.shape[1]), DT)
+    experiment = Experiment(
+        U, np.full((len(U), len(model.outputs)), np.nan), np.zeros(U.shape[1]), DT
+    )
     return Simulator(model).run(experiment, substeps=SUBSTEPS).Y
 
 
@@ -102,13 +112,34 @@ def from_c(model, U, tmp_path):
     made = explicit(model)
     source, library = tmp_path / "model.c", tmp_path / "model.so"
     source.write_text(EXPORTS["c"](made))
-    subprocess.run(["gcc", "-std=c99", "-Wall", "-Werror", "-O1", "-shared", "-fPIC", "-o", library, source, "-lm"], check=True)
+    subprocess.run(
+        [
+            "gcc",
+            "-std=c99",
+            "-Wall",
+            "-Werror",
+            "-O1",
+            "-shared",
+            "-fPIC",
+            "-o",
+            library,
+            source,
+            "-lm",
+        ],
+        check=True,
+    )
     code, double = ctypes.CDLL(str(library)), ctypes.POINTER(ctypes.c_double)
     p = (ctypes.c_double * max(len(made.parameters), 1)).in_dll(code, f"{made.name}_parameters")
-    x, y, u = np.zeros(max(len(made.states), 1)), np.zeros(len(made.outputs)), np.ascontiguousarray(U)
+    x, y, u = (
+        np.zeros(max(len(made.states), 1)),
+        np.zeros(len(made.outputs)),
+        np.ascontiguousarray(U),
+    )
     at = [v.ctypes.data_as(double) for v in (x, y)]
     seen = np.empty((len(U), len(made.outputs)))
-    getattr(code, f"{made.name}_initial")(ctypes.c_double(0.0), u[0].ctypes.data_as(double), p, at[0])
+    getattr(code, f"{made.name}_initial")(
+        ctypes.c_double(0.0), u[0].ctypes.data_as(double), p, at[0]
+    )
     for k in range(len(U)):
         held = u[k].ctypes.data_as(double)
         getattr(code, f"{made.name}_outputs")(ctypes.c_double(k * DT), at[0], held, p, at[1])
@@ -145,7 +176,10 @@ def unpacked(model, tmp_path):
 def from_fmu(model, U, tmp_path):
     description, arguments = unpacked(model, tmp_path)
     slave = fmpy.fmi2.FMU2Slave(**arguments)
-    ins, outs = ([v.valueReference for v in description.modelVariables if v.causality == kind] for kind in ("input", "output"))
+    ins, outs = (
+        [v.valueReference for v in description.modelVariables if v.causality == kind]
+        for kind in ("input", "output")
+    )
     slave.instantiate()
     slave.setupExperiment(startTime=0.0)
     slave.enterInitializationMode()
@@ -165,12 +199,17 @@ def from_modelica(model, U, tmp_path):
     return modelica_reader.ModelicaModel(EXPORTS["modelica"](explicit(model))).run(U, DT)
 
 
-WAYS = [*((model, way) for model in models() for way in (from_python, from_fmu)), (models()[-1], from_c)]
+WAYS = [
+    *((model, way) for model in models() for way in (from_python, from_fmu)),
+    (models()[-1], from_c),
+]
 WAYS += [(model, from_modelica) for model in models()[: len(BUILT_IN) + 2]]
 """The library of an FMU is the exported C, compiled; Modelica is read back where no dry friction needs its tool's events."""
 
 
-@pytest.mark.parametrize(("model", "run_exported"), WAYS, ids=[f"{name_of(m)}-{way.__name__}" for m, way in WAYS])
+@pytest.mark.parametrize(
+    ("model", "run_exported"), WAYS, ids=[f"{name_of(m)}-{way.__name__}" for m, way in WAYS]
+)
 def test_the_export_moves_as_the_model_does(model, run_exported, tmp_path):
     U = movement(model)
     truth, seen = expected(model, U), run_exported(model, U, tmp_path)
@@ -232,13 +271,20 @@ def test_modelica_and_matlab_name_every_equation():
     modelica, matlab = EXPORTS["modelica"](made), EXPORTS["matlab"](made)
     assert modelica.count("der(") == len(made.states) == 4
     assert modelica.rstrip().endswith("end soft_axis;")
-    assert "Piecewise" not in modelica + matlab and "Max(" not in modelica and "Min(" not in modelica
-    assert all(re.search(rf"\b{name}\b", modelica) and re.search(rf"q\.{name}\b", matlab) for name in made.parameters)
+    assert (
+        "Piecewise" not in modelica + matlab and "Max(" not in modelica and "Min(" not in modelica
+    )
+    assert all(
+        re.search(rf"\b{name}\b", modelica) and re.search(rf"q\.{name}\b", matlab)
+        for name in made.parameters
+    )
     assert modelica.count("(") == modelica.count(")") and matlab.count("(") == matlab.count(")")
 
 
 def test_dry_friction_says_what_the_text_does_at_rest():
-    rubbing = explicit(load_model("linear-axis").with_effect("coulomb-friction", "axis", {"tau_c": 20.0}))
+    rubbing = explicit(
+        load_model("linear-axis").with_effect("coulomb-friction", "axis", {"tau_c": 20.0})
+    )
     assert all("Standstill is exact" in EXPORTS[to](rubbing) for to in ("c", "python"))
     assert all("Standstill: where" in EXPORTS[to](rubbing) for to in ("modelica", "matlab"))
 

@@ -31,7 +31,9 @@ def rubbing(tmp_path_factory):
     Y = Y + rng.normal(scale=[1e-4, 1e-3], size=Y.shape)
     file = tmp_path_factory.mktemp("record") / "axis.csv"
     units = {"force": "N", "position": "m", "velocity": "m/s"}
-    write_record(Record({"force": U[:, 0], "position": Y[:, 0], "velocity": Y[:, 1]}, units, DT), file)
+    write_record(
+        Record({"force": U[:, 0], "position": Y[:, 0], "velocity": Y[:, 1]}, units, DT), file
+    )
     return str(file)
 
 
@@ -49,7 +51,9 @@ def rewritten(file, to, rename=lambda name: name, **replaced):
     with zipfile.ZipFile(file) as old, zipfile.ZipFile(held, "w") as new:
         for name in old.namelist():
             key = name.rsplit(".", 1)[-1]
-            new.writestr(rename(name), replaced[key](old.read(name)) if key in replaced else old.read(name))
+            new.writestr(
+                rename(name), replaced[key](old.read(name)) if key in replaced else old.read(name)
+            )
     to.write_bytes(held.getvalue())
     return str(to)
 
@@ -63,21 +67,30 @@ def test_an_fmu_is_compared_as_the_model_that_it_was_made_of(axis, rubbing, capf
     ours = answer(capfd, "compare", "linear-axis", rubbing)
     theirs = answer(capfd, "compare", str(axis), rubbing)
     for name in ("position", "velocity"):
-        assert theirs["outputs"][name]["rmse"] == pytest.approx(ours["outputs"][name]["rmse"], rel=1e-4)
+        assert theirs["outputs"][name]["rmse"] == pytest.approx(
+            ours["outputs"][name]["rmse"], rel=1e-4
+        )
     assert theirs["structured_error"]["present"]
     assert theirs["balances"]["v"]["unit"] == "m/s/s"
 
 
 def test_the_friction_that_an_fmu_lacks_is_named(axis, rubbing, capfd):
     told = answer(
-        capfd, "explain", str(axis), rubbing, "--effects", "coulomb-friction,viscous-friction,quadratic-drag,constant-load"
+        capfd,
+        "explain",
+        str(axis),
+        rubbing,
+        "--effects",
+        "coulomb-friction,viscous-friction,quadratic-drag,constant-load",
     )
     first = told["candidates"][0]
     assert (first["effect"], first["balance"]) == ("coulomb-friction", "v")
     assert first["parameters"]["tau_c"]["value"] == pytest.approx(20.0 / 95.0, rel=0.03)
 
 
-def test_one_that_can_only_simulate_itself_is_compared_by_its_outputs(axis, rubbing, tmp_path, capfd):
+def test_one_that_can_only_simulate_itself_is_compared_by_its_outputs(
+    axis, rubbing, tmp_path, capfd
+):
     def alone(text):
         head, _, rest = text.partition(b"<ModelExchange")
         return head + rest.partition(b"</ModelExchange>")[2]
@@ -98,13 +111,19 @@ def test_one_that_breaks_down_ends_its_own_process_alone(axis, rubbing, tmp_path
         archive.extractall(tmp_path)
     source = tmp_path / "sources" / "fmi2.c"
     source.write_text(source.read_text().replace("if (m) reset(m);", "abort();"))
-    subprocess.run(["gcc", "-shared", "-fPIC", "-o", tmp_path / "break.so", source, "-lm"], check=True)
-    file = rewritten(axis, tmp_path / "break.fmu", so=lambda _: (tmp_path / "break.so").read_bytes())
+    subprocess.run(
+        ["gcc", "-shared", "-fPIC", "-o", tmp_path / "break.so", source, "-lm"], check=True
+    )
+    file = rewritten(
+        axis, tmp_path / "break.fmu", so=lambda _: (tmp_path / "break.so").read_bytes()
+    )
     assert run(["compare", file, rubbing]) == BAD_INPUT
     assert "the FMU ended the process that ran it (SIGABRT)" in capfd.readouterr().err
 
 
-@pytest.mark.parametrize(("content", "says"), [(b"no zip", "is not an FMU"), (None, "no such file")])
+@pytest.mark.parametrize(
+    ("content", "says"), [(b"no zip", "is not an FMU"), (None, "no such file")]
+)
 def test_what_is_no_fmu_is_refused(tmp_path, content, says):
     file = tmp_path / "x.fmu"
     if content:

@@ -21,7 +21,9 @@ def steps(inputs=1):
 
 
 def moved(physical, U):
-    experiment = Experiment(U, np.full((N, len(physical.outputs)), np.nan), np.zeros(U.shape[1]), DT)
+    experiment = Experiment(
+        U, np.full((N, len(physical.outputs)), np.nan), np.zeros(U.shape[1]), DT
+    )
     return Simulator(physical).run(experiment, substeps=20).Y
 
 
@@ -63,7 +65,9 @@ def test_a_transfer_function_moves_as_scipy_says(tmp_path, way):
 def test_a_state_space_of_several_signals_moves_as_scipy_says(discrete):
     system = scipy.signal.StateSpace(*SPACE)
     given = system.to_discrete(DT) if discrete else system
-    model = rs.linear_model(given, inputs=["a", "b"], outputs=["p", "q"], units={"a": "V", "q": "m"})
+    model = rs.linear_model(
+        given, inputs=["a", "b"], outputs=["p", "q"], units={"a": "V", "q": "m"}
+    )
     U = steps(2)
     expected = truth(SPACE, U)
     np.testing.assert_allclose(moved(model.physical, U), expected, atol=1e-6 * np.ptp(expected))
@@ -88,7 +92,11 @@ def test_equations_of_sympy_are_a_model_in_which_effects_act():
         parameters={"M": (3.7, "kg"), "d": (2.3, "N*s/m")},
         kinds={"v": "force"},
     )
-    axis = load_model("linear-axis").with_values({"M": 3.7}).with_effect("viscous-friction", "axis", {"d": 2.3})
+    axis = (
+        load_model("linear-axis")
+        .with_values({"M": 3.7})
+        .with_effect("viscous-friction", "axis", {"d": 2.3})
+    )
     U = steps()
     np.testing.assert_allclose(moved(made.physical, U), moved(axis, U), atol=1e-10)
     assert made.with_effect("coulomb-friction", "v", tau_c=0.2).effects == ("coulomb-friction@v",)
@@ -96,18 +104,28 @@ def test_equations_of_sympy_are_a_model_in_which_effects_act():
     one_way = rs.equations_model({q: cases}, {"y": q}, states={"q": "m"}, inputs={"v": "m/s"})
     assert one_way.physical.balances["q"].terms["rate"].text == "where((v <= 2) and (v > 0), v, 0)"
     with pytest.raises(rs.BadModel, match="last case"):
-        rs.equations_model({q: sympy.Piecewise((v, v > 0))}, {"y": q}, states={"q": "m"}, inputs={"v": "m/s"})
+        rs.equations_model(
+            {q: sympy.Piecewise((v, v > 0))}, {"y": q}, states={"q": "m"}, inputs={"v": "m/s"}
+        )
     with pytest.raises(rs.BadModel, match="besselj is not known"):
-        rs.equations_model({q: sympy.besselj(0, v)}, {"y": q}, states={"q": "m"}, inputs={"v": "m/s"})
+        rs.equations_model(
+            {q: sympy.besselj(0, v)}, {"y": q}, states={"q": "m"}, inputs={"v": "m/s"}
+        )
 
 
 def test_a_dead_zone_before_a_transfer_function_is_named(tmp_path, capsys):
     file, record = tmp_path / "plant.json", tmp_path / "record.csv"
-    file.write_text(json.dumps({"numerator": [2.0], "denominator": [0.3, 1.0], "units": {"u": "V", "y": "m"}}))
+    file.write_text(
+        json.dumps({"numerator": [2.0], "denominator": [0.3, 1.0], "units": {"u": "V", "y": "m"}})
+    )
     rng = np.random.default_rng(5)
     u = np.repeat(rng.uniform(-1.0, 1.0, 30), 20)
-    seen = moved_long(np.sign(u) * np.maximum(np.abs(u) - 0.3, 0.0)) + rng.normal(scale=2e-3, size=u.size)
-    rows = "\n".join(f"{DT * k:.2f},{a:.6f},{b:.6f}" for k, (a, b) in enumerate(zip(u, seen, strict=True)))
+    seen = moved_long(np.sign(u) * np.maximum(np.abs(u) - 0.3, 0.0)) + rng.normal(
+        scale=2e-3, size=u.size
+    )
+    rows = "\n".join(
+        f"{DT * k:.2f},{a:.6f},{b:.6f}" for k, (a, b) in enumerate(zip(u, seen, strict=True))
+    )
     record.write_text(f"time [s],u [V],y [m]\n{rows}\n")
     effects = "input-dead-zone,output-offset"
     assert run(["explain", str(file), str(record), "--effects", effects, "--json"]) == DONE
@@ -129,9 +147,18 @@ def moved_long(u):
         ({"numerator": [1, 2, 3], "denominator": [1, 2]}, "at most the denominator's degree"),
         ({"numerator": [1]}, "needs numerator and denominator"),
         ({"A": [[1, 2]], "B": [[1]], "C": [[1]]}, "do not fit"),
-        ({"numerator": [1], "denominator": [1, 1], "gain": 3}, "'gain' is not part of a linear model"),
-        ({"numerator": [1], "denominator": [1, 0.5, 0], "sample_time": 0.1}, "a pole at or left of zero"),
-        ({"numerator": [1], "denominator": [1, 1], "units": {"x": "m"}}, "no signal 'x'; there are u, y"),
+        (
+            {"numerator": [1], "denominator": [1, 1], "gain": 3},
+            "'gain' is not part of a linear model",
+        ),
+        (
+            {"numerator": [1], "denominator": [1, 0.5, 0], "sample_time": 0.1},
+            "a pole at or left of zero",
+        ),
+        (
+            {"numerator": [1], "denominator": [1, 1], "units": {"x": "m"}},
+            "no signal 'x'; there are u, y",
+        ),
         ([1], "no transfer function"),
     ],
 )

@@ -5,7 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from residuum.identification.physics import Experiment, Settings, Simulator, estimate, read_model, windows
+from residuum.identification.physics import (
+    Experiment,
+    Settings,
+    Simulator,
+    estimate,
+    read_model,
+    windows,
+)
 from residuum.identification.physics.estimation.estimation import _Problem
 from residuum.identification.physics.estimation.gauss_newton import Cells, Problem, _eliminated
 from residuum.identification.unseen_blocks.scale import Scale
@@ -78,19 +85,31 @@ def test_huber_s_weights_make_an_event_count_no_more_than_its_size():
     clip = np.array([1.0, 2.0])
     fit = problem(model, [e], Scale(weights, clip)).begin(np.array([[0.2, 0.0]]))
     errors = np.abs(fit.residuals[0] * weights)
-    assert fit.cost == pytest.approx(np.where(errors <= clip, errors**2, clip * (2.0 * errors - clip)).sum(), rel=1e-10)
+    assert fit.cost == pytest.approx(
+        np.where(errors <= clip, errors**2, clip * (2.0 * errors - clip)).sum(), rel=1e-10
+    )
     robust = fit.descended(30, 1e-6).model.values
     plainly = (
-        problem(model, [e], Scale(weights, np.full(2, np.inf))).begin(np.array([[0.2, 0.0]])).descended(30, 1e-6).model.values
+        problem(model, [e], Scale(weights, np.full(2, np.inf)))
+        .begin(np.array([[0.2, 0.0]]))
+        .descended(30, 1e-6)
+        .model.values
     )
     assert abs(robust["k"] - 0.6) < 0.2 * abs(plainly["k"] - 0.6)
 
 
 def test_a_descent_ends_at_the_least_error_and_keeps_bounds():
-    bounded = DRIVE.replace("value: 0.6, unit: N*m/V, lower: 0.1, upper: 2", "value: 0.4, unit: N*m/V, lower: 0.1, upper: 0.5")
+    bounded = DRIVE.replace(
+        "value: 0.6, unit: N*m/V, lower: 0.1, upper: 2",
+        "value: 0.4, unit: N*m/V, lower: 0.1, upper: 0.5",
+    )
     model = read_model(bounded)
     e, weights = drive(noise=0.02), np.array([3.0, 0.7])
-    found = problem(model, [e], Scale(weights, np.full(2, np.inf))).begin(np.array([[0.0, 0.0]])).descended(40, 1e-9)
+    found = (
+        problem(model, [e], Scale(weights, np.full(2, np.inf)))
+        .begin(np.array([[0.0, 0.0]]))
+        .descended(40, 1e-9)
+    )
     known = estimate(model, [e], settings=Settings(weights=weights), substeps=[1])
     assert found.cost == pytest.approx(known.cost, rel=1e-6)
     np.testing.assert_allclose(found.theta, known.theta, rtol=1e-3)
@@ -106,7 +125,11 @@ def test_a_fit_without_some_cells_is_that_of_the_others_in_a_step_or_two():
     off = {1: [], 2: []}
     for fold in range(4):
         out = fit.problem.cells.block % 4 == fold
-        masked = replace(e, Y=np.where((block % 4 == fold)[:, None], np.nan, e.Y), known=dict(zip("qv", fit.X0[0], strict=True)))
+        masked = replace(
+            e,
+            Y=np.where((block % 4 == fold)[:, None], np.nan, e.Y),
+            known=dict(zip("qv", fit.X0[0], strict=True)),
+        )
         rest = estimate(model, [masked], settings=Settings(weights=weights), substeps=[1])
         errors = ((e.Y - rest.predicted[0]) * weights)[block % 4 == fold]
         for steps, each in off.items():

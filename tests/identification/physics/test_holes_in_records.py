@@ -20,7 +20,9 @@ def drive(n=2000, hole=()):
         v[k + 1] = v[k] + H * u[k] / 95.0
     for channel in (u, v):
         channel[slice(*hole) if hole else slice(0, 0)] = np.nan
-    return Record({"force": u, "velocity": v}, {"force": "N", "velocity": "m/s"}, H, t0=5.0, source="axis.csv")
+    return Record(
+        {"force": u, "velocity": v}, {"force": "N", "velocity": "m/s"}, H, t0=5.0, source="axis.csv"
+    )
 
 
 def test_the_parts_are_what_was_measured():
@@ -56,22 +58,37 @@ def test_an_input_that_is_there_now_and_then_is_refused():
 
 @pytest.mark.parametrize("separator", [",", ";"])
 @pytest.mark.parametrize("every", [2, 5])
-def test_an_input_of_a_lower_rate_is_completed_by_resampling_as_its_refusal_says(tmp_path, every, separator):
+def test_an_input_of_a_lower_rate_is_completed_by_resampling_as_its_refusal_says(
+    tmp_path, every, separator
+):
     """No hole is one: the values between are asked for, and come from the input's own samples."""
     whole = drive()
     force = 50.0 * np.sin(2 * np.pi * 0.3 * whole.time)
-    slow = Record({"force": np.where(np.arange(2000) % every, np.nan, force), "velocity": whole["velocity"]}, whole.units, H)
+    slow = Record(
+        {"force": np.where(np.arange(2000) % every, np.nan, force), "velocity": whole["velocity"]},
+        whole.units,
+        H,
+    )
     rs.from_arrays(slow.channels, units=slow.units, sample_time=H).save(tmp_path / "axis.csv")
     (tmp_path / "axis.csv").write_text((tmp_path / "axis.csv").read_text().replace(",", separator))
-    with pytest.raises(BadRecord, match=f"one every {every} samples; say resample=True where the record is read"):
+    with pytest.raises(
+        BadRecord, match=f"one every {every} samples; say resample=True where the record is read"
+    ):
         rs.model("linear-axis").compare(rs.read(tmp_path / "axis.csv"))
     record = rs.read(tmp_path / "axis.csv", resample=True)
     assert any("force resampled to 0.01 s" in note for note in record.notes)
-    assert np.nanmax(np.abs(record["force"] - force)) < 0.2 and np.isnan(record["force"]).sum() == every - 1
+    assert (
+        np.nanmax(np.abs(record["force"] - force)) < 0.2
+        and np.isnan(record["force"]).sum() == every - 1
+    )
     assert not np.isnan(record["velocity"]).any() and rs.model("linear-axis").compare(record)
 
 
 def test_resampling_fills_no_stretch_of_an_even_record(tmp_path):
-    record = rs.from_arrays(drive(hole=(800, 801)).channels, units={"force": "N", "velocity": "m/s"}, sample_time=H)
+    record = rs.from_arrays(
+        drive(hole=(800, 801)).channels, units={"force": "N", "velocity": "m/s"}, sample_time=H
+    )
     record.save(tmp_path / "axis.csv")
-    assert np.flatnonzero(np.isnan(rs.read(tmp_path / "axis.csv", resample=True)["force"])).tolist() == [800]
+    assert np.flatnonzero(
+        np.isnan(rs.read(tmp_path / "axis.csv", resample=True)["force"])
+    ).tolist() == [800]

@@ -64,7 +64,12 @@ def test_a_node_between_two_valves_is_solved_as_scipy_solves_it():
     e, model = given(1, 2), read_model(NODE)
 
     def middle(h):
-        return brentq(lambda n: 0.02 * np.sqrt(max(h - n, 0)) - 0.03 * np.sqrt(n) - 0.004 * n, 0.0, h, xtol=1e-14)
+        return brentq(
+            lambda n: 0.02 * np.sqrt(max(h - n, 0)) - 0.03 * np.sqrt(n) - 0.004 * n,
+            0.0,
+            h,
+            xtol=1e-14,
+        )
 
     h, seen = 1.0, []
     for (u,) in e.U:
@@ -80,7 +85,10 @@ def test_two_balances_that_define_each_other_are_solved_together():
     y = Simulator(model).run(e, substeps=40).Y[:, 0]
     q = Simulator(model).run(e, substeps=40).X[:, 0]
     for k in range(0, 400, 37):
-        i = fsolve(lambda i, k=k: e.U[k, 0] - 2.0 * i - 0.3 * np.log(1 + max((i[0] - q[k]) / 0.001, -0.9)), [q[k] + 0.01])[0]
+        i = fsolve(
+            lambda i, k=k: e.U[k, 0] - 2.0 * i - 0.3 * np.log(1 + max((i[0] - q[k]) / 0.001, -0.9)),
+            [q[k] + 0.01],
+        )[0]
         assert y[k] == pytest.approx(i, rel=1e-7)
 
 
@@ -90,7 +98,10 @@ def test_slopes_are_exact(text, names):
     run = Simulator(model).run(e, slopes=names, substeps=40)
     for k, name in enumerate(names):
         h = 1e-6 * model.values[name]
-        up, down = (Simulator(model).run(e, values={name: model.values[name] + s * h}, substeps=40).Y for s in (1, -1))
+        up, down = (
+            Simulator(model).run(e, values={name: model.values[name] + s * h}, substeps=40).Y
+            for s in (1, -1)
+        )
         change = (up - down) / (2 * h)
         assert np.abs(run.dY[:, :, k] - change).max() < 1e-4 * np.abs(change).max()
 
@@ -103,7 +114,9 @@ def test_a_written_model_keeps_its_start_values_and_no_export_holds_it():
 
 
 def test_what_cannot_be_solved_is_refused():
-    with pytest.raises(BadModel, match=r"line 15, column \d+: algebraic loop: balance 'node'.*start: 1.0"):
+    with pytest.raises(
+        BadModel, match=r"line 15, column \d+: algebraic loop: balance 'node'.*start: 1.0"
+    ):
         read_model(NODE.replace("    start: 0.5\n", ""))
     index_2 = DIODE.replace("ohm * (i - q - d)", "ohm * (i - q) + 0 * ohm * d").replace(
         ", diode: -V * log(1 + max(d / I, -0.9))", ""

@@ -70,10 +70,20 @@ def casadi_trajectory(experiment, values, x0, substeps):
 def test_states_and_sensitivities_agree_with_casadi():
     model = read_model(DRIVE).with_effect("viscous-friction", "shaft", {"d": 2e-3})
     model = model.with_effect("cubic-spring", "shaft", {"k_3": 0.03, "k_2": 0.01, "q_0": 0.1})
-    names = ["J", "K", "R", "a", "viscous-friction@shaft.d", "cubic-spring@shaft.k_3", "initial:omega"]
+    names = [
+        "J",
+        "K",
+        "R",
+        "a",
+        "viscous-friction@shaft.d",
+        "cubic-spring@shaft.k_3",
+        "initial:omega",
+    ]
     start = {"theta": 0.4, "omega": 3.0, "T": 5.0}
     run = Simulator(model).run(record(), start, slopes=names, substeps=3)
-    Y, dY = casadi_trajectory(record(), [*(model.values[n] for n in names[:-1]), 3.0], list(start.values()), 3)
+    Y, dY = casadi_trajectory(
+        record(), [*(model.values[n] for n in names[:-1]), 3.0], list(start.values()), 3
+    )
     np.testing.assert_allclose(run.Y, Y, rtol=1e-9, atol=1e-9 * np.abs(Y).max())
     scale = np.abs(dY).max(axis=(0, 1))
     np.testing.assert_allclose(run.dY / scale, dY / scale, rtol=1e-9, atol=1e-9)
@@ -84,7 +94,12 @@ def test_a_first_order_lag_is_its_exponential():
     model = load_model("oven").with_values({"h": 40.0})
     n, sample_time = 200, 30.0
     ambient = np.full(n, 22.0)
-    e = Experiment(np.column_stack([np.full(n, 50.0), ambient]), np.full((n, 1), np.nan), np.zeros(2), sample_time)
+    e = Experiment(
+        np.column_stack([np.full(n, 50.0), ambient]),
+        np.full((n, 1), np.nan),
+        np.zeros(2),
+        sample_time,
+    )
     run = Simulator(model).run(e, {"T": 22.0}, slopes=["h"], substeps=8)
     t = np.arange(n) * sample_time
     P, C, h = 6000.0, 120000.0, 40.0
@@ -95,18 +110,26 @@ def test_a_first_order_lag_is_its_exponential():
 
 def test_sliding_mass_stops_where_coulomb_says_and_stays():
     """v₀²/(2 τ_c/M) of travel; then, pushed below τ_c, not a micrometre more; above it, it breaks away."""
-    model = load_model("linear-axis").with_values({"M": 2.0}).with_effect("coulomb-friction", "axis", {"tau_c": 4.0})
+    model = (
+        load_model("linear-axis")
+        .with_values({"M": 2.0})
+        .with_effect("coulomb-friction", "axis", {"tau_c": 4.0})
+    )
     n, sample_time = 3000, 1e-3
     U = np.zeros((n, 1))
     U[1000:2000], U[2000:] = 3.9, 6.0
     e = Experiment(U, np.full((n, 2), np.nan), np.zeros(1), sample_time)
-    run = Simulator(model).run(e, {"q": 0.0, "v": 1.0}, slopes=["coulomb-friction@axis.tau_c", "initial:v"])
+    run = Simulator(model).run(
+        e, {"q": 0.0, "v": 1.0}, slopes=["coulomb-friction@axis.tau_c", "initial:v"]
+    )
     q, v = run.Y.T
     assert q[1000] == pytest.approx(0.25, abs=2e-6)
     assert np.ptp(q[1000:2001]) == 0.0
     assert np.all(v[1000:2001] == 0.0)
     assert v[-1] == pytest.approx(1.0 * 0.999, abs=2e-3)
-    np.testing.assert_allclose(run.dY[1500, 0], [-(1.0**2) * 2 / (2 * 4.0**2), 1.0 * 2 / 4.0], atol=3e-3)
+    np.testing.assert_allclose(
+        run.dY[1500, 0], [-(1.0**2) * 2 / (2 * 4.0**2), 1.0 * 2 / 4.0], atol=3e-3
+    )
 
 
 def test_current_does_not_flow_below_the_brush_drop():

@@ -68,12 +68,18 @@ def test_a_value_of_a_table_has_exact_slopes_and_is_estimated():
     moved = run(model, U, slopes=("top", "c"))
     for k, name in enumerate(("top", "c")):
         h = 1e-6 * model.values[name]
-        up, down = (run(model.with_values({name: model.values[name] + s * h}), U).Y for s in (1, -1))
+        up, down = (
+            run(model.with_values({name: model.values[name] + s * h}), U).Y for s in (1, -1)
+        )
         assert moved.dY[:, :, k] == pytest.approx((up - down) / (2 * h), abs=1e-4)
-    y = reference(U, top=1.2, c=0.12)[:, 0] + 0.002 * np.random.default_rng(1).standard_normal(len(U))
+    y = reference(U, top=1.2, c=0.12)[:, 0] + 0.002 * np.random.default_rng(1).standard_normal(
+        len(U)
+    )
     record = rs.Record({"speed": U[:, 0], "level": y}, {"speed": "1/s", "level": "m"}, 0.1)
     found = rs.Model(model).estimate(record).parameters
-    assert found["top"]["value"] == pytest.approx(1.2, rel=0.01) and found["c"]["value"] == pytest.approx(0.12, rel=0.01)
+    assert found["top"]["value"] == pytest.approx(1.2, rel=0.01) and found["c"][
+        "value"
+    ] == pytest.approx(0.12, rel=0.01)
 
 
 def test_a_written_model_is_the_same():
@@ -111,12 +117,18 @@ def test_an_expression_has_the_value_that_is_meant(text, value):
         ("v: sqrt(2 * g * max(h, 0))", "v: sqrt(2 * g * v)", "'v' is defined by itself"),
         ("low: 0.1 m}", "low: 0.1 m, h: 1 m}", "'h' is declared in states already"),
         ("low: 0.1 m}", "low: much m}", "constant 'low'"),
-        ('angle: {value: "atan2(h, low)"}', 'angle: {value: "(h > low) * 2"}', "'>' is not expected|is missing"),
+        (
+            'angle: {value: "atan2(h, low)"}',
+            'angle: {value: "(h > low) * 2"}',
+            "'>' is not expected|is missing",
+        ),
     ],
 )
 def test_refusals_say_what_and_where(old, new, says):
     assert old in TANK
-    with pytest.raises(BadModel, match=r"line \d+, column \d+: .*(" + says.replace("()", r"\(\)") + ")"):
+    with pytest.raises(
+        BadModel, match=r"line \d+, column \d+: .*(" + says.replace("()", r"\(\)") + ")"
+    ):
         read_model(TANK.replace(old, new))
 
 

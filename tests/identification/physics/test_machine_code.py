@@ -17,11 +17,15 @@ def test_dropped_code_takes_nothing_along(monkeypatch):
     monkeypatch.setattr(machine_code, "_PLACED", 7)  # so that linkers come and go too
     model = load_model("linear-axis")
     simulator = Simulator(model)
-    push = Experiment(np.full((50, 1), 95.0), np.full((50, 2), np.nan), np.zeros(1), sample_time=0.1)
+    push = Experiment(
+        np.full((50, 1), 95.0), np.full((50, 2), np.nan), np.zeros(1), sample_time=0.1
+    )
     before = simulator.run(push).Y
     code = [machine_code.compiled(text) for text in generate(compose(model))]
     for _ in range(60):
-        addresses = [f.__wrapper_address__() for f in machine_code.loaded(code, machine_code.FUNCTIONS)]
+        addresses = [
+            f.__wrapper_address__() for f in machine_code.loaded(code, machine_code.FUNCTIONS)
+        ]
         assert all(addresses)
     _kernel.cache_clear()
     gc.collect()
@@ -44,7 +48,9 @@ def test_structures_share_what_their_equations_do_not_change(empty_cache):
     alone = set(empty_cache.glob("code_*"))
     kernel_of(model.with_effect("constant-load", "axis"))
     assert len(alone) == 3
-    assert len(set(empty_cache.glob("code_*")) - alone) == 1  # its own equations; columns and observation are there
+    assert (
+        len(set(empty_cache.glob("code_*")) - alone) == 1
+    )  # its own equations; columns and observation are there
 
 
 def test_a_structure_that_many_threads_ask_for_is_compiled_once(empty_cache, monkeypatch):

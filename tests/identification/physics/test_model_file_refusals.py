@@ -5,7 +5,13 @@ import re
 import pytest
 
 from residuum.identification.errors import BadModel
-from residuum.identification.physics import BUILT_IN, candidates, load_model, read_model, write_model
+from residuum.identification.physics import (
+    BUILT_IN,
+    candidates,
+    load_model,
+    read_model,
+    write_model,
+)
 from residuum.identification.physics.effects import EFFECTS
 
 AXIS = """name: my axis
@@ -45,9 +51,24 @@ def test_contract_examples_are_read_and_written(text):
         (AXIS, "M * der(v)", "M", r"line 6, column 37: balance 'axis': storage has no der\(\)"),
         (AXIS, "rate: v", "rate: w", r"line 3, column 15: state 'q': rate 'w' is not a state"),
         (AXIS, "{unit: m, rate: v}", "{unit: m}", r"line 3, column 15: state without a balance"),
-        (AXIS, "lower: 1, upper: 1000", "lower: 100, upper: 10", r"line 4, column 18: parameter 'M': lower is 100"),
-        (AXIS, "value: 95", "value: 0.5", r"line 4, column 26: parameter 'M': value is 0.5; must be within 1 to 1000"),
-        (AXIS, "velocity: v}", "velocity: v, colour: q}", r"line 6, column \d+: balance 'axis': key 'colour' is not known"),
+        (
+            AXIS,
+            "lower: 1, upper: 1000",
+            "lower: 100, upper: 10",
+            r"line 4, column 18: parameter 'M': lower is 100",
+        ),
+        (
+            AXIS,
+            "value: 95",
+            "value: 0.5",
+            r"line 4, column 26: parameter 'M': value is 0.5; must be within 1 to 1000",
+        ),
+        (
+            AXIS,
+            "velocity: v}",
+            "velocity: v, colour: q}",
+            r"line 6, column \d+: balance 'axis': key 'colour' is not known",
+        ),
         (
             AXIS,
             "velocity: v}",
@@ -55,20 +76,45 @@ def test_contract_examples_are_read_and_written(text):
             r"key 'from the plate'.*a text with a comma stands in quotation marks",
         ),
         (AXIS, "drive: force", "drive: force / (M - 95)", r"line 6, column 70: division by zero"),
-        (AXIS, "drive: force", "drive: __import__(force)", r"column 64: function '__import__' is not known"),
+        (
+            AXIS,
+            "drive: force",
+            "drive: __import__(force)",
+            r"column 64: function '__import__' is not known",
+        ),
         (AXIS, "drive: force", "drive: force.real", r"column 69: character '\.' is not allowed"),
         (AXIS, "unit: kg", "unit: parsec", r"unit clash"),
         (AXIS, "unit: kg", "unit: wibble", r"line 6, column \d+: unit clash: term 'drive'"),
-        (AXIS, "id: coulomb-friction", "id: stickiness", r"line 9, column 5: effect 'stickiness' is not in the catalogue"),
+        (
+            AXIS,
+            "id: coulomb-friction",
+            "id: stickiness",
+            r"line 9, column 5: effect 'stickiness' is not in the catalogue",
+        ),
         (AXIS, "balance: axis", "balance: motor", r"line 9, column 5: .*'motor' is no balance"),
         (AXIS, "value: 20.4", "value: -1", r"line 9, column 5: .*within 0 to inf"),
         (AXIS, "kind: force", "kind: magic", r"line 6, column 21: balance 'axis': kind 'magic'"),
         (AXIS, "name: my axis", "name: &a my axis", r"line 1, column 7: anchors and aliases"),
-        (DRIVE, "-R * i,", "-R * max(i, 0),", r"line 7, column \d+: algebraic loop: balance 'winding'"),
+        (
+            DRIVE,
+            "-R * i,",
+            "-R * max(i, 0),",
+            r"line 7, column \d+: algebraic loop: balance 'winding'",
+        ),
         (DRIVE, "R: {value: 0.75", "R: {value: 0", r"line 7, column 39: division by zero"),
-        (DRIVE, "supply: voltage, resistance: -R * i", "supply: voltage", r"line 7, column 3: .*no term contains 'i'"),
+        (
+            DRIVE,
+            "supply: voltage, resistance: -R * i",
+            "supply: voltage",
+            r"line 7, column 3: .*no term contains 'i'",
+        ),
         (DRIVE, "value: 2.5e-4", "value: 0", r"line 6, column \d+: .*storage .*is 0"),
-        (DRIVE, "back_emf: -K * omega", "back_emf: -K * der(omega)", r"line 7, column \d+: der\(\) may only stand in a storage"),
+        (
+            DRIVE,
+            "back_emf: -K * omega",
+            "back_emf: -K * der(omega)",
+            r"line 7, column \d+: der\(\) may only stand in a storage",
+        ),
     ],
 )
 def test_refusals_say_where(text, old, new, says):
@@ -78,7 +124,16 @@ def test_refusals_say_where(text, old, new, says):
 
 
 @pytest.mark.parametrize(
-    "text", ["[" * 1_000_000, "[" * 100_000, "name: " + "(" * 50_000, "a: " * 3, "", "- 1", "name: x\n\tb: 1"]
+    "text",
+    [
+        "[" * 1_000_000,
+        "[" * 100_000,
+        "name: " + "(" * 50_000,
+        "a: " * 3,
+        "",
+        "- 1",
+        "name: x\n\tb: 1",
+    ],
 )
 def test_hostile_texts_are_refused_with_a_place(text):
     with pytest.raises(BadModel, match=r"m\.yaml, line \d+, column \d+: "):
@@ -86,7 +141,9 @@ def test_hostile_texts_are_refused_with_a_place(text):
 
 
 def test_deep_brackets_in_an_expression_are_refused():
-    with pytest.raises(BadModel, match=r"line 6, column \d+: brackets and signs are nested more than 60 deep"):
+    with pytest.raises(
+        BadModel, match=r"line 6, column \d+: brackets and signs are nested more than 60 deep"
+    ):
         read_model(AXIS.replace("drive: force", "drive: " + "(" * 300 + "force" + ")" * 300))
 
 
@@ -100,7 +157,10 @@ def test_the_catalogue_has_every_id_and_the_built_in_models_offer_them():
 
 def test_a_comma_inside_an_expression_in_braces_is_understood():
     model = read_model(AXIS.replace("drive: force", "drive: max(force, 0), push: min(force, 0)"))
-    assert [term.text for term in model.balances["axis"].terms.values()] == ["max(force, 0)", "min(force, 0)"]
+    assert [term.text for term in model.balances["axis"].terms.values()] == [
+        "max(force, 0)",
+        "min(force, 0)",
+    ]
 
 
 def test_balances_may_be_kept_in_other_units_when_all_terms_agree():
@@ -174,7 +234,9 @@ def test_towers_of_powers_and_models_that_measure_nothing_are_refused(before, af
     ],
 )
 def test_a_variable_that_a_balance_does_not_name_is_what_it_stores(text, named):
-    left_out, said = (read_model("name: m\n" + text.replace("VARIABLES", words)) for words in ("", named))
+    left_out, said = (
+        read_model("name: m\n" + text.replace("VARIABLES", words)) for words in ("", named)
+    )
     assert left_out == said and candidates(left_out) == candidates(said)
 
 

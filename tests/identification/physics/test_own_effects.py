@@ -55,7 +55,11 @@ def slowed(n=4000, dt=0.01):
         seen[k] = v
         for _ in range(steps):
             v += dt / steps * (force[k] - 7.0 * np.sin(v / 0.4)) / 9.3
-    return Record({"force": force, "velocity": seen + 0.01 * rng.standard_normal(n)}, {"force": "N", "velocity": "m/s"}, dt)
+    return Record(
+        {"force": force, "velocity": seen + 0.01 * rng.standard_normal(n)},
+        {"force": "N", "velocity": "m/s"},
+        dt,
+    )
 
 
 @pytest.fixture
@@ -68,7 +72,11 @@ def test_an_effect_of_ones_own_is_named_sized_and_carried_by_the_model_file(tmp_
     def story():
         (effect,) = read_effects(written(tmp_path, SINE))
         EFFECTS.use_here(effect)
-        found = explain(read_model(AXIS), [slowed()], effects=["sine-drag", "viscous-friction", "coulomb-friction"])
+        found = explain(
+            read_model(AXIS),
+            [slowed()],
+            effects=["sine-drag", "viscous-friction", "coulomb-friction"],
+        )
         assert found.candidates[0].effect == "sine-drag"
         return write_model(found.found.best.model)
 
@@ -118,14 +126,26 @@ def test_it_is_proposed_where_it_fits_and_nowhere_else(tmp_path, here):
 @pytest.mark.parametrize(
     ("old", "new", "says"),
     [
-        ("sine-drag", "Sine Drag", "line 3, column 9: effect 'Sine Drag': an id is of small letters"),
+        (
+            "sine-drag",
+            "Sine Drag",
+            "line 3, column 9: effect 'Sine Drag': an id is of small letters",
+        ),
         ("[force]", "[forces]", "acts_on is a list of torque, force"),
         ("-c * sin(velocity / v_0)", "-c * sin(speed / v_0)", "'speed' is not known here"),
         ("-c * sin(velocity / v_0)", "-c * velocity", "the term is in"),
-        ("-c * sin(velocity / v_0)", "-c * sin(velocity / v_0) - 1 * c / v_0 * v_0 + v_0 - v_0 + 2", "does not vanish"),
+        (
+            "-c * sin(velocity / v_0)",
+            "-c * sin(velocity / v_0) - 1 * c / v_0 * v_0 + v_0 - v_0 + 2",
+            "does not vanish",
+        ),
         ("-c * sin(velocity / v_0)", "__import__('os')", "line 6"),
         ("term:", "signal:", "a balance gets a 'term'"),
-        ("value: 0.5, unit: m/s, lower: 0.01", "value: 0.5, unit: m/s, lower: 1", "value is outside its bounds"),
+        (
+            "value: 0.5, unit: m/s, lower: 0.01",
+            "value: 0.5, unit: m/s, lower: 1",
+            "value is outside its bounds",
+        ),
     ],
 )
 def test_what_is_wrong_is_refused_in_one_line_with_its_place(tmp_path, old, new, says):

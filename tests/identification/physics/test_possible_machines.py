@@ -32,9 +32,14 @@ def test_every_ordered_pair_is_of_the_effects_own_parameters():
 
 
 def test_a_stop_whose_lower_end_is_above_its_upper_is_refused_where_it_is_said():
-    with pytest.raises(BadModel, match="'q_min' is 1 and 'q_max' is -1; 'q_min' must be below 'q_max'"):
+    with pytest.raises(
+        BadModel, match="'q_min' is 1 and 'q_max' is -1; 'q_min' must be below 'q_max'"
+    ):
         read_model(SLED).with_effect("end-stop", "axis", {"k": 10.0, "q_max": -1.0, "q_min": 1.0})
-    text = SLED + "effects:\n  - {id: end-stop, balance: axis, parameters: {k: 10, q_max: -1, q_min: 1}}\n"
+    text = (
+        SLED
+        + "effects:\n  - {id: end-stop, balance: axis, parameters: {k: 10, q_max: -1, q_min: 1}}\n"
+    )
     with pytest.raises(BadModel, match=r"line 8.*must be below"):
         read_model(text)
 
@@ -52,7 +57,9 @@ def test_an_estimate_does_not_cross_the_ends_of_a_travel():
     spring = read_model(SLED).with_effect("linear-spring", "axis", {"k": 4.0})
     e = push(800)
     y = Simulator(spring).run(e).Y
-    e = Experiment(e.U, y + 1e-4 * np.random.default_rng(0).normal(size=y.shape), e.hold, e.sample_time)
+    e = Experiment(
+        e.U, y + 1e-4 * np.random.default_rng(0).normal(size=y.shape), e.hold, e.sample_time
+    )
     near = {"k": 4.0, "q_max": 0.01, "q_min": -0.01}
     found = estimate(read_model(SLED).with_effect("end-stop", "axis", near), [e])
     assert found.model.values["end-stop@axis.q_min"] < found.model.values["end-stop@axis.q_max"]
@@ -75,6 +82,8 @@ def test_a_start_with_a_negative_mass_keeps_its_sign():
 def test_starts_of_a_stop_keep_the_order():
     q = np.zeros(50)
     q[-1] = 1.0
-    conditions = Conditions(0.1, 5.0, 1.0, 1.0, {"position": q, "velocity": np.zeros(50)}, np.where(q > 0, -1.0, 1.0))
+    conditions = Conditions(
+        0.1, 5.0, 1.0, 1.0, {"position": q, "velocity": np.zeros(50)}, np.where(q > 0, -1.0, 1.0)
+    )
     starts = EFFECTS["end-stop"].starts(conditions)
     assert starts and all(s["q_min"] < s["q_max"] for s in starts)

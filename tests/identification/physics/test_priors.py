@@ -50,13 +50,18 @@ def test_both_spellings_are_read_and_a_written_model_keeps_them():
     assert {name: p.prior for name, p in model.parameters.items()} == KNOWN
     assert model.values == {"J": 0.07, "d": 0.05}
     again = read_model(write_model(model.with_values({"J": 0.075})))
-    assert again.values["J"] == 0.075 and {name: p.prior for name, p in again.parameters.items()} == KNOWN
+    assert (
+        again.values["J"] == 0.075
+        and {name: p.prior for name, p in again.parameters.items()} == KNOWN
+    )
 
 
 def test_an_effect_s_parameter_has_a_prior_too():
     effect = "effects: [{id: coulomb-friction, balance: shaft, parameters: {tau_c: 0.1 ± 0.02}}]"
     model = read_model(FLYWHEEL + effect)
-    assert read_model(write_model(model)).all_parameters["coulomb-friction@shaft.tau_c"].prior == Prior(0.1, 0.02)
+    assert read_model(write_model(model)).all_parameters[
+        "coulomb-friction@shaft.tau_c"
+    ].prior == Prior(0.1, 0.02)
 
 
 def test_bands_cover_what_is_drawn_from_the_prior_as_often_as_they_say():
@@ -79,17 +84,23 @@ def test_the_estimate_lies_between_prior_and_data_by_their_precisions(way):
     held = FLYWHEEL.replace("0.05 +- 0.01, ", "0.05, fixed: true, ")
     alone, both = (way(read_model(text), [experiment(u, y)]) for text in (loose, held))
     data, before = 1.0 / alone.std[0] ** 2, 1.0 / 0.01**2
-    assert both.theta[0] == pytest.approx((data * alone.theta[0] + before * 0.07) / (data + before), abs=0.3 * both.std[0])
+    assert both.theta[0] == pytest.approx(
+        (data * alone.theta[0] + before * 0.07) / (data + before), abs=0.3 * both.std[0]
+    )
     assert both.std[0] == pytest.approx((data + before) ** -0.5, rel=0.15)
 
 
 def test_the_search_fits_with_the_same_prior():
     model, e = read_model(FLYWHEEL), experiment(*measured(0.09, 0.05, noise=1.0, seed=1))
     whole = estimate(model, [e])
-    unit = SimpleNamespace(weights=whole.weights, clip=np.array([np.inf]), filters=None, variance=1.0)
+    unit = SimpleNamespace(
+        weights=whole.weights, clip=np.array([np.inf]), filters=None, variance=1.0
+    )
     begun = Problem.of(Simulator(model), Cells.of([e]), unit, [1]).begin(np.zeros((1, 1)))
     found = begun.descended(20, 1e-12)
-    assert found.theta == pytest.approx(whole.theta, rel=1e-4) and found.std == pytest.approx(whole.std, rel=0.02)
+    assert found.theta == pytest.approx(whole.theta, rel=1e-4) and found.std == pytest.approx(
+        whole.std, rel=0.02
+    )
 
 
 def test_estimate_tells_the_prior_and_warns_where_the_data_speak_against_it():
@@ -99,7 +110,10 @@ def test_estimate_tells_the_prior_and_warns_where_the_data_speak_against_it():
         return rs.model(FLYWHEEL).estimate(record, hold="zero-order")
 
     good, bad = asked(0.075), asked(0.15)
-    assert good.parameters["J"]["prior"] == {"value": 0.07, "std": 0.01} and "(prior 0.07 ± 0.01)" in str(good)
+    assert good.parameters["J"]["prior"] == {
+        "value": 0.07,
+        "std": 0.01,
+    } and "(prior 0.07 ± 0.01)" in str(good)
     assert not any("prior" in line for line in good.to_dict()["warnings"])
     (line,) = (line for line in bad.to_dict()["warnings"] if "prior" in line)
     assert "J = 0.1498" in line and "0.07 ± 0.01" in line and "d =" not in line

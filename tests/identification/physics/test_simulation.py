@@ -18,7 +18,13 @@ def stiff_drive(noise, n=3000, sample_time=0.002, seed=5):
     x0 = simulator.x0()
     Y = simulator.run_vectors(empty, x0, simulator.p(), substeps=64).Y
     spread = noise * Y.std(axis=0)
-    return simulator, x0, Y, spread, Experiment(U, Y + spread * rng.standard_normal(Y.shape), np.zeros(1), sample_time)
+    return (
+        simulator,
+        x0,
+        Y,
+        spread,
+        Experiment(U, Y + spread * rng.standard_normal(Y.shape), np.zeros(1), sample_time),
+    )
 
 
 def test_steps_are_so_fine_that_their_error_hides_in_the_noise():
@@ -48,8 +54,18 @@ def test_experiments_together_are_simulated_as_each_alone():
     simulator, slopes = Simulator(model), ["K", "coulomb-friction@shaft.tau_c", "initial:omega"]
     nothing = np.full((1, len(model.outputs)), np.nan)
     each = [
-        Experiment(6.0 * rng.standard_normal((n, 1)), np.repeat(nothing, n, axis=0), np.array([hold]), h, known=known)
-        for n, h, hold, known in ((400, 0.002, 0.0, {}), (90, 0.01, 1.0, {}), (250, 0.001, 0.0, {"omega": 1.0}))
+        Experiment(
+            6.0 * rng.standard_normal((n, 1)),
+            np.repeat(nothing, n, axis=0),
+            np.array([hold]),
+            h,
+            known=known,
+        )
+        for n, h, hold, known in (
+            (400, 0.002, 0.0, {}),
+            (90, 0.01, 1.0, {}),
+            (250, 0.001, 0.0, {"omega": 1.0}),
+        )
     ]
     initial = [np.array([0.0, 0.0]), np.array([0.1, -20.0]), np.array([0.0, np.inf])]
     together = simulator.run_each(each, initial, simulator.p(), slopes=slopes, substeps=[2, 5, 1])
@@ -83,17 +99,29 @@ def test_what_an_effect_remembers_goes_on_from_window_to_window():
     run = simulator.run(whole, slopes=names, substeps=2)
     parts = windows(whole, 150)
     starts = [np.r_[run.X[150 * k, :2], 0.0] for k in range(len(parts))]
-    pieces = simulator.run_each(parts, starts, simulator.p(), slopes=names, substeps=[2] * len(parts))
+    pieces = simulator.run_each(
+        parts, starts, simulator.p(), slopes=names, substeps=[2] * len(parts)
+    )
     joined = np.concatenate([piece.X for piece in pieces])
     assert np.max(np.abs(joined[:, 2] - run.X[:, 2])) < 0.02
-    forgotten = [simulator.run_vectors(e, x, simulator.p(), substeps=2).X for e, x in zip(parts, starts, strict=True)]
-    assert np.max(np.abs(np.concatenate(forgotten)[:, 2] - run.X[:, 2])) > 0.5  # each alone begins without strain
-    apart = [replace(e, source=str(k)) for k, e in enumerate(parts)]  # records of their own remember nothing of each other
+    forgotten = [
+        simulator.run_vectors(e, x, simulator.p(), substeps=2).X
+        for e, x in zip(parts, starts, strict=True)
+    ]
+    assert (
+        np.max(np.abs(np.concatenate(forgotten)[:, 2] - run.X[:, 2])) > 0.5
+    )  # each alone begins without strain
+    apart = [
+        replace(e, source=str(k)) for k, e in enumerate(parts)
+    ]  # records of their own remember nothing of each other
     alone = simulator.run_each(apart, starts, simulator.p(), substeps=[2] * len(parts))
     np.testing.assert_array_equal(np.concatenate([a.X for a in alone]), np.concatenate(forgotten))
     x_0 = model.values[names[1]]
     up, down = (
-        simulator.run_each(parts, starts, simulator.p({names[1]: x_0 + s}), substeps=[2] * len(parts)) for s in (1e-6, -1e-6)
+        simulator.run_each(
+            parts, starts, simulator.p({names[1]: x_0 + s}), substeps=[2] * len(parts)
+        )
+        for s in (1e-6, -1e-6)
     )
     numeric = np.concatenate([a.Y - b.Y for a, b in zip(up, down, strict=True)]) / 2e-6
     exact = np.concatenate([piece.dY[:, :, 1] for piece in pieces])

@@ -24,9 +24,12 @@ def vessel():
     h, level = 5.0, np.empty(pump.size)
     for k, u in enumerate(pump):
         level[k] = h
-        h = solve_ivp(lambda _, h, u=u: 0.05 * u - 0.05 * h - 11.0 * np.maximum(h - 6.0, 0.0), (0, 4), [h], method="LSODA").y[
-            0, -1
-        ]
+        h = solve_ivp(
+            lambda _, h, u=u: 0.05 * u - 0.05 * h - 11.0 * np.maximum(h - 6.0, 0.0),
+            (0, 4),
+            [h],
+            method="LSODA",
+        ).y[0, -1]
     assert np.mean(level > 6.0) < 0.01
     return Record({"pump": pump, "level": level}, {"pump": "V", "level": "m"}, 4.0)
 
@@ -43,7 +46,12 @@ def test_steps_are_fine_enough_for_a_valve_that_is_open_for_moments():
 def test_an_estimate_whose_first_run_never_opens_the_valve_follows_it():
     """With four times the outflow the level stays below the rim."""
     model, experiments = match(
-        read_model(VESSEL.replace("c: {value: 0.05", "c: {value: 0.2").replace("1/s, fixed: true},\n", "1/s},\n")), [vessel()]
+        read_model(
+            VESSEL.replace("c: {value: 0.05", "c: {value: 0.2").replace(
+                "1/s, fixed: true},\n", "1/s},\n"
+            )
+        ),
+        [vessel()],
     )
     found = estimate(model, experiments)
     assert abs(found.model.values["c"] - 0.05) < 1e-3
@@ -59,7 +67,9 @@ balances: {winding: {kind: voltage, storage: 0, terms: {supply: u, drop: -R * i}
 outputs: {current: {value: i, unit: A}}
 """
     u = np.linspace(0.0, 10.0, 200)
-    model, experiments = match(read_model(coil), [Record({"u": u, "current": u / 150}, {"u": "V", "current": "A"}, 0.01)])
+    model, experiments = match(
+        read_model(coil), [Record({"u": u, "current": u / 150}, {"u": "V", "current": "A"}, 0.01)]
+    )
     simulator = Simulator(model)
     assert simulator.modal_substeps(experiments, [np.zeros(0)], simulator.p()) == [1]
     assert abs(estimate(model, experiments).model.values["R"] - 150.0) < 1e-6

@@ -39,7 +39,9 @@ CP = power_coefficient(LAMBDA[:, None], PITCH[None, :])
 @pytest.fixture
 def turbine(tmp_path):
     rows = [["lambda", *PITCH], *([a, *row] for a, row in zip(LAMBDA, CP, strict=True))]
-    (tmp_path / "cp.csv").write_text("# lambda down, pitch across\n" + "\n".join(",".join(map(str, r)) for r in rows))
+    (tmp_path / "cp.csv").write_text(
+        "# lambda down, pitch across\n" + "\n".join(",".join(map(str, r)) for r in rows)
+    )
     (tmp_path / "turbine.yaml").write_text(TURBINE)
     return tmp_path / "turbine.yaml"
 
@@ -72,7 +74,9 @@ def test_a_map_in_a_file_is_simulated_as_scipy_has_it(turbine):
     e = Experiment(U, np.full((300, 1), np.nan), np.zeros(3), 0.5)
     assert np.abs(Simulator(model).run(e, {"w": 1.0}, substeps=8).Y[:, 0] - spun(U)).max() < 1e-5
     again = read_model(write_model(model))  # a text by itself
-    assert np.array_equal(Simulator(again).run(e, {"w": 1.0}).Y, Simulator(model).run(e, {"w": 1.0}).Y)
+    assert np.array_equal(
+        Simulator(again).run(e, {"w": 1.0}).Y, Simulator(model).run(e, {"w": 1.0}).Y
+    )
 
 
 def test_a_map_s_values_and_places_have_exact_slopes():
@@ -91,13 +95,19 @@ initial: {x: 0.5}
     e = Experiment(rng.uniform(0.2, 1.8, (80, 2)), np.full((80, 1), np.nan), np.zeros(2), 0.1)
     run = Simulator(model).run(e, slopes=("z", "T"), substeps=2)
     for k, name in enumerate(("z", "T")):
-        up, down = (Simulator(model).run(e, values={name: model.values[name] + s * 1e-6}, substeps=2).Y for s in (1, -1))
+        up, down = (
+            Simulator(model).run(e, values={name: model.values[name] + s * 1e-6}, substeps=2).Y
+            for s in (1, -1)
+        )
         assert np.abs(run.dY[:, :, k] - (up - down) / 2e-6).max() < 1e-6
 
 
 def test_a_smooth_table_is_fritsch_and_carlson_s():
     places, values = [0.0, 1.0, 1.5, 4.0, 5.0], [0.0, 0.2, 3.0, 3.1, -2.0]
-    tree, known = parse(f"table(x, {places}, {values}, cubic)").tree, PchipInterpolator(places, values)
+    tree, known = (
+        parse(f"table(x, {places}, {values}, cubic)").tree,
+        PchipInterpolator(places, values),
+    )
     for x in np.linspace(0.0, 5.0, 53):
         assert evaluate(tree, {"x": x}) == pytest.approx(float(known(x)), abs=1e-12)
     assert evaluate(tree, {"x": -3.0}) == 0.0 and evaluate(tree, {"x": 9.0}) == pytest.approx(-2.0)
@@ -107,7 +117,9 @@ def test_a_record_that_leaves_a_table_is_told(turbine):
     U = weather(300)
     U[100:130, 1] = 25.0
     names = {"wind": "m/s", "pitch": "deg", "generator": "N*m"}
-    record = rs.Record({**dict(zip(names, U.T, strict=True)), "speed": spun(U)}, {**names, "speed": "rad/s"}, 0.5)
+    record = rs.Record(
+        {**dict(zip(names, U.T, strict=True)), "speed": spun(U)}, {**names, "speed": "rad/s"}, 0.5
+    )
     told = rs.model(turbine).estimate(record, hold="zero-order", anyway=True).to_dict()["warnings"]
     (line,) = (line for line in told if "leads pitch" in line)
     assert "to 25, which is there from 0 to 20" in line and "10 %" in line

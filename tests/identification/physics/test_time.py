@@ -58,9 +58,15 @@ def test_time_goes_on_in_windows_and_is_exact_at_either_timing_and_at_a_lower_ra
 
 
 def test_what_the_clock_drives_is_estimated_in_windows():
-    model, (e,) = match(read_model(DUFFING).with_values({"F": 0.3, "w": 1.17}), [swung(noise=0.002)], hold="zero-order")
+    model, (e,) = match(
+        read_model(DUFFING).with_values({"F": 0.3, "w": 1.17}),
+        [swung(noise=0.002)],
+        hold="zero-order",
+    )
     found = estimate(model, windows(e, 200)).model.values
-    assert found["w"] == pytest.approx(1.2, rel=0.005) and found["F"] == pytest.approx(0.5, rel=0.02)
+    assert found["w"] == pytest.approx(1.2, rel=0.005) and found["F"] == pytest.approx(
+        0.5, rel=0.02
+    )
 
 
 def test_a_written_model_and_its_exports_have_the_clock():
@@ -68,11 +74,19 @@ def test_a_written_model_and_its_exports_have_the_clock():
     assert model.inputs["time"].is_clock
     written = explicit(model)
     assert written.inputs == ("push",)
-    assert "cos(time*w)" in EXPORTS["modelica"](written).replace(" ", "") and "= t;" in EXPORTS["c"](written)
+    assert "cos(time*w)" in EXPORTS["modelica"](written).replace(" ", "") and "= t;" in EXPORTS[
+        "c"
+    ](written)
 
 
 def test_a_name_that_the_file_declares_is_its_own():
     model = read_model(DUFFING.replace("inputs: {push: N}", "inputs: {push: N, time: s}"))
     assert not model.inputs["time"].is_clock
-    with pytest.raises(BadModel, match=r"line 3, column \d+: input 'time': a clock is in s, not 'm'"):
-        read_model(DUFFING.replace("inputs: {push: N}", "inputs: {push: N, time: {unit: m, default: clock}}"))
+    with pytest.raises(
+        BadModel, match=r"line 3, column \d+: input 'time': a clock is in s, not 'm'"
+    ):
+        read_model(
+            DUFFING.replace(
+                "inputs: {push: N}", "inputs: {push: N, time: {unit: m, default: clock}}"
+            )
+        )

@@ -57,7 +57,9 @@ def test_a_normalised_motor_is_estimated_in_its_own_units():
     model = read_model(ENCODER)
     rng = np.random.default_rng(1)
     u = np.repeat(rng.uniform(-5, 5, 40), 10)
-    shell = Record({"voltage": u, "speed": np.zeros(400)}, {"voltage": "V", "speed": "ticks/s"}, 0.02)
+    shell = Record(
+        {"voltage": u, "speed": np.zeros(400)}, {"voltage": "V", "speed": "ticks/s"}, 0.02
+    )
     matched, (experiment,) = match(model, [shell])
     truth = Simulator(matched.with_values({"T": 0.2, "G": 45.0})).run(experiment).Y[:, 0]
     record = Record({"voltage": u, "speed": truth}, {"voltage": "V", "speed": "ticks/s"}, 0.02)
@@ -77,9 +79,17 @@ outputs: {angle: {value: phi + c, unit: rad}}
 """
     assert read_model(turning.replace("rad", "ticks")).balances["shaft"].kind == "torque"
     with pytest.raises(BadModel, match=r"unit clash"):
-        read_model(turning.replace("rad", "ticks").replace("c: {value: 1, unit: ticks}", "c: {value: 1, unit: counts}"))
+        read_model(
+            turning.replace("rad", "ticks").replace(
+                "c: {value: 1, unit: ticks}", "c: {value: 1, unit: counts}"
+            )
+        )
     with pytest.raises(BadModel, match=r"unit clash"):
-        read_model(turning.replace("rad", "ticks").replace("c: {value: 1, unit: ticks}", "c: {value: 1, unit: V}"))
+        read_model(
+            turning.replace("rad", "ticks").replace(
+                "c: {value: 1, unit: ticks}", "c: {value: 1, unit: V}"
+            )
+        )
 
 
 def test_a_model_without_states_and_free_values_is_held_against_its_record():

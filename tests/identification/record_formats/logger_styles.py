@@ -56,7 +56,10 @@ def german_spreadsheet() -> list[Written]:
     head = "Zeit;speed [rpm];current [A]"
     stamps = [f"{t:%d.%m.%Y %H:%M:%S},{t.microsecond // 1000:03d}" for t in times()]
     plain = [(s, comma(a, 3), comma(b, 4)) for s, a, b in zip(stamps, SPEED, CURRENT, strict=True)]
-    days = [(comma(EXCEL_DAY + STEP * k / 86400, 10), comma(a, 3), comma(b, 4)) for k, (a, b) in enumerate(_pairs())]
+    days = [
+        (comma(EXCEL_DAY + STEP * k / 86400, 10), comma(a, 3), comma(b, 4))
+        for k, (a, b) in enumerate(_pairs())
+    ]
     seconds = [(comma(STEP * k, 1), comma(a, 3), comma(b, 4)) for k, (a, b) in enumerate(_pairs())]
     text = lines([head], plain, ";", "\r\n")
     return [
@@ -68,10 +71,18 @@ def german_spreadsheet() -> list[Written]:
             UNITS | {"speed": "°C"},
         ),
         Written("days", lines([head.replace("Zeit", "Datum")], days, ";").encode(), BOTH, UNITS),
-        Written("seconds", lines([head.replace("Zeit", "Zeit [s]")], seconds, ";").encode(), BOTH, UNITS, t0=0.0),
+        Written(
+            "seconds",
+            lines([head.replace("Zeit", "Zeit [s]")], seconds, ";").encode(),
+            BOTH,
+            UNITS,
+            t0=0.0,
+        ),
         Written(
             "three digits",
-            lines(["Zeit [s];speed [rpm]"], [(str(k), f"1,{100 + k}") for k in range(N)], ";").encode(),
+            lines(
+                ["Zeit [s];speed [rpm]"], [(str(k), f"1,{100 + k}") for k in range(N)], ";"
+            ).encode(),
             refused="decimal",
         ),
     ]
@@ -83,26 +94,48 @@ def american_spreadsheet() -> list[Written]:
     stamps = [f"{t:%m/%d/%Y %I:%M:%S}.{t.microsecond // 1000:03d} {t:%p}" for t in times()]
     plain = [(s, f"{a:.3f}", f"{b:.4f}") for s, (a, b) in zip(stamps, _pairs(), strict=True)]
     quoted = [tuple(f'"{cell}"' for cell in row) for row in plain]
-    thousands = [(s, f'"{1000 * a:,.1f}"', f"{b:.4f}") for s, (a, b) in zip(stamps, _pairs(), strict=True)]
-    early = [(f"03/0{1 + k // 20}/2024 10:00:{k % 20:02d}", f"{a:.3f}") for k, (a, _) in enumerate(_pairs())]
+    thousands = [
+        (s, f'"{1000 * a:,.1f}"', f"{b:.4f}") for s, (a, b) in zip(stamps, _pairs(), strict=True)
+    ]
+    early = [
+        (f"03/0{1 + k // 20}/2024 10:00:{k % 20:02d}", f"{a:.3f}")
+        for k, (a, _) in enumerate(_pairs())
+    ]
     split = [
         (f"{t:%m/%d/%Y}", f"{t:%H:%M:%S}.{t.microsecond // 1000:03d}", row[1], row[2])
         for t, row in zip(times(), plain, strict=True)
     ]
     return [
         Written("stamps", lines([head], plain, ",", "\r\n").encode(), BOTH, UNITS),
-        Written("quoted", lines(['"Time","speed (rpm)","current (A)"'], quoted, ",").encode(), BOTH, UNITS),
         Written(
-            "thousands", lines([head], thousands, ",").encode(), {"speed": np.round(1000 * SPEED, 1), "current": CURRENT}, UNITS
+            "quoted",
+            lines(['"Time","speed (rpm)","current (A)"'], quoted, ",").encode(),
+            BOTH,
+            UNITS,
         ),
-        Written("day or month", lines(["Time,speed (rpm)"], early, ",").encode(), refused="day first"),
+        Written(
+            "thousands",
+            lines([head], thousands, ",").encode(),
+            {"speed": np.round(1000 * SPEED, 1), "current": CURRENT},
+            UNITS,
+        ),
+        Written(
+            "day or month", lines(["Time,speed (rpm)"], early, ",").encode(), refused="day first"
+        ),
         Written("date and time", lines(["Date," + head], split, ",").encode(), BOTH, UNITS),
     ]
 
 
 def measurement_file() -> list[Written]:
     """A laboratory program's measurement file: tabs, blocks of key and value, a line that ends the head."""
-    head = ["LabVIEW Measurement", "Writer_Version\t2", "Separator\tTab", "Date\t2024/03/27", "***End_of_Header***", ""]
+    head = [
+        "LabVIEW Measurement",
+        "Writer_Version\t2",
+        "Separator\tTab",
+        "Date\t2024/03/27",
+        "***End_of_Header***",
+        "",
+    ]
     names = "X_Value\tspeed\tcurrent\tComment"
     rows = [(f"{STEP * k:.6f}", f"{a:.6f}", f"{b:.6f}", "") for k, (a, b) in enumerate(_pairs())]
     timed = [*head, "time (s)\tspeed (rpm)\tcurrent (A)\tComment"]
@@ -110,17 +143,35 @@ def measurement_file() -> list[Written]:
     holes = {"speed": np.where(np.isin(np.arange(N), (7, 8)), np.nan, SPEED), "current": CURRENT}
     german = [tuple(cell.replace(".", ",") for cell in row) for row in rows]
     return [
-        Written("no unit of time", lines([*head, names], rows, "\t").encode(), refused="time", ending=".lvm"),
-        Written("time", lines(timed, rows, "\t", "\r\n").encode(), BOTH, UNITS, t0=0.0, ending=".lvm"),
+        Written(
+            "no unit of time",
+            lines([*head, names], rows, "\t").encode(),
+            refused="time",
+            ending=".lvm",
+        ),
+        Written(
+            "time", lines(timed, rows, "\t", "\r\n").encode(), BOTH, UNITS, t0=0.0, ending=".lvm"
+        ),
         Written("lost", lines(timed, lost, "\t").encode(), holes, UNITS, t0=0.0, ending=".txt"),
-        Written("decimal commas", lines(timed, german, "\t").encode(), BOTH, UNITS, t0=0.0, ending=".lvm"),
-        Written("UTF-16", lines(timed, rows, "\t").encode("utf-16"), BOTH, UNITS, t0=0.0, ending=".txt"),
+        Written(
+            "decimal commas",
+            lines(timed, german, "\t").encode(),
+            BOTH,
+            UNITS,
+            t0=0.0,
+            ending=".lvm",
+        ),
+        Written(
+            "UTF-16", lines(timed, rows, "\t").encode("utf-16"), BOTH, UNITS, t0=0.0, ending=".txt"
+        ),
     ]
 
 
 def scope() -> list[Written]:
     """An oscilloscope's export: names, units in parentheses on a line of their own, an empty line."""
-    rows = [(f"{1e3 * STEP * k - 500:.8f}", f"{a:.8f}", f"{b:.8f}") for k, (a, b) in enumerate(_pairs())]
+    rows = [
+        (f"{1e3 * STEP * k - 500:.8f}", f"{a:.8f}", f"{b:.8f}") for k, (a, b) in enumerate(_pairs())
+    ]
     head = ["Time,speed,current", "(ms),(V),(V)", ""]
     volts = {"speed": "V", "current": "V"}
     cut = [row if k != 5 else (row[0], "∞", row[2]) for k, row in enumerate(rows)]
@@ -130,7 +181,11 @@ def scope() -> list[Written]:
         Written("milliseconds", lines(head, rows, ",").encode(), BOTH, volts, t0=-0.5),
         Written(
             "decimal commas",
-            lines([h.replace(",", ";") for h in head], [tuple(c.replace(".", ",") for c in r) for r in rows], ";").encode(),
+            lines(
+                [h.replace(",", ";") for h in head],
+                [tuple(c.replace(".", ",") for c in r) for r in rows],
+                ";",
+            ).encode(),
             BOTH,
             volts,
             t0=-0.5,
@@ -155,7 +210,10 @@ def supervisory_archive() -> list[Written]:
         for s, a, b in zip(stamps, SPEED, CURRENT, strict=True)
         for n, v in (("speed", a), ("current", b))
     ]
-    wide = [(f'"{s}"', comma(a, 3), comma(b, 4), "192") for s, a, b in zip(stamps, SPEED, CURRENT, strict=True)]
+    wide = [
+        (f'"{s}"', comma(a, 3), comma(b, 4), "192")
+        for s, a, b in zip(stamps, SPEED, CURRENT, strict=True)
+    ]
     head = '"TimeString";"speed [rpm]";"current [A]";"Validity"'
     validity = {**BOTH, "Validity": np.full(N, 192.0)}
     late = [*wide[:10], wide[11], wide[10], *wide[12:]]
@@ -183,7 +241,8 @@ def station_logger() -> list[Written]:
         '"","","Smp","Avg"',
     ]
     rows = [
-        (f'"{_short(t)}"', str(k), f"{a:.3f}", f"{b:.4f}") for k, (t, (a, b)) in enumerate(zip(times(), _pairs(), strict=True))
+        (f'"{_short(t)}"', str(k), f"{a:.3f}", f"{b:.4f}")
+        for k, (t, (a, b)) in enumerate(zip(times(), _pairs(), strict=True))
     ]
     full = {"RECORD": np.arange(N, dtype=float), **BOTH}
     units = {**UNITS, "RECORD": "RN"}
@@ -195,22 +254,43 @@ def station_logger() -> list[Written]:
         Written("four lines", lines(head, rows, ",", "\r\n").encode(), full, units, ending=".dat"),
         Written("lost", lines(head, lost, ",").encode(), holes, units, ending=".dat"),
         Written("gap", lines(head, gap, ",").encode(), refused="resample", ending=".dat"),
-        Written("gap resampled", lines(head, gap, ",").encode(), kept, units, resample=True, ending=".dat"),
-        Written("short row", lines(head, [*rows[:5], rows[5][:3], *rows[6:]], ",").encode(), refused="row 10", ending=".dat"),
+        Written(
+            "gap resampled",
+            lines(head, gap, ",").encode(),
+            kept,
+            units,
+            resample=True,
+            ending=".dat",
+        ),
+        Written(
+            "short row",
+            lines(head, [*rows[:5], rows[5][:3], *rows[6:]], ",").encode(),
+            refused="row 10",
+            ending=".dat",
+        ),
     ]
 
 
 def dashboard() -> list[Written]:
     """A dashboard's download: numbers since 1970 or stamps of ISO 8601, every cell quoted."""
-    epoch = [(f"{int(1000 * t.timestamp())}", f"{a}", f"{b}") for t, (a, b) in zip(times(), _pairs(), strict=True)]
+    epoch = [
+        (f"{int(1000 * t.timestamp())}", f"{a}", f"{b}")
+        for t, (a, b) in zip(times(), _pairs(), strict=True)
+    ]
     iso = [
         (f'"{t.isoformat(timespec="milliseconds").replace("+00:00", "Z")}"', f'"{a}"', f'"{b}"')
         for t, (a, b) in zip(times(), _pairs(), strict=True)
     ]
-    zoned = [(t.isoformat(timespec="microseconds"), f"{a}", f"{b}") for t, (a, b) in zip(times(CET), _pairs(), strict=True)]
+    zoned = [
+        (t.isoformat(timespec="microseconds"), f"{a}", f"{b}")
+        for t, (a, b) in zip(times(CET), _pairs(), strict=True)
+    ]
     events = [row if k % 2 == 0 else (row[0], "", row[2]) for k, row in enumerate(epoch)]
     half = {"speed": np.where(np.arange(N) % 2 == 0, SPEED, np.nan), "current": CURRENT}
-    nanos = [(f"{int(1000 * t.timestamp())}000000", row[1], row[2]) for t, row in zip(times(), epoch, strict=True)]
+    nanos = [
+        (f"{int(1000 * t.timestamp())}000000", row[1], row[2])
+        for t, row in zip(times(), epoch, strict=True)
+    ]
     head = '"Time","speed (rpm)","current (A)"'
     return [
         Written("epoch", lines([head], epoch, ",").encode(), BOTH, UNITS),
@@ -223,32 +303,70 @@ def dashboard() -> list[Written]:
 
 def microcontroller() -> list[Written]:
     """What a microcontroller's serial port gave: milliseconds since it began, blanks or tabs, sometimes no heads."""
-    rows = [(str(int(1000 * STEP * k) + 12), f"{a:.3f}", f"{b:.4f}") for k, (a, b) in enumerate(_pairs())]
+    rows = [
+        (str(int(1000 * STEP * k) + 12), f"{a:.3f}", f"{b:.4f}")
+        for k, (a, b) in enumerate(_pairs())
+    ]
     jitter = [(str(int(row[0]) + (4, -3, 11, 0)[k % 4]), *row[1:]) for k, row in enumerate(rows)]
     restart = [*rows[:20], *rows[:20]]
     return [
         Written(
-            "milliseconds", lines(["millis_ms speed[rpm] current[A]"], rows, " ").encode(), BOTH, UNITS, t0=0.012, ending=".txt"
+            "milliseconds",
+            lines(["millis_ms speed[rpm] current[A]"], rows, " ").encode(),
+            BOTH,
+            UNITS,
+            t0=0.012,
+            ending=".txt",
         ),
         Written(
-            "tabs", lines(["t_ms\tspeed (rpm)\tcurrent (A)"], rows, "\t", "\r\n").encode(), BOTH, UNITS, t0=0.012, ending=".txt"
+            "tabs",
+            lines(["t_ms\tspeed (rpm)\tcurrent (A)"], rows, "\t", "\r\n").encode(),
+            BOTH,
+            UNITS,
+            t0=0.012,
+            ending=".txt",
         ),
         Written("no heads", lines([], rows, ",").encode(), refused="names", ending=".txt"),
-        Written("uneven", lines(["t_ms,speed (rpm),current (A)"], jitter, ",").encode(), refused="resample", ending=".txt"),
-        Written("restart", lines(["t_ms,speed (rpm),current (A)"], restart, ",").encode(), refused="goes back", ending=".txt"),
+        Written(
+            "uneven",
+            lines(["t_ms,speed (rpm),current (A)"], jitter, ",").encode(),
+            refused="resample",
+            ending=".txt",
+        ),
+        Written(
+            "restart",
+            lines(["t_ms,speed (rpm),current (A)"], restart, ",").encode(),
+            refused="goes back",
+            ending=".txt",
+        ),
     ]
 
 
 def controller_trace() -> list[Written]:
     """A controller's trace: keys and values, then names, then rows; its own units."""
-    head = ["Name;TraceProject", "File;trace.csv", f"Starttime;{START:%Y-%m-%d}", "", "Time [ms];speed [ticks];current [%]"]
-    rows = [(comma(1e3 * STEP * k, 2), comma(a, 3), comma(b, 4)) for k, (a, b) in enumerate(_pairs())]
+    head = [
+        "Name;TraceProject",
+        "File;trace.csv",
+        f"Starttime;{START:%Y-%m-%d}",
+        "",
+        "Time [ms];speed [ticks];current [%]",
+    ]
+    rows = [
+        (comma(1e3 * STEP * k, 2), comma(a, 3), comma(b, 4)) for k, (a, b) in enumerate(_pairs())
+    ]
     own = {"speed": "ticks", "current": "%"}
     several = [(row[0], row[1], row[0], row[2]) for row in rows]
     trailing = [(*row, "") for row in rows]
     return [
         Written("own units", lines(head, rows, ";").encode(), BOTH, own, t0=0.0),
-        Written("tabs", lines([h.replace(";", "\t") for h in head], rows, "\t").encode(), BOTH, own, t0=0.0, ending=".txt"),
+        Written(
+            "tabs",
+            lines([h.replace(";", "\t") for h in head], rows, "\t").encode(),
+            BOTH,
+            own,
+            t0=0.0,
+            ending=".txt",
+        ),
         Written(
             "a time a channel",
             lines(["Time 1 [ms];speed;Time 2 [ms];current"], several, ";").encode(),
@@ -261,20 +379,36 @@ def controller_trace() -> list[Written]:
             own,
             t0=0.0,
         ),
-        Written("footer", lines(head, [*rows, ("End", "of", "trace")], ";").encode(), refused="row 46"),
+        Written(
+            "footer", lines(head, [*rows, ("End", "of", "trace")], ";").encode(), refused="row 46"
+        ),
     ]
 
 
 def strain_program() -> list[Written]:
     """A strain gauge program's text: heads over several lines, a line of units, tabs."""
-    head = ["Catman file", f"Started {START:%H:%M:%S}", "Channels\t3", "", "Zeit\tspeed\tcurrent", "s\tU/min\tA"]
+    head = [
+        "Catman file",
+        f"Started {START:%H:%M:%S}",
+        "Channels\t3",
+        "",
+        "Zeit\tspeed\tcurrent",
+        "s\tU/min\tA",
+    ]
     rows = [(comma(STEP * k, 3), comma(a, 3), comma(b, 4)) for k, (a, b) in enumerate(_pairs())]
     brackets = [*head[:4], "Zeit\tspeed\tcurrent", "[s]\t[Nm]\t[A]"]
     minus = [row if k != 4 else (row[0], "--", row[2]) for k, row in enumerate(rows)]
     holes = {"speed": np.where(np.arange(N) == 4, np.nan, SPEED), "current": CURRENT}
     twice = [*head[:4], "Zeit\tspeed\tspeed", "s\trpm\tA"]
     return [
-        Written("units' line", lines(head, rows, "\t").encode(), BOTH, {"speed": "U/min", "current": "A"}, t0=0.0, ending=".txt"),
+        Written(
+            "units' line",
+            lines(head, rows, "\t").encode(),
+            BOTH,
+            {"speed": "U/min", "current": "A"},
+            t0=0.0,
+            ending=".txt",
+        ),
         Written(
             "bracketed units",
             lines(brackets, rows, "\t").encode("utf-8-sig"),
@@ -283,8 +417,20 @@ def strain_program() -> list[Written]:
             t0=0.0,
             ending=".txt",
         ),
-        Written("no value", lines(brackets, minus, "\t").encode(), holes, {"speed": "Nm", "current": "A"}, t0=0.0, ending=".txt"),
-        Written("one name twice", lines(twice, rows, "\t").encode(), refused="stands twice", ending=".txt"),
+        Written(
+            "no value",
+            lines(brackets, minus, "\t").encode(),
+            holes,
+            {"speed": "Nm", "current": "A"},
+            t0=0.0,
+            ending=".txt",
+        ),
+        Written(
+            "one name twice",
+            lines(twice, rows, "\t").encode(),
+            refused="stands twice",
+            ending=".txt",
+        ),
         Written(
             "UTF-16 big",
             b"\xfe\xff" + lines(brackets, rows, "\t").encode("utf-16-be"),
@@ -299,8 +445,14 @@ def strain_program() -> list[Written]:
 def time_series_database() -> list[Written]:
     """A time series database's dump: marked lines, one field under the other, or pivoted."""
     iso = [t.isoformat(timespec="milliseconds").replace("+00:00", "Z") for t in times()]
-    pivoted = [("", "_result", "0", s, f"{a}", f"{b}") for s, (a, b) in zip(iso, _pairs(), strict=True)]
-    fields = [("", "_result", "0", s, f"{v}", n) for n, values in BOTH.items() for s, v in zip(iso, values, strict=True)]
+    pivoted = [
+        ("", "_result", "0", s, f"{a}", f"{b}") for s, (a, b) in zip(iso, _pairs(), strict=True)
+    ]
+    fields = [
+        ("", "_result", "0", s, f"{v}", n)
+        for n, values in BOTH.items()
+        for s, v in zip(iso, values, strict=True)
+    ]
     plain = [(s, f"{a}", f"{b}") for s, (a, b) in zip(iso, _pairs(), strict=True)]
     marks = [
         "#datatype,string,long,dateTime:RFC3339,double,double",
@@ -310,16 +462,33 @@ def time_series_database() -> list[Written]:
     table = {"table": np.zeros(N), **BOTH}
     mixed = [*plain[:10], (plain[10][0].replace("Z", "+02:00"), *plain[10][1:]), *plain[11:]]
     return [
-        Written("pivoted", lines([*marks, ",result,table,_time,speed,current"], pivoted, ",").encode(), table, {}),
-        Written("fields", lines([",result,table,_time,_value,_field"], fields, ",").encode(), refused="one column a signal"),
+        Written(
+            "pivoted",
+            lines([*marks, ",result,table,_time,speed,current"], pivoted, ",").encode(),
+            table,
+            {},
+        ),
+        Written(
+            "fields",
+            lines([",result,table,_time,_value,_field"], fields, ",").encode(),
+            refused="one column a signal",
+        ),
         Written("plain", lines(["time,speed,current"], plain, ",").encode(), BOTH, {}),
         Written(
             "sentinel",
-            lines(["time,speed,current"], [r if k != 2 else (r[0], "null", r[2]) for k, r in enumerate(plain)], ",").encode(),
+            lines(
+                ["time,speed,current"],
+                [r if k != 2 else (r[0], "null", r[2]) for k, r in enumerate(plain)],
+                ",",
+            ).encode(),
             {"speed": np.where(np.arange(N) == 2, np.nan, SPEED), "current": CURRENT},
             {},
         ),
-        Written("one row of another zone", lines(["time,speed,current"], mixed, ",").encode(), refused="goes back"),
+        Written(
+            "one row of another zone",
+            lines(["time,speed,current"], mixed, ",").encode(),
+            refused="goes back",
+        ),
     ]
 
 
@@ -327,15 +496,35 @@ def hand_made() -> list[Written]:
     """What an engineer writes by a script of their own."""
     rows = [(f"{STEP * k:.2f}", f"{a:.3f}", f"{b:.4f}") for k, (a, b) in enumerate(_pairs())]
     return [
-        Written("ours", lines(["time [s],speed [rpm],current [A]"], rows, ",").encode(), BOTH, UNITS, t0=0.0),
         Written(
-            "ours, units in parentheses", lines(["time [s],speed (rpm),current (A)"], rows, ",").encode(), BOTH, UNITS, t0=0.0
+            "ours",
+            lines(["time [s],speed [rpm],current [A]"], rows, ",").encode(),
+            BOTH,
+            UNITS,
+            t0=0.0,
         ),
-        Written("seconds in the name", lines(["time_s|speed|current"], rows, "|").encode(), BOTH, {}, t0=0.0),
-        Written("no unit", lines(["time,speed,current"], rows, ",").encode(), refused="time='excel'"),
+        Written(
+            "ours, units in parentheses",
+            lines(["time [s],speed (rpm),current (A)"], rows, ",").encode(),
+            BOTH,
+            UNITS,
+            t0=0.0,
+        ),
+        Written(
+            "seconds in the name",
+            lines(["time_s|speed|current"], rows, "|").encode(),
+            BOTH,
+            {},
+            t0=0.0,
+        ),
+        Written(
+            "no unit", lines(["time,speed,current"], rows, ",").encode(), refused="time='excel'"
+        ),
         Written(
             "notes first",
-            lines(["# bench 3", "# new belt", "time [min];speed [rpm];current [A]"], rows, ";").encode(),
+            lines(
+                ["# bench 3", "# new belt", "time [min];speed [rpm];current [A]"], rows, ";"
+            ).encode(),
             BOTH,
             UNITS,
             step=30.0,

@@ -16,7 +16,10 @@ def parse(text, **options):
 def test_round_trip(tmp_path, ending):
     rng = np.random.default_rng(1)
     record = Record(
-        {"u": rng.normal(size=500), "y": np.where(rng.random(500) < 0.1, np.nan, rng.normal(size=500))},
+        {
+            "u": rng.normal(size=500),
+            "y": np.where(rng.random(500) < 0.1, np.nan, rng.normal(size=500)),
+        },
         {"u": "V", "y": "rad/s"},
         1 / 12800,
         t0=3.25,
@@ -52,7 +55,10 @@ def test_empty_cells_are_missing():
             "time [s],a [V]\n0,1\n0,2\n2,3\n",
             "row 3: time does not increase, 0 s stands twice; write times with more digits, or say duplicates='spread'",
         ),
-        ("time [s],a [V]\n0,1\n2,2\n1,3\n", "row 4: time does not increase; rows must be in order of time"),
+        (
+            "time [s],a [V]\n0,1\n2,2\n1,3\n",
+            "row 4: time does not increase; rows must be in order of time",
+        ),
         ("time [s]" + ",a" * 1_000_000 + "\n0,1\n", "header of"),
         ("time [s]," + ",".join(f"a{i}" for i in range(2000)) + "\n", "at most 1000"),
     ],
@@ -69,7 +75,10 @@ def test_what_is_no_unit_is_refused():
 
 def test_a_unit_that_cannot_be_read_is_said_in_another_spelling(tmp_path):
     (tmp_path / "r.csv").write_text("time [s],a [m^^2]\n0,1\n1,2\n")
-    with pytest.raises(BadUnit, match=r"r\.csv', channel 'a': unit 'm\^\^2': not a known unit.*; say units={'a': 'UNIT'}"):
+    with pytest.raises(
+        BadUnit,
+        match=r"r\.csv', channel 'a': unit 'm\^\^2': not a known unit.*; say units={'a': 'UNIT'}",
+    ):
         read_record(tmp_path / "r.csv")
     assert read_record(tmp_path / "r.csv", ReadOptions(units={"a": "m**2"})).units["a"] == "m**2"
 

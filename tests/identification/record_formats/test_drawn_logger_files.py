@@ -18,7 +18,18 @@ START = datetime(2024, 3, 27, 21, 58, 50, tzinfo=UTC)
 """A day that is no month, shortly before the hour's end."""
 TIME_NAMES = ("time", "Time", "t", "Zeit", "elapsed time", "Timestamp")
 PER_UNIT = {"s": 1.0, "ms": 1e-3, "min": 60.0, "h": 3600.0, "us": 1e-6}
-NAMES = ["speed", "Drehzahl", "Kraft x", "p1", "Öltemperatur", "U_Motor", "torque-2", "Sensor #3", "Valve open", "n (left)"]
+NAMES = [
+    "speed",
+    "Drehzahl",
+    "Kraft x",
+    "p1",
+    "Öltemperatur",
+    "U_Motor",
+    "torque-2",
+    "Sensor #3",
+    "Valve open",
+    "n (left)",
+]
 UNITS = ["rpm", "V", "N", "bar", "°C", "m/s²", "Nm", "%", "mA", "kPa", "mm/s", ""]
 STAMPS = {
     "iso": "%Y-%m-%d %H:%M:%S.%f",
@@ -47,7 +58,9 @@ class Drawn:
 
 def stamp(form, k, step):
     at = START + timedelta(microseconds=round(1e6 * k * step))
-    whole, _, fraction = f"{at:{STAMPS[form]}}".partition(".") if "german" not in form else _german(at)
+    whole, _, fraction = (
+        f"{at:{STAMPS[form]}}".partition(".") if "german" not in form else _german(at)
+    )
     return f"{whole}.{fraction[:3]}{fraction[6:]}"
 
 
@@ -57,23 +70,36 @@ def _german(at):
 
 @st.composite
 def drawn_file(draw):
-    n, step = draw(st.integers(24, 60)), draw(st.sampled_from([0.001, 0.02, 0.1, 0.25, 0.5, 1.0, 2.0, 10.0, 60.0]))
+    n, step = (
+        draw(st.integers(24, 60)),
+        draw(st.sampled_from([0.001, 0.02, 0.1, 0.25, 0.5, 1.0, 2.0, 10.0, 60.0])),
+    )
     cut = draw(st.sampled_from([";", ",", "\t", "|", " "]))
     decimal = draw(st.sampled_from([".", ","])) if cut not in (",",) else "."
     names = draw(
         st.lists(
-            st.sampled_from(NAMES if cut != " " else ["speed", "p1", "U_Motor", "Drehzahl"]), min_size=1, max_size=4, unique=True
+            st.sampled_from(NAMES if cut != " " else ["speed", "p1", "U_Motor", "Drehzahl"]),
+            min_size=1,
+            max_size=4,
+            unique=True,
         )
     )
     units = [draw(st.sampled_from(UNITS)) for _ in names]
     digits, seed = draw(st.sampled_from([1, 2, 4, 5, 6])), draw(st.integers(0, 10**6))
     size = draw(st.sampled_from([0.5, 30.0, 4000.0, 2e6]))
-    values = np.round(size * np.cumsum(np.random.default_rng(seed).normal(size=(len(names), n)), axis=1) / 5, digits)
+    values = np.round(
+        size * np.cumsum(np.random.default_rng(seed).normal(size=(len(names), n)), axis=1) / 5,
+        digits,
+    )
     hole = draw(st.sampled_from(["", "", "NaN", "---", "n/a"] if cut != " " else ["NaN", "---"]))
     if draw(st.booleans()):
         values[draw(st.integers(0, len(names) - 1)), draw(st.integers(2, n - 3)) :: 7] = np.nan
     form = draw(
-        st.sampled_from([*PER_UNIT, *PER_UNIT, "epoch ms", "epoch s", *STAMPS, "date and time"] if cut != " " else [*PER_UNIT])
+        st.sampled_from(
+            [*PER_UNIT, *PER_UNIT, "epoch ms", "epoch s", *STAMPS, "date and time"]
+            if cut != " "
+            else [*PER_UNIT]
+        )
     )
     kept = np.arange(n)
     if draw(st.integers(0, 4)) == 0:
@@ -97,7 +123,9 @@ def drawn_file(draw):
     if len(heads) == 1 and not form.startswith("epoch"):
         heads = [(draw(st.sampled_from(TIME_NAMES if cut != " " else TIME_NAMES[:4])), heads[0][1])]
     style = draw(st.sampled_from(["[]", "()", "row", "row ()"] if cut != " " else ["[]"]))
-    place = draw(st.sampled_from([0, 0, 0, len(names)])) if form in PER_UNIT or form in STAMPS else 0
+    place = (
+        draw(st.sampled_from([0, 0, 0, len(names)])) if form in PER_UNIT or form in STAMPS else 0
+    )
     return written(draw, locals())
 
 
@@ -134,16 +162,27 @@ def written(draw, of):
     head = [put.format(name, unit) if unit else name for name, unit in named]
     lines = [cut.join(head)]
     if style.startswith("row"):
-        lines.append(cut.join(f"({unit})" if style == "row ()" and unit else unit for _, unit in named))
+        lines.append(
+            cut.join(f"({unit})" if style == "row ()" and unit else unit for _, unit in named)
+        )
     quoted = cut != " " and draw(st.integers(0, 5)) == 0
     rows = [[column[k] for column in columns] for k in of["kept"]]
     lines += [cut.join(f'"{cell}"' for cell in row) if quoted else cut.join(row) for row in rows]
     before = draw(
-        st.lists(st.sampled_from(["# bench 7", "Device: logger 12", "", "Operator Miller", "Serial 4711-B"]), max_size=3)
+        st.lists(
+            st.sampled_from(
+                ["# bench 7", "Device: logger 12", "", "Operator Miller", "Serial 4711-B"]
+            ),
+            max_size=3,
+        )
     )
     if cut != " " and draw(st.integers(0, 5)) == 0:
         lines = [line + cut for line in lines]
-    after = [""] if draw(st.integers(0, 19)) else draw(st.sampled_from([["", ""], ["# end"], ["End of measurement"]]))
+    after = (
+        [""]
+        if draw(st.integers(0, 19))
+        else draw(st.sampled_from([["", ""], ["# end"], ["End of measurement"]]))
+    )
     text = draw(st.sampled_from(["\n", "\r\n"])).join([*before, *lines, *after])
     encoding = draw(st.sampled_from(["utf-8", "utf-8", "utf-8-sig", "cp1252", "utf-16"]))
     lost = len(of["kept"]) < n
@@ -193,7 +232,13 @@ def outcome(drawn):
 def test_drawn_files_are_read_right_or_refused():
     found = []
 
-    @settings(max_examples=200, derandomize=True, database=None, deadline=None, suppress_health_check=list(HealthCheck))
+    @settings(
+        max_examples=200,
+        derandomize=True,
+        database=None,
+        deadline=None,
+        suppress_health_check=list(HealthCheck),
+    )
     @given(drawn_file())
     def read(drawn):
         found.append(outcome(drawn))

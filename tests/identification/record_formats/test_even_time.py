@@ -11,14 +11,20 @@ def held(time):
     return even_columns(np.stack([time, np.zeros(len(time))]), "x.csv", resample=False)[0]
 
 
-@pytest.mark.parametrize(("step", "decimals"), [(0.00325, 3), (0.00325, 4), (1 / 30, 2), (1 / 12800, 5), (3.3333, 0)])
+@pytest.mark.parametrize(
+    ("step", "decimals"), [(0.00325, 3), (0.00325, 4), (1 / 30, 2), (1 / 12800, 5), (3.3333, 0)]
+)
 def test_even_stamps_that_were_rounded_to_their_decimals_are_even(step, decimals):
     for begin in (0.0, 123.4567, 1.7e9):
-        assert held(np.round(begin + step * np.arange(4000), decimals)) == pytest.approx(step, rel=1e-3)
+        assert held(np.round(begin + step * np.arange(4000), decimals)) == pytest.approx(
+            step, rel=1e-3
+        )
 
 
 def test_even_stamps_of_so_many_significant_digits_are_even():
-    assert held(np.array([float(f"{0.00325 * k:.6g}") for k in range(4000)])) == pytest.approx(0.00325, rel=1e-5)
+    assert held(np.array([float(f"{0.00325 * k:.6g}") for k in range(4000)])) == pytest.approx(
+        0.00325, rel=1e-5
+    )
 
 
 @pytest.mark.parametrize("moved", [0.01, -0.01, 0.02])
@@ -51,10 +57,15 @@ def test_samples_whose_stamps_are_a_little_late_stay_beside_each_other(seed, sam
     found, signals, told = resampled(at, np.stack([voltage, voltage / 2.0, slow]), "r.csv")
     assert found == pytest.approx(step, rel=1e-3) and signals.shape[1] == n
     np.testing.assert_array_equal(signals[:2], [voltage, voltage / 2.0])
-    assert "kept at its even instant, at most" in told[0][0] and "kept at its even instant" in told[1][0]
+    assert (
+        "kept at its even instant, at most" in told[0][0]
+        and "kept at its even instant" in told[1][0]
+    )
     if samples_too:  # then the slow signal is read off between its samples
         line = np.polyfit(np.arange(n), at, 1)
-        np.testing.assert_allclose(signals[2][1:-1], np.sin(np.polyval(line, np.arange(n)) / step / 6.0)[1:-1], atol=0.005)
+        np.testing.assert_allclose(
+            signals[2][1:-1], np.sin(np.polyval(line, np.arange(n)) / step / 6.0)[1:-1], atol=0.005
+        )
         assert "error about" in told[2][0]
     else:
         np.testing.assert_array_equal(signals[2], slow)

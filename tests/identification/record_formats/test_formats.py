@@ -7,7 +7,13 @@ import pytest
 
 from residuum.identification.errors import BadRecord
 from residuum.identification.record import Record
-from residuum.identification.record_formats import READERS, WRITERS, ReadOptions, read_record, write_record
+from residuum.identification.record_formats import (
+    READERS,
+    WRITERS,
+    ReadOptions,
+    read_record,
+    write_record,
+)
 
 EXACT = {".npz", ".mat", ".parquet", ".tdms", ".mf4"}
 KEEPS_UNITS = {".csv", ".npz", ".mat", ".parquet", ".tdms", ".mf4", ".uff"}
@@ -15,7 +21,11 @@ KEEPS_UNITS = {".csv", ".npz", ".mat", ".parquet", ".tdms", ".mf4", ".uff"}
 
 def a_record():
     rng = np.random.default_rng(7)
-    return Record({"voltage": rng.normal(size=300), "speed": rng.normal(size=300)}, {"voltage": "V", "speed": "rad/s"}, 1 / 500)
+    return Record(
+        {"voltage": rng.normal(size=300), "speed": rng.normal(size=300)},
+        {"voltage": "V", "speed": "rad/s"},
+        1 / 500,
+    )
 
 
 def test_readers_and_writers_are_listed_in_pairs():
@@ -35,18 +45,31 @@ def test_round_trip(tmp_path, ending):
         np.testing.assert_allclose(found, true, rtol=0 if ending in EXACT else 1e-6, atol=1e-9)
 
 
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # asammdf's own destructor, on half-read files
+@pytest.mark.filterwarnings(
+    "ignore::pytest.PytestUnraisableExceptionWarning"
+)  # asammdf's own destructor, on half-read files
 @pytest.mark.parametrize("ending", READERS)
 @pytest.mark.parametrize("damage", ["empty", "text", "cut", "flipped"])
 def test_damaged_files_are_refused(tmp_path, ending, damage):
     path = tmp_path / f"r{ending}"
     write_record(a_record(), path)
     content = path.read_bytes()
-    flipped = bytes(byte ^ 0x5A for byte in content[: len(content) // 3]) + content[len(content) // 3 :]
-    path.write_bytes(
-        {"empty": b"", "text": b"what is this\n" * 20, "cut": content[: len(content) // 3], "flipped": flipped}[damage]
+    flipped = (
+        bytes(byte ^ 0x5A for byte in content[: len(content) // 3]) + content[len(content) // 3 :]
     )
-    if (ending, damage) in {(".csv", "cut"), (".tdms", "cut"), (".wav", "cut")}:  # a shorter file may still be a valid one
+    path.write_bytes(
+        {
+            "empty": b"",
+            "text": b"what is this\n" * 20,
+            "cut": content[: len(content) // 3],
+            "flipped": flipped,
+        }[damage]
+    )
+    if (ending, damage) in {
+        (".csv", "cut"),
+        (".tdms", "cut"),
+        (".wav", "cut"),
+    }:  # a shorter file may still be a valid one
         return
     with pytest.raises(BadRecord) as refused:
         read_record(path)
@@ -59,7 +82,9 @@ def test_a_file_that_does_not_say_its_sample_time_must_be_told(tmp_path):
     np.savez(tmp_path / "r.npz", vibration=np.zeros(8))
     with pytest.raises(BadRecord, match="does not say its sample time"):
         read_record(tmp_path / "r.npz")
-    record = read_record(tmp_path / "r.npz", ReadOptions(sample_time=1 / 12000, units={"vibration": "g"}))
+    record = read_record(
+        tmp_path / "r.npz", ReadOptions(sample_time=1 / 12000, units={"vibration": "g"})
+    )
     assert record.sampling_rate == pytest.approx(12000) and record.units["vibration"] == "g"
 
 

@@ -6,7 +6,10 @@ import pytest
 from residuum.identification.errors import BadRecord
 from residuum.identification.record_formats import ReadOptions, read_record
 from residuum.identification.record_formats.loggers.logger_file import understand
-from residuum.identification.record_formats.loggers.logger_mapping import read_logger_file, read_mapping
+from residuum.identification.record_formats.loggers.logger_mapping import (
+    read_logger_file,
+    read_mapping,
+)
 
 SPEED = np.array([1.5, 2.25, 3.0, 4.75])
 DAY = 1704063600.0
@@ -33,9 +36,19 @@ FILES = {
     "UTF-16 without a mark": (GERMAN.encode("utf-16-le"), 0.1, DAY, "rpm"),
     "UTF-32": (GERMAN.encode("utf-32"), 0.1, DAY, "rpm"),
     "byte-order mark": (GERMAN.encode("utf-8-sig"), 0.1, DAY, "rpm"),
-    "tabs, milliseconds, parentheses": ("t (ms)\tv (m/s)\n0\t1.5\n5\t2.25\n10\t3\n15\t4.75\n", 0.005, 0.0, "m/s"),
+    "tabs, milliseconds, parentheses": (
+        "t (ms)\tv (m/s)\n0\t1.5\n5\t2.25\n10\t3\n15\t4.75\n",
+        0.005,
+        0.0,
+        "m/s",
+    ),
     "unit line": ("Time,v\ns,ticks\n0,1.5\n0.5,2.25\n1,3\n1.5,4.75\n", 0.5, 0.0, "ticks"),
-    "epoch s": ("time,v [V]\n1704063600,1.5\n1704063601,2.25\n1704063602,3\n1704063603,4.75\n", 1.0, DAY, "V"),
+    "epoch s": (
+        "time,v [V]\n1704063600,1.5\n1704063601,2.25\n1704063602,3\n1704063603,4.75\n",
+        1.0,
+        DAY,
+        "V",
+    ),
     "epoch ms": (
         "time,v [V]\n1704063600000,1.5\n1704063600020,2.25\n1704063600040,3\n1704063600060,4.75\n",
         0.02,
@@ -61,9 +74,24 @@ FILES = {
         DAY,
         "V",
     ),
-    "latin-1 degrees": ("time [s];T [°C]\n0;1,5\n1;2,25\n2;3\n3;4,75\n".encode("latin-1"), 1.0, 0.0, "°C"),
-    "quoted decimal commas": ('"time [s]","v [V]"\n"0,0","1,5"\n"0,1","2,25"\n"0,2","3,0"\n"0,3","4,75"\n', 0.1, 0.0, "V"),
-    "blanks": ("  time_s   v[mm]\n  0.0  1.5\n  0.1  2.25\n  0.2  3.0\n  0.3  4.75\n", 0.1, 0.0, "mm"),
+    "latin-1 degrees": (
+        "time [s];T [°C]\n0;1,5\n1;2,25\n2;3\n3;4,75\n".encode("latin-1"),
+        1.0,
+        0.0,
+        "°C",
+    ),
+    "quoted decimal commas": (
+        '"time [s]","v [V]"\n"0,0","1,5"\n"0,1","2,25"\n"0,2","3,0"\n"0,3","4,75"\n',
+        0.1,
+        0.0,
+        "V",
+    ),
+    "blanks": (
+        "  time_s   v[mm]\n  0.0  1.5\n  0.1  2.25\n  0.2  3.0\n  0.3  4.75\n",
+        0.1,
+        0.0,
+        "mm",
+    ),
 }
 
 
@@ -96,7 +124,9 @@ def test_reordered_and_equal_duplicate_stamps_are_told_and_mended(tmp_path):
     found, record = read(tmp_path, f"time,v [V]\n{rows}\n")
     assert found.samples["reordered"] == 1 and found.samples["duplicates"] == 1
     np.testing.assert_allclose(record["v"], [0, 1, 2, 3, 4, 5])
-    assert any("sorted" in note for note in record.notes) and any("twice" in note for note in record.notes)
+    assert any("sorted" in note for note in record.notes) and any(
+        "twice" in note for note in record.notes
+    )
 
 
 def test_restart_of_the_clock_is_not_sorted(tmp_path):
@@ -154,35 +184,54 @@ def test_rows_without_times_are_as_far_apart_as_is_said(tmp_path):
     with pytest.raises(BadRecord, match="sample_time=SECONDS where none is a time"):
         understand(content, "log.txt")
     found = understand(content, "log.txt", sample_time=0.025)
-    assert found.guesses["time"] == ("rows of 0.025 s", "said with --sample-time; no column is a time")
+    assert found.guesses["time"] == (
+        "rows of 0.025 s",
+        "said with --sample-time; no column is a time",
+    )
     (tmp_path / "log.txt").write_bytes(content)
     (tmp_path / "log.mapping.yaml").write_text(found.mapping.to_yaml(), encoding="utf-8")
     by_mapping = read_logger_file(tmp_path / "log.txt", read_mapping(tmp_path / "log.mapping.yaml"))
     for record in (by_mapping, read_record(tmp_path / "log.txt", ReadOptions(sample_time=0.025))):
-        assert (record.names, record.n, record.sample_time) == (("y", "u"), 20, pytest.approx(0.025))
+        assert (record.names, record.n, record.sample_time) == (
+            ("y", "u"),
+            20,
+            pytest.approx(0.025),
+        )
         np.testing.assert_array_equal(record["y"], np.arange(20) + 0.5)
 
 
 def test_a_sample_time_does_not_stand_in_for_a_time_that_the_file_has():
-    with pytest.raises(BadRecord, match=r"time column 'time' has no unit; .*say units={'time': 's'}"):
+    with pytest.raises(
+        BadRecord, match=r"time column 'time' has no unit; .*say units={'time': 's'}"
+    ):
         understand(b"time;v [V]\n0;1\n1;2\n2;3\n", "log.csv", sample_time=0.1)
 
 
 def test_what_is_said_settles_the_doubt(tmp_path):
-    _, record = read(tmp_path, "time;v [V]\n0;1,234\n1;2,345\n", decimal=",", time_form="milliseconds")
+    _, record = read(
+        tmp_path, "time;v [V]\n0;1,234\n1;2,345\n", decimal=",", time_form="milliseconds"
+    )
     np.testing.assert_allclose(record["v"], [1.234, 2.345])
     assert record.sample_time == pytest.approx(1e-3)
 
 
 @pytest.mark.parametrize(
     ("change", "says"),
-    [("width: 2", "there is no column"), ("decimal: x", "decimal"), ("colour: red", "colour"), ("names: [1", "not YAML")],
+    [
+        ("width: 2", "there is no column"),
+        ("decimal: x", "decimal"),
+        ("colour: red", "colour"),
+        ("names: [1", "not YAML"),
+    ],
 )
 def test_bad_mapping_is_refused(tmp_path, change, says):
     lines = understand(b"t [s],a [V],b [V]\n0,1,5\n1,2,6\n", "log").mapping.to_yaml().splitlines()
     key = change.split(":")[0]
     file = tmp_path / "m.yaml"
-    file.write_text("\n".join([*(line for line in lines if not line.startswith(f"{key}:")), change]), encoding="utf-8")
+    file.write_text(
+        "\n".join([*(line for line in lines if not line.startswith(f"{key}:")), change]),
+        encoding="utf-8",
+    )
     with pytest.raises(BadRecord, match=says):
         read_mapping(file)
 
@@ -203,7 +252,9 @@ def test_quoted_cells_below_a_plain_head_are_read(tmp_path):
 def test_the_unit_of_times_may_be_said_like_any_other(tmp_path):
     file = tmp_path / "log.csv"
     file.write_text("t;speed\n0;1\n10;2\n20;3\n")
-    assert read_record(file, ReadOptions(units={"t": "ms", "speed": "rpm"})).sample_time == pytest.approx(0.01)
+    assert read_record(
+        file, ReadOptions(units={"t": "ms", "speed": "rpm"})
+    ).sample_time == pytest.approx(0.01)
 
 
 @pytest.mark.parametrize("word", ["unavailable", "unknown", "Offline", "#DIV/0!", "kaputt"])
@@ -213,7 +264,11 @@ def test_a_few_words_for_no_value_make_no_delimiter(word, delimiter):
     rows = [delimiter.join(["time", "a [kW]", "b [degC]"])]
     gone = rng.choice(100, 7, replace=False)
     for k in range(100):
-        cells = [f"2024-02-05 {k // 60:02d}:{k % 60:02d}:00", f"{rng.normal():.3f}", f"{rng.normal():.2f}"]
+        cells = [
+            f"2024-02-05 {k // 60:02d}:{k % 60:02d}:00",
+            f"{rng.normal():.3f}",
+            f"{rng.normal():.2f}",
+        ]
         rows.append(delimiter.join([cells[0], word, word] if k in gone else cells))
     said = {"missing": [word]} if word == "kaputt" else {}
     found = understand("\n".join(rows).encode(), "hub.csv", **said)
@@ -223,5 +278,8 @@ def test_a_few_words_for_no_value_make_no_delimiter(word, delimiter):
 
 def test_the_long_form_is_refused_with_its_signals():
     rows = [f"sensor.{'abc'[k % 3]},{k},2024-02-05T00:{k:02d}:00Z" for k in range(30)]
-    with pytest.raises(BadRecord, match=r"'entity_id' names the signal of each row \(3: sensor.a, .*long form.*pivot"):
+    with pytest.raises(
+        BadRecord,
+        match=r"'entity_id' names the signal of each row \(3: sensor.a, .*long form.*pivot",
+    ):
         understand("\n".join(["entity_id,state,last_changed", *rows]).encode(), "history.csv")

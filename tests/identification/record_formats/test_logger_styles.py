@@ -11,11 +11,15 @@ from residuum.identification.errors import BadInput
 from residuum.identification.record_formats import ReadOptions, read_record
 from residuum.service.cli import BAD_INPUT, DONE, run
 
-_HERE = importlib.util.spec_from_file_location("logger_styles", Path(__file__).with_name("logger_styles.py"))
+_HERE = importlib.util.spec_from_file_location(
+    "logger_styles", Path(__file__).with_name("logger_styles.py")
+)
 styles = importlib.util.module_from_spec(_HERE)
 sys.modules["logger_styles"] = styles
 _HERE.loader.exec_module(styles)
-FILES = {f"{style.__name__}, {written.name}": written for style in styles.STYLES for written in style()}
+FILES = {
+    f"{style.__name__}, {written.name}": written for style in styles.STYLES for written in style()
+}
 
 
 def test_there_are_sixty_files_of_twelve_styles():
@@ -71,7 +75,21 @@ def test_inspect_takes_the_column_of_times_and_its_form(tmp_path, capsys):
     file.write_text(f"Stempel,force [N],position [m]\n{rows}\n")
     assert run(["inspect", str(file), "--time", "seconds"]) == BAD_INPUT
     assert "say --map time=COLUMN, or" in capsys.readouterr().err
-    assert run(["inspect", str(file), "--time", "seconds", "--map", "time=Stempel", "--out", str(mapping)]) == DONE
+    assert (
+        run(
+            [
+                "inspect",
+                str(file),
+                "--time",
+                "seconds",
+                "--map",
+                "time=Stempel",
+                "--out",
+                str(mapping),
+            ]
+        )
+        == DONE
+    )
     assert "'Stempel': seconds" in capsys.readouterr().out
     assert run(["compare", "linear-axis", str(file), "--mapping", str(mapping)]) == DONE
 
@@ -79,10 +97,16 @@ def test_inspect_takes_the_column_of_times_and_its_form(tmp_path, capsys):
 def test_a_hole_is_left_missing_and_told(tmp_path, capsys):
     time = np.concatenate([np.arange(0, 5, 0.1), np.arange(25, 30, 0.1)])
     file = tmp_path / "log.csv"
-    file.write_text("time [s],force [N],position [m]\n" + "\n".join(f"{t:.1f},95,{t * t / 2:.4f}" for t in time) + "\n")
+    file.write_text(
+        "time [s],force [N],position [m]\n"
+        + "\n".join(f"{t:.1f},95,{t * t / 2:.4f}" for t in time)
+        + "\n"
+    )
     record = read_record(file, ReadOptions(resample=True))
     assert np.isnan(record["force"]).sum() == 200
     assert run(["compare", "linear-axis", str(file), "--resample"]) == DONE
     told = capsys.readouterr()
     assert "200 samples left missing" in told.err
-    assert "(part 1: 0 to 4.9 s)" in told.out and "(part 2: 25 to 29.9 s)" in told.out  # nothing is simulated across the hole
+    assert (
+        "(part 1: 0 to 4.9 s)" in told.out and "(part 2: 25 to 29.9 s)" in told.out
+    )  # nothing is simulated across the hole

@@ -20,14 +20,24 @@ def drive(tmp_path):
     file = tmp_path / "drive.mat"
     savemat(
         file,
-        {"time": T, "u": np.sign(np.sin(T)), "y": np.where(T > 1, np.nan, np.cos(T)), "units_u": "V", "left": np.ones((2, 9))},
+        {
+            "time": T,
+            "u": np.sign(np.sin(T)),
+            "y": np.where(T > 1, np.nan, np.cos(T)),
+            "units_u": "V",
+            "left": np.ones((2, 9)),
+        },
     )
     return file
 
 
 def test_it_is_the_same_record(drive):
     here, apart = read_record(drive), read_safely(drive)
-    assert apart.names == here.names and dict(apart.units) == dict(here.units) and apart.notes == here.notes
+    assert (
+        apart.names == here.names
+        and dict(apart.units) == dict(here.units)
+        and apart.notes == here.notes
+    )
     assert (apart.sample_time, apart.t0, apart.source) == (here.sample_time, here.t0, here.source)
     for name in here.names:
         np.testing.assert_array_equal(apart[name], here[name])
@@ -52,7 +62,10 @@ def test_a_reader_that_is_killed_is_one_line(drive, tmp_path, monkeypatch, capsy
     killed.write_text("#!/bin/sh\nkill -SEGV $$\n")
     killed.chmod(0o755)
     monkeypatch.setattr(sys, "executable", str(killed))
-    with pytest.raises(BadRecord, match=r"drive.mat: reading it ended the process that did \(signal 11\): the file is damaged"):
+    with pytest.raises(
+        BadRecord,
+        match=r"drive.mat: reading it ended the process that did \(signal 11\): the file is damaged",
+    ):
         rs.read(drive)
     for command in (["inspect", str(drive)], ["compare", "gate-drive", str(drive)]):
         assert run(command) == BAD_INPUT

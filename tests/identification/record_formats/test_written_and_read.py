@@ -20,19 +20,32 @@ WITHOUT_MISSING = {".uff"}
 @st.composite
 def records(draw):
     n = draw(st.integers(4, 40))
-    names = draw(st.lists(st.sampled_from(["speed", "force", "U_1", "T oil", "T", "b"]), min_size=1, max_size=3, unique=True))
+    names = draw(
+        st.lists(
+            st.sampled_from(["speed", "force", "U_1", "T oil", "T", "b"]),
+            min_size=1,
+            max_size=3,
+            unique=True,
+        )
+    )
     step = draw(st.sampled_from([1e-4, 0.002, 0.1, 0.5, 1.0, 60.0]))
     rng = np.random.default_rng(draw(st.integers(0, 10_000)))
-    channels = {name: np.round(rng.normal(size=n) * 10.0 ** rng.integers(-3, 4), 9) for name in names}
+    channels = {
+        name: np.round(rng.normal(size=n) * 10.0 ** rng.integers(-3, 4), 9) for name in names
+    }
     for values in channels.values():
         values[rng.random(n) < draw(st.sampled_from([0.0, 0.1, 0.4]))] = np.nan
         values[:2] = np.round(rng.normal(size=2), 6)
     return Record(channels, {name: draw(st.sampled_from(UNITS)) for name in names}, step)
 
 
-@pytest.mark.parametrize("ending", [ending for ending in WRITERS if ending != ".wav"])  # sound keeps neither units nor names
+@pytest.mark.parametrize(
+    "ending", [ending for ending in WRITERS if ending != ".wav"]
+)  # sound keeps neither units nor names
 @given(record=records())
-@settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 def test_a_record_is_read_as_it_was_written(ending, record):
     with tempfile.TemporaryDirectory() as folder:
         if ending in WITHOUT_MISSING and any(record.missing(name).any() for name in record.names):

@@ -16,7 +16,10 @@ def experiment(*outputs):
 
 
 def test_the_variance_is_that_of_a_step_where_most_samples_repeat():
-    coarse, fine = 2.0 * np.round(SLOW / 2.0), 0.01 * np.round((SLOW + RNG.normal(scale=0.1, size=4000)) / 0.01)
+    coarse, fine = (
+        2.0 * np.round(SLOW / 2.0),
+        0.01 * np.round((SLOW + RNG.normal(scale=0.1, size=4000)) / 0.01),
+    )
     standing, absent = np.where(SLOW > 0.0, SLOW, 0.0), np.full(4000, np.nan)
     found = reading_variances([experiment(coarse, fine, standing, absent)])
     assert found == pytest.approx([4.0 / 12.0, 0.0, 0.0, 0.0])

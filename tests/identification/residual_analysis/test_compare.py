@@ -37,7 +37,10 @@ def test_a_missing_friction_is_seen_and_sized(with_friction):
     speed = with_friction.outputs["speed"]
     assert speed.rmse > 3 * speed.noise_floor
     assert speed.k_step[1] < speed.k_step[100] < 3 * speed.rmse
-    assert with_friction.balances["shaft"].relative_percent > 2 * with_friction.balances["winding"].relative_percent
+    assert (
+        with_friction.balances["shaft"].relative_percent
+        > 2 * with_friction.balances["winding"].relative_percent
+    )
 
 
 def test_the_missing_term_draws_the_friction_curve(with_friction):
@@ -76,7 +79,9 @@ balances:
   mass: {kind: force, storage: M * der(v), terms: {shaker: force, spring: -k * x, damper: -d * v}, position: x, velocity: v}
 outputs: {x: {value: x, unit: m}}
 """
-    found = compare(read_model(text), [Record({"force": force, "x": seen + noise}, {"force": "N", "x": "m"}, h)])
+    found = compare(
+        read_model(text), [Record({"force": force, "x": seen + noise}, {"force": "N", "x": "m"}, h)]
+    )
     assert found.p_value < 1e-4 and found.share > 0.9
     assert found.outputs["x"].rmse > 5 * found.outputs["x"].noise_floor
 
@@ -101,7 +106,10 @@ balances:
 outputs: {x: {value: x, unit: rad}}
 """
     noise = 0.002 * rng.standard_normal(n)
-    found = compare(read_model(text), [Record({"torque": torque, "x": seen + noise}, {"torque": "N*m", "x": "rad"}, h)])
+    found = compare(
+        read_model(text),
+        [Record({"torque": torque, "x": seen + noise}, {"torque": "N*m", "x": "rad"}, h)],
+    )
     assert found.p_value < 0.01 and found.share > 0.9 and found.where
     assert found.outputs["x"].rmse > 10 * found.outputs["x"].noise_floor
 
@@ -125,9 +133,20 @@ def test_noise_floor_reads_coloured_noise_under_a_slow_error(rho):
 def test_a_signal_may_rest_in_one_record_of_several():
     """A drive that is moved, and one that coasts unpowered: no signal's columns are missing where it is zero throughout."""
     powered = record(profile="rich")
-    speed = 50.0 * np.exp(-np.arange(3000) * 0.002 / 0.05) + 0.3 * np.random.default_rng(5).standard_normal(3000)
-    coasting = Record({"voltage": np.zeros(3000), "speed": speed}, {"voltage": "V", "speed": "rad/s"}, 0.002)
-    both = [Record({n: powered.channels[n] for n in ("voltage", "speed")}, coasting.units, powered.sample_time), coasting]
+    speed = 50.0 * np.exp(-np.arange(3000) * 0.002 / 0.05) + 0.3 * np.random.default_rng(
+        5
+    ).standard_normal(3000)
+    coasting = Record(
+        {"voltage": np.zeros(3000), "speed": speed}, {"voltage": "V", "speed": "rad/s"}, 0.002
+    )
+    both = [
+        Record(
+            {n: powered.channels[n] for n in ("voltage", "speed")},
+            coasting.units,
+            powered.sample_time,
+        ),
+        coasting,
+    ]
     assert compare(MODEL, both).structured
 
 
@@ -144,7 +163,10 @@ outputs: {position: {value: q, unit: m}, velocity: {value: v, unit: m/s}}
 def test_a_controller_that_answers_the_noise_is_no_structure_and_does_not_hide_any(damping):
     """What it does in a sample knows the noise of that sample; the model is right at 60 N·s/m."""
     rng, n, h, sigma = np.random.default_rng(5), 12_000, 2e-3, np.array([6e-4, 5e-3])
-    course = np.cumsum(np.concatenate([np.full(400, rng.uniform(-0.25, 0.25)) for _ in range(n // 400)])) * h
+    course = (
+        np.cumsum(np.concatenate([np.full(400, rng.uniform(-0.25, 0.25)) for _ in range(n // 400)]))
+        * h
+    )
     q, v, force, shown = 0.0, 0.0, np.empty(n), np.empty((n, 2))
     noise = sigma * rng.normal(size=(n, 2))
     for k in range(n):
@@ -154,12 +176,16 @@ def test_a_controller_that_answers_the_noise_is_no_structure_and_does_not_hide_a
             v += h / 20 * (force[k] - damping * v) / 8.9
             q += h / 20 * v
     record = Record(
-        {"force": force, "position": shown[:, 0], "velocity": shown[:, 1]}, {"force": "N", "position": "m", "velocity": "m/s"}, h
+        {"force": force, "position": shown[:, 0], "velocity": shown[:, 1]},
+        {"force": "N", "position": "m", "velocity": "m/s"},
+        h,
     )
     found = compare(read_model(STAGE), [record])
     assert found.structured["velocity"].present == (damping != 60.0)
     if damping == 60.0:
-        np.testing.assert_allclose([o.noise_floor for o in found.outputs.values()], sigma, rtol=0.05)
+        np.testing.assert_allclose(
+            [o.noise_floor for o in found.outputs.values()], sigma, rtol=0.05
+        )
 
 
 def test_an_error_that_is_all_bias_and_slow_is_structured_and_no_noise():
@@ -170,16 +196,26 @@ def test_an_error_that_is_all_bias_and_slow_is_structured_and_no_noise():
         speed[k] = v
         for _ in range(10):
             v += h / 10 * (force[k] + 12.0 - 40.0 * v) / 900.0
-    body = STAGE.replace("M: {value: 8.9", "M: {value: 900").replace("d: {value: 60", "d: {value: 40")
-    body = body.replace("  position: {value: q, unit: m}\n", "").replace("position: {value: q, unit: m}, ", "")
-    record = Record({"force": force, "velocity": speed + 0.2 * rng.normal(size=n)}, {"force": "N", "velocity": "m/s"}, h)
+    body = STAGE.replace("M: {value: 8.9", "M: {value: 900").replace(
+        "d: {value: 60", "d: {value: 40"
+    )
+    body = body.replace("  position: {value: q, unit: m}\n", "").replace(
+        "position: {value: q, unit: m}, ", ""
+    )
+    record = Record(
+        {"force": force, "velocity": speed + 0.2 * rng.normal(size=n)},
+        {"force": "N", "velocity": "m/s"},
+        h,
+    )
     found = compare(read_model(body), [record])
     assert found.structured["velocity"].present
     assert found.outputs["velocity"].noise_floor == pytest.approx(0.2, rel=0.05)
 
 
 def test_a_record_too_short_for_the_test_is_not_called_noise(with_friction):
-    short = compare(MODEL, [record(effects={"coulomb-friction": "medium"}, profile="rich").window(0, 20)])
+    short = compare(
+        MODEL, [record(effects={"coulomb-friction": "medium"}, profile="rich").window(0, 20)]
+    )
     assert not short.structured and not short.present and short.p_value == 1.0
     assert "not told; the records are too short" in comparison_text(short)
     assert "structured error: yes" in comparison_text(with_friction)

@@ -21,7 +21,12 @@ SAMPLE_TIME, STEPS = 0.002, 20
 @njit
 def driven(wanted, drive, noise, gain):
     """Speed, current and voltage of the drive: `drive`, and `gain` times what the measured speed lacks, held over the sample."""
-    speed, current, voltage, w = np.empty(wanted.size), np.empty(wanted.size), np.empty(wanted.size), 0.0
+    speed, current, voltage, w = (
+        np.empty(wanted.size),
+        np.empty(wanted.size),
+        np.empty(wanted.size),
+        0.0,
+    )
     for t in range(wanted.size):
         speed[t] = w + noise[t]
         voltage[t] = drive[t] + gain * (wanted[t] - speed[t])
@@ -33,7 +38,9 @@ def driven(wanted, drive, noise, gain):
 
 def record(gain, n=15_000):
     rng = np.random.default_rng(5)
-    wanted = np.interp(np.arange(n), np.arange(0, n + 500, 500), 120.0 * rng.standard_normal(n // 500 + 1))
+    wanted = np.interp(
+        np.arange(n), np.arange(0, n + 500, 500), 120.0 * rng.standard_normal(n // 500 + 1)
+    )
     drive = np.repeat(8.0 * rng.standard_normal(n // 300), 300) if gain == 0.0 else K * wanted
     noise = lfilter([1.0], [1.0, -0.8], 1.5 * rng.standard_normal(n))
     speed, current, voltage = driven(wanted, drive, noise, gain)

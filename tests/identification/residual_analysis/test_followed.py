@@ -11,7 +11,10 @@ from residuum.identification.errors import NotIdentifiable
 from residuum.identification.physics import PhysicalModel, match, read_model
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.compare import compare
-from residuum.identification.residual_analysis.followed import check_followed, growth_over_second_half
+from residuum.identification.residual_analysis.followed import (
+    check_followed,
+    growth_over_second_half,
+)
 
 PENDULUM = """
 name: pendulum
@@ -37,7 +40,11 @@ def on_its_head(seconds: float) -> Record:
         for _ in range(fine):
             w += (torque[k] + 0.3 * np.sin(phi)) / 0.004 * step / fine
             phi += w * step / fine
-    return Record(channels={"torque": torque, "angle": angle}, units={"torque": "N*m", "angle": "rad"}, sample_time=step)
+    return Record(
+        channels={"torque": torque, "angle": angle},
+        units={"torque": "N*m", "angle": "rad"},
+        sample_time=step,
+    )
 
 
 @pytest.fixture(scope="module")
@@ -51,13 +58,17 @@ def with_values(model: PhysicalModel, **values: float) -> PhysicalModel:
 
 @pytest.mark.parametrize("asked", [compare, explain, improve])
 def test_refuses_what_runs_away_from_any_record_and_names_the_way(held, asked) -> None:
-    with pytest.raises(NotIdentifiable, match=r"unstable along record .* e-fold in 0\.1\d+ s.*--method prediction"):
+    with pytest.raises(
+        NotIdentifiable, match=r"unstable along record .* e-fold in 0\.1\d+ s.*--method prediction"
+    ):
         asked(read_model(PENDULUM), [held])
 
 
 def test_the_growth_is_that_of_the_unstable_pole(held) -> None:
     model, (experiment,) = match(read_model(PENDULUM), [held])
-    assert growth_over_second_half(model, experiment) == pytest.approx(3.0 * np.sqrt(0.3 / 0.004), rel=0.02)
+    assert growth_over_second_half(model, experiment) == pytest.approx(
+        3.0 * np.sqrt(0.3 / 0.004), rel=0.02
+    )
 
 
 def test_a_record_that_a_simulation_still_follows_is_judged() -> None:

@@ -6,7 +6,12 @@ from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 from scipy.stats import t
 
-from residuum.identification.residual_analysis.noise import ColouredNoise, fit_noises, log_density, squared_scale
+from residuum.identification.residual_analysis.noise import (
+    ColouredNoise,
+    fit_noises,
+    log_density,
+    squared_scale,
+)
 from residuum.identification.residual_analysis.policy import FREEDOM
 
 
@@ -31,7 +36,9 @@ def test_scale_maximises_the_likelihood():
     e = 3.0 * np.random.default_rng(1).standard_t(FREEDOM, 20_000)
     s = np.sqrt(squared_scale(e, 0.0, 0.0))
     assert s == pytest.approx(3.0, rel=0.03)
-    assert log_density(e, s).sum() > max(log_density(e, 0.97 * s).sum(), log_density(e, 1.03 * s).sum())
+    assert log_density(e, s).sum() > max(
+        log_density(e, 0.97 * s).sum(), log_density(e, 1.03 * s).sum()
+    )
 
 
 def test_innovations_that_are_mostly_zero_keep_a_scale():
@@ -66,8 +73,12 @@ def test_the_first_samples_have_the_density_of_the_noise_itself():
     covariance = 2.0 * toeplitz([np.sum(h[: len(h) - k] * h[k:]) for k in range(n)])
     factor = np.linalg.cholesky(covariance) / np.sqrt(2.0)
     x = np.random.default_rng(3).standard_normal(n)
-    np.testing.assert_allclose(noise.innovations(x), np.linalg.solve(factor, x), rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(np.pad(noise.first[1], (0, n - noise.order)), np.log(np.diag(factor)), atol=1e-12)
+    np.testing.assert_allclose(
+        noise.innovations(x), np.linalg.solve(factor, x), rtol=1e-9, atol=1e-12
+    )
+    np.testing.assert_allclose(
+        np.pad(noise.first[1], (0, n - noise.order)), np.log(np.diag(factor)), atol=1e-12
+    )
     np.testing.assert_allclose(noise.innovations(x[:2]), noise.innovations(x)[:2], rtol=1e-12)
 
 

@@ -12,7 +12,11 @@ def _signals(rng, n):
     u = np.repeat(rng.standard_normal(n // 50 + 1), 50)[:n]
     x = lfilter([0.02], [1.0, -0.98], u)
     time = np.arange(n, dtype=float)
-    return x, [Axis("u", "V", "input", u), Axis("x", "rad", "position", x), Axis("time", "s", "time", time)]
+    return x, [
+        Axis("u", "V", "input", u),
+        Axis("x", "rad", "position", x),
+        Axis("time", "s", "time", time),
+    ]
 
 
 def _noise(rng, n, rho):

@@ -33,14 +33,21 @@ def test_says_when_only_one_direction_fails():
     place = np.exp(-(((position - 60) / 6) ** 2))
     error = rng.normal(size=speed.size) + 5 * place * (speed > 0)
     first = locate(error, axes, noise_rms=1.0, of="speed", direction=np.sign(speed))[0]
-    assert first.axis == "position" and first.direction == "forward" and "forward only" in first.says
+    assert (
+        first.axis == "position" and first.direction == "forward" and "forward only" in first.says
+    )
     assert first.start < 60 < first.stop
 
 
 @pytest.mark.parametrize("seed", range(8))
 def test_plain_noise_has_no_place(seed):
     rng, speed, _, axes = drive(seed)
-    assert locate(rng.normal(size=speed.size), axes, noise_rms=1.0, of="speed", direction=np.sign(speed)) == []
+    assert (
+        locate(
+            rng.normal(size=speed.size), axes, noise_rms=1.0, of="speed", direction=np.sign(speed)
+        )
+        == []
+    )
 
 
 def test_missing_samples_and_constant_axes_are_passed_over():
@@ -48,4 +55,6 @@ def test_missing_samples_and_constant_axes_are_passed_over():
     error = rng.normal(size=speed.size) + 6 * np.exp(-((speed / 3) ** 2))
     error[::7] = np.nan
     flat = Axis("temperature", "°C", "temperature", np.full(speed.size, 20.0))
-    assert [region.axis for region in locate(error, [flat, axes[0]], noise_rms=1.0, of="speed")] == ["speed"]
+    assert [
+        region.axis for region in locate(error, [flat, axes[0]], noise_rms=1.0, of="speed")
+    ] == ["speed"]

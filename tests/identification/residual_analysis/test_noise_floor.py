@@ -21,7 +21,11 @@ def test_spectrum_is_that_of_scipy(length):
 
 def test_an_error_that_swings_in_the_fast_part_is_no_noise():
     rng = np.random.default_rng(3)
-    swings = lfilter([0.1], [1.0, -1.8 * np.cos(2 * np.pi * 0.03), 0.81], lfilter([0.2], [1.0, -0.8], rng.normal(size=20_000)))
+    swings = lfilter(
+        [0.1],
+        [1.0, -1.8 * np.cos(2 * np.pi * 0.03), 0.81],
+        lfilter([0.2], [1.0, -0.8], rng.normal(size=20_000)),
+    )
     error = [20.0 * swings + rng.normal(size=20_000)]
     assert noise.noise_floor(error) > 10.0
     assert noise.noise_floor(error, lowest=UNDER_STRUCTURE) == pytest.approx(1.0, rel=0.3)
@@ -42,9 +46,15 @@ def drawn(noise, error, rng):
         "lagged steps": lambda: lfilter([0.05], [1.0, -0.95], steps),
         "lagged noise": lambda: lfilter([4e-4], [1.0, -1.96, 0.9604], rng.standard_normal(n)),
     }[error]()
-    x = v + sigma * 10.0 ** rng.uniform(0.3, 2.0) * (shape - shape.mean()) / max(shape.std(), 1e-300)
+    x = v + sigma * 10.0 ** rng.uniform(0.3, 2.0) * (shape - shape.mean()) / max(
+        shape.std(), 1e-300
+    )
     coarse = 2.0 * sigma
-    return (coarse * np.round(x / coarse), np.hypot(sigma, coarse / np.sqrt(12.0))) if noise == "quantised" else (x, sigma)
+    return (
+        (coarse * np.round(x / coarse), np.hypot(sigma, coarse / np.sqrt(12.0)))
+        if noise == "quantised"
+        else (x, sigma)
+    )
 
 
 @pytest.mark.parametrize("noise", ["white", "coloured", "quantised"])
@@ -53,9 +63,13 @@ def test_the_noise_under_a_drifting_error_is_a_size_within_a_fifth_or_a_bound(no
     for error in ["none", "ramp", "drift", "walk", "steps", "lagged steps", "lagged noise"] * 2:
         x, sigma = drawn(noise, error, rng)
         floor = floor_under_drift([x])
-        assert floor.rms > 0.9 * sigma if floor.at_most else floor.rms == pytest.approx(sigma, rel=0.2), error
+        assert (
+            floor.rms > 0.9 * sigma if floor.at_most else floor.rms == pytest.approx(sigma, rel=0.2)
+        ), error
         told.append(not floor.at_most)
-    assert sum(told) >= (4 if noise == "coloured" else 11)  # slow noise and the tail of a walk are alike
+    assert sum(told) >= (
+        4 if noise == "coloured" else 11
+    )  # slow noise and the tail of a walk are alike
 
 
 def test_without_a_fast_part_the_noise_is_nought_and_of_few_samples_a_bound():

@@ -35,7 +35,9 @@ def tank(seed, n=600):
 
 
 def compared(power, y):
-    record = Record({"power": power, "measured": y}, {"power": "W", "measured": "degC"}, 10.0, source="tank.csv")
+    record = Record(
+        {"power": power, "measured": y}, {"power": "W", "measured": "degC"}, 10.0, source="tank.csv"
+    )
     return compare(read_model(TANK), [record])
 
 
@@ -78,14 +80,19 @@ def test_an_input_that_error_codes_drive_is_named(code):
     known = code != 5000.0  # a power, for all anybody knows
     said = [text for text in compared(power, y).warnings if "drive the model" in text]
     assert len(said) == known
-    assert not known or (f"--missing {code:.10g}" in said[0] and "power: 5 samples (numbers 50, 51, 52, 200, 400)" in said[0])
+    assert not known or (
+        f"--missing {code:.10g}" in said[0]
+        and "power: 5 samples (numbers 50, 51, 52, 200, 400)" in said[0]
+    )
 
 
 def test_one_reading_far_off_is_told_wherever_it_stands():
     for row in (0, 48, 599):
         power, y, _ = tank(3)
         y[row] = 85.0 if y[row] < 50 else -127.0
-        assert any(f"1 single sample (number {row}) lies" in text for text in compared(power, y).warnings)
+        assert any(
+            f"1 single sample (number {row}) lies" in text for text in compared(power, y).warnings
+        )
 
 
 def test_spikes_that_differ_are_told_and_left_out():
@@ -93,7 +100,9 @@ def test_spikes_that_differ_are_told_and_left_out():
     y[[50, 200, 333]] += [90.0, -77.0, 120.0]
     found = compared(power, y)
     assert found.outputs["measured"].rmse < 0.08 and not found.present
-    (said,) = [text for text in found.warnings if "3 single samples (numbers 50, 200, 333) lie" in text]
+    (said,) = [
+        text for text in found.warnings if "3 single samples (numbers 50, 200, 333) lie" in text
+    ]
     assert "they are left out here" in said
 
 
@@ -111,7 +120,10 @@ outputs: {amps: {value: i, unit: A}}
     u = 1.0 + 0.1 * rng.standard_normal(600)
     u[[50, 200, 333]] += [9.0, -7.7, 12.0]
     amps = u / 1.6 + 0.001 * rng.standard_normal(600)
-    found = compare(read_model(resistor), [Record({"u": u, "amps": amps}, {"u": "V", "amps": "A"}, 0.1, source="leads.csv")])
+    found = compare(
+        read_model(resistor),
+        [Record({"u": u, "amps": amps}, {"u": "V", "amps": "A"}, 0.1, source="leads.csv")],
+    )
     assert found.present and found.outputs["amps"].rmse > 0.1
 
 
@@ -142,7 +154,9 @@ def test_a_span_that_stands_still_is_named(seed):
     y[first : first + 60] = y[first]
     found = compared(power, y)
     spans = [span for odd in found.odd for span in odd.still]
-    assert len(spans) == 1 and abs(spans[0][0] - first) <= 2 and abs(spans[0][1] - (first + 59)) <= 2
+    assert (
+        len(spans) == 1 and abs(spans[0][0] - first) <= 2 and abs(spans[0][1] - (first + 59)) <= 2
+    )
     assert any("stands still in samples" in text for text in found.warnings)
 
 
@@ -189,7 +203,9 @@ def test_a_machine_that_sticks_is_no_sensor_that_held():
 def test_estimates_leave_out_what_no_sensor_measured():
     power, y = held_tank()
     y[10:250:20] = np.tile([-127.0, 85.0], 6)
-    record = Record({"power": power, "measured": y}, {"power": "W", "measured": "degC"}, 10.0, source="tank.csv")
+    record = Record(
+        {"power": power, "measured": y}, {"power": "W", "measured": "degC"}, 10.0, source="tank.csv"
+    )
     found = rs.model(TANK.replace("value: 14.0", "value: 8.0")).estimate(record)
     assert found.model.parameters["k"].value == pytest.approx(14.0, abs=0.1)
     assert sum("left out here" in text for text in found.to_dict()["warnings"]) == 2
@@ -224,17 +240,23 @@ def shaft(torque, breakaway=0.3):
 
 def shaft_compared(torque, angle, speed):
     channels = {"torque": torque, "angle": angle, "speed": speed}
-    record = Record(channels, {"torque": "N*m", "angle": "rad", "speed": "rad/s"}, 0.01, source="shaft.csv")
+    record = Record(
+        channels, {"torque": "N*m", "angle": "rad", "speed": "rad/s"}, 0.01, source="shaft.csv"
+    )
     return compare(read_model(SHAFT), [record])
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_a_shaft_that_friction_holds_is_no_sensor_that_held(seed):
     """It rests while its drive is below breakaway, and sets out by one step of the drive."""
-    torque = np.repeat(np.random.default_rng(seed).choice([0.0, 0.1, -0.2, 0.25, 0.9, -0.9], 20), 60)
+    torque = np.repeat(
+        np.random.default_rng(seed).choice([0.0, 0.1, -0.2, 0.25, 0.9, -0.9], 20), 60
+    )
     angle, speed = shaft(torque)
     found = shaft_compared(torque, angle, speed)
-    assert (speed == 0.0).sum() > 200 and not any("still" in text for text in found.warnings), found.warnings
+    assert (speed == 0.0).sum() > 200 and not any("still" in text for text in found.warnings), (
+        found.warnings
+    )
 
 
 def test_an_encoder_that_held_is_one_all_the_same():
@@ -254,7 +276,10 @@ def test_what_a_thermometer_reads_before_its_first_conversion_is_left_out(rows):
     y[:rows] = 85.0
     found = compared(power, y)
     assert found.outputs["measured"].rmse < 0.08 and not found.present
-    assert any(f"{rows} samples (numbers 0, 1" in text and "read 85 degC, an error code" in text for text in found.warnings)
+    assert any(
+        f"{rows} samples (numbers 0, 1" in text and "read 85 degC, an error code" in text
+        for text in found.warnings
+    )
     assert far_beside(y + 273.15, "K")[1] == (358.15,)
     assert not far_beside(y, "rpm")[1] and not far_beside(y)[1]
     y[:rows], y[300 : 300 + rows] = 21.0, 85.0

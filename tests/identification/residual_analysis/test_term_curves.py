@@ -6,7 +6,11 @@ import pytest
 from residuum.identification.physics import Key, load_model, match
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.places.locate import Axis
-from residuum.identification.residual_analysis.places.term_curves import binned, effect_curves, telling
+from residuum.identification.residual_analysis.places.term_curves import (
+    binned,
+    effect_curves,
+    telling,
+)
 from residuum.simulation import MACHINES
 
 RNG = np.random.default_rng(5)
@@ -39,10 +43,15 @@ def test_an_effect_is_drawn_by_its_own_law():
     record = Record(signals.channels, signals.units, signals.sample_time)
     model, experiments = match(load_model("gate-drive"), [record], None)
     every = {
-        axis.name: curve for axis, curve in effect_curves(model, experiments, Key("coulomb-friction", "shaft"), {"tau_c": 0.05})
+        axis.name: curve
+        for axis, curve in effect_curves(
+            model, experiments, Key("coulomb-friction", "shaft"), {"tau_c": 0.05}
+        )
     }
     speed = every["speed"]
     fast = np.abs(speed.at) > 0.2 * np.abs(speed.at).max()
     assert fast.sum() > 10
     assert speed.mean[fast] == pytest.approx(-0.05 * np.sign(speed.at[fast]), rel=0.05)
-    assert not list(effect_curves(model, experiments, Key("input-offset", "voltage"), {"offset": 0.1}))
+    assert not list(
+        effect_curves(model, experiments, Key("input-offset", "voltage"), {"offset": 0.1})
+    )

@@ -25,8 +25,14 @@ def furnace(seed, rho):
     kept = np.exp(-4.0 / 50.0)
     after = (1.0 - kept) * (290.0 + heater / 4.0)
     temperature = lfilter([1.0], [1.0, -kept], np.r_[300.0, after[:-1]])
-    noise = 0.3 * lfilter([np.sqrt(1 - rho**2)], [1, -rho], rng.normal(size=heater.size + 3000))[3000:]
-    return Record({"heater": heater, "temperature": temperature + noise}, {"heater": "W", "temperature": "K"}, 1.0), noise
+    noise = (
+        0.3 * lfilter([np.sqrt(1 - rho**2)], [1, -rho], rng.normal(size=heater.size + 3000))[3000:]
+    )
+    return Record(
+        {"heater": heater, "temperature": temperature + noise},
+        {"heater": "W", "temperature": "K"},
+        1.0,
+    ), noise
 
 
 def innovations(error):
@@ -42,7 +48,9 @@ def test_the_likeliest_values_leave_the_noise_where_those_of_least_squares_do_no
         found = estimate(model, experiments)
         simulation = estimate(found.model, experiments, free=())
         (left,) = at_likeliest_values(found.model, experiments, simulation)
-        raw += innovations(simulation.residuals[0][:, 0] - noise) @ innovations(simulation.residuals[0][:, 0] - noise)
+        raw += innovations(simulation.residuals[0][:, 0] - noise) @ innovations(
+            simulation.residuals[0][:, 0] - noise
+        )
         likelier += innovations(left[:, 0] - noise) @ innovations(left[:, 0] - noise)
     assert likelier < 0.5 * raw
 
@@ -76,5 +84,9 @@ outputs: {current: {value: i, unit: A}}
 """
     rng = np.random.default_rng(8)
     u = np.repeat(rng.uniform(0.0, 10.0, 40), 50)
-    record = Record({"u": u, "current": u / 200 + 1e-4 * rng.normal(size=u.size)}, {"u": "V", "current": "A"}, 0.01)
+    record = Record(
+        {"u": u, "current": u / 200 + 1e-4 * rng.normal(size=u.size)},
+        {"u": "V", "current": "A"},
+        0.01,
+    )
     assert not compare(read_model(coil), [record]).present

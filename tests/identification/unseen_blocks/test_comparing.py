@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 
 from residuum.identification.physics import Key, load_model
-from residuum.identification.unseen_blocks.comparing import ahead, block_by_block, evidence, is_alike, is_real, paired, simplest
+from residuum.identification.unseen_blocks.comparing import (
+    ahead,
+    block_by_block,
+    evidence,
+    is_alike,
+    is_real,
+    paired,
+    simplest,
+)
 from residuum.identification.unseen_blocks.policy import RARE
 from residuum.identification.unseen_blocks.scale import Scale
 from residuum.identification.unseen_blocks.structure import rarity
@@ -42,7 +50,10 @@ def one(power, parameters=1, scale=POWER):
 def test_the_smaller_error_is_ahead_and_by_its_logarithm():
     better, worse = one(EVEN * np.where(np.arange(20) % 2, 0.20, 0.25)), one(EVEN)
     gain, doubt = paired(better, worse, POWER)
-    assert gain == pytest.approx(0.25 * (np.log(5.0) + np.log(4.0)), rel=0.05) and 0.0 < doubt < 0.1 * gain
+    assert (
+        gain == pytest.approx(0.25 * (np.log(5.0) + np.log(4.0)), rel=0.05)
+        and 0.0 < doubt < 0.1 * gain
+    )
     assert paired(worse, better, POWER) == pytest.approx((-gain, doubt), rel=0.05)
     assert ahead(better, worse, POWER) > 10.0 and ahead(worse, better, POWER) < -10.0
     assert evidence(better, worse, POWER) > 50.0 and evidence(worse, better, POWER) < -50.0
@@ -74,7 +85,9 @@ def test_what_takes_away_nothing_is_not_real_and_what_takes_half_is():
     assert is_real(one(0.5 * EVEN), base, base, POWER, 30)
     assert not is_real(one(0.95 * EVEN), base, base, POWER, 30)  # under a tenth
     chance = np.where(np.arange(20) % 2, 0.45, 1.3)
-    assert not is_real(one(chance), base, base, POWER, 30)  # an eighth, that half of the blocks deny
+    assert not is_real(
+        one(chance), base, base, POWER, 30
+    )  # an eighth, that half of the blocks deny
     assert not is_real(one(2.0 * EVEN), base, base, POWER, 30)
 
 
@@ -84,17 +97,28 @@ def test_the_fewest_parameters_among_those_that_the_best_does_not_stand_before()
     assert simplest([rich, one(0.6 * EVEN, 1), poor], POWER) is rich
 
 
-@pytest.mark.parametrize(("more", "rare", "told"), [(0.0, 0.0, "balance"), (0.5, 0.0, "input"), (0.0, 0.5, "input")])
-def test_of_one_equation_at_two_places_the_balance_is_told_and_not_what_costs_a_parameter_less(more, rare, told):
+@pytest.mark.parametrize(
+    ("more", "rare", "told"), [(0.0, 0.0, "balance"), (0.5, 0.0, "input"), (0.0, 0.5, "input")]
+)
+def test_of_one_equation_at_two_places_the_balance_is_told_and_not_what_costs_a_parameter_less(
+    more, rare, told
+):
     """Unless noise tells them apart, or the balance's effect is rarer."""
     path = replace(one(EVEN, 4, NATS), keys=(Key("input-power", "duty"),))
-    balance = replace(one((1.0 + more) * EVEN, 5, NATS), keys=(Key("heater-nonlinearity", "chamber"),), rarity=rare)
+    balance = replace(
+        one((1.0 + more) * EVEN, 5, NATS),
+        keys=(Key("heater-nonlinearity", "chamber"),),
+        rarity=rare,
+    )
     assert simplest([path, balance], NATS) is {"input": path, "balance": balance}[told]
 
 
 def test_alike_is_what_no_pairs_of_blocks_tell_apart():
     rng = np.random.default_rng(4)
-    chosen, other = one(0.3 * np.exp(0.3 * rng.normal(size=20))), one(0.3 * np.exp(0.3 * rng.normal(size=20)))
+    chosen, other = (
+        one(0.3 * np.exp(0.3 * rng.normal(size=20))),
+        one(0.3 * np.exp(0.3 * rng.normal(size=20))),
+    )
     assert is_alike(other, chosen, None, POWER)
     assert not is_alike(one(0.6 * EVEN), one(0.3 * EVEN), None, POWER)
 
@@ -108,6 +132,11 @@ def test_a_rare_effect_has_to_earn_more_than_one_that_is_often_missing():
     drive = load_model("gate-drive")
     shaft = next(name for name, balance in drive.balances.items() if balance.kind == "torque")
     output = next(iter(drive.outputs))
-    assert rarity(drive, Key("coulomb-friction", shaft)) == 0.0 < rarity(drive, Key("elastic-transmission", shaft)) < RARE
+    assert (
+        rarity(drive, Key("coulomb-friction", shaft))
+        == 0.0
+        < rarity(drive, Key("elastic-transmission", shaft))
+        < RARE
+    )
     assert rarity(drive, Key("output-drift", output)) == RARE
     assert rarity(drive, Key("held", "J")) == 0.0

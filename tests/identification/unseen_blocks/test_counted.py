@@ -16,14 +16,20 @@ ONE, OTHER = (Key("coulomb-friction", "shaft"),), (Key("quadratic-drag", "shaft"
 def structure(keys, power, parameters):
     scale = Scale(np.ones(1), np.ones(1), unit=np.array([20.0]))
     cost = scale.cost(power[:, None], parameters)
-    return SimpleNamespace(keys=keys, power=power[:, None], parameters=parameters, cost=cost, seen=cost)
+    return SimpleNamespace(
+        keys=keys, power=power[:, None], parameters=parameters, cost=cost, seen=cost
+    )
 
 
 def wins(one, other, base=None, adequate=False):
     powers = [np.ones(20) if base is None else base, one, other]
-    known = {k: structure(k, p, n) for k, p, n in zip([(), ONE, OTHER], powers, [0, 1, 1], strict=True)}
+    known = {
+        k: structure(k, p, n) for k, p, n in zip([(), ONE, OTHER], powers, [0, 1, 1], strict=True)
+    }
     scale = Scale(np.ones(1), np.ones(1), unit=np.array([20.0]))
-    found = SimpleNamespace(court=SimpleNamespace(scale=scale), base=known[()], every=known, tried=3)
+    found = SimpleNamespace(
+        court=SimpleNamespace(scale=scale), base=known[()], every=known, tried=3
+    )
     return counted(found, [], adequate=adequate)
 
 
@@ -45,7 +51,10 @@ def test_what_fits_all_blocks_no_better_wins_no_draw():
     """One block alone tells a value: left out with it, the value lies anywhere, and another structure ahead of it by chance."""
     base = np.where(np.arange(20) == 3, 30.0, 0.1)
     known = {(): structure((), base, 0), ONE: structure(ONE, np.full(20, 0.1), 1)}
-    found = SimpleNamespace(court=SimpleNamespace(scale=Scale(np.ones(1), np.ones(1), unit=np.array([20.0]))), base=known[()])
+    found = SimpleNamespace(
+        court=SimpleNamespace(scale=Scale(np.ones(1), np.ones(1), unit=np.array([20.0]))),
+        base=known[()],
+    )
     found.every, found.tried = known, 2
     assert counted(found, [], adequate=True)[ONE] > 0.5
     known[()].seen = known[ONE].seen = 2.0
@@ -54,13 +63,17 @@ def test_what_fits_all_blocks_no_better_wins_no_draw():
 
 @pytest.mark.parametrize(("adequate", "says"), [(True, "none"), (False, "unknown")])
 def test_where_nothing_helps_none_or_unknown_wins(adequate, says):
-    assert wins(np.full(20, 0.99), np.full(20, 0.98), adequate=adequate) == {says: pytest.approx(1.0)}
+    assert wins(np.full(20, 0.99), np.full(20, 0.98), adequate=adequate) == {
+        says: pytest.approx(1.0)
+    }
 
 
 def test_a_free_term_that_does_plainly_more_wins_as_unknown():
     scale = Scale(np.ones(1), np.ones(1), unit=np.array([20.0]))
     known = {(): structure((), np.ones(20), 0), ONE: structure(ONE, np.full(20, 0.6), 1)}
-    found = SimpleNamespace(court=SimpleNamespace(scale=scale), base=known[()], every=known, tried=2)
+    found = SimpleNamespace(
+        court=SimpleNamespace(scale=scale), base=known[()], every=known, tried=2
+    )
     free = replace(_term(), power=np.full((20, 1), 0.1), parameters=9)
     assert counted(found, [free], adequate=False) == {"unknown": pytest.approx(1.0)}
 
@@ -68,4 +81,6 @@ def test_a_free_term_that_does_plainly_more_wins_as_unknown():
 def _term():
     from residuum.identification.unseen_blocks.free_term import BlockTerm
 
-    return BlockTerm("shaft", "velocity", "N*m", np.zeros(3), np.zeros(3), np.zeros((20, 1)), 3, 0.0, 0.0)
+    return BlockTerm(
+        "shaft", "velocity", "N*m", np.zeros(3), np.zeros(3), np.zeros((20, 1)), 3, 0.0, 0.0
+    )

@@ -31,7 +31,9 @@ def _cart(n=2000, h=0.02):
             v += h / 10 * (u - 0.5 * v - 0.8 * v * abs(v) - 0.5 * np.sign(v) - 2.0 * q) / 2.0
             q += h / 10 * v
     noise = 1e-3 * np.random.default_rng(2).standard_normal(n)
-    return Record({"force": force, "place": np.array(seen) + noise}, {"force": "N", "place": "m"}, h)
+    return Record(
+        {"force": force, "place": np.array(seen) + noise}, {"force": "N", "place": "m"}, h
+    )
 
 
 def _with(found, ids):
@@ -40,7 +42,9 @@ def _with(found, ids):
     for key in keys:
         model = model.with_effect(*key)
     start = found.base.structure
-    one = found.court.judge(Structure(keys, model, start.states, start.steps), steps=30, tolerance=1e-6)
+    one = found.court.judge(
+        Structure(keys, model, start.states, start.steps), steps=30, tolerance=1e-6
+    )
     found.every[keys] = one
     return one
 

@@ -34,7 +34,11 @@ def cart_record(n=1200, friction=0.0, noise=0.02, seed=1):
         speed[i] = v
         for _ in range(10):
             v += h / 10 * (force[i] - 3.0 * v - friction * np.tanh(v / 1e-3) + 0.7) / 2.5
-    return Record({"force": force, "speed": speed + noise * rng.normal(size=n)}, {"force": "N", "speed": "m/s"}, h)
+    return Record(
+        {"force": force, "speed": speed + noise * rng.normal(size=n)},
+        {"force": "N", "speed": "m/s"},
+        h,
+    )
 
 
 @pytest.mark.parametrize("friction", [0.0, 1.5])
@@ -42,7 +46,10 @@ def test_blocks_left_out_are_judged_as_by_a_fit_without_them(friction):
     data = matched(read_model(CART), [cart_record(n=2000, friction=friction)], None)
     climbed = climb(data)
     one = judged(climbed.structure, climbed.found, climbed.last, data, climbed.scale)
-    (part,), begins = climbed.last.parts, {"v": climbed.found.initial[0][0]}  # where it began is not what is judged
+    (part,), begins = (
+        climbed.last.parts,
+        {"v": climbed.found.initial[0][0]},
+    )  # where it began is not what is judged
     left = np.zeros(data.blocks)
     for fold in np.unique(data.fold):
         out = data.fold[climbed.last.block] == fold
@@ -73,12 +80,19 @@ def test_a_value_that_ran_off_is_put_back_where_it_was_given():
     heat, T = np.repeat(rng.choice([0.0, 3000.0], 30), 20), np.zeros(600)
     for k in range(599):
         T[k + 1] = T[k] + 600.0 / 4.0e6 * (heat[k] - T[k] / 0.01)
-    record = Record({"heat": heat, "room": T + 0.02 * rng.normal(size=600)}, {"heat": "W", "room": "degC"}, 600.0)
+    record = Record(
+        {"heat": heat, "room": T + 0.02 * rng.normal(size=600)},
+        {"heat": "W", "room": "degC"},
+        600.0,
+    )
     data = matched(read_model(RESISTANCE), [record], None)
     rung, scale = data.rungs[-1], plain(data)
     gone = fitted(data.model.with_values({"R": 1e80}), rung, None, scale, steps=15, tolerance=1e-6)
     assert gone.model.parameters["R"].value > 1e70
     court, near = Court(data, rung, rung, scale), Structure((), gone.model, {}, {})
     back = called_back(gone, near, court)
-    assert back.model.parameters["R"].value == pytest.approx(0.01, rel=0.05) and back.cost < 0.1 * gone.cost
+    assert (
+        back.model.parameters["R"].value == pytest.approx(0.01, rel=0.05)
+        and back.cost < 0.1 * gone.cost
+    )
     assert called_back(back, near, court) is None

@@ -29,19 +29,27 @@ def _pulled_by_a_spring(n=2000, h=0.02):
             v += h / 10 * (u - 1.5 * v - 2.0 * q) / 2.0
             q += h / 10 * v
     noise = 1e-3 * np.random.default_rng(2).standard_normal(n)
-    return Record({"force": force, "place": np.array(seen) + noise}, {"force": "N", "place": "m"}, h)
+    return Record(
+        {"force": force, "place": np.array(seen) + noise}, {"force": "N", "place": "m"}, h
+    )
 
 
 def test_the_better_of_two_on_longer_windows_is_the_best_from_then_on():
     data = matched(read_model(CART), [_pulled_by_a_spring()], None)
     shortest = data.rungs[0]
-    short = climb(type(data)(data.model, data.experiments, data.measured, data.spread, (shortest,), data.fold))
-    found = begun(Climbed(data, short.structure, short.found, shortest, shortest, short.scale, short.there))
+    short = climb(
+        type(data)(data.model, data.experiments, data.measured, data.spread, (shortest,), data.fold)
+    )
+    found = begun(
+        Climbed(data, short.structure, short.found, shortest, shortest, short.scale, short.there)
+    )
     start = found.base.structure
     for id in ("constant-load", "linear-spring"):
         key = Key(id, "body")
         model = data.model.with_effect(*key)
-        one = found.court.judge(Structure((key,), model, start.states, start.steps), steps=15, tolerance=1e-6)
+        one = found.court.judge(
+            Structure((key,), model, start.states, start.steps), steps=15, tolerance=1e-6
+        )
         found.every[key,] = one
     found.best = found.every[Key("constant-load", "body"),]  # as if short windows had preferred it
     beam = _lengthened(found)

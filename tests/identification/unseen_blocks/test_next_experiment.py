@@ -11,7 +11,9 @@ from residuum.identification.unseen_blocks.next_experiment import distinguishing
 @pytest.mark.parametrize(("least", "both_ways"), [(30.0, True), (-30.0, False)])
 def test_only_an_input_that_kept_one_sign_is_to_be_reversed(least, both_ways):
     force = np.linspace(least, 90.0, 200)
-    record = Record({"force": force, "velocity": np.zeros(200)}, {"force": "N", "velocity": "m/s"}, 0.01)
+    record = Record(
+        {"force": force, "velocity": np.zeros(200)}, {"force": "N", "velocity": "m/s"}, 0.01
+    )
     model, experiments = match(load_model("linear-axis"), [record])
     lowest = {}
 
@@ -33,6 +35,8 @@ def test_a_machine_without_inputs_cannot_be_driven_otherwise():
     )
     angle = np.cos(1.4 * 0.05 * np.arange(200))
     model, experiments = match(read_model(text), [Record({"angle": angle}, {"angle": "rad"}, 0.05)])
-    proposals = distinguishing(("a", "b"), model, experiments, lambda _, only: 0.2 if only is None else 0.9)
+    proposals = distinguishing(
+        ("a", "b"), model, experiments, lambda _, only: 0.2 if only is None else 0.9
+    )
     assert proposals[0].do == "also record speed [rad/s]"
     assert not any("drive" in proposal.do or "repeat" in proposal.do for proposal in proposals)

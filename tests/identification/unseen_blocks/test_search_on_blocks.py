@@ -40,12 +40,19 @@ def _record(seed, n=2000, folded=False, friction=0.0, drag=0.0):
 
 
 def _searched(ids, **how):
-    return searched(read_model(MOTOR.replace("rad/V/s", "rad/s/V")), [_record(**how)], None, Wanted(tuple(ids)))
+    return searched(
+        read_model(MOTOR.replace("rad/V/s", "rad/s/V")), [_record(**how)], None, Wanted(tuple(ids))
+    )
 
 
 def test_a_sensor_that_does_not_see_the_sign_is_named_though_a_filter_is_misled():
     """Beside a small drag that the model lacks too: the world is not one of the catalogue's structures."""
-    found = _searched(["output-absolute", "output-offset", "constant-load", "coulomb-friction"], seed=4, folded=True, drag=0.002)
+    found = _searched(
+        ["output-absolute", "output-offset", "constant-load", "coulomb-friction"],
+        seed=4,
+        folded=True,
+        drag=0.002,
+    )
     assert ("output-absolute", "speed") in found.best.keys
     assert share_of(found.base, found.best).value > 0.5
 
@@ -59,7 +66,9 @@ def test_dry_friction_is_named_and_sized_in_a_world_with_a_small_drag_besides(se
 
 
 def test_a_complete_model_is_given_nothing():
-    found = _searched(["coulomb-friction", "quadratic-drag", "constant-load", "output-absolute"], seed=7)
+    found = _searched(
+        ["coulomb-friction", "quadratic-drag", "constant-load", "output-absolute"], seed=7
+    )
     assert found.best is found.base
 
 
@@ -76,7 +85,11 @@ outputs: {temperature: {value: T, unit: degC}}
 
 def _warm_cell(loss, n=1200, h=15.0):
     """Discharged and at rest in turn; it loses heat to a room of 20 °C, and a little of its heat as the cube of the current."""
-    current = np.where(np.arange(n) // 150 % 2, 0.0, np.repeat(np.random.default_rng(4).uniform(20.0, 60.0, n // 150), 150))
+    current = np.where(
+        np.arange(n) // 150 % 2,
+        0.0,
+        np.repeat(np.random.default_rng(4).uniform(20.0, 60.0, n // 150), 150),
+    )
     T, seen = 20.0, []
     for i in current:
         seen.append(T)
@@ -87,7 +100,12 @@ def _warm_cell(loss, n=1200, h=15.0):
 
 
 def test_a_loss_is_not_taken_for_a_store_that_never_fills():
-    found = searched(read_model(CELL), [_warm_cell(0.6)], None, Wanted(("ambient-loss", "second-heat-store", "constant-heat")))
+    found = searched(
+        read_model(CELL),
+        [_warm_cell(0.6)],
+        None,
+        Wanted(("ambient-loss", "second-heat-store", "constant-heat")),
+    )
     assert found.best.keys[0].effect == "ambient-loss"
     loss = next(use for use in found.best.model.effects if use.id == "ambient-loss").parameters["h"]
     assert loss.value == pytest.approx(0.6, rel=0.1)

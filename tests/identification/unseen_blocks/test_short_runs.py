@@ -44,13 +44,17 @@ def let_go(runs, samples, seed=0):
                 v = np.sign(pushed) * max(abs(pushed) - h / 20 * 1.2 / 2.0, 0.0)
                 q += h / 20 * v
         noise = 1e-3 * rng.standard_normal(samples)
-        records.append(Record({"position": np.array(place) + noise}, {"position": "m"}, h, source=f"run {k}"))
+        records.append(
+            Record({"position": np.array(place) + noise}, {"position": "m"}, h, source=f"run {k}")
+        )
     return records
 
 
 def test_runs_of_sixty_samples_name_the_friction():
     model = read_model(CART)
-    found = searched(model, let_go(8, 60), None, Wanted(("coulomb-friction", "quadratic-drag"), held=False))
+    found = searched(
+        model, let_go(8, 60), None, Wanted(("coulomb-friction", "quadratic-drag"), held=False)
+    )
     assert [key.effect for key in found.best.keys] == ["coulomb-friction"]
     assert found.best.model.values["coulomb-friction@axis.tau_c"] == pytest.approx(1.2, rel=0.1)
     assert len(set(found.court.data.fold)) == 4  # whole runs are kept aside
@@ -87,7 +91,9 @@ def test_a_model_without_states_and_with_two_outputs():
     first, second = np.sign(u) * np.maximum(np.abs(u) - 1.0, 0.0) / 2.2, u / 5.3
     noise = 0.01 * rng.standard_normal((2, 400))
     record = Record(
-        {"u": u, "first": first + noise[0], "second": second + noise[1]}, {"u": "V", "first": "A", "second": "A"}, 0.01
+        {"u": u, "first": first + noise[0], "second": second + noise[1]},
+        {"u": "V", "first": "A", "second": "A"},
+        0.01,
     )
     found = searched(read_model(LEADS), [record], None, Wanted(("brush-drop",), held=False))
     assert [str(key) for key in found.best.keys] == ["brush-drop@one"]
@@ -100,9 +106,13 @@ def test_how_much_more_of_the_same_would_tell_two_structures_apart():
     distance = np.zeros(50)
     distance[0] = 1.5
     none = np.zeros((50, 0))
-    more = distinguishing(("a", "b"), model, experiments, lambda _e, _o: power_of_test(distance, none))[-1]
+    more = distinguishing(
+        ("a", "b"), model, experiments, lambda _e, _o: power_of_test(distance, none)
+    )[-1]
     times = int(more.do.split()[1])
     assert more.power == POWER_WANTED and "times as much of the same" in more.do
     assert (
-        power_of_test(distance * np.sqrt(times), none) >= POWER_WANTED > power_of_test(distance * np.sqrt(times - 1), none) - 0.01
+        power_of_test(distance * np.sqrt(times), none)
+        >= POWER_WANTED
+        > power_of_test(distance * np.sqrt(times - 1), none) - 0.01
     )

@@ -27,7 +27,9 @@ def _slide(seed, seconds=24, noise=2e-7):
     rng, h, n = np.random.default_rng(seed), 1.0 / RATE / 4, RATE * seconds
     t = np.arange(n) / RATE
     phase = rng.uniform(0.0, 2.0 * np.pi, 3)
-    reference = 0.1 * sum(np.sin(2.0 * np.pi * f * t + p) for f, p in zip((0.11, 0.31, 0.53), phase, strict=True))
+    reference = 0.1 * sum(
+        np.sin(2.0 * np.pi * f * t + p) for f, p in zip((0.11, 0.31, 0.53), phase, strict=True)
+    )
     rate = np.gradient(reference, 1.0 / RATE)
     force, position, q, v = np.zeros(n), np.zeros(n), float(reference[0]), float(rate[0])
     for k in range(n):
@@ -38,17 +40,28 @@ def _slide(seed, seconds=24, noise=2e-7):
             v = np.sign(pushed) * max(abs(pushed) - h * DRY / 100.0, 0.0)
             q += h * v
     return Record(
-        {"force": force, "position": position + noise * rng.standard_normal(n)}, {"force": "N", "position": "m"}, 1.0 / RATE
+        {"force": force, "position": position + noise * rng.standard_normal(n)},
+        {"force": "N", "position": "m"},
+        1.0 / RATE,
     )
 
 
 def test_both_frictions_are_named_and_sized_at_a_lower_rate():
-    ids = ("viscous-friction", "coulomb-friction", "directional-viscous", "quadratic-drag", "linear-spring", "hysteresis")
+    ids = (
+        "viscous-friction",
+        "coulomb-friction",
+        "directional-viscous",
+        "quadratic-drag",
+        "linear-spring",
+        "hysteresis",
+    )
     found = searched(read_model(AXIS), [_slide(3)], None, Wanted(ids, held=False))
     values = found.best.model.values
     dry = [values[name] for name in values if name.endswith("tau_c")]
     viscous = [values[name] for name in values if name.endswith((".d", ".d_plus", ".d_minus"))]
-    assert dry == pytest.approx([DRY], rel=0.15) and np.mean(viscous) == pytest.approx(VISCOUS, rel=0.1), found.best.keys
+    assert dry == pytest.approx([DRY], rel=0.15) and np.mean(viscous) == pytest.approx(
+        VISCOUS, rel=0.1
+    ), found.best.keys
     assert found.court.data.finer is not None
 
 
@@ -57,7 +70,9 @@ def test_a_lower_rate_moves_the_model_s_outputs_by_nothing():
     less = coarser(data)
     step = round(less.experiments[0].sample_time / data.experiments[0].sample_time)
     assert step >= 2 and less.experiments[0].n == data.experiments[0].n // step
-    np.testing.assert_array_equal(less.experiments[0].Y, data.experiments[0].Y[: step * less.experiments[0].n : step])
+    np.testing.assert_array_equal(
+        less.experiments[0].Y, data.experiments[0].Y[: step * less.experiments[0].n : step]
+    )
 
 
 def test_records_that_would_lose_by_a_lower_rate_keep_theirs():

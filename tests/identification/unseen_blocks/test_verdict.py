@@ -21,7 +21,9 @@ parameters: {M: {value: 2.0, unit: kg, fixed: true}}
 balances: {body: {kind: force, storage: M * der(v), terms: {drive: force}, velocity: v}}
 outputs: {speed: {value: v, unit: m/s}}
 """
-FRICTION, DRAG, LOAD = (Key(name, "body") for name in ("coulomb-friction", "quadratic-drag", "constant-load"))
+FRICTION, DRAG, LOAD = (
+    Key(name, "body") for name in ("coulomb-friction", "quadratic-drag", "constant-load")
+)
 LAG = Key("output-lag", "speed")
 SCALE = Scale(np.ones(1), np.ones(1), unit=np.array([20.0]))
 EVEN = 1.0 + 0.1 * np.sin(np.arange(20.0))
@@ -33,16 +35,30 @@ def judged(power, *keys):
         model = model.with_effect(key.effect, key.target)
     power, parameters = np.asarray(power)[:, None], len(keys)
     rows, cost = np.zeros((20, 1)), SCALE.cost(power, parameters)
-    return Judged(Structure(keys, model, {}, {}), parameters, power, rows, cost, cost, power, np.ones((20, 1)), rows)
+    return Judged(
+        Structure(keys, model, {}, {}),
+        parameters,
+        power,
+        rows,
+        cost,
+        cost,
+        power,
+        np.ones((20, 1)),
+        rows,
+    )
 
 
 def said(*tried, best=0, adequate=False, sample_time=1e-3):
     """The verdict on these structures beside the model as it is, of which one joined (none: -1)."""
     base = judged(EVEN)
     every = {one.keys: one for one in (base, *tried)}
-    court = SimpleNamespace(scale=SCALE, data=SimpleNamespace(experiments=[SimpleNamespace(sample_time=sample_time)]))
+    court = SimpleNamespace(
+        scale=SCALE, data=SimpleNamespace(experiments=[SimpleNamespace(sample_time=sample_time)])
+    )
     found = Search(court, base, base if best < 0 else tried[best], None, every)
-    return verdict_on(found, steps_of(found), (), {}, adequate=adequate), counted(found, (), adequate=adequate)
+    return verdict_on(found, steps_of(found), (), {}, adequate=adequate), counted(
+        found, (), adequate=adequate
+    )
 
 
 def probabilities(verdict):
@@ -63,14 +79,21 @@ def test_what_cannot_be_told_apart_shares_what_it_wins():
     first = verdict.candidates[0]
     assert first.indistinguishable_from == ("quadratic-drag",)
     shares = probabilities(verdict)
-    assert shares[FRICTION] == shares[DRAG] == pytest.approx(0.5 * (wins[FRICTION,] + wins[DRAG,])) == pytest.approx(0.5)
+    assert (
+        shares[FRICTION]
+        == shares[DRAG]
+        == pytest.approx(0.5 * (wins[FRICTION,] + wins[DRAG,]))
+        == pytest.approx(0.5)
+    )
     assert shares[LOAD] == 0.0
 
 
 def test_what_is_told_apart_is_said_with_what_it_wins():
     """A load that is better in one block of twenty, and far worse in the others."""
     rare = np.arange(20) < 1
-    verdict, wins = said(judged(np.where(rare, 3.0, 0.1), FRICTION), judged(np.where(rare, 0.01, 0.4), LOAD))
+    verdict, wins = said(
+        judged(np.where(rare, 3.0, 0.1), FRICTION), judged(np.where(rare, 0.01, 0.4), LOAD)
+    )
     shares = probabilities(verdict)
     assert shares == {FRICTION: pytest.approx(wins[FRICTION,]), LOAD: pytest.approx(wins[LOAD,])}
     assert 0.05 < shares[LOAD] < 0.95 and 0.05 < shares[FRICTION] < 0.95
@@ -80,7 +103,9 @@ def test_what_is_told_apart_is_said_with_what_it_wins():
 def test_two_effects_of_one_structure_do_not_take_belief_from_each_other():
     """The structure of both wins every draw: neither stood in the other's place."""
     both = judged(0.05 * EVEN, FRICTION, DRAG)
-    verdict, wins = said(both, judged(0.5 * EVEN, FRICTION), judged(0.7 * EVEN, DRAG), judged(0.9 * EVEN, LOAD))
+    verdict, wins = said(
+        both, judged(0.5 * EVEN, FRICTION), judged(0.7 * EVEN, DRAG), judged(0.9 * EVEN, LOAD)
+    )
     assert wins == {both.keys: pytest.approx(1.0)}
     accepted = [(c.key, c.step) for c in verdict.candidates if c.probability > 0.0]
     assert accepted == [(FRICTION, 0), (DRAG, 1)]
@@ -88,8 +113,12 @@ def test_two_effects_of_one_structure_do_not_take_belief_from_each_other():
     assert (verdict.none, verdict.unknown) == pytest.approx((0.0, 0.0))
 
 
-@pytest.mark.parametrize(("left", "adequate", "doubt"), [(0.5, False, DOUBTED), (0.5, True, 0.0), (0.2, False, 0.0)])
-def test_a_name_for_a_part_of_what_is_structured_leaves_room_for_one_that_nobody_has(left, adequate, doubt):
+@pytest.mark.parametrize(
+    ("left", "adequate", "doubt"), [(0.5, False, DOUBTED), (0.5, True, 0.0), (0.2, False, 0.0)]
+)
+def test_a_name_for_a_part_of_what_is_structured_leaves_room_for_one_that_nobody_has(
+    left, adequate, doubt
+):
     verdict, _ = said(judged(left * EVEN, FRICTION), judged(0.9 * EVEN, DRAG), adequate=adequate)
     assert probabilities(verdict)[FRICTION] == pytest.approx(1.0 - doubt)
     assert (verdict.verdict, verdict.unknown) == ("missing-effect", pytest.approx(doubt))
@@ -98,7 +127,9 @@ def test_a_name_for_a_part_of_what_is_structured_leaves_room_for_one_that_nobody
 @pytest.mark.parametrize(("adequate", "says"), [(True, "adequate"), (False, "unknown-effect")])
 def test_how_the_record_was_taken_is_no_candidate_and_takes_no_belief(adequate, says):
     """A lag of less than a sample joined, and nothing else: what is left says whether something is missing."""
-    verdict, wins = said(judged(0.1 * EVEN, LAG), judged(0.9 * EVEN, LOAD), sample_time=10.0, adequate=adequate)
+    verdict, wins = said(
+        judged(0.1 * EVEN, LAG), judged(0.9 * EVEN, LOAD), sample_time=10.0, adequate=adequate
+    )
     assert wins == {(LAG,): pytest.approx(1.0)}
     assert verdict.verdict == says
     assert (verdict.none, verdict.unknown) == pytest.approx((1.0, 0.0) if adequate else (0.0, 1.0))

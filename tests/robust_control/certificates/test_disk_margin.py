@@ -23,7 +23,10 @@ def test_gain_and_phase_inside_the_disk_margin_keep_the_loop_stable_and_the_bord
         return np.abs(np.roots(characteristic(PLANT, scaled))).max()
 
     high = min(margin.gain_high, 1e3)
-    assert all(largest_pole(gain) < 1 for gain in np.linspace(max(margin.gain_low, 0.01) * 1.001, high * 0.999, 20))
+    assert all(
+        largest_pole(gain) < 1
+        for gain in np.linspace(max(margin.gain_low, 0.01) * 1.001, high * 0.999, 20)
+    )
     omega, G, K, _ = loop_responses(PLANT, CONTROLLER)
     edge = margin.alpha * np.exp(1j * np.linspace(0, 2 * np.pi, 2001))
     f = (1 + (1 - skew) / 2 * edge) / (1 - (1 + skew) / 2 * edge)

@@ -14,7 +14,13 @@ from residuum.robust_control.loop import Loop, weighted_loop
 def random_system(rng, n=6, outputs=2):
     A = rng.normal(size=(n, n))
     A *= rng.uniform(0.7, 0.999) / np.abs(np.linalg.eigvals(A)).max()
-    return StateSpace(A, rng.normal(size=(n, 1)), rng.normal(size=(outputs, n)), rng.normal(size=(outputs, 1)), 1.0)
+    return StateSpace(
+        A,
+        rng.normal(size=(n, 1)),
+        rng.normal(size=(outputs, n)),
+        rng.normal(size=(outputs, 1)),
+        1.0,
+    )
 
 
 def norm_by_search(system):
@@ -28,7 +34,9 @@ def norm_by_search(system):
     grid = np.unique(np.clip(np.concatenate([np.linspace(0, np.pi, 2000), *near]), 0, np.pi))
     k = int(np.argmax(gain(grid)))
     bounds = (grid[max(k - 1, 0)], grid[min(k + 1, len(grid) - 1)])
-    found = minimize_scalar(lambda t: -gain(t)[0], bounds=bounds, method="bounded", options={"xatol": 1e-13})
+    found = minimize_scalar(
+        lambda t: -gain(t)[0], bounds=bounds, method="bounded", options={"xatol": 1e-13}
+    )
     return max(gain(grid)[k], -found.fun)
 
 
@@ -44,7 +52,9 @@ def test_random_systems_agree_with_python_control():
     rng = np.random.default_rng(1)
     for _ in range(5):
         system = random_system(rng, n=4, outputs=1)
-        theirs = control.system_norm(control.ss(system.A, system.B, system.C, system.D, 1.0), p="inf", tol=1e-8)
+        theirs = control.system_norm(
+            control.ss(system.A, system.B, system.C, system.D, 1.0), p="inf", tol=1e-8
+        )
         assert h_infinity_norm(system)[0] == pytest.approx(theirs, rel=1e-6)
 
 
@@ -58,20 +68,31 @@ def test_a_needle_that_a_grid_misses_is_found():
 
 def test_the_weighted_loop_is_the_loop_of_transfer_functions():
     rng, omega = np.random.default_rng(2), np.geomspace(1e-3, np.pi, 50)
-    plant = TransferFunction(rng.normal(size=60) * 0.9 ** np.arange(60), np.r_[1.0, np.zeros(60)], 1.0)
+    plant = TransferFunction(
+        rng.normal(size=60) * 0.9 ** np.arange(60), np.r_[1.0, np.zeros(60)], 1.0
+    )
     controller = TransferFunction([0.02, -0.015], [1.0, -1.0], 1.0)
-    W_S, W_T = TransferFunction([0.6, -0.5], [1.0, -0.99], 1.0), TransferFunction([0.8, -0.3], [1.0, -0.2], 1.0)
+    W_S, W_T = (
+        TransferFunction([0.6, -0.5], [1.0, -0.99], 1.0),
+        TransferFunction([0.8, -0.3], [1.0, -0.2], 1.0),
+    )
     L = plant.frequency_response(omega) * controller.frequency_response(omega)
     S, K = 1 / (1 + L), controller.frequency_response(omega)
-    expected = np.stack([W_S.frequency_response(omega) * S, W_T.frequency_response(omega) * L * S, K * S], axis=1)
+    expected = np.stack(
+        [W_S.frequency_response(omega) * S, W_T.frequency_response(omega) * L * S, K * S], axis=1
+    )
     system = weighted_loop(plant, controller, W_S, W_T, TransferFunction([1.0], [1.0], 1.0))
-    np.testing.assert_allclose(system.response(np.exp(1j * omega))[:, :, 0], expected, rtol=1e-7, atol=1e-9)
+    np.testing.assert_allclose(
+        system.response(np.exp(1j * omega))[:, :, 0], expected, rtol=1e-7, atol=1e-9
+    )
     assert system.is_stable == Loop([plant], omega).is_certainly_stable(controller)
 
 
 def test_unstable_and_ill_posed_loops_are_refused():
     with pytest.raises(BadInput, match="not stable"):
-        h_infinity_norm(StateSpace.from_transfer_function(TransferFunction([1.0], [1.0, -1.1], 1.0)))
+        h_infinity_norm(
+            StateSpace.from_transfer_function(TransferFunction([1.0], [1.0, -1.1], 1.0))
+        )
     unit = TransferFunction([1.0], [1.0], 1.0)
     with pytest.raises(BadInput, match="not well posed"):
         weighted_loop(TransferFunction([-1.0], [1.0], 1.0), unit, unit)

@@ -20,7 +20,9 @@ LIMITED = DifferenceEquation(CONTROLLER, -1.0, 2.5)
 
 def test_without_limits_the_equation_is_the_transfer_function():
     e = np.random.default_rng(0).normal(size=200)
-    np.testing.assert_allclose(DifferenceEquation(CONTROLLER).run(e), CONTROLLER.simulate(e), rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(
+        DifferenceEquation(CONTROLLER).run(e), CONTROLLER.simulate(e), rtol=1e-9, atol=1e-12
+    )
 
 
 def test_the_self_test_reaches_a_limit_and_leaves_it():
@@ -45,7 +47,9 @@ def test_saturation_does_not_wind_up():
     assert free.max() > 1.2 and bounded.max() < 1.05 and bounded[-1] == pytest.approx(1.0, abs=0.02)
 
 
-@pytest.mark.parametrize("equation", [LIMITED, DifferenceEquation(CONTROLLER)], ids=["limited", "free"])
+@pytest.mark.parametrize(
+    "equation", [LIMITED, DifferenceEquation(CONTROLLER)], ids=["limited", "free"]
+)
 def test_compiled_c_passes_its_self_test_and_a_wrong_coefficient_fails_it(equation, tmp_path):
     if (cc := shutil.which("cc")) is None:
         pytest.skip("no C compiler here")
@@ -53,7 +57,19 @@ def test_compiled_c_passes_its_self_test_and_a_wrong_coefficient_fails_it(equati
     wrong = source.replace("controller_b[i] *", "1.001 * controller_b[i] *")
     for text, passes in ((source, True), (wrong, False)):
         (tmp_path / "k.c").write_text(text, encoding="utf-8")
-        command = [cc, "-std=c99", "-DCONTROLLER_SELF_TEST", "-Wall", "-Wextra", "-Werror", "-pedantic", "k.c", "-o", "k", "-lm"]
+        command = [
+            cc,
+            "-std=c99",
+            "-DCONTROLLER_SELF_TEST",
+            "-Wall",
+            "-Wextra",
+            "-Werror",
+            "-pedantic",
+            "k.c",
+            "-o",
+            "k",
+            "-lm",
+        ]
         subprocess.run(command, cwd=tmp_path, check=True, timeout=60)
         assert (subprocess.run([tmp_path / "k"], check=False, timeout=60).returncode == 0) is passes
 
@@ -68,7 +84,9 @@ def executed(source, block, **inputs):
             depth -= 1
             continue
         opens = line.startswith(("FOR ", "IF "))
-        line = re.sub(r"FOR (\w+) := (\w+) TO (\w+) BY -1 DO", r"for \1 in range(\2, \3 - 1, -1):", line)
+        line = re.sub(
+            r"FOR (\w+) := (\w+) TO (\w+) BY -1 DO", r"for \1 in range(\2, \3 - 1, -1):", line
+        )
         line = re.sub(r"FOR (\w+) := (\w+) TO (\w+) DO", r"for \1 in range(\2, \3 + 1):", line)
         line = re.sub(r"IF (.*) THEN", r"if \1:", line).replace(":=", "=")
         lines.append("    " * depth + line.replace("RETURN", "raise StopIteration"))
@@ -93,13 +111,19 @@ def test_structured_text_computes_the_same():
 
 def test_literals_carry_a_decimal_point_and_the_test_vector_is_there():
     source = structured_text(LIMITED)
-    assert not re.search(r"[\[ ]-?\d+e", source) and "Expected : ARRAY[1..24]" in source and "every T#50ms" in source
+    assert (
+        not re.search(r"[\[ ]-?\d+e", source)
+        and "Expected : ARRAY[1..24]" in source
+        and "every T#50ms" in source
+    )
 
 
 def test_python_control_gets_the_same_system():
     pytest.importorskip("control")
     z = np.exp(1j * np.array([0.1, 1.0]) * TS)
-    np.testing.assert_allclose(CONTROLLER.to_control()(z), CONTROLLER.frequency_response([0.1, 1.0]), rtol=1e-9)
+    np.testing.assert_allclose(
+        CONTROLLER.to_control()(z), CONTROLLER.frequency_response([0.1, 1.0]), rtol=1e-9
+    )
 
 
 def test_what_cannot_be_exported_is_refused():

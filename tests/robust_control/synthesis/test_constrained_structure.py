@@ -6,7 +6,13 @@ import pytest
 from residuum.identification.errors import BadInput
 from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.robust_control.loop import Loop, Weights, frequency_grid
-from residuum.robust_control.synthesis.constrained_structure import PI, PID, PIDN, Constrained, Rational
+from residuum.robust_control.synthesis.constrained_structure import (
+    PI,
+    PID,
+    PIDN,
+    Constrained,
+    Rational,
+)
 from residuum.robust_control.synthesis.structured_synthesis import synthesise
 from residuum.robust_control.weights.performance_weight import ReferenceModel
 
@@ -15,7 +21,8 @@ PLANT = TransferFunction([2.0], [1.0, 1.2, 1.0]).discretise(TS)
 OMEGA = frequency_grid([PLANT], points=300, lowest=1e-3)
 LOOP = Loop([PLANT], OMEGA)
 WEIGHTS = Weights(
-    ReferenceModel(0.05, 6.0).weight_magnitude(OMEGA), np.abs(TransferFunction([0.3, 0.3], [0.01, 1.0]).frequency_response(OMEGA))
+    ReferenceModel(0.05, 6.0).weight_magnitude(OMEGA),
+    np.abs(TransferFunction([0.3, 0.3], [0.01, 1.0]).frequency_response(OMEGA)),
 )
 
 
@@ -40,11 +47,16 @@ def test_an_unfiltered_derivative_and_more_orders_are_between_pi_and_more_freedo
     assert only.names == ("b_0", "a_1") and synthesise(LOOP, WEIGHTS, only).stable
 
 
-@pytest.mark.parametrize("structure", [PID(TS), Rational(TS, order=3, numerator=1), Constrained(PIDN(TS), fixed={"k_p": 0.1})])
+@pytest.mark.parametrize(
+    "structure",
+    [PID(TS), Rational(TS, order=3, numerator=1), Constrained(PIDN(TS), fixed={"k_p": 0.1})],
+)
 def test_responses_are_those_of_the_polynomials_and_their_slopes(structure):
     rho = structure.starts(2.0, 1.0)[1] * 1.3 + 0.01
     K, slope = structure.response(rho, LOOP.z)
-    np.testing.assert_allclose(K, structure.transfer_function(rho).frequency_response(OMEGA), rtol=1e-8)
+    np.testing.assert_allclose(
+        K, structure.transfer_function(rho).frequency_response(OMEGA), rtol=1e-8
+    )
     for j in range(len(rho)):
         moved = structure.response(rho + 1e-7 * (np.arange(len(rho)) == j), LOOP.z)[0]
         np.testing.assert_allclose(slope[:, j], (moved - K) / 1e-7, rtol=1e-4, atol=1e-4)

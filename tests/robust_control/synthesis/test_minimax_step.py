@@ -14,7 +14,11 @@ def general_solver(c, A, H, low, high):
         np.r_[np.zeros(n), 0.0],
         jac=lambda x: np.r_[H @ x[:-1], 1 + x[-1]],
         bounds=[*zip(low, high, strict=True), (None, None)],
-        constraints={"type": "ineq", "fun": lambda x: x[-1] - c - A @ x[:-1], "jac": lambda x: np.c_[-A, np.ones(m)]},
+        constraints={
+            "type": "ineq",
+            "fun": lambda x: x[-1] - c - A @ x[:-1],
+            "jac": lambda x: np.c_[-A, np.ones(m)],
+        },
         method="SLSQP",
         options={"ftol": 1e-13, "maxiter": 500},
     ).fun
@@ -26,7 +30,10 @@ def test_the_step_is_the_minimum(seed):
     n, m = int(rng.integers(1, 7)), int(rng.integers(1, 50))
     c = rng.normal(size=m)
     c -= c.max()
-    A, L = rng.normal(size=(m, n)) * rng.choice([0.1, 1.0, 10.0]), rng.normal(size=(n, n)) * rng.choice([0.1, 1.0])
+    A, L = (
+        rng.normal(size=(m, n)) * rng.choice([0.1, 1.0, 10.0]),
+        rng.normal(size=(n, n)) * rng.choice([0.1, 1.0]),
+    )
     H, low, high = L @ L.T + 1e-6 * np.eye(n), -rng.uniform(0, 1, n), rng.uniform(0, 1, n)
     d, multipliers, t = minimax_step(c, A, H, low, high)
     assert t + 0.5 * t * t + 0.5 * d @ H @ d <= general_solver(c, A, H, low, high) + 1e-7

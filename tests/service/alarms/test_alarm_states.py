@@ -25,7 +25,11 @@ ASIDE = (AlarmState.SHELVED, AlarmState.SUPPRESSED, AlarmState.OUT_OF_SERVICE)
 START = datetime(2026, 1, 1, tzinfo=UTC)
 # Written out after ANSI/ISA-18.2-2016, figure 3, apart from the code: state → what each event may lead to.
 LEGAL = {
-    "normal": {"raise": {"unacknowledged"}, "suppress": {"suppressed"}, "remove-from-service": {"out-of-service"}},
+    "normal": {
+        "raise": {"unacknowledged"},
+        "suppress": {"suppressed"},
+        "remove-from-service": {"out-of-service"},
+    },
     "unacknowledged": {
         "clear": {"returned-unacknowledged", "unacknowledged"},
         "acknowledge": {"acknowledged"},
@@ -69,7 +73,8 @@ LEGAL = {
 }
 ASKED = [event for event in AlarmEvent if event not in (AlarmEvent.RAISE, AlarmEvent.CLEAR)]
 RULES = [
-    AlarmRule(on_delay=on, off_delay=off, latch=latch) for on, off, latch in itertools.product((0, 7), (0, 20), (False, True))
+    AlarmRule(on_delay=on, off_delay=off, latch=latch)
+    for on, off, latch in itertools.product((0, 7), (0, 20), (False, True))
 ]
 
 
@@ -128,7 +133,9 @@ def at(seconds):
 def events_of(rule, shown):
     status, events = AlarmStatus(), []
     for seconds, shows in shown:
-        status, event = (unjudged(status), None) if shows is None else follow(status, shows, rule, at(seconds))
+        status, event = (
+            (unjudged(status), None) if shows is None else follow(status, shows, rule, at(seconds))
+        )
         events += [(seconds, event.value)] if event else []
     return events
 
@@ -140,9 +147,21 @@ def test_what_was_not_seen_does_not_count():
     assert events_of(on, [(0, True), *((s, None) for s in range(10, 80, 10)), (80, True)]) == []
     assert events_of(on, [(0, True), (50, True), (900, True)]) == []
     assert events_of(on, [(s, True) for s in range(0, 100, 10)]) == [(60, "raise")]
-    assert events_of(on, [(600 * k, True) for k in range(4)]) == [(1200, "raise")]  # windows that come seldom
+    assert events_of(on, [(600 * k, True) for k in range(4)]) == [
+        (1200, "raise")
+    ]  # windows that come seldom
     assert events_of(off, [(0, True), (10, False), (7210, False)]) == [(0, "raise")]
-    back = events_of(on, [(0, True), (20, True), (40, True), (40 - 3600, True), (80 - 3600, True), (120 - 3600, True)])
+    back = events_of(
+        on,
+        [
+            (0, True),
+            (20, True),
+            (40, True),
+            (40 - 3600, True),
+            (80 - 3600, True),
+            (120 - 3600, True),
+        ],
+    )
     assert back[0][0] <= 120 - 3600
 
 
@@ -155,7 +174,9 @@ def test_only_what_raised_an_alarm_holds_it_and_by_its_own_sign(seed):
     taus = {"raised": tau, "other": 1.0}
     assert in_deadband(rule, {"raised": inside, "other": 0.0}, taus, {"raised"})
     assert not in_deadband(rule, {"raised": outside, "other": 0.95}, taus, {"raised"})
-    assert in_deadband(rule, {"raised": outside, "other": 0.95}, taus)  # nobody kept which one it was
+    assert in_deadband(
+        rule, {"raised": outside, "other": 0.95}, taus
+    )  # nobody kept which one it was
     assert not in_deadband(rule, {"raised": -0.01}, {"raised": 0.0}, {"raised"})
     assert beyond({"raised": tau + 1, "other": 0.5}, taus) == {"raised"}
 
@@ -191,7 +212,9 @@ def test_a_hundred_thousand_random_events_make_only_legal_transitions(number):
             assert status.state in (AlarmState.UNACKNOWLEDGED, AlarmState.ACKNOWLEDGED, *ASIDE)
         if before.condition and not status.condition and rule.latch and before.state in ACTIVE:
             assert status.state is before.state
-    assert {state for state, _ in met} >= set(AlarmState) - {AlarmState.RETURNED_UNACKNOWLEDGED} and len(met) > 20
+    assert {state for state, _ in met} >= set(AlarmState) - {
+        AlarmState.RETURNED_UNACKNOWLEDGED
+    } and len(met) > 20
 
 
 def test_noise_inside_the_deadband_raises_one_alarm_and_without_a_deadband_many():
@@ -199,8 +222,12 @@ def test_noise_inside_the_deadband_raises_one_alarm_and_without_a_deadband_many(
         rule, rng, status, count = AlarmRule(deadband=deadband), random.Random(3), AlarmStatus(), 0
         for number in range(10_000):
             rms = 1.0 + rng.uniform(-0.09, 0.09)
-            held = status.condition and in_deadband(rule, {"rms": rms, "other": None}, {"rms": 1.0, "absent": 5.0})
-            status, event = follow(status, rms > 1.0 or held, rule, START + timedelta(seconds=number))
+            held = status.condition and in_deadband(
+                rule, {"rms": rms, "other": None}, {"rms": 1.0, "absent": 5.0}
+            )
+            status, event = follow(
+                status, rms > 1.0 or held, rule, START + timedelta(seconds=number)
+            )
             count += event is AlarmEvent.RAISE
         return count
 

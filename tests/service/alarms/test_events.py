@@ -42,7 +42,11 @@ def test_many_threads_publish_and_nothing_is_lost_or_reordered():
     found = collect(events, 800, after_start=publish_from_threads)
     assert [event.id for event in found] == list(range(1, 801))
     for name in range(4):
-        numbers = [data["number"] for data in (orjson.loads(event.data) for event in found) if data["from"] == name]
+        numbers = [
+            data["number"]
+            for data in (orjson.loads(event.data) for event in found)
+            if data["from"] == name
+        ]
         assert numbers == list(range(200))
 
 

@@ -73,7 +73,9 @@ class Hook:
         self.server.server_close()
 
 
-def test_a_webhook_that_was_away_and_one_that_fails_get_every_alarm_in_order(run_service, free_port):
+def test_a_webhook_that_was_away_and_one_that_fails_get_every_alarm_in_order(
+    run_service, free_port
+):
     port = free_port()
     service = run_service(webhooks=[f"http://127.0.0.1:{port}/secret?token=x"])
     see(service, "faulty")
@@ -84,25 +86,53 @@ def test_a_webhook_that_was_away_and_one_that_fails_get_every_alarm_in_order(run
     assert states == ["unacknowledged", "returned-unacknowledged"]
 
 
-def test_an_alarm_of_a_service_that_was_killed_is_told_by_the_next_one(run_service, free_port, tmp_path):
+def test_an_alarm_of_a_service_that_was_killed_is_told_by_the_next_one(
+    run_service, free_port, tmp_path
+):
     hook_port, port = free_port(), free_port()
     webhooks = [f"http://127.0.0.1:{hook_port}/"]
-    environment = {**os.environ, "RESIDUUM_WEBHOOKS": json.dumps(webhooks), "RESIDUUM_LOG_LEVEL": "error"}
-    command = [sys.executable, "-c", "from residuum.service.cli import main; main()", "serve", "--port", str(port)]
+    environment = {
+        **os.environ,
+        "RESIDUUM_WEBHOOKS": json.dumps(webhooks),
+        "RESIDUUM_LOG_LEVEL": "error",
+    }
+    command = [
+        sys.executable,
+        "-c",
+        "from residuum.service.cli import main; main()",
+        "serve",
+        "--port",
+        str(port),
+    ]
     np.save(body := io.BytesIO(), np.arange(100.0))
-    with subprocess.Popen([*command, "--data", str(tmp_path)], env=environment, stdout=subprocess.PIPE, text=True) as killed:
+    with subprocess.Popen(
+        [*command, "--data", str(tmp_path)], env=environment, stdout=subprocess.PIPE, text=True
+    ) as killed:
         try:
             assert "Residuum is at" in killed.stdout.readline()
             path = "/api/v1/assets/press/windows?diagnoser=bearing&channel=a%20%5Bm%2Fs%C2%B2%5D&sample_time=1e-3"
-            answer = httpx.post(f"http://127.0.0.1:{port}{path}", content=body.getvalue(), headers=OCTETS, timeout=120)
-            assert answer.status_code == 201 and answer.json()["finding"]["verdict"] == "not-assessable"
+            answer = httpx.post(
+                f"http://127.0.0.1:{port}{path}",
+                content=body.getvalue(),
+                headers=OCTETS,
+                timeout=120,
+            )
+            assert (
+                answer.status_code == 201
+                and answer.json()["finding"]["verdict"] == "not-assessable"
+            )
         finally:
             killed.kill()
     hook = Hook(hook_port)
     run_service(data=tmp_path, webhooks=webhooks)
     told = hook.told.get(timeout=60)
     hook.stop()
-    assert (told["event"], told["kind"], told["asset"], told["state"]) == ("alarm", "signal", "press", "unacknowledged")
+    assert (told["event"], told["kind"], told["asset"], told["state"]) == (
+        "alarm",
+        "signal",
+        "press",
+        "unacknowledged",
+    )
 
 
 def test_of_two_processes_one_tells_and_the_other_takes_over(store_urls, tmp_path):
@@ -115,16 +145,25 @@ def test_of_two_processes_one_tells_and_the_other_takes_over(store_urls, tmp_pat
         for number in range(3):
             see_in(stores[number % 2], "press", ("faulty", "healthy", "faulty")[number])
         notice = first.next(hook)
-        assert (notice.number, notice.alarm["state"], notice.passed_over) == (1, "unacknowledged", 0)
+        assert (notice.number, notice.alarm["state"], notice.passed_over) == (
+            1,
+            "unacknowledged",
+            0,
+        )
         assert second.next(hook) is None
         assert first.next(hook) == notice  # until it says that it was told
         first.told(hook, notice)
-        assert first.next(hook).alarm["state"] == "returned-unacknowledged" and second.next(hook) is None
+        assert (
+            first.next(hook).alarm["state"] == "returned-unacknowledged"
+            and second.next(hook) is None
+        )
         first.release()
         again = second.next(hook)
         assert again.number == 2 and first.next(hook) is None
         late = DiskStore(tmp_path / "data", url)
-        assert late.outbox.next(late.outbox.register("http://another/")) is None  # it is told what comes from now on
+        assert (
+            late.outbox.next(late.outbox.register("http://another/")) is None
+        )  # it is told what comes from now on
         for store in (*stores, late):
             store.close()
 
@@ -155,11 +194,15 @@ def test_notices_are_bounded_and_what_was_let_go_is_counted(tmp_path, monkeypatc
     store.close()
 
 
-@pytest.mark.parametrize("alarm", ['{"state": "normal"}', '{"state'], ids=["another value", "no JSON"])
+@pytest.mark.parametrize(
+    "alarm", ['{"state": "normal"}', '{"state'], ids=["another value", "no JSON"]
+)
 def test_a_notice_whose_row_is_damaged_is_told_to_nobody_and_those_behind_it_are(tmp_path, alarm):
     store = DiskStore(tmp_path, f"sqlite:///{tmp_path / 'residuum.db'}")
     told = queue.Queue()
-    receiver = Receiver("hook", "http://hook/", lambda _kind, payload: told.put(payload["state"]), findings=False)
+    receiver = Receiver(
+        "hook", "http://hook/", lambda _kind, payload: told.put(payload["state"]), findings=False
+    )
     store.outbox.register("http://hook/")
     for verdict in ("faulty", "healthy"):
         see_in(store, "press", verdict)
@@ -177,7 +220,10 @@ def test_findings_wait_in_the_database_until_each_receiver_was_told(store_urls, 
         store, other = (DiskStore(tmp_path / "data", url) for _ in range(2))
         see_in(store, "press", "healthy")
         broker = store.outbox.register("mqtt://broker", findings=True)
-        later, hook = store.outbox.register("mqtt://later", findings=True), store.outbox.register("http://hook/")
+        later, hook = (
+            store.outbox.register("mqtt://later", findings=True),
+            store.outbox.register("http://hook/"),
+        )
         windows = [see_in(store, "press", verdict) for verdict in ("healthy", "faulty", "healthy")]
         store.close()
         store = DiskStore(tmp_path / "data", url)
@@ -192,7 +238,9 @@ def test_findings_wait_in_the_database_until_each_receiver_was_told(store_urls, 
         other.close()
 
 
-def test_findings_that_wait_are_bounded_and_what_was_let_go_is_counted_once(store_urls, tmp_path, monkeypatch):
+def test_findings_that_wait_are_bounded_and_what_was_let_go_is_counted_once(
+    store_urls, tmp_path, monkeypatch
+):
     monkeypatch.setattr("residuum.service.storage.rows.finding_notices.MOST_NOTICES_OF_FINDINGS", 5)
     for url in store_urls:
         store = DiskStore(tmp_path / "data", url)
@@ -202,7 +250,9 @@ def test_findings_that_wait_are_bounded_and_what_was_let_go_is_counted_once(stor
         assert [finding.window for finding in batch.findings] == windows[-5:] and batch.lost == 7
         store.outbox.told_findings(broker, [batch.findings[0].id], batch.lost)
         assert store.outbox.findings(broker).lost == 0
-        store.retain(Retention(0.0, 0, 0.0, 0))  # rows that go are told no more, and the newest stays
+        store.retain(
+            Retention(0.0, 0, 0.0, 0)
+        )  # rows that go are told no more, and the newest stays
         batch = store.outbox.findings(broker)
         assert [finding.window for finding in batch.findings] == windows[-1:] and batch.lost == 3
         store.close()
@@ -225,13 +275,20 @@ def test_a_webhook_that_sends_elsewhere_has_received_nothing(run_service, free_p
     service = run_service(webhooks=[f"http://127.0.0.1:{port}/"])
     see(service, "faulty")
     see(service, "healthy")
-    assert [hook.told.get(timeout=60)["state"] for _ in range(2)] == ["unacknowledged", "returned-unacknowledged"]
+    assert [hook.told.get(timeout=60)["state"] for _ in range(2)] == [
+        "unacknowledged",
+        "returned-unacknowledged",
+    ]
     hook.stop()
 
 
-def test_alarms_and_findings_reach_a_broker_that_came_later(run_service, start_mosquitto, free_port):
+def test_alarms_and_findings_reach_a_broker_that_came_later(
+    run_service, start_mosquitto, free_port
+):
     """Also the findings of a service that ended before the broker came."""
-    mqtt = pytest.importorskip("paho.mqtt.client", reason="the extra 'mqtt' is not installed: MQTT was not tried")
+    mqtt = pytest.importorskip(
+        "paho.mqtt.client", reason="the extra 'mqtt' is not installed: MQTT was not tried"
+    )
     port = free_port()
     service = run_service(mqtt=f"mqtt://127.0.0.1:{port}/plant-7")
     early = see(service, "faulty")
@@ -239,7 +296,9 @@ def test_alarms_and_findings_reach_a_broker_that_came_later(run_service, start_m
     start_mosquitto(port)
     told, subscribed = queue.Queue(), threading.Event()
     client = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2)
-    client.on_message = lambda _client, _data, message: told.put((message.topic, json.loads(message.payload)))
+    client.on_message = lambda _client, _data, message: told.put(
+        (message.topic, json.loads(message.payload))
+    )
     client.on_connect = lambda *_: client.subscribe("plant-7/#", qos=1)
     client.on_subscribe = lambda *_: subscribed.set()
     client.connect("127.0.0.1", port)

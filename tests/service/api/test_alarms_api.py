@@ -28,9 +28,17 @@ def test_an_alarm_is_put_aside_taken_back_latched_and_reset(run_service):
         assert ask("return-to-service") == "unacknowledged"
         see("healthy")
         assert client.get("/alarms").json()["items"][0]["state"] == "unacknowledged"
-        assert ask("acknowledge") == "acknowledged" and ask("reset") == "normal" and ask("reset", 409) is None
+        assert (
+            ask("acknowledge") == "acknowledged"
+            and ask("reset") == "normal"
+            and ask("reset", 409) is None
+        )
         rates = client.get("/alarms/rates").json()
         assert (rates["last_day"], rates["flood"], rates["standing"]) == (1, False, {"normal": 1})
         trail = client.get("/audit", params={"limit": 3}).json()
-        assert [entry["action"] for entry in trail["items"]] == ["alarm reset", "alarm acknowledge", "alarm clear"]
+        assert [entry["action"] for entry in trail["items"]] == [
+            "alarm reset",
+            "alarm acknowledge",
+            "alarm clear",
+        ]
         assert trail["items"][0]["by"] == "local" and trail["next_cursor"]

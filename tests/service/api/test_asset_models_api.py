@@ -31,13 +31,17 @@ def service(run_service):
     judge = DIAGNOSERS["robust-residual"]().fit([axis(1, 3000, noise=0.04)])
     folder = service.services.settings.data
     judge.save(folder / "trained")
-    service.services.store.add_model_version("axis", "baseline", (folder / "trained").read_bytes(), "trained")
+    service.services.store.add_model_version(
+        "axis", "baseline", (folder / "trained").read_bytes(), "trained"
+    )
     life = axis(2, 6000)
     for begin in range(0, 6000, 500):
         window = life.window(begin, begin + 500)
         service.services.store.add_window("axis", window, judge.score(window))
     damped = load_model("linear-axis").with_effect("viscous-friction", "axis", {"d": DAMPING})
-    service.services.store.add_model_version("damped", "physical", write_model(damped).encode(), "by hand")
+    service.services.store.add_model_version(
+        "damped", "physical", write_model(damped).encode(), "by hand"
+    )
     return service
 
 
@@ -60,7 +64,9 @@ def test_a_model_is_proposed_with_its_thresholds_and_accepted(client, service):
     path = "/api/v1/assets/axis/model"
     assert client.get(path).json() == {"active": None, "history": []}
     first = client.post(path, json={"model": "linear-axis", "note": "to begin with"})
-    assert first.status_code == 201 and first.json()["active"]["note"] == "linear-axis: to begin with"
+    assert (
+        first.status_code == 201 and first.json()["active"]["note"] == "linear-axis: to begin with"
+    )
     names = {"force": "u", "velocity": "y"}
     asked = {"model": "damped", "version": 1, "map": names}
     job = result(client, client.post("/api/v1/assets/axis/model-proposals", json=asked))
@@ -70,21 +76,36 @@ def test_a_model_is_proposed_with_its_thresholds_and_accepted(client, service):
     assert found["alarms"]["windows"] >= 2 and found["alarms"]["new"] == 0
     error = found["model_error"]["outputs"]["velocity"]
     assert error["unit"] == "m/s" and 0.02 < error["new"] < 0.05 and error["old"] > 3 * error["new"]
-    assert client.get(path).json()["active"]["note"] == "linear-axis: to begin with"  # nothing is active yet
+    assert (
+        client.get(path).json()["active"]["note"] == "linear-axis: to begin with"
+    )  # nothing is active yet
 
-    accepted = client.post(path, json={"model": "damped", "version": 1, "proposal": found["proposal"]})
+    accepted = client.post(
+        path, json={"model": "damped", "version": 1, "proposal": found["proposal"]}
+    )
     assert accepted.status_code == 201, accepted.text
     history = accepted.json()["history"]
-    assert [(entry["number"], entry["created_by"]) for entry in history] == [(2, "local"), (1, "local")]
+    assert [(entry["number"], entry["created_by"]) for entry in history] == [
+        (2, "local"),
+        (1, "local"),
+    ]
     assert "damped, version 1" in history[0]["note"] and "proposal" in history[0]["note"]
     store = service.services.store
     assert store.model_content("axis.model") == store.model_content("damped", 1)
     assert store.model_content("axis") == store.model_content("axis.proposed", found["proposal"])
     offset = axis(5, 500)
-    shifted = Record({"u": offset["u"], "y": offset["y"] + np.where(np.arange(500) > 250, 0.15, 0)}, UNITS, DT)
-    body = {"sample_time": DT, "units": UNITS, "channels": {name: shifted[name].tolist() for name in UNITS}}
+    shifted = Record(
+        {"u": offset["u"], "y": offset["y"] + np.where(np.arange(500) > 250, 0.15, 0)}, UNITS, DT
+    )
+    body = {
+        "sample_time": DT,
+        "units": UNITS,
+        "channels": {name: shifted[name].tolist() for name in UNITS},
+    }
     seen = client.post("/api/v1/assets/axis/windows", json=body).json()["finding"]
-    assert seen["verdict"] == "faulty" and seen["thresholds"]["glr"] == pytest.approx(found["thresholds"]["glr"]["new"])
+    assert seen["verdict"] == "faulty" and seen["thresholds"]["glr"] == pytest.approx(
+        found["thresholds"]["glr"]["new"]
+    )
 
 
 def test_windows_that_a_model_cannot_read_leave_the_thresholds_alone(client):
@@ -101,7 +122,10 @@ def test_what_cannot_be_accepted_is_refused(client, service, refused):
     assert refused("POST", "/api/v1/assets/none/model", json={"model": "oven"})[0] == 404
     assert refused("POST", "/api/v1/assets/axis/model", json={"model": "none"})[0] == 404
     assert refused("POST", "/api/v1/assets/axis/model", json={"model": "axis"})[0] == 409
-    assert refused("POST", "/api/v1/assets/axis/model", json={"model": "oven", "proposal": 999})[0] == 404
+    assert (
+        refused("POST", "/api/v1/assets/axis/model", json={"model": "oven", "proposal": 999})[0]
+        == 404
+    )
     status, detail = refused("POST", "/api/v1/assets/idle/model-proposals", json={"model": "oven"})
     assert status == 409 and "0 healthy windows" in detail
     assert refused("POST", "/api/v1/assets/bare/model-proposals", json={"model": "oven"})[0] == 409

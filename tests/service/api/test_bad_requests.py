@@ -8,7 +8,11 @@ import pytest
 
 SCORE = "/api/v1/score/bearing"
 WINDOWS = "/api/v1/assets/press/windows?diagnoser=bearing"
-GOOD = {"sample_time": 1e-3, "channels": {"acceleration": [0.0, 1.0]}, "units": {"acceleration": "m/s²"}}
+GOOD = {
+    "sample_time": 1e-3,
+    "channels": {"acceleration": [0.0, 1.0]},
+    "units": {"acceleration": "m/s²"},
+}
 
 
 def text(**changes):
@@ -21,16 +25,30 @@ BAD_JSON = {
     "not UTF-8": (b"\xff\xfe{}", 400, "not JSON"),
     "array": ("[]", 400, "must be an object"),
     "NaN": ('{"sample_time": NaN}', 400, "not JSON"),
-    "infinite": ('{"sample_time": 1, "channels": {"a": [1e999]}, "units": {"a": "V"}}', 400, "infinity"),
-    "lone surrogate": ('{"sample_time": 1, "channels": {"\\ud800": [1]}, "units": {}}', 400, "surrogate"),
+    "infinite": (
+        '{"sample_time": 1, "channels": {"a": [1e999]}, "units": {"a": "V"}}',
+        400,
+        "infinity",
+    ),
+    "lone surrogate": (
+        '{"sample_time": 1, "channels": {"\\ud800": [1]}, "units": {}}',
+        400,
+        "surrogate",
+    ),
     "deep": ("[" * 100_000 + "]" * 100_000, 400, "depth"),
     "huge number": (text().replace("0.001", "9" * 5000), 400, "infinity"),
     "no channels": (text(channels=...), 400, "channels"),
-    "text for a number": (text(channels={"acceleration": [0.0, "1.0"]}), 400, "sample 1: '1.0' is not a number"),
+    "text for a number": (
+        text(channels={"acceleration": [0.0, "1.0"]}),
+        400,
+        "sample 1: '1.0' is not a number",
+    ),
     "boolean": (text(channels={"acceleration": [True]}), 400, "not a number"),
     "nested": (text(channels={"acceleration": [[1.0]]}), 400, "not a number"),
     "unequal": (
-        text(channels={"acceleration": [1.0], "b": [1.0, 2.0]}, units={"acceleration": "g", "b": "V"}),
+        text(
+            channels={"acceleration": [1.0], "b": [1.0, 2.0]}, units={"acceleration": "g", "b": "V"}
+        ),
         422,
         "differ in length",
     ),
@@ -39,11 +57,19 @@ BAD_JSON = {
     "NUL in a name": (text(channels={"a\0": [1.0]}, units={"a\0": "V"}), 422, "NUL"),
     "NUL in a unit": (text(units={"acceleration": "m/s²\0"}), 422, "NUL"),
     "NUL in a note": (text(notes=["\0"]), 422, "NUL"),
-    "a unit beyond all numbers": (text(units={"acceleration": "km**99999999"}), 422, "not a known unit"),
+    "a unit beyond all numbers": (
+        text(units={"acceleration": "km**99999999"}),
+        422,
+        "not a known unit",
+    ),
     "wrong unit": (text(units={"acceleration": "m//s("}), 422, "not a known unit"),
     "a unit of its own": (text(units={"acceleration": "blorbs"}), 422, "unit of acceleration"),
     "incompatible unit": (text(units={"acceleration": "V"}), 422, "unit of acceleration"),
-    "unknown channel": (text(channels={"sound": [1.0, 2.0]}, units={"sound": "Pa"}), 422, "acceleration"),
+    "unknown channel": (
+        text(channels={"sound": [1.0, 2.0]}, units={"sound": "Pa"}),
+        422,
+        "acceleration",
+    ),
     "negative step": (text(sample_time=-1), 422, "sample_time"),
     "text step": (text(sample_time="1"), 400, "sample_time"),
     "unknown key": (text(chanels={}), 400, "'chanels'"),
@@ -53,7 +79,9 @@ BAD_JSON = {
 @pytest.mark.parametrize(("body", "status", "says"), BAD_JSON.values(), ids=BAD_JSON)
 @pytest.mark.parametrize("path", [SCORE, WINDOWS], ids=["score", "store"])
 def test_bad_json_bodies(refused, client, path, body, status, says):
-    found, detail = refused("POST", path, content=body, headers={"content-type": "application/json"})
+    found, detail = refused(
+        "POST", path, content=body, headers={"content-type": "application/json"}
+    )
     assert found == status and says in detail
     assert client.get("/api/v1/assets").json()["items"] == []
 
@@ -84,12 +112,21 @@ BAD_NPY = {
     "giant product": (shaped("(4294967296, 4294967296)"), 400, "bytes; 64 came"),
     "too short": (npy(np.zeros(9))[:-1], 400, "needs 72 bytes; 71 came"),
     "cut header": (npy(np.zeros(9))[:40], 400, "ends inside"),
-    "giant header": (b"\x93NUMPY\x02\x00" + (2**31).to_bytes(4, "little") + bytes(64), 413, "at most 1024"),
+    "giant header": (
+        b"\x93NUMPY\x02\x00" + (2**31).to_bytes(4, "little") + bytes(64),
+        413,
+        "at most 1024",
+    ),
     "objects": (npy(np.array([{}, 1], dtype=object)), 400, "only plain"),
     "text": (npy(np.array(["a", "b"])), 400, "only plain"),
     "complex": (npy(np.zeros(4, complex)), 400, "only plain"),
     "structured": (npy(np.zeros(4, [("a", "<f8")])), 400, "only plain"),
-    "code": (header("{'descr': '<f8', 'fortran_order': __import__('os'), 'shape': (8,), }\n") + bytes(64), 400, "only plain"),
+    "code": (
+        header("{'descr': '<f8', 'fortran_order': __import__('os'), 'shape': (8,), }\n")
+        + bytes(64),
+        400,
+        "only plain",
+    ),
     "scalar": (npy(np.float64(3.0)), 400, "one or two dimensions"),
     "cube": (npy(np.zeros((2, 2, 2))), 400, "one or two dimensions"),
     "no samples": (npy(np.zeros(0)), 400, "hold samples"),
@@ -101,7 +138,13 @@ BAD_NPY = {
 @pytest.mark.parametrize(("body", "status", "says"), BAD_NPY.values(), ids=BAD_NPY)
 def test_bad_npy_bodies(refused, body, status, says):
     query = {"sample_time": 1e-4, "channel": "acceleration [m/s²]"}
-    found, detail = refused("POST", SCORE, params=query, content=body, headers={"content-type": "application/octet-stream"})
+    found, detail = refused(
+        "POST",
+        SCORE,
+        params=query,
+        content=body,
+        headers={"content-type": "application/octet-stream"},
+    )
     assert found == status and says in detail
 
 
@@ -121,7 +164,13 @@ def test_bad_queries_of_an_npy_body(refused, query, says):
     import re
 
     body = npy(np.zeros(4))
-    _, detail = refused("POST", SCORE, params=query, content=body, headers={"content-type": "application/octet-stream"})
+    _, detail = refused(
+        "POST",
+        SCORE,
+        params=query,
+        content=body,
+        headers={"content-type": "application/octet-stream"},
+    )
     assert re.search(says, detail), detail
 
 
@@ -151,7 +200,10 @@ def test_settings_that_a_diagnoser_does_not_have(refused, diagnoser, query, says
     ],
 )
 def test_bad_csv_bodies(refused, client, body, says):
-    for path, kind in ((SCORE, "text/csv"), ("/api/v1/records?filename=a.csv", "application/octet-stream")):
+    for path, kind in (
+        (SCORE, "text/csv"),
+        ("/api/v1/records?filename=a.csv", "application/octet-stream"),
+    ):
         status, detail = refused("POST", path, content=body, headers={"content-type": kind})
         assert status in (400, 422) and says in detail and "/tmp" not in detail
     assert client.get("/api/v1/records").json()["items"] == []
@@ -179,7 +231,9 @@ REQUESTS = [
 
 
 @pytest.mark.parametrize(
-    ("method", "path", "status", "says"), REQUESTS, ids=[f"{method} {path[:50]}" for method, path, *_ in REQUESTS]
+    ("method", "path", "status", "says"),
+    REQUESTS,
+    ids=[f"{method} {path[:50]}" for method, path, *_ in REQUESTS],
 )
 def test_requests_for_what_is_not_there(refused, method, path, status, says):
     found, detail = refused(method, path)
@@ -203,15 +257,27 @@ def test_files_that_are_no_models(refused, kind, content, says):
 
 
 def test_bodies_of_other_types_and_strict_json_everywhere(refused):
-    assert refused("POST", SCORE, content=b"<x/>", headers={"content-type": "application/xml"})[0] == 415
+    assert (
+        refused("POST", SCORE, content=b"<x/>", headers={"content-type": "application/xml"})[0]
+        == 415
+    )
     assert refused("POST", "/api/v1/records?filename=evil.exe", content=b"MZ")[0] == 415
     for arrow in ("application/vnd.apache.arrow.stream", "application/vnd.apache.arrow.file"):
         for path in (SCORE, WINDOWS):
-            status, detail = refused("POST", path, content=b"ARROW1", headers={"content-type": arrow})
+            status, detail = refused(
+                "POST", path, content=b"ARROW1", headers={"content-type": arrow}
+            )
             accepted = "application/json, application/octet-stream, text/csv, application/zip"
-            assert status == 415 and arrow in detail and detail.endswith(f"is not one of {accepted}")
+            assert (
+                status == 415 and arrow in detail and detail.endswith(f"is not one of {accepted}")
+            )
     for body in ('{"minutes": NaN}', '{"minutes": 1e999}', "{", "[" * 5000):
-        status, _ = refused("POST", "/api/v1/alarms/1/shelve", content=body, headers={"content-type": "application/json"})
+        status, _ = refused(
+            "POST",
+            "/api/v1/alarms/1/shelve",
+            content=body,
+            headers={"content-type": "application/json"},
+        )
         assert status == 400
     status, detail = refused("POST", "/api/v1/alarms/1/shelve", json={"minutes": -1, "extra": 1})
     assert status == 422 and "minutes" in detail

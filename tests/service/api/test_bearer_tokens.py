@@ -16,7 +16,9 @@ from residuum.identification.record import Record
 from residuum.service.security.access import new_key
 from residuum.service.settings import BadSettings, load_settings
 
-jwt = pytest.importorskip("jwt", reason="the extra 'oidc' is not installed: bearer tokens were not tried")
+jwt = pytest.importorskip(
+    "jwt", reason="the extra 'oidc' is not installed: bearer tokens were not tried"
+)
 rsa = pytest.importorskip("cryptography.hazmat.primitives.asymmetric.rsa")
 serialization = pytest.importorskip("cryptography.hazmat.primitives.serialization")
 
@@ -40,7 +42,10 @@ class Issuer:
         class Handler(BaseHTTPRequestHandler):
             def do_GET(self):
                 issuer.asked += self.path.endswith("keys")
-                found = {"/.well-known/openid-configuration": {"jwks_uri": f"{issuer.url}/keys"}, "/keys": issuer.published()}
+                found = {
+                    "/.well-known/openid-configuration": {"jwks_uri": f"{issuer.url}/keys"},
+                    "/keys": issuer.published(),
+                }
                 body = json.dumps(found[self.path]).encode()
                 self.send_response(200)
                 self.send_header("Content-Length", str(len(body)))
@@ -58,11 +63,25 @@ class Issuer:
         self.keys[number] = rsa.generate_private_key(public_exponent=65537, key_size=2048)
 
     def published(self):
-        public = {number: jwt.algorithms.RSAAlgorithm.to_jwk(key.public_key(), as_dict=True) for number, key in self.keys.items()}
-        return {"keys": [{**each, "kid": number, "use": "sig", "alg": "RS256"} for number, each in public.items()]}
+        public = {
+            number: jwt.algorithms.RSAAlgorithm.to_jwk(key.public_key(), as_dict=True)
+            for number, key in self.keys.items()
+        }
+        return {
+            "keys": [
+                {**each, "kid": number, "use": "sig", "alg": "RS256"}
+                for number, each in public.items()
+            ]
+        }
 
     def token(self, key="first", algorithm="RS256", signed_by=None, **claims):
-        told = {"iss": self.url, "aud": "residuum", "sub": "eva", "exp": time.time() + 600, "residuum_role": "viewer"}
+        told = {
+            "iss": self.url,
+            "aud": "residuum",
+            "sub": "eva",
+            "exp": time.time() + 600,
+            "residuum_role": "viewer",
+        }
         told = {name: value for name, value in (told | claims).items() if value is not None}
         return jwt.encode(told, signed_by or self.keys[key], algorithm, headers={"kid": key})
 
@@ -114,15 +133,23 @@ def test_a_token_may_what_its_role_may(client, issuer, role):
 
 def test_sites_of_a_token_cut_down_what_it_sees(client, issuer):
     bearer = shown(issuer.token(residuum_sites=["hall-2"]))
-    assert {each["id"] for each in client.get("/assets", headers=bearer).json()["items"]} == {"hall-2.press"}
+    assert {each["id"] for each in client.get("/assets", headers=bearer).json()["items"]} == {
+        "hall-2.press"
+    }
     assert client.get("/assets/hall-1.press", headers=bearer).status_code == 403
-    assert client.get("/assets", headers=shown(issuer.token(residuum_sites=["hall/2"]))).status_code == 401
+    assert (
+        client.get("/assets", headers=shown(issuer.token(residuum_sites=["hall/2"]))).status_code
+        == 401
+    )
 
 
 def test_what_is_not_the_issuers_word_is_not_believed(client, issuer):
     foreign = rsa.generate_private_key(public_exponent=65537, key_size=2048)
     unsigned = jwt.encode(
-        {"iss": issuer.url, "aud": "residuum", "exp": time.time() + 600}, None, "none", headers={"kid": "first"}
+        {"iss": issuer.url, "aud": "residuum", "exp": time.time() + 600},
+        None,
+        "none",
+        headers={"kid": "first"},
     )
     head, body, _ = issuer.token().split(".")
     other_body = issuer.token(residuum_role="admin").split(".")[1]
@@ -137,30 +164,45 @@ def test_what_is_not_the_issuers_word_is_not_believed(client, issuer):
         "for nobody": issuer.token(aud=None),
         "of another issuer": issuer.token(iss="https://evil.example"),
         "signed by another": issuer.token(signed_by=foreign),
-        "of an unknown key": jwt.encode({"iss": issuer.url}, foreign, "RS256", headers={"kid": "none"}),
+        "of an unknown key": jwt.encode(
+            {"iss": issuer.url}, foreign, "RS256", headers={"kid": "none"}
+        ),
         "unsigned": unsigned,
         "changed": f"{head}.{other_body}.{issuer.token().split('.')[2]}",
         "without signature": f"{head}.{body}.",
-        "by a shared secret": jwt.encode({"iss": issuer.url, "aud": "residuum"}, "secret" * 8, "HS256", headers={"kid": "first"}),
+        "by a shared secret": jwt.encode(
+            {"iss": issuer.url, "aud": "residuum"}, "secret" * 8, "HS256", headers={"kid": "first"}
+        ),
         "without a role": issuer.token(residuum_role=None),
         "of a role that is none": issuer.token(residuum_role=["root", 7]),
         "no token": "a.b.c",
         "of no text": "\xff.\xff.\xff",
     }
     for what, token in wrong.items():
-        answer = client.get("/assets", headers={"Authorization": f"Bearer {token}".encode("latin-1")})
+        answer = client.get(
+            "/assets", headers={"Authorization": f"Bearer {token}".encode("latin-1")}
+        )
         assert answer.status_code == 401, what
-        assert answer.headers["content-type"] == "application/problem+json" and answer.headers["www-authenticate"] == "Bearer"
+        assert (
+            answer.headers["content-type"] == "application/problem+json"
+            and answer.headers["www-authenticate"] == "Bearer"
+        )
     assert client.get("/assets").status_code == 401
 
 
-def test_a_new_key_of_the_issuer_is_taken_up_and_guesses_do_not_ask_it_again_and_again(client, issuer, monkeypatch):
+def test_a_new_key_of_the_issuer_is_taken_up_and_guesses_do_not_ask_it_again_and_again(
+    client, issuer, monkeypatch
+):
     client.get("/assets", headers=shown(issuer.token()))
-    monkeypatch.setattr("residuum.service.security.bearer_tokens._KEYS_AGAIN", 3600.0)  # however long this takes here
+    monkeypatch.setattr(
+        "residuum.service.security.bearer_tokens._KEYS_AGAIN", 3600.0
+    )  # however long this takes here
     before = issuer.asked
     for number in range(20):
         client.get("/assets", headers=shown(issuer.token(key="first", sub=str(number))))
-        forged = jwt.encode({"iss": issuer.url}, issuer.keys["first"], "RS256", headers={"kid": f"guess-{number}"})
+        forged = jwt.encode(
+            {"iss": issuer.url}, issuer.keys["first"], "RS256", headers={"kid": f"guess-{number}"}
+        )
         assert client.get("/assets", headers=shown(forged)).status_code == 401
     assert issuer.asked == before
     monkeypatch.setattr("residuum.service.security.bearer_tokens._KEYS_AGAIN", 0.0)
@@ -171,7 +213,9 @@ def test_a_new_key_of_the_issuer_is_taken_up_and_guesses_do_not_ask_it_again_and
 def test_keys_and_tokens_beside_each_other_and_an_issuer_that_is_away(run_service, tmp_path):
     key, digest = new_key()
     (tmp_path / "keys").write_text(f"eva viewer {digest}\n")
-    service = run_service(host="0.0.0.0", api_keys=tmp_path / "keys", oidc_issuer="http://127.0.0.1:9", rate_limit=1e6)
+    service = run_service(
+        host="0.0.0.0", api_keys=tmp_path / "keys", oidc_issuer="http://127.0.0.1:9", rate_limit=1e6
+    )
     with httpx.Client(base_url=f"{service.url}/api/v1", timeout=60) as client:
         assert client.get("/assets", headers={"X-API-Key": key}).status_code == 200
         assert client.get("/assets", headers=shown("a.b.c")).status_code == 401
@@ -180,4 +224,7 @@ def test_keys_and_tokens_beside_each_other_and_an_issuer_that_is_away(run_servic
 def test_an_issuer_without_tls_is_refused_unless_it_is_this_machine():
     with pytest.raises(BadSettings, match="must be an https address"):
         load_settings(oidc_issuer="http://id.example")
-    assert load_settings(host="0.0.0.0", oidc_issuer="https://id.example/realms/plant").api_keys is None
+    assert (
+        load_settings(host="0.0.0.0", oidc_issuer="https://id.example/realms/plant").api_keys
+        is None
+    )

@@ -21,7 +21,9 @@ def stored(client, tmp_path):
     file = tmp_path / "plant.json"
     record = Record({"u": u, "y": y}, {"u": "V", "y": "m"}, 0.1)
     save_identified(identify_impulse_response(record, "u", "y", order=30, delay=1), file)
-    answer = client.post("/api/v1/models", params={"name": "plant", "kind": "identified"}, content=file.read_bytes())
+    answer = client.post(
+        "/api/v1/models", params={"name": "plant", "kind": "identified"}, content=file.read_bytes()
+    )
     assert answer.status_code == 201, answer.text
     return "plant"
 
@@ -51,9 +53,14 @@ def closed_loop(b, a, samples):
 def test_every_point_of_the_front_behaves_as_it_is_drawn(client, stored):
     found = view(client, models=[{"model": stored}], aim="robust", structure="pi")
     assert found["feasible"] and found["wishes"] == ["high_gain_db", "critical_frequency_rad_s"]
-    assert found["input"] == {"name": "u", "unit": "V"} and found["output"] == {"name": "y", "unit": "m"}
+    assert found["input"] == {"name": "u", "unit": "V"} and found["output"] == {
+        "name": "y",
+        "unit": "m",
+    }
     firsts, seconds = ([point[name] for point in found["points"]] for name in ("first", "second"))
-    assert firsts == sorted(firsts) and seconds == sorted(seconds, reverse=True)  # a front: more of the one, less of the other
+    assert firsts == sorted(firsts) and seconds == sorted(
+        seconds, reverse=True
+    )  # a front: more of the one, less of the other
     for point in found["points"]:
         steps = point["steps"]
         samples = np.round(np.array(steps["time"]) / 0.1).astype(int)
@@ -72,7 +79,9 @@ def test_every_point_of_the_front_behaves_as_it_is_drawn(client, stored):
 def test_every_choice_of_the_weight_reaches_it(client, stored, refused):
     asked = {"models": [{"model": stored}], "structure": "pi", "points": 60, "lowest": 0.05}
     first = view(client, **asked)["uncertainty"]
-    assert (first["samples"], first["order"]) == (738, 2) and first["frequency"][0] == pytest.approx(0.05 / (2 * np.pi))
+    assert (first["samples"], first["order"]) == (738, 2) and first["frequency"][
+        0
+    ] == pytest.approx(0.05 / (2 * np.pi))
     chosen = asked | {"epsilon": 0.1, "zeta": 0.2, "rule": "worst-case", "weight_order": 1}
     other = view(client, **chosen)["uncertainty"]
     assert (other["samples"], other["order"]) == (16, 1)
@@ -80,12 +89,23 @@ def test_every_choice_of_the_weight_reaches_it(client, stored, refused):
 
 
 def test_limits_reach_the_code_and_what_cannot_be_is_said(client, stored, refused):
-    asked = {"models": [{"model": stored, "version": 1}], "structure": "pi", "only": "settling-time", "limits": [None, 2.5]}
+    asked = {
+        "models": [{"model": stored, "version": 1}],
+        "structure": "pi",
+        "only": "settling-time",
+        "limits": [None, 2.5],
+    }
     made = view(client, **asked)
-    assert made["points"][made["chosen"]]["second"] == min(point["second"] for point in made["points"])
+    assert made["points"][made["chosen"]]["second"] == min(
+        point["second"] for point in made["points"]
+    )
     assert "2.5" in made["points"][0]["difference_equation"]
     impossible = view(client, **asked, settling_time=0.3)
-    assert not impossible["feasible"] and "aim" in impossible["reason"] and impossible["uncertainty"]["critical_frequency"] > 0
+    assert (
+        not impossible["feasible"]
+        and "aim" in impossible["reason"]
+        and impossible["uncertainty"]["critical_frequency"] > 0
+    )
     address = "/api/v1/control-designs/views"
     assert refused("POST", address, json=asked | {"limits": [3, 2.5]})[0] == 422
     assert refused("POST", address, json={"models": [{"model": "none"}]})[0] == 404
@@ -93,6 +113,12 @@ def test_limits_reach_the_code_and_what_cannot_be_is_said(client, stored, refuse
 
 def test_names_of_before_are_still_read(client, stored):
     asked = {"models": [{"model": stored}], "structure": "pi", "points": 60, "aim": "robust"}
-    before = {"low_gain_db": 100, "smallest_high_gain_db": -6, "lowest_critical_frequency": 0.02, "lower": -9, "upper": 2.5}
+    before = {
+        "low_gain_db": 100,
+        "smallest_high_gain_db": -6,
+        "lowest_critical_frequency": 0.02,
+        "lower": -9,
+        "upper": 2.5,
+    }
     now = {"low_gain": 100, "high_gain": -6, "critical_frequency": 0.02, "limits": [-9, 2.5]}
     assert view(client, **asked, **before) == view(client, **asked, **now)

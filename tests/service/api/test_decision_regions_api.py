@@ -27,14 +27,19 @@ def regions(service):
     with httpx.Client(base_url=service.url, timeout=60) as client:
 
         def regions(asset, window, **query):
-            return client.get(f"/api/v1/assets/{asset}/windows/{window}/decision-regions", params=query)
+            return client.get(
+                f"/api/v1/assets/{asset}/windows/{window}/decision-regions", params=query
+            )
 
         yield regions
 
 
 def at(found, x, y):
     """The class at a place of the plane."""
-    column, row = np.argmin(np.abs(np.array(found["x"]) - x)), np.argmin(np.abs(np.array(found["y"]) - y))
+    column, row = (
+        np.argmin(np.abs(np.array(found["x"]) - x)),
+        np.argmin(np.abs(np.array(found["y"]) - y)),
+    )
     return found["classes"][found["region"][row][column]]
 
 
@@ -43,9 +48,14 @@ def test_each_movement_lies_in_the_region_of_its_class(service, regions):
     for stored in windows:
         here, expected = stored.finding.indicators, stored.finding.fault_class or "healthy"
         for x, y in (("F1", "F2"), ("F2", "F1"), ("low_peak", "single_pulse")):
-            found = regions("gate", stored.window, x=x, y=y, x_to=2 * here[x], y_to=2 * here[y]).json()
+            found = regions(
+                "gate", stored.window, x=x, y=y, x_to=2 * here[x], y_to=2 * here[y]
+            ).json()
             assert at(found, here[x], here[y]) == expected, (x, y)
-            assert np.shape(found["region"]) == (len(found["y"]), len(found["x"])) and found["x"][-1] > 2 * here[x]
+            assert (
+                np.shape(found["region"]) == (len(found["y"]), len(found["x"]))
+                and found["x"][-1] > 2 * here[x]
+            )
     assert {stored.finding.fault_class for stored in windows} == {None, "pinion-or-gear"}
     wide = regions("gate", windows[0].window, x="F1", y="F2", x_to=100, y_to=100).json()
     assert len({each for row in wide["region"] for each in row}) > 1

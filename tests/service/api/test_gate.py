@@ -23,7 +23,11 @@ def test_a_body_over_the_limit_is_refused_before_it_is_read(run_service):
         connection.sendall(head.encode())  # and not one byte of the body
         connection.settimeout(60)
         answer = b"".join(iter(lambda: connection.recv(65536), b""))
-    assert answer.startswith(b"HTTP/1.1 413") and b"application/problem+json" in answer and b"at most 1000000" in answer
+    assert (
+        answer.startswith(b"HTTP/1.1 413")
+        and b"application/problem+json" in answer
+        and b"at most 1000000" in answer
+    )
 
 
 def test_a_chunked_body_is_cut_off_at_the_limit(run_service):
@@ -31,8 +35,12 @@ def test_a_chunked_body_is_cut_off_at_the_limit(run_service):
     with socket.create_connection(("127.0.0.1", service.port)) as connection:
         connection.settimeout(60)
         head = "POST /api/v1/records?filename=a.csv HTTP/1.1\r\nHost: localhost\r\nTransfer-Encoding: chunked\r\n\r\n"
-        with contextlib.suppress(ConnectionError):  # the answer may come, and the connection end, before all is sent
-            connection.sendall(head.encode() + b"".join(b"10000\r\n" + b"x" * 65536 + b"\r\n" for _ in range(3)))
+        with contextlib.suppress(
+            ConnectionError
+        ):  # the answer may come, and the connection end, before all is sent
+            connection.sendall(
+                head.encode() + b"".join(b"10000\r\n" + b"x" * 65536 + b"\r\n" for _ in range(3))
+            )
         assert connection.recv(65536).startswith(b"HTTP/1.1 413")
 
 
@@ -43,7 +51,9 @@ def test_a_body_somewhat_over_the_limit_gets_its_answer(run_service):
         connection = http.client.HTTPConnection("127.0.0.1", service.port, timeout=60)
         body = iter([bytes(1_000_000)] * 6) if chunked else bytes(6_000_000)
         head = {"Content-Type": "text/csv"} | ({"Transfer-Encoding": "chunked"} if chunked else {})
-        connection.request("POST", "/api/v1/records?filename=a.csv", body, encode_chunked=chunked, headers=head)
+        connection.request(
+            "POST", "/api/v1/records?filename=a.csv", body, encode_chunked=chunked, headers=head
+        )
         answer = connection.getresponse()
         assert answer.status == 413 and answer.headers["Connection"] == "close"
         assert "4000000" in json.loads(answer.read())["detail"]
@@ -60,47 +70,80 @@ def test_a_client_that_asks_first_is_not_told_to_send(run_service):
 
 def test_a_large_head_is_refused(client):
     answer = client.get("/api/v1/assets", headers={"X-Long": "y" * 20_000})
-    assert answer.status_code == 431 and answer.headers["content-type"] == "application/problem+json"
+    assert (
+        answer.status_code == 431 and answer.headers["content-type"] == "application/problem+json"
+    )
 
 
 def test_foreign_names_and_foreign_pages_are_turned_away(client):
     assert client.get("/api/v1/assets", headers={"Host": "evil.example"}).status_code == 421
     assert client.get("/api/v1/assets", headers={"Host": "localhost:8000"}).status_code == 200
     assert client.get("/api/v1/assets", headers={"Host": "[::1]:8000"}).status_code == 200
-    assert client.put("/api/v1/assets/a", json={}, headers={"Origin": "https://evil.example"}).status_code == 403
+    assert (
+        client.put(
+            "/api/v1/assets/a", json={}, headers={"Origin": "https://evil.example"}
+        ).status_code
+        == 403
+    )
     assert client.put("/api/v1/assets/a", json={}, headers={"Origin": "null"}).status_code == 403
-    assert client.put("/api/v1/assets/a", json={}, headers={"Origin": str(client.base_url).rstrip("/")}).status_code == 200
+    assert (
+        client.put(
+            "/api/v1/assets/a", json={}, headers={"Origin": str(client.base_url).rstrip("/")}
+        ).status_code
+        == 200
+    )
 
 
 def test_every_answer_forbids_what_a_page_does_not_need(client):
     for path in ("/", "/web/js/main.js", "/api/v1/assets", "/api/v1/nothing", "/metrics"):
         headers = client.get(path).headers
         policy = headers["content-security-policy"]
-        assert "default-src 'none'" in policy and "unsafe" not in policy and "frame-ancestors 'none'" in policy
+        assert (
+            "default-src 'none'" in policy
+            and "unsafe" not in policy
+            and "frame-ancestors 'none'" in policy
+        )
         assert headers["x-content-type-options"] == "nosniff"
 
 
 def test_a_request_has_an_id_that_answer_and_refusal_tell(client):
     own = client.get("/api/v1/assets/nobody", headers={"X-Request-ID": "plc-7/line:42"})
-    assert own.headers.get_list("x-request-id") == ["plc-7/line:42"] and own.json()["request_id"] == "plc-7/line:42"
-    refused = client.get("/api/v1/assets", headers={"X-Request-ID": "turned-away", "Host": "evil.example"})
+    assert (
+        own.headers.get_list("x-request-id") == ["plc-7/line:42"]
+        and own.json()["request_id"] == "plc-7/line:42"
+    )
+    refused = client.get(
+        "/api/v1/assets", headers={"X-Request-ID": "turned-away", "Host": "evil.example"}
+    )
     assert refused.headers["x-request-id"] == refused.json()["request_id"] == "turned-away"
     named = [client.get("/api/v1/assets").headers["x-request-id"] for _ in range(2)]
     assert all(re.fullmatch("[0-9a-f]{16}", number) for number in named) and named[0] != named[1]
     for odd in ("a b", "x" * 129, 'x"', "ä", ""):
         answer = client.get("/api/v1/nothing", headers={"X-Request-ID": odd.encode()})
-        assert re.fullmatch("[0-9a-f]{16}", answer.json()["request_id"]), "what could harm a log is not taken"
+        assert re.fullmatch("[0-9a-f]{16}", answer.json()["request_id"]), (
+            "what could harm a log is not taken"
+        )
 
 
-ROLES = {"viewer": (200, 403, 403), "operator": (200, 404, 403), "engineer": (200, 404, 200), "admin": (200, 404, 200)}
+ROLES = {
+    "viewer": (200, 403, 403),
+    "operator": (200, 404, 403),
+    "engineer": (200, 404, 200),
+    "admin": (200, 404, 200),
+}
 
 
 def test_keys_and_roles(tmp_path, run_service):
     keys = {role: new_key() for role in ROLES}
-    lines = ["# name role sha256", *(f"{role}-1 {role} {digest}" for role, (_, digest) in keys.items())]
+    lines = [
+        "# name role sha256",
+        *(f"{role}-1 {role} {digest}" for role, (_, digest) in keys.items()),
+    ]
     (tmp_path / "keys").write_text("\n".join(lines))
     service = run_service(host="0.0.0.0", api_keys=tmp_path / "keys")
-    with httpx.Client(base_url=service.url, headers={"Host": "plant.example"}, timeout=60) as client:
+    with httpx.Client(
+        base_url=service.url, headers={"Host": "plant.example"}, timeout=60
+    ) as client:
         assert client.get("/health/live").status_code == 200
         assert client.get("/").status_code == 200
         for key in (None, "wrong", keys["admin"][1]):
@@ -137,7 +180,12 @@ def test_settings_are_refused_in_one_line(tmp_path, monkeypatch):
     monkeypatch.setenv("RESIDUUM_SETTINGS", str(tmp_path / "settings.yaml"))
     monkeypatch.setenv("RESIDUUM_LOG_LEVEL", "debug")
     settings = load_settings(workers=2, host=None)
-    assert (settings.port, settings.log_level, settings.workers, settings.host) == (9001, "debug", 2, "127.0.0.1")
+    assert (settings.port, settings.log_level, settings.workers, settings.host) == (
+        9001,
+        "debug",
+        2,
+        "127.0.0.1",
+    )
     monkeypatch.setenv("RESIDUUM_SETTINGS", str(tmp_path / "absent.yaml"))
     with pytest.raises(BadSettings, match="no such file"):
         load_settings()
@@ -156,7 +204,9 @@ def test_a_client_that_asks_too_often_is_told_when_to_come_again(tmp_path, run_s
         )
         assert client.get("/api/v1/assets", headers={"X-API-Key": other}).status_code == 200
         assert client.get("/api/v1/assets", headers={"X-API-Key": "guess"}).status_code == 401
-        assert client.get("/api/v1/assets", headers={"X-API-Key": "another guess"}).status_code == 429
+        assert (
+            client.get("/api/v1/assets", headers={"X-API-Key": "another guess"}).status_code == 429
+        )
         assert {client.get("/health/live").status_code for _ in range(5)} == {200}
 
 

@@ -32,7 +32,9 @@ def service(run_service):
 
 def store(service, asset="press", verdict="healthy"):
     record = Record({"y": [0.0, 1.0]}, {"y": "V"}, 1.0)
-    return service.services.store.add_window(asset, record, Finding("bearing", verdict, reason="because"))
+    return service.services.store.add_window(
+        asset, record, Finding("bearing", verdict, reason="because")
+    )
 
 
 def test_the_document_describes_every_route(service):
@@ -43,7 +45,9 @@ def test_the_document_describes_every_route(service):
         for method, operation in methods.items():
             assert operation.get("description"), f"{method} {path} says nothing"
             for parameter in operation.get("parameters", []):
-                assert parameter.get("description"), f"{method} {path}: {parameter['name']} says nothing"
+                assert parameter.get("description"), (
+                    f"{method} {path}: {parameter['name']} says nothing"
+                )
 
 
 def read_events(url, count, **headers):
@@ -66,7 +70,9 @@ def read_events(url, count, **headers):
 
 def test_events_resume_where_the_connection_broke(service):
     answers = []
-    listener = threading.Thread(target=lambda: answers.extend(read_events(service.url, 2, **{"Last-Event-ID": "before-1"})))
+    listener = threading.Thread(
+        target=lambda: answers.extend(read_events(service.url, 2, **{"Last-Event-ID": "before-1"}))
+    )
     listener.start()
     end = time.monotonic() + 60
     while not service.services.events._wake:
@@ -103,7 +109,9 @@ def test_health_and_metrics(service):
 
 def test_no_request_however_odd_breaks_the_service(service):
     store(service, verdict="faulty")
-    schema = schemathesis.openapi.from_url(f"{service.url}/openapi.json").exclude(path_regex="/events$")
+    schema = schemathesis.openapi.from_url(f"{service.url}/openapi.json").exclude(
+        path_regex="/events$"
+    )
     tried = 0
 
     def holds(case):
@@ -112,7 +120,10 @@ def test_no_request_however_odd_breaks_the_service(service):
         answer = case.call(timeout=60)
         assert answer.status_code < 500, (case.method, case.formatted_path, answer.content)
         if answer.status_code >= 400:
-            assert answer.headers["content-type"] == ["application/problem+json"], (case.method, case.formatted_path)
+            assert answer.headers["content-type"] == ["application/problem+json"], (
+                case.method,
+                case.formatted_path,
+            )
 
     for operation in schema.get_all_operations():
         for mode in (schemathesis.GenerationMode.POSITIVE, schemathesis.GenerationMode.NEGATIVE):

@@ -19,10 +19,26 @@ def test_the_finding_of_a_diagnoser_is_what_its_plain_copy_is():
 def test_every_kind_of_evidence_is_json():
     evidence = {
         "array": np.arange(6.0).reshape(2, 3)[:, ::2],
-        "numbers": (np.float32(0.5), np.int64(7), np.bool_(True), float("nan"), -float("inf"), np.float64("nan")),
+        "numbers": (
+            np.float32(0.5),
+            np.int64(7),
+            np.bool_(True),
+            float("nan"),
+            -float("inf"),
+            np.float64("nan"),
+        ),
         "nested": {"text": np.str_("a"), "verdict": Verdict.FAULTY, "none": None},
     }
-    finding = Finding("bearing", "faulty", "cage", {"rms": float("inf")}, {"rms": np.float64(2.0)}, {"rms": "g"}, evidence, "é")
+    finding = Finding(
+        "bearing",
+        "faulty",
+        "cage",
+        {"rms": float("inf")},
+        {"rms": np.float64(2.0)},
+        {"rms": "g"},
+        evidence,
+        "é",
+    )
     answer = finding_json(finding)
     assert json.loads(answer.body) == json.loads(Json(finding.to_json()).body)
     assert answer.headers["content-type"] == Json({}).headers["content-type"]

@@ -41,7 +41,10 @@ def test_a_list_of_large_rows_comes_in_small_pages_and_whole(service, path):
         items += [each["id"] for each in page.json()["items"]]
         cursor, pages = page.json()["next_cursor"], pages + 1
         cursor = cursor and f"&cursor={cursor}"
-    assert len(items) == len(set(items)) == (MANY if "findings" in path else MANY + 1) and pages >= MANY * LARGE // PAGE_BYTES
+    assert (
+        len(items) == len(set(items)) == (MANY if "findings" in path else MANY + 1)
+        and pages >= MANY * LARGE // PAGE_BYTES
+    )
 
 
 def test_a_row_that_is_larger_than_a_page_is_a_page(run_service):
@@ -58,7 +61,9 @@ def test_a_long_signal_is_read_in_pieces_and_what_takes_many_times_its_size_is_r
 ):
     y = np.random.default_rng(0).normal(size=1_700_001).astype(np.float64)
     y[5] = np.nan
-    window = service.services.store.add_window("long", Record({"y": y}, {"y": "V"}, 1e-4), Finding("bearing", "healthy"))
+    window = service.services.store.add_window(
+        "long", Record({"y": y}, {"y": "V"}, 1e-4), Finding("bearing", "healthy")
+    )
     path = f"{service.url}/api/v1/assets/long/windows/{window}"
     whole = DiskStore.window_record
     monkeypatch.setattr(DiskStore, "window_record", None)  # nobody asks for the whole
@@ -83,7 +88,11 @@ def test_who_finds_no_room_is_told_the_way_on(service, monkeypatch):
     full._free = 0
     monkeypatch.setitem(service.services.__dict__, "_memory", full)
     answer = httpx.get(f"{service.url}/api/v1/assets", timeout=60)
-    assert answer.status_code == 503 and answer.headers["Retry-After"] and "smaller `limit`" in answer.json()["detail"]
+    assert (
+        answer.status_code == 503
+        and answer.headers["Retry-After"]
+        and "smaller `limit`" in answer.json()["detail"]
+    )
 
 
 def test_a_budget_is_shared_in_turn_and_given_back():
@@ -96,7 +105,10 @@ def test_a_budget_is_shared_in_turn_and_given_back():
                 await asyncio.sleep(0)
 
         async with budget.hold(8):
-            waiting = [asyncio.create_task(hold(name, size)) for name, size in (("large", 50), ("small", 1), ("gone", 1))]
+            waiting = [
+                asyncio.create_task(hold(name, size))
+                for name, size in (("large", 50), ("small", 1), ("gone", 1))
+            ]
             await asyncio.sleep(0)
             with pytest.raises(TooBusy):
                 await budget._take(1)
@@ -118,11 +130,15 @@ def test_a_long_register_map_is_read_by_the_fast_parser():
     """One of 1 MB took 31 s. Processor time, against that of a short map: linear, whatever else the machine does."""
 
     def seconds(channels):
-        lines = "".join(f"      c{k}: {{register: {k}, type: uint16, unit: V}}\n" for k in range(channels))
+        lines = "".join(
+            f"      c{k}: {{register: {k}, type: uint16, unit: V}}\n" for k in range(channels)
+        )
         text = f"streams:\n  s:\n    sample_time: 0.1\n    poll: {{address: 0}}\n    channels:\n{lines}"
         begun = time.thread_time()
         assert len(bus_description("registers", "x", text).streams) == 1
         return time.thread_time() - begun
 
     seconds(10)
-    assert seconds(2000) < 2.0  # .2 s; the parser in Python takes 1.3 s idle, and this is the processor's time
+    assert (
+        seconds(2000) < 2.0
+    )  # .2 s; the parser in Python takes 1.3 s idle, and this is the processor's time

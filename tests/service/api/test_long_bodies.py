@@ -28,11 +28,15 @@ def csv():
 
 
 def as_json():
-    return json.dumps({"sample_time": 1e-3, "channels": {"a": SIGNAL.tolist()}, "units": {"a": "m/s²"}}).encode()
+    return json.dumps(
+        {"sample_time": 1e-3, "channels": {"a": SIGNAL.tolist()}, "units": {"a": "m/s²"}}
+    ).encode()
 
 
 def npz(signal, **more):
-    np.savez_compressed(file := io.BytesIO(), a=signal, sample_time=1e-3, units=np.array('{"a": "m/s²"}'), **more)
+    np.savez_compressed(
+        file := io.BytesIO(), a=signal, sample_time=1e-3, units=np.array('{"a": "m/s²"}'), **more
+    )
     return file.getvalue()
 
 
@@ -50,10 +54,14 @@ def read_apart(monkeypatch):
 
 
 @pytest.mark.parametrize(("kind", "body"), [("text/csv", csv), ("application/json", as_json)])
-def test_a_long_text_is_read_in_a_process_of_its_own_and_is_the_same(client, read_apart, kind, body):
+def test_a_long_text_is_read_in_a_process_of_its_own_and_is_the_same(
+    client, read_apart, kind, body
+):
     answer = client.post(WINDOWS, content=body(), headers={"Content-Type": kind})
     assert answer.status_code == 201 and read_apart == [kind]
-    stored = client.get(f"/api/v1/assets/press/windows/{answer.json()['window']['id']}/record").content
+    stored = client.get(
+        f"/api/v1/assets/press/windows/{answer.json()['window']['id']}/record"
+    ).content
     np.testing.assert_array_equal(np.load(io.BytesIO(stored))["a"], SIGNAL)
 
 
@@ -62,7 +70,11 @@ def test_an_npz_is_read_apart_when_it_is_large_unpacked(client, read_apart):
         content = npz(signal)
         assert len(content) < signal_body._APART
         answer = client.post(WINDOWS, content=content, headers={"Content-Type": "application/zip"})
-        assert answer.status_code == 201 and answer.json()["window"]["n"] == len(signal) and read_apart == apart
+        assert (
+            answer.status_code == 201
+            and answer.json()["window"]["n"] == len(signal)
+            and read_apart == apart
+        )
 
 
 def test_an_npz_unpacks_to_no_more_than_a_body_may_have(run_service):
@@ -70,11 +82,21 @@ def test_an_npz_unpacks_to_no_more_than_a_body_may_have(run_service):
     bomb = npz(np.zeros(2**18))
     assert len(bomb) < 5000
     for path, unpacked in ((WINDOWS, bomb), ("/api/v1/score/bearing", bomb)):
-        answer = httpx.post(service.url + path, content=unpacked, headers={"Content-Type": "application/zip"}, timeout=60)
+        answer = httpx.post(
+            service.url + path,
+            content=unpacked,
+            headers={"Content-Type": "application/zip"},
+            timeout=60,
+        )
         assert answer.status_code == 413
-        assert answer.json()["detail"] == "body: an NPZ of more than 256 arrays or 1048576 bytes unpacked; no more are read"
+        assert (
+            answer.json()["detail"]
+            == "body: an NPZ of more than 256 arrays or 1048576 bytes unpacked; no more are read"
+        )
     fits = npz(np.zeros(2**16))
-    answer = httpx.post(service.url + WINDOWS, content=fits, headers={"Content-Type": "application/zip"}, timeout=60)
+    answer = httpx.post(
+        service.url + WINDOWS, content=fits, headers={"Content-Type": "application/zip"}, timeout=60
+    )
     assert answer.status_code == 201
 
 
@@ -107,7 +129,9 @@ def test_readers_that_take_long_hold_up_neither_the_loop_nor_other_routes(client
         assert busy.acquire(timeout=60) and busy.acquire(timeout=60)
         for path in ("/api/v1/health/live", "/api/v1/health/ready", "/api/v1/assets"):
             assert client.get(path).status_code == 200
-        short = client.post("/api/v1/models?name=short", content=b"name: short")  # needs no process, so it waits for none
+        short = client.post(
+            "/api/v1/models?name=short", content=b"name: short"
+        )  # needs no process, so it waits for none
         assert short.status_code == 422 and short.json()["detail"].startswith("model file")
         assert not busy.acquire(timeout=0.1), "two at once"
     finally:
@@ -128,7 +152,9 @@ def test_a_question_is_short(client, refused):
 
 
 def test_a_long_model_and_a_packed_one_are_checked_within_limits(client, refused):
-    model = client.get("/api/v1/models/gate-drive/description")  # the service has it; its own text is short
+    model = client.get(
+        "/api/v1/models/gate-drive/description"
+    )  # the service has it; its own text is short
     assert model.status_code == 200
     long = (
         "name: long\n"
@@ -145,23 +171,39 @@ def test_a_long_model_and_a_packed_one_are_checked_within_limits(client, refused
     assert status == 422 and says.startswith("model file, line 2003") and "stands twice" in says
     with zipfile.ZipFile(packed := io.BytesIO(), "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("schema.json", b" " * 2**30)
-    status, says = refused("POST", "/api/v1/models?name=b&kind=baseline&diagnoser=bearing", content=packed.getvalue())
+    status, says = refused(
+        "POST", "/api/v1/models?name=b&kind=baseline&diagnoser=bearing", content=packed.getvalue()
+    )
     assert status == 422 and says.startswith("model file: ")
 
 
 def test_what_is_wrong_is_of_the_same_kind_in_a_long_body_and_in_a_short_one(client):
     told = []
     for samples in (10, MANY):
-        wrong = {"sample_time": 1e-3, "channels": {"a": SIGNAL[:samples].tolist()}, "units": {"a": "m//s("}}
-        answer = client.post(WINDOWS, content=json.dumps(wrong).encode(), headers={"Content-Type": "application/json"})
+        wrong = {
+            "sample_time": 1e-3,
+            "channels": {"a": SIGNAL[:samples].tolist()},
+            "units": {"a": "m//s("},
+        }
+        answer = client.post(
+            WINDOWS,
+            content=json.dumps(wrong).encode(),
+            headers={"Content-Type": "application/json"},
+        )
         assert answer.json()["detail"].endswith("unit 'm//s(': not a known unit")
         told.append((answer.status_code, answer.json()["type"]))
     assert told == [(422, "urn:residuum:problem:bad-unit")] * 2
 
 
-def test_a_baseline_of_an_unknown_diagnoser_is_refused_before_a_process_is_started(refused, monkeypatch):
-    monkeypatch.setattr(model_files, "run_limited", lambda *_, **__: pytest.fail("a process was started"))
-    status, says = refused("POST", "/api/v1/models?name=b&kind=baseline&diagnoser=nope", content=b"PK")
+def test_a_baseline_of_an_unknown_diagnoser_is_refused_before_a_process_is_started(
+    refused, monkeypatch
+):
+    monkeypatch.setattr(
+        model_files, "run_limited", lambda *_, **__: pytest.fail("a process was started")
+    )
+    status, says = refused(
+        "POST", "/api/v1/models?name=b&kind=baseline&diagnoser=nope", content=b"PK"
+    )
     assert status == 404 and says.startswith("diagnoser 'nope': there is none of this name")
     status, says = refused("POST", "/api/v1/models?name=b&kind=baseline", content=b"PK")
     assert status == 422 and "diagnoser is missing" in says
@@ -197,5 +239,7 @@ def test_an_npz_whose_packed_bytes_are_damaged_is_refused(client, refused):
         begin = archive.getinfo("a.npy").header_offset + 60
     content[begin : begin + 40] = bytes(40)
     for path in (WINDOWS, "/api/v1/records?filename=a.npz"):
-        status, says = refused("POST", path, content=bytes(content), headers={"Content-Type": "application/zip"})
+        status, says = refused(
+            "POST", path, content=bytes(content), headers={"Content-Type": "application/zip"}
+        )
         assert status == 400 and "is not an NPZ file" in says

@@ -27,7 +27,13 @@ def plant(tmp_path_factory, run_service):
     file.write_text("\n".join(f"{role} {role} {digest}" for role, (_, digest) in keys.items()))
     service = run_service(host="0.0.0.0", api_keys=file, rate_limit=1e6)
     with httpx.Client(base_url=service.url, timeout=60) as client:
-        yield client, {role: {"X-API-Key": key, "Content-Type": "application/json"} for role, (key, _) in keys.items()}
+        yield (
+            client,
+            {
+                role: {"X-API-Key": key, "Content-Type": "application/json"}
+                for role, (key, _) in keys.items()
+            },
+        )
 
 
 def test_nobody_does_what_asks_for_a_higher_role_however_things_are_called(plant, document):
@@ -44,14 +50,22 @@ def test_an_asset_that_is_called_like_a_verb_is_no_operator_s(plant, name):
     client, keys = plant
     path = f"/api/v1/assets/{name}"
     assert client.put(path, headers=keys["operator"], json={"title": "mine"}).status_code == 403
-    assert client.put(path, headers=keys["engineer"], json={"title": "theirs"}).json()["title"] == "theirs"
-    assert client.post(f"/api/v1/alarms/1/{name}", headers=keys["operator"]).status_code == 404  # may, and there is none
+    assert (
+        client.put(path, headers=keys["engineer"], json={"title": "theirs"}).json()["title"]
+        == "theirs"
+    )
+    assert (
+        client.post(f"/api/v1/alarms/1/{name}", headers=keys["operator"]).status_code == 404
+    )  # may, and there is none
 
 
 def test_health_of_an_asset_is_not_the_service_s(plant):
     client, keys = plant
     assert client.get("/api/v1/assets/health/live", headers=keys["monitor"]).status_code == 403
-    assert "health" in NAMES and client.get("/api/v1/health/live", headers=keys["monitor"]).status_code == 200
+    assert (
+        "health" in NAMES
+        and client.get("/api/v1/health/live", headers=keys["monitor"]).status_code == 200
+    )
 
 
 _opened, _watching = set(), threading.Event()
@@ -79,6 +93,8 @@ def test_no_text_of_a_body_is_read_as_a_path(plant, document, tmp_path):
         _watching.clear()
     assert str(secret) not in _opened
     refused = client.put(
-        "/api/v1/assets/a-machine/machine", headers=keys["engineer"], json=MACHINE | {"second": {"model": str(secret)}}
+        "/api/v1/assets/a-machine/machine",
+        headers=keys["engineer"],
+        json=MACHINE | {"second": {"model": str(secret)}},
     )
     assert refused.status_code == 404, refused.text

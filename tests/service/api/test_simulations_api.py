@@ -8,7 +8,11 @@ import residuum as rs
 
 
 def finished(client, asked):
-    place = client.post("/api/v1/records/simulations", json=asked).raise_for_status().headers["location"]
+    place = (
+        client.post("/api/v1/records/simulations", json=asked)
+        .raise_for_status()
+        .headers["location"]
+    )
     while (job := client.get(place).json())["state"] in ("queued", "running"):
         time.sleep(0.02)
     return job
@@ -16,17 +20,33 @@ def finished(client, asked):
 
 def test_a_virtual_machines_record_is_stored_as_the_library_gives_it(client):
     hidden = {"viscous-friction": {"b": 30.0}}
-    job = finished(client, {"machine": "linear-axis", "effects": hidden, "duration": 1.0, "seed": 4})
+    job = finished(
+        client, {"machine": "linear-axis", "effects": hidden, "duration": 1.0, "seed": 4}
+    )
     assert job["state"] == "done", job
     expected = rs.simulate("linear-axis", effects=hidden, duration=1.0, seed=4)
     stored = client.get(f"/api/v1/records/{job['result']['id']}").json()
-    assert stored == job["result"] and stored["units"] == dict(expected.units) and stored["name"] == "simulated linear-axis"
+    assert (
+        stored == job["result"]
+        and stored["units"] == dict(expected.units)
+        and stored["name"] == "simulated linear-axis"
+    )
     signal = client.get(f"/api/v1/records/{stored['id']}/signal", params={"points": 5000}).json()
-    np.testing.assert_allclose(signal["channels"]["velocity"]["values"], expected["velocity"], rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(
+        signal["channels"]["velocity"]["values"], expected["velocity"], rtol=1e-6, atol=1e-12
+    )
     assert "viscous" not in str(stored)  # what is hidden is for the analysis to find
 
 
 def test_a_machine_or_effect_that_there_is_not_is_refused(client, refused):
     assert "gate-drive" in finished(client, {"machine": "perpetuum-mobile"})["error"]
-    assert "phlogiston" in finished(client, {"machine": "gate-drive", "effects": {"phlogiston": "large"}, "duration": 1})["error"]
-    assert refused("POST", "/api/v1/records/simulations", json={"machine": "oven", "duration": 1e6})[0] == 422
+    assert (
+        "phlogiston"
+        in finished(
+            client, {"machine": "gate-drive", "effects": {"phlogiston": "large"}, "duration": 1}
+        )["error"]
+    )
+    assert (
+        refused("POST", "/api/v1/records/simulations", json={"machine": "oven", "duration": 1e6})[0]
+        == 422
+    )

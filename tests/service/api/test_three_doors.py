@@ -14,7 +14,16 @@ from residuum.library.questions.residual import DesignResidual
 from residuum.service.cli import ANSWER_IS_NO, BAD_INPUT, DONE, run
 from residuum.service.commands import as_option
 
-OWN_TO_A_DOOR = ("file", "model_file", "identified", "stored", "record", "records", "models", "seconds")
+OWN_TO_A_DOOR = (
+    "file",
+    "model_file",
+    "identified",
+    "stored",
+    "record",
+    "records",
+    "models",
+    "seconds",
+)
 """Where each door puts files, what it calls records and models, and how long it took."""
 AXIS = {"input": "force", "output": "velocity"}
 IDENTIFIED = {
@@ -36,28 +45,78 @@ IDENTIFIED = {
     "several outputs": {"output": ["velocity", "position"], "order": 5},
 }
 REFUSED = {
-    "an unknown name": ({"method": "arxx"}, "method", "'arxx': there is none of this name; did you mean 'arx'? known are "),
+    "an unknown name": (
+        {"method": "arxx"},
+        "method",
+        "'arxx': there is none of this name; did you mean 'arx'? known are ",
+    ),
     "out of bounds": ({"order": 0}, "order", ": must be ≥ 1"),
     "another kind": ({"delay": "soon"}, "delay", "'soon': must be a whole number"),
-    "a name that is none": ({"output": ""}, "output", ": must be a channel's name, or a list of names"),
-    "a variance that is none": ({"noise_variance": "guess"}, "noise_variance", "'guess': must be a number or one of "),
-    "an input too many": ({"method": "ar"}, "method", "'ar': models an output alone; leave the input out"),
-    "a field of another method": ({"noise_bound": 1.0}, "noise_bound", ": is used by the uncertainty set-membership alone"),
-    "fields that exclude each other": ({"integrator": True, "uncertainty": "model-error"}, "uncertainty", ": bounds errors that"),
-    "what no path alone has": ({"output": ["velocity", "position"], "check": True}, "", "need the method kernel, "),
+    "a name that is none": (
+        {"output": ""},
+        "output",
+        ": must be a channel's name, or a list of names",
+    ),
+    "a variance that is none": (
+        {"noise_variance": "guess"},
+        "noise_variance",
+        "'guess': must be a number or one of ",
+    ),
+    "an input too many": (
+        {"method": "ar"},
+        "method",
+        "'ar': models an output alone; leave the input out",
+    ),
+    "a field of another method": (
+        {"noise_bound": 1.0},
+        "noise_bound",
+        ": is used by the uncertainty set-membership alone",
+    ),
+    "fields that exclude each other": (
+        {"integrator": True, "uncertainty": "model-error"},
+        "uncertainty",
+        ": bounds errors that",
+    ),
+    "what no path alone has": (
+        {"output": ["velocity", "position"], "check": True},
+        "",
+        "need the method kernel, ",
+    ),
 }
 """What is asked, which field is refused, and how it goes on."""
 DESIGNED = {
     "a controller": {},
-    "few plants": {"rule": "worst-case", "epsilon": 0.1, "zeta": 0.2, "weight_order": 1, "points": 80, "lowest": 0.05, "seed": 3},
-    "robust": {"aim": "robust", "low_gain": 60, "high_gain": -6, "critical_frequency": 0.02, "only": "high-gain"},
+    "few plants": {
+        "rule": "worst-case",
+        "epsilon": 0.1,
+        "zeta": 0.2,
+        "weight_order": 1,
+        "points": 80,
+        "lowest": 0.05,
+        "seed": 3,
+    },
+    "robust": {
+        "aim": "robust",
+        "low_gain": 60,
+        "high_gain": -6,
+        "critical_frequency": 0.02,
+        "only": "high-gain",
+    },
     "held in time": {"in_time": True, "overshoot": 0.05},
     "one wish": {"only": "settling-time", "slack": 0.2, "settling_time": 100},
-    "parameters held": {"structure": "pidn", "fix": {"k_d": 0, "N_d": 1}, "within": {"k_i": [0, 5000]}},
+    "parameters held": {
+        "structure": "pidn",
+        "fix": {"k_d": 0, "N_d": 1},
+        "within": {"k_i": [0, 5000]},
+    },
     "limits": {"limits": [-2.5, 2.5]},
 }
 NOT_DESIGNED = {
-    "an unknown structure": ({"structure": "pidm"}, "structure", "'pidm': there is none of this name; did you mean 'pid'"),
+    "an unknown structure": (
+        {"structure": "pidm"},
+        "structure",
+        "'pidm': there is none of this name; did you mean 'pid'",
+    ),
     "too few plants": ({"epsilon": 0.001}, "epsilon", "must be ≥ 0.005"),
     "a wish of the other aim": ({"only": "high-gain"}, "only", "is a wish of the aim robust; say "),
     "limits turned round": ({"limits": [3, 2.5]}, "limits", "3 2.5: must have the lower one first"),
@@ -65,7 +124,10 @@ NOT_DESIGNED = {
 }
 WATCHED = {
     "a residual": ({}, {}),
-    "an actuator's": ({"fault": "actuator", "gamma": 0.2, "rule": "worst-case", "weight_order": 1}, {"threshold": "peak"}),
+    "an actuator's": (
+        {"fault": "actuator", "gamma": 0.2, "rule": "worst-case", "weight_order": 1},
+        {"threshold": "peak"},
+    ),
     "a classical one": ({"method": "kalman"}, {"false_alarms_per_day": 5}),
     "another evaluation": ({}, {"evaluation": "rms", "false_alarms_per_day": 2}),
     "a bound of the noise": ({}, {"threshold": "source", "noise_bound": 0.5}),
@@ -74,12 +136,27 @@ WATCHED = {
 BOUNDED = {
     "an uncertainty": {},
     "an additive one": {"form": "additive", "seed": 3},
-    "few models": {"rule": "worst-case", "epsilon": 0.1, "zeta": 0.2, "weight_order": 1, "points": 80, "lowest": 0.05},
+    "few models": {
+        "rule": "worst-case",
+        "epsilon": 0.1,
+        "zeta": 0.2,
+        "weight_order": 1,
+        "points": 80,
+        "lowest": 0.05,
+    },
 }
 NOT_WATCHED = {
-    "an unknown method": ({"method": "kalmann"}, "method", "'kalmann': there is none of this name; did you mean 'kalman'"),
+    "an unknown method": (
+        {"method": "kalmann"},
+        "method",
+        "'kalmann': there is none of this name; did you mean 'kalman'",
+    ),
     "no gain": ({"gamma": 0}, "gamma", ": must be > 0"),
-    "an unknown threshold": ({"threshold": "peek"}, "threshold", "'peek': there is none of this name; did you mean 'peak'"),
+    "an unknown threshold": (
+        {"threshold": "peek"},
+        "threshold",
+        "'peek': there is none of this name; did you mean 'peak'",
+    ),
     "an unknown evaluation": ({"evaluation": "rm"}, "evaluation", "did you mean 'rms'"),
 }
 OWN = """
@@ -94,15 +171,30 @@ ASKED_OF_MODEL = {
     "compare by other draws": ("compare", {"level": 0.05, "seed": 3}),
     "compare with a column of another name": ("compare", {"map": {"position": "weg"}}),
     "estimate": ("estimate", {}),
-    "estimate by prediction": ("estimate", {"method": "prediction", "steps": 30, "hold": "zero-order", "anyway": True}),
+    "estimate by prediction": (
+        "estimate",
+        {"method": "prediction", "steps": 30, "hold": "zero-order", "anyway": True},
+    ),
     "estimate by a Kalman filter": ("estimate", {"method": "kalman"}),
     "explain": ("explain", {"effects": ["viscous-friction", "linear-spring"]}),
-    "explain by one effect or a curve": ("explain", {"effects": "linear-spring", "learned": True, "seconds": 600}),
-    "explain by an effect of one's own": ("explain", {"effects": ["own-drag", "linear-spring"], "catalogue": OWN}),
+    "explain by one effect or a curve": (
+        "explain",
+        {"effects": "linear-spring", "learned": True, "seconds": 600},
+    ),
+    "explain by an effect of one's own": (
+        "explain",
+        {"effects": ["own-drag", "linear-spring"], "catalogue": OWN},
+    ),
     "improve": ("improve", {"add": ["viscous-friction@axis"]}),
     "improve by one effect": ("improve", {"add": "viscous-friction"}),
-    "improve by what is found": ("improve", {"effects": ["viscous-friction", "linear-spring"], "auto": True, "seconds": 600}),
-    "improve by an effect of one's own": ("improve", {"add": ["own-drag", "viscous-friction"], "catalogue": OWN}),
+    "improve by what is found": (
+        "improve",
+        {"effects": ["viscous-friction", "linear-spring"], "auto": True, "seconds": 600},
+    ),
+    "improve by an effect of one's own": (
+        "improve",
+        {"add": ["own-drag", "viscous-friction"], "catalogue": OWN},
+    ),
 }
 
 
@@ -110,9 +202,24 @@ NOT_ASKED_OF_MODEL = {
     "a level that no draws hold": ("compare", {"level": 1e-4}, "level", "must be ≥ 0.002"),
     "no chance of an error": ("compare", {"level": 1}, "level", "must be ≤ 0.2"),
     "a seed that is none": ("compare", {"seed": -1}, "seed", "must be ≥ 0"),
-    "effects in one name": ("improve", {"add": "viscous-friction@axis@shaft"}, "add", "must be an effect, or effect@place"),
-    "effects that are named and found": ("improve", {"add": "backlash", "auto": True}, "auto", ": is for a search; leave it out"),
-    "effects that are named and few": ("improve", {"add": "backlash", "effects": "lugre"}, "effects", ": is for a search; leave"),
+    "effects in one name": (
+        "improve",
+        {"add": "viscous-friction@axis@shaft"},
+        "add",
+        "must be an effect, or effect@place",
+    ),
+    "effects that are named and found": (
+        "improve",
+        {"add": "backlash", "auto": True},
+        "auto",
+        ": is for a search; leave it out",
+    ),
+    "effects that are named and few": (
+        "improve",
+        {"add": "backlash", "effects": "lugre"},
+        "effects",
+        ": is for a search; leave",
+    ),
     "no time": ("explain", {"seconds": 0}, "seconds", "must be > 0"),
 }
 
@@ -121,21 +228,30 @@ NOT_ASKED_OF_MODEL = {
 def axis(tmp_path_factory, client):
     """Two files of an axis with friction, the second with a column in German, and their numbers at the service."""
     force = 60.0 * np.sign(np.sin(2.0 * np.pi * 0.4 * 0.01 * np.arange(1200)))
-    truth = rs.model("linear-axis").with_values(M=95.0).with_effect("viscous-friction", "axis", d=40.0)
+    truth = (
+        rs.model("linear-axis").with_values(M=95.0).with_effect("viscous-friction", "axis", d=40.0)
+    )
     out = truth.simulate(rs.from_arrays({"force": force}, units={"force": "N"}, sample_time=0.01))
     rng = np.random.default_rng(1)
-    position, velocity = (out[name] + 1e-3 * rng.standard_normal(1200) for name in ("position", "velocity"))
+    position, velocity = (
+        out[name] + 1e-3 * rng.standard_normal(1200) for name in ("position", "velocity")
+    )
     found = {}
     for name in ("position", "weg"):
         path = tmp_path_factory.mktemp("axis") / f"{name}.npz"
-        channels, units = {"force": force, name: position, "velocity": velocity}, {"force": "N", name: "m", "velocity": "m/s"}
+        channels, units = (
+            {"force": force, name: position, "velocity": velocity},
+            {"force": "N", name: "m", "velocity": "m/s"},
+        )
         rs.from_arrays(channels, units=units, sample_time=0.01).save(path)
         found[name] = path, sent(client, path)
     return found
 
 
 def sent(client, path):
-    answer = client.post("/api/v1/records", params={"filename": path.name}, content=path.read_bytes())
+    answer = client.post(
+        "/api/v1/records", params={"filename": path.name}, content=path.read_bytes()
+    )
     return answer.raise_for_status().json()["id"]
 
 
@@ -158,7 +274,9 @@ def answered(client, path, asked):
 
 def shared(answer):
     """The part of an answer that is every door's, as JSON; a record is called differently by each."""
-    text = re.sub(r"(record-\d+|position|weg)\.npz", "the record", json.dumps(answer, ensure_ascii=False))
+    text = re.sub(
+        r"(record-\d+|position|weg)\.npz", "the record", json.dumps(answer, ensure_ascii=False)
+    )
     return {name: value for name, value in json.loads(text).items() if name not in OWN_TO_A_DOOR}
 
 
@@ -177,11 +295,16 @@ def options(asked):
             yield from (word for channel in np.ravel(value) for word in (f"--{name}", channel))
         elif isinstance(value, dict):
             texts = {key: ":".join(map(str, np.ravel(part))) for key, part in value.items()}
-            yield from (word for pair in texts.items() for word in (as_option(name), "=".join(pair)))
+            yield from (
+                word for pair in texts.items() for word in (as_option(name), "=".join(pair))
+            )
         elif name == "limits":
             yield from (as_option(name), *value)
         else:
-            yield from (f"--{name.replace('_', '-')}", ",".join(value) if isinstance(value, list) else value)
+            yield from (
+                f"--{name.replace('_', '-')}",
+                ",".join(value) if isinstance(value, list) else value,
+            )
 
 
 @pytest.mark.parametrize("case", IDENTIFIED)
@@ -230,14 +353,27 @@ def test_what_is_asked_of_a_model(case, axis, client, capsys, tmp_path):
         words = asked | {"catalogue": tmp_path / "own.yaml"}
         words["catalogue"].write_text(OWN, encoding="utf-8")
         assert "own-drag" in json.dumps(told)
-    assert shared(here(printed, capsys, verb, "linear-axis", path, *options(words), *out_of(verb, tmp_path))) == told
-    assert shared(answered(client, f"models/linear-axis/{verb}", asked | {"records": [number]})) == told
+    assert (
+        shared(
+            here(
+                printed, capsys, verb, "linear-axis", path, *options(words), *out_of(verb, tmp_path)
+            )
+        )
+        == told
+    )
+    assert (
+        shared(answered(client, f"models/linear-axis/{verb}", asked | {"records": [number]}))
+        == told
+    )
 
 
 @pytest.mark.parametrize("case", NOT_ASKED_OF_MODEL)
 def test_what_is_asked_of_a_model_is_refused_alike(case, axis, refused_alike, tmp_path):
     (path, number), (verb, asked, field, says) = axis["position"], NOT_ASKED_OF_MODEL[case]
-    words, body = [verb, "linear-axis", path, *options(asked), *out_of(verb, tmp_path)], asked | {"records": [number]}
+    words, body = (
+        [verb, "linear-axis", path, *options(asked), *out_of(verb, tmp_path)],
+        asked | {"records": [number]},
+    )
     ask = partial(getattr(rs.model("linear-axis"), verb), path, **asked)
     refused_alike(field, says, ask, words, f"models/linear-axis/{verb}", body)
 
@@ -272,7 +408,9 @@ def test_a_controller(case, plant_file, client, capsys, tmp_path):
     assert shared(printed(capsys, "control", "design", plant_file, *options(asked), *out)) == told
     assert shared(answered(client, "control-designs", {"models": ["axis"]} | asked)) == told
     if case == "limits":
-        exported = answered(client, "control-designs", {"models": [{"model": "axis"}], "export": "c"} | asked)["exported"]
+        exported = answered(
+            client, "control-designs", {"models": [{"model": "axis"}], "export": "c"} | asked
+        )["exported"]
         assert "controller_step" in exported and "2.5" in exported
 
 
@@ -288,19 +426,30 @@ def test_a_controller_is_refused_alike(case, plant_file, client, refused_alike, 
 def test_a_residual(case, axis, short_plant, client, capsys, tmp_path):
     (path, number), (designed, judged) = axis["position"], WATCHED[case]
     out = ["--out", tmp_path / "design"]
-    design = printed(capsys, "residual", "design", short_plant, "--healthy", path, *options(designed), *out)
+    design = printed(
+        capsys, "residual", "design", short_plant, "--healthy", path, *options(designed), *out
+    )
     ran = printed(capsys, "residual", "run", tmp_path / "design", path, *options(judged))
     body = {"model": "short", "healthy": [number], "records": [number]} | designed | judged
     http, here = answered(client, "residuals", body), rs.residual(short_plant, path, **designed)
     told = shared(here.to_dict()), shared(here.run(path, **judged).to_dict())
-    assert (shared(design), shared(ran)) == (shared(http["design"]), shared(http["runs"][0])) == told
+    assert (
+        (shared(design), shared(ran)) == (shared(http["design"]), shared(http["runs"][0])) == told
+    )
 
 
 @pytest.mark.parametrize("case", NOT_WATCHED)
 def test_a_residual_is_refused_alike(case, plant_file, refused_alike, tmp_path):
     asked, field, says = NOT_WATCHED[case]
-    verb = ["design", plant_file, "--out", tmp_path / "d"] if field in DesignResidual.model_fields else ["run", "d", "r.csv"]
-    body, ask = {"model": "axis", "healthy": [1], "records": [1]} | asked, partial(rs.residual, plant_file, "r.csv", **asked)
+    verb = (
+        ["design", plant_file, "--out", tmp_path / "d"]
+        if field in DesignResidual.model_fields
+        else ["run", "d", "r.csv"]
+    )
+    body, ask = (
+        {"model": "axis", "healthy": [1], "records": [1]} | asked,
+        partial(rs.residual, plant_file, "r.csv", **asked),
+    )
     if verb[0] == "run":
         ask = partial(rs.Residual.run, None, "r.csv", **asked)
     refused_alike(field, says, ask, ["residual", *verb, *options(asked)], "residuals", body)
@@ -312,7 +461,11 @@ def test_an_uncertainty(case, short_plant, client, capsys):
     told = rs.uncertainty(short_plant, **asked).to_dict()
     assert shared(printed(capsys, "uncertainty", short_plant, *options(asked))) == shared(told)
     http = client.get("/api/v1/models/short/uncertainty", params=asked).raise_for_status().json()
-    assert (http["largest"], http["n_samples"], http["promise"]) == (told["largest_error"], told["samples"], told["promise"])
+    assert (http["largest"], http["n_samples"], http["promise"]) == (
+        told["largest_error"],
+        told["samples"],
+        told["promise"],
+    )
 
 
 @pytest.mark.parametrize("knocks", [0.0, 20.0], ids=["healthy", "faulty"])
@@ -321,16 +474,37 @@ def test_score(knocks, client, capsys, tmp_path):
         rng = np.random.default_rng(seed)
         after = np.arange(4096) % 512  # samples since a knock
         vibration = rng.normal(size=4096) + height * np.sin(1.4 * after) * np.exp(-after / 20.0)
-        return rs.from_arrays({"vibration": vibration}, units={"vibration": "m/s^2"}, sample_time=1 / 4096)
+        return rs.from_arrays(
+            {"vibration": vibration}, units={"vibration": "m/s^2"}, sample_time=1 / 4096
+        )
 
     window(9, knocks).save(tmp_path / "window.npz")
-    rs.monitor("bearing").fit([window(seed, 0.0) for seed in range(6)]).save(tmp_path / "baseline.zip")
+    rs.monitor("bearing").fit([window(seed, 0.0) for seed in range(6)]).save(
+        tmp_path / "baseline.zip"
+    )
     content = (tmp_path / "baseline.zip").read_bytes()
-    client.post("/api/v1/models?name=healthy&kind=baseline&diagnoser=bearing", content=content).raise_for_status()
-    told = shared(rs.load_monitor("bearing", tmp_path / "baseline.zip").score(tmp_path / "window.npz").to_dict())
+    client.post(
+        "/api/v1/models?name=healthy&kind=baseline&diagnoser=bearing", content=content
+    ).raise_for_status()
+    told = shared(
+        rs.load_monitor("bearing", tmp_path / "baseline.zip")
+        .score(tmp_path / "window.npz")
+        .to_dict()
+    )
     assert told["verdict"] == ("faulty" if knocks else "healthy")
     at = "--baseline", tmp_path / "baseline.zip"
     status = ANSWER_IS_NO if knocks else DONE
-    assert shared(printed(capsys, "score", "bearing", tmp_path / "window.npz", *at, status=status)) == told
-    body = {"content": (tmp_path / "window.npz").read_bytes(), "headers": {"Content-Type": "application/zip"}}
-    assert shared(client.post("/api/v1/score/bearing?baseline=healthy", **body).raise_for_status().json()) == told
+    assert (
+        shared(printed(capsys, "score", "bearing", tmp_path / "window.npz", *at, status=status))
+        == told
+    )
+    body = {
+        "content": (tmp_path / "window.npz").read_bytes(),
+        "headers": {"Content-Type": "application/zip"},
+    }
+    assert (
+        shared(
+            client.post("/api/v1/score/bearing?baseline=healthy", **body).raise_for_status().json()
+        )
+        == told
+    )

@@ -20,7 +20,9 @@ def service(run_service):
     t = np.arange(2 * RATE) / RATE
     ringing = np.exp(-600 * (t % (1 / IMPACTS))) * np.sin(2 * np.pi * RESONANCE * t)
     vibration = Record(
-        {"speed": np.full(t.size, 25.0), "a": ringing + 0.05 * rng.normal(size=t.size)}, {"speed": "Hz", "a": "g"}, 1 / RATE
+        {"speed": np.full(t.size, 25.0), "a": ringing + 0.05 * rng.normal(size=t.size)},
+        {"speed": "Hz", "a": "g"},
+        1 / RATE,
     )
     healthy = Finding("bearing", "healthy", None, {"rms": 0.2}, {"rms": 1.0}, {}, {}, None)
     store.add_window("fan", vibration, healthy)
@@ -28,7 +30,9 @@ def service(run_service):
     store.add_window("fan", holed, healthy)
     judge = DIAGNOSERS["robust-residual"]().fit([plant(1, 3000)])
     judge.save(service.services.settings.data / "trained")
-    store.add_model_version("plant", "baseline", (service.services.settings.data / "trained").read_bytes())
+    store.add_model_version(
+        "plant", "baseline", (service.services.settings.data / "trained").read_bytes()
+    )
     faulty = plant(2, 600, offset=2.0)
     store.add_window("plant", faulty, judge.score(faulty))
     return service
@@ -49,8 +53,13 @@ def plant(seed, n, offset=0.0):
 
 def test_the_kurtogram_points_to_the_resonance(client):
     found = client.get("/api/v1/assets/fan/windows/1/kurtogram", params={"channel": "a"}).json()
-    assert abs(found["best"]["centre"] - RESONANCE) < 0.6 * found["best"]["width"] + 300 and found["best"]["kurtosis"] > 1
-    assert len(found["kurtosis"]) == len(found["level"]) and len(found["kurtosis"][0]) == len(found["frequency"])
+    assert (
+        abs(found["best"]["centre"] - RESONANCE) < 0.6 * found["best"]["width"] + 300
+        and found["best"]["kurtosis"] > 1
+    )
+    assert len(found["kurtosis"]) == len(found["level"]) and len(found["kurtosis"][0]) == len(
+        found["frequency"]
+    )
 
 
 def test_the_envelope_has_the_rhythm_of_the_impacts(client):
@@ -81,11 +90,17 @@ def test_what_cannot_be_drawn_is_refused(refused):
 
 def test_the_pictures_that_a_diagnoser_names_are_questions_about_a_window_or_its_machine(client):
     known = client.get("/openapi.json").json()["paths"]
-    named = {each["name"]: each["views"] for each in client.get("/api/v1/diagnosers").json()["items"]}
-    assert named["robust-residual"] == ["residual"] and named["gate-actuator"] == ["decision-regions"]
+    named = {
+        each["name"]: each["views"] for each in client.get("/api/v1/diagnosers").json()["items"]
+    }
+    assert named["robust-residual"] == ["residual"] and named["gate-actuator"] == [
+        "decision-regions"
+    ]
     assert named["model-based"] == ["tracks"]
     asked = ("/api/v1/assets/{asset}/windows/{window}/", "/api/v1/assets/{asset}/")
-    assert all(any(about + view in known for about in asked) for views in named.values() for view in views)
+    assert all(
+        any(about + view in known for about in asked) for views in named.values() for view in views
+    )
 
 
 def test_the_failure_modes_say_whose_they_are(client):

@@ -29,11 +29,25 @@ def model(tmp_path_factory):
 
 
 def test_held_and_limited_parameters_reach_the_controller(model, tmp_path):
-    command = ["design", str(model), "--out", str(tmp_path / "k.json"), "--json", "--fix", "k_d=0", "--fix", "N_d=1"]
+    command = [
+        "design",
+        str(model),
+        "--out",
+        str(tmp_path / "k.json"),
+        "--json",
+        "--fix",
+        "k_d=0",
+        "--fix",
+        "N_d=1",
+    ]
     done = CliRunner().invoke(app, [*command, "--within", "k_i=0:0.3", "--only", "settling-time"])
     assert done.exit_code == 0, done.output
     found = json.loads(done.stdout)
-    assert set(found["parameters"]) == {"k_p", "k_i"} and 0 <= found["parameters"]["k_i"] <= 0.3 and found["stable"]
+    assert (
+        set(found["parameters"]) == {"k_p", "k_i"}
+        and 0 <= found["parameters"]["k_i"] <= 0.3
+        and found["stable"]
+    )
 
 
 @pytest.mark.parametrize(
@@ -50,14 +64,19 @@ def test_held_and_limited_parameters_reach_the_controller(model, tmp_path):
     ],
 )
 def test_bad_settings_are_refused(model, tmp_path, options, says):
-    done = CliRunner().invoke(app, ["design", str(model), "--out", str(tmp_path / "k.json"), *options])
+    done = CliRunner().invoke(
+        app, ["design", str(model), "--out", str(tmp_path / "k.json"), *options]
+    )
     assert isinstance(done.exception, BadInput) and says in str(done.exception)
 
 
 def stepped(numerator, denominator, plant, duration):
     """Overshoot and settling time of a loop, sample by sample, by nothing that the design uses."""
     controller, n = TransferFunction(numerator, denominator, 0.1), round(duration / 0.1)
-    b = np.r_[np.zeros(len(controller.den) - len(controller.num)), controller.num] / controller.den[0]
+    b = (
+        np.r_[np.zeros(len(controller.den) - len(controller.num)), controller.num]
+        / controller.den[0]
+    )
     a = controller.den / controller.den[0]
     y, e, u = np.zeros(n), np.zeros(n), np.zeros(n)
     for k in range(n):
@@ -73,12 +92,16 @@ def stepped(numerator, denominator, plant, duration):
 
 @pytest.mark.parametrize("options", [[], ["--in-time"], ["--in-time", "--overshoot", "0.05"]])
 def test_what_is_reported_in_time_is_what_the_loop_does(model, tmp_path, options):
-    done = CliRunner().invoke(app, ["design", str(model), "--out", str(tmp_path / "k.json"), "--json", *options])
+    done = CliRunner().invoke(
+        app, ["design", str(model), "--out", str(tmp_path / "k.json"), "--json", *options]
+    )
     assert done.exit_code == 0, done.output
     found = json.loads(done.stdout)
     controller, promised, measured = found["controller"], found["promised"], found["measured"]
     nominal = load_identified(model)
-    overshoot, settling = stepped(controller["numerator"], controller["denominator"], nominal.impulse_response, 15.0)
+    overshoot, settling = stepped(
+        controller["numerator"], controller["denominator"], nominal.impulse_response, 15.0
+    )
     assert measured["nominal"]["overshoot"] == pytest.approx(overshoot, abs=1e-6)
     assert measured["nominal"]["settling_time_s"] == pytest.approx(settling, abs=1e-9)
     held = overshoot <= promised["overshoot"] and settling <= promised["settling_time_s"]
@@ -91,9 +114,13 @@ def test_what_is_reported_in_time_is_what_the_loop_does(model, tmp_path, options
         drawn = nominal.sample(60, seed=77)  # plants that nobody has looked at
         each = [stepped(controller["numerator"], controller["denominator"], g, 15.0) for g in drawn]
         kept = [o <= promised["overshoot"] and s <= promised["settling_time_s"] for o, s in each]
-        assert np.mean(kept) >= 0.9  # of 95 % promised: fewer than 54 of 60 come by chance once in 20
+        assert (
+            np.mean(kept) >= 0.9
+        )  # of 95 % promised: fewer than 54 of 60 come by chance once in 20
         truth = 0.3 * 0.8 ** np.arange(150)
-        overshoot, settling = stepped(controller["numerator"], controller["denominator"], truth, 15.0)
+        overshoot, settling = stepped(
+            controller["numerator"], controller["denominator"], truth, 15.0
+        )
         assert overshoot <= promised["overshoot"] and settling <= promised["settling_time_s"]
     else:
         assert ("NOT kept" in says(found)[0]) == (not held)
@@ -101,7 +128,9 @@ def test_what_is_reported_in_time_is_what_the_loop_does(model, tmp_path, options
 
 def test_a_promise_that_cannot_be_kept_is_not_made(model, tmp_path):
     options = ["--in-time", "--settling-time", "0.3", "--json"]
-    done = CliRunner().invoke(app, ["design", str(model), "--out", str(tmp_path / "k.json"), *options])
+    done = CliRunner().invoke(
+        app, ["design", str(model), "--out", str(tmp_path / "k.json"), *options]
+    )
     assert done.exit_code == 1
     assert "none was found" in json.loads(done.stdout)["reason"]
     assert not (tmp_path / "k.json").exists()
@@ -124,7 +153,16 @@ def two_points(tmp_path_factory):
 
 def test_joined_data_make_another_nominal_plant_than_the_mean_of_models(two_points, tmp_path):
     first, second, joined = two_points
-    command = ["design", first, second, "--out", str(tmp_path / "k.json"), "--settling-time", "30", "--json"]
+    command = [
+        "design",
+        first,
+        second,
+        "--out",
+        str(tmp_path / "k.json"),
+        "--settling-time",
+        "30",
+        "--json",
+    ]
     said = {}
     for name, options in (("mean", []), ("joined", ["--joined", joined])):
         done = CliRunner().invoke(app, [*command, *options])
@@ -136,22 +174,43 @@ def test_joined_data_make_another_nominal_plant_than_the_mean_of_models(two_poin
     assert both["mean"] == pytest.approx(said["mean"]["largest_uncertainty"], rel=1e-6)
     # Joined by its samples the middle is nearer to the longer record: the first point's gain is 20 % below it, not 14 %.
     gains = [load_identified(file).frequency_response(0.0).real for file in two_points]
-    assert abs(gains[2] - (gains[0] + 3 * gains[1]) / 4) < 0.25 * abs(gains[2] - (gains[0] + gains[1]) / 2)
+    assert abs(gains[2] - (gains[0] + 3 * gains[1]) / 4) < 0.25 * abs(
+        gains[2] - (gains[0] + gains[1]) / 2
+    )
     assert both["joined"] != pytest.approx(both["mean"], rel=0.02)
 
 
 @pytest.mark.parametrize(
     ("options", "samples"),
-    [([], 738), (["--epsilon", "0.01"], 18445), (["--rule", "worst-case"], 59), (["--zeta", "0.2", "--epsilon", "0.1"], 116)],
+    [
+        ([], 738),
+        (["--epsilon", "0.01"], 18445),
+        (["--rule", "worst-case"], 59),
+        (["--zeta", "0.2", "--epsilon", "0.1"], 116),
+    ],
 )
 def test_the_number_of_plants_is_the_sources_by_either_rule(model, tmp_path, options, samples):
-    done = CliRunner().invoke(app, ["design", str(model), "--out", str(tmp_path / "k.json"), "--json", *options])
+    done = CliRunner().invoke(
+        app, ["design", str(model), "--out", str(tmp_path / "k.json"), "--json", *options]
+    )
     assert json.loads(done.stdout)["samples"] == samples
 
 
 def test_inputs_of_algorithm_3_reach_the_weight(model, tmp_path):
-    command = ["design", str(model), "--out", str(tmp_path / "k.json"), "--json", "--aim", "robust", "--weight-order", "3"]
-    done = CliRunner().invoke(app, [*command, "--high-gain", "-6", "--critical-frequency", "0.02", "--low-gain", "60"])
+    command = [
+        "design",
+        str(model),
+        "--out",
+        str(tmp_path / "k.json"),
+        "--json",
+        "--aim",
+        "robust",
+        "--weight-order",
+        "3",
+    ]
+    done = CliRunner().invoke(
+        app, [*command, "--high-gain", "-6", "--critical-frequency", "0.02", "--low-gain", "60"]
+    )
     chosen = json.loads(done.stdout)
     assert done.exit_code == 0 and chosen["chosen"]["high_gain_db"] >= -6 - 1e-9
     assert chosen["chosen"]["critical_frequency_rad_s"] >= 0.02 - 1e-12
@@ -168,6 +227,9 @@ def test_the_uncertainty_command_bounds_every_form(model, capsys, form):
     assert (said["samples"], said["form"], said["certified"]) == (59, form, True)
     assert len(said["frequency_rad_s"]) == 50 and said["frequency_rad_s"][0] == pytest.approx(0.5)
     weight = TransferFunction(said["weight"]["numerator"], said["weight"]["denominator"], 0.1)
-    assert np.all(np.abs(weight.frequency_response(said["frequency_rad_s"])) >= np.array(said["largest_error"]) * (1 - 1e-9))
+    assert np.all(
+        np.abs(weight.frequency_response(said["frequency_rad_s"]))
+        >= np.array(said["largest_error"]) * (1 - 1e-9)
+    )
     assert run(["uncertainty", str(model), "--lowest", "99"]) == 2
     assert "must lie between 0 and the Nyquist frequency" in capsys.readouterr().err

@@ -33,7 +33,9 @@ def examine(capsys):
         status = run(["doctor", "--data", str(data), "--json", *more])
         answer = json.loads(capsys.readouterr().out)
         assert answer["ok"] == (status == 0) and status in (0, 1)
-        return status, {check["name"]: check["says"] for check in answer["checks"] if not check["ok"]}
+        return status, {
+            check["name"]: check["says"] for check in answer["checks"] if not check["ok"]
+        }
 
     return examine
 
@@ -43,7 +45,11 @@ def test_a_healthy_installation(data, examine, capsys):
     assert run(["doctor", "--data", str(data)]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 8 and all(line.startswith("ok") for line in lines)
-    assert "all 3 are there; 3 compared" in lines[3] and "7 looked at, all agree" in lines[2] and "revision" in lines[0]
+    assert (
+        "all 3 are there; 3 compared" in lines[3]
+        and "7 looked at, all agree" in lines[2]
+        and "revision" in lines[0]
+    )
 
 
 def test_before_the_first_start_nothing_is_wrong_and_nothing_is_made(tmp_path, examine):
@@ -83,15 +89,31 @@ def test_a_disk_too_small_for_what_is_to_be_kept(data, examine, monkeypatch):
 def test_a_device_that_does_not_answer_and_one_that_does(data, examine, monkeypatch, tmp_path):
     with socket.socket() as absent, socket.create_server(("127.0.0.1", 0)) as present:
         absent.bind(("127.0.0.1", 0))  # bound and not listening: connections are refused
-        sources = [{"kind": "modbus", "map": "process_plant.yaml", "port": each.getsockname()[1]} for each in (absent, present)]
-        machine = {"asset": "p", "diagnoser": "robust-residual", "window": {"cut": "sliding"}, "sources": sources}
+        sources = [
+            {"kind": "modbus", "map": "process_plant.yaml", "port": each.getsockname()[1]}
+            for each in (absent, present)
+        ]
+        machine = {
+            "asset": "p",
+            "diagnoser": "robust-residual",
+            "window": {"cut": "sliding"},
+            "sources": sources,
+        }
         monkeypatch.setenv("RESIDUUM_MACHINES", json.dumps([machine]))
         status, wrong = examine(data)
-    assert status == 1 and list(wrong) == ["modbus bus"] and str(sources[0]["port"]) in wrong["modbus bus"]
+    assert (
+        status == 1
+        and list(wrong) == ["modbus bus"]
+        and str(sources[0]["port"]) in wrong["modbus bus"]
+    )
 
 
-def test_a_broker_that_is_away_one_that_refuses_and_one_that_lets_us_in(data, examine, monkeypatch, start_mosquitto, free_port):
-    pytest.importorskip("paho.mqtt.client", reason="the extra 'mqtt' is not installed: MQTT was not tried")
+def test_a_broker_that_is_away_one_that_refuses_and_one_that_lets_us_in(
+    data, examine, monkeypatch, start_mosquitto, free_port
+):
+    pytest.importorskip(
+        "paho.mqtt.client", reason="the extra 'mqtt' is not installed: MQTT was not tried"
+    )
     away, closed, opened = (free_port() for _ in range(3))
     start_mosquitto(closed, "allow_anonymous false")
     start_mosquitto(opened)
@@ -106,15 +128,33 @@ def test_a_broker_that_is_away_one_that_refuses_and_one_that_lets_us_in(data, ex
     ("change", "says"),
     [
         ("UPDATE windows SET n = 0 WHERE id = 2", "window 2 of 'a': has 0 samples"),
-        ("UPDATE windows SET n = 1000000 WHERE id = 2", "window 2 of 'a': .* cannot hold 1000000 samples"),
+        (
+            "UPDATE windows SET n = 1000000 WHERE id = 2",
+            "window 2 of 'a': .* cannot hold 1000000 samples",
+        ),
         ("DELETE FROM findings WHERE id = 2", "window 2 of 'a': has no finding"),
-        ("UPDATE findings SET verdict = 'fine' WHERE id = 1", "finding 1 of 'a': its verdict is 'fine'"),
-        ("UPDATE findings SET evidence = '{' WHERE id = 1", "finding 1 of 'a': its evidence are no object"),
-        ("UPDATE findings SET units = '[1]' WHERE id = 1", "finding 1 of 'a': its units are no object"),
-        ("UPDATE findings SET asset_id = 'b' WHERE id = 3", "finding 3 of 'b': its window 3 is of 'a'"),
+        (
+            "UPDATE findings SET verdict = 'fine' WHERE id = 1",
+            "finding 1 of 'a': its verdict is 'fine'",
+        ),
+        (
+            "UPDATE findings SET evidence = '{' WHERE id = 1",
+            "finding 1 of 'a': its evidence are no object",
+        ),
+        (
+            "UPDATE findings SET units = '[1]' WHERE id = 1",
+            "finding 1 of 'a': its units are no object",
+        ),
+        (
+            "UPDATE findings SET asset_id = 'b' WHERE id = 3",
+            "finding 3 of 'b': its window 3 is of 'a'",
+        ),
         ("UPDATE assets SET last_finding_id = 1", "its latest finding is said to be 1 and is 3"),
         ("UPDATE assets SET windows = 1", "asset 'a': counts 1 windows and has 3"),
-        ("UPDATE alarms SET state = 'normal'", "is normal, and its journal ends with unacknowledged"),
+        (
+            "UPDATE alarms SET state = 'normal'",
+            "is normal, and its journal ends with unacknowledged",
+        ),
         ("UPDATE alarms SET state = 'asleep'", "its state is 'asleep'"),
         ("UPDATE model_versions SET content = x'00'", "model 'm', version 1: its content differs"),
         ("DELETE FROM model_versions WHERE number = 1", "model 'm': has 1 versions and counts 2"),
@@ -122,7 +162,9 @@ def test_a_broker_that_is_away_one_that_refuses_and_one_that_lets_us_in(data, ex
 )
 def test_a_row_that_was_changed_by_hand_is_named(data, examine, change, says):
     store = DiskStore(data, f"sqlite:///{data / 'residuum.db'}")
-    store.add_window("b", Record({"y": [0.0, 1.0]}, {"y": "V"}, 1.0), Finding("bearing", "faulty", reason="-"))
+    store.add_window(
+        "b", Record({"y": [0.0, 1.0]}, {"y": "V"}, 1.0), Finding("bearing", "faulty", reason="-")
+    )
     for content in (b"one", b"two"):
         store.add_model_version("m", "physical", content)
     store.close()
@@ -150,16 +192,39 @@ BA_ "SampleTime" BO_ 514 0.1;
 @pytest.mark.parametrize(
     ("text", "status", "says"),
     [
-        (PACK, 0, "ok .*streams current; of 1 not streamed the first: cells has no time between frames"),
-        (PACK.replace("counter :", "number :"), 0, "NOTE .*streams current.*current: no counter: losses cannot be seen"),
-        (PACK.replace('BA_ "SampleTime" BO_ 514 0.1;', ""), 1, "WRONG .*bms.dbc: has nothing to stream: message cells"),
-        (PACK.replace("8|16@1-", "8|57@1-"), 1, "WRONG .*has nothing to stream: .*current does not fit in message current"),
+        (
+            PACK,
+            0,
+            "ok .*streams current; of 1 not streamed the first: cells has no time between frames",
+        ),
+        (
+            PACK.replace("counter :", "number :"),
+            0,
+            "NOTE .*streams current.*current: no counter: losses cannot be seen",
+        ),
+        (
+            PACK.replace('BA_ "SampleTime" BO_ 514 0.1;', ""),
+            1,
+            "WRONG .*bms.dbc: has nothing to stream: message cells",
+        ),
+        (
+            PACK.replace("8|16@1-", "8|57@1-"),
+            1,
+            "WRONG .*has nothing to stream: .*current does not fit in message current",
+        ),
     ],
 )
-def test_a_dbc_file_is_said_to_stream_what_it_does(data, tmp_path, capsys, monkeypatch, text, status, says):
+def test_a_dbc_file_is_said_to_stream_what_it_does(
+    data, tmp_path, capsys, monkeypatch, text, status, says
+):
     (tmp_path / "bms.dbc").write_text(text)
     source = {"kind": "can", "channel": "virtual:doctor", "map": str(tmp_path / "bms.dbc")}
-    machine = {"asset": "pack", "diagnoser": "robust-residual", "window": {"cut": "sliding"}, "sources": [source]}
+    machine = {
+        "asset": "pack",
+        "diagnoser": "robust-residual",
+        "window": {"cut": "sliding"},
+        "sources": [source],
+    }
     (tmp_path / "settings.json").write_text(json.dumps({"machines": [machine]}))
     monkeypatch.setenv(SETTINGS_FILE, str(tmp_path / "settings.json"))
     assert run(["doctor", "--data", str(data)]) in (0, 1)

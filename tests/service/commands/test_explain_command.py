@@ -29,23 +29,35 @@ def explanation(verdict, times, held=()):
 
 
 @pytest.mark.parametrize(
-    ("verdict", "says"), [("missing-effect", "what is named is not all"), ("unknown-effect", "something slow that no candidate")]
+    ("verdict", "says"),
+    [
+        ("missing-effect", "what is named is not all"),
+        ("unknown-effect", "something slow that no candidate"),
+    ],
 )
 def test_what_remains_far_above_the_noise_is_said_whatever_the_verdict(verdict, says):
     text = explanation_text(explanation(verdict, 36.2))
-    assert "angle: 0.014 rad RMS remain, 36 times what their own past cannot predict" in text and says in text
+    assert (
+        "angle: 0.014 rad RMS remain, 36 times what their own past cannot predict" in text
+        and says in text
+    )
     assert "speed" not in text
     assert "RMS remain" not in explanation_text(explanation(verdict, 1.2))
 
 
 def test_a_model_that_is_called_adequate_though_much_is_left_is_told_with_what_that_may_be():
-    assert "6 times what their own past cannot predict: noise that is slow, or" in explanation_text(explanation("adequate", 6.0))
+    assert "6 times what their own past cannot predict: noise that is slow, or" in explanation_text(
+        explanation("adequate", 6.0)
+    )
 
 
 def test_a_value_that_was_freed_is_said_with_those_that_would_do_as_well():
     held = HeldValue("m", 6195.0, 5894.3, 0.2, "kg", ("S",))
     text = explanation_text(explanation("adequate", 1.0, (held,)))
-    assert "m is fixed at 6195 kg; the records ask for 5894.3 ± 0.2 kg" in text and "(S would do as well)" in text
+    assert (
+        "m is fixed at 6195 kg; the records ask for 5894.3 ± 0.2 kg" in text
+        and "(S would do as well)" in text
+    )
 
 
 @pytest.mark.parametrize(

@@ -30,7 +30,15 @@ def record_file(tmp_path):
     u = rng.standard_normal(1500)
     y = 7 + signal.lfilter([0, 0, 0, 1.0], [1, -0.8], u) + 0.2 * rng.standard_normal(1500)
     path = tmp_path / "plant.csv"
-    write_record(Record({"voltage": u, "speed": y}, {"voltage": "V", "speed": "rad/s"}, 0.1, notes=("split: 0.8",)), path)
+    write_record(
+        Record(
+            {"voltage": u, "speed": y},
+            {"voltage": "V", "speed": "rad/s"},
+            0.1,
+            notes=("split: 0.8",),
+        ),
+        path,
+    )
     return path
 
 
@@ -41,7 +49,21 @@ def identify(record_file, *options):
 @pytest.mark.parametrize("kernel", ["tc", "ss"])
 def test_json_has_the_contract_and_the_truth(record_file, tmp_path, capsys, kernel):
     out = tmp_path / "model.json"
-    assert identify(record_file, "--order", "60", "--delay", "1", "--kernel", kernel, "--out", str(out), "--json") == DONE
+    assert (
+        identify(
+            record_file,
+            "--order",
+            "60",
+            "--delay",
+            "1",
+            "--kernel",
+            kernel,
+            "--out",
+            str(out),
+            "--json",
+        )
+        == DONE
+    )
     result = json.loads(capsys.readouterr().out)
     assert set(result) >= CONTRACT
     assert (result["method"], result["order"], result["sample_time"]) == ("kernel", 60, 0.1)
@@ -86,9 +108,16 @@ def test_delay_is_estimated_where_none_is_said(record_file, capsys):
 def test_order_is_chosen_on_held_out_blocks_on_request(record_file, capsys):
     orders = {}
     for criterion in ("bic", "k-fold"):
-        assert identify(record_file, "--method", "arx", "--criterion", criterion, "--delay", "3", "--json") == DONE
+        assert (
+            identify(
+                record_file, "--method", "arx", "--criterion", criterion, "--delay", "3", "--json"
+            )
+            == DONE
+        )
         orders[criterion] = len(json.loads(capsys.readouterr().out)["denominator"])
-    assert orders["k-fold"] > orders["bic"]  # white output noise is no ARX: held-out blocks pay for more lags than BIC grants
+    assert (
+        orders["k-fold"] > orders["bic"]
+    )  # white output noise is no ARX: held-out blocks pay for more lags than BIC grants
 
 
 def test_human_report_carries_units_and_uncertainty(record_file, tmp_path, capsys):
@@ -125,7 +154,9 @@ def test_bad_requests_are_one_line_and_status_two(record_file, capsys, options, 
 
 @pytest.mark.parametrize("method", ["ridge", "lasso"])
 def test_penalised_impulse_responses_find_the_truth(record_file, capsys, method):
-    assert identify(record_file, "--order", "40", "--delay", "1", "--method", method, "--json") == DONE
+    assert (
+        identify(record_file, "--order", "40", "--delay", "1", "--method", method, "--json") == DONE
+    )
     result = json.loads(capsys.readouterr().out)
     truth = np.concatenate([[0, 0], 0.8 ** np.arange(38)])
     assert np.linalg.norm(result["impulse_response"] - truth) < 0.1 * np.linalg.norm(truth)
@@ -139,7 +170,21 @@ def test_a_time_series_has_no_input(record_file, tmp_path, capsys):
     assert run(["identify", str(file), "--output", "v", "--method", "ar", "--order", "1"]) == DONE
     said = capsys.readouterr().out
     assert "A = [1, -0.7" in said and "innovation        0.4" in said
-    assert run(["identify", str(record_file), "--input", "voltage", "--output", "speed", "--method", "ar"]) == BAD_INPUT
+    assert (
+        run(
+            [
+                "identify",
+                str(record_file),
+                "--input",
+                "voltage",
+                "--output",
+                "speed",
+                "--method",
+                "ar",
+            ]
+        )
+        == BAD_INPUT
+    )
     assert "models an output alone" in capsys.readouterr().err
     assert run(["identify", str(record_file), "--output", "speed"]) == BAD_INPUT
     assert "needs an input" in capsys.readouterr().err
@@ -148,7 +193,21 @@ def test_a_time_series_has_no_input(record_file, tmp_path, capsys):
 def test_uncertainty_from_an_error_model_is_larger_than_the_estimates_own(record_file, capsys):
     spread = {}
     for choice in ("own", "model-error", "set-membership"):
-        assert identify(record_file, "--method", "oe", "--order", "1", "--delay", "1", "--uncertainty", choice, "--json") == DONE
+        assert (
+            identify(
+                record_file,
+                "--method",
+                "oe",
+                "--order",
+                "1",
+                "--delay",
+                "1",
+                "--uncertainty",
+                choice,
+                "--json",
+            )
+            == DONE
+        )
         spread[choice] = np.linalg.norm(json.loads(capsys.readouterr().out)["std"])
     assert min(spread["model-error"], spread["set-membership"]) > 3 * spread["own"]
     assert identify(record_file, "--noise-bound", "1") == BAD_INPUT
@@ -161,7 +220,9 @@ def test_several_inputs_and_outputs_make_one_model_of_every_path(tmp_path, capsy
     rng = np.random.default_rng(5)
     valve, heater = rng.standard_normal((2, 1500))
     level = (
-        signal.lfilter([0, 1.0], [1, -0.5], valve) - signal.lfilter([0, 0.2], [1, -0.5], heater) + 0.1 * rng.standard_normal(1500)
+        signal.lfilter([0, 1.0], [1, -0.5], valve)
+        - signal.lfilter([0, 0.2], [1, -0.5], heater)
+        + 0.1 * rng.standard_normal(1500)
     )
     warmth = signal.lfilter([0, 0.5], [1, -0.7], heater) + 0.1 * rng.standard_normal(1500)
     channels = {"valve": valve, "heater": heater, "level": level, "warmth": warmth}
@@ -170,14 +231,18 @@ def test_several_inputs_and_outputs_make_one_model_of_every_path(tmp_path, capsy
     write_record(Record(channels, units, 1.0, notes=("split: 0.8",)), file)
     names = [option for name in ("valve", "heater") for option in ("--input", name)]
     names += [option for name in ("level", "warmth") for option in ("--output", name)]
-    assert run(["identify", str(file), *names, "--order", "25", "--out", str(out), "--json"]) == DONE
+    assert (
+        run(["identify", str(file), *names, "--order", "25", "--out", str(out), "--json"]) == DONE
+    )
     found = json.loads(capsys.readouterr().out)
     np.testing.assert_allclose(found["static_gain"], [[2.0, -0.4], [0.0, 0.5 / 0.3]], atol=0.1)
     np.testing.assert_allclose(np.sum(found["relative_gains"], axis=0), 1.0)
     assert found["held_out_fit_percent"][0]["level"] > 80
     read = load_multivariable(out)
     assert (read.inputs, read.outputs) == (("valve", "heater"), ("level", "warmth"))
-    np.testing.assert_array_equal(read.models[0][1].impulse_response, found["impulse_responses"][0][1])
+    np.testing.assert_array_equal(
+        read.models[0][1].impulse_response, found["impulse_responses"][0][1]
+    )
     assert run(["identify", str(file), *names, "--method", "arx"]) == BAD_INPUT
     assert "need the method kernel" in capsys.readouterr().err
     (tmp_path / "wrong.json").write_text(out.read_text().replace("covariances", "covariance"))
@@ -187,7 +252,9 @@ def test_several_inputs_and_outputs_make_one_model_of_every_path(tmp_path, capsy
 
 @pytest.mark.parametrize("method", ["elastic-net", "set-membership", "stochastic-embedding"])
 def test_other_views_of_the_error_are_methods_as_well(record_file, capsys, method):
-    assert identify(record_file, "--order", "30", "--delay", "3", "--method", method, "--json") == DONE
+    assert (
+        identify(record_file, "--order", "30", "--delay", "3", "--method", method, "--json") == DONE
+    )
     result = json.loads(capsys.readouterr().out)
     truth = 0.8 ** np.arange(30)
     assert np.linalg.norm(result["impulse_response"] - truth) < 0.3 * np.linalg.norm(truth)
@@ -195,7 +262,10 @@ def test_other_views_of_the_error_are_methods_as_well(record_file, capsys, metho
 
 
 def test_check_tests_what_was_kept_aside_and_tells_the_error_on_new_data(record_file, capsys):
-    assert identify(record_file, "--method", "oe", "--order", "1", "--delay", "3", "--check", "--json") == DONE
+    assert (
+        identify(record_file, "--method", "oe", "--order", "1", "--delay", "3", "--check", "--json")
+        == DONE
+    )
     check = json.loads(capsys.readouterr().out)["check"]
     assert check["passed"]
     assert check["parts"][0]["samples"] == 300
@@ -203,7 +273,9 @@ def test_check_tests_what_was_kept_aside_and_tells_the_error_on_new_data(record_
     assert check["parts"][0]["input_correlation"]["passed"]
     assert not check["parts"][0]["model_error"]["falsified"]
     assert check["bootstrap"]["error"] == pytest.approx(0.04, rel=0.2)
-    assert identify(record_file, "--method", "arx", "--order", "1", "--delay", "3", "--check") == DONE
+    assert (
+        identify(record_file, "--method", "arx", "--order", "1", "--delay", "3", "--check") == DONE
+    )
     said = capsys.readouterr().out
     assert "white: no (p" in said
     assert "falsified at" in said
@@ -211,7 +283,10 @@ def test_check_tests_what_was_kept_aside_and_tells_the_error_on_new_data(record_
 
 
 def test_check_and_noise_bound_are_refused_where_they_mean_nothing(record_file, capsys):
-    assert run(["identify", str(record_file), "--output", "speed", "--method", "ar", "--check"]) == BAD_INPUT
+    assert (
+        run(["identify", str(record_file), "--output", "speed", "--method", "ar", "--check"])
+        == BAD_INPUT
+    )
     assert "needs a model with an input" in capsys.readouterr().err
     both = ["--input", "voltage", "--output", "speed", "--output", "voltage"]
     assert run(["identify", str(record_file), *both, "--check"]) == BAD_INPUT
@@ -224,18 +299,28 @@ def test_the_static_gain_is_in_every_answer_as_it_is_said(record_file, tmp_path,
     assert abs(gain["value"] - 5.0) < 4 * gain["std"] < 0.5
     assert (gain["unit"], gain["unknown"], gain["formal"]) == ("rad/s/V", None, False)
     assert identify(record_file, "--method", "oe", "--order", "1") == DONE
-    assert f"static gain       {gain['value']:.4g} ± {gain['std']:.2g} rad/s/V" in capsys.readouterr().out
+    assert (
+        f"static gain       {gain['value']:.4g} ± {gain['std']:.2g} rad/s/V"
+        in capsys.readouterr().out
+    )
 
 
 def test_a_gain_that_is_not_told_is_null_with_its_reason(tmp_path, capsys):
     rng = np.random.default_rng(0)
     u = np.repeat(rng.choice([-1.0, 1.0], 60), 25)
     y = np.cumsum(0.1 * np.r_[0.0, u[:-1]]) + 0.01 * rng.standard_normal(1500)
-    write_record(Record({"voltage": u, "speed": y}, {"voltage": "V", "speed": "rad/s"}, 0.1), tmp_path / "i.csv")
+    write_record(
+        Record({"voltage": u, "speed": y}, {"voltage": "V", "speed": "rad/s"}, 0.1),
+        tmp_path / "i.csv",
+    )
     options = ("--method", "bj", "--integrator")
     assert identify(tmp_path / "i.csv", *options, "--json") == DONE
     gain = json.loads(capsys.readouterr().out)["static_gain"]
-    assert gain["value"] is None and gain["std"] is None and gain["unknown"].startswith("none: the model integrates 0.")
+    assert (
+        gain["value"] is None
+        and gain["std"] is None
+        and gain["unknown"].startswith("none: the model integrates 0.")
+    )
     assert identify(tmp_path / "i.csv", *options) == DONE
     assert f"static gain       {gain['unknown']}" in capsys.readouterr().out
 
@@ -244,6 +329,8 @@ def test_bands_of_an_order_that_the_data_chose_say_so(record_file, capsys):
     for method in ("arx", "oe"):
         assert identify(record_file, "--method", method, "--json") == DONE
         said = json.loads(capsys.readouterr().out)["std_says"]
-        assert "orders that bic chose from the data (n" in said and said.endswith("say `order` where it is known")
+        assert "orders that bic chose from the data (n" in said and said.endswith(
+            "say `order` where it is known"
+        )
         assert identify(record_file, "--method", method, "--order", "1", "--json") == DONE
         assert json.loads(capsys.readouterr().out)["std_says"] is None

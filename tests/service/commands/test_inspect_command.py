@@ -14,11 +14,21 @@ TIME = 0.01 * np.arange(300)
 def test_a_file_that_says_itself_how_it_is_read(tmp_path, capsys):
     file = tmp_path / "r.mat"
     savemat(
-        file, {"time": TIME[:, None], "u": np.cos(TIME)[:, None], "units_u": "V", "w": TIME[:, None], "gains": [1.0, 2.0, 3.0]}
+        file,
+        {
+            "time": TIME[:, None],
+            "u": np.cos(TIME)[:, None],
+            "units_u": "V",
+            "w": TIME[:, None],
+            "gains": [1.0, 2.0, 3.0],
+        },
     )
     assert run(["inspect", str(file), "--json"]) == DONE
     shown = json.loads(capsys.readouterr().out)
-    assert [(c["name"], c["unit"], c["missing"]) for c in shown["columns"]] == [("u", "V", 0), ("w", "", 0)]
+    assert [(c["name"], c["unit"], c["missing"]) for c in shown["columns"]] == [
+        ("u", "V", 0),
+        ("w", "", 0),
+    ]
     assert shown["samples"]["sample_time"] == pytest.approx(0.01) and len(shown["first_rows"]) == 3
     assert shown["notes"] == ["not read: gains (3 values)"]
     assert run(["inspect", str(file)]) == DONE
@@ -29,7 +39,8 @@ def test_a_file_that_says_itself_how_it_is_read(tmp_path, capsys):
 def test_a_loggers_file_shows_its_first_rows_and_what_has_no_unit(tmp_path, capsys):
     file = tmp_path / "r.txt"
     file.write_text(
-        "t [s];p [bar];duty\n" + "\n".join(f"{k};{k / 4:.2f};{'' if k == 1 else 7}".replace(".", ",") for k in range(9))
+        "t [s];p [bar];duty\n"
+        + "\n".join(f"{k};{k / 4:.2f};{'' if k == 1 else 7}".replace(".", ",") for k in range(9))
     )
     assert run(["inspect", str(file), "--json"]) == DONE
     shown = json.loads(capsys.readouterr().out)
@@ -69,7 +80,10 @@ def test_the_options_that_refusals_of_inspect_name_are_its_own(tmp_path, capsys)
     uneven = tmp_path / "uneven.mat"
     savemat(uneven, {"time": np.array([0, 0.1, 0.25, 0.3, 0.4]), "u": np.arange(5.0)})
     assert run(["inspect", str(uneven)]) == BAD_INPUT and "--resample" in capsys.readouterr().err
-    assert run(["inspect", str(uneven), "--resample"]) == DONE and "resampled to" in capsys.readouterr().out
+    assert (
+        run(["inspect", str(uneven), "--resample"]) == DONE
+        and "resampled to" in capsys.readouterr().out
+    )
 
 
 def test_rows_of_one_stamp_are_given_no_rate(tmp_path, capsys):
@@ -89,5 +103,11 @@ def test_uneven_steps_of_a_text_are_shown_as_resample_makes_them(tmp_path, capsy
         assert run(["inspect", str(tmp_path / "uneven.csv"), "--json", *option]) == DONE
         found[bool(option)] = json.loads(capsys.readouterr().out)
     assert not found[False]["samples"]["even"] and found[True]["samples"]["even"]
-    assert any(note.startswith("n resampled to 1.00056 s: each sample kept at its even") for note in found[True]["notes"])
-    assert found[True]["guesses"] == found[False]["guesses"] and found[True]["mapping"] == found[False]["mapping"]
+    assert any(
+        note.startswith("n resampled to 1.00056 s: each sample kept at its even")
+        for note in found[True]["notes"]
+    )
+    assert (
+        found[True]["guesses"] == found[False]["guesses"]
+        and found[True]["mapping"] == found[False]["mapping"]
+    )

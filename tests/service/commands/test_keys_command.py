@@ -21,10 +21,15 @@ def keys(tmp_path, capsys):
 def test_a_key_is_made_once(keys, tmp_path):
     made = keys()
     assert made["made"] and ApiKeys(tmp_path / "api_keys").caller(made["key"]).role is Role.ENGINEER
-    assert {stat.S_IMODE((tmp_path / name).stat().st_mode) for name in ("api_keys", "metrics_key")} == {0o640}
+    assert {
+        stat.S_IMODE((tmp_path / name).stat().st_mode) for name in ("api_keys", "metrics_key")
+    } == {0o640}
     users = (tmp_path / "broker_users").read_text()
     again = keys()
-    assert users == (tmp_path / "broker_users").read_text() and (tmp_path / "broker_password").read_text() not in users
+    assert (
+        users == (tmp_path / "broker_users").read_text()
+        and (tmp_path / "broker_password").read_text() not in users
+    )
     assert (again["made"], again["key"]) == (False, None)
 
 
@@ -42,7 +47,9 @@ def test_a_broken_file_of_keys_is_named_and_left_alone(tmp_path, capsys):
     (tmp_path / "api_keys").write_text("me wizard 00\n")
     assert run(["keys", str(tmp_path)]) == BAD_INPUT
     assert "api_keys, line 1: must be" in capsys.readouterr().err
-    assert (tmp_path / "api_keys").read_text() == "me wizard 00\n" and not (tmp_path / "metrics_key").exists()
+    assert (tmp_path / "api_keys").read_text() == "me wizard 00\n" and not (
+        tmp_path / "metrics_key"
+    ).exists()
 
 
 def test_a_place_that_cannot_be_written_is_named(tmp_path, capsys):

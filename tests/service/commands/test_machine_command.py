@@ -9,7 +9,11 @@ from residuum.service.cli import run
 
 @pytest.mark.parametrize(
     ("channel", "says"),
-    [("udp_multicast:127.0.0.1:20000", "needs a route"), ("socketcan:no_such_can7", "cannot open"), ("no-bus", "interface:")],
+    [
+        ("udp_multicast:127.0.0.1:20000", "needs a route"),
+        ("socketcan:no_such_can7", "cannot open"),
+        ("no-bus", "interface:"),
+    ],
 )
 def test_a_can_bus_that_cannot_be_opened(capsys, channel, says):
     assert run(["machine", "gate-actuator", "--can", channel]) == 2

@@ -31,9 +31,17 @@ def told(arguments, capsys, status=0):
 def test_a_model_file_and_healthy_records_make_a_baseline_that_names_causes(files, capsys):
     healthy = [str(files / f"healthy{k}.csv") for k in range(8)]
     model, base = str(files / "press.yaml"), str(files / "base")
-    trained = told(["train", "model-based", *healthy, "--model", model, "--out", base, "--json"], capsys)
-    assert trained["windows"] == 8 and trained["parameters"]["M"]["value"] == pytest.approx(95.0, rel=0.02)
-    found = told(["score", "model-based", str(files / "faulty.csv"), "--baseline", base, "--json"], capsys, status=1)
+    trained = told(
+        ["train", "model-based", *healthy, "--model", model, "--out", base, "--json"], capsys
+    )
+    assert trained["windows"] == 8 and trained["parameters"]["M"]["value"] == pytest.approx(
+        95.0, rel=0.02
+    )
+    found = told(
+        ["score", "model-based", str(files / "faulty.csv"), "--baseline", base, "--json"],
+        capsys,
+        status=1,
+    )
     first = found["causes"][0]
     assert found["verdict"] == "faulty" and "M" in (first["name"], *first["indistinguishable_from"])
     assert set(first) >= {
@@ -47,20 +55,54 @@ def test_a_model_file_and_healthy_records_make_a_baseline_that_names_causes(file
         "onset_time",
         "says",
     }
-    assert set(found["parameters"]["M"]) == {"value", "std", "unit", "healthy"} and found["false_alarms_per_day"] == 1.0
-    seldom = ["score", "model-based", str(files / "healthy.csv"), "--baseline", base, "--false-alarms-per-day", "0.1", "--json"]
+    assert (
+        set(found["parameters"]["M"]) == {"value", "std", "unit", "healthy"}
+        and found["false_alarms_per_day"] == 1.0
+    )
+    seldom = [
+        "score",
+        "model-based",
+        str(files / "healthy.csv"),
+        "--baseline",
+        base,
+        "--false-alarms-per-day",
+        "0.1",
+        "--json",
+    ]
     fine = told(seldom, capsys)
-    assert fine["verdict"] == "healthy" and fine["causes"] == [] and fine["false_alarms_per_day"] == 0.1
+    assert (
+        fine["verdict"] == "healthy"
+        and fine["causes"] == []
+        and fine["false_alarms_per_day"] == 0.1
+    )
 
 
 def test_a_setting_of_models_is_refused_for_other_diagnosers(files, capsys):
-    assert run(["train", "bearing", str(files / "faulty.csv"), "--model", "oven", "--out", str(files / "x")]) == 2
+    assert (
+        run(
+            [
+                "train",
+                "bearing",
+                str(files / "faulty.csv"),
+                "--model",
+                "oven",
+                "--out",
+                str(files / "x"),
+            ]
+        )
+        == 2
+    )
     assert "only the model-based diagnoser" in capsys.readouterr().err
 
 
 def test_a_machine_names_its_model_in_the_settings():
     sources = [{"kind": "can", "channel": "virtual:a", "map": "a.dbc"}]
-    machine = {"asset": "press", "model": "press.yaml", "window": {"cut": "sliding"}, "sources": sources}
+    machine = {
+        "asset": "press",
+        "model": "press.yaml",
+        "window": {"cut": "sliding"},
+        "sources": sources,
+    }
     assert MachineSettings(diagnoser="model-based", **machine).model == "press.yaml"
     with pytest.raises(ValueError, match="only the diagnoser model-based"):
         MachineSettings(diagnoser="bearing", **machine)

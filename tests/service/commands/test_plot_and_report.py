@@ -21,7 +21,9 @@ def folder(tmp_path_factory):
     rng = np.random.default_rng(3)
     u = np.repeat(rng.choice([-1.0, 1.0], 100), 6)
     y = lfilter([0.0, 0.4], [1.0, -0.8], u) + rng.normal(0.0, 0.05, 600)
-    rs.from_arrays({"u": u, "y": y}, units={"u": "V", "y": "V"}, sample_time=0.1).save(place / "plant.csv")
+    rs.from_arrays({"u": u, "y": y}, units={"u": "V", "y": "V"}, sample_time=0.1).save(
+        place / "plant.csv"
+    )
     rs.Record(**vars_of(Bearing.examples()[0].faulty[1])).save(place / "bearing.npz")
     return place
 
@@ -33,16 +35,34 @@ def vars_of(record):
 PLANT = "--input u --output y --method oe --order 1 --delay 1"
 DRAWN = {
     "compare": ("compare linear-axis axis.csv", DONE, "velocity"),
-    "explain": ("explain linear-axis axis.csv --effects viscous-friction", DONE, "What linear-axis lacks"),
-    "improve": ("improve linear-axis axis.csv --add viscous-friction --out better.yaml", DONE, "viscous-friction"),
+    "explain": (
+        "explain linear-axis axis.csv --effects viscous-friction",
+        DONE,
+        "What linear-axis lacks",
+    ),
+    "improve": (
+        "improve linear-axis axis.csv --add viscous-friction --out better.yaml",
+        DONE,
+        "viscous-friction",
+    ),
     "identify": (f"identify plant.csv {PLANT} --out plant.json", DONE, "response"),
-    "score": ("score bearing bearing.npz --orders bpfi=5.4152,bpfo=3.5848", ANSWER_IS_NO, "indicators over their thresholds"),
-    "control": ("control design plant.json --structure pi --out controller.json", DONE, "step of the reference"),
+    "score": (
+        "score bearing bearing.npz --orders bpfi=5.4152,bpfo=3.5848",
+        ANSWER_IS_NO,
+        "indicators over their thresholds",
+    ),
+    "control": (
+        "control design plant.json --structure pi --out controller.json",
+        DONE,
+        "step of the reference",
+    ),
 }
 
 
 @pytest.mark.parametrize("answer", DRAWN)
-def test_an_answer_is_drawn_as_an_image_and_as_a_page_of_its_own(answer, folder, monkeypatch, capsys):
+def test_an_answer_is_drawn_as_an_image_and_as_a_page_of_its_own(
+    answer, folder, monkeypatch, capsys
+):
     monkeypatch.chdir(folder)
     if answer == "control":
         assert run(DRAWN["identify"][0].split()) == DONE
@@ -61,9 +81,14 @@ def test_an_answer_is_drawn_as_an_image_and_as_a_page_of_its_own(answer, folder,
 
 @pytest.mark.parametrize(
     ("file", "says"),
-    [("a.pgn", "did you mean '.png'? known are .png, .html"), ("nowhere/a.png", "folder 'nowhere' does not exist")],
+    [
+        ("a.pgn", "did you mean '.png'? known are .png, .html"),
+        ("nowhere/a.png", "folder 'nowhere' does not exist"),
+    ],
 )
-def test_a_picture_that_could_not_be_written_is_refused_before_the_work(file, says, folder, monkeypatch, capsys):
+def test_a_picture_that_could_not_be_written_is_refused_before_the_work(
+    file, says, folder, monkeypatch, capsys
+):
     monkeypatch.chdir(folder)
     assert run(["compare", "linear-axis", "axis.csv", "--plot", file]) == BAD_INPUT
     assert says in capsys.readouterr().err
@@ -73,13 +98,21 @@ def test_without_matplotlib_an_image_is_refused_with_the_way_on(folder, monkeypa
     monkeypatch.chdir(folder)
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     assert run(["compare", "linear-axis", "axis.csv", "--plot", "a.png"]) == BAD_INPUT
-    assert capsys.readouterr().err == ("residuum: a PNG image needs the package 'matplotlib': pip install 'residuum[plots]'\n")
+    assert capsys.readouterr().err == (
+        "residuum: a PNG image needs the package 'matplotlib': pip install 'residuum[plots]'\n"
+    )
 
 
-def test_a_report_is_one_page_without_scripts_that_holds_the_answer_and_the_record(folder, monkeypatch, capsys):
+def test_a_report_is_one_page_without_scripts_that_holds_the_answer_and_the_record(
+    folder, monkeypatch, capsys
+):
     monkeypatch.chdir(folder)
     assert run(["report", "linear-axis", "axis.csv", "--out", "axis.html", "--json"]) == DONE
-    assert json.loads(capsys.readouterr().out) == {"file": "axis.html", "model": "linear-axis", "records": ["axis.csv"]}
+    assert json.loads(capsys.readouterr().out) == {
+        "file": "axis.html",
+        "model": "linear-axis",
+        "records": ["axis.csv"],
+    }
     page = (folder / "axis.html").read_text(encoding="utf-8")
     assert "structured error" in page and page.count("<svg") == 2 and "error of velocity" in page
     assert "<script" not in page and "http://" not in page.replace("http://www.w3.org/2000/svg", "")
@@ -92,7 +125,10 @@ def test_a_report_is_one_page_without_scripts_that_holds_the_answer_and_the_reco
     [
         ("report oven --out a.html", "names no record"),
         ("report axis.csv --explain --out a.html", "--explain needs a model"),
-        ("report ovn.yaml axis.csv --out a.html", "model 'ovn.yaml': no such file; did you mean 'oven'?"),
+        (
+            "report ovn.yaml axis.csv --out a.html",
+            "model 'ovn.yaml': no such file; did you mean 'oven'?",
+        ),
     ],
 )
 def test_a_report_of_nothing_is_refused(line, says, folder, monkeypatch, capsys):

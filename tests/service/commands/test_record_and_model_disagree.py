@@ -21,7 +21,11 @@ def folder(tmp_path_factory):
     force = 20.0 * np.sin(2.0 * time) + 10.0 * np.sin(5.3 * time)
     speed = np.cumsum(force) * 0.01 / 95.0
     position = BEGINS + np.cumsum(speed) * 0.01 + rng.normal(0.0, 1e-4, 600)
-    record = rs.from_arrays({"force": force, "position": position}, units={"force": "N", "position": "m"}, sample_time=0.01)
+    record = rs.from_arrays(
+        {"force": force, "position": position},
+        units={"force": "N", "position": "m"},
+        sample_time=0.01,
+    )
     record.save(place / "cart.csv")
     text = write_model(load_model("linear-axis"))
     (place / "template.yaml").write_text(text + "initial: {q: 0.0}\n", encoding="utf-8")
@@ -38,20 +42,29 @@ LINES = {
 
 
 @pytest.mark.parametrize("command", LINES)
-def test_a_first_value_that_the_record_contradicts_is_warned_about(command, folder, monkeypatch, capsys):
+def test_a_first_value_that_the_record_contradicts_is_warned_about(
+    command, folder, monkeypatch, capsys
+):
     monkeypatch.chdir(folder)
     # begun half a metre away, the mass runs to its bound, which is no estimate
     ends = ANSWER_IS_NO if command == "estimate" else DONE
     assert run([*LINES[command].format(model="template.yaml").split(), "--json"]) == ends
     (warning,) = json.loads(capsys.readouterr().out)["warnings"]
-    assert "initial: q is 0 m in the model, and cart.csv begins at 0.42 m; write initial: {q: 0.42}" in warning
+    assert (
+        "initial: q is 0 m in the model, and cart.csv begins at 0.42 m; write initial: {q: 0.42}"
+        in warning
+    )
 
 
 @pytest.mark.parametrize("command", ["compare", "estimate"])
-def test_the_warning_is_part_of_the_report_and_absent_where_the_first_value_is_right(command, folder, monkeypatch, capsys):
+def test_the_warning_is_part_of_the_report_and_absent_where_the_first_value_is_right(
+    command, folder, monkeypatch, capsys
+):
     monkeypatch.chdir(folder)
     for model, warned in ("template.yaml", True), ("right.yaml", False):
-        assert run(LINES[command].format(model=model).split()) == (ANSWER_IS_NO if warned and command == "estimate" else DONE)
+        assert run(LINES[command].format(model=model).split()) == (
+            ANSWER_IS_NO if warned and command == "estimate" else DONE
+        )
         assert ("warning: initial: q is 0 m" in capsys.readouterr().out) is warned
 
 
@@ -61,4 +74,7 @@ def test_an_output_that_the_record_lacks_is_named(folder, monkeypatch, capsys):
     told = json.loads(capsys.readouterr().out)
     assert list(told["not_recorded"]) == ["velocity"] and "velocity" not in told["outputs"]
     assert run(["compare", "linear-axis", "cart.csv"]) == DONE
-    assert "velocity: not compared, for no column holds it (map one: --map velocity=COLUMN)" in capsys.readouterr().out
+    assert (
+        "velocity: not compared, for no column holds it (map one: --map velocity=COLUMN)"
+        in capsys.readouterr().out
+    )

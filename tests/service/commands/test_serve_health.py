@@ -13,7 +13,15 @@ from pathlib import Path
 import httpx
 import yaml
 
-COMMAND = [sys.executable, "-c", "from residuum.service.cli import main; main()", "serve", "--demo", "--port", "0"]
+COMMAND = [
+    sys.executable,
+    "-c",
+    "from residuum.service.cli import main; main()",
+    "serve",
+    "--demo",
+    "--port",
+    "0",
+]
 PATIENCE = 240.0
 
 
@@ -30,11 +38,18 @@ def wait_for(look):
 
 def test_what_is_not_judged_is_told_by_machine_with_its_reason_and_the_way_on(tmp_path, free_port):
     silent = {"kind": "modbus", "port": free_port(), "map": "process_plant.yaml"}
-    machine = {"asset": "press", "diagnoser": "robust-residual", "window": {"cut": "sliding", "length": 1}, "sources": [silent]}
+    machine = {
+        "asset": "press",
+        "diagnoser": "robust-residual",
+        "window": {"cut": "sliding", "length": 1},
+        "sources": [silent],
+    }
     settings, log = tmp_path / "settings.yaml", tmp_path / "log"
     settings.write_text(yaml.safe_dump({"machines": [machine]}))
     with (
-        tempfile.TemporaryDirectory(dir="/tmp") as folder,  # processes meet at sockets in it, whose names may have 107 bytes
+        tempfile.TemporaryDirectory(
+            dir="/tmp"
+        ) as folder,  # processes meet at sockets in it, whose names may have 107 bytes
         log.open("w") as written,
         subprocess.Popen(
             [*COMMAND, "--data", str(tmp_path / "data"), "--settings", str(settings)],
@@ -55,12 +70,20 @@ def test_what_is_not_judged_is_told_by_machine_with_its_reason_and_the_way_on(tm
                     return len(told["machines"]) == 4 and told
 
                 told = wait_for(troubled)
-                assert client.get("health/ready").status_code == 200 and told["status"] == "degraded"
+                assert (
+                    client.get("health/ready").status_code == 200 and told["status"] == "degraded"
+                )
                 assert told["states"]["failed"] == 3 and told["states"]["running"] == 0
                 plant, press = told["machines"]["process-plant"], told["machines"]["press"]
-                assert plant["state"] == "failed" and plant["reason"].startswith("training failed: FileNotFoundError")
+                assert plant["state"] == "failed" and plant["reason"].startswith(
+                    "training failed: FileNotFoundError"
+                )
                 assert "start it again" in plant["way_on"]
-                assert press["state"] == "recording" and f":{silent['port']}" in press["reason"] and "bus" in press["way_on"]
+                assert (
+                    press["state"] == "recording"
+                    and f":{silent['port']}" in press["reason"]
+                    and "bus" in press["way_on"]
+                )
                 status = client.get("api/v1/status").json()["machines"]
                 assert {name: status[name]["way_on"] for name in told["machines"]} == {
                     name: machine["way_on"] for name, machine in told["machines"].items()
@@ -68,7 +91,11 @@ def test_what_is_not_judged_is_told_by_machine_with_its_reason_and_the_way_on(tm
                 assert 'residuum_machines{state="failed"} 3.0' in client.get("metrics").text
 
                 def logged():
-                    told = [line for line in log.read_text().splitlines() if "a machine is not judged" in line]
+                    told = [
+                        line
+                        for line in log.read_text().splitlines()
+                        if "a machine is not judged" in line
+                    ]
                     return any("[error" in line and "machine=press" in line for line in told)
 
                 wait_for(logged)
@@ -76,6 +103,10 @@ def test_what_is_not_judged_is_told_by_machine_with_its_reason_and_the_way_on(tm
             service.send_signal(signal.SIGINT)
         assert service.wait(60) in (0, 130)
     lines = log.read_text().splitlines()
-    failed = [line for line in lines if "training failed" in line and "[error" in line and "is not judged" not in line]
+    failed = [
+        line
+        for line in lines
+        if "training failed" in line and "[error" in line and "is not judged" not in line
+    ]
     (line,) = [line for line in failed if "process-plant" in line and "way_on" in line]
     assert "FileNotFoundError" in line

@@ -19,14 +19,20 @@ from residuum.service.cli import run
 from residuum.service.storage.database import Database
 
 COMMAND = [sys.executable, "-m", "residuum", "serve", "--port", "0"]
-WINDOW = {"sample_time": 1e-3, "channels": {"acceleration": [0.0, 1.0] * 500}, "units": {"acceleration": "m/s²"}}
+WINDOW = {
+    "sample_time": 1e-3,
+    "channels": {"acceleration": [0.0, 1.0] * 500},
+    "units": {"acceleration": "m/s²"},
+}
 PATH = "api/v1/assets/press/windows?diagnoser=bearing"
 
 
 @contextlib.contextmanager
 def serving(*options):
     """A service as its own process, with its address once it is there."""
-    with subprocess.Popen([*COMMAND, *options], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
+    with subprocess.Popen(
+        [*COMMAND, *options], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    ) as process:
         try:
             process.address = process.stdout.readline().split()[-1]
             yield process
@@ -46,7 +52,9 @@ def taken_once_free(options):
     """Whether a service starts there, as soon as the system has given back what a killed one held."""
     end = time.monotonic() + 60
     while True:
-        process = subprocess.Popen([*COMMAND, *options], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+        process = subprocess.Popen(
+            [*COMMAND, *options], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+        )
         with process:
             try:
                 if process.stdout.readline().startswith("Residuum is at"):
@@ -74,13 +82,17 @@ def test_a_second_service_on_a_data_folder_is_refused_until_the_first_has_gone(t
     options = ("--data", str(tmp_path / "data"))
     with serving(*options) as first:
         says = refused(capsys, *options)
-        assert f"(process {first.pid})" in says and "runs on it already" in says and "--data" in says
+        assert (
+            f"(process {first.pid})" in says and "runs on it already" in says and "--data" in says
+        )
         first.send_signal(signal.SIGKILL)
         first.wait(60)
         assert taken_once_free(options)
 
 
-def test_on_postgresql_a_copy_of_the_data_folder_is_no_way_round(tmp_path, capsys, new_postgresql_database):
+def test_on_postgresql_a_copy_of_the_data_folder_is_no_way_round(
+    tmp_path, capsys, new_postgresql_database
+):
     url = new_postgresql_database()
     first, copy = ("--data", str(tmp_path / "data")), ("--data", str(tmp_path / "copy"))
     with serving(*first, "--database", url) as service:
@@ -91,7 +103,9 @@ def test_on_postgresql_a_copy_of_the_data_folder_is_no_way_round(tmp_path, capsy
         assert taken_once_free([*copy, "--database", url])
 
 
-def test_another_database_or_another_folder_is_refused_and_nothing_is_deleted(tmp_path, filled, capsys):
+def test_another_database_or_another_folder_is_refused_and_nothing_is_deleted(
+    tmp_path, filled, capsys
+):
     before = blocks_in(filled)
     for other in ("new.db", "other.db"):
         url = f"sqlite:///{tmp_path / other}"
@@ -102,10 +116,21 @@ def test_another_database_or_another_folder_is_refused_and_nothing_is_deleted(tm
         assert "nothing was changed" in says and "--database" in says and "--data" in says
         assert run(["doctor", "--sweep", "--data", str(filled), "--database", url]) == 2
         assert "Traceback" not in capsys.readouterr().err and blocks_in(filled) == before
-    says = refused(capsys, "--data", str(tmp_path / "empty"), "--database", f"sqlite:///{filled / 'residuum.db'}")
+    says = refused(
+        capsys,
+        "--data",
+        str(tmp_path / "empty"),
+        "--database",
+        f"sqlite:///{filled / 'residuum.db'}",
+    )
     assert "of which none is there" in says
     with serving("--data", str(filled)) as service:
-        assert httpx.get(f"{service.address}api/v1/assets/press/windows/1/record", timeout=60).status_code == 200
+        assert (
+            httpx.get(
+                f"{service.address}api/v1/assets/press/windows/1/record", timeout=60
+            ).status_code
+            == 200
+        )
 
 
 def test_a_folder_of_before_there_were_identities_is_taken_up(filled):
@@ -116,7 +141,10 @@ def test_a_folder_of_before_there_were_identities_is_taken_up(filled):
     with serving("--data", str(filled)) as service:
         assert httpx.get(f"{service.address}health/ready", timeout=60).json()["status"] == "ready"
     with database.connect() as connection:
-        assert connection.execute(text("SELECT folder FROM identity")).scalar_one() == (filled / "identity").read_text().strip()
+        assert (
+            connection.execute(text("SELECT folder FROM identity")).scalar_one()
+            == (filled / "identity").read_text().strip()
+        )
     database.dispose()
 
 
@@ -129,7 +157,10 @@ def test_blocks_that_no_row_names_are_deleted_on_request_alone(filled, capsys):
     with serving("--data", str(filled)):
         assert orphan.exists()
     run(["doctor", "--data", str(filled)])
-    assert re.search(r"NOTE +signal blocks .* 1 more that no row names; `residuum doctor --sweep`", capsys.readouterr().out)
+    assert re.search(
+        r"NOTE +signal blocks .* 1 more that no row names; `residuum doctor --sweep`",
+        capsys.readouterr().out,
+    )
     run(["doctor", "--sweep", "--data", str(filled)])
     assert "deleted 1 signal blocks" in capsys.readouterr().err and blocks_in(filled) == [named]
 
@@ -186,7 +217,10 @@ def has(process, folder):
 @pytest.mark.parametrize("stage", ["imports", "lock", "database", "greeting"])
 def test_an_early_interrupt_ends_it_in_one_line(tmp_path, stage):
     with subprocess.Popen(
-        [*COMMAND, "--data", str(tmp_path)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        [*COMMAND, "--data", str(tmp_path)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
     ) as process:
         if stage == "greeting":
             process.stdout.readline()
@@ -197,4 +231,6 @@ def test_an_early_interrupt_ends_it_in_one_line(tmp_path, stage):
         process.send_signal(signal.SIGINT)
         _, says = process.communicate(timeout=60)
     assert process.returncode == 130, says
-    assert [line for line in says.splitlines() if not re.match(r"\d{4}-\d\d-\d\dT", line)] == ["residuum: interrupted"]
+    assert [line for line in says.splitlines() if not re.match(r"\d{4}-\d\d-\d\dT", line)] == [
+        "residuum: interrupted"
+    ]

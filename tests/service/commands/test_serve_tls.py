@@ -15,10 +15,23 @@ from residuum.service.cli import run
 def certificate(tmp_path):
     if shutil.which("openssl") is None:
         pytest.skip("NO OPENSSL HERE, so HTTPS was not tried")
-    command = ["openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes", "-days", "2"]
+    command = [
+        "openssl",
+        "req",
+        "-x509",
+        "-newkey",
+        "ec",
+        "-pkeyopt",
+        "ec_paramgen_curve:prime256v1",
+        "-nodes",
+        "-days",
+        "2",
+    ]
     command += ["-subj", "/CN=localhost", "-addext", "subjectAltName=DNS:localhost,IP:127.0.0.1"]
     files = tmp_path / "certificate.pem", tmp_path / "key.pem"
-    subprocess.run([*command, "-out", files[0], "-keyout", files[1]], check=True, capture_output=True)
+    subprocess.run(
+        [*command, "-out", files[0], "-keyout", files[1]], check=True, capture_output=True
+    )
     return files
 
 
@@ -40,7 +53,9 @@ def test_https_with_the_certificate_of_the_settings(certificate, tmp_path, monke
             greeting = service.stdout.readline()
             assert greeting.startswith("Residuum is at https://127.0.0.1:")
             trusted = ssl.create_default_context(cafile=certificate[0])
-            with urllib.request.urlopen(greeting.split()[-1] + "health/live", context=trusted, timeout=30) as answer:
+            with urllib.request.urlopen(
+                greeting.split()[-1] + "health/live", context=trusted, timeout=30
+            ) as answer:
                 assert answer.status == 200
                 assert answer.headers["Strict-Transport-Security"] == "max-age=31536000"
         finally:

@@ -25,7 +25,9 @@ def labels_file(tmp_path, text):
 def test_labels_come_by_name_or_path_with_or_without_a_header_and_an_exemplar(tmp_path):
     both = labels_file(tmp_path, "record,label\n# a note\nb.npz, rack\nhere/a.npz,healthy\n")
     assert read_labels(both, RECORDS) == (["healthy", "rack"], None)
-    three = labels_file(tmp_path, "record,label,exemplar\na.npz,healthy,gate 1\nb.npz,rack,gate 2\n")
+    three = labels_file(
+        tmp_path, "record,label,exemplar\na.npz,healthy,gate 1\nb.npz,rack,gate 2\n"
+    )
     assert read_labels(three, RECORDS) == (["healthy", "rack"], ["gate 1", "gate 2"])
 
 
@@ -65,7 +67,11 @@ def test_actuators_left_out_in_turn_are_judged_by_the_others(tmp_path, monkeypat
     capsys.readouterr()
     assert run(["train", "gate-actuator", *files, *told, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)["validation"]
-    assert found["how"] == "object-wise" and found["objects"] == 3 and sum(map(sum, found["confusion"])) == 6
+    assert (
+        found["how"] == "object-wise"
+        and found["objects"] == 3
+        and sum(map(sum, found["confusion"])) == 6
+    )
     assert found["accuracy"] >= 5 / 6
 
 
@@ -74,11 +80,16 @@ def test_either_method_decides_and_both_are_shown(tmp_path, monkeypatch, capsys)
     example = RobustResidual.examples()[0]
     write_npz(example.training[0], "healthy.npz")
     write_npz(example.faulty[1], "drift.npz")
-    assert run(["train", "robust-residual", "healthy.npz", "--method", "source", "--out", "plant"]) == 0
+    assert (
+        run(["train", "robust-residual", "healthy.npz", "--method", "source", "--out", "plant"])
+        == 0
+    )
     capsys.readouterr()
     said = {}
     for method in ([], ["--method", "source"], ["--method", "default"]):
-        status = run(["score", "robust-residual", "drift.npz", "--baseline", "plant", *method, "--json"])
+        status = run(
+            ["score", "robust-residual", "drift.npz", "--baseline", "plant", *method, "--json"]
+        )
         finding = said[" ".join(method)] = json.loads(capsys.readouterr().out)
         assert status == (ANSWER_IS_NO if finding["verdict"] == "faulty" else 0)
     assert said[""] == said["--method source"]
@@ -87,5 +98,8 @@ def test_either_method_decides_and_both_are_shown(tmp_path, monkeypatch, capsys)
     for finding in said.values():
         evidence = finding["evidence"]
         assert finding["verdict"] == evidence[f"{evidence['method']}_method"]["verdict"]
-    assert run(["score", "robust-residual", "drift.npz", "--baseline", "plant", "--method", "best"]) == BAD_INPUT
+    assert (
+        run(["score", "robust-residual", "drift.npz", "--baseline", "plant", "--method", "best"])
+        == BAD_INPUT
+    )
     assert "must be default or source" in capsys.readouterr().err

@@ -9,7 +9,7 @@ import yaml
 from residuum.service.cli import run
 from residuum.service.fieldbus.can.frame_layout import BadBusDescription
 from residuum.service.fieldbus.modbus.register_map import RegisterMap, read_register_map
-from residuum.service.fieldbus.modbus.register_server import register_map_of
+from residuum.service.fieldbus.modbus.register_table import register_map_of
 from residuum.service.settings import SETTINGS_FILE, load_settings
 
 RIG = Path(__file__).parents[3] / "docs" / "tutorials" / "fan_rig"
@@ -45,7 +45,11 @@ def test_init_guesses_the_channels_and_doctor_finds_nothing_missing(capsys):
     ]
     assert run(words) == 0
     settings = load_settings(Path("residuum.yaml"))
-    assert settings.machines[0].channels == {"voltage": "u_mot", "current": "i_mot", "speed": "n_fan"}
+    assert settings.machines[0].channels == {
+        "voltage": "u_mot",
+        "current": "i_mot",
+        "speed": "n_fan",
+    }
     assert Path("residuum.yaml").read_text().count("#") > 8
     assert doctor(capsys)["ok"]
     assert run(words) == 2  # what is there is not written over
@@ -61,9 +65,15 @@ def test_init_without_anything_is_a_form_and_doctor_says_what_to_fill_in(capsys)
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        ({"channels": {"speed": "n_motor"}}, "the bus has no signal 'n_motor'; did you mean 'u_mot'? it has i_mot, n_fan, u_mot"),
+        (
+            {"channels": {"speed": "n_motor"}},
+            "the bus has no signal 'n_motor'; did you mean 'u_mot'? it has i_mot, n_fan, u_mot",
+        ),
         ({"channels": {"speed": "n_fan"}}, "voltage: the model needs this input"),
-        ({"channels": {"voltage": "n_fan"}}, "voltage: the model has it in V, the bus has n_fan in rpm"),
+        (
+            {"channels": {"voltage": "n_fan"}},
+            "voltage: the model has it in V, the bus has n_fan in rpm",
+        ),
         ({"model": None}, "model: is missing"),
         ({"model": "no.yaml"}, "no.yaml"),
         ({"diagnoser": "crystal-ball", "model": None}, "known are gate-actuator"),
@@ -86,7 +96,9 @@ def test_a_map_made_from_a_table_is_read_as_any_other(capsys):
     assert run(["watch", "map", "registers.csv", "--out", "fan.map.yaml", "--every", "0.05"]) == 0
     stream = read_register_map("fan.map.yaml").streams["signals"]
     assert stream.poll.address == 0 and stream.sample_time == 0.05
-    assert {name: (c.register_, c.type, c.unit, c.scale) for name, c in stream.channels.items()} == {
+    assert {
+        name: (c.register_, c.type, c.unit, c.scale) for name, c in stream.channels.items()
+    } == {
         "u_mot": (0, "uint16", "V", 0.01),
         "i_mot": (1, "int16", "A", 0.01),
         "n_fan": (2, "uint16", "rpm", 1.0),
@@ -102,7 +114,11 @@ def test_a_map_made_from_a_table_is_read_as_any_other(capsys):
         ("# from the manual\nsignal;address;data_type;unit\na;40011;double;m\n", 10, 4),
         ("name;register\na;3\n", 3, 1),
         ("name;register\na;0\nb;200\n", 0, 201),
-        ("name;register;type;length;word order;missing\na;30005;real;2;little;-9999 0x7FC00000\n", 4, 2),
+        (
+            "name;register;type;length;word order;missing\na;30005;real;2;little;-9999 0x7FC00000\n",
+            4,
+            2,
+        ),
     ],
 )
 def test_tables_of_several_habits_are_understood(table, address, words):
@@ -116,7 +132,10 @@ def test_tables_of_several_habits_are_understood(table, address, words):
         ("name;register\n", "needs a row of headings"),
         ("name;type\na;int16\n", "no column 'register'"),
         ("name;register\na;ten\n", "row 2: register 'ten' is not a whole number"),
-        ("name;register;type\na;1;complex\n", "row 2: type 'complex' is not known; known are uint16"),
+        (
+            "name;register;type\na;1;complex\n",
+            "row 2: type 'complex' is not known; known are uint16",
+        ),
         ("name;register\na;1\na;2\n", "row 3: the name 'a' is empty or stands in two rows"),
         ("name;register\na;5\nb;5\n", "channels.b: register 0 belongs to a already"),
         ("name;register;type;length\na;5;float;1\n", "float32 takes 2 registers, registers says 1"),

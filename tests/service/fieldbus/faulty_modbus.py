@@ -57,7 +57,10 @@ class FaultyModbus:
             begin = pages.address + pages.stride * (self.complete % pages.count)
             self.memory[begin : begin + len(page)] = page
             self.complete += 1
-        self.memory[pages.newest : pages.newest + 2] = (self.complete >> 16, self.complete & 0xFFFF)  # all at once
+        self.memory[pages.newest : pages.newest + 2] = (
+            self.complete >> 16,
+            self.complete & 0xFFFF,
+        )  # all at once
 
     def stop(self):
         if self._thread.is_alive():
@@ -86,7 +89,9 @@ class FaultyModbus:
         """At a port below those of outgoing connections: while this device is away, one of these could take its port."""
         while True:
             with contextlib.suppress(OSError):
-                return await asyncio.start_server(self._talk, "127.0.0.1", random.SystemRandom().randint(20_000, 32_000))
+                return await asyncio.start_server(
+                    self._talk, "127.0.0.1", random.SystemRandom().randint(20_000, 32_000)
+                )
 
     async def _be_away(self):
         self._server.close()
@@ -96,7 +101,9 @@ class FaultyModbus:
 
     async def _talk(self, reader, writer):
         self._writers.add(writer)
-        with contextlib.suppress(asyncio.IncompleteReadError, ConnectionError, asyncio.CancelledError):
+        with contextlib.suppress(
+            asyncio.IncompleteReadError, ConnectionError, asyncio.CancelledError
+        ):
             while True:
                 head = await reader.readexactly(6)
                 body = await reader.readexactly(struct.unpack(">H", head[4:])[0])
@@ -112,7 +119,10 @@ class FaultyModbus:
             return
         words = self.memory[address : address + count].astype(">u2")
         fault = next(self.faults, None)
-        before, self.old[address] = np.resize(self.old.get(address, np.zeros(1, ">u2")), count), words
+        before, self.old[address] = (
+            np.resize(self.old.get(address, np.zeros(1, ">u2")), count),
+            words,
+        )
         reply = _reply(transaction, unit, words)
         if fault is None:
             writer.write(reply)
@@ -141,7 +151,8 @@ class FaultyModbus:
             "short": lambda: _reply(transaction, unit, words[:-1]),
             "long": lambda: _reply(transaction, unit, np.append(words, words[:1])),
             "odd bytes": lambda: (
-                struct.pack(">HHHBBB", transaction, 0, 3 + 2 * count - 1, unit, 3, 2 * count - 1) + words.tobytes()[:-1]
+                struct.pack(">HHHBBB", transaction, 0, 3 + 2 * count - 1, unit, 3, 2 * count - 1)
+                + words.tobytes()[:-1]
             ),
             "other transaction": lambda: _reply((transaction + 7) & 0xFFFF, unit, words),
             "transaction zero": lambda: _reply(0, unit, before),
@@ -151,7 +162,9 @@ class FaultyModbus:
             "twice": lambda: reply + reply,
             "flipped bit": lambda: _reply(transaction, unit, words),
             "old content": lambda: _reply(transaction, unit, before),
-            "wrong protocol": lambda: struct.pack(">HHH", transaction, 9, len(reply) - 6) + reply[6:],
+            "wrong protocol": lambda: (
+                struct.pack(">HHH", transaction, 9, len(reply) - 6) + reply[6:]
+            ),
             "unknown function": lambda: _reply(transaction, unit, words, function=0x55),
             "count beyond the end": lambda: reply[:8] + bytes([reply[8] + 2]) + reply[9:],
             "garbage": lambda: bytes(range(200, 255)),
@@ -166,4 +179,7 @@ def _write_if_open(writer, reply):
 
 def _reply(transaction, unit, words, function=3):
     payload = words.astype(">u2").tobytes()
-    return struct.pack(">HHHBBB", transaction, 0, 3 + len(payload), unit, function, len(payload)) + payload
+    return (
+        struct.pack(">HHHBBB", transaction, 0, 3 + len(payload), unit, function, len(payload))
+        + payload
+    )

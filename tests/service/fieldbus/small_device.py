@@ -36,7 +36,11 @@ class SmallDevice:
                 threading.Thread(target=self._talk, args=(connection,), daemon=True).start()
 
     def _talk(self, connection):
-        with contextlib.suppress(OSError, struct.error), connection, connection.makefile("rwb") as stream:
+        with (
+            contextlib.suppress(OSError, struct.error),
+            connection,
+            connection.makefile("rwb") as stream,
+        ):
             while True:
                 transaction, _, length, unit = struct.unpack(">HHHB", stream.read(7))
                 function, address, count = struct.unpack(">BHH", stream.read(length - 1))
@@ -56,6 +60,8 @@ class SmallDevice:
             return bytes([function | 0x80, 2])
         values = [there[place] for place in range(address, address + count)]
         if table in ("coils", "discrete"):
-            packed = sum(value << k for k, value in enumerate(values)).to_bytes(-(-count // 8), "little")
+            packed = sum(value << k for k, value in enumerate(values)).to_bytes(
+                -(-count // 8), "little"
+            )
             return bytes([function, len(packed)]) + packed
         return struct.pack(f">BB{count}H", function, 2 * count, *values)

@@ -9,7 +9,8 @@ import msgpack
 import numpy as np
 import pytest
 
-from residuum.service.fieldbus.can.can_bus import CanBus, multicast_address, open_bus
+from residuum.service.fieldbus.can.can_bus import CanBus, open_bus
+from residuum.service.fieldbus.can.can_channel import multicast_address
 
 GROUPS = ["239.77.1.9", "ff15::77:9"]
 
@@ -19,7 +20,9 @@ def buses(request):
     port = random.SystemRandom().randint(20_000, 32_000)
     group = request.param if "." in request.param else f"[{request.param}]"
     try:
-        theirs = can.Bus(interface="udp_multicast", channel=request.param, port=port, hop_limit=0, fd=True)
+        theirs = can.Bus(
+            interface="udp_multicast", channel=request.param, port=port, hop_limit=0, fd=True
+        )
     except (OSError, can.CanError) as error:
         pytest.skip(f"this computer has no group {request.param}: {error}")
     ours = open_bus(f"udp_multicast:{group}:{port}/0")
@@ -52,7 +55,11 @@ def test_python_can_understands_our_frames(buses):
     ours.send_many(0x1ABCDEF, sent, is_fd=True)
     for data in sent:
         message = theirs.recv(60.0)
-        assert (message.arbitration_id, message.is_extended_id, message.is_fd) == (0x1ABCDEF, True, True)
+        assert (message.arbitration_id, message.is_extended_id, message.is_fd) == (
+            0x1ABCDEF,
+            True,
+            True,
+        )
         assert bytes(message.data) == data.tobytes()
 
 
@@ -77,7 +84,10 @@ def test_what_is_no_data_frame_is_told_apart(buses):
 def test_more_frames_than_the_system_keeps_by_itself_wait_for_a_reader_that_is_held_up(buses):
     ours, theirs = buses
     with socket.fromfd(ours._bus.fileno(), socket.AF_INET, socket.SOCK_DGRAM) as same:
-        kept, by_itself = (each.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) for each in (same, theirs._multicast._socket))
+        kept, by_itself = (
+            each.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
+            for each in (same, theirs._multicast._socket)
+        )
     if kept < 8 * by_itself:
         pytest.skip("net.core.rmem_max of this computer does not allow it")
     sent = np.random.default_rng(0).integers(0, 256, (1500, 8), dtype=np.uint8)
@@ -105,9 +115,19 @@ class Failing:
         raise NotImplementedError
 
 
-@pytest.mark.parametrize("failure", [OSError("gone"), can.CanOperationError("the adapter was pulled out")])
+@pytest.mark.parametrize(
+    "failure", [OSError("gone"), can.CanOperationError("the adapter was pulled out")]
+)
 def test_what_came_before_a_bus_failed_is_read_and_then_the_failure_is_told(failure):
-    bus = CanBus(Failing(*(can.Message(arbitration_id=3, is_extended_id=False, data=each) for each in (b"12", b"34")), failure))
+    bus = CanBus(
+        Failing(
+            *(
+                can.Message(arbitration_id=3, is_extended_id=False, data=each)
+                for each in (b"12", b"34")
+            ),
+            failure,
+        )
+    )
     assert np.concatenate(bus.read(0.0).frames[3]).tobytes() == b"1234"
     with pytest.raises(type(failure), match=str(failure)):
         bus.read(0.0)
@@ -121,5 +141,8 @@ def test_addresses_of_groups():
 
 
 def test_a_group_that_cannot_be_joined_is_named_with_its_cause():
-    with pytest.raises(can.CanInitializationError, match=r"udp_multicast:127\.0\.0\.1:20000: .*Invalid argument.*route"):
+    with pytest.raises(
+        can.CanInitializationError,
+        match=r"udp_multicast:127\.0\.0\.1:20000: .*Invalid argument.*route",
+    ):
         open_bus("udp_multicast:127.0.0.1:20000")

@@ -30,7 +30,12 @@ BA_DEF_ BO_ "SampleTime" FLOAT 0 1000;
 BA_ "SampleTime" BO_ 416 0.01;
 """
 N = 1000
-WRITERS = {".blf": can.BLFWriter, ".asc": can.ASCWriter, ".log": can.CanutilsLogWriter, ".trc": can.TRCWriter}
+WRITERS = {
+    ".blf": can.BLFWriter,
+    ".asc": can.ASCWriter,
+    ".log": can.CanutilsLogWriter,
+    ".trc": can.TRCWriter,
+}
 
 
 def sent(number):
@@ -46,7 +51,13 @@ def write_log(tmp_path):
     def frame(name, time, values):
         message = messages.get_message_by_name(name)
         data = message.encode(values)
-        return can.Message(timestamp=time, arbitration_id=message.frame_id, is_extended_id=False, data=data, channel=0)
+        return can.Message(
+            timestamp=time,
+            arbitration_id=message.frame_id,
+            is_extended_id=False,
+            data=data,
+            channel=0,
+        )
 
     def write(ending=".blf", numbers=range(N), slow=(), more=()):
         (tmp_path / "drive.dbc").write_text(DBC)
@@ -63,7 +74,11 @@ def write_log(tmp_path):
 @pytest.mark.parametrize("ending", CAN_LOGS)
 def test_every_kind_of_log_gives_the_signals_that_were_sent(write_log, ending):
     record = read_can_record(*write_log(ending))
-    assert record.sample_time == 0.01 and record.n == N and set(record.names) == {"page", "speed", "current", "voltage"}
+    assert (
+        record.sample_time == 0.01
+        and record.n == N
+        and set(record.names) == {"page", "speed", "current", "voltage"}
+    )
     assert (record.units["speed"], record.units["current"]) == ("rpm", "A")
     for name in record.names:
         expected = [sent(number).get(name, np.nan) for number in range(N)]
@@ -73,7 +88,9 @@ def test_every_kind_of_log_gives_the_signals_that_were_sent(write_log, ending):
 
 def test_lost_frames_are_missing_samples_and_said_also_where_the_counter_went_round(write_log):
     lost = {100, 101, *range(300, 700)}
-    record = read_can_record(*write_log(numbers=[number for number in range(N) if number not in lost]))
+    record = read_can_record(
+        *write_log(numbers=[number for number in range(N) if number not in lost])
+    )
     assert record.n == N
     assert np.flatnonzero(np.isnan(record["speed"])).tolist() == sorted(lost)
     assert any(f"message drive: {len(lost)} frames lost" in note for note in record.notes)
@@ -99,11 +116,14 @@ def test_a_slower_message_stands_on_the_clock_of_the_fastest_and_is_missing_betw
     assert held.tolist() == [5 + 10 * k for k in range(90)]
     assert record["temperature"][held] == pytest.approx([20 + k for k in range(90)])
     notes = "; ".join(record.notes)
-    assert "message slow: no counter: losses cannot be seen" in notes and "2 messages on the clock of drive" in notes
-    smooth = read_can_record(path, dbc, ReadOptions(resample=True))
-    assert smooth["temperature"][100] == pytest.approx(20 + 9 + 0.5, abs=0.11) and "interpolated between" in "; ".join(
-        smooth.notes
+    assert (
+        "message slow: no counter: losses cannot be seen" in notes
+        and "2 messages on the clock of drive" in notes
     )
+    smooth = read_can_record(path, dbc, ReadOptions(resample=True))
+    assert smooth["temperature"][100] == pytest.approx(
+        20 + 9 + 0.5, abs=0.11
+    ) and "interpolated between" in "; ".join(smooth.notes)
 
 
 def test_uneven_frames_without_a_counter_are_refused_with_the_way_on(write_log):
@@ -125,7 +145,9 @@ def test_of_a_log_that_is_cut_in_the_middle_of_a_frame_what_came_before_stays(wr
             continue
         log = read_can_log(path)
         record = read_can_record(path, dbc)
-        assert record["speed"] == pytest.approx([sent(number)["speed"] for number in range(record.n)])
+        assert record["speed"] == pytest.approx(
+            [sent(number)["speed"] for number in range(record.n)]
+        )
         assert record.n >= 200
         assert sum("is cut or damaged after frame" in remark for remark in log.remarks) == 1
         assert "export the log anew" in log.remarks[0] and "\n" not in log.remarks[0]
@@ -135,21 +157,30 @@ def test_of_a_log_that_is_cut_in_the_middle_of_a_frame_what_came_before_stays(wr
 @pytest.mark.parametrize("content", [b"", b"nonsense\xff\x00" * 50, b"hello world\n" * 9])
 def test_what_is_no_log_is_refused_in_one_line(tmp_path, ending, content):
     (tmp_path / f"no{ending}").write_bytes(content)
-    with pytest.raises(BadInput, match=rf"no\{ending}: (cannot be read as a CAN log|holds no data frame)") as refusal:
+    with pytest.raises(
+        BadInput, match=rf"no\{ending}: (cannot be read as a CAN log|holds no data frame)"
+    ) as refusal:
         read_can_log(tmp_path / f"no{ending}")
     assert "\n" not in str(refusal.value)
 
 
 def test_a_message_on_two_buses_of_the_log_is_not_guessed(write_log):
-    other = can.Message(timestamp=1000.005, arbitration_id=416, is_extended_id=False, data=bytes(8), channel=1)
-    with pytest.raises(BadInput, match="message drive: is on the buses 0, 1 of the log; export one bus alone"):
+    other = can.Message(
+        timestamp=1000.005, arbitration_id=416, is_extended_id=False, data=bytes(8), channel=1
+    )
+    with pytest.raises(
+        BadInput, match="message drive: is on the buses 0, 1 of the log; export one bus alone"
+    ):
         read_can_record(*write_log(more=[other]))
 
 
 def test_a_dbc_file_of_another_bus_is_told(write_log, tmp_path):
     path, dbc = write_log()
     dbc.write_text(DBC.replace("416", "99").replace("417", "98"))
-    with pytest.raises(BadInput, match=r"drive.blf: no message of drive.dbc is in it; it holds 0x1A0 \(1000 frames\)"):
+    with pytest.raises(
+        BadInput,
+        match=r"drive.blf: no message of drive.dbc is in it; it holds 0x1A0 \(1000 frames\)",
+    ):
         read_can_record(path, dbc)
 
 
@@ -159,26 +190,42 @@ def test_commands_read_logs_by_a_dbc_file(write_log, capsys, tmp_path):
     assert "name the DBC file of its bus with --dbc FILE" in capsys.readouterr().err
     assert run(["compare", "gate-drive", str(path), "--dbc", str(dbc), "--resample", "--json"]) == 0
     said = capsys.readouterr()
-    assert set(json.loads(said.out)["outputs"]) == {"speed", "current"} and "drive.asc: " in said.err
+    assert (
+        set(json.loads(said.out)["outputs"]) == {"speed", "current"} and "drive.asc: " in said.err
+    )
     (tmp_path / "r.csv").write_text("time [s],y [V]\n0,1\n1,2\n2,3\n")
     assert run(["compare", "gate-drive", str(tmp_path / "r.csv"), "--dbc", str(dbc)]) == 2
     assert "no record is a CAN log" in capsys.readouterr().err
 
 
 def test_inspect_shows_what_is_in_a_log_beside_what_the_dbc_file_makes_of_it(write_log, capsys):
-    unknown = can.Message(timestamp=1000.005, arbitration_id=0x77, is_extended_id=False, data=bytes(8), channel=0)
-    path, dbc = write_log(numbers=[number for number in range(N) if number != 5], slow=[(1000, 1), (1001, 2)], more=[unknown])
+    unknown = can.Message(
+        timestamp=1000.005, arbitration_id=0x77, is_extended_id=False, data=bytes(8), channel=0
+    )
+    path, dbc = write_log(
+        numbers=[number for number in range(N) if number != 5],
+        slow=[(1000, 1), (1001, 2)],
+        more=[unknown],
+    )
     assert run(["inspect", str(path), "--dbc", str(dbc), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     drive, slow = found["messages"]
-    assert (drive["message"], drive["frames"], drive["lost"], drive["counter"]) == ("drive", N - 1, 1, "counted")
+    assert (drive["message"], drive["frames"], drive["lost"], drive["counter"]) == (
+        "drive",
+        N - 1,
+        1,
+        "counted",
+    )
     assert (slow["lost"], slow["counter"]) == (None, "no counter: losses cannot be seen")
     voltage = next(channel for channel in drive["channels"] if channel["channel"] == "voltage")
     assert (voltage["first"], voltage["lowest"], voltage["highest"]) == (None, 48.0, 48.0)
     assert found["unknown"] == {"0x77": 1}
     assert run(["inspect", str(path), "--dbc", str(dbc)]) == 0
     text = capsys.readouterr().out
-    assert "drive 0x1A0: 999 frames, one every 0.01 s, 1 lost" in text and "voltage [V]: not in it there; 48 … 48" in text
+    assert (
+        "drive 0x1A0: 999 frames, one every 0.01 s, 1 lost" in text
+        and "voltage [V]: not in it there; 48 … 48" in text
+    )
 
 
 def candump(stamps, form, rng):
@@ -209,7 +256,9 @@ def even(n=N):
     return 1e9 + 0.01 * np.arange(n)
 
 
-@pytest.mark.parametrize("form", ["log", "direction", "fd", "screen", "date", "ascii", "printed direction"])
+@pytest.mark.parametrize(
+    "form", ["log", "direction", "fd", "screen", "date", "ascii", "printed direction"]
+)
 @pytest.mark.parametrize("differences", [False, True])
 def test_candump_is_read_in_every_form_that_it_prints(tmp_path, form, differences):
     if differences and form == "date":
@@ -219,7 +268,11 @@ def test_candump_is_read_in_every_form_that_it_prints(tmp_path, form, difference
     (tmp_path / "drive.dbc").write_text(DBC)
     written = np.diff(stamps, prepend=stamps[0]) if differences else stamps
     (tmp_path / "drive.log").write_text(
-        candump(written, form, np.random.default_rng(4) if form == "log" and not differences else Never())
+        candump(
+            written,
+            form,
+            np.random.default_rng(4) if form == "log" and not differences else Never(),
+        )
     )
     record = read_can_record(tmp_path / "drive.log", tmp_path / "drive.dbc")
     assert record["speed"] == pytest.approx([sent(number)["speed"] for number in range(N)])
@@ -238,7 +291,10 @@ class Never:
 @pytest.mark.parametrize("counted", [True, False])
 def test_a_clock_that_was_set_is_said_and_bridged(tmp_path, seed, counted):
     rng = np.random.default_rng(seed)
-    at, by = int(rng.integers(100, 900)), float(rng.choice([-1, 1]) * rng.choice([0.04, 0.5, 2.0, 30.0, 3600.0]))
+    at, by = (
+        int(rng.integers(100, 900)),
+        float(rng.choice([-1, 1]) * rng.choice([0.04, 0.5, 2.0, 30.0, 3600.0])),
+    )
     if by > 0 and (not counted or by < 1 or by > 100):
         by = -by  # a step forward is a pause without a counter, or where it is long; a short one is a few frames lost
     stamps = even() + rng.uniform(0, 3e-4, N)
@@ -249,7 +305,9 @@ def test_a_clock_that_was_set_is_said_and_bridged(tmp_path, seed, counted):
     record = read_can_record(tmp_path / "drive.log", tmp_path / "drive.dbc")
     assert record["speed"] == pytest.approx([sent(number)["speed"] for number in range(N)])
     notes = "; ".join(record.notes)
-    way, size, place = re.search(r"the clock was set (\w+) by ([\d.e+]+) s after frame (\d+)", notes).groups()
+    way, size, place = re.search(
+        r"the clock was set (\w+) by ([\d.e+]+) s after frame (\d+)", notes
+    ).groups()
     assert (way, int(place)) == ("forward" if by > 0 else "back", at)
     assert float(size) == pytest.approx(abs(by), rel=0.01, abs=1e-3)
     assert "lost," not in notes

@@ -34,7 +34,9 @@ class Bench:
         self.blocks, self.room = [], True
         settings = SourceSettings(kind="can", channel=self.channel, map="gate_actuator.dbc")
         self.source = SOURCES["can"](settings, self.take)
-        self.source._clock = lambda: 0.0  # a pause of this bench is a busy machine, not a silent sender
+        self.source._clock = lambda: (
+            0.0
+        )  # a pause of this bench is a busy machine, not a silent sender
         self.source.start()
         self.bus = open_bus(self.channel)
         self.wait(lambda: self.source._bus is not None)
@@ -45,7 +47,9 @@ class Bench:
         return self.room
 
     def send(self, numbers):
-        frames = DRIVE.encode(np.asarray(numbers) % (1 << DRIVE.counter_bits), truth(np.asarray(numbers)))
+        frames = DRIVE.encode(
+            np.asarray(numbers) % (1 << DRIVE.counter_bits), truth(np.asarray(numbers))
+        )
         self.bus.send_many(DRIVE.frame_id, frames)
 
     def wait(self, condition):
@@ -55,11 +59,18 @@ class Bench:
         assert condition()
 
     def counted(self):
-        return {name: times for name, times in self.source.health.snapshot()["counters"].items() if times}
+        return {
+            name: times
+            for name, times in self.source.health.snapshot()["counters"].items()
+            if times
+        }
 
     def samples(self):
         number = np.concatenate([block.number for block in self.blocks])
-        return number, {name: np.concatenate([block.channels[name] for block in self.blocks]) for name in DRIVE.units}
+        return number, {
+            name: np.concatenate([block.channels[name] for block in self.blocks])
+            for name in DRIVE.units
+        }
 
 
 @pytest.fixture
@@ -102,7 +113,11 @@ def test_thousands_of_drops_repetitions_and_late_frames_are_counted_exactly(benc
         bench.send(arriving[begin : begin + 400])
     bench.wait(lambda: bench.source.health.snapshot()["frames"] == len(arriving))
     counted = bench.counted()
-    assert counted == {"lost": int(dropped.sum()), "duplicated": int(repeated.sum()), "reordered": reordered}
+    assert counted == {
+        "lost": int(dropped.sum()),
+        "duplicated": int(repeated.sum()),
+        "reordered": reordered,
+    }
     assert sum(counted.values()) > 6000
     number, channels = bench.samples()
     assert len(np.unique(number)) == len(number) == len(sent)
@@ -115,7 +130,11 @@ def test_a_restarted_sender_a_wrong_length_and_error_frames_are_counted(bench):
     bench.bus.send(DRIVE.frame_id, b"123")
     bench.bus._bus.send(can.Message(arbitration_id=0, is_error_frame=True))
     bench.send(range(3, 10))
-    bench.wait(lambda: bench.source.health.snapshot()["frames"] == 7010 and sum(bench.counted().values()) >= 3)
+    bench.wait(
+        lambda: (
+            bench.source.health.snapshot()["frames"] == 7010 and sum(bench.counted().values()) >= 3
+        )
+    )
     assert bench.counted() == {"counter_jumps": 1, "undecodable": 1, "bus_errors": 1}
 
 
@@ -135,7 +154,10 @@ def test_a_sink_without_room_costs_counted_samples(bench):
 
 
 def test_a_bus_that_cannot_be_opened_is_tried_again_and_again():
-    source = SOURCES["can"](SourceSettings(kind="can", channel="socketcan:no_such_can7", map="gate_actuator.dbc"), lambda _: True)
+    source = SOURCES["can"](
+        SourceSettings(kind="can", channel="socketcan:no_such_can7", map="gate_actuator.dbc"),
+        lambda _: True,
+    )
     source.start()
     end = time.monotonic() + 120
     while source.health["bus_errors"] < 2 and time.monotonic() < end:

@@ -11,15 +11,28 @@ from residuum.service.fieldbus.modbus.modbus_source import DoubtfulChannels
 
 
 @pytest.mark.parametrize("value", [1352.6334, 1736.1733, 1200.5, 230.25])
-def test_an_order_that_turns_bytes_is_named_only_where_no_exchange_of_words_explains_the_value(value):
+def test_an_order_that_turns_bytes_is_named_only_where_no_exchange_of_words_explains_the_value(
+    value,
+):
     high, low = struct.unpack(">HH", struct.pack(">f", value))
-    reading = _reading("meter", "power", ChannelRegisters(register=0, type="float32"), ("holding", 0), (low, high), 1e-27)
-    assert reading.plausible == "CDAB" and reading.remark.startswith("CDAB looks more like a measured value than ABCD")
+    reading = _reading(
+        "meter",
+        "power",
+        ChannelRegisters(register=0, type="float32"),
+        ("holding", 0),
+        (low, high),
+        1e-27,
+    )
+    assert reading.plausible == "CDAB" and reading.remark.startswith(
+        "CDAB looks more like a measured value than ABCD"
+    )
 
 
 def test_turned_bytes_are_named_where_nothing_else_fits():
     words = struct.unpack("<HH", struct.pack(">f", 1500.25))
-    reading = _reading("meter", "power", ChannelRegisters(register=0, type="float32"), ("holding", 0), words, 1e-27)
+    reading = _reading(
+        "meter", "power", ChannelRegisters(register=0, type="float32"), ("holding", 0), words, 1e-27
+    )
     assert reading.plausible == "BADC"
 
 
@@ -29,7 +42,11 @@ def test_words_that_make_a_signalling_nan_are_missing_without_a_word_on_the_term
 
 
 def read(remark):
-    return [ChannelReading("meter", "temperature", "°C", "holding", 4, (0x8000,), -3276.8, remark=remark)]
+    return [
+        ChannelReading(
+            "meter", "temperature", "°C", "holding", 4, (0x8000,), -3276.8, remark=remark
+        )
+    ]
 
 
 def test_a_sensor_that_is_there_now_and_then_stays_doubtful_in_between():
@@ -57,5 +74,8 @@ def test_an_unsigned_register_that_is_a_negative_number_is_told(celsius):
     if raw == 0xFFFF:
         assert "no value" in reading.remark
     else:
-        assert f"looks more like {celsius:g} than" in reading.remark and "say type: int16" in reading.remark
+        assert (
+            f"looks more like {celsius:g} than" in reading.remark
+            and "say type: int16" in reading.remark
+        )
     assert not _reading("meter", "temperature", where, ("holding", 0), (30_000,), 3000.0).remark

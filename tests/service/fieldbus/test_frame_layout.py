@@ -47,7 +47,11 @@ def test_encoding_agrees_with_cantools(mixed):
     reference = cantools.database.load_file(str(mixed)).get_message_by_name("mixed")
     rng = np.random.default_rng(1)
     n = 50
-    values = {"little": rng.uniform(-500, 500, n), "big": rng.uniform(-300, 300, n), "odd": 1.0 + 2 * rng.integers(0, 2047, n)}
+    values = {
+        "little": rng.uniform(-500, 500, n),
+        "big": rng.uniform(-300, 300, n),
+        "odd": 1.0 + 2 * rng.integers(0, 2047, n),
+    }
     values["flag"] = rng.integers(0, 2, n).astype(float)
     frames = layout.encode(np.arange(n), values)
     for k, frame in enumerate(frames):
@@ -67,7 +71,9 @@ def test_the_bus_descriptions_that_come_with_it_agree_with_cantools(file):
         frames = np.random.default_rng(2).integers(0, 256, (5, layout.length), dtype=np.uint8)
         counter, channels = layout.decode(frames)
         for k, frame in enumerate(frames):
-            truth = reference.get_message_by_name(name).decode(frame.tobytes(), decode_choices=False)
+            truth = reference.get_message_by_name(name).decode(
+                frame.tobytes(), decode_choices=False
+            )
             assert counter[k] == truth["counter"]
             for channel, values in channels.items():
                 index = f"_{0:02d}" if layout.samples > 1 else ""
@@ -78,7 +84,9 @@ def test_a_block_frame_holds_samples_in_their_order():
     layout = read_dbc(MAPS / "gripping_pliers.dbc")["vibration"]
     a = np.linspace(-80, 80, 31 * 4)
     sync = (np.arange(31 * 4) % 7 == 0).astype(float)
-    counter, channels = layout.decode(layout.encode([65535, 0, 1, 2], {"acceleration": a, "sync": sync}))
+    counter, channels = layout.decode(
+        layout.encode([65535, 0, 1, 2], {"acceleration": a, "sync": sync})
+    )
     assert counter.tolist() == [65535, 0, 1, 2]
     assert np.abs(channels["acceleration"] - a).max() <= 0.0026
     assert np.array_equal(channels["sync"], sync)
@@ -108,23 +116,44 @@ def test_a_file_that_is_no_dbc_file_is_refused(tmp_path):
 
 def test_a_file_with_nothing_to_stream_is_refused_with_the_reasons(tmp_path):
     layouts = described(tmp_path, MIXED.replace('BA_ "SampleTime" BO_ 300 0.001;', ""))
-    with pytest.raises(BadBusDescription, match=r"bus\.dbc: has nothing to stream: message mixed .*no time between frames"):
+    with pytest.raises(
+        BadBusDescription,
+        match=r"bus\.dbc: has nothing to stream: message mixed .*no time between frames",
+    ):
         source_of(layouts)
 
 
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        (('SG_ flag : 40|1@1+ (1,0) [0|1] "" A', 'SG_ flag : 20|1@1+ (1,0) [0|1] "" A'), "overlapping.*Correct the file"),
-        (("SG_ flag : 40|1@1+", "SG_ flag : 64|1@1+"), "flag does not fit in message mixed.*Correct the file"),
-        (("SG_ flag :", "SG_ flag m0 :"), "'flag' is on a page, and no signal names the page: mark that one with M"),
-        (('BA_ "SampleTime" BO_ 300 0.001;', 'BA_ "SamplesPerFrame" BO_ 300 2;'), "SamplesPerFrame is 2.*'little' has 1 signals"),
+        (
+            ('SG_ flag : 40|1@1+ (1,0) [0|1] "" A', 'SG_ flag : 20|1@1+ (1,0) [0|1] "" A'),
+            "overlapping.*Correct the file",
+        ),
+        (
+            ("SG_ flag : 40|1@1+", "SG_ flag : 64|1@1+"),
+            "flag does not fit in message mixed.*Correct the file",
+        ),
+        (
+            ("SG_ flag :", "SG_ flag m0 :"),
+            "'flag' is on a page, and no signal names the page: mark that one with M",
+        ),
+        (
+            ('BA_ "SampleTime" BO_ 300 0.001;', 'BA_ "SamplesPerFrame" BO_ 300 2;'),
+            "SamplesPerFrame is 2.*'little' has 1 signals",
+        ),
     ],
 )
-def test_a_message_that_cannot_be_used_is_named_and_costs_nothing_but_itself(tmp_path, change, says):
-    text = MIXED.replace(*change).replace("BA_DEF_ BO_", 'BA_DEF_ BO_ "SamplesPerFrame" INT 1 512;\nBA_DEF_ BO_', 1)
+def test_a_message_that_cannot_be_used_is_named_and_costs_nothing_but_itself(
+    tmp_path, change, says
+):
+    text = MIXED.replace(*change).replace(
+        "BA_DEF_ BO_", 'BA_DEF_ BO_ "SamplesPerFrame" INT 1 512;\nBA_DEF_ BO_', 1
+    )
     other = 'BO_ 301 other: 8 A\n SG_ counter : 0|8@1+ (1,0) [0|255] "" A\n SG_ force : 16|16@1- (0.1,0) [0|0] "N" A\n'
-    layouts = described(tmp_path, text.replace("BA_DEF_", other + "BA_DEF_", 1) + 'BA_ "SampleTime" BO_ 301 0.01;\n')
+    layouts = described(
+        tmp_path, text.replace("BA_DEF_", other + "BA_DEF_", 1) + 'BA_ "SampleTime" BO_ 301 0.01;\n'
+    )
     assert set(layouts) == {"other"} and list(layouts.unusable) == ["mixed"]
     (line,) = layouts.unusable.values()
     assert re.match(f"bus.dbc, message mixed: .*{says}", line) and "\n" not in line
@@ -157,7 +186,9 @@ BA_ "SampleTime" BO_ 513 0.1;
 def test_numbered_signals_are_channels_of_their_own(tmp_path):
     layout = described(tmp_path, PACK)["cells"]
     cells = {"cell_01": 3.6, "cell_02": 3.7, "cell_03": 3.2, "cell_04": 3.8}
-    _, channels = layout.decode(layout.encode([0, 1], {name: [volt, volt] for name, volt in cells.items()}))
+    _, channels = layout.decode(
+        layout.encode([0, 1], {name: [volt, volt] for name, volt in cells.items()})
+    )
     assert {name: values.tolist() for name, values in channels.items()} == {
         name: pytest.approx([volt, volt]) for name, volt in cells.items()
     }
@@ -166,7 +197,11 @@ def test_numbered_signals_are_channels_of_their_own(tmp_path):
 
 def test_numbered_signals_are_samples_of_one_channel_where_the_file_says_so(tmp_path):
     layout = described(tmp_path, PACK + 'BA_ "SamplesPerFrame" BO_ 513 4;\n')["cells"]
-    assert layout.units == {"cell": "V"} and layout.samples == 4 and layout.sample_time == pytest.approx(0.025)
+    assert (
+        layout.units == {"cell": "V"}
+        and layout.samples == 4
+        and layout.sample_time == pytest.approx(0.025)
+    )
 
 
 DRIVE = """VERSION ""
@@ -204,7 +239,9 @@ def test_multiplexed_signals_have_values_on_their_page_only(tmp_path):
     back = {name: values[:3] for name, values in channels.items()}
     assert np.array_equal(layout.encode(counter[:3], back), frames)
     everything = {name: np.nan_to_num(values, nan=7.0) for name, values in back.items()}
-    assert np.array_equal(layout.encode(counter[:3], everything), frames)  # what is on another page is not sent
+    assert np.array_equal(
+        layout.encode(counter[:3], everything), frames
+    )  # what is on another page is not sent
 
 
 def test_unsigned_numbers_of_64_bits_are_never_negative(tmp_path):
@@ -212,7 +249,9 @@ def test_unsigned_numbers_of_64_bits_are_never_negative(tmp_path):
     big = 'BO_ 257 big: 8 A\n SG_ total : 7|64@0+ (0.5,0) [0|0] "J" A\n'
     layouts = described(tmp_path, f'VERSION ""\nBS_:\nBU_: A\n{little}{big}')
     ones = np.full((1, 8), 255, np.uint8)
-    assert layouts["energy"].decode(ones)[1]["total"] == [2.0**64] and layouts["big"].decode(ones)[1]["total"] == [2.0**63]
+    assert layouts["energy"].decode(ones)[1]["total"] == [2.0**64] and layouts["big"].decode(ones)[
+        1
+    ]["total"] == [2.0**63]
     assert layouts["energy"].encode([0], {"total": [2.0**63]}).tolist() == [[0] * 7 + [128]]
 
 
@@ -223,7 +262,9 @@ def test_unsigned_numbers_of_64_bits_are_never_negative(tmp_path):
         (("SG_ counter : 0|12", "SG_ counter : 0|3"), "'counter' has 3 bits; 4 to 32 are needed"),
     ],
 )
-def test_a_message_without_a_usable_counter_is_streamed_and_said_to_be_uncounted(tmp_path, change, says):
+def test_a_message_without_a_usable_counter_is_streamed_and_said_to_be_uncounted(
+    tmp_path, change, says
+):
     source = source_of(described(tmp_path, MIXED.replace(*change)))
     assert [stream.name for stream in source.streams] == ["mixed"]
     source.health.received(1, 1)
@@ -234,7 +275,9 @@ def test_a_message_without_a_usable_counter_is_streamed_and_said_to_be_uncounted
 def test_short_identifiers_of_standard_and_extended_frames_are_told_apart(tmp_path):
     extended = described(tmp_path, MIXED.replace("BO_ 300", f"BO_ {300 | 1 << 31}"))
     plain = described(tmp_path, MIXED)["mixed"]
-    assert (extended["mixed"].frame_id, plain.frame_id) == (300, 300) and extended["mixed"].bus_id != plain.bus_id
+    assert (extended["mixed"].frame_id, plain.frame_id) == (300, 300) and extended[
+        "mixed"
+    ].bus_id != plain.bus_id
 
 
 def test_impossible_identifiers_and_values_of_no_signal_do_not_spoil_a_file(tmp_path):
@@ -242,9 +285,14 @@ def test_impossible_identifiers_and_values_of_no_signal_do_not_spoil_a_file(tmp_
     tables = 'VAL_ 99999 x 0 "off; or so" 1 "on" ;\nVAL_ 300 gone 0 "off" ;\nVAL_ 300 flag 0 "no" 1 "yes" ;\n'
     layouts = described(tmp_path, MIXED.replace("BO_ 300 mixed", late) + tables)
     assert set(layouts) == {"mixed"} and layouts["mixed"].choices["flag"] == {0: "no", 1: "yes"}
-    assert "identifier 99999 is longer than 11 bits and is not marked as extended: add 2147483648" in layouts.unusable["late"]
+    assert (
+        "identifier 99999 is longer than 11 bits and is not marked as extended: add 2147483648"
+        in layouts.unusable["late"]
+    )
     (tmp_path / "late.dbc").write_text('BO_ 99999 late: 8 A\n SG_ x : 0|8@1+ (1,0) [0|0] "" A\n')
-    with pytest.raises(BadBusDescription, match=r"late\.dbc: has nothing to stream: .*identifier 99999"):
+    with pytest.raises(
+        BadBusDescription, match=r"late\.dbc: has nothing to stream: .*identifier 99999"
+    ):
         source_of(read_dbc(tmp_path / "late.dbc"))
 
 
@@ -273,13 +321,33 @@ BAD_LINES = {
     "quotes in a comment": (TWO + 'CM_ SG_ 256 x "a 5" pipe";\n' + FINE, ALL, ["line 18"]),
     "no semicolon": (TWO + 'CM_ SG_ 256 x "fine"\n' + FINE, ALL, ["line 18"]),
     "a line of nothing": (TWO + "hello world\n" + FINE, ALL, ["line 18"]),
-    "two of them": (TWO + "hello world\n" + FINE + 'VAL_ 256 y 0 "off" 1 "on;\n', ALL, ["line 18", "line 22"]),
+    "two of them": (
+        TWO + "hello world\n" + FINE + 'VAL_ 256 y 0 "off" 1 "on;\n',
+        ALL,
+        ["line 18", "line 22"],
+    ),
     "attribute of no definition": (TWO + 'BA_ "Nope" BO_ 256 10;\n' + FINE, ALL, ["line 18"]),
-    "a signal": (TWO.replace("(0.1,0)", "(0,1,0)") + FINE, {"one": ["y"], "two": ["z"]}, ["line 12"]),
+    "a signal": (
+        TWO.replace("(0.1,0)", "(0,1,0)") + FINE,
+        {"one": ["y"], "two": ["z"]},
+        ["line 12"],
+    ),
     "a message": (TWO.replace("257 two:", "257 two") + FINE, {"one": ["x", "y"]}, ["line 15"]),
-    "a message's keyword": (TWO.replace("BO_ 257", "B0_ 257") + FINE, {"one": ["x", "y"]}, ["line 15"]),
-    "how values are read": (TWO + "SIG_VALTYPE_ 256 x 1;\n" + FINE, {"two": ["z"]}, ["line 18", "one"]),
-    "how often it comes": (TWO + FINE + 'BA_ "GenMsgCycleTime" BO_ 257 "soon;\n', {"one": ["x", "y"]}, ["line 21", "two"]),
+    "a message's keyword": (
+        TWO.replace("BO_ 257", "B0_ 257") + FINE,
+        {"one": ["x", "y"]},
+        ["line 15"],
+    ),
+    "how values are read": (
+        TWO + "SIG_VALTYPE_ 256 x 1;\n" + FINE,
+        {"two": ["z"]},
+        ["line 18", "one"],
+    ),
+    "how often it comes": (
+        TWO + FINE + 'BA_ "GenMsgCycleTime" BO_ 257 "soon;\n',
+        {"one": ["x", "y"]},
+        ["line 21", "two"],
+    ),
 }
 
 
@@ -294,7 +362,9 @@ def test_a_line_that_cannot_be_read_costs_that_line_and_is_named(tmp_path, kind)
     for place in unusable:
         line = int(place.removeprefix("line ")) if " " in place else 0
         shown = text.splitlines()[line - 1].strip()[:15]
-        assert not line or (shown in found.unusable[place] and f"bus.dbc, {place}: " in found.unusable[place])
+        assert not line or (
+            shown in found.unusable[place] and f"bus.dbc, {place}: " in found.unusable[place]
+        )
 
 
 def test_a_file_of_nothing_but_such_lines_is_none(tmp_path):
@@ -322,9 +392,8 @@ BO_ 300 plain: 8 A
  SG_ far : 40|24@1+ (1,0) [0|16000000] "m" A
 VAL_ 300 mode 0 "off" 1 "error" 7 "SNA" 15 "signal_not_available" ;
 """
-J1939 = (
-    'BA_DEF_ BO_ "VFrameFormat" ENUM "StandardCAN","ExtendedCAN","reserved","J1939PG";\nBA_DEF_DEF_ "VFrameFormat" "J1939PG";\n'
-)
+J1939 = 'BA_DEF_ BO_ "VFrameFormat" ENUM "StandardCAN","ExtendedCAN","reserved","J1939PG";\n'
+J1939 += 'BA_DEF_DEF_ "VFrameFormat" "J1939PG";\n'
 
 
 def frames_of(layout, **raw):
@@ -342,7 +411,16 @@ def test_codes_for_no_value_are_told_by_their_bits_whatever_the_scaling(tmp_path
     layout = read_dbc(tmp_path / "bus.dbc")["engine"]
     two = [0xFAFF, 0xFB00, 0xFE00, 0xFEFF, 0xFF00, 0xFFFF]
     one = [0xFA, 0xFB, 0xFE, 0xFE, 0xFF, 0xFF]
-    frames = frames_of(layout, speed=two, gas=two, oil=one, raw=one, bare=one, switch=[0, 1, 2, 2, 3, 3], load=[63] * 6)
+    frames = frames_of(
+        layout,
+        speed=two,
+        gas=two,
+        oil=one,
+        raw=one,
+        bare=one,
+        switch=[0, 1, 2, 2, 3, 3],
+        load=[63] * 6,
+    )
     _, values = layout.decode(frames)
     for name in ("speed", "gas", "oil"):
         assert np.isnan(values[name]).tolist() == [False, True, True, True, True, True], name
@@ -367,4 +445,6 @@ def test_codes_of_another_bus_are_all_ones_ends_of_a_sign_and_what_a_value_table
     lacks = {name: np.flatnonzero(np.isnan(each)).tolist() for name, each in values.items()}
     assert lacks == {"turned": [0, 1], "level": [0], "mode": [0, 1], "any": [], "far": [0]}
     _, values = layout.decode(frames_of(layout, level=[0xFFE], far=[0xFFFFFE]))
-    assert np.isfinite(values["level"]).all() and np.isfinite(values["far"]).all(), "only J1939 keeps more"
+    assert np.isfinite(values["level"]).all() and np.isfinite(values["far"]).all(), (
+        "only J1939 keeps more"
+    )

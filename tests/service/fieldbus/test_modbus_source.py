@@ -14,7 +14,9 @@ from residuum.service.fieldbus.sequence import BREAK
 from residuum.service.fieldbus.settings import MAPS
 from residuum.service.fieldbus.source import FaultsUnavailable
 
-_spec = importlib.util.spec_from_file_location("faulty_modbus", Path(__file__).with_name("faulty_modbus.py"))
+_spec = importlib.util.spec_from_file_location(
+    "faulty_modbus", Path(__file__).with_name("faulty_modbus.py")
+)
 faulty_modbus = importlib.util.module_from_spec(_spec)
 _spec.loader.exec_module(faulty_modbus)
 FaultyModbus, KINDS, truth = faulty_modbus.FaultyModbus, faulty_modbus.KINDS, faulty_modbus.truth
@@ -29,7 +31,11 @@ class Bench:
         self.server = FaultyModbus(iter(faults))
         self.blocks = []
         self.source = ModbusSource(
-            "127.0.0.1", self.server.port, MAP, lambda block: self.blocks.append(block) or True, timeout=0.1 if faults else 5.0
+            "127.0.0.1",
+            self.server.port,
+            MAP,
+            lambda block: self.blocks.append(block) or True,
+            timeout=0.1 if faults else 5.0,
         )  # without faults nothing may be counted, however busy this machine is
 
     def wait(self, condition, seconds=120.0):
@@ -39,14 +45,24 @@ class Bench:
         assert condition()
 
     def counted(self):
-        return {name: times for name, times in self.source.health.snapshot()["counters"].items() if times}
+        return {
+            name: times
+            for name, times in self.source.health.snapshot()["counters"].items()
+            if times
+        }
 
     def read(self):
-        return np.concatenate([block.number for block in self.blocks]) if self.blocks else np.empty(0, int)
+        return (
+            np.concatenate([block.number for block in self.blocks])
+            if self.blocks
+            else np.empty(0, int)
+        )
 
     def assert_all_values_are_true(self):
         for block in self.blocks:
-            for number, u, y in zip(block.number % BREAK, block.channels["u"], block.channels["y"], strict=True):
+            for number, u, y in zip(
+                block.number % BREAK, block.channels["u"], block.channels["y"], strict=True
+            ):
                 expected = truth(int(number))
                 assert (u, y) == (expected["u"], expected["y"]), f"sample {number} is wrong"
 
@@ -89,7 +105,9 @@ def test_one_wrong_reply_of_each_kind_costs_no_sample_and_is_counted(make_bench,
     bench.wait(lambda: len(bench.read()) == 60)
     assert np.array_equal(bench.read(), np.arange(60))
     bench.assert_all_values_are_true()
-    if kind != "old content":  # what was in the registers before: a page that is not the one asked for, or no page at all
+    if (
+        kind != "old content"
+    ):  # what was in the registers before: a page that is not the one asked for, or no page at all
         assert sum(bench.counted().values()) >= 1
     assert bench.server.done == 1
     assert (kind in faulty_modbus.NO_REPLY_AT_ALL) <= bench.counted().get("undecodable", 0)
@@ -97,7 +115,9 @@ def test_one_wrong_reply_of_each_kind_costs_no_sample_and_is_counted(make_bench,
 
 def test_many_random_wrong_replies_let_no_wrong_value_through(make_bench):
     rng = random.Random(5)
-    bench = make_bench(rng.choice(KINDS) if rng.random() < 0.25 else None for _ in itertools.count())
+    bench = make_bench(
+        rng.choice(KINDS) if rng.random() < 0.25 else None for _ in itertools.count()
+    )
     bench.source.start()
     end = time.monotonic() + 120
     while bench.server.done < 40 and time.monotonic() < end:
@@ -143,17 +163,25 @@ def test_a_device_that_is_not_there_is_counted_and_found_when_it_comes(make_benc
 def test_plain_registers_are_polled_on_the_readers_clock(make_bench):
     bench = make_bench()
     bench.server.memory[40:42] = (7, 0xFFFE)
-    channels = {"level": {"register": 0, "scale": 0.1, "unit": "m"}, "flow": {"register": 1, "type": "int16", "unit": "l/min"}}
+    channels = {
+        "level": {"register": 0, "scale": 0.1, "unit": "m"},
+        "flow": {"register": 1, "type": "int16", "unit": "l/min"},
+    }
     plain = RegisterMap.model_validate(
         {"streams": {"tank": {"sample_time": 0.05, "poll": {"address": 40}, "channels": channels}}}
     )
     blocks = []
-    source = ModbusSource("127.0.0.1", bench.server.port, plain, lambda block: blocks.append(block) or True)
+    source = ModbusSource(
+        "127.0.0.1", bench.server.port, plain, lambda block: blocks.append(block) or True
+    )
     source.start()
     bench.wait(lambda: len(blocks) >= 10)
     source.stop()
     source.join()
-    assert blocks[0].channels["level"][0] == pytest.approx(0.7) and blocks[0].channels["flow"][0] == -2.0
+    assert (
+        blocks[0].channels["level"][0] == pytest.approx(0.7)
+        and blocks[0].channels["flow"][0] == -2.0
+    )
     numbers = np.concatenate([block.number for block in blocks])
     assert numbers[0] == 0 and np.all(np.diff(numbers) >= 1)
     assert source.health["lost"] == numbers[-1] + 1 - len(numbers)
@@ -171,7 +199,9 @@ def test_pages_side_by_side_are_read_many_in_one_request(make_bench):
     assert len(asked) < 60
 
 
-def test_pages_that_were_written_over_while_they_were_read_are_lost_and_end_no_connection(make_bench):
+def test_pages_that_were_written_over_while_they_were_read_are_lost_and_end_no_connection(
+    make_bench,
+):
     bench = make_bench()
 
     def device_runs_ahead():

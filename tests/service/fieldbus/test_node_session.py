@@ -8,9 +8,18 @@ from residuum.service.fieldbus.health import SourceHealth
 from residuum.service.fieldbus.source import StreamFormat
 from residuum.service.fieldbus.stamped_samples import StampedSamples
 
-pytest.importorskip("google.protobuf", reason="the extra 'sparkplug' is not installed: Sparkplug was not tried")
+pytest.importorskip(
+    "google.protobuf", reason="the extra 'sparkplug' is not installed: Sparkplug was not tried"
+)
 from residuum.service.fieldbus.opcua.reported_changes import ReportedChanges
-from residuum.service.fieldbus.sparkplug.sparkplug_payload import BadPayload, Metric, Payload, number_of, pack, unpack
+from residuum.service.fieldbus.sparkplug.sparkplug_payload import (
+    BadPayload,
+    Metric,
+    Payload,
+    number_of,
+    pack,
+    unpack,
+)
 from residuum.service.fieldbus.sparkplug.sparkplug_source import NodeMessage, NodeSession
 
 TAHU = bytes.fromhex(
@@ -30,7 +39,10 @@ class Node:
 
     def tell(self, kind, seq, stamp, *, number=0):
         metrics = [Metric("bdSeq", number)] if kind in ("NBIRTH", "NDEATH") else [Metric("x", seq)]
-        self.session.arrived(NodeMessage(kind, "", Payload(metrics, stamp, None if kind == "NDEATH" else seq)), self.now)
+        self.session.arrived(
+            NodeMessage(kind, "", Payload(metrics, stamp, None if kind == "NDEATH" else seq)),
+            self.now,
+        )
         self.now += 0.1
         return self.ready()
 
@@ -82,7 +94,13 @@ def test_a_gap_is_noticed_and_nothing_after_it_is_believed_until_the_next_birth(
 
 
 def test_disorder_is_put_right_and_repetitions_are_dropped(node):
-    told = [("DDATA", 2, 1002), ("DDATA", 1, 1001), ("DDATA", 1, 1001), ("DDATA", 3, 1003), ("DDATA", 2, 1002)]
+    told = [
+        ("DDATA", 2, 1002),
+        ("DDATA", 1, 1001),
+        ("DDATA", 1, 1001),
+        ("DDATA", 3, 1003),
+        ("DDATA", 2, 1002),
+    ]
     assert all_of(node, *told) == [1, 2, 3]
     assert not node.gap(wait=60.0) and node.counted()["duplicated"] == 2
 
@@ -108,7 +126,9 @@ def test_births_that_come_twice_or_late_begin_nothing(node):
         ),
         ("DDATA", 1, 5001),
     ) == [0, 1]
-    assert all_of(node, ("NBIRTH", 0, 1000), ("NBIRTH", 0, 4000), ("NBIRTH", 0, 5000), ("DDATA", 2, 5002)) == [2]
+    assert all_of(
+        node, ("NBIRTH", 0, 1000), ("NBIRTH", 0, 4000), ("NBIRTH", 0, 5000), ("DDATA", 2, 5002)
+    ) == [2]
     assert node.session.in_step
 
 
@@ -128,7 +148,9 @@ def test_a_clock_that_is_set_back_does_not_silence_a_node(node, back):
     after = all_of(node, *(("DDATA", k, begun + 20 * k - back) for k in range(150, 160)))
     if not after:
         assert node.gap(wait=1.0)
-        assert all_of(node, ("NBIRTH", 0, begun + 20 * 160 - back), ("DDATA", 1, begun + 20 * 161 - back)) == [0, 1]
+        assert all_of(
+            node, ("NBIRTH", 0, begun + 20 * 160 - back), ("DDATA", 1, begun + 20 * 161 - back)
+        ) == [0, 1]
     assert node.session.in_step
 
 
@@ -136,7 +158,12 @@ def test_bytes_of_another_implementation_are_read():
     read = unpack(TAHU)
     assert (read.seq, read.stamp, len(read.metrics)) == (7, 1700000000123, 8)
     speed, small, on, text, null, old, poor, table = read.metrics
-    assert (speed.name, speed.alias, speed.stamp, speed.value) == ("Motor/Speed", 3, 1700000000100, 1480.5)
+    assert (speed.name, speed.alias, speed.stamp, speed.value) == (
+        "Motor/Speed",
+        3,
+        1700000000100,
+        1480.5,
+    )
     assert (small.name, small.alias, number_of(small)) == ("", 4, -1.0)
     assert (on.value, text.value, null.value, table.value) == (True, "ok", None, None)
     assert old.historical and old.value == 2.5 and not poor.good and speed.good
@@ -150,7 +177,13 @@ def test_what_was_not_reported_has_not_changed_and_a_birth_is_no_sample():
     changes.stated([(0.0, "u", 1.0), (0.0, "y", 2.0)])
     assert list(changes.samples([(10.0, "u", 3.0)])) == []
     given = list(changes.samples([(11.0, "y", 4.0), (12.5, "u", 5.0)]))
-    expected = [(10.0, 3.0, 2.0), (10.5, 3.0, 2.0), (11.0, 3.0, 4.0), (11.5, 3.0, 4.0), (12.0, 3.0, 4.0)]
+    expected = [
+        (10.0, 3.0, 2.0),
+        (10.5, 3.0, 2.0),
+        (11.0, 3.0, 4.0),
+        (11.5, 3.0, 4.0),
+        (12.0, 3.0, 4.0),
+    ]
     assert given == [told for at, u, y in expected for told in ((at, "u", u), (at, "y", y))]
     changes.forget()
     assert list(changes.samples([(13.0, "u", 6.0)])) == []

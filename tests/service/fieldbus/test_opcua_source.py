@@ -23,7 +23,13 @@ from asyncua.crypto.cert_gen import setup_self_signed_certificate
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from residuum.service.fieldbus.opcua.node_server import NodeServer
-from residuum.service.fieldbus.opcua.opcua_source import OpcuaSource, enter, make_client, said, server_certificate
+from residuum.service.fieldbus.opcua.opcua_source import (
+    OpcuaSource,
+    enter,
+    make_client,
+    said,
+    server_certificate,
+)
 
 STEP, BAD = 0.02, 37
 
@@ -33,7 +39,11 @@ class Plant:
 
     def __init__(self, port):
         self.url = f"opc.tcp://127.0.0.1:{port}/"
-        self._stopped, self._ready, self._drop = threading.Event(), threading.Event(), threading.Event()
+        self._stopped, self._ready, self._drop = (
+            threading.Event(),
+            threading.Event(),
+            threading.Event(),
+        )
         self._thread = threading.Thread(target=lambda: asyncio.run(self._serve()), daemon=True)
         self._thread.start()
         assert self._ready.wait(60)
@@ -46,7 +56,9 @@ class Plant:
         while not self._stopped.is_set():
             now = int(time.time() / STEP)
             for i in range(last + 1, now + 1):
-                status = ua.StatusCodes.UncertainLastUsableValue if i % BAD == 0 else ua.StatusCodes.Good
+                status = (
+                    ua.StatusCodes.UncertainLastUsableValue if i % BAD == 0 else ua.StatusCodes.Good
+                )
                 await server.write("m", "u", i, i * STEP, status)
                 await server.write("m", "y", 2 * i, i * STEP)
             last = now
@@ -80,7 +92,14 @@ def plant():
 
 
 def node_map(**channels):
-    return {"streams": {"s": {"sample_time": STEP, "channels": {n: {"node": f"ns=2;s=m.{at}"} for n, at in channels.items()}}}}
+    return {
+        "streams": {
+            "s": {
+                "sample_time": STEP,
+                "channels": {n: {"node": f"ns=2;s=m.{at}"} for n, at in channels.items()},
+            }
+        }
+    }
 
 
 def wait(condition, seconds=60.0):
@@ -92,7 +111,11 @@ def wait(condition, seconds=60.0):
 
 def test_samples_come_in_their_places_and_a_dropped_session_is_opened_again(plant):
     blocks = []
-    source = OpcuaSource(plant.url, NodeMap.model_validate(node_map(u="u", y="y")), lambda b: blocks.append(b) or True)
+    source = OpcuaSource(
+        plant.url,
+        NodeMap.model_validate(node_map(u="u", y="y")),
+        lambda b: blocks.append(b) or True,
+    )
     source.start()
     wait(lambda: sum(b.n for b in blocks) > 80)
     plant.drop()
@@ -119,9 +142,27 @@ def test_a_node_that_is_not_there_is_told_with_the_nearest(plant):
 
 def test_browsing_writes_the_map(plant, tmp_path, capsys):
     out = tmp_path / "nodes.yaml"
-    assert run(["opcua", "browse", plant.url, "--out", str(out), "--under", "ns=2;s=m.", "--every", "0.02"]) == DONE
+    assert (
+        run(
+            [
+                "opcua",
+                "browse",
+                plant.url,
+                "--out",
+                str(out),
+                "--under",
+                "ns=2;s=m.",
+                "--every",
+                "0.02",
+            ]
+        )
+        == DONE
+    )
     channels = read_node_map(out).streams["signals"].channels
-    assert {name: each.node for name, each in channels.items()} == {"u": "ns=2;s=m.u", "y": "ns=2;s=m.y"}
+    assert {name: each.node for name, each in channels.items()} == {
+        "u": "ns=2;s=m.u",
+        "y": "ns=2;s=m.y",
+    }
     assert run(["opcua", "trust", plant.url, "--out", str(tmp_path / "server.der")]) == BAD_INPUT
     assert "shows no certificate" in capsys.readouterr().err
 
@@ -129,7 +170,9 @@ def test_browsing_writes_the_map(plant, tmp_path, capsys):
 async def certified(folder, name, use):
     """A certificate of its own for a side of the connection."""
     files = folder / f"{name}.pem", folder / f"{name}.der"
-    await setup_self_signed_certificate(*files, f"urn:test:{name}", "127.0.0.1", [use], {"organizationName": "test"})
+    await setup_self_signed_certificate(
+        *files, f"urn:test:{name}", "127.0.0.1", [use], {"organizationName": "test"}
+    )
     return files
 
 
@@ -164,7 +207,9 @@ def test_a_secured_server_is_entered_with_its_own_certificate_and_no_other(tmp_p
 
 def secured(folder, trusted):
     file = folder / "nodes.yaml"
-    names = {key: str(folder / name) for key, name in (("certificate", "own.der"), ("key", "own.pem"))}
+    names = {
+        key: str(folder / name) for key, name in (("certificate", "own.der"), ("key", "own.pem"))
+    }
     text = node_map(u="u") | {"security": names | {"trusted": str(folder / f"{trusted}.der")}}
     file.write_text(yaml.safe_dump(text))
     return file
@@ -186,7 +231,10 @@ def test_it_is_opened_by_settings(tmp_path):
         ("streams: {}", "streams"),
         ("streams: {s: {sample_time: 0.1, channels: {u: {node: Speed}}}}", r"s\.channels\.u\.node"),
         ("streams: [", "not YAML"),
-        ("streams: {s: {sample_time: 1, channels: {u: {node: i=1}, u: {node: i=2}}}}", "'u' is named twice in one place"),
+        (
+            "streams: {s: {sample_time: 1, channels: {u: {node: i=1}, u: {node: i=2}}}}",
+            "'u' is named twice in one place",
+        ),
         (
             "streams: {s: {sample_time: 1, channels: {u: {node: i=1}}}}\nsecurity: {certificate: a, key: b}",
             "residuum opcua trust",
@@ -213,22 +261,32 @@ def test_browsing_marks_what_takes_few_values_and_names_them(tmp_path, capsys):
         await server.init()
         server.set_endpoint(url)
         space = await server.register_namespace("urn:test:pump")
-        kinds = await server.nodes.enum_data_type.add_data_type(ua.NodeId("Mode", space), ua.QualifiedName("Mode", space))
+        kinds = await server.nodes.enum_data_type.add_data_type(
+            ua.NodeId("Mode", space), ua.QualifiedName("Mode", space)
+        )
         texts = [ua.LocalizedText(text) for text in ("off", "manual", "auto")]
-        await kinds.add_property(ua.NodeId("Mode.Names", space), ua.QualifiedName("EnumStrings", 0), texts)
+        await kinds.add_property(
+            ua.NodeId("Mode.Names", space), ua.QualifiedName("EnumStrings", 0), texts
+        )
 
         async def add(name, value, kind, data_type=None):
             at = ua.NodeId(f"p.{name}", space)
-            return await server.nodes.objects.add_variable(at, ua.QualifiedName(name, space), value, kind, data_type)
+            return await server.nodes.objects.add_variable(
+                at, ua.QualifiedName(name, space), value, kind, data_type
+            )
 
         await add("speed", 1.5, ua.VariantType.Double)
         await add("count", 3, ua.VariantType.Int32)
         await add("running", True, ua.VariantType.Boolean)
         await add("mode", 2, ua.VariantType.Int32, kinds.nodeid)
-        bare = await server.nodes.enum_data_type.add_data_type(ua.NodeId("Bare", space), ua.QualifiedName("Bare", space))
+        bare = await server.nodes.enum_data_type.add_data_type(
+            ua.NodeId("Bare", space), ua.QualifiedName("Bare", space)
+        )
         await add("bare", 1, ua.VariantType.Int32, bare.nodeid)
         state = await add("state", 1, ua.VariantType.UInt16)
-        await state.add_property(ua.NodeId("p.state.Names", space), ua.QualifiedName("EnumStrings", 0), texts[:2])
+        await state.add_property(
+            ua.NodeId("p.state.Names", space), ua.QualifiedName("EnumStrings", 0), texts[:2]
+        )
         async with server:
             ready.set()
             while not stop.is_set():
@@ -238,7 +296,9 @@ def test_browsing_marks_what_takes_few_values_and_names_them(tmp_path, capsys):
     thread.start()
     assert ready.wait(60)
     out = tmp_path / "nodes.yaml"
-    assert run(["opcua", "browse", url, "--out", str(out), "--under", "ns=2;s=p.", "--json"]) == DONE
+    assert (
+        run(["opcua", "browse", url, "--out", str(out), "--under", "ns=2;s=p.", "--json"]) == DONE
+    )
     found = json.loads(capsys.readouterr().out)["channels"]
     assert run(["opcua", "browse", url, "--out", str(out), "--under", "ns=2;s=p."]) == DONE
     said_of = capsys.readouterr().out
@@ -254,6 +314,8 @@ def test_browsing_marks_what_takes_few_values_and_names_them(tmp_path, capsys):
         "bare": ("enumeration", []),
         "state": ("enumeration", ["0 off", "1 manual"]),
     }
-    held = {name: each.held for name, each in read_node_map(out).streams["signals"].channels.items()}
+    held = {
+        name: each.held for name, each in read_node_map(out).streams["signals"].channels.items()
+    }
     assert held == {name: True if kind != "number" else None for name, (kind, _) in kinds.items()}
     assert "ns=2;s=p.mode  enumeration (0 off, 1 manual, 2 auto), held until it changes" in said_of

@@ -17,7 +17,10 @@ def free_place(rng, length, taken, bits):
         little = bool(rng.integers(2))
         first = int(rng.integers(8 * length - bits + 1))
         # a little-endian signal fills bits upwards, a big-endian one bytes onwards from their highest bits
-        places = {first + k if little else 8 * ((first + k) // 8) + 7 - (first + k) % 8 for k in range(bits)}
+        places = {
+            first + k if little else 8 * ((first + k) // 8) + 7 - (first + k) % 8
+            for k in range(bits)
+        }
         if not places & taken:
             start = first if little else 8 * (first // 8) + 7 - first % 8
             return start, little, places
@@ -30,7 +33,9 @@ def signal_line(rng, name, mark, place, bits, kind):
     if mark.endswith("M"):
         scale, offset = 1.0, 0.0
     sign = "-" if kind == "signed" else "+"
-    return f' SG_ {name}{mark} : {start}|{bits}@{int(little)}{sign} ({scale:g},{offset:g}) [0|0] "" A'
+    return (
+        f' SG_ {name}{mark} : {start}|{bits}@{int(little)}{sign} ({scale:g},{offset:g}) [0|0] "" A'
+    )
 
 
 def random_message(rng, number):
@@ -51,7 +56,11 @@ def random_message(rng, number):
     def add_some(stem, mark, most, occupied):
         for k in range(int(rng.integers(1, most))):
             kind = rng.choice(["signed", "unsigned", "unsigned", "float"])
-            bits = int(rng.choice([32, 64])) if kind == "float" else int(rng.choice([1, 4, 8, 11, 16, 31, 33, 57, 64]))
+            bits = (
+                int(rng.choice([32, 64]))
+                if kind == "float"
+                else int(rng.choice([1, 4, 8, 11, 16, 31, 33, 57, 64]))
+            )
             if bits <= 8 * length:
                 add(f"{stem}_{k:02d}", mark, bits, kind, occupied)
 
@@ -65,12 +74,18 @@ def random_message(rng, number):
                     ranges.append(f"SG_MUL_VAL_ {600 + number} inner page {page}-{page};")
                     before = len(lines)
                     add_some("deep", " m1", 3, of_page)
-                    ranges += [f"SG_MUL_VAL_ {600 + number} {line.split()[1]} inner 1-2;" for line in lines[before:]]
+                    ranges += [
+                        f"SG_MUL_VAL_ {600 + number} {line.split()[1]} inner 1-2;"
+                        for line in lines[before:]
+                    ]
             else:
                 before = len(lines)
                 add_some(f"p{page}", f" m{page}", 4, of_page)
                 if extended:
-                    ranges += [f"SG_MUL_VAL_ {600 + number} {line.split()[1]} page {page}-{page};" for line in lines[before:]]
+                    ranges += [
+                        f"SG_MUL_VAL_ {600 + number} {line.split()[1]} page {page}-{page};"
+                        for line in lines[before:]
+                    ]
             pages.append(of_page)
         taken = set().union(*pages)
     add_some("s", "", 5, taken)
@@ -82,7 +97,9 @@ def random_message(rng, number):
 @pytest.fixture(scope="module")
 def random_dbc(tmp_path_factory):
     rng = np.random.default_rng(40)
-    messages, floats, ranges = zip(*(random_message(rng, number) for number in range(MESSAGES)), strict=True)
+    messages, floats, ranges = zip(
+        *(random_message(rng, number) for number in range(MESSAGES)), strict=True
+    )
     text = 'VERSION ""\nBS_:\nBU_: A\n' + "\n".join("\n".join(lines) + "\n" for lines in messages)
     file = tmp_path_factory.mktemp("random") / "random.dbc"
     file.write_text(text + "\n".join(line for lines in (*floats, *ranges) for line in lines) + "\n")
@@ -100,7 +117,9 @@ def test_every_value_of_fifty_random_messages_is_that_of_cantools(random_dbc):
         for k, frame in enumerate(frames):
             try:
                 told = message.decode(frame.tobytes(), decode_choices=False)
-            except DecodeError:  # a page that the file does not know: cantools gives nothing of such a frame
+            except (
+                DecodeError
+            ):  # a page that the file does not know: cantools gives nothing of such a frame
                 continue
             for channel, values in channels.items():
                 right = float(told.get(channel, np.nan))

@@ -14,12 +14,14 @@ import yaml
 
 from residuum.service.cli import run
 from residuum.service.fieldbus.can.frame_layout import BadBusDescription
-from residuum.service.fieldbus.modbus.modbus_client import explained
+from residuum.service.fieldbus.modbus.modbus_exceptions import explained
 from residuum.service.fieldbus.modbus.modbus_source import ModbusSource
 from residuum.service.fieldbus.modbus.register_map import read_register_map
-from residuum.service.fieldbus.modbus.register_server import register_map_of
+from residuum.service.fieldbus.modbus.register_table import register_map_of
 
-_spec = importlib.util.spec_from_file_location("small_device", Path(__file__).with_name("small_device.py"))
+_spec = importlib.util.spec_from_file_location(
+    "small_device", Path(__file__).with_name("small_device.py")
+)
 _module = importlib.util.module_from_spec(_spec)
 _spec.loader.exec_module(_module)
 SmallDevice = _module.SmallDevice
@@ -52,7 +54,13 @@ def write_map(tmp_path):
 def first_block(device, map_file, condition=bool):
     """The first block that a source gives of this device, and its health then."""
     blocks = []
-    source = ModbusSource("127.0.0.1", device.port, read_register_map(map_file), lambda block: blocks.append(block) or True, 30.0)
+    source = ModbusSource(
+        "127.0.0.1",
+        device.port,
+        read_register_map(map_file),
+        lambda block: blocks.append(block) or True,
+        30.0,
+    )
     source.start()
     end = time.monotonic() + 120
     while not (condition(source.health) and blocks) and time.monotonic() < end:
@@ -68,7 +76,12 @@ def test_every_type_in_every_order_of_words_and_bytes(write_map):
         channel, first = f"{name}_{word}_{byte}", len(registers)
         words = in_registers(kind, value, word, byte)
         registers |= {first + k: each for k, each in enumerate(words)}
-        channels[channel] = {"register": first, "type": name, "word_order": word, "byte_order": byte}
+        channels[channel] = {
+            "register": first,
+            "type": name,
+            "word_order": word,
+            "byte_order": byte,
+        }
         expected[channel] = value
     channels["int16"] = {"register": 200, "type": "int16", "scale": 0.1, "offset": -5}
     channels["uint16_swapped"] = {"register": 201, "byte_order": "little"}
@@ -97,7 +110,12 @@ def test_what_means_that_there_is_no_value_is_missing(write_map):
 
 
 def test_polled_values_that_look_wrong_are_doubtful_and_the_remark_says_what_to_write(write_map):
-    held = [*in_registers("f", 1500.25, "little", "big"), 0x8000, *in_registers("f", 230.1, "big", "big"), 0xFFFF]
+    held = [
+        *in_registers("f", 1500.25, "little", "big"),
+        0x8000,
+        *in_registers("f", 230.1, "big", "big"),
+        0xFFFF,
+    ]
     channels = {
         "power": {"register": 0, "type": "float32"},
         "temperature": {"register": 2, "type": "int16", "scale": 0.1},
@@ -105,13 +123,23 @@ def test_polled_values_that_look_wrong_are_doubtful_and_the_remark_says_what_to_
         "spare": {"register": 5, "missing": 0xFFFF},
     }
     with SmallDevice(holding=dict(enumerate(held))) as device:
-        _, health = first_block(device, write_map(channels), lambda health: health.snapshot()["quality"] == "doubtful")
+        _, health = first_block(
+            device, write_map(channels), lambda health: health.snapshot()["quality"] == "doubtful"
+        )
         power, temperature = health.snapshot()["remarks"]
-        assert power.startswith("meter.power: CDAB looks more like") and "missing: -32768" in temperature
+        assert (
+            power.startswith("meter.power: CDAB looks more like")
+            and "missing: -32768" in temperature
+        )
         channels["power"]["word_order"] = "little"
         channels["temperature"]["missing"] = -32768
-        _, health = first_block(device, write_map(channels), lambda health: health.snapshot()["samples"] > 25)
-    assert health.snapshot()["remarks"] == [] and health.snapshot()["quality"] in ("good", "losing")  # a busy machine polls late
+        _, health = first_block(
+            device, write_map(channels), lambda health: health.snapshot()["samples"] > 25
+        )
+    assert health.snapshot()["remarks"] == [] and health.snapshot()["quality"] in (
+        "good",
+        "losing",
+    )  # a busy machine polls late
 
 
 def test_bit_fields_scale_registers_and_every_table(write_map):
@@ -130,11 +158,18 @@ def test_bit_fields_scale_registers_and_every_table(write_map):
         assert {table for table, _, _ in device.asked} == {"holding", "input", "coils", "discrete"}
     none = read.pop("none")
     assert np.isnan(none)
-    assert read == pytest.approx({"flag": 1, "field": 50, "voltage": 230.0, "measured": -1, "running": 1, "door": 1})
+    assert read == pytest.approx(
+        {"flag": 1, "field": 50, "voltage": 230.0, "measured": -1, "running": 1, "door": 1}
+    )
 
 
 def test_holes_are_never_read_unless_the_map_says_so(write_map):
-    channels = {"a": {"register": 0}, "b": {"register": 1, "type": "float32"}, "c": {"register": 5}, "far": {"register": 9000}}
+    channels = {
+        "a": {"register": 0},
+        "b": {"register": 1, "type": "float32"},
+        "c": {"register": 5},
+        "far": {"register": 9000},
+    }
     registers = {0: 1, 1: 0x3F80, 2: 0, 5: 3, 9000: 4}
     with SmallDevice(holding=registers) as device:
         read, health = first_block(device, write_map(channels))
@@ -147,7 +182,9 @@ def test_holes_are_never_read_unless_the_map_says_so(write_map):
 
 def test_more_than_one_read_takes_is_read_in_several_and_no_value_is_parted(write_map):
     channels = {f"x{k}": {"register": 2 * k, "type": "uint32"} for k in range(100)}
-    with SmallDevice(holding={2 * k + low: k * low for k in range(100) for low in (0, 1)}) as device:
+    with SmallDevice(
+        holding={2 * k + low: k * low for k in range(100) for low in (0, 1)}
+    ) as device:
         read, _ = first_block(device, write_map(channels))
         assert set(device.asked) == {("holding", 0, 124), ("holding", 124, 76)}
     assert read == {f"x{k}": k for k in range(100)}
@@ -156,15 +193,23 @@ def test_more_than_one_read_takes_is_read_in_several_and_no_value_is_parted(writ
 def test_the_base_of_addresses_is_said_and_a_unit_is_asked(write_map):
     with SmallDevice(unit=7, holding={0: 11, 1: 22}) as device:
         for base, address, expected in ((0, 0, 11), (1, 1, 11), (0, 1, 22)):
-            file = write_map({"x": {"register": 0}}, {"address": address}, address_base=base, unit_id=7)
+            file = write_map(
+                {"x": {"register": 0}}, {"address": address}, address_base=base, unit_id=7
+            )
             assert first_block(device, file)[0] == {"x": expected}
 
 
 @pytest.mark.parametrize(
     ("address", "says"),
     [
-        (40001, r"exception 2 for holding registers 40005 .*no such register.*a manual's 40005 is address 4 of this table"),
-        (1, r"exception 2 for holding registers 5 .*no such register.*one off\? .*say address_base: 1"),
+        (
+            40001,
+            r"exception 2 for holding registers 40005 .*no such register.*a manual's 40005 is address 4 of this table",
+        ),
+        (
+            1,
+            r"exception 2 for holding registers 5 .*no such register.*one off\? .*say address_base: 1",
+        ),
     ],
 )
 def test_exception_2_is_explained_and_costs_only_what_the_device_refuses(write_map, address, says):
@@ -179,9 +224,27 @@ def test_exception_2_is_explained_and_costs_only_what_the_device_refuses(write_m
 @pytest.mark.parametrize(
     ("channels", "poll", "more", "says"),
     [
-        ({"a": {"register": 0, "type": "float32"}, "b": {"register": 1}}, {}, {}, "channels.b: register 1 belongs to a already"),
-        ({"a": {"register": 3}, "b": {"register": 3}}, {}, {}, "channels.b: register 3 belongs to a already .*correct register"),
-        ({"a": {"register": 3, "type": "bit", "bits": 4}, "b": {"register": 3, "type": "bit", "bit": 3}}, {}, {}, "belongs to a"),
+        (
+            {"a": {"register": 0, "type": "float32"}, "b": {"register": 1}},
+            {},
+            {},
+            "channels.b: register 1 belongs to a already",
+        ),
+        (
+            {"a": {"register": 3}, "b": {"register": 3}},
+            {},
+            {},
+            "channels.b: register 3 belongs to a already .*correct register",
+        ),
+        (
+            {
+                "a": {"register": 3, "type": "bit", "bits": 4},
+                "b": {"register": 3, "type": "bit", "bit": 3},
+            },
+            {},
+            {},
+            "belongs to a",
+        ),
         (
             {"a": {"register": 0, "type": "float32", "registers": 1}},
             {},
@@ -189,11 +252,36 @@ def test_exception_2_is_explained_and_costs_only_what_the_device_refuses(write_m
             "float32 takes 2 registers, registers says 1",
         ),
         ({"a": {"register": 65535, "type": "uint32"}}, {}, {}, "goes beyond register 65535"),
-        ({"a": {"register": 0, "type": "bit", "bit": 14, "bits": 3}}, {}, {}, "bits 14 to 16 do not lie in one register"),
-        ({"a": {"register": 0}}, {"function": "coils"}, {}, "function coils gives single bits; type must be bit"),
-        ({"a": {"register": 0}}, {"address": 0}, {"address_base": 1}, "streams.meter: address 0 lies before address_base 1"),
-        ({"a": {"register": 0}}, {"address": 400001}, {}, "400001 on the wire; the last is 65535. Take off the digit"),
-        ({"a": {"register": 0, "wordorder": "little"}}, {}, {}, "known are register, type, registers, word_order"),
+        (
+            {"a": {"register": 0, "type": "bit", "bit": 14, "bits": 3}},
+            {},
+            {},
+            "bits 14 to 16 do not lie in one register",
+        ),
+        (
+            {"a": {"register": 0}},
+            {"function": "coils"},
+            {},
+            "function coils gives single bits; type must be bit",
+        ),
+        (
+            {"a": {"register": 0}},
+            {"address": 0},
+            {"address_base": 1},
+            "streams.meter: address 0 lies before address_base 1",
+        ),
+        (
+            {"a": {"register": 0}},
+            {"address": 400001},
+            {},
+            "400001 on the wire; the last is 65535. Take off the digit",
+        ),
+        (
+            {"a": {"register": 0, "wordorder": "little"}},
+            {},
+            {},
+            "known are register, type, registers, word_order",
+        ),
         ({"a": {"register": 0, "scale": 0}}, {}, {}, "scale is 0"),
     ],
 )
@@ -205,8 +293,13 @@ def test_a_map_that_cannot_be_right_is_refused_in_one_line(write_map, channels, 
 
 def test_a_channel_that_is_named_twice_is_refused_with_its_line(tmp_path):
     lines = ["streams:", "  a:", "    sample_time: 1", "    poll: {address: 0}", "    channels:"]
-    (tmp_path / "twice.yaml").write_text("\n".join([*lines, "      x: {register: 0}", "      x: {register: 1}"]))
-    with pytest.raises(BadBusDescription, match=r"twice\.yaml, line 7: 'x' is named twice in one place; rename or remove one"):
+    (tmp_path / "twice.yaml").write_text(
+        "\n".join([*lines, "      x: {register: 0}", "      x: {register: 1}"])
+    )
+    with pytest.raises(
+        BadBusDescription,
+        match=r"twice\.yaml, line 7: 'x' is named twice in one place; rename or remove one",
+    ):
         read_register_map(tmp_path / "twice.yaml")
 
 
@@ -218,7 +311,12 @@ def test_inspect_shows_raw_words_beside_every_order_and_marks_the_plausible_one(
         "off": {"register": 5, "missing": 0xFFFF},
         "gone": {"register": 30},
     }
-    held = [*in_registers("f", 1500.25, "little", "big"), *in_registers("I", 123456, "little", "big"), 0x8000, 0xFFFF]
+    held = [
+        *in_registers("f", 1500.25, "little", "big"),
+        *in_registers("I", 123456, "little", "big"),
+        0x8000,
+        0xFFFF,
+    ]
     file = write_map(channels)
     with SmallDevice(holding=dict(enumerate(held))) as device:
         where = f"modbus:127.0.0.1:{device.port}"
@@ -229,7 +327,12 @@ def test_inspect_shows_raw_words_beside_every_order_and_marks_the_plausible_one(
     by_name = {channel["channel"]: channel for channel in found["channels"]}
     power = by_name["power"]
     assert power["words"] == [f"{word:04X}" for word in held[:2]]
-    assert power["orders"]["CDAB"] == 1500.25 and set(power["orders"]) == {"ABCD", "CDAB", "BADC", "DCBA"}
+    assert power["orders"]["CDAB"] == 1500.25 and set(power["orders"]) == {
+        "ABCD",
+        "CDAB",
+        "BADC",
+        "DCBA",
+    }
     assert (
         power["plausible"] == "CDAB"
         and by_name["energy"]["plausible"] == "CDAB"
@@ -249,7 +352,15 @@ def test_inspect_says_what_it_lacks(write_map, capsys, free_port):
     assert "--map FILE" in capsys.readouterr().err
     with SmallDevice(unit=1, holding={0: 1}) as device:
         assert (
-            run(["inspect", f"modbus:127.0.0.1:{device.port}", "--map", str(write_map({"a": {"register": 0}}, unit_id=9))]) == 0
+            run(
+                [
+                    "inspect",
+                    f"modbus:127.0.0.1:{device.port}",
+                    "--map",
+                    str(write_map({"a": {"register": 0}}, unit_id=9)),
+                ]
+            )
+            == 0
         )
         assert "no answer from behind the gateway; look at unit_id" in capsys.readouterr().out
 
@@ -259,7 +370,9 @@ def test_a_map_that_is_not_there_is_said_to_be_so(tmp_path):
         read_register_map(tmp_path / "none.yaml")
 
 
-@pytest.mark.parametrize("number", ["0040", "010", "-007", "0100", "0089", "1:29", "12:30:00", "1:29.5"])
+@pytest.mark.parametrize(
+    "number", ["0040", "010", "-007", "0100", "0089", "1:29", "12:30:00", "1:29.5"]
+)
 @pytest.mark.parametrize("place", ["address", "register", "unit_id", "scale"])
 def test_a_number_that_yaml_reads_otherwise_is_refused_where_it_stands(tmp_path, number, place):
     at = {"address": "40", "register": "0", "unit_id": "1", "scale": "0.1"} | {place: number}
@@ -270,7 +383,9 @@ def test_a_number_that_yaml_reads_otherwise_is_refused_where_it_stands(tmp_path,
     )
     with pytest.raises(BadBusDescription, match=r"line \d.*(leading zero|colon).*(write|quote)"):
         read_register_map(file)
-    file.write_text(file.read_text().replace(f": {number}", ": 0x2" if place != "scale" else ": 0.2"))
+    file.write_text(
+        file.read_text().replace(f": {number}", ": 0x2" if place != "scale" else ": 0.2")
+    )
     read_register_map(file)
 
 
@@ -282,7 +397,9 @@ def test_a_table_of_registers_is_decimal_with_zeros_before_or_not(tmp_path, pad)
     (tmp_path / "t.csv").write_text(f"name,register,type,unit\n{rows}\n")
     made = register_map_of((tmp_path / "t.csv").read_text(), 0.1)
     (stream,) = made["streams"].values()
-    assert [stream["poll"]["address"] + c["register"] for c in stream["channels"].values()] == addresses
+    assert [
+        stream["poll"]["address"] + c["register"] for c in stream["channels"].values()
+    ] == addresses
 
 
 @pytest.mark.parametrize("base", [0, 1])

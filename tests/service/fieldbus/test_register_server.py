@@ -71,7 +71,16 @@ def test_requests_that_make_no_sense_are_refused_by_number():
 
     codes, orders = with_server(talk)
     assert (
-        codes == [ILLEGAL_FUNCTION, ILLEGAL_ADDRESS, ILLEGAL_ADDRESS, ILLEGAL_ADDRESS, ILLEGAL_VALUE, NO_SUCH_UNIT, 0]
+        codes
+        == [
+            ILLEGAL_FUNCTION,
+            ILLEGAL_ADDRESS,
+            ILLEGAL_ADDRESS,
+            ILLEGAL_ADDRESS,
+            ILLEGAL_VALUE,
+            NO_SUCH_UNIT,
+            0,
+        ]
         and orders == []
     )
 

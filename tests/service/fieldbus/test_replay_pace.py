@@ -26,7 +26,9 @@ class Clock:
 
 
 @pytest.mark.parametrize("speed", [1.0, 4.0])
-def test_what_was_missed_while_the_computer_stood_still_is_not_sent_in_one_burst(monkeypatch, speed):
+def test_what_was_missed_while_the_computer_stood_still_is_not_sent_in_one_burst(
+    monkeypatch, speed
+):
     clock = Clock(stall_at=500, stall=3.0)
     monkeypatch.setattr(replay, "time", clock)
     frames = [TimedFrame(k / 1000, 1, b"", False) for k in range(2000)]

@@ -7,7 +7,9 @@ from residuum.service.fieldbus.sequence import BREAK, SequenceCounter
 def disturbed(n, rng, each=0.02):
     """Numbers 0 … n−1 as they arrive on a bus that drops, repeats and delays frames."""
     delayed = rng.random(n) < each
-    order = np.argsort(np.arange(n) + np.where(delayed, rng.integers(1, 8, n) + 0.5, 0), kind="stable")
+    order = np.argsort(
+        np.arange(n) + np.where(delayed, rng.integers(1, 8, n) + 0.5, 0), kind="stable"
+    )
     arriving = np.repeat(order, np.where(rng.random(n) < each, 2, 1))
     inner = (arriving > 20) & (arriving < n - 20)
     dropped = rng.choice(np.arange(21, n - 20), int(each * n), replace=False)
@@ -50,7 +52,9 @@ def test_every_drop_repetition_and_late_frame_is_counted_and_every_number_is_rig
 
 def test_ten_bits_wrap_without_a_loss():
     counter = SequenceCounter(10)
-    numbers = np.concatenate([counter.place(np.arange(k, k + 100) % 1024).number for k in range(0, 5000, 100)])
+    numbers = np.concatenate(
+        [counter.place(np.arange(k, k + 100) % 1024).number for k in range(0, 5000, 100)]
+    )
     assert np.array_equal(numbers, np.arange(5000))
 
 

@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 import yaml
 
-pytest.importorskip("google.protobuf", reason="the extra 'sparkplug' is not installed: Sparkplug was not tried")
+pytest.importorskip(
+    "google.protobuf", reason="the extra 'sparkplug' is not installed: Sparkplug was not tried"
+)
 import paho.mqtt.client as mqtt
 from paho.mqtt.enums import CallbackAPIVersion
 
@@ -24,7 +26,13 @@ from residuum.service.fieldbus.can.frame_layout import BadBusDescription
 from residuum.service.fieldbus.settings import SourceSettings
 from residuum.service.fieldbus.sparkplug.edge_node import EdgeNode
 from residuum.service.fieldbus.sparkplug.metric_map import MetricMap, read_metric_map
-from residuum.service.fieldbus.sparkplug.sparkplug_payload import BOOLEAN, Metric, Payload, pack, unpack
+from residuum.service.fieldbus.sparkplug.sparkplug_payload import (
+    BOOLEAN,
+    Metric,
+    Payload,
+    pack,
+    unpack,
+)
 from residuum.service.fieldbus.sparkplug.sparkplug_source import REBIRTH, SparkplugSource
 from residuum.service.finding_metrics import FindingMetrics
 from residuum.service.settings import BadSettings, load_settings
@@ -64,7 +72,9 @@ class Host:
         address, ready = broker_address(broker), queue.Queue()
         self.heard = []
         self.client = mqtt.Client(CallbackAPIVersion.VERSION2)
-        self.client.on_message = lambda _c, _d, m: self.heard.append((m.topic.split("/", 2)[2], unpack(m.payload)))
+        self.client.on_message = lambda _c, _d, m: self.heard.append(
+            (m.topic.split("/", 2)[2], unpack(m.payload))
+        )
         self.client.on_subscribe = lambda *_: ready.put(True)
         self.client.connect(address.host, address.port)
         self.client.subscribe(f"spBv1.0/{self.group}/+/{self.name}/#", 1)
@@ -72,7 +82,10 @@ class Host:
         assert ready.get(timeout=60)
 
     def ask(self):
-        self.client.publish(f"spBv1.0/{self.group}/NCMD/{self.name}", pack(Payload([Metric(REBIRTH, True, BOOLEAN)], 1)))
+        self.client.publish(
+            f"spBv1.0/{self.group}/NCMD/{self.name}",
+            pack(Payload([Metric(REBIRTH, True, BOOLEAN)], 1)),
+        )
 
     def of(self, kind):
         return [payload for topic, payload in self.heard if topic.startswith(kind + "/")]
@@ -97,7 +110,10 @@ def host(broker):
 
 def metric_map(reports="samples", **channels):
     stream = {"device": "Drive", "sample_time": STEP, "reports": reports}
-    return {"node": "Plant/Press", "streams": {"s": stream | {"channels": {c: {"metric": m} for c, m in channels.items()}}}}
+    return {
+        "node": "Plant/Press",
+        "streams": {"s": stream | {"channels": {c: {"metric": m} for c, m in channels.items()}}},
+    }
 
 
 def live(node, seconds, write):
@@ -117,7 +133,9 @@ def test_samples_of_a_node_come_in_their_places(broker, node):
     metrics = MetricMap.model_validate(metric_map(u="Motor/u", y="Motor/y"))
     source = SparkplugSource(broker_address(broker), metrics, lambda b: blocks.append(b) or True)
     source.start()
-    live(node, 3.0, lambda i, at: node.write("Drive", {"Motor/u": float(i), "Motor/y": 2.0 * i}, at))
+    live(
+        node, 3.0, lambda i, at: node.write("Drive", {"Motor/u": float(i), "Motor/y": 2.0 * i}, at)
+    )
     wait(lambda: sum(b.n for b in blocks) > 50)
     source.stop()
     source.join()
@@ -139,12 +157,16 @@ def test_values_reported_by_change_hold_until_the_next(broker, node):
     source.join()
     u, y = (np.concatenate([b.channels[name] for b in blocks]) for name in ("u", "y"))
     assert set(y) == {5.0} and set(u % 5) == {0.0}
-    assert all(len(set(run)) == 1 for run in np.split(u, np.flatnonzero(np.diff(u)) + 1)) and set(np.diff(np.unique(u))) == {5.0}
+    assert all(len(set(run)) == 1 for run in np.split(u, np.flatnonzero(np.diff(u)) + 1)) and set(
+        np.diff(np.unique(u))
+    ) == {5.0}
 
 
 def test_a_metric_that_the_birth_lacks_is_told_with_the_nearest(broker, node):
     node.write("Drive", {"Motor/Speed": 1.0}, time.time())
-    source = SparkplugSource(broker_address(broker), MetricMap.model_validate(metric_map(u="Motor/Sped")), lambda b: True)
+    source = SparkplugSource(
+        broker_address(broker), MetricMap.model_validate(metric_map(u="Motor/Sped")), lambda b: True
+    )
     source.start()
     wait(lambda: "nearest are Motor/Speed" in source.health.snapshot()["last_trouble"])
     source.stop()
@@ -153,10 +175,14 @@ def test_a_metric_that_the_birth_lacks_is_told_with_the_nearest(broker, node):
 
 def test_an_alias_that_no_birth_gave_is_a_gap(broker, node):
     node.write("Drive", {"u": 1.0}, time.time())
-    source = SparkplugSource(broker_address(broker), MetricMap.model_validate(metric_map(u="u")), lambda b: True)
+    source = SparkplugSource(
+        broker_address(broker), MetricMap.model_validate(metric_map(u="u")), lambda b: True
+    )
     source.start()
     wait(lambda: source.health["rebirths_asked"] >= 1 and source._known)
-    node._aliases["Drive", "u"] = 77  # its births have the old one: this one was given by a birth that nobody heard
+    node._aliases["Drive", "u"] = (
+        77  # its births have the old one: this one was given by a birth that nobody heard
+    )
     node.write("Drive", {"u": 2.0}, time.time())
     wait(lambda: source.health["sequence_gaps"] == 1 and source.health["rebirths_asked"] >= 2)
     source.stop()
@@ -165,7 +191,11 @@ def test_an_alias_that_no_birth_gave_is_a_gap(broker, node):
 
 def test_a_flood_takes_no_more_than_its_share_and_no_more_memory():
     taken = []
-    source = SparkplugSource(broker_address("mqtt://127.0.0.1:1"), MetricMap.model_validate(metric_map(u="u")), lambda b: True)
+    source = SparkplugSource(
+        broker_address("mqtt://127.0.0.1:1"),
+        MetricMap.model_validate(metric_map(u="u")),
+        lambda b: True,
+    )
     source._take = lambda *message: taken.append(message)
     for _ in range(3000):
         source._wait("spBv1.0/Plant/NDATA/Press", b"")
@@ -175,7 +205,9 @@ def test_a_flood_takes_no_more_than_its_share_and_no_more_memory():
         source._wait("spBv1.0/Plant/NDATA/Press", b"")
     assert source._arrived.qsize() == 10_000 and source.health["overflow"] == 2000
     source._take_what_arrived()
-    assert source._arrived.empty() and source.health["overflow"] == 12_000, "what has a hole behind it is not believed"
+    assert source._arrived.empty() and source.health["overflow"] == 12_000, (
+        "what has a hole behind it is not believed"
+    )
 
 
 def test_a_node_is_born_again_after_a_flood(broker, node, monkeypatch):
@@ -183,7 +215,9 @@ def test_a_node_is_born_again_after_a_flood(broker, node, monkeypatch):
     blocks = []
     node.write("Drive", {"u": 0.0}, time.time())
     source = SparkplugSource(
-        broker_address(broker), MetricMap.model_validate(metric_map(u="u")), lambda b: blocks.append(b) or True
+        broker_address(broker),
+        MetricMap.model_validate(metric_map(u="u")),
+        lambda b: blocks.append(b) or True,
     )
     source.start()
     wait(lambda: source._known)
@@ -191,7 +225,13 @@ def test_a_node_is_born_again_after_a_flood(broker, node, monkeypatch):
     begin = time.time()
     for i in range(2000):
         node.write("Drive", {"u": float(i)}, begin + i * 1e-3)
-    wait(lambda: source.health["overflow"] and source.health["rebirths_asked"] > asked and source._session.in_step)
+    wait(
+        lambda: (
+            source.health["overflow"]
+            and source.health["rebirths_asked"] > asked
+            and source._session.in_step
+        )
+    )
     before = sum(b.n for b in blocks)
 
     def flows():  # where the machine is busy, live samples flood the five places again: the node goes on until it is believed
@@ -212,23 +252,38 @@ def test_a_short_campaign_of_losses_repetitions_disorder_and_births(broker):
 def test_browsing_writes_the_map(broker, node, tmp_path, capsys, monkeypatch):
     node.write("Drive", {"Motor/Speed": 1.0, "Motor/On": True, "State": "runs"}, time.time())
     out = tmp_path / "metrics.yaml"
-    assert run(["sparkplug", "browse", broker, "Plant/Press", "--out", str(out), "--every", "0.02"]) == DONE
+    assert (
+        run(["sparkplug", "browse", broker, "Plant/Press", "--out", str(out), "--every", "0.02"])
+        == DONE
+    )
     stream = read_metric_map(out).streams["Drive"]
-    assert {name: each.metric for name, each in stream.channels.items()} == {"Motor.Speed": "Motor/Speed", "Motor.On": "Motor/On"}
+    assert {name: each.metric for name, each in stream.channels.items()} == {
+        "Motor.Speed": "Motor/Speed",
+        "Motor.On": "Motor/On",
+    }
     assert stream.device == "Drive" and stream.sample_time == 0.02
     capsys.readouterr()
     settings = tmp_path / "residuum.yaml"
-    assert run(["watch", "init", "--sparkplug", broker, "--map", str(out), "--out", str(settings)]) == DONE
+    assert (
+        run(["watch", "init", "--sparkplug", broker, "--map", str(out), "--out", str(settings)])
+        == DONE
+    )
     source = yaml.safe_load(settings.read_text())["machines"][0]["sources"][0]
     assert source == {"kind": "sparkplug", "channel": broker, "map": str(out)}
     capsys.readouterr()
     monkeypatch.setenv("RESIDUUM_SETTINGS", str(settings))
     run(["doctor", "--data", str(tmp_path / "var"), "--json"])
     checks = {check["name"]: check for check in json.loads(capsys.readouterr().out)["checks"]}
-    assert checks["sparkplug bus"]["ok"] and "1 streams of Plant/Press" in checks["sparkplug bus"]["says"]
+    assert (
+        checks["sparkplug bus"]["ok"]
+        and "1 streams of Plant/Press" in checks["sparkplug bus"]["says"]
+    )
     for name in ("Plant", "Plant/+", "#/Press", "Plant/Press/Drive"):
         capsys.readouterr()
-        assert run(["sparkplug", "browse", broker, name, "--out", str(tmp_path / "other.yaml")]) == BAD_INPUT
+        assert (
+            run(["sparkplug", "browse", broker, name, "--out", str(tmp_path / "other.yaml")])
+            == BAD_INPUT
+        )
         assert "must be GROUP/NODE" in capsys.readouterr().err
 
 
@@ -236,7 +291,9 @@ def test_metrics_whose_channels_would_be_the_same_are_numbered(broker, node, tmp
     node.write("Drive", {"a/b c": 1.0, "a.b c": 2.0, "a/b-c": 3.0}, time.time())
     out = tmp_path / "metrics.yaml"
     assert run(["sparkplug", "browse", broker, "Plant/Press", "--out", str(out)]) == DONE
-    channels = {name: each.metric for name, each in read_metric_map(out).streams["Drive"].channels.items()}
+    channels = {
+        name: each.metric for name, each in read_metric_map(out).streams["Drive"].channels.items()
+    }
     assert channels == {"a.b-c": "a/b c", "a.b-c-2": "a.b c", "a.b-c-3": "a/b-c"}
 
 
@@ -246,7 +303,14 @@ def test_findings_are_metrics_of_a_node_that_is_born_again_when_asked(broker, ho
     out = FindingMetrics(broker_address(broker), "Plant/Residuum")
     out.start()
     wait(lambda: listening.of("NBIRTH"))
-    finding = {"asset": "press-1", "at": at, "verdict": "faulty", "class": "wear", "reason": "why", "indicators": {"glr": 14.5}}
+    finding = {
+        "asset": "press-1",
+        "at": at,
+        "verdict": "faulty",
+        "class": "wear",
+        "reason": "why",
+        "indicators": {"glr": 14.5},
+    }
     out.tell("finding", finding)
     out.tell("finding", finding | {"verdict": "healthy"})
     out.tell("alarm", {"asset": "press-1", "state": "active"})
@@ -254,9 +318,14 @@ def test_findings_are_metrics_of_a_node_that_is_born_again_when_asked(broker, ho
     wait(lambda: len(listening.of("DBIRTH")) == 2 and listening.of("DDATA"))
     first, with_alarm = ({m.name: m for m in birth.metrics} for birth in listening.of("DBIRTH"))
     assert (first["verdict"].value, first["indicator/glr"].value) == ("faulty", 14.5)
-    assert first["verdict"].stamp == round(at.timestamp() * 1e3) and with_alarm["alarm"].value == "active"
+    assert (
+        first["verdict"].stamp == round(at.timestamp() * 1e3)
+        and with_alarm["alarm"].value == "active"
+    )
     names = {m.alias: m.name for m in first.values()}
-    assert {names[m.alias]: m.value for m in listening.of("DDATA")[0].metrics}["verdict"] == "healthy"
+    assert {names[m.alias]: m.value for m in listening.of("DDATA")[0].metrics}[
+        "verdict"
+    ] == "healthy"
     assert [payload.seq for _, payload in listening.heard] == [0, 1, 2, 3]
     listening.ask()
     wait(lambda: len(listening.of("DBIRTH")) == 3)
@@ -277,16 +346,26 @@ def test_a_service_publishes_what_it_stored(broker, host, run_service):
     assert (birth["verdict"], birth["reason"]) == ("faulty", "worn")
 
 
-def test_a_service_publishes_what_scorers_stored_and_what_the_store_had_at_its_start(broker, host, run_service, free_port):
-    asyncua = pytest.importorskip("asyncua.sync", reason="the extra 'opcua' is not installed: its nodes were not tried")
+def test_a_service_publishes_what_scorers_stored_and_what_the_store_had_at_its_start(
+    broker, host, run_service, free_port
+):
+    asyncua = pytest.importorskip(
+        "asyncua.sync", reason="the extra 'opcua' is not installed: its nodes were not tried"
+    )
     opcua = f"opc.tcp://127.0.0.1:{free_port()}/"
     listening = host("Plant/Residuum")
-    service = run_service(mqtt=broker, sparkplug="Plant/Residuum", opcua_server=opcua, opcua_anonymous=True)
+    service = run_service(
+        mqtt=broker, sparkplug="Plant/Residuum", opcua_server=opcua, opcua_anonymous=True
+    )
     theirs = DiskStore(service.services.settings.data, service.services.settings.database_url)
     record = Record({"y": [0.0, 1.0]}, {"y": "V"}, 1.0)
 
     def said():
-        births = [payload for topic, payload in listening.heard if topic.startswith("DBIRTH/Residuum/press")]
+        births = [
+            payload
+            for topic, payload in listening.heard
+            if topic.startswith("DBIRTH/Residuum/press")
+        ]
         return {m.name: m.value for m in births[-1].metrics} if births else {}
 
     def served(name):
@@ -294,8 +373,17 @@ def test_a_service_publishes_what_scorers_stored_and_what_the_store_had_at_its_s
             return client.get_node(f"ns=2;s=press.{name}").read_value()
 
     window = theirs.add_window("press", record, Finding("bearing", "faulty", reason="worn"))
-    wait(lambda: listening.client.publish("residuum/stored", StoredNews("press", window).pack(), qos=1) and "alarm" in said())
-    assert (said()["verdict"], said()["reason"], said()["alarm"]) == ("faulty", "worn", "unacknowledged")
+    wait(
+        lambda: (
+            listening.client.publish("residuum/stored", StoredNews("press", window).pack(), qos=1)
+            and "alarm" in said()
+        )
+    )
+    assert (said()["verdict"], said()["reason"], said()["alarm"]) == (
+        "faulty",
+        "worn",
+        "unacknowledged",
+    )
     wait(lambda: served("verdict") == "faulty" and served("alarm") == "unacknowledged")
     service.stop()
     theirs.add_window("press", record, Finding("bearing", "faulty", reason="while nobody looked"))
@@ -308,8 +396,13 @@ def test_a_service_publishes_what_scorers_stored_and_what_the_store_had_at_its_s
 
 def test_settings_of_a_source_and_of_a_node(tmp_path):
     file = tmp_path / "metrics.yaml"
-    file.write_text("{node: G/N, streams: {s: {sample_time: 0.1, channels: {u: {metric: a, unit: V}}}}}")
-    source = SOURCES["sparkplug"](SourceSettings(kind="sparkplug", channel="mqtt://127.0.0.1:1", map=str(file)), lambda b: True)
+    file.write_text(
+        "{node: G/N, streams: {s: {sample_time: 0.1, channels: {u: {metric: a, unit: V}}}}}"
+    )
+    source = SOURCES["sparkplug"](
+        SourceSettings(kind="sparkplug", channel="mqtt://127.0.0.1:1", map=str(file)),
+        lambda b: True,
+    )
     assert [(s.name, dict(s.units)) for s in source.streams] == [("s", {"u": "V"})]
     with pytest.raises(ValueError, match="must be mqtt://"):
         SourceSettings(kind="sparkplug", channel="broker", map=str(file))
@@ -324,9 +417,15 @@ def test_settings_of_a_source_and_of_a_node(tmp_path):
     [
         ("{node: G, streams: {s: {sample_time: 1, channels: {u: {metric: a}}}}}", "node"),
         ("{node: G/N, streams: {}}", "streams"),
-        ("{node: G/N, streams: {s: {sample_time: 1, reports: often, channels: {u: {metric: a}}}}}", r"streams\.s\.reports"),
+        (
+            "{node: G/N, streams: {s: {sample_time: 1, reports: often, channels: {u: {metric: a}}}}}",
+            r"streams\.s\.reports",
+        ),
         ("{node: [", "not YAML"),
-        ("{node: G/N, streams: {s: {sample_time: 1, channels: {u: {metric: a}, u: {metric: b}}}}}", "'u' is named twice"),
+        (
+            "{node: G/N, streams: {s: {sample_time: 1, channels: {u: {metric: a}, u: {metric: b}}}}}",
+            "'u' is named twice",
+        ),
     ],
 )
 def test_a_bad_map_is_refused(tmp_path, text, says):

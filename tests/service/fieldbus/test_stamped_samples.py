@@ -29,7 +29,13 @@ def counted(samples):
 def test_values_stand_at_their_stamps_and_what_never_came_is_counted(samples):
     feed(samples, [0, 1, 2, 5, 6])
     block = samples.take(now=0.7)
-    assert block.number.tolist() == [0, 1, 2, 5, 6] and block.channels["u"].tolist() == [0, 1, 2, 5, 6]
+    assert block.number.tolist() == [0, 1, 2, 5, 6] and block.channels["u"].tolist() == [
+        0,
+        1,
+        2,
+        5,
+        6,
+    ]
     assert counted(samples) == {"lost": 2}
 
 
@@ -87,7 +93,9 @@ def test_of_too_many_open_samples_the_oldest_are_lost(samples, monkeypatch):
     feed(samples, [4, 5, 6], names=["u"])
     assert counted(samples) == {"lost": 1}
     feed(samples, [3, 4, 5, 6, 18], names=["y"])
-    assert [number + 3 for number in samples.take(now=2.0).number] == [3, 4, 5, 6] and counted(samples) == {"lost": 2}
+    assert [number + 3 for number in samples.take(now=2.0).number] == [3, 4, 5, 6] and counted(
+        samples
+    ) == {"lost": 2}
 
 
 def drawn_changes(seed, n=300):
@@ -103,7 +111,9 @@ def drawn_changes(seed, n=300):
         for name, values in slow.items():
             before = values[k - 1] if k else None
             if k == 0 or not (values[k] == before or (np.isnan(values[k]) and np.isnan(before))):
-                told.append((name, -400 if k == 0 else k, values[k]))  # the first was written long ago
+                told.append(
+                    (name, -400 if k == 0 else k, values[k])
+                )  # the first was written long ago
     return told, slow, n
 
 
@@ -112,7 +122,9 @@ def drawn_changes(seed, n=300):
 def test_what_is_reported_by_change_holds_until_the_next_report(seed, said):
     told, slow, n = drawn_changes(seed)
     held = {"u": None, "y": said, "z": said}
-    samples = StampedSamples(StreamFormat("s", STEP, {"u": "V", "y": "", "z": ""}), SourceHealth(), held=held)
+    samples = StampedSamples(
+        StreamFormat("s", STEP, {"u": "V", "y": "", "z": ""}), SourceHealth(), held=held
+    )
     found = {name: [] for name in held}
     now = 0.0
     for name, k, value in told:
@@ -129,7 +141,9 @@ def test_what_is_reported_by_change_holds_until_the_next_report(seed, said):
 
 
 def test_a_channel_that_reports_each_sample_is_not_held_where_one_is_lost():
-    samples = StampedSamples(StreamFormat("s", STEP, {"u": "V", "y": "m"}), SourceHealth(), held={"u": None, "y": None})
+    samples = StampedSamples(
+        StreamFormat("s", STEP, {"u": "V", "y": "m"}), SourceHealth(), held={"u": None, "y": None}
+    )
     feed(samples, range(20))
     feed(samples, [20], names=["u"])
     feed(samples, range(21, 60))

@@ -41,7 +41,9 @@ def test_the_newest_without_a_hole_are_taken_by_the_models_names():
 
 def test_where_each_has_a_hole_it_is_said_how_to_go_on():
     store = Kept(window(without="U"), window(without="n"))
-    with pytest.raises(Conflict, match=r"mixer.*none of 2 windows is complete.*seconds between two reads"):
+    with pytest.raises(
+        Conflict, match=r"mixer.*none of 2 windows is complete.*seconds between two reads"
+    ):
         complete_windows(store, "mixer", [1, 2], CHANNELS, USED, 2)
 
 
@@ -50,7 +52,8 @@ def test_training_passes_a_window_with_a_hole_over_and_says_how_many():
     found, holes = training_windows(store, "mixer", [1], judged=False, channels=CHANNELS, used=USED)
     assert (len(found), holes) == (6, 1)
     with pytest.raises(
-        Conflict, match=r"4 windows are recorded; at least 5 are needed.*1 more have holes.*seconds between two reads"
+        Conflict,
+        match=r"4 windows are recorded; at least 5 are needed.*1 more have holes.*seconds between two reads",
     ):
         training_windows(store, "mixer", [1, 2, 3], judged=False, channels=CHANNELS, used=USED)
 

@@ -5,7 +5,9 @@ import numpy as np
 from residuum.identification.record import Record
 from residuum.service.machines.baselines import joined, parted
 
-LIFE = Record({"u": np.arange(1000.0), "y": np.sin(np.arange(1000.0))}, {"u": "V", "y": "m"}, 0.1, t0=50.0)
+LIFE = Record(
+    {"u": np.arange(1000.0), "y": np.sin(np.arange(1000.0))}, {"u": "V", "y": "m"}, 0.1, t0=50.0
+)
 
 
 def windows(begin, end, step=25, length=100):
@@ -22,7 +24,9 @@ def test_sliding_windows_give_their_record_back():
 def test_a_gap_or_another_clock_begins_a_new_record():
     records = joined([*windows(0, 200), *windows(400, 600)])
     assert [record.n for record in records] == [200, 200]
-    stranger = Record({"u": np.zeros(100), "y": np.ones(100)}, {"u": "V", "y": "m"}, 0.1, t0=LIFE.t0 + 5.0)
+    stranger = Record(
+        {"u": np.zeros(100), "y": np.ones(100)}, {"u": "V", "y": "m"}, 0.1, t0=LIFE.t0 + 5.0
+    )
     assert len(joined([LIFE.window(0, 100), stranger])) == 2
 
 

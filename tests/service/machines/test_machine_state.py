@@ -12,24 +12,42 @@ CUTS = ("movement", "round", "sliding")
 
 @pytest.mark.parametrize(
     ("cut", "silent", "waiting", "judged", "late"),
-    list(itertools.product(CUTS, ([], ["can0 gave nothing yet"]), (0, 3), (False, True), (False, True))),
+    list(
+        itertools.product(
+            CUTS, ([], ["can0 gave nothing yet"]), (0, 3), (False, True), (False, True)
+        )
+    ),
 )
 def test_only_a_machine_whose_windows_are_judged_now_is_running(cut, silent, waiting, judged, late):
     state = state_of_judging(cut, silent, waiting, judged=judged, late=late)
     assert (state.state == "running") == (judged and not late)
     if state.state == "waiting":
-        assert state.doing.startswith("waiting ") and all(source in state.doing for source in silent)
-    rests = not silent and not waiting and cut != "sliding"  # a machine that stands still is in order
+        assert state.doing.startswith("waiting ") and all(
+            source in state.doing for source in silent
+        )
+    rests = (
+        not silent and not waiting and cut != "sliding"
+    )  # a machine that stands still is in order
     assert bool(state.way_on) == (late and not rests)
 
 
 def test_machines_are_counted_by_state_and_the_troubled_ones_named():
     machines = {
         "press": {"state": "running", "doing": "judging windows", "way_on": ""},
-        "fan": {"state": "failed", "doing": "training failed: no windows", "way_on": "start it again"},
+        "fan": {
+            "state": "failed",
+            "doing": "training failed: no windows",
+            "way_on": "start it again",
+        },
     }
     assert counted(machines) == dict.fromkeys(STATES, 0) | {"running": 1, "failed": 1}
-    assert troubled(machines) == {"fan": {"state": "failed", "reason": "training failed: no windows", "way_on": "start it again"}}
+    assert troubled(machines) == {
+        "fan": {
+            "state": "failed",
+            "reason": "training failed: no windows",
+            "way_on": "start it again",
+        }
+    }
 
 
 @pytest.mark.parametrize("loss", sorted(LOSSES))
@@ -40,7 +58,11 @@ def test_a_source_that_lost_samples_within_the_last_minute_is_not_good(loss):
     assert health.snapshot()["quality"] == "good"
     health.count(loss, 669)
     told = health.snapshot()
-    assert (told["quality"], told["lost_lately"], told["lost_within_seconds"]) == ("losing", 669, 60.0)
+    assert (told["quality"], told["lost_lately"], told["lost_within_seconds"]) == (
+        "losing",
+        669,
+        60.0,
+    )
     now[0] += 62.0
     health.received(1, 10)
     told = health.snapshot()

@@ -53,13 +53,19 @@ def wait_for(condition, seconds=120.0):
     assert condition()
 
 
-def watch(asset, cut, *sources, length=15):  # seconds; the plant's diagnoser judges no shorter windows
+def watch(
+    asset, cut, *sources, length=15
+):  # seconds; the plant's diagnoser judges no shorter windows
     window = WindowSettings(cut=cut, length=length, step=5)
-    return MachineSettings(asset=asset, diagnoser=DIAGNOSER_OF[asset], window=window, sources=list(sources)).model_dump()
+    return MachineSettings(
+        asset=asset, diagnoser=DIAGNOSER_OF[asset], window=window, sources=list(sources)
+    ).model_dump()
 
 
 def verdicts(service, asset):
-    return [finding.finding.verdict.value for finding in service.services.store.findings(asset).items]
+    return [
+        finding.finding.verdict.value for finding in service.services.store.findings(asset).items
+    ]
 
 
 def test_a_fault_switched_over_the_bus_is_found_and_gone_after_it_is_cleared(
@@ -68,7 +74,11 @@ def test_a_fault_switched_over_the_bus_is_found_and_gone_after_it_is_cleared(
     plant, vibration, signals = free_port(), free_channel(), free_port()
     service = run_service(
         machines=[
-            watch("process-plant", "sliding", SourceSettings(kind="modbus", port=plant, map="process_plant.yaml")),
+            watch(
+                "process-plant",
+                "sliding",
+                SourceSettings(kind="modbus", port=plant, map="process_plant.yaml"),
+            ),
             watch(
                 "gripping-pliers",
                 "round",
@@ -78,19 +88,49 @@ def test_a_fault_switched_over_the_bus_is_found_and_gone_after_it_is_cleared(
         ]
     )
     for asset in ("process-plant", "gripping-pliers"):
-        service.services.store.add_model_version(asset, "baseline", demo_baseline(asset).read_bytes())
-    with living("process-plant", port=plant) as machine, living("gripping-pliers", vibration, signals):
-        wait_for(lambda: all(len(verdicts(service, asset)) >= 2 for asset in ("process-plant", "gripping-pliers")))
-        for asset, fault in (("process-plant", "sensor-offset:20"), ("gripping-pliers", "plier-bearing")):
+        service.services.store.add_model_version(
+            asset, "baseline", demo_baseline(asset).read_bytes()
+        )
+    with (
+        living("process-plant", port=plant) as machine,
+        living("gripping-pliers", vibration, signals),
+    ):
+        wait_for(
+            lambda: all(
+                len(verdicts(service, asset)) >= 2 for asset in ("process-plant", "gripping-pliers")
+            )
+        )
+        for asset, fault in (
+            ("process-plant", "sensor-offset:20"),
+            ("gripping-pliers", "plier-bearing"),
+        ):
             assert "faulty" not in verdicts(service, asset)
-            wait_for(lambda asset=asset, fault=fault: run_command(["fault", asset, fault, "--url", service.url]) == 0)
+            wait_for(
+                lambda asset=asset, fault=fault: (
+                    run_command(["fault", asset, fault, "--url", service.url]) == 0
+                )
+            )
         assert "switched on" in capsys.readouterr().out
         wait_for(lambda: machine.active_faults == {"sensor-offset": 20.0})
-        wait_for(lambda: all(verdicts(service, asset)[0] == "faulty" for asset in ("process-plant", "gripping-pliers")))
+        wait_for(
+            lambda: all(
+                verdicts(service, asset)[0] == "faulty"
+                for asset in ("process-plant", "gripping-pliers")
+            )
+        )
         wait_for(lambda: _on(service, "process-plant") == {"sensor-offset": 20.0})
         for asset in ("process-plant", "gripping-pliers"):
-            wait_for(lambda asset=asset: run_command(["fault", asset, "--clear", "--url", service.url]) == 0)
-        wait_for(lambda: all(verdicts(service, asset)[0] == "healthy" for asset in ("process-plant", "gripping-pliers")))
+            wait_for(
+                lambda asset=asset: (
+                    run_command(["fault", asset, "--clear", "--url", service.url]) == 0
+                )
+            )
+        wait_for(
+            lambda: all(
+                verdicts(service, asset)[0] == "healthy"
+                for asset in ("process-plant", "gripping-pliers")
+            )
+        )
 
 
 def _on(service, machine):
@@ -101,10 +141,21 @@ def _on(service, machine):
 def test_a_dead_device_never_stops_the_others_and_comes_back(run_service, free_port, demo_baseline):
     dead, alive = free_port(), free_port()
     source = {"kind": "modbus", "map": "process_plant.yaml"}
-    machines = [watch("process-plant", "sliding", SourceSettings(port=alive, **source), length=10)]  # whatever is found
-    machines.append(machines[0] | {"asset": "second-plant", "sources": [source | {"port": dead}], "baseline": "process-plant"})
+    machines = [
+        watch("process-plant", "sliding", SourceSettings(port=alive, **source), length=10)
+    ]  # whatever is found
+    machines.append(
+        machines[0]
+        | {
+            "asset": "second-plant",
+            "sources": [source | {"port": dead}],
+            "baseline": "process-plant",
+        }
+    )
     service = run_service(machines=machines)
-    service.services.store.add_model_version("process-plant", "baseline", demo_baseline("process-plant").read_bytes())
+    service.services.store.add_model_version(
+        "process-plant", "baseline", demo_baseline("process-plant").read_bytes()
+    )
     with living("process-plant", port=alive):
         wait_for(lambda: len(verdicts(service, "process-plant")) >= 2)
         states = service.services.pipeline.status()["sources"]
@@ -113,7 +164,12 @@ def test_a_dead_device_never_stops_the_others_and_comes_back(run_service, free_p
         with living("process-plant", port=dead):
             wait_for(lambda: len(verdicts(service, "second-plant")) >= 1)
         wait_for(
-            lambda: service.services.pipeline.status()["sources"][f"second-plant modbus:127.0.0.1:{dead}"]["quality"] == "stale"
+            lambda: (
+                service.services.pipeline.status()["sources"][
+                    f"second-plant modbus:127.0.0.1:{dead}"
+                ]["quality"]
+                == "stale"
+            )
         )
         count = len(verdicts(service, "process-plant"))
         wait_for(lambda: len(verdicts(service, "process-plant")) > count)
@@ -121,7 +177,13 @@ def test_a_dead_device_never_stops_the_others_and_comes_back(run_service, free_p
 
 def test_bad_orders_are_refused_with_one_line(run_service, free_port, capsys):
     service = run_service(
-        machines=[watch("process-plant", "sliding", SourceSettings(kind="modbus", port=1, map="process_plant.yaml"))]
+        machines=[
+            watch(
+                "process-plant",
+                "sliding",
+                SourceSettings(kind="modbus", port=1, map="process_plant.yaml"),
+            )
+        ]
     )
     for words, says in (
         (["nobody", "sensor-offset"], "there is none of this name"),

@@ -18,8 +18,18 @@ def told(values, std, temperatures=None):
     rows = []
     for k, value in enumerate(values):
         parameters = {"R": {"value": value, "std": std, "unit": "ohm", "healthy": band}}
-        conditions = {} if temperatures is None else {"winding": {"mean": temperatures[k], "unit": "degC"}}
-        rows.append({"at": k * DAY, "window": k + 1, "verdict": "healthy", "parameters": parameters, "conditions": conditions})
+        conditions = (
+            {} if temperatures is None else {"winding": {"mean": temperatures[k], "unit": "degC"}}
+        )
+        rows.append(
+            {
+                "at": k * DAY,
+                "window": k + 1,
+                "verdict": "healthy",
+                "parameters": parameters,
+                "conditions": conditions,
+            }
+        )
     return rows
 
 
@@ -55,8 +65,15 @@ def fan(run_service):
     rng = np.random.default_rng(3)
     for k in range(20):
         record = Record({"speed": rng.standard_normal(100)}, {"speed": "rad/s"}, 0.01, t0=float(k))
-        value = {"value": 1.0 + 0.05 * k + 0.01 * rng.standard_normal(), "std": 0.01, "unit": "ohm", "healthy": None}
-        finding = Finding("model-based", "healthy", reason="-", evidence={"parameters": {"R": value}})
+        value = {
+            "value": 1.0 + 0.05 * k + 0.01 * rng.standard_normal(),
+            "std": 0.01,
+            "unit": "ohm",
+            "healthy": None,
+        }
+        finding = Finding(
+            "model-based", "healthy", reason="-", evidence={"parameters": {"R": value}}
+        )
         service.services.store.add_window("fan", record, finding)
         time.sleep(0.02)
     return service
@@ -64,12 +81,16 @@ def fan(run_service):
 
 def test_limits_are_kept_and_parameters_followed_over_http(fan):
     with httpx.Client(base_url=f"{fan.url}/api/v1", timeout=60) as client:
-        assert client.put("/assets/fan/limits", json={"limits": {"R": 3.0}}).json() == {"limits": {"R": 3.0}}
+        assert client.put("/assets/fan/limits", json={"limits": {"R": 3.0}}).json() == {
+            "limits": {"R": 3.0}
+        }
         job = client.post("/assets/fan/tracks", json={}).json()
         while (job := client.get(f"/jobs/{job['id']}").json())["state"] in ("queued", "running"):
             time.sleep(0.2)
         (item,) = job["result"]["items"]
-        assert item["limit"] == 3.0 and item["track"]["kind"] == "drift" and len(item["value"]) == 20
+        assert (
+            item["limit"] == 3.0 and item["track"]["kind"] == "drift" and len(item["value"]) == 20
+        )
         assert client.get("/models").json()["items"] == []  # limits are no model
 
 
@@ -77,7 +98,11 @@ def test_a_window_without_a_baseline_raises_no_alarm_and_waits(run_service):
     service = run_service()
     store = service.services.store
     numbers = [
-        store.add_window("press", Record({"y": np.arange(50.0)}, {"y": "V"}, 0.01, t0=float(k)), Finding.recorded("model-based"))
+        store.add_window(
+            "press",
+            Record({"y": np.arange(50.0)}, {"y": "V"}, 0.01, t0=float(k)),
+            Finding.recorded("model-based"),
+        )
         for k in range(3)
     ]
     assert list(store.recorded_windows("press")) == numbers

@@ -18,7 +18,10 @@ MACHINE = StreamFormat("machine", 1 / 1000, {"indicator": "", "speed": "rpm", "s
 def gate_signal(n):
     """Phases 0 1 0 2, each 2 s; speed holds the sample's own number."""
     number = np.arange(n)
-    return {"speed": number.astype(float), "phase": np.array([0.0, 1.0, 0.0, 2.0])[number // 2000 % 4]}
+    return {
+        "speed": number.astype(float),
+        "phase": np.array([0.0, 1.0, 0.0, 2.0])[number // 2000 % 4],
+    }
 
 
 def blocks(stream, channels, sizes, keep=None, first=0):
@@ -28,7 +31,9 @@ def blocks(stream, channels, sizes, keep=None, first=0):
     at = 0
     for size in itertools.cycle(sizes):
         number = np.arange(at, min(at + size, n))[keep[at : at + size]]
-        yield Block(stream, number + first, {name: values[number] for name, values in channels.items()})
+        yield Block(
+            stream, number + first, {name: values[number] for name, values in channels.items()}
+        )
         at += size
         if at >= n:
             return
@@ -40,8 +45,14 @@ def cut(cutter, pieces):
 
 @pytest.mark.parametrize("sizes", [[1], [7, 113], [2000], [20_000]])
 def test_movements_are_cut_at_the_phase_signal_however_the_samples_come(sizes):
-    windows = cut(make_cutter(WindowSettings(cut="movement"), [GATE], "gate"), blocks("drive", gate_signal(9000), sizes))
-    assert [(window.n, window.t0, window["phase"][0]) for window in windows] == [(2000, 2.0, 1.0), (2000, 6.0, 2.0)]
+    windows = cut(
+        make_cutter(WindowSettings(cut="movement"), [GATE], "gate"),
+        blocks("drive", gate_signal(9000), sizes),
+    )
+    assert [(window.n, window.t0, window["phase"][0]) for window in windows] == [
+        (2000, 2.0, 1.0),
+        (2000, 6.0, 2.0),
+    ]
     assert np.array_equal(windows[1]["speed"], np.arange(6000, 8000))
 
 
@@ -60,13 +71,23 @@ def test_lost_samples_are_missing_in_the_window_and_a_late_one_finds_its_place()
 def test_a_lost_phase_edge_does_not_lose_the_movement():
     keep = np.ones(9000, bool)
     keep[1990:2020] = False
-    windows = cut(make_cutter(WindowSettings(cut="movement"), [GATE], "gate"), blocks("drive", gate_signal(9000), [50], keep))
+    windows = cut(
+        make_cutter(WindowSettings(cut="movement"), [GATE], "gate"),
+        blocks("drive", gate_signal(9000), [50], keep),
+    )
     assert [(window.t0, window.n) for window in windows] == [(2.02, 1980), (6.0, 2000)]
 
 
 def test_no_window_reaches_across_a_restart_of_the_sender():
     before = list(blocks("drive", gate_signal(3000), [100]))
-    after = list(blocks("drive", {name: values[3000:] for name, values in gate_signal(9000).items()}, [100], first=BREAK))
+    after = list(
+        blocks(
+            "drive",
+            {name: values[3000:] for name, values in gate_signal(9000).items()},
+            [100],
+            first=BREAK,
+        )
+    )
     windows = cut(make_cutter(WindowSettings(cut="movement"), [GATE], "gate"), before + after)
     assert [window.n for window in windows] == [2000]
     assert windows[0]["speed"][0] == 6000.0
@@ -78,7 +99,9 @@ def test_sliding_windows_overlap_and_keep_their_holes():
     keep = np.ones(n, bool)
     keep[350] = False
     pieces = blocks("process", channels, [13], keep, first=7)
-    windows = cut(make_cutter(WindowSettings(cut="sliding", length=30, step=10), [PLANT], "plant"), pieces)
+    windows = cut(
+        make_cutter(WindowSettings(cut="sliding", length=30, step=10), [PLANT], "plant"), pieces
+    )
     assert [round(window.t0, 6) for window in windows] == [10.0, 20.0, 30.0, 40.0, 50.0]
     assert all(window.n == 300 for window in windows)
     assert [int(window.missing("u").sum()) for window in windows] == [1, 1, 1, 0, 0]
@@ -91,7 +114,11 @@ def pliers(seconds, offset, drift):
     true = np.arange(round(seconds * 1000)) / 1000 / (1 + drift)
     quarter = true / 0.5
     long = np.where(np.floor(quarter) % 4 == 0, 0.16, 0.08)
-    machine = {"indicator": (quarter % 1.0 < long).astype(float), "speed": true, "sync": (true % 1.0 < 0.02).astype(float)}
+    machine = {
+        "indicator": (quarter % 1.0 < long).astype(float),
+        "speed": true,
+        "sync": (true % 1.0 < 0.02).astype(float),
+    }
     return vibration, machine, round(offset * 1000)
 
 
@@ -122,11 +149,21 @@ def test_rounds_are_cut_on_the_vibrations_clock_whatever_the_machines_clock_read
 def test_lost_samples_of_either_stream_are_missing_in_their_round_only():
     vibration, machine, first = pliers(30.0, 3.0, 20e-6)
     pieces = list(interleaved(vibration, machine, first))
-    pieces = [piece for piece in pieces if not (piece.stream == "vibration" and 9.3 < piece.number[0] / 12800 < 9.36)]
-    pieces = [piece for piece in pieces if not (piece.stream == "machine" and 17.3 < (piece.number[0] - first) / 1000 < 17.36)]
+    pieces = [
+        piece
+        for piece in pieces
+        if not (piece.stream == "vibration" and 9.3 < piece.number[0] / 12800 < 9.36)
+    ]
+    pieces = [
+        piece
+        for piece in pieces
+        if not (piece.stream == "machine" and 17.3 < (piece.number[0] - first) / 1000 < 17.36)
+    ]
     windows = cut(make_cutter(WindowSettings(cut="round"), [VIBRATION, MACHINE], "pliers"), pieces)
     damaged = {
-        round(float(np.nanmin(w["acceleration"])) / 2) * 2: w for w in windows if any(w.missing(name).any() for name in w.names)
+        round(float(np.nanmin(w["acceleration"])) / 2) * 2: w
+        for w in windows
+        if any(w.missing(name).any() for name in w.names)
     }
     assert set(damaged) == {8, 16}
     assert damaged[8].missing("acceleration").sum() == 640 and not damaged[8].missing("speed").any()
@@ -137,7 +174,8 @@ def test_a_dead_indicator_still_gives_windows_to_judge():
     vibration, machine, first = pliers(40.0, 0.0, 0.0)
     machine["indicator"][12_300:] = 0.0
     windows = cut(
-        make_cutter(WindowSettings(cut="round"), [VIBRATION, MACHINE], "pliers"), interleaved(vibration, machine, first)
+        make_cutter(WindowSettings(cut="round"), [VIBRATION, MACHINE], "pliers"),
+        interleaved(vibration, machine, first),
     )
     assert [round(window.duration) for window in windows][-2:] == [10, 10]
 

@@ -54,7 +54,13 @@ def test_the_newest_findings_are_told(stored):
     stored(5100)
     rows = orjson.loads(tables.get_findings_table(RUNNING, "press", *SPAN).body)["items"]
     assert [rows[0]["window"], rows[-1]["window"], len(rows)] == [101, 5100, 5000]
-    assert rows[-1] == {"at": "2026-11-04T12:59:00Z", "window": 5100, "verdict": "healthy", "class": None, "reason": "no. 5099"}
+    assert rows[-1] == {
+        "at": "2026-11-04T12:59:00Z",
+        "window": 5100,
+        "verdict": "healthy",
+        "class": None,
+        "reason": "no. 5099",
+    }
 
 
 def test_all_indicators_together_have_a_bound_and_keep_their_extremes(stored):

@@ -34,8 +34,28 @@ def certificate(tmp_path):
     if shutil.which("openssl") is None:
         pytest.skip("NO OPENSSL HERE, so no proxy was tried")
     files = tmp_path / "certificate.pem", tmp_path / "key.pem"
-    command = ["openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes", "-days", "2"]
-    command += ["-subj", f"/CN={NAME}", "-addext", f"subjectAltName=DNS:{NAME}", "-out", files[0], "-keyout", files[1]]
+    command = [
+        "openssl",
+        "req",
+        "-x509",
+        "-newkey",
+        "ec",
+        "-pkeyopt",
+        "ec_paramgen_curve:prime256v1",
+        "-nodes",
+        "-days",
+        "2",
+    ]
+    command += [
+        "-subj",
+        f"/CN={NAME}",
+        "-addext",
+        f"subjectAltName=DNS:{NAME}",
+        "-out",
+        files[0],
+        "-keyout",
+        files[1],
+    ]
     subprocess.run(command, check=True, capture_output=True)
     return files
 
@@ -49,7 +69,11 @@ def service(run_service, tmp_path):
 
     def run(public_port):
         port["public"] = f"https://{NAME}:{public_port}"
-        return run_service(api_keys=tmp_path / "api_keys", public_url=f"{port['public']}/", trusted_proxies=["127.0.0.1"])
+        return run_service(
+            api_keys=tmp_path / "api_keys",
+            public_url=f"{port['public']}/",
+            trusted_proxies=["127.0.0.1"],
+        )
 
     return run, key
 
@@ -57,22 +81,48 @@ def service(run_service, tmp_path):
 def nginx(folder, certificate, public, inner):
     block = printed("nginx", certificate).replace("127.0.0.1:8000", f"127.0.0.1:{inner}")
     block = block.replace("443 ssl", f"127.0.0.1:{public} ssl")
-    temporary = "".join(f"{kind}_temp_path {folder}/{kind};\n" for kind in ("client_body", "proxy", "fastcgi", "uwsgi", "scgi"))
+    temporary = "".join(
+        f"{kind}_temp_path {folder}/{kind};\n"
+        for kind in ("client_body", "proxy", "fastcgi", "uwsgi", "scgi")
+    )
     (folder / "nginx.conf").write_text(
         f"daemon off;\nmaster_process off;\npid {folder}/pid;\nerror_log {folder}/error.log;\nevents {{}}\n"
         f"http {{\naccess_log off;\n{temporary}{block}}}\n"
     )
-    return [find_program("nginx"), "-c", folder / "nginx.conf", "-p", folder, "-e", f"{folder}/error.log"]
+    return [
+        find_program("nginx"),
+        "-c",
+        folder / "nginx.conf",
+        "-p",
+        folder,
+        "-e",
+        f"{folder}/error.log",
+    ]
 
 
 def caddy(folder, certificate, public, inner):
-    block = printed("caddy", certificate).replace(NAME, f"{NAME}:{public}", 1).replace("127.0.0.1:8000", f"127.0.0.1:{inner}")
-    (folder / "Caddyfile").write_text(f"{{\nadmin off\nauto_https disable_redirects\nstorage file_system {folder}\n}}\n{block}")
-    return [find_program("caddy"), "run", "--config", folder / "Caddyfile", "--adapter", "caddyfile"]
+    block = (
+        printed("caddy", certificate)
+        .replace(NAME, f"{NAME}:{public}", 1)
+        .replace("127.0.0.1:8000", f"127.0.0.1:{inner}")
+    )
+    (folder / "Caddyfile").write_text(
+        f"{{\nadmin off\nauto_https disable_redirects\nstorage file_system {folder}\n}}\n{block}"
+    )
+    return [
+        find_program("caddy"),
+        "run",
+        "--config",
+        folder / "Caddyfile",
+        "--adapter",
+        "caddyfile",
+    ]
 
 
 @pytest.mark.parametrize("proxy", [nginx, caddy])
-def test_the_page_writes_and_the_client_is_known_behind_a_proxy(proxy, certificate, service, free_port, tmp_path):
+def test_the_page_writes_and_the_client_is_known_behind_a_proxy(
+    proxy, certificate, service, free_port, tmp_path
+):
     if find_program(proxy.__name__) is None:
         not_here(proxy.__name__.upper(), "the service behind it")
     run, key = service
@@ -83,7 +133,10 @@ def test_the_page_writes_and_the_client_is_known_behind_a_proxy(proxy, certifica
         try:
             wait_for_port(public, process)
             trusted = ssl.create_default_context(cafile=certificate[0])
-            url, headers = f"https://127.0.0.1:{public}", {"Host": f"{NAME}:{public}", "X-API-Key": key}
+            url, headers = (
+                f"https://127.0.0.1:{public}",
+                {"Host": f"{NAME}:{public}", "X-API-Key": key},
+            )
             more = {"sni_hostname": NAME}
             with httpx.Client(base_url=url, headers=headers, verify=trusted, timeout=60) as client:
 
@@ -96,12 +149,21 @@ def test_the_page_writes_and_the_client_is_known_behind_a_proxy(proxy, certifica
                 assert answer.status_code == 200, answer.text
                 assert answer.headers["Strict-Transport-Security"]
                 for other in ("https://evil.example", f"http://{NAME}:{public}", "null"):
-                    assert ask("PUT", "/api/v1/assets/press", json={}, headers={"Origin": other}).status_code == 403
+                    assert (
+                        ask(
+                            "PUT", "/api/v1/assets/press", json={}, headers={"Origin": other}
+                        ).status_code
+                        == 403
+                    )
                 redirect = ask("GET", "/api/v1/assets/")
-                assert redirect.headers.get("location", f"https://{NAME}").startswith(f"https://{NAME}")
+                assert redirect.headers.get("location", f"https://{NAME}").startswith(
+                    f"https://{NAME}"
+                )
                 with client.stream("GET", "/api/v1/events", extensions=more) as events:
                     running.services.events.publish("job", {"id": "j"})
-                    assert next(line for line in events.iter_lines() if '"id":"j"' in line)  # as it comes
+                    assert next(
+                        line for line in events.iter_lines() if '"id":"j"' in line
+                    )  # as it comes
         finally:
             process.kill()  # its way of ending waits for open streams
 
@@ -110,7 +172,9 @@ def test_only_a_trusted_proxy_is_believed():
     proxies = TrustedProxies(["10.0.0.0/8", "::1"])
     assert proxies.seen("10.0.0.1", "http", b"spoofed, 192.0.2.9", b"https").address == "192.0.2.9"
     assert proxies.seen("10.0.0.1", "http", b"192.0.2.9, 10.0.0.2", b"HTTPS").scheme == "https"
-    assert proxies.seen("10.0.0.1", "http", b"<script>", b"gopher") == proxies.seen("10.0.0.1", "http", b"", b"")
+    assert proxies.seen("10.0.0.1", "http", b"<script>", b"gopher") == proxies.seen(
+        "10.0.0.1", "http", b"", b""
+    )
     assert proxies.seen("192.0.2.1", "http", b"10.0.0.1", b"https").scheme == "http"
     assert TrustedProxies([]).seen("10.0.0.1", "http", b"192.0.2.9", b"https").address == "10.0.0.1"
 
@@ -119,16 +183,24 @@ def test_limits_are_the_client_s_own_behind_a_trusted_proxy(service, run_service
     run, key = service
     run(443)
     running = run_service(
-        api_keys=tmp_path / "api_keys", public_url="https://plant.example", trusted_proxies=["127.0.0.0/8"], rate_limit=1.0
+        api_keys=tmp_path / "api_keys",
+        public_url="https://plant.example",
+        trusted_proxies=["127.0.0.0/8"],
+        rate_limit=1.0,
     )
     begun = time.monotonic()
 
     def asked(client, times):
         head = {"X-Forwarded-For": client, "Host": NAME}
-        return [httpx.get(f"{running.url}/api/v1/assets", headers=head).status_code for _ in range(times)]
+        return [
+            httpx.get(f"{running.url}/api/v1/assets", headers=head).status_code
+            for _ in range(times)
+        ]
 
     first, second = asked("192.0.2.1", 6), asked("192.0.2.2", 1)
-    assert 429 in first or time.monotonic() - begun > 4  # a busy machine may take as long as it likes
+    assert (
+        429 in first or time.monotonic() - begun > 4
+    )  # a busy machine may take as long as it likes
     assert second == [401]
     assert key
 

@@ -49,8 +49,14 @@ def begin(monkeypatch):
 
         def run(most=1000, per_address=1000, proxies=(), tls=None):
             listening = socket.create_server(("127.0.0.1", 0))
-            http = partial(BoundedConnection, Places(most, per_address, TrustedProxies(proxies)), tls)
-            server = uvicorn.Server(uvicorn.Config(slow_app, http=http, lifespan="off", log_config=None, timeout_keep_alive=60))
+            http = partial(
+                BoundedConnection, Places(most, per_address, TrustedProxies(proxies)), tls
+            )
+            server = uvicorn.Server(
+                uvicorn.Config(
+                    slow_app, http=http, lifespan="off", log_config=None, timeout_keep_alive=60
+                )
+            )
             thread = threading.Thread(target=server.run, args=([listening],))
             thread.start()
             opened.callback(thread.join, 20)
@@ -81,7 +87,9 @@ def test_a_head_that_does_not_come_to_its_end_is_not_waited_for(connect):
         for byte in ASK[:-1]:
             slow.sendall(bytes([byte]))
             time.sleep(0.05)
-    assert said(slow) == said(silent) == b""  # who is not closed by the other side waits in vain, and fails
+    assert (
+        said(slow) == said(silent) == b""
+    )  # who is not closed by the other side waits in vain, and fails
 
 
 def test_a_request_under_way_may_take_its_time_and_the_next_one_too(connect):

@@ -16,7 +16,9 @@ WINDOWS = {
 SOON = {"gate-actuator": 1, "gripping-pliers": 2, "process-plant": 6}
 """Windows within which a fault must be found: the first movement, two rounds, 60 s."""
 IN_TEN_MINUTES = {"gate-actuator": 33, "gripping-pliers": 295, "process-plant": 115}
-FAULTS = [(machine, fault) for machine in WINDOWS for fault in MACHINES[wiring_of(machine).machine].faults]
+FAULTS = [
+    (machine, fault) for machine in WINDOWS for fault in MACHINES[wiring_of(machine).machine].faults
+]
 
 
 @pytest.fixture

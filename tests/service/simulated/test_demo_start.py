@@ -12,7 +12,9 @@ def test_no_start_of_the_demo_counts_a_device_that_is_not_there_yet(run_service)
     end = time.monotonic() + 300
     while True:
         sources = service.services.pipeline.status()["sources"]
-        if all(source["quality"] in ("good", "losing") for source in sources.values()):  # a busy machine polls late
+        if all(
+            source["quality"] in ("good", "losing") for source in sources.values()
+        ):  # a busy machine polls late
             break
         assert time.monotonic() < end, {name: source["quality"] for name, source in sources.items()}
         time.sleep(0.2)
@@ -22,7 +24,9 @@ def test_no_start_of_the_demo_counts_a_device_that_is_not_there_yet(run_service)
 
 
 def test_the_process_plant_of_the_demo_is_on_opc_ua_beside_modbus(run_service, free_port):
-    opcua = pytest.importorskip("residuum.service.fieldbus.opcua.opcua_source", reason="the extra 'opcua' is not installed")
+    opcua = pytest.importorskip(
+        "residuum.service.fieldbus.opcua.opcua_source", reason="the extra 'opcua' is not installed"
+    )
     url = f"opc.tcp://127.0.0.1:{free_port()}/"
     service = run_service(demo=True, demo_opcua=url)
     end, found = time.monotonic() + 300, {}
@@ -32,4 +36,6 @@ def test_the_process_plant_of_the_demo_is_on_opc_ua_beside_modbus(run_service, f
         time.sleep(0.2)
     assert {name.rsplit(".")[-1] for name in found} >= {"u", "y"}
     sources = service.services.pipeline.status()["sources"]
-    assert any(name.startswith("modbus") for name in (source.split(" ", 1)[-1] for source in sources))
+    assert any(
+        name.startswith("modbus") for name in (source.split(" ", 1)[-1] for source in sources)
+    )

@@ -21,7 +21,9 @@ def test_an_order_behind_thousands_of_frames_is_taken_at_once():
     number, fault = next(iter(layouts[COMMAND].choices["fault"].items()))
     still = {name: [0.0] * 5000 for name in layouts["drive"].units}
     other.send_many(layouts["drive"].frame_id, layouts["drive"].encode(range(5000), still))
-    other.send_many(layouts[COMMAND].frame_id, layouts[COMMAND].encode([0], {"fault": [number], "size": [0.5]}))
+    other.send_many(
+        layouts[COMMAND].frame_id, layouts[COMMAND].encode([0], {"fault": [number], "size": [0.5]})
+    )
     device._take_orders()
     assert machine.active_faults == {fault: 0.5}
     other.close()

@@ -47,6 +47,10 @@ def test_what_a_device_missed_is_not_lived_in_one_burst(monkeypatch, speed):
     clock = Clock(stopped)
     monkeypatch.setattr(device, "time", clock)
     monkeypatch.setattr(device.asyncio, "sleep", no_sleep)
-    asyncio.run(Device(machine, Wiring("any"), None, None, speed, pytest.fail).run(stopped, lambda _port: None))
+    asyncio.run(
+        Device(machine, Wiring("any"), None, None, speed, pytest.fail).run(
+            stopped, lambda _port: None
+        )
+    )
     assert max(machine.pieces) <= 0.25 * speed
     assert sum(machine.pieces) == pytest.approx((clock.now - STALL + 0.2) * speed, abs=0.05 * speed)

@@ -26,7 +26,9 @@ def database(tmp_path):
 def see(connection, asset, verdict, seconds_ago, rule=PLAIN):
     now = NOW - timedelta(seconds=seconds_ago)
     assets.ensure(connection, asset, None, "bearing", now)
-    followed = alarms.follow(connection, asset, None, Finding("bearing", verdict, reason="-"), now, rule)
+    followed = alarms.follow(
+        connection, asset, None, Finding("bearing", verdict, reason="-"), now, rule
+    )
     return [each.alarm for each in followed]
 
 
@@ -42,7 +44,12 @@ def test_a_flood_a_chattering_and_a_stale_alarm(database):
         assert (found.last_10_minutes, found.last_hour, found.last_day) == (12, 12, 16)
         assert (found.flood, found.highest_in_10_minutes) == (True, 12)
         assert found.flood_share == pytest.approx(1 / 144)
-        assert found.most_frequent[0] == {"alarm": 14, "asset": "chatter", "kind": "machine", "raised": 4}
+        assert found.most_frequent[0] == {
+            "alarm": 14,
+            "asset": "chatter",
+            "kind": "machine",
+            "raised": 4,
+        }
         assert (found.chattering, found.stale) == ([14], [13])
         assert found.standing == {"unacknowledged": 13, "returned-unacknowledged": 1}
 
@@ -50,7 +57,12 @@ def test_a_flood_a_chattering_and_a_stale_alarm(database):
 def test_a_quiet_plant(database):
     with database.read() as connection:
         found = alarm_rates.rates(connection, NOW)
-    assert (found.last_day, found.highest_in_10_minutes, found.flood, found.flood_share) == (0, 0, False, 0.0)
+    assert (found.last_day, found.highest_in_10_minutes, found.flood, found.flood_share) == (
+        0,
+        0,
+        False,
+        0.0,
+    )
 
 
 def test_delays_deadband_and_latch_hold_for_stored_alarms(database):
@@ -64,13 +76,17 @@ def test_delays_deadband_and_latch_hold_for_stored_alarms(database):
         (cleared,) = see(connection, "a", "healthy", 955, rule)
         assert (cleared.state, cleared.condition) == ("unacknowledged", False)
         row_checks.change(connection, rows, raised.id, lambda _row: {"condition": True})
-        near = Finding("bearing", "healthy", indicators={"rms": 0.95}, thresholds={"rms": 1.0}, reason="-")
+        near = Finding(
+            "bearing", "healthy", indicators={"rms": 0.95}, thresholds={"rms": 1.0}, reason="-"
+        )
         assert alarms.follow(connection, "a", None, near, NOW, AlarmRule(deadband=0.1)) == []
         assert len(alarms.follow(connection, "a", None, near, NOW, AlarmRule())) == 1
 
 
 def test_limits_that_hold_again_clear_the_alarm_of_a_machine_without_baseline(database):
-    calm = Finding("bearing", "healthy", indicators={"kurtosis": 3.0}, thresholds={"kurtosis": 6.0}).without_baseline("kurtosis")
+    calm = Finding(
+        "bearing", "healthy", indicators={"kurtosis": 3.0}, thresholds={"kurtosis": 6.0}
+    ).without_baseline("kurtosis")
     with database.write() as connection:
         see(connection, "a", "faulty", 100)
         (cleared,) = alarms.follow(connection, "a", None, calm, NOW, PLAIN)

@@ -29,7 +29,12 @@ def database(tmp_path):
             detail = {"comment": f"comment {number}", "state": "normal"}
             moment = START + timedelta(seconds=number)
             audit.append(
-                connection, "alarm acknowledge", f"alarm {number % 7}", by=f"user {number % 3}", now=moment, detail=detail
+                connection,
+                "alarm acknowledge",
+                f"alarm {number % 7}",
+                by=f"user {number % 3}",
+                now=moment,
+                detail=detail,
             )
     yield database
     database.close()
@@ -42,14 +47,29 @@ def edit(connection, rng):
     kind = rng.randrange(7)
     if kind == 0:
         first = rng.randrange(1, ENTRIES + 1)
-        connection.execute(delete(trail).where(trail.c.number.between(first, first + rng.choice((0, 0, 3, ENTRIES)))))
+        connection.execute(
+            delete(trail).where(
+                trail.c.number.between(first, first + rng.choice((0, 0, 3, ENTRIES)))
+            )
+        )
     elif kind == 1:
-        connection.execute(update(trail).where(here).values(at=row.at + timedelta(microseconds=rng.choice((1, -1, 10**6)))))
+        connection.execute(
+            update(trail)
+            .where(here)
+            .values(at=row.at + timedelta(microseconds=rng.choice((1, -1, 10**6))))
+        )
     elif kind == 2:
         column = rng.choice(("by", "action", "subject", "detail", "digest"))
         text = getattr(row, column)
         at = rng.randrange(len(text))
-        changed = rng.choice((text[:at] + chr(ord(text[at]) ^ 1) + text[at + 1 :], text[:at] + text[at + 1 :], text + " ", ""))
+        changed = rng.choice(
+            (
+                text[:at] + chr(ord(text[at]) ^ 1) + text[at + 1 :],
+                text[:at] + text[at + 1 :],
+                text + " ",
+                "",
+            )
+        )
         connection.execute(update(trail).where(here).values({column: changed}))
     elif kind == 3:
         connection.execute(update(trail).where(here).values(by=None))
@@ -61,7 +81,9 @@ def edit(connection, rng):
         added = row._asdict() | {"number": ENTRIES + 1}
         connection.execute(insert(trail).values(added))
     else:
-        values = rng.choice(({"entries": ENTRIES - 1}, {"digest": "f" * 64}, {"entries": 0, "digest": "0" * 64}))
+        values = rng.choice(
+            ({"entries": ENTRIES - 1}, {"digest": "f" * 64}, {"entries": 0, "digest": "0" * 64})
+        )
         connection.execute(update(audit_head).values(values))
 
 
@@ -80,7 +102,10 @@ def test_a_thousand_random_edits_and_deletions_are_all_noticed(database):
         assert audit.verify(connection) == whole
 
 
-@pytest.mark.parametrize("change", ["at = 'yesterday'", "at = 12", "\"by\" = x'00'", "detail = x'ff'", "number = 'seven'"])
+@pytest.mark.parametrize(
+    "change",
+    ["at = 'yesterday'", "at = 12", "\"by\" = x'00'", "detail = x'ff'", "number = 'seven'"],
+)
 def test_an_entry_that_is_none_any_more_is_noticed(database, change):
     with database.write() as connection:
         connection.exec_driver_sql("PRAGMA ignore_check_constraints = ON")
@@ -91,7 +116,11 @@ def test_an_entry_that_is_none_any_more_is_noticed(database, change):
 
 def test_what_is_done_to_alarms_and_models_is_written_down_and_doctor_looks_at_it(tmp_path, capsys):
     store = DiskStore(tmp_path, f"sqlite:///{tmp_path / 'residuum.db'}")
-    store.add_window("press", Record({"y": [0.0, 1.0]}, {"y": "V"}, 1.0), Finding("bearing", "faulty", reason="-"))
+    store.add_window(
+        "press",
+        Record({"y": [0.0, 1.0]}, {"y": "V"}, 1.0),
+        Finding("bearing", "faulty", reason="-"),
+    )
     store.operate_alarm(1, AlarmEvent.ACKNOWLEDGE, "eva", "seen")
     store.add_model_version("drive", "physical", b"one", by="udo")
     told = [(entry.number, entry.by, entry.action, entry.subject) for entry in store.audit().items]

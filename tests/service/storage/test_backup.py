@@ -32,7 +32,11 @@ def fill(folder, url):
     for number, verdict in enumerate(("healthy", "healthy", "faulty", "not-assessable")):
         record = Record({"y": np.arange(100.0) + number}, {"y": "m/s²"}, 1e-3, t0=0.1)
         found = Finding(
-            "bearing", verdict, fault_class="ball" if verdict == "faulty" else None, indicators={"rms": 0.1}, reason="-"
+            "bearing",
+            verdict,
+            fault_class="ball" if verdict == "faulty" else None,
+            indicators={"rms": 0.1},
+            reason="-",
         )
         store.add_window("press", record, found, f"key-{number}", "digest")
     store.add_record("a.csv", Record({"u": [0.5, np.nan]}, {"u": "V"}, 0.1))
@@ -46,7 +50,9 @@ def everything(folder, url):
     store = DiskStore(folder, url)
     windows = store.windows("press").items
     signals = {
-        window.id: None if window.signal_let_go_at else store.window_record("press", window.id)["y"].tolist()
+        window.id: None
+        if window.signal_let_go_at
+        else store.window_record("press", window.id)["y"].tolist()
         for window in windows
     }
     told = (
@@ -54,18 +60,27 @@ def everything(folder, url):
         [store.alarm_journal(alarm.id) for alarm in store.alarms(active=False).items], store.records().items,
         store.record_samples(1)["u"][0], store.model_versions("drive"), store.model_content("drive"),
     )  # fmt: skip
-    new = store.add_window("press", Record({"y": [1.0, 2.0]}, {"y": "m/s²"}, 1e-3), Finding("bearing", "healthy", reason="-"))
+    new = store.add_window(
+        "press",
+        Record({"y": [1.0, 2.0]}, {"y": "m/s²"}, 1e-3),
+        Finding("bearing", "healthy", reason="-"),
+    )
     assert new == max(signals) + 1
     store.close()
     return told
 
 
-@pytest.mark.parametrize(("source", "target"), [("sqlite", "sqlite"), ("sqlite", "postgresql"), ("postgresql", "sqlite")])
+@pytest.mark.parametrize(
+    ("source", "target"), [("sqlite", "sqlite"), ("sqlite", "postgresql"), ("postgresql", "sqlite")]
+)
 def test_all_comes_back(tmp_path, make_url, capsys, source, target):
     urls = make_url(source), make_url(target)
     fill(tmp_path / "old", urls[0])
     file = tmp_path / "plant.backup"
-    assert run(["backup", str(file), "--data", str(tmp_path / "old"), "--database", urls[0], "--json"]) == 0
+    assert (
+        run(["backup", str(file), "--data", str(tmp_path / "old"), "--database", urls[0], "--json"])
+        == 0
+    )
     written = json.loads(capsys.readouterr().out)
     assert written["rows"]["windows"] == 4 and 1 < written["blocks"] < 5
     assert run(["restore", str(file), "--data", str(tmp_path / "new"), "--database", urls[1]]) == 0
@@ -96,7 +111,9 @@ def test_whatever_bit_flips_what_comes_back_is_right_or_nothing(tmp_path, backup
         damaged[place] ^= 0x10
         backup.write_bytes(damaged)
         new = tmp_path / f"new-{number}"
-        if run(["restore", str(backup), "--data", str(new)]) == 0:  # padding, or a field of the tar header that says nothing
+        if (
+            run(["restore", str(backup), "--data", str(new)]) == 0
+        ):  # padding, or a field of the tar header that says nothing
             unharmed += 1
             assert everything(new, f"sqlite:///{new / 'residuum.db'}") == right
         else:
@@ -119,9 +136,13 @@ def test_nothing_is_overwritten_and_no_broken_block_is_backed_up(tmp_path, backu
     assert "not empty" in refused(capsys, tmp_path / "old", "restore", backup)
     block = sorted(tmp_path.glob("old/blocks/*/*.block"))[0]
     block.write_bytes(block.read_bytes()[:-1] + b"x")
-    assert f"{block.name} differs from its checksum" in refused(capsys, tmp_path / "old", "backup", tmp_path / "c")
+    assert f"{block.name} differs from its checksum" in refused(
+        capsys, tmp_path / "old", "backup", tmp_path / "c"
+    )
     block.unlink()
-    assert f"{block.name}: is missing" in refused(capsys, tmp_path / "old", "backup", tmp_path / "c")
+    assert f"{block.name}: is missing" in refused(
+        capsys, tmp_path / "old", "backup", tmp_path / "c"
+    )
     assert not list(tmp_path.glob("c*"))
 
 
@@ -136,7 +157,9 @@ def test_the_settings_and_what_they_name_come_back_beside_the_data(tmp_path, cap
         "window": {"cut": "sliding"},
         "sources": [{"kind": "modbus", "host": "127.0.0.1", "map": str(bus)}],
     }
-    file.write_text(json.dumps({"port": 9000, "mqtt": "mqtt://plant:secret@broker", "machines": [machine]}))
+    file.write_text(
+        json.dumps({"port": 9000, "mqtt": "mqtt://plant:secret@broker", "machines": [machine]})
+    )
     monkeypatch.delenv("RESIDUUM_SETTINGS", raising=False)
     monkeypatch.setenv("RESIDUUM_SETTINGS", str(file))
     saved, back = tmp_path / "saved", tmp_path / "back"
@@ -149,11 +172,18 @@ def test_the_settings_and_what_they_name_come_back_beside_the_data(tmp_path, cap
     capsys.readouterr()
     assert run(["restore", str(saved), "--data", str(back), "--json"]) == 0
     folder = back / "settings-of-backup"
-    assert json.loads(capsys.readouterr().out)["settings"] == ["000-settings.yaml", "001-press_map.yaml", "places.json"]
+    assert json.loads(capsys.readouterr().out)["settings"] == [
+        "000-settings.yaml",
+        "001-press_map.yaml",
+        "places.json",
+    ]
     assert (folder / "000-settings.yaml").read_bytes() == file.read_bytes()
     assert (folder / "001-press_map.yaml").read_bytes() == bus.read_bytes()
     assert json.loads((folder / "places.json").read_bytes())["001-press_map.yaml"] == str(bus)
-    assert folder.stat().st_mode & 0o777 == 0o700 and (folder / "places.json").stat().st_mode & 0o777 == 0o600
+    assert (
+        folder.stat().st_mode & 0o777 == 0o700
+        and (folder / "places.json").stat().st_mode & 0o777 == 0o600
+    )
     content = saved.read_bytes()
     saved.write_bytes(content.replace(b"plant:secret", b"plant:sEcret"))
     assert run(["restore", str(saved), "--data", str(tmp_path / "other")]) == 2

@@ -34,7 +34,11 @@ def clock(monkeypatch):
 
 def add(store, count=1):
     for _ in range(count):
-        store.add_window("a", Record({"y": np.arange(10.0)}, {"y": "V"}, 1e-3), Finding("bearing", "healthy", reason="-"))
+        store.add_window(
+            "a",
+            Record({"y": np.arange(10.0)}, {"y": "V"}, 1e-3),
+            Finding("bearing", "healthy", reason="-"),
+        )
 
 
 def kept(store):

@@ -26,7 +26,12 @@ def same(one, other):
 def test_every_changed_byte_is_told_or_harmless(tmp_path, flip):
     blocks = Blocks(tmp_path)
     record = Record(
-        {"y": np.arange(5.0), "u": np.ones(5)}, {"y": "m/s²", "u": "V"}, 1e-3, t0=0.5, notes=("a note",), source="bus"
+        {"y": np.arange(5.0), "u": np.ones(5)},
+        {"y": "m/s²", "u": "V"},
+        1e-3,
+        t0=0.5,
+        notes=("a note",),
+        source="bus",
     )
     written = blocks.write(record, "2026-01-01")
     file = tmp_path / written.path
@@ -59,6 +64,10 @@ def test_a_block_of_before_headers_had_checksums_is_read_and_compared_as_a_whole
         file.write_bytes(content[:25] + other.ljust(length)[:length] + content[25 + length :])
     with pytest.raises(BrokenBlock, match="differs from its checksum"):
         store.window_record("press", window.id)
-    new = store.add_window("press", Record({"y": [1.0, 2.0]}, {"y": "m/s²"}, 1e-3), Finding("bearing", "healthy", reason="-"))
+    new = store.add_window(
+        "press",
+        Record({"y": [1.0, 2.0]}, {"y": "m/s²"}, 1e-3),
+        Finding("bearing", "healthy", reason="-"),
+    )
     assert store.window_record("press", new).n == 2
     store.close()

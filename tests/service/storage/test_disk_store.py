@@ -58,7 +58,14 @@ def window(seed=0, n=1000):
     y = rng.normal(size=n)
     y[17] = np.nan
     channels = {"y": y, "Beschleunigung 🛠": rng.normal(size=n).astype(np.float32)}
-    return Record(channels, {"y": "V", "Beschleunigung 🛠": "m/s²"}, 1e-3, t0=12.5, notes=("split: 0.7",), source="can0")
+    return Record(
+        channels,
+        {"y": "V", "Beschleunigung 🛠": "m/s²"},
+        1e-3,
+        t0=12.5,
+        notes=("split: 0.7",),
+        source="can0",
+    )
 
 
 def finding(verdict="healthy", **more):
@@ -68,17 +75,30 @@ def finding(verdict="healthy", **more):
 def test_a_window_comes_back_exactly_as_it_was(store):
     record = window()
     said = finding(
-        "faulty", fault_class="ball", indicators={"rms": 1.5, "odd": float("nan")}, thresholds={"rms": 1.0}, units={"rms": "V"}
+        "faulty",
+        fault_class="ball",
+        indicators={"rms": 1.5, "odd": float("nan")},
+        thresholds={"rms": 1.0},
+        units={"rms": "V"},
     )
     number = store.add_window("press-1", record, said)
     back = store.window_record("press-1", number)
     for name in record.names:
         np.testing.assert_array_equal(back[name], record[name])
         assert back[name].dtype == record[name].dtype
-    assert (dict(back.units), back.sample_time, back.t0, back.notes) == (dict(record.units), 1e-3, 12.5, ("split: 0.7",))
+    assert (dict(back.units), back.sample_time, back.t0, back.notes) == (
+        dict(record.units),
+        1e-3,
+        12.5,
+        ("split: 0.7",),
+    )
     assert store.window_record("press-1", number, ["y"]).names == ("y",)
     stored = store.finding_of(number).finding
-    assert (stored.verdict, stored.fault_class, stored.thresholds) == ("faulty", "ball", {"rms": 1.0})
+    assert (stored.verdict, stored.fault_class, stored.thresholds) == (
+        "faulty",
+        "ball",
+        {"rms": 1.0},
+    )
     assert stored.indicators == {"rms": 1.5, "odd": None}
     assert store.asset("press-1").last_finding.window == number
     with pytest.raises(NotFound, match="has no window"):
@@ -88,7 +108,11 @@ def test_a_window_comes_back_exactly_as_it_was(store):
 def test_one_key_stores_once_even_when_asked_by_many_at_once(store):
     numbers = []
     threads = [
-        threading.Thread(target=lambda: numbers.append(store.add_window("a", window(), finding(), "key-1", "digest")))
+        threading.Thread(
+            target=lambda: numbers.append(
+                store.add_window("a", window(), finding(), "key-1", "digest")
+            )
+        )
         for _ in range(8)
     ]
     for thread in threads:
@@ -184,32 +208,55 @@ def test_indicators_over_time_keep_gaps(store):
 def test_an_alarm_lives_as_the_standard_says(store, announced):
     store.add_window("a", window(), finding("faulty"))
     (alarm,) = store.alarms().items
-    assert (alarm.state, alarm.kind, alarm.condition) == (AlarmState.UNACKNOWLEDGED, "machine", True)
+    assert (alarm.state, alarm.kind, alarm.condition) == (
+        AlarmState.UNACKNOWLEDGED,
+        "machine",
+        True,
+    )
     store.add_window("a", window(), finding("faulty"))
     assert store.alarm(alarm.id).occurrences == 1
     store.add_window("a", window(), finding("not-assessable"))
     assert store.alarm(alarm.id).state is AlarmState.UNACKNOWLEDGED
     store.add_window("a", window(), finding("healthy"))
     assert store.alarm(alarm.id).state is AlarmState.RETURNED_UNACKNOWLEDGED
-    assert store.operate_alarm(alarm.id, AlarmEvent.ACKNOWLEDGE, "eva", "seen").state is AlarmState.NORMAL
+    assert (
+        store.operate_alarm(alarm.id, AlarmEvent.ACKNOWLEDGE, "eva", "seen").state
+        is AlarmState.NORMAL
+    )
     with pytest.raises(IllegalTransition, match="cannot acknowledge in state 'normal'"):
         store.operate_alarm(alarm.id, AlarmEvent.ACKNOWLEDGE, "eva")
     store.add_window("a", window(), finding("faulty"))
     again = store.alarm(alarm.id)
-    assert (again.occurrences, again.acknowledged_by, again.state) == (2, None, AlarmState.UNACKNOWLEDGED)
-    assert [entry.event for entry in store.alarm_journal(alarm.id)] == ["raise", "acknowledge", "clear", "raise"]
-    assert {payload["kind"] for kind, payload in announced if kind == "alarm"} == {"machine", "signal"}
+    assert (again.occurrences, again.acknowledged_by, again.state) == (
+        2,
+        None,
+        AlarmState.UNACKNOWLEDGED,
+    )
+    assert [entry.event for entry in store.alarm_journal(alarm.id)] == [
+        "raise",
+        "acknowledge",
+        "clear",
+        "raise",
+    ]
+    assert {payload["kind"] for kind, payload in announced if kind == "alarm"} == {
+        "machine",
+        "signal",
+    }
 
 
 def test_a_shelved_alarm_comes_back_by_itself(store):
     store.add_window("a", window(), finding("faulty"))
     (alarm,) = store.alarms().items
-    store.operate_alarm(alarm.id, AlarmEvent.SHELVE, "eva", None, datetime.now(UTC) + timedelta(hours=1))
+    store.operate_alarm(
+        alarm.id, AlarmEvent.SHELVE, "eva", None, datetime.now(UTC) + timedelta(hours=1)
+    )
     store.unshelve_expired()
     assert store.alarm(alarm.id).state is AlarmState.SHELVED
     store.operate_alarm(alarm.id, AlarmEvent.UNSHELVE)
     assert store.alarm(alarm.id).state is AlarmState.UNACKNOWLEDGED
-    store.operate_alarm(alarm.id, AlarmEvent.SHELVE, "eva", None, datetime.now(UTC) - timedelta(seconds=1))
+    store.operate_alarm(
+        alarm.id, AlarmEvent.SHELVE, "eva", None, datetime.now(UTC) - timedelta(seconds=1)
+    )
     store.add_window("a", window(), finding("healthy"))
     store.unshelve_expired()
     assert store.alarm(alarm.id).state is AlarmState.NORMAL
@@ -224,7 +271,9 @@ def test_no_order_of_events_hides_a_standing_fault(store):
         for alarm in store.alarms(active=False).items:
             event = operations[rng.integers(3)]
             try:
-                store.operate_alarm(alarm.id, event, "x", None, datetime.now(UTC) + timedelta(minutes=1))
+                store.operate_alarm(
+                    alarm.id, event, "x", None, datetime.now(UTC) + timedelta(minutes=1)
+                )
             except IllegalTransition:
                 continue
         for alarm in store.alarms(active=False).items:
@@ -237,7 +286,10 @@ def test_models_grow_versions_of_one_kind(store):
     store.add_model_version("plant", "identified", b"{}")
     with pytest.raises(Conflict, match="is a physical model"):
         store.add_model_version("drive", "identified", b"{}")
-    assert [(each.model, each.number) for each in store.models().items] == [("drive", 2), ("plant", 1)]
+    assert [(each.model, each.number) for each in store.models().items] == [
+        ("drive", 2),
+        ("plant", 1),
+    ]
     assert (store.model_content("drive"), store.model_content("drive", 1)) == (b"two", b"one")
     with pytest.raises(NotFound, match="no version 3"):
         store.model_content("drive", 3)
@@ -250,7 +302,9 @@ def test_migrations_lead_to_the_tables_of_the_code_and_back(url):
         assert compare_metadata(MigrationContext.configure(connection), metadata) == []
     database.migrate("base")
     with database.read() as connection:
-        kept = {table for table in metadata.tables if connection.dialect.has_table(connection, table)}
+        kept = {
+            table for table in metadata.tables if connection.dialect.has_table(connection, table)
+        }
     assert kept == set()
     database.migrate()
     database.close()
@@ -284,7 +338,9 @@ def test_a_killed_service_loses_nothing_that_it_acknowledged(tmp_path, url, afte
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as writer:
         acknowledged = [tuple(map(int, writer.stdout.readline().split())) for _ in range(after)]
         writer.kill()
-        acknowledged += [tuple(map(int, line.split())) for line in writer.stdout if line.endswith("\n")]
+        acknowledged += [
+            tuple(map(int, line.split())) for line in writer.stdout if line.endswith("\n")
+        ]
     store = DiskStore(tmp_path, url)
     for number, stored in acknowledged:
         assert store.window_with_key("a", f"{after}-{number}", "d") == stored

@@ -28,12 +28,17 @@ class Plant:
     def post(self, n=20_000):
         """The status of the answer to one more window of so many samples."""
         self.number += 1
-        headers = {"Content-Type": "application/octet-stream", "Idempotency-Key": f"key-{self.number}"}
+        headers = {
+            "Content-Type": "application/octet-stream",
+            "Idempotency-Key": f"key-{self.number}",
+        }
         answer = self.client.post(PATH, content=body(self.number, n), headers=headers)
         if answer.status_code == 201:
             self.acknowledged[self.number] = answer.json()["window"]["id"]
         else:
-            assert answer.headers["content-type"] == "application/problem+json" and answer.json()["type"].endswith("unavailable")
+            assert answer.headers["content-type"] == "application/problem+json" and answer.json()[
+                "type"
+            ].endswith("unavailable")
         return answer.status_code
 
     def ready(self):
@@ -93,7 +98,9 @@ def test_a_full_disk_of_the_database_alone(make_disk, run_service, plant_at):
     plant.verify(service.services.store)
 
 
-def test_a_disk_that_fails_is_read_only_and_all_is_there_when_it_is_back(make_failing_disk, run_service, plant_at):
+def test_a_disk_that_fails_is_read_only_and_all_is_there_when_it_is_back(
+    make_failing_disk, run_service, plant_at
+):
     disk, fail, repair = make_failing_disk()
     service = run_service(data=disk)
     plant = plant_at(service.url)

@@ -56,7 +56,9 @@ class LossyProxy:
                     if b"COMMIT" in said and self.lose and self.lose in said:
                         self.lose = None
                         self.lost += 1
-                        server.recv(65536)  # the answer: the transaction stands, and nobody hears of it
+                        server.recv(
+                            65536
+                        )  # the answer: the transaction stands, and nobody hears of it
                         return
                     if b"COMMIT" in said or b"ROLLBACK" in said:
                         said = b""
@@ -93,7 +95,10 @@ def test_no_window_is_lost_or_stored_twice_over_http(proxy, run_service, tmp_pat
     assert sorted(window.id for window in store.windows("press", limit=100).items) == sorted(ids)
     for number, window in enumerate(ids):
         assert store.window_record("press", window)["acceleration"][0] == number
-    assert run(["backup", str(tmp_path / "backup"), "--data", str(tmp_path), "--database", proxy.url]) == 0
+    assert (
+        run(["backup", str(tmp_path / "backup"), "--data", str(tmp_path), "--database", proxy.url])
+        == 0
+    )
     capsys.readouterr()
 
 
@@ -111,6 +116,10 @@ def test_what_certainly_failed_leaves_no_block(tmp_path):
     store = DiskStore(tmp_path, f"sqlite:///{tmp_path / 'residuum.db'}")
     with pytest.raises(ValueError, match="rule"):
         store._rule_of = lambda asset: (_ for _ in ()).throw(ValueError("rule"))
-        store.add_window("press", Record({"u": np.arange(3.0)}, {"u": "V"}, 0.1), Finding("bearing", "faulty", reason="-"))
+        store.add_window(
+            "press",
+            Record({"u": np.arange(3.0)}, {"u": "V"}, 0.1),
+            Finding("bearing", "faulty", reason="-"),
+        )
     assert list(tmp_path.glob("blocks/*/*.block")) == []
     store.close()

@@ -9,7 +9,11 @@ import pytest
 
 from residuum.service.storage import disk_store
 
-BODY = {"sample_time": 1e-3, "channels": {"acceleration": [0.0, 1.0] * 500}, "units": {"acceleration": "m/s²"}}
+BODY = {
+    "sample_time": 1e-3,
+    "channels": {"acceleration": [0.0, 1.0] * 500},
+    "units": {"acceleration": "m/s²"},
+}
 WINDOWS = "/api/v1/assets/press/windows"
 
 
@@ -19,7 +23,9 @@ def test_what_is_moved_takes_nothing_and_is_told_at_once(run_service, tmp_path, 
     with httpx.Client(base_url=service.url, timeout=60) as client:
 
         def post(key):
-            return client.post(f"{WINDOWS}?diagnoser=bearing", json=BODY, headers={"Idempotency-Key": key}).status_code
+            return client.post(
+                f"{WINDOWS}?diagnoser=bearing", json=BODY, headers={"Idempotency-Key": key}
+            ).status_code
 
         assert post("first") == 201 and client.get("/health/ready").status_code == 200
         os.rename(tmp_path / moved, tmp_path / "elsewhere")
@@ -41,7 +47,9 @@ def test_what_is_moved_takes_nothing_and_is_told_at_once(run_service, tmp_path, 
 def test_readiness_is_looked_at_once_a_second_at_most(run_service, monkeypatch):
     service = run_service()
     now, looks = [0.0], []
-    monkeypatch.setattr(disk_store, "time", SimpleNamespace(monotonic=lambda: now[0]))  # of the store alone
+    monkeypatch.setattr(
+        disk_store, "time", SimpleNamespace(monotonic=lambda: now[0])
+    )  # of the store alone
     store = service.services.store
     store._checked_at = -10.0
     probe = store._blocks.probe

@@ -47,11 +47,15 @@ def proxy(request, new_postgresql_database, monkeypatch):
     proxy.close()
 
 
-def test_windows_wait_for_a_silent_database_and_go_in_once_and_in_order(proxy, run_service, tmp_path):
+def test_windows_wait_for_a_silent_database_and_go_in_once_and_in_order(
+    proxy, run_service, tmp_path
+):
     service = run_service(data=tmp_path, database=proxy.url)
     source, stopped, counted = Source(service.port, "press"), threading.Event(), []
     store = service.services.store
-    bus = threading.Thread(target=lambda: counted.append(from_the_bus(store, "bus", stopped)), daemon=True)
+    bus = threading.Thread(
+        target=lambda: counted.append(from_the_bus(store, "bus", stopped)), daemon=True
+    )
     source.start()
     bus.start()
     silence(proxy, [source], 1.5)
@@ -76,7 +80,9 @@ def test_a_statement_that_takes_longer_than_the_patience_is_not_given_up_where_i
 def holders(base):
     """Sessions of the server that hold a data folder."""
     with base.read() as connection:
-        return connection.scalars(text("SELECT pid FROM pg_locks WHERE locktype = 'advisory'")).all()
+        return connection.scalars(
+            text("SELECT pid FROM pg_locks WHERE locktype = 'advisory'")
+        ).all()
 
 
 def test_the_lock_of_the_folder_is_taken_again_after_a_silence(proxy, monkeypatch):
@@ -88,7 +94,10 @@ def test_the_lock_of_the_folder_is_taken_again_after_a_silence(proxy, monkeypatc
         proxy.fall_silent()
         wait_for(lambda: proxy.connections > before + 1, "the lock's connection was not given up")
         proxy.speak()
-        wait_for(lambda: len(now := holders(theirs)) == 1 and first not in now, "the lock was not taken again")
+        wait_for(
+            lambda: len(now := holders(theirs)) == 1 and first not in now,
+            "the lock was not taken again",
+        )
         with pytest.raises(ServiceRuns), database_lock(theirs, "folder"):
             pass
     wait_for(lambda: not holders(theirs), "the lock was not let go")
@@ -97,7 +106,9 @@ def test_the_lock_of_the_folder_is_taken_again_after_a_silence(proxy, monkeypatc
     theirs.close()
 
 
-def test_an_answer_that_is_lost_while_the_lock_is_taken_again_is_not_the_last(new_postgresql_database, monkeypatch):
+def test_an_answer_that_is_lost_while_the_lock_is_taken_again_is_not_the_last(
+    new_postgresql_database, monkeypatch
+):
     monkeypatch.setattr(service_lock, "LOOK_EVERY", 0.1)
     url, lost, answers, told = new_postgresql_database(), [], [], []
     ours, theirs = Database(url), Database(url)
@@ -105,7 +116,9 @@ def test_an_answer_that_is_lost_while_the_lock_is_taken_again_is_not_the_last(ne
 
     def lost_once(lock, connection):
         answer = free(lock, connection)
-        if not lost:  # granted, but the answer does not arrive, and the server believes in the session
+        if (
+            not lost
+        ):  # granted, but the answer does not arrive, and the server believes in the session
             lost.append(lock._held.pop_all())
             raise OperationalError("SELECT", {}, Exception("the connection is lost"))
         answers.append(answer)
@@ -114,7 +127,9 @@ def test_an_answer_that_is_lost_while_the_lock_is_taken_again_is_not_the_last(ne
     with database_lock(ours, "folder", told.append):
         monkeypatch.setattr(service_lock._AdvisoryLock, "_free", lost_once)
         with theirs.read() as connection:
-            connection.execute(text("SELECT pg_terminate_backend(pid) FROM pg_locks WHERE locktype = 'advisory'"))
+            connection.execute(
+                text("SELECT pg_terminate_backend(pid) FROM pg_locks WHERE locktype = 'advisory'")
+            )
         wait_for(lambda: answers and answers[-1], "the lock was not taken again")
         assert len(holders(theirs)) == 1 and not told
     lost[0].close()
@@ -128,9 +143,13 @@ def test_who_finds_the_folder_taken_is_told(new_postgresql_database, monkeypatch
     ours, theirs = Database(url), Database(url)
     with database_lock(ours, "folder", told.append):
         take = service_lock._AdvisoryLock.take
-        monkeypatch.setattr(service_lock._AdvisoryLock, "take", lambda lock: False)  # while another is faster
+        monkeypatch.setattr(
+            service_lock._AdvisoryLock, "take", lambda lock: False
+        )  # while another is faster
         with theirs.read() as connection:
-            connection.execute(text("SELECT pg_terminate_backend(pid) FROM pg_locks WHERE locktype = 'advisory'"))
+            connection.execute(
+                text("SELECT pg_terminate_backend(pid) FROM pg_locks WHERE locktype = 'advisory'")
+            )
         wait_for(lambda: told, "nobody was told")
         monkeypatch.setattr(service_lock._AdvisoryLock, "take", take)
     assert "another service has taken" in told[0] and len(told) == 1
@@ -151,7 +170,9 @@ def locked(run_service, tmp_path, monkeypatch):
 
 def test_reads_do_not_wait_behind_writes_that_cannot_be_done(locked):
     service, let_go = locked
-    source = [Source(service.port, f"press-{k}") for k in range(40)]  # as many as there are threads for requests
+    source = [
+        Source(service.port, f"press-{k}") for k in range(40)
+    ]  # as many as there are threads for requests
     for each in source:
         each.start()
     wait_for(lambda: sum(each.refused for each in source) >= 40, "nobody was refused")
@@ -159,7 +180,11 @@ def test_reads_do_not_wait_behind_writes_that_cannot_be_done(locked):
         for path in ("/api/v1/assets", "/api/v1/alarms", "/metrics", "/", "/api/v1/health/live"):
             assert client.get(path).status_code == 200
         refused = client.put("/api/v1/assets/press-0", json={})
-        assert refused.status_code == 503 and refused.headers["Retry-After"] and "try again" in refused.json()["detail"]
+        assert (
+            refused.status_code == 503
+            and refused.headers["Retry-After"]
+            and "try again" in refused.json()["detail"]
+        )
         ready = client.get("/health/ready")
         assert ready.status_code == 503 and ready.headers["Retry-After"]
         assert all(each.answered == [] for each in source)
@@ -167,7 +192,9 @@ def test_reads_do_not_wait_behind_writes_that_cannot_be_done(locked):
         wait_for(lambda: all(each.answered for each in source), "not all windows went in")
     for each in source:
         each.stop()
-        assert stored(service.services.store, each._asset) == [float(number) for number, _ in each.answered]
+        assert stored(service.services.store, each._asset) == [
+            float(number) for number, _ in each.answered
+        ]
 
 
 def test_more_writers_than_may_wait_are_refused_at_once(tmp_path, monkeypatch):

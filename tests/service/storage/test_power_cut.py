@@ -15,7 +15,9 @@ from residuum.service.storage.durable_folder import make_folder
 def strace():
     """Skips loudly where programs cannot be traced; fails where CI may install what is needed."""
     if shutil.which("strace") is None:
-        message = "NO STRACE HERE, so power cuts were not tested; sh tests/system_packages.sh installs it"
+        message = (
+            "NO STRACE HERE, so power cuts were not tested; sh tests/system_packages.sh installs it"
+        )
         if os.environ.get("CI") and os.getuid() == 0:
             pytest.fail(message)
         pytest.skip(message)
@@ -24,7 +26,9 @@ def strace():
 @pytest.mark.parametrize("name", list(power_cut.PROGRAMS))
 def test_whenever_the_power_goes_nothing_acknowledged_is_lost_and_nothing_is_broken(strace, name):
     found = power_cut.campaign(name, count=12, cuts=40, seed=1)
-    assert found["lost"] == found["broken"] == 0 and found["right"] >= 40 and found["acknowledged"] > 0
+    assert (
+        found["lost"] == found["broken"] == 0 and found["right"] >= 40 and found["acknowledged"] > 0
+    )
 
 
 CARELESS = """
@@ -47,7 +51,11 @@ os.truncate(folder / "a", 10)
 def left(disk, folder, names, sectors):
     folder.mkdir()
     disk.cut(folder, names, sectors, random.Random(0))
-    return {str(place.relative_to(folder)): place.read_bytes() for place in folder.rglob("*") if place.is_file()}
+    return {
+        str(place.relative_to(folder)): place.read_bytes()
+        for place in folder.rglob("*")
+        if place.is_file()
+    }
 
 
 def test_the_log_of_a_program_holds_what_it_did_in_its_order(strace, tmp_path):
@@ -74,7 +82,9 @@ def test_a_file_whose_folder_was_not_synced_may_be_gone(tmp_path):
         Operation("sync", f"{root}/kept"),
     ):
         disk.do(step)
-    assert left(disk, tmp_path / "1", 0.0, 0.0) == {} and left(disk, tmp_path / "2", 1.0, 0.0) == {"kept/a": b"x" * 2000}
+    assert left(disk, tmp_path / "1", 0.0, 0.0) == {} and left(disk, tmp_path / "2", 1.0, 0.0) == {
+        "kept/a": b"x" * 2000
+    }
     disk.do(Operation("sync", str(root)))
     assert left(disk, tmp_path / "3", 0.0, 0.0) == {"kept/a": b"x" * 2000}
 
@@ -95,13 +105,19 @@ def test_what_was_not_synced_is_kept_sector_by_sector_as_chance_has_it(tmp_path)
     assert left(disk, tmp_path / "2", 1.0, 1.0) == {"b": b"o" * 100 + b"n" * 3000 + b"o" * 996}
     (torn,) = left(disk, tmp_path / "3", 1.0, 0.5).values()
     sectors = [torn[max(100, begin) : min(3100, begin + 512)] for begin in range(0, 4096, 512)]
-    assert all(len(set(sector)) <= 1 for sector in sectors) and {b"o", b"n"} <= {sector[:1] for sector in sectors}
+    assert all(len(set(sector)) <= 1 for sector in sectors) and {b"o", b"n"} <= {
+        sector[:1] for sector in sectors
+    }
 
 
 def test_a_folder_is_made_with_those_above_it_and_each_is_synced(tmp_path, monkeypatch):
     synced = []
     monkeypatch.setattr("residuum.service.storage.durable_folder.sync_folder", synced.append)
     make_folder(tmp_path / "a" / "b" / "c")
-    assert (tmp_path / "a" / "b" / "c").is_dir() and synced == [tmp_path, tmp_path / "a", tmp_path / "a" / "b"]
+    assert (tmp_path / "a" / "b" / "c").is_dir() and synced == [
+        tmp_path,
+        tmp_path / "a",
+        tmp_path / "a" / "b",
+    ]
     make_folder(tmp_path / "a" / "b" / "c")
     assert len(synced) == 3

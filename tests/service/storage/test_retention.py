@@ -25,7 +25,11 @@ def store(tmp_path):
 
 
 def add(store, asset="a", verdict="healthy"):
-    return store.add_window(asset, Record({"y": np.arange(1000.0)}, {"y": "V"}, 1e-3), Finding("bearing", verdict, reason="-"))
+    return store.add_window(
+        asset,
+        Record({"y": np.arange(1000.0)}, {"y": "V"}, 1e-3),
+        Finding("bearing", verdict, reason="-"),
+    )
 
 
 def kept(store, asset="a"):
@@ -46,7 +50,9 @@ def test_the_oldest_signals_go_until_the_amount_is_kept(store, tmp_path):
 
 
 def test_signals_beyond_the_age_go_whatever_their_amount(store, monkeypatch):
-    monkeypatch.setattr("residuum.service.storage.disk_store._now", lambda: datetime.now(UTC) - timedelta(days=3))
+    monkeypatch.setattr(
+        "residuum.service.storage.disk_store._now", lambda: datetime.now(UTC) - timedelta(days=3)
+    )
     old = [add(store) for _ in range(3)]
     monkeypatch.undo()
     new = [add(store) for _ in range(2)]
@@ -62,7 +68,11 @@ def test_the_newest_window_of_an_asset_and_those_behind_open_alarms_stay(store):
     newest = add(store)
     other = add(store, asset="b")
     assert store.retain(Retention(FOREVER, 0)) == 1
-    assert kept(store) == {faulty, unjudged, newest} and kept(store, "b") == {other} and passed not in kept(store)
+    assert (
+        kept(store) == {faulty, unjudged, newest}
+        and kept(store, "b") == {other}
+        and passed not in kept(store)
+    )
     for alarm in store.alarms().items:
         store.operate_alarm(alarm.id, AlarmEvent.ACKNOWLEDGE)
     assert store.retain(Retention(FOREVER, 0)) == 2
@@ -76,7 +86,9 @@ def test_more_than_one_batch_goes_in_one_call(store, monkeypatch):
     assert store.retain(Retention(FOREVER, 0)) == 5
 
 
-def test_a_crash_between_row_and_file_leaves_a_block_that_the_sweep_removes(store, monkeypatch, tmp_path):
+def test_a_crash_between_row_and_file_leaves_a_block_that_the_sweep_removes(
+    store, monkeypatch, tmp_path
+):
     for _ in range(3):
         add(store)
     monkeypatch.setattr(store._blocks, "remove", lambda path: 1 / 0)
@@ -103,13 +115,22 @@ def add_at(store, monkeypatch, hours_ago, verdict="healthy", rms=1.0):
     moment = datetime(2026, 5, 1, 12, 30, tzinfo=UTC) - timedelta(hours=hours_ago)
     monkeypatch.setattr("residuum.service.storage.disk_store._now", lambda: moment)
     record = Record({"y": np.arange(10.0)}, {"y": "V"}, 1e-3)
-    finding = Finding("bearing", verdict, indicators={"rms": rms}, thresholds={"rms": 5.0}, units={"rms": "V"}, reason="-")
+    finding = Finding(
+        "bearing",
+        verdict,
+        indicators={"rms": rms},
+        thresholds={"rms": 5.0},
+        units={"rms": "V"},
+        reason="-",
+    )
     return store.add_window("a", record, finding)
 
 
 def test_rows_beyond_the_number_become_hours_that_hold_all_of_them(store, monkeypatch):
     values = np.random.default_rng(2).uniform(0, 4, 40)
-    numbers = [add_at(store, monkeypatch, 40 - k, rms=float(value)) for k, value in enumerate(values)]
+    numbers = [
+        add_at(store, monkeypatch, 40 - k, rms=float(value)) for k, value in enumerate(values)
+    ]
     rule = Retention(FOREVER, 2**40, FOREVER, 10)
     assert store.retain(rule) == 30
     assert [window.id for window in store.windows("a").items][::-1] == numbers[30:]
@@ -141,7 +162,13 @@ def test_one_hour_is_folded_in_several_goes_without_loss(store, monkeypatch):
     store.retain(Retention(FOREVER, 2**40, FOREVER, 1))
     (hour,) = store.finding_hours("a")
     rms = hour.indicators["rms"]
-    assert (hour.windows, dict(hour.verdicts), rms["n"], rms["unit"], rms["threshold"]) == (20, {"healthy": 20}, 20, "V", 5.0)
+    assert (hour.windows, dict(hour.verdicts), rms["n"], rms["unit"], rms["threshold"]) == (
+        20,
+        {"healthy": 20},
+        20,
+        "V",
+        5.0,
+    )
     assert (rms["minimum"], rms["maximum"]) == (values.min(), values.max())
     assert rms["mean"] == pytest.approx(values.mean())
 

@@ -20,7 +20,11 @@ from residuum.service.alarms.alarm_states import AlarmEvent, IllegalTransition
 from residuum.service.storage import DiskStore
 from residuum.service.store import Conflict
 
-ASSETS, KEYS, CONTENTS = st.sampled_from("ab"), st.sampled_from(["k1", "k2", "k3", None]), st.integers(1, 3)
+ASSETS, KEYS, CONTENTS = (
+    st.sampled_from("ab"),
+    st.sampled_from(["k1", "k2", "k3", None]),
+    st.integers(1, 3),
+)
 RECEIVERS = {"http://hook": False, "mqtt://broker": True}
 
 
@@ -46,7 +50,11 @@ class StoreAgainstModel(RuleBasedStateMachine):
             for waiting in self.findings_untold.values():
                 waiting.append(payload["id"])
 
-    @rule(which=st.integers(0, 1), asset=ASSETS, verdicts=st.lists(st.booleans(), min_size=2, max_size=6))
+    @rule(
+        which=st.integers(0, 1),
+        asset=ASSETS,
+        verdicts=st.lists(st.booleans(), min_size=2, max_size=6),
+    )
     def store_windows_without_keys(self, which, asset, verdicts):
         for faulty in verdicts:
             self.store_a_window(which, asset, None, 1, faulty)
@@ -80,13 +88,19 @@ class StoreAgainstModel(RuleBasedStateMachine):
                 assert [list(waiting) for waiting in self.alarms_untold.values()] == before
                 assert self.stores[which].alarm(alarm.id) == alarm
 
-    @rule(which=st.integers(0, 1), name=st.sampled_from(["drive", "oven"]), content=st.binary(max_size=8))
+    @rule(
+        which=st.integers(0, 1),
+        name=st.sampled_from(["drive", "oven"]),
+        content=st.binary(max_size=8),
+    )
     def add_a_version(self, which, name, content):
         kept = self.models.setdefault(name, [])
         kept.append(content)
         assert self.stores[which].add_model_version(name, "physical", content).number == len(kept)
 
-    @initialize(which=st.integers(0, 1), addresses=st.sampled_from([["mqtt://broker"], list(RECEIVERS)]))
+    @initialize(
+        which=st.integers(0, 1), addresses=st.sampled_from([["mqtt://broker"], list(RECEIVERS)])
+    )
     def register_receivers(self, which, addresses):
         for address in addresses:
             self.register_a_receiver(which, address)
@@ -108,8 +122,12 @@ class StoreAgainstModel(RuleBasedStateMachine):
         notice = outbox.next(receiver)
         assert (notice is None) == (not waiting)
         if notice is not None:
-            assert (notice.alarm["id"], notice.alarm["state"]) == waiting[0] and notice.passed_over == 0
-            assert self.stores[1 - which].outbox.next(receiver) is None, "another process tells it now"
+            assert (notice.alarm["id"], notice.alarm["state"]) == waiting[
+                0
+            ] and notice.passed_over == 0
+            assert self.stores[1 - which].outbox.next(receiver) is None, (
+                "another process tells it now"
+            )
             if heard:
                 outbox.told(receiver, notice)
                 waiting.pop(0)
@@ -136,11 +154,15 @@ class StoreAgainstModel(RuleBasedStateMachine):
     def all_is_there_in_both(self):
         for store in self.stores:
             held = {
-                window.id: window.asset for asset in store.assets().items for window in store.windows(asset.id, limit=500).items
+                window.id: window.asset
+                for asset in store.assets().items
+                for window in store.windows(asset.id, limit=500).items
             }
             assert held == {number: asset for number, (asset, _) in self.windows.items()}
             for name, contents in self.models.items():
-                assert [store.model_content(name, number + 1) for number in range(len(contents))] == contents
+                assert [
+                    store.model_content(name, number + 1) for number in range(len(contents))
+                ] == contents
         if self.windows:
             number, (asset, content) = max(self.windows.items())
             assert self.stores[0].window_record(asset, number)["y"][0] == content
@@ -152,6 +174,10 @@ class StoreAgainstModel(RuleBasedStateMachine):
 
 
 StoreAgainstModel.TestCase.settings = settings(
-    max_examples=12, stateful_step_count=60, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck)
+    max_examples=12,
+    stateful_step_count=60,
+    deadline=None,
+    derandomize=True,
+    suppress_health_check=list(HealthCheck),
 )
 TestStoreAgainstModel = StoreAgainstModel.TestCase

@@ -22,12 +22,18 @@ def left(tmp_path_factory):
     folder = tmp_path_factory.mktemp("0.1.0")
     with tarfile.open(LEFT) as archive:
         archive.extractall(folder, filter="data")
-    return folder / "data", json.loads((folder / "answers.json").read_text()), folder / "window-3.npz"
+    return (
+        folder / "data",
+        json.loads((folder / "answers.json").read_text()),
+        folder / "window-3.npz",
+    )
 
 
 @pytest.fixture(scope="module")
 def client(left, run_service):
-    service = run_service(data=left[0], keep_days=math.inf, keep_row_days=math.inf)  # however old the folder is by now
+    service = run_service(
+        data=left[0], keep_days=math.inf, keep_row_days=math.inf
+    )  # however old the folder is by now
     with httpx.Client(base_url=f"{service.url}/api/v1/", timeout=60) as client:
         yield client
 
@@ -35,7 +41,11 @@ def client(left, run_service):
 def kept(before, now):
     """What of `now` stands in `before`, too: an answer may have gained keys, and an alarm's text since when it stands."""
     if isinstance(before, dict) and isinstance(now, dict):
-        return {key: kept(value, now[key]) for key, value in before.items() if key in now and key != LIVE}
+        return {
+            key: kept(value, now[key])
+            for key, value in before.items()
+            if key in now and key != LIVE
+        }
     if isinstance(before, str) and isinstance(now, str) and now.startswith(f"{before}; since "):
         return before
     if isinstance(before, list) and isinstance(now, list) and len(before) == len(now):
@@ -59,8 +69,13 @@ def test_signals_and_models_are_read_and_the_folder_takes_new_ones(client, left)
     body = "time [s],vibration [m/s^2]\n" + "".join(f"{k / 4096},{k % 7}\n" for k in range(4096))
     sent = {"content": body.encode(), "headers": {"Content-Type": "text/csv"}}
     assert client.post("assets/press/windows?diagnoser=bearing", **sent).json()["window"]["id"] == 4
-    again = {"content": body.encode(), "headers": {"Content-Type": "text/csv", "Idempotency-Key": "window-2"}}
-    assert client.post("assets/press/windows?diagnoser=bearing", **again).status_code == 409, "the key was used"
+    again = {
+        "content": body.encode(),
+        "headers": {"Content-Type": "text/csv", "Idempotency-Key": "window-2"},
+    }
+    assert client.post("assets/press/windows?diagnoser=bearing", **again).status_code == 409, (
+        "the key was used"
+    )
 
 
 def test_its_schema_is_the_newest_one_after_the_start(client, left):

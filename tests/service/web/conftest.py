@@ -115,14 +115,20 @@ def legible(fits):
     return check
 
 
-@pytest.fixture(scope="module")  # not longer: while it lives, no other test in this process can run an event loop
+@pytest.fixture(
+    scope="module"
+)  # not longer: while it lives, no other test in this process can run an event loop
 def chromium():
     if CHROMIUM is None:
-        pytest.skip("NO CHROMIUM HERE, so the pages were not tested; sh tests/system_packages.sh installs it")
+        pytest.skip(
+            "NO CHROMIUM HERE, so the pages were not tested; sh tests/system_packages.sh installs it"
+        )
     expect.set_options(timeout=PATIENCE)
     with sync_playwright() as playwright:
         flags = ["--no-sandbox", "--disable-dev-shm-usage"]
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=flags, timeout=3 * PATIENCE)
+        browser = playwright.chromium.launch(
+            executable_path=CHROMIUM, args=flags, timeout=3 * PATIENCE
+        )
         yield browser
         browser.close()
 
@@ -135,21 +141,35 @@ def open_page(chromium):
 
         def open_page(url, *, size=(1280, 800), scheme="light", expected=(), **context):
             width, height = size
-            opened = chromium.new_context(viewport={"width": width, "height": height}, color_scheme=scheme, **context)
+            opened = chromium.new_context(
+                viewport={"width": width, "height": height}, color_scheme=scheme, **context
+            )
             stack.callback(opened.close)
             page = opened.new_page()
             page.set_default_timeout(PATIENCE)
-            stack.callback(page.unroute_all, behavior="ignoreErrors")  # a route under way must not outlive its test
+            stack.callback(
+                page.unroute_all, behavior="ignoreErrors"
+            )  # a route under way must not outlive its test
 
             def complain(text):
                 if not any(part in text for part in expected):
                     complaints.append(text)
 
-            page.on("console", lambda line: complain(line.text) if line.type in ("error", "warning") else None)
+            page.on(
+                "console",
+                lambda line: complain(line.text) if line.type in ("error", "warning") else None,
+            )
             page.on("pageerror", lambda error: complain(str(error)))
             page.on("dialog", lambda dialog: complaints.append(f"dialog {dialog.message}"))
             origin = "/".join(url.split("/")[:3])
-            page.on("request", lambda sent: None if sent.url.startswith((origin, "data:", "blob:")) else foreign.append(sent.url))
+            page.on(
+                "request",
+                lambda sent: (
+                    None
+                    if sent.url.startswith((origin, "data:", "blob:"))
+                    else foreign.append(sent.url)
+                ),
+            )
             page.goto(url)
             return page
 

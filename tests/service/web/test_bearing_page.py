@@ -20,9 +20,16 @@ def test_a_bearing_is_scored_from_an_uploaded_record(service, open_page, legible
     page = open_page(service.url, size=size)
     page.get_by_role("link", name="Bearing").click()
     page.get_by_label("Upload a vibration record").set_input_files(tmp_path / "bearing.npz")
-    expect(page.locator("[data-key=record]").locator("option:checked")).to_contain_text("bearing.npz")
+    expect(page.locator("[data-key=record]").locator("option:checked")).to_contain_text(
+        "bearing.npz"
+    )
     page.get_by_label("shaft speed [rpm]").fill("1800")
-    for line, order in {"inner race, BPFI": 5.4152, "outer race, BPFO": 3.5848, "ball, BSF": 2.357, "cage, FTF": 0.398}.items():
+    for line, order in {
+        "inner race, BPFI": 5.4152,
+        "outer race, BPFO": 3.5848,
+        "ball, BSF": 2.357,
+        "cage, FTF": 0.398,
+    }.items():
         page.get_by_label(line).fill(str(order))
     page.get_by_role("button", name="Score").click()
     expect(page.locator("main .title .badge")).to_have_text("Faulty: inner race")

@@ -22,7 +22,9 @@ def identified_plant():
     rng = np.random.default_rng(5)
     u = rng.normal(size=1500)
     y = lfilter([0, 0.3], [1, -0.7], u) + 0.02 * rng.normal(size=1500)
-    return identify_impulse_response(Record({"u": u, "y": y}, {"u": "V", "y": "m"}, 0.1), "u", "y", order=30, delay=1)
+    return identify_impulse_response(
+        Record({"u": u, "y": y}, {"u": "V", "y": "m"}, 0.1), "u", "y", order=30, delay=1
+    )
 
 
 @pytest.fixture(scope="module")
@@ -42,15 +44,30 @@ def test_a_controller_is_designed_chosen_on_the_front_and_taken_to_the_target(se
     page.get_by_label("structure").select_option("pi")
     page.get_by_label("limits, upper").fill("2.5")
     page.get_by_role("button", name="Design", exact=True).click()
-    expect(page.get_by_text("No plant within the uncertainty is destabilised")).to_be_visible(timeout=LONG_WORK)
-    for chart in ("Pareto front", "Step responses of drawn plants", "Constraints of the design", "Open loop with its range"):
+    expect(page.get_by_text("No plant within the uncertainty is destabilised")).to_be_visible(
+        timeout=LONG_WORK
+    )
+    for chart in (
+        "Pareto front",
+        "Step responses of drawn plants",
+        "Constraints of the design",
+        "Open loop with its range",
+    ):
         expect(page.get_by_label(chart).locator(".main-svg").first).to_be_visible()
-    drawn = page.evaluate("document.querySelector('[aria-label=\"Step responses of drawn plants\"]').data.map((t) => t.yaxis)")
+    drawn = page.evaluate(
+        "document.querySelector('[aria-label=\"Step responses of drawn plants\"]').data.map((t) => t.yaxis)"
+    )
     assert drawn.count("y2") == 2 and len(drawn) == 4  # y above, u below it
-    expect(page.get_by_label("Step responses of drawn plants").locator(".y2title")).to_have_text("u [V / m]")
+    expect(page.get_by_label("Step responses of drawn plants").locator(".y2title")).to_have_text(
+        "u [V / m]"
+    )
     controllers = page.get_by_label("controller", exact=True)
     first = controllers.input_value()
-    others = [index for index, text in enumerate(controllers.locator("option").all_inner_texts()) if text != first]
+    others = [
+        index
+        for index, text in enumerate(controllers.locator("option").all_inner_texts())
+        if text != first
+    ]
     page.get_by_label("Pareto front").scroll_into_view_if_needed()
     page.mouse.click(*page.evaluate(CENTRE_OF_MARKER, ["Pareto front", others[0]]))
     expect(controllers).not_to_have_value(first)
@@ -62,7 +79,10 @@ def test_a_controller_is_designed_chosen_on_the_front_and_taken_to_the_target(se
         page.get_by_role("button", name="Download controller.json").click()
     file = json.loads(saved.value.path().read_text(encoding="utf-8"))
     shown = page.locator("table td.number").first.inner_text()
-    assert math.isclose(float(shown), file["numerator"][0] / file["denominator"][0]) and "2.5" in file["difference_equation"]
+    assert (
+        math.isclose(float(shown), file["numerator"][0] / file["denominator"][0])
+        and "2.5" in file["difference_equation"]
+    )
     chosen = controllers.input_value()
     again = open_page(page.url)
     expect(again.get_by_label("controller", exact=True)).to_have_value(chosen, timeout=LONG_WORK)
@@ -83,7 +103,12 @@ def test_inputs_of_the_source_are_on_the_page_with_its_defaults(service, open_pa
     page.locator(".choice", has_text="plant, version 1").last.get_by_role("checkbox").check()
     page.get_by_text("More options").click()
     fields = {"epsilon": "0.1", "zeta": "0.2", "weight order": "1", "points": "100"}
-    for name, before in {"epsilon": "0.05", "zeta": "0.05", "weight order": "2", "points": "600"}.items():
+    for name, before in {
+        "epsilon": "0.05",
+        "zeta": "0.05",
+        "weight order": "2",
+        "points": "600",
+    }.items():
         expect(page.get_by_label(name)).to_have_value(before)
         page.get_by_label(name).fill(fields[name])
     page.get_by_label("rule").select_option("worst-case")
@@ -103,13 +128,21 @@ def test_an_impossible_wish_is_refused_with_its_reason(service, open_page):
     expect(page.locator(".says-large")).to_contain_text("No controller 'pi' meets it")
     page.get_by_label("settling time [s]").fill("40")
     page.get_by_label("settling time [s]").press("Enter")
-    expect(page.get_by_text("No plant within the uncertainty is destabilised")).to_be_visible(timeout=LONG_WORK)
+    expect(page.get_by_text("No plant within the uncertainty is destabilised")).to_be_visible(
+        timeout=LONG_WORK
+    )
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("size", SIZES.values(), ids=SIZES)
 def test_the_design_fits_and_can_be_read(service, open_page, legible, size, scheme):
-    page = open_page(f"{service.url}/#/control?models=plant@1,cold-plant@1&structure=pi", size=size, scheme=scheme)
-    expect(page.get_by_label("Open loop with its range").locator(".main-svg").first).to_be_visible(timeout=LONG_WORK)
+    page = open_page(
+        f"{service.url}/#/control?models=plant@1,cold-plant@1&structure=pi",
+        size=size,
+        scheme=scheme,
+    )
+    expect(page.get_by_label("Open loop with its range").locator(".main-svg").first).to_be_visible(
+        timeout=LONG_WORK
+    )
     page.get_by_text("Show structured text").click()
     legible(page)

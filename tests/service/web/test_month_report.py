@@ -8,7 +8,9 @@ from residuum.diagnosis.finding import Finding
 from residuum.identification.record import Record
 
 
-def test_the_report_is_legible_on_a_desk_and_on_a_phone(run_service, open_page, legible, monkeypatch, no_machines):
+def test_the_report_is_legible_on_a_desk_and_on_a_phone(
+    run_service, open_page, legible, monkeypatch, no_machines
+):
     service = run_service(no_machines)
     record = Record({"y": [0.0, 1.0]}, {"y": "V"}, 1.0)
     for number in range(60):
@@ -16,8 +18,21 @@ def test_the_report_is_legible_on_a_desk_and_on_a_phone(run_service, open_page, 
         monkeypatch.setattr("residuum.service.storage.disk_store._now", lambda at=at: at)
         size, verdict = 1.0 + (number - 30) ** 2 / 900, "faulty" if number > 50 else "healthy"
         kind = "wear" if verdict == "faulty" else None
-        evidence = {"parameters": {"R": {"value": size, "unit": "ohm", "healthy": {"low": 0.9, "high": 1.2}}}}
-        finding = Finding("model-based", verdict, kind, {"deviation": size}, {"deviation": 1.4}, {}, evidence, "worn bearing")
+        evidence = {
+            "parameters": {
+                "R": {"value": size, "unit": "ohm", "healthy": {"low": 0.9, "high": 1.2}}
+            }
+        }
+        finding = Finding(
+            "model-based",
+            verdict,
+            kind,
+            {"deviation": size},
+            {"deviation": 1.4},
+            {},
+            evidence,
+            "worn bearing",
+        )
         service.services.store.add_window("press", record, finding)
     monkeypatch.undo()
     page = open_page(f"{service.url}/api/v1/assets/press/report?month=2026-11")

@@ -62,26 +62,40 @@ def test_ticks_go_from_the_model_file_to_the_page(folder, capsys, run_service, o
     compared = told(["compare", model, dry], capsys)
     assert compared["outputs"]["speed"]["unit"] == "ticks/s" == compared["balances"]["drum"]["unit"]
 
-    explained = told(["explain", model, dry, "--effects", "coulomb-friction,quadratic-drag"], capsys)
+    explained = told(
+        ["explain", model, dry, "--effects", "coulomb-friction,quadratic-drag"], capsys
+    )
     first = explained["candidates"][0]
     assert (first["effect"], first["error_unit"]) == ("coulomb-friction", "ticks/s")
     assert first["parameters"]["tau_c"]["unit"] == "ticks/s"
     assert first["parameters"]["tau_c"]["value"] == pytest.approx(FRICTION, rel=0.02)
 
-    told(["improve", model, dry, "--add", "coulomb-friction", "--out", folder / "better.yaml"], capsys)
-    assert load_model(folder / "better.yaml").all_parameters["coulomb-friction@drum.tau_c"].unit == "ticks/s"
+    told(
+        ["improve", model, dry, "--add", "coulomb-friction", "--out", folder / "better.yaml"],
+        capsys,
+    )
+    assert (
+        load_model(folder / "better.yaml").all_parameters["coulomb-friction@drum.tau_c"].unit
+        == "ticks/s"
+    )
 
     healthy = [folder / f"healthy{k}.csv" for k in range(HEALTHY)]
     trained = told(["train", "model-based", *healthy, "--model", model, "--out", base], capsys)
     assert trained["parameters"]["G"]["unit"] == "ticks/s/V"
-    cause = told(["score", "model-based", dry, "--baseline", base], capsys, ANSWER_IS_NO)["causes"][0]
+    cause = told(["score", "model-based", dry, "--baseline", base], capsys, ANSWER_IS_NO)["causes"][
+        0
+    ]
     assert cause["value"]["unit"] == "ticks/s"
 
     service = run_service()
     query = {"name": "winch", "kind": "baseline", "diagnoser": "model-based"}
     with httpx.Client(base_url=f"{service.url}/api/v1", timeout=60) as client:
         assert client.post("/models", params=query, content=base.read_bytes()).status_code == 201
-        sent = {"params": {"diagnoser": "model-based"}, "content": dry.read_bytes(), "headers": {"content-type": "text/csv"}}
+        sent = {
+            "params": {"diagnoser": "model-based"},
+            "content": dry.read_bytes(),
+            "headers": {"content-type": "text/csv"},
+        }
         stored = client.post("/assets/winch/windows", **sent)
     assert stored.status_code == 201 and stored.json()["window"]["units"]["speed"] == "ticks/s"
 
@@ -90,4 +104,6 @@ def test_ticks_go_from_the_model_file_to_the_page(folder, capsys, run_service, o
     expect(page.locator(".says-large")).to_contain_text("ticks/s")
     expect(page.get_by_text("friction of the drum").first).to_contain_text("ticks/s")
     page.get_by_label("Channel").select_option("speed")
-    expect(page.locator(".chart .main-svg").filter(has_text="speed [ticks/s]").first).to_be_visible()
+    expect(
+        page.locator(".chart .main-svg").filter(has_text="speed [ticks/s]").first
+    ).to_be_visible()

@@ -21,7 +21,12 @@ FRICTION = {
 LUGRE = FRICTION | {"name": "lugre", "probability": 0.07, "indistinguishable_from": []}
 BARELY = FRICTION | {"name": "backlash", "probability": 4e-4, "indistinguishable_from": []}
 """Rounded to what the page shows it is 0 %."""
-SECOND = {"diagnoser": "model-based", "verdict": "healthy", "reason": "within the limit", "causes": [BARELY]}
+SECOND = {
+    "diagnoser": "model-based",
+    "verdict": "healthy",
+    "reason": "within the limit",
+    "causes": [BARELY],
+}
 MISSING = {"effect": "quadratic-drag", "place": "shaft", "parameters": {}}
 
 
@@ -40,10 +45,18 @@ def worn_fan(run_service):
             "second_opinion": SECOND,
         }
         finding = Finding(
-            "model-based", "faulty" if faulty else "healthy", "effect" if faulty else None, reason="a test", evidence=evidence
+            "model-based",
+            "faulty" if faulty else "healthy",
+            "effect" if faulty else None,
+            reason="a test",
+            evidence=evidence,
         )
-        with pytest.MonkeyPatch.context() as clock:  # windows come evenly, however busy this computer is
-            clock.setattr(disk_store, "_now", lambda moment=begin + k * timedelta(minutes=1): moment)
+        with (
+            pytest.MonkeyPatch.context() as clock
+        ):  # windows come evenly, however busy this computer is
+            clock.setattr(
+                disk_store, "_now", lambda moment=begin + k * timedelta(minutes=1): moment
+            )
             service.services.store.add_window("fan", record, finding)
     return service
 
@@ -54,7 +67,9 @@ def test_causes_and_parameters_of_a_machine(worn_fan, open_page, legible, size):
     expect(page.get_by_text("93 %: Coulomb friction of shaft")).to_be_visible()
     expect(page.get_by_text("7 %: LuGre friction of shaft")).to_be_visible()
     expect(page.get_by_text("acklash")).to_have_count(0)
-    expect(page.get_by_text("It disagrees: model-based says faulty, model-based says healthy")).to_be_visible()
+    expect(
+        page.get_by_text("It disagrees: model-based says faulty, model-based says healthy")
+    ).to_be_visible()
     expect(page.get_by_text("Healthy windows show Quadratic drag of shaft too")).to_be_visible()
     page.locator("[data-key=follow-parameters]").click()
     expect(page.get_by_text("It drifts slowly since")).to_be_visible()
@@ -73,9 +88,15 @@ def test_an_alarm_leads_to_its_window_and_on_to_the_workbench(worn_fan, open_pag
     expect(page).to_have_url(f"{worn_fan.url}/#/machines/fan?window=30")
     expect(page.get_by_text("Window 30: 100 samples")).to_be_visible()
     expect(page.get_by_text("In window 30:")).to_be_visible()
-    expect(page.get_by_text("This window cannot tell it from Load-dependent friction of the shaft.")).to_be_visible()
+    expect(
+        page.get_by_text("This window cannot tell it from Load-dependent friction of the shaft.")
+    ).to_be_visible()
     legible(page)
     page.locator("[data-key=window-20]").click()
-    expect(page.get_by_text("Window 20 shows nothing that needs a cause.")).to_be_visible()  # the chosen one, not the last one
+    expect(
+        page.get_by_text("Window 20 shows nothing that needs a cause.")
+    ).to_be_visible()  # the chosen one, not the last one
     page.locator("[data-key=explain-window]").click()
-    expect(page.get_by_text("fan has no model yet: choose one under Watch a machine")).to_be_visible()
+    expect(
+        page.get_by_text("fan has no model yet: choose one under Watch a machine")
+    ).to_be_visible()

@@ -20,15 +20,29 @@ def service(run_service, no_machines):
         """A pipeline that reads a bus with a long address."""
 
         def status(self):
-            return {"machines": {}, "sources": {BUS: {"quality": "good", "counters": {"frames_with_a_wrong_checksum": 12}}}}
+            return {
+                "machines": {},
+                "sources": {
+                    BUS: {"quality": "good", "counters": {"frames_with_a_wrong_checksum": 12}}
+                },
+            }
 
     service = run_service(OneBus)
     indicators = {"largest_amplitude_of_the_residuals_envelope_in_its_band": 3.0}
     limits = dict.fromkeys(indicators, 2.0)
-    finding = Finding("bearing", "faulty", "outer-race", indicators=indicators, thresholds=limits, reason="a long reason " * 20)
+    finding = Finding(
+        "bearing",
+        "faulty",
+        "outer-race",
+        indicators=indicators,
+        thresholds=limits,
+        reason="a long reason " * 20,
+    )
     record = Record({"y": np.zeros(50)}, {"y": "V"}, 0.1)
     service.services.store.add_window("press", record, finding)
-    service.services.store.add_record("a-very-long-name-of-a-record-that-a-logger-has-made-up-2026-11-27.csv", record)
+    service.services.store.add_record(
+        "a-very-long-name-of-a-record-that-a-logger-has-made-up-2026-11-27.csv", record
+    )
     return service
 
 
@@ -45,9 +59,13 @@ def test_the_catalogue_is_folded_on_a_phone_until_few_are_left(service, open_pag
     expect(page.locator(".effect")).not_to_have_count(0)
     expect(page.locator(".effect[open]")).to_have_count(0)
     page.get_by_text("Coulomb friction", exact=True).click()
-    expect(page.get_by_label("Signature of Coulomb friction: torque [N·m] over velocity [rad/s]")).to_be_visible()
+    expect(
+        page.get_by_label("Signature of Coulomb friction: torque [N·m] over velocity [rad/s]")
+    ).to_be_visible()
     page.get_by_label("search").fill("stribeck")
-    expect(page.get_by_label("Signature of Stribeck friction: torque [N·m] over velocity [rad/s]")).to_be_visible()
+    expect(
+        page.get_by_label("Signature of Stribeck friction: torque [N·m] over velocity [rad/s]")
+    ).to_be_visible()
     uncut(page)
     wide = open_page(f"{service.url}/#/effects")
     expect(wide.locator(".effect[open]")).not_to_have_count(0)

@@ -30,7 +30,9 @@ def window(seed=0, spike=None):
     if spike is not None:
         vibration[7777] = spike
     return Record(
-        {"acceleration": vibration, "speed": 1480 + rng.normal(size=t.size)}, {"acceleration": "m/s²", "speed": "rpm"}, 1e-4
+        {"acceleration": vibration, "speed": 1480 + rng.normal(size=t.size)},
+        {"acceleration": "m/s²", "speed": "rpm"},
+        1e-4,
     )
 
 
@@ -40,7 +42,14 @@ def finding(rms=0.5, fault_class=None, reason=None):
     said = reason or f"RMS is {rms} m/s², threshold 1 m/s²."
     indicators, units = {"rms": rms, "kurtosis": 3.1}, {"rms": "m/s²"}
     return Finding(
-        "bearing", verdict, fault_class, indicators, {"rms": 1.0, "kurtosis": 4.5}, units, {"band": [1000, 2000]}, said
+        "bearing",
+        verdict,
+        fault_class,
+        indicators,
+        {"rms": 1.0, "kurtosis": 4.5},
+        units,
+        {"band": [1000, 2000]},
+        said,
     )
 
 
@@ -57,11 +66,28 @@ class SwitchableMachines:
         pass
 
     def status(self):
-        source = {"machine": "press", "quality": "stale", "frames_per_second": 400.0, "samples_per_second": 12800.0}
-        source |= {"last_seen_seconds": 3.0, "counters": {"lost": 7, "timeouts": 0}, "last_trouble": "bus off"}
-        training = {"state": "training", "progress": 0.25, "doing": "movement 5 of 20", "diagnoser": "gate-actuator"}
+        source = {
+            "machine": "press",
+            "quality": "stale",
+            "frames_per_second": 400.0,
+            "samples_per_second": 12800.0,
+        }
+        source |= {
+            "last_seen_seconds": 3.0,
+            "counters": {"lost": 7, "timeouts": 0},
+            "last_trouble": "bus off",
+        }
+        training = {
+            "state": "training",
+            "progress": 0.25,
+            "doing": "movement 5 of 20",
+            "diagnoser": "gate-actuator",
+        }
         return {
-            "machines": {"gate": training, "press": {"state": "running", "progress": 1.0, "simulated": True}},
+            "machines": {
+                "gate": training,
+                "press": {"state": "running", "progress": 1.0, "simulated": True},
+            },
             "sources": {"press udp:1": source},
         }
 
@@ -71,8 +97,16 @@ class SwitchableMachines:
     def faults(self, machine):
         if machine != "press":
             raise NotFound(f"machine {machine!r}: there is none of this name")
-        bearing = {"id": "plier-bearing", "default_size": 1.5, "unit": "mm", "meaning": "a spalled bearing"}
-        return {"machine": machine, "faults": [bearing | {"on": self.size is not None, "size": self.size}]}
+        bearing = {
+            "id": "plier-bearing",
+            "default_size": 1.5,
+            "unit": "mm",
+            "meaning": "a spalled bearing",
+        }
+        return {
+            "machine": machine,
+            "faults": [bearing | {"on": self.size is not None, "size": self.size}],
+        }
 
     async def switch_fault(self, machine, fault, size):
         self.size = size or None
@@ -84,7 +118,9 @@ def service(run_service):
     service.services.store.add_window("fan", window(), finding())
     for number in range(3):
         service.services.store.add_window(
-            "press", window(number, spike=40.0 if number == 2 else None), finding([0.4, 0.5, 0.6][number])
+            "press",
+            window(number, spike=40.0 if number == 2 else None),
+            finding([0.4, 0.5, 0.6][number]),
         )
     return service
 
@@ -159,7 +195,9 @@ def test_a_window_has_more_pictures_than_its_spectrum(service, open_page):
     expect(plane.locator(".ytitle")).to_have_text("kurtosis")
 
 
-def test_the_gates_plane_shows_its_classifiers_regions_around_the_last_movement(run_service, open_page):
+def test_the_gates_plane_shows_its_classifiers_regions_around_the_last_movement(
+    run_service, open_page
+):
     service = run_service()
     example = GateActuator.examples()[0]
     judge = GateActuator().fit(example.training, example.labels)
@@ -175,7 +213,9 @@ def test_the_gates_plane_shows_its_classifiers_regions_around_the_last_movement(
     expect(plane.locator(".xtitle")).to_have_text("F1 [mm/s]")
     expect(plane.locator(".legendtext", has_text="last window")).to_be_visible()
     page.get_by_label("Indicator across").select_option("low_peak")
-    expect(page.get_by_text("cut through the classifier's regions at the last movement")).to_be_visible()
+    expect(
+        page.get_by_text("cut through the classifier's regions at the last movement")
+    ).to_be_visible()
     page.get_by_label("Indicator up").select_option("notch_match")
     expect(page.get_by_text("shaded: beyond a threshold")).to_be_visible()
 
@@ -184,7 +224,14 @@ def test_quadrants_are_shown_as_boxes(service, open_page):
     for k in range(5):
         values = {f"rms_q{q}": 0.2 * q + 0.01 * k for q in (1, 2, 3, 4)}
         said = Finding(
-            "gripping-pliers", "healthy", None, values, dict.fromkeys(values, 1.0), dict.fromkeys(values, "m/s²"), {}, None
+            "gripping-pliers",
+            "healthy",
+            None,
+            values,
+            dict.fromkeys(values, 1.0),
+            dict.fromkeys(values, "m/s²"),
+            {},
+            None,
         )
         service.services.store.add_window("pliers", window(k), said)
     page = open_page(f"{service.url}/#/machines/pliers")
@@ -201,7 +248,9 @@ def test_a_press_is_not_lost_when_the_list_changes_before_the_release(service, o
     button.hover()
     page.mouse.down()
     store(service, "press", 2.5)
-    expect(page.locator(".machine", has_text="Press")).to_contain_text("2.5 m/s² above")  # the page has drawn what came
+    expect(page.locator(".machine", has_text="Press")).to_contain_text(
+        "2.5 m/s² above"
+    )  # the page has drawn what came
     page.mouse.up()
     expect(page.locator(".alarm")).to_contain_text("acknowledged by local")
     store(service, "press", 0.5)
@@ -219,18 +268,28 @@ def test_what_happens_while_the_state_is_read_is_not_forgotten(service, open_pag
 
     def late(route):
         answer = route.fetch()
-        if not answered and answer.json()["items"] and page.locator("#connection").inner_text() == "connected":
+        if (
+            not answered
+            and answer.json()["items"]
+            and page.locator("#connection").inner_text() == "connected"
+        ):
             answered.append(True)
             number = answer.json()["items"][0]["id"]
-            httpx.post(f"{service.url}/api/v1/alarms/{number}/acknowledge", json={}, timeout=60).raise_for_status()
+            httpx.post(
+                f"{service.url}/api/v1/alarms/{number}/acknowledge", json={}, timeout=60
+            ).raise_for_status()
             expect(alarm).to_contain_text("acknowledged by local")
         route.fulfill(response=answer)
 
     page.route(re.compile("/api/v1/alarms[?]"), late)
-    for k in range(20):  # a machine that the page does not know: it reads all anew; again where it was not live just then
+    for k in range(
+        20
+    ):  # a machine that the page does not know: it reads all anew; again where it was not live just then
         with page.expect_response(re.compile("/api/v1/alarms[?]")):
             store(service, f"new-{service.port}-{k}", 0.3)
-        expect(page.locator(".machine", has_text=f"New {service.port} {k}")).to_contain_text("Healthy")
+        expect(page.locator(".machine", has_text=f"New {service.port} {k}")).to_contain_text(
+            "Healthy"
+        )
         if answered:
             break
         expect(page.locator("#connection")).to_have_text("connected")
@@ -246,7 +305,9 @@ def test_an_alarm_is_acknowledged_with_a_comment(service, open_page):
     page.get_by_text("Comment …").click()
     page.get_by_label("Comment on the alarm of press").fill(f"bearing ordered {HOSTILE}")
     page.keyboard.press("Enter")
-    expect(page.locator(".alarm")).to_contain_text(f"acknowledged by local: bearing ordered {HOSTILE}")
+    expect(page.locator(".alarm")).to_contain_text(
+        f"acknowledged by local: bearing ordered {HOSTILE}"
+    )
     store(service, "press", 0.5)
     expect(page.get_by_text("No alarms.")).to_be_visible()
 
@@ -317,7 +378,14 @@ def test_hostile_names_are_shown_as_text(run_service, open_page, fits):
     service = run_service()
     long = f"{HOSTILE} 😈 \u202e gnp.exe " + "W" * 10_000
     said = Finding(
-        "bearing", "faulty", HOSTILE[:60], {HOSTILE: 2.0}, {HOSTILE: 1.0}, {HOSTILE: HOSTILE}, {HOSTILE: HOSTILE}, long
+        "bearing",
+        "faulty",
+        HOSTILE[:60],
+        {HOSTILE: 2.0},
+        {HOSTILE: 1.0},
+        {HOSTILE: HOSTILE},
+        {HOSTILE: HOSTILE},
+        long,
     )
     service.services.store.ensure_asset("press", HOSTILE)
     service.services.store.add_window("press", window(), said)
@@ -339,7 +407,9 @@ def test_pages_fit_and_can_be_read(service, open_page, legible, size, scheme):
         page = open_page(service.url + path, size=size, scheme=scheme)
         expect(page.locator("h1")).to_be_visible()
         if path.endswith("press"):
-            expect(page.locator("[aria-label='Amplitude spectrum'] .main-svg").first).to_be_visible()
+            expect(
+                page.locator("[aria-label='Amplitude spectrum'] .main-svg").first
+            ).to_be_visible()
         assert page.evaluate("document.documentElement.dataset.theme") == scheme
         legible(page)
 
@@ -368,16 +438,26 @@ def test_our_own_part_of_the_page_is_small_on_the_wire(service):
     folder = Path(residuum.service.web.__file__).parent / "assets"
     files = [path for path in folder.rglob("*") if path.is_file()]
     sizes = []
-    with httpx.Client(base_url=service.url, headers={"Accept-Encoding": "gzip"}, timeout=60) as client:
+    with httpx.Client(
+        base_url=service.url, headers={"Accept-Encoding": "gzip"}, timeout=60
+    ) as client:
         sizes.append(int(client.get("/").headers["content-length"]))
         for path in files:
             answer = client.get(f"/web/{path.relative_to(folder)}")
-            assert answer.content == path.read_bytes() and answer.headers["content-encoding"] == "gzip"
+            assert (
+                answer.content == path.read_bytes() and answer.headers["content-encoding"] == "gzip"
+            )
             sizes.append(int(answer.headers["content-length"]))
-            again = client.get(f"/web/{path.relative_to(folder)}", headers={"If-None-Match": answer.headers["etag"]})
+            again = client.get(
+                f"/web/{path.relative_to(folder)}",
+                headers={"If-None-Match": answer.headers["etag"]},
+            )
             assert again.status_code == 304
         plain = client.get("/web/js/main.js", headers={"Accept-Encoding": "identity"})
-    assert "content-encoding" not in plain.headers and plain.content == (folder / "js" / "main.js").read_bytes()
+    assert (
+        "content-encoding" not in plain.headers
+        and plain.content == (folder / "js" / "main.js").read_bytes()
+    )
     assert len(files) > 30 and sum(sizes) <= 150_000
 
 
@@ -401,12 +481,25 @@ def test_both_methods_are_shown_with_every_finding_and_either_may_decide(run_ser
     windows = page.locator("section", has=page.get_by_role("heading", name="Windows", exact=True))
     expect(windows.locator(".methods")).to_have_text(both)
     windows.locator(".picker button").last.click()
-    expect(windows.locator(".methods")).to_contain_text("Default method: Healthy (decides) · Source's method: Healthy")
+    expect(windows.locator(".methods")).to_contain_text(
+        "Default method: Healthy (decides) · Source's method: Healthy"
+    )
     page.get_by_label("what decides").select_option("source")
-    expect(page.get_by_role("status").filter(has_text="the source's method decides from the next window on")).to_be_visible()
+    expect(
+        page.get_by_role("status").filter(
+            has_text="the source's method decides from the next window on"
+        )
+    ).to_be_visible()
     channels = {name: overlooked[name].tolist() for name in overlooked.names}
-    sent = {"sample_time": overlooked.sample_time, "t0": 0.0, "channels": channels, "units": dict(overlooked.units)}
-    httpx.post(f"{service.url}/api/v1/assets/plant/windows", json=sent, timeout=60).raise_for_status()
+    sent = {
+        "sample_time": overlooked.sample_time,
+        "t0": 0.0,
+        "channels": channels,
+        "units": dict(overlooked.units),
+    }
+    httpx.post(
+        f"{service.url}/api/v1/assets/plant/windows", json=sent, timeout=60
+    ).raise_for_status()
     expect(page.locator(".facts")).to_contain_text("Healthy (decides)")
     page.reload()
     expect(page.get_by_label("what decides")).to_have_value("source")

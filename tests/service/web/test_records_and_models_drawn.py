@@ -24,7 +24,9 @@ def service(run_service, no_machines):
     spike = np.zeros(u.size)
     spike[777] = 40.0
     channels = {"u": u, "y": y, "spike": spike} | {f"more_{k}": u for k in range(5)}
-    service.services.store.add_record("plant.csv", Record(channels, dict.fromkeys(channels, "V"), 0.1))
+    service.services.store.add_record(
+        "plant.csv", Record(channels, dict.fromkeys(channels, "V"), 0.1)
+    )
     return service
 
 
@@ -32,7 +34,9 @@ def data(page, label):
     """The traces of a chart, once they are drawn."""
     chart = f"document.querySelector('[aria-label=\"{label}\"]')"
     page.wait_for_function(f"() => {chart}?.data?.length")
-    return page.evaluate(f"JSON.stringify({chart}.data)"), page.evaluate(f"JSON.stringify({chart}.layout)")
+    return page.evaluate(f"JSON.stringify({chart}.data)"), page.evaluate(
+        f"JSON.stringify({chart}.layout)"
+    )
 
 
 @pytest.mark.parametrize("size", SIZES)
@@ -72,21 +76,38 @@ EXPLANATION = {
 
 
 def finished(result):
-    return json.dumps({"id": "j", "kind": "k", "state": "done", "progress": 1.0, "doing": "", "result": result, "error": None})
+    return json.dumps(
+        {
+            "id": "j",
+            "kind": "k",
+            "state": "done",
+            "progress": 1.0,
+            "doing": "",
+            "result": result,
+            "error": None,
+        }
+    )
 
 
 @pytest.mark.parametrize("size", SIZES)
 def test_every_effect_of_a_joint_answer_has_a_row(service, open_page, legible, size):
     page = open_page(service.url, size=size)
     as_json = {"content_type": "application/json"}
-    page.route("**/models/gate-drive/explain", lambda route: route.fulfill(body=finished(EXPLANATION), **as_json))
+    page.route(
+        "**/models/gate-drive/explain",
+        lambda route: route.fulfill(body=finished(EXPLANATION), **as_json),
+    )
     nothing = {"points": {"terms": [], "axes": []}}
-    page.route("**/models/gate-drive/views", lambda route: route.fulfill(body=finished(nothing), **as_json))
+    page.route(
+        "**/models/gate-drive/views", lambda route: route.fulfill(body=finished(nothing), **as_json)
+    )
     page.goto(f"{service.url}/#/workbench?records=1&model=gate-drive&step=why")
     rows = page.locator("tbody tr")
     expect(rows).to_have_count(2)
     expect(rows.nth(1)).to_contain_text("Coulomb friction besides the first")
-    expect(page.locator(".says-large")).to_contain_text("Besides it Coulomb friction in shaft, 93 %.")
+    expect(page.locator(".says-large")).to_contain_text(
+        "Besides it Coulomb friction in shaft, 93 %."
+    )
     legible(page)
     rows.nth(1).get_by_role("button", name="Add Coulomb friction to shaft").click()
     expect(page.get_by_text("Coulomb friction is added to shaft")).to_be_visible()
@@ -119,7 +140,9 @@ def test_errors_that_span_decades_are_drawn_over_factors(service, open_page, siz
 
 
 @pytest.mark.parametrize("size", SIZES)
-def test_models_are_compared_and_tell_their_residuals_poles_and_zeros(service, open_page, legible, size):
+def test_models_are_compared_and_tell_their_residuals_poles_and_zeros(
+    service, open_page, legible, size
+):
     page = open_page(f"{service.url}/#/identify", size=size)
     page.locator("[data-key=input]").select_option("u")
     page.locator("[data-key=output]").select_option("y")
@@ -128,17 +151,25 @@ def test_models_are_compared_and_tell_their_residuals_poles_and_zeros(service, o
     page.get_by_text("More options").first.click()
     page.locator("[data-key=also-kernel]").check()
     page.locator("[data-key=order]").press("Enter")
-    rows = page.locator("section", has=page.get_by_role("heading", name="Models side by side")).locator("tbody tr")
+    rows = page.locator(
+        "section", has=page.get_by_role("heading", name="Models side by side")
+    ).locator("tbody tr")
     expect(rows).to_have_count(4, timeout=LONG)
-    expect(page.get_by_label("Poles and zeros").or_(page.get_by_text("has no poles or zeros of its own"))).to_be_visible(
-        timeout=LONG
-    )
+    expect(
+        page.get_by_label("Poles and zeros").or_(
+            page.get_by_text("has no poles or zeros of its own")
+        )
+    ).to_be_visible(timeout=LONG)
     assert len(json.loads(data(page, "Bode diagrams of the models")[0])) == 8
     page.get_by_role("button", name="Show ARX, order 2").click()
     expect(page.get_by_role("button", name="Show ARX, order 2")).to_have_text("Shown below")
-    page.wait_for_function("() => document.querySelector('[aria-label=\"Poles and zeros\"]')?.data?.[0].x.length === 2")
+    page.wait_for_function(
+        "() => document.querySelector('[aria-label=\"Poles and zeros\"]')?.data?.[0].x.length === 2"
+    )
     poles = json.loads(data(page, "Poles and zeros")[0])[0]
-    assert sorted(np.abs(np.array(poles["x"]) + 1j * np.array(poles["y"]))) == pytest.approx([0.9, 0.9], abs=0.05)
+    assert sorted(np.abs(np.array(poles["x"]) + 1j * np.array(poles["y"]))) == pytest.approx(
+        [0.9, 0.9], abs=0.05
+    )
     traces, layout = data(page, "Residual and past input")
     edges = [shape["y0"] for shape in json.loads(layout)["shapes"]]
     assert len(json.loads(traces)[0]["y"]) >= 10 and edges[0] == -edges[1] > 0

@@ -22,7 +22,9 @@ BELOW = {
 
 
 def imports(file):
-    return [(file.parent / name).resolve() for name in re.findall(r'from "(\.[^"]+)"', file.read_text())]
+    return [
+        (file.parent / name).resolve() for name in re.findall(r'from "(\.[^"]+)"', file.read_text())
+    ]
 
 
 def folder(file):
@@ -35,7 +37,9 @@ def test_every_script_stands_in_a_folder_of_its_kind():
 
 @pytest.mark.parametrize("file", FILES, ids=lambda file: file.name)
 def test_imports_lead_downwards_to_files_that_are_there(file):
-    allowed = {*BELOW, "main.js"} if folder(file) == "main.js" else {folder(file), *BELOW[folder(file)]}
+    allowed = (
+        {*BELOW, "main.js"} if folder(file) == "main.js" else {folder(file), *BELOW[folder(file)]}
+    )
     assert all(other.is_file() and folder(other) in allowed for other in imports(file))
 
 
@@ -47,7 +51,9 @@ def test_no_script_imports_itself_by_others():
 def test_lines_are_no_longer_than_pythons_and_no_diagnoser_is_known_by_name(file):
     text = file.read_text()
     assert max(map(len, text.splitlines())) <= 130
-    others = [name for name in DIAGNOSERS if name != file.stem]  # but a page that is for one diagnoser, and named after it
+    others = [
+        name for name in DIAGNOSERS if name != file.stem
+    ]  # but a page that is for one diagnoser, and named after it
     assert not [name for name in others if re.search(rf"[\"'`]{name}[\"'`]", text)]
 
 

@@ -25,7 +25,16 @@ def fan_rig(free_port, free_channel):
     """The tutorial's rig in a process of its own; gives the process and its CAN channel."""
     channel = free_channel()
     address = channel.removeprefix("udp_multicast:").removesuffix("/0")
-    command = [sys.executable, RIG / "fan_rig.py", "--can", address, "--modbus", str(free_port()), "--speed", str(SPEED)]
+    command = [
+        sys.executable,
+        RIG / "fan_rig.py",
+        "--can",
+        address,
+        "--modbus",
+        str(free_port()),
+        "--speed",
+        str(SPEED),
+    ]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as rig:
         assert rig.stdout.readline() == "The fan turns.\n"
         yield rig, channel
@@ -107,15 +116,28 @@ def test_the_guided_way_of_the_tutorial_by_clicking(run_service, open_page, legi
     expect(page.get_by_role("heading", name="Fan")).to_be_visible()
 
 
-def test_a_diagnoser_with_two_methods_is_trained_with_the_one_that_is_chosen(run_service, open_page, legible, free_port):
+def test_a_diagnoser_with_two_methods_is_trained_with_the_one_that_is_chosen(
+    run_service, open_page, legible, free_port
+):
     service = run_service()
-    source = {"kind": "modbus", "host": "127.0.0.1", "port": free_port(), "map": "process_plant.yaml"}
-    settings = {"diagnoser": "robust-residual", "window": {"cut": "sliding", "length": 60, "step": 60}, "sources": [source]}
+    source = {
+        "kind": "modbus",
+        "host": "127.0.0.1",
+        "port": free_port(),
+        "map": "process_plant.yaml",
+    }
+    settings = {
+        "diagnoser": "robust-residual",
+        "window": {"cut": "sliding", "length": 60, "step": 60},
+        "sources": [source],
+    }
     put = httpx.put(f"{service.url}/api/v1/assets/plant/machine", json=settings, timeout=60)
     assert put.status_code == 200, put.text
     page = open_page(f"{service.url}/#/watch?machine=plant&step=train", expected=("409",))
     key(page, "method").select_option("source")
-    expect(page.get_by_label("false alarms a day that you accept")).to_have_count(0)  # it is not a setting of this diagnoser
+    expect(page.get_by_label("false alarms a day that you accept")).to_have_count(
+        0
+    )  # it is not a setting of this diagnoser
     expect(page.get_by_label("what decides")).to_have_value("source")
     legible(page)
     with page.expect_request(re.compile("/assets/plant/training$")) as sent:
@@ -123,23 +145,33 @@ def test_a_diagnoser_with_two_methods_is_trained_with_the_one_that_is_chosen(run
     assert sent.value.post_data_json == {"leave_out": [], "method": "source"}
 
 
-def test_a_device_that_is_off_or_lacks_a_register_is_told_where_the_values_are(run_service, open_page, legible, free_port):
+def test_a_device_that_is_off_or_lacks_a_register_is_told_where_the_values_are(
+    run_service, open_page, legible, free_port
+):
     service, port = run_service(), free_port()
     page = open_page(f"{service.url}/#/watch")
     describe(page, "off", port, "name;register;type;unit\nspeed;40001;uint16;rpm\n")
-    expect(page.get_by_text(f"Nothing has come yet from 127.0.0.1:{port}: nobody answers")).to_be_visible()
+    expect(
+        page.get_by_text(f"Nothing has come yet from 127.0.0.1:{port}: nobody answers")
+    ).to_be_visible()
     expect(page.get_by_text("It is changed under Source.")).to_be_visible()
     with SmallDevice(holding={0: 7}) as device:
         key(page, "tab-source").click()
         table = "name;register;type;unit\nspeed;40001;uint16;rpm\nload;40009;uint16;\n"
         describe(page, "lacking", device.port, table)
-        expect(page.get_by_text("No value for load: signals: exception 2 for holding registers 8")).to_be_visible()
+        expect(
+            page.get_by_text("No value for load: signals: exception 2 for holding registers 8")
+        ).to_be_visible()
         legible(page)
         page.goto(f"{service.url}/#/watch?machine=lacking&step=model")
         key(page, "model").select_option("gate-drive")
         key(page, "map-voltage").select_option("load")
         key(page, "use-model").click()
-        expect(page.get_by_text("load has no unit, and voltage is in V: write the unit into the description")).to_have_count(1)
+        expect(
+            page.get_by_text(
+                "load has no unit, and voltage is in V: write the unit into the description"
+            )
+        ).to_have_count(1)
 
 
 def describe(page, name, port, table):

@@ -22,7 +22,9 @@ RECORD = Record({"y": np.random.default_rng(3).normal(size=200)}, {"y": "m/s²"}
 
 def finding(rms, reason=None):
     verdict = "faulty" if rms > 1 else "healthy"
-    return Finding("bearing", verdict, None, {"rms": rms}, {"rms": 1.0}, {"rms": "m/s²"}, {}, reason)
+    return Finding(
+        "bearing", verdict, None, {"rms": rms}, {"rms": 1.0}, {"rms": "m/s²"}, {}, reason
+    )
 
 
 @pytest.fixture
@@ -43,7 +45,13 @@ def machines(run_service, no_machines):
     service.stop()
 
 
-RUNNING = {"state": "running", "progress": 1.0, "doing": "judging windows", "scoring_errors": 0, "simulated": False}
+RUNNING = {
+    "state": "running",
+    "progress": 1.0,
+    "doing": "judging windows",
+    "scoring_errors": 0,
+    "simulated": False,
+}
 
 
 def test_the_navigation_holds_any_number_of_machines(machines, open_page, uncut):
@@ -57,7 +65,9 @@ def test_the_navigation_holds_any_number_of_machines(machines, open_page, uncut)
             expect(choice.locator("option")).to_have_count(shown + 1)
             for element in (page.locator("#nav a").last, choice):
                 expect(element).to_be_in_viewport(ratio=1)
-            assert page.evaluate("document.querySelector('#nav').scrollWidth <= document.querySelector('#nav').clientWidth")
+            assert page.evaluate(
+                "document.querySelector('#nav').scrollWidth <= document.querySelector('#nav').clientWidth"
+            )
             uncut(page)
     choice.select_option(label="Hall 2.a press with a long name 9")
     expect(page.locator("h1")).to_have_text("Hall 2.a press with a long name 9")
@@ -92,10 +102,17 @@ def test_live_is_a_machine_whose_windows_are_judged_now(machines, open_page):
 
 
 @pytest.mark.parametrize("size", SIZES)
-def test_a_machine_that_failed_is_red_with_the_reason_and_the_way_on(machines, open_page, legible, size):
+def test_a_machine_that_failed_is_red_with_the_reason_and_the_way_on(
+    machines, open_page, legible, size
+):
     service, told = machines
     service.services.store.add_window("press", RECORD, finding(0.4))
-    failed = {"state": "failed", "progress": 0.0, "doing": "training failed: no such file: windows.py", "way_on": "train it anew"}
+    failed = {
+        "state": "failed",
+        "progress": 0.0,
+        "doing": "training failed: no such file: windows.py",
+        "way_on": "train it anew",
+    }
     told.machines = {"press": RUNNING | failed, "fan": RUNNING | {"scoring_errors": 3}}
     page = open_page(service.url, size=size)
     card = page.locator(".machine", has_text="Press")
@@ -117,8 +134,16 @@ def test_a_machine_that_failed_is_red_with_the_reason_and_the_way_on(machines, o
 
 def test_a_source_that_loses_samples_says_how_many_it_lost_lately(machines, open_page, legible):
     service, told = machines
-    losing = {"quality": "losing", "lost_lately": 12, "lost_within_seconds": 60.0, "counters": {"lost": 669}}
-    told.sources = {"press can": losing, "fan can": {"quality": "good", "lost_lately": 0, "lost_within_seconds": 60.0}}
+    losing = {
+        "quality": "losing",
+        "lost_lately": 12,
+        "lost_within_seconds": 60.0,
+        "counters": {"lost": 669},
+    }
+    told.sources = {
+        "press can": losing,
+        "fan can": {"quality": "good", "lost_lately": 0, "lost_within_seconds": 60.0},
+    }
     page = open_page(service.url)
     expect(page.locator("tr", has_text="press can")).to_contain_text("Lost 12 in the last 1 min")
     expect(page.locator("tr", has_text="press can")).not_to_contain_text("Good")
@@ -129,8 +154,24 @@ def test_a_source_that_loses_samples_says_how_many_it_lost_lately(machines, open
 def test_a_parameter_keeps_its_letters(machines, open_page):
     service, _ = machines
     says = "k_e 1.2 N·m/rad, healthy 1 to 1.1"
-    cause = {"kind": "parameter", "name": "k_e", "place": "", "probability": 0.9, "indistinguishable_from": [], "says": says}
-    faulty = Finding("bearing", "faulty", None, {"x": 2.0}, {"x": 1.0}, {}, {"causes": [cause], "parameters": {}}, says)
+    cause = {
+        "kind": "parameter",
+        "name": "k_e",
+        "place": "",
+        "probability": 0.9,
+        "indistinguishable_from": [],
+        "says": says,
+    }
+    faulty = Finding(
+        "bearing",
+        "faulty",
+        None,
+        {"x": 2.0},
+        {"x": 1.0},
+        {},
+        {"causes": [cause], "parameters": {}},
+        says,
+    )
     service.services.store.add_window("press", RECORD, faulty)
     page = open_page(f"{service.url}/#/machines/press")
     expect(page.locator(".says-large")).to_have_text(f"{says}.")
@@ -142,7 +183,9 @@ def set_back(service, by):
     with service.services.store._database.write() as connection:
         for table in (tables.findings, tables.alarm_journal):
             for number, at in connection.execute(select(table.c.id, table.c.at)).all():
-                connection.execute(update(table).where(table.c.id == number).values(at=at - by, checksum=None))
+                connection.execute(
+                    update(table).where(table.c.id == number).values(at=at - by, checksum=None)
+                )
         row_checks.seal_rows_of_old(connection, "0009")
 
 
@@ -153,7 +196,9 @@ def with_alarms(machines):
     store = service.services.store
     for rms in (3.0, 0.5):
         store.add_window("fan", RECORD, finding(rms, f"RMS {rms} of the fan"))
-    store.operate_alarm(store.alarms().items[0].id, AlarmEvent.ACKNOWLEDGE, "eva", "bearing ordered")
+    store.operate_alarm(
+        store.alarms().items[0].id, AlarmEvent.ACKNOWLEDGE, "eva", "bearing ordered"
+    )
     set_back(service, timedelta(days=2))
     for rms in (1.5, 0.5, 2.5):
         store.add_window("press", RECORD, finding(rms, f"RMS {rms} of the press"))
@@ -165,11 +210,15 @@ def key(page, name):
 
 
 def rows(page):
-    return page.locator("section", has=page.get_by_role("heading", name="History")).locator("tbody tr")
+    return page.locator("section", has=page.get_by_role("heading", name="History")).locator(
+        "tbody tr"
+    )
 
 
 @pytest.mark.parametrize("size", SIZES)
-def test_the_history_of_alarms_is_filtered_ordered_and_cut_to_a_period(with_alarms, open_page, legible, size):
+def test_the_history_of_alarms_is_filtered_ordered_and_cut_to_a_period(
+    with_alarms, open_page, legible, size
+):
     page = open_page(f"{with_alarms.url}/#/alarms", size=size)
     expect(rows(page)).to_have_count(3)
     expect(rows(page).first).to_contain_text("RMS 2.5 of the press")
@@ -178,7 +227,9 @@ def test_the_history_of_alarms_is_filtered_ordered_and_cut_to_a_period(with_alar
     legible(page)
     key(page, "order").select_option("urgent")
     expect(rows(page).first).to_contain_text("still there")
-    expect(rows(page).nth(1)).to_contain_text("RMS 1.5 of the press")  # gone again, and nobody has seen it
+    expect(rows(page).nth(1)).to_contain_text(
+        "RMS 1.5 of the press"
+    )  # gone again, and nobody has seen it
     key(page, "order").select_option("")
     key(page, "state").select_option("cleared")
     expect(rows(page)).to_have_count(2)
@@ -213,21 +264,33 @@ def test_of_a_long_period_no_fault_is_thinned_away(with_alarms):
     for number in range(40):
         service.services.store.add_window("mill", RECORD, finding(2.0 if number == 17 else 0.5))
     asked = {"limit": 5, "from": "2020-01-01"}
-    answer = httpx.get(f"{service.url}/api/v1/assets/mill/indicators", params=asked, timeout=60).json()
-    assert len(answer["at"]) == 5 and answer["verdicts"].count("faulty") == 1 and 2.0 in answer["indicators"]["rms"]
+    answer = httpx.get(
+        f"{service.url}/api/v1/assets/mill/indicators", params=asked, timeout=60
+    ).json()
+    assert (
+        len(answer["at"]) == 5
+        and answer["verdicts"].count("faulty") == 1
+        and 2.0 in answer["indicators"]["rms"]
+    )
 
 
-def test_docs_interface_and_settings_are_linked_from_every_page(run_service, no_machines, open_page, legible):
+def test_docs_interface_and_settings_are_linked_from_every_page(
+    run_service, no_machines, open_page, legible
+):
     service = run_service(no_machines, mqtt="")
     page = open_page(service.url)
     expect(page.get_by_role("link", name="Documentation")).to_have_attribute("href", "/docs/")
     page.get_by_role("link", name="API", exact=True).click()
     page.get_by_text(re.compile(r"^alarms \(\d+\)$")).click()
     expect(page.get_by_role("row", name=re.compile("GET .api.v1.alarms.history"))).to_be_visible()
-    expect(page.get_by_role("link", name="/openapi.json")).to_have_attribute("href", "/openapi.json")
+    expect(page.get_by_role("link", name="/openapi.json")).to_have_attribute(
+        "href", "/openapi.json"
+    )
     legible(page)
     page.get_by_role("link", name="Settings").click()
-    expect(page.get_by_role("row", name=re.compile(rf"^port {service.port} TCP port"))).to_be_visible()
+    expect(
+        page.get_by_role("row", name=re.compile(rf"^port {service.port} TCP port"))
+    ).to_be_visible()
     expect(page.get_by_role("row", name=re.compile(r"^keep_days 30 \(default\)"))).to_be_visible()
     for size in SIZES:
         page.set_viewport_size({"width": size[0], "height": size[1]})
@@ -240,14 +303,18 @@ def test_no_setting_tells_a_password(run_service, no_machines):
     told = httpx.get(f"{service.url}/api/v1/settings", timeout=60)
     assert "secret" not in told.text
     values = {row["name"]: row["value"] for row in told.json()["items"]}
-    assert values["mqtt"] == "mqtt://eva:***@127.0.0.1:1/plant" and values["webhooks"] == ["https://hooks.example/…"]
+    assert values["mqtt"] == "mqtt://eva:***@127.0.0.1:1/plant" and values["webhooks"] == [
+        "https://hooks.example/…"
+    ]
 
 
 @pytest.fixture
 def guarded(run_service, no_machines, tmp_path):
     """A service with keys, and a key a role."""
     keys = {role: new_key() for role in ("monitor", "viewer", "operator")}
-    (tmp_path / "keys").write_text("".join(f"eva-{role} {role} {digest}\n" for role, (_, digest) in keys.items()))
+    (tmp_path / "keys").write_text(
+        "".join(f"eva-{role} {role} {digest}\n" for role, (_, digest) in keys.items())
+    )
     service = run_service(no_machines, api_keys=tmp_path / "keys")
     service.services.store.add_window("press", RECORD, finding(1.4))
     yield service, {role: key for role, (key, _) in keys.items()}
@@ -269,10 +336,14 @@ def test_a_wrong_key_and_a_missing_role_are_told(guarded, open_page, legible, si
     expect(page.locator("#connection")).to_have_text("no key, no events")
     legible(page)
     enter(page, keys["monitor"])
-    expect(page.locator("#key-refused")).to_contain_text("role monitor may not do this; it needs the role viewer")
+    expect(page.locator("#key-refused")).to_contain_text(
+        "role monitor may not do this; it needs the role viewer"
+    )
     enter(page, keys["viewer"])
     page.get_by_role("button", name="Acknowledge the alarm of press").click()
-    expect(page.locator(".notice")).to_contain_text("role viewer may not do this; it needs the role operator")
+    expect(page.locator(".notice")).to_contain_text(
+        "role viewer may not do this; it needs the role operator"
+    )
     legible(page)
 
 

@@ -8,7 +8,9 @@ from functools import partial
 import pytest
 import yaml
 
-pytest.importorskip("google.protobuf", reason="the extra 'sparkplug' is not installed: MQTT was not tried")
+pytest.importorskip(
+    "google.protobuf", reason="the extra 'sparkplug' is not installed: MQTT was not tried"
+)
 
 from benchmarks.certificates import certificate_and_key
 from residuum.diagnosis.finding import Finding
@@ -36,13 +38,21 @@ def broker(start_mosquitto, free_port, tmp_path):
         files[name] = certificate_and_key(folder, name)
     for name in ("broker", "client"):
         files[name] = certificate_and_key(folder, name, by=files["authority"])
-    lines = [f"cafile {files['authority'][0]}", f"certfile {files['broker'][0]}", f"keyfile {files['broker'][1]}"]
+    lines = [
+        f"cafile {files['authority'][0]}",
+        f"certfile {files['broker'][0]}",
+        f"keyfile {files['broker'][1]}",
+    ]
     start_mosquitto(port, *lines, "require_certificate true")
     return f"mqtts://localhost:{port}/plant", files
 
 
 def named(files, authority="authority"):
-    return {"ca": str(files[authority][0]), "certificate": str(files["client"][0]), "key": str(files["client"][1])}
+    return {
+        "ca": str(files[authority][0]),
+        "certificate": str(files["client"][0]),
+        "key": str(files["client"][1]),
+    }
 
 
 def wait(condition):
@@ -61,13 +71,21 @@ def test_findings_alarms_and_births_go_by_tls(broker, run_service):
         client.ack(message.mid, message.qos)
 
     address = broker_address(url, BrokerTls(**named(files)))
-    listener = broker_client(address, "tests", ["#"], take, lambda: None, kept=False, subscribed=subscribed.set)
+    listener = broker_client(
+        address, "tests", ["#"], take, lambda: None, kept=False, subscribed=subscribed.set
+    )
     try:
         assert subscribed.wait(60)
         tls = {f"mqtt_{name}": file for name, file in named(files).items()}
         service = run_service(mqtt=url, sparkplug="Plant/Residuum", **tls)
-        service.services.store.add_window("press", Record({"y": [0.0, 1.0]}, {"y": "V"}, 1.0), Finding("bearing", "faulty"))
-        topics = {"plant/assets/press/finding", "plant/assets/press/alarm", "spBv1.0/Plant/NBIRTH/Residuum"}
+        service.services.store.add_window(
+            "press", Record({"y": [0.0, 1.0]}, {"y": "V"}, 1.0), Finding("bearing", "faulty")
+        )
+        topics = {
+            "plant/assets/press/finding",
+            "plant/assets/press/alarm",
+            "spBv1.0/Plant/NBIRTH/Residuum",
+        }
         while topics:
             topics.discard(came.get(timeout=60))
     finally:
@@ -80,13 +98,17 @@ def test_a_source_is_read_by_tls_as_its_map_says(broker, tmp_path, capsys):
     node = EdgeNode(broker_address(url, BrokerTls(**named(files))), "Plant/Press")
     node.write("Drive", {"u": 0.0}, time.time())
     node.start()
-    file, streams = tmp_path / "map.yaml", {"s": {"device": "Drive", "sample_time": 0.1, "channels": {"u": {"metric": "u"}}}}
+    file, streams = (
+        tmp_path / "map.yaml",
+        {"s": {"device": "Drive", "sample_time": 0.1, "channels": {"u": {"metric": "u"}}}},
+    )
 
     def source(**tls):
         file.write_text(yaml.safe_dump({"node": "Plant/Press", "streams": streams, "tls": tls}))
         blocks = []
         made = SOURCES["sparkplug"](
-            SourceSettings(kind="sparkplug", channel=url, map=str(file)), lambda block: blocks.append(block) or True
+            SourceSettings(kind="sparkplug", channel=url, map=str(file)),
+            lambda block: blocks.append(block) or True,
         )
         made.start()
         return made, blocks
@@ -101,7 +123,10 @@ def test_a_source_is_read_by_tls_as_its_map_says(broker, tmp_path, capsys):
             time.sleep(0.05)
         entered.stop()
         out = tmp_path / "found.yaml"
-        assert run(["sparkplug", "browse", url, "Plant/Press", "--map", str(file), "--out", str(out)]) == DONE
+        assert (
+            run(["sparkplug", "browse", url, "Plant/Press", "--map", str(file), "--out", str(out)])
+            == DONE
+        )
         assert "Drive" in out.read_text()
         with pytest.raises(BadInput, match="holds no certificate of an authority"):
             source(ca=str(tmp_path / "none.pem"))
@@ -113,7 +138,10 @@ def test_who_shows_nothing_or_is_shown_another_is_not_let_in(broker):
     url, files = broker
     let_in = partial(broker_address, url)
     Broker(let_in(BrokerTls(**named(files)))).try_connection()
-    for unknown in (BrokerTls(**named(files, "another")), None):  # None: the authorities of the system
+    for unknown in (
+        BrokerTls(**named(files, "another")),
+        None,
+    ):  # None: the authorities of the system
         with pytest.raises(OSError, match="certificate verify failed"):
             Broker(let_in(unknown)).try_connection()
     with pytest.raises(OSError):  # without a certificate of ours it ends the handshake
@@ -136,7 +164,9 @@ def test_settings_that_do_not_fit_are_refused(settings, says):
 
 def test_the_password_of_a_file_is_shown(tmp_path):
     (tmp_path / "password").write_text("s:cr@t/\n")
-    settings = load_settings(mqtt="mqtt://eva@broker/plant", mqtt_password_file=tmp_path / "password")
+    settings = load_settings(
+        mqtt="mqtt://eva@broker/plant", mqtt_password_file=tmp_path / "password"
+    )
     assert (settings.broker.user, settings.broker.password) == ("eva", "s:cr@t/")
     (tmp_path / "password").unlink()
     with pytest.raises(BadSettings, match="cannot be read"):

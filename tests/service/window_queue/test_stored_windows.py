@@ -27,13 +27,18 @@ PATIENCE = 120
 def window(number):
     """A window that begins at `number` seconds."""
     return Record(
-        {"acceleration": np.random.default_rng(number).normal(size=500)}, {"acceleration": "m/s²"}, 1e-3, t0=float(number)
+        {"acceleration": np.random.default_rng(number).normal(size=500)},
+        {"acceleration": "m/s²"},
+        1e-3,
+        t0=float(number),
     )
 
 
 def machine(asset):
     source = SourceSettings(kind="modbus", port=1, map="process_plant.yaml")
-    return MachineSettings(asset=asset, diagnoser="bearing", window=WindowSettings(cut="sliding"), sources=[source])
+    return MachineSettings(
+        asset=asset, diagnoser="bearing", window=WindowSettings(cut="sliding"), sources=[source]
+    )
 
 
 class Listener:
@@ -72,7 +77,9 @@ def finding_of(number):
 
 
 def see(store, asset, verdict="healthy"):
-    return store.add_window(asset, Record({"y": [0.0, 1.0]}, {"y": "V"}, 1.0), Finding("bearing", verdict, reason="-"))
+    return store.add_window(
+        asset, Record({"y": [0.0, 1.0]}, {"y": "V"}, 1.0), Finding("bearing", verdict, reason="-")
+    )
 
 
 @pytest.fixture
@@ -85,7 +92,9 @@ def broker_port(start_mosquitto, free_port):
 @pytest.fixture
 def publisher(broker_port):
     """A client of the broker that may publish anything."""
-    mqtt = pytest.importorskip("paho.mqtt.client", reason="the extra 'mqtt' is not installed: MQTT was not tried")
+    mqtt = pytest.importorskip(
+        "paho.mqtt.client", reason="the extra 'mqtt' is not installed: MQTT was not tried"
+    )
     client = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2)
     client.connect("127.0.0.1", broker_port)
     client.loop_start()
@@ -96,7 +105,11 @@ def publisher(broker_port):
 
 def counted(service):
     lines = httpx.get(f"{service.url}/metrics", timeout=60).text.splitlines()
-    found = {line.split('"')[1]: float(line.split()[-1]) for line in lines if line.startswith("residuum_stored_messages_total{")}
+    found = {
+        line.split('"')[1]: float(line.split()[-1])
+        for line in lines
+        if line.startswith("residuum_stored_messages_total{")
+    }
     return {**dict.fromkeys(("taken", "refused", "overflow"), 0.0), **found}
 
 
@@ -116,7 +129,9 @@ def test_findings_and_alarms_of_a_scorer_are_told_once_and_in_order_also_after_t
     listener = Listener(service.url)
     broker = start_mosquitto(port)
     listener.until(lambda kind, _: kind == "reset")  # connected
-    gateway = Gateway("hall-1", Spool(tmp_path / "spool", 2**30), broker_address(mqtt), resend_after=5.0)
+    gateway = Gateway(
+        "hall-1", Spool(tmp_path / "spool", 2**30), broker_address(mqtt), resend_after=5.0
+    )
     theirs = DiskStore(service.services.settings.data, service.services.settings.database_url)
     pool = WorkerPool(1)
     scorer = Scorer(broker_address(mqtt), 1, 1, pool, theirs, tmp_path / "scorer")
@@ -128,11 +143,24 @@ def test_findings_and_alarms_of_a_scorer_are_told_once_and_in_order_also_after_t
         wait_for(lambda: scorer.stored == 20)
         last = theirs.asset("press-1").last_finding
         told = listener.until(finding_of(last.window))
-        assert [payload["id"] for kind, payload in told if kind == "finding"] == list(range(last.id - 19, last.id + 1))
-        own = see(service.services.store, "press-2", "faulty")  # which is notified over the same broker, too
-        told += listener.until(lambda kind, payload: kind == "alarm" and payload["asset"] == "press-2")
-        alarms = [(payload["asset"], payload["kind"], payload["state"]) for kind, payload in told if kind == "alarm"]
-        assert alarms == [("press-1", "signal", "unacknowledged"), ("press-2", "machine", "unacknowledged")]
+        assert [payload["id"] for kind, payload in told if kind == "finding"] == list(
+            range(last.id - 19, last.id + 1)
+        )
+        own = see(
+            service.services.store, "press-2", "faulty"
+        )  # which is notified over the same broker, too
+        told += listener.until(
+            lambda kind, payload: kind == "alarm" and payload["asset"] == "press-2"
+        )
+        alarms = [
+            (payload["asset"], payload["kind"], payload["state"])
+            for kind, payload in told
+            if kind == "alarm"
+        ]
+        assert alarms == [
+            ("press-1", "signal", "unacknowledged"),
+            ("press-2", "machine", "unacknowledged"),
+        ]
         assert sum(finding_of(own)(kind, payload) for kind, payload in told) == 1
         broker.kill()
         broker.wait()
@@ -186,7 +214,11 @@ def test_a_message_can_only_say_what_the_store_holds(run_service, broker_port, p
     for payload in garbage:
         publish(payload)
     wait_for(lambda: counted(service)["refused"] == before["refused"] + len(garbage))
-    for payload in (StoredNews("press-9", 1), StoredNews("press-1", 10**9), StoredNews("press-1", known)):
+    for payload in (
+        StoredNews("press-9", 1),
+        StoredNews("press-1", 10**9),
+        StoredNews("press-1", known),
+    ):
         publish(payload.pack())
     taken(before["taken"] + 3)
     own = see(service.services.store, "press-1")
@@ -195,11 +227,17 @@ def test_a_message_can_only_say_what_the_store_holds(run_service, broker_port, p
     newest = see(theirs, "press-1", "faulty")
     publish(StoredNews("press-1", newest).pack())
     told = listener.until(lambda kind, _: kind == "alarm")
-    assert [(kind, payload.get("window")) for kind, payload in told] == [("finding", own), ("finding", newest), ("alarm", newest)]
+    assert [(kind, payload.get("window")) for kind, payload in told] == [
+        ("finding", own),
+        ("finding", newest),
+        ("alarm", newest),
+    ]
     theirs.close()
 
 
-def test_a_flood_of_names_is_bounded_and_what_comes_after_it_is_told(run_service, broker_port, publisher, monkeypatch):
+def test_a_flood_of_names_is_bounded_and_what_comes_after_it_is_told(
+    run_service, broker_port, publisher, monkeypatch
+):
     monkeypatch.setattr("residuum.service.window_queue.stored_windows._MOST_WAITING", 50)
     monkeypatch.setattr("residuum.service.window_queue.stored_windows._AT_ONCE", 10)
     monkeypatch.setattr("residuum.service.window_queue.stored_windows._PAUSE", 0.5)
@@ -208,10 +246,16 @@ def test_a_flood_of_names_is_bounded_and_what_comes_after_it_is_told(run_service
     theirs = DiskStore(service.services.settings.data, service.services.settings.database_url)
     first = see(theirs, "press-1")
     wait_for(
-        lambda: publisher.publish("residuum/stored", StoredNews("press-1", first).pack(), qos=1) and counted(service)["taken"]
+        lambda: (
+            publisher.publish("residuum/stored", StoredNews("press-1", first).pack(), qos=1)
+            and counted(service)["taken"]
+        )
     )
     listener.until(finding_of(first))
-    sent = [publisher.publish("residuum/stored", StoredNews(f"none-{k}", 1).pack(), qos=1) for k in range(900)]
+    sent = [
+        publisher.publish("residuum/stored", StoredNews(f"none-{k}", 1).pack(), qos=1)
+        for k in range(900)
+    ]
     for each in sent:
         each.wait_for_publish(PATIENCE)
     listener.until(lambda kind, _: kind == "reset")  # names were left out
@@ -230,7 +274,14 @@ def test_a_service_whose_broker_is_away_starts_and_stops(run_service, free_port)
 
 def test_what_was_told_is_not_told_again():
     told = Told(remembered=3)
-    assert [told.first(number) for number in (1, 2, 1, 3, 4, 2)] == [True, True, False, True, True, False]
+    assert [told.first(number) for number in (1, 2, 1, 3, 4, 2)] == [
+        True,
+        True,
+        False,
+        True,
+        True,
+        False,
+    ]
     assert len(told._numbers) == 3
 
 

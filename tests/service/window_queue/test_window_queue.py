@@ -40,12 +40,16 @@ PER_GATEWAY, AT_FIRST = 40, 10
 def window(number):
     """A window that begins at `number` seconds, so that stored ones can be told apart and put in order."""
     rng = np.random.default_rng(number)
-    return Record({"acceleration": rng.normal(size=500)}, {"acceleration": "m/s²"}, 1e-3, t0=float(number))
+    return Record(
+        {"acceleration": rng.normal(size=500)}, {"acceleration": "m/s²"}, 1e-3, t0=float(number)
+    )
 
 
 def machine(asset):
     source = SourceSettings(kind="modbus", port=1, map="process_plant.yaml")
-    return MachineSettings(asset=asset, diagnoser="bearing", window=WindowSettings(cut="sliding"), sources=[source])
+    return MachineSettings(
+        asset=asset, diagnoser="bearing", window=WindowSettings(cut="sliding"), sources=[source]
+    )
 
 
 def start_scorer(part, mqtt, data):
@@ -93,9 +97,14 @@ def test_a_killed_scorer_and_a_killed_broker_lose_nothing_and_store_nothing_twic
     port = free_port()
     broker = start_mosquitto(port)
     mqtt, data = f"mqtt://127.0.0.1:{port}/plant-7", tmp_path / "data"
-    DiskStore(data, f"sqlite:///{data / 'residuum.db'}").close()  # so that the scorers need not make it at the same time
+    DiskStore(
+        data, f"sqlite:///{data / 'residuum.db'}"
+    ).close()  # so that the scorers need not make it at the same time
     spools = [Spool(tmp_path / f"spool-{k}", 2**30) for k in (1, 2)]
-    gateways = [Gateway(f"hall-{k}", spool, broker_address(mqtt), resend_after=5.0) for k, spool in enumerate(spools)]
+    gateways = [
+        Gateway(f"hall-{k}", spool, broker_address(mqtt), resend_after=5.0)
+        for k, spool in enumerate(spools)
+    ]
 
     def hand_over(numbers):
         for number in numbers:
@@ -107,37 +116,61 @@ def test_a_killed_scorer_and_a_killed_broker_lose_nothing_and_store_nothing_twic
         gateway.start()
     try:
         processes += [start_scorer(f"{k}/2", mqtt, data) for k in (1, 2)]
-        wait_for(lambda: sum(gateway.stored for gateway in gateways) >= 8, lambda: [g.status() for g in gateways])
-        hand_over(range(AT_FIRST, PER_GATEWAY))  # only now: however late this test looks, there is work when they are killed
-        for process in processes:  # all at once, so that whichever has work is killed in the midst of it
+        wait_for(
+            lambda: sum(gateway.stored for gateway in gateways) >= 8,
+            lambda: [g.status() for g in gateways],
+        )
+        hand_over(
+            range(AT_FIRST, PER_GATEWAY)
+        )  # only now: however late this test looks, there is work when they are killed
+        for (
+            process
+        ) in processes:  # all at once, so that whichever has work is killed in the midst of it
             process.send_signal(signal.SIGKILL)
         broker.kill()
         broker.wait()
         assert any(len(spool) for spool in spools)
         start_mosquitto(port)
         processes += [start_scorer(f"{k}/2", mqtt, data) for k in (1, 2)]
-        wait_for(lambda: not any(len(spool) for spool in spools), lambda: [g.status() for g in gateways])
+        wait_for(
+            lambda: not any(len(spool) for spool in spools), lambda: [g.status() for g in gateways]
+        )
     finally:
         for gateway in gateways:
             gateway.stop()
     store = DiskStore(data, f"sqlite:///{data / 'residuum.db'}")
     for place, asset in enumerate(ASSETS):
         kept = list(reversed(store.windows(asset, limit=100).items))
-        assert [each.t0 for each in kept] == [float(number) for number in range(PER_GATEWAY) if number % 2 == place % 2]
+        assert [each.t0 for each in kept] == [
+            float(number) for number in range(PER_GATEWAY) if number % 2 == place % 2
+        ]
         np.testing.assert_array_equal(
-            store.window_record(asset, kept[-1].id)["acceleration"], window(int(kept[-1].t0))["acceleration"]
+            store.window_record(asset, kept[-1].id)["acceleration"],
+            window(int(kept[-1].t0))["acceleration"],
         )
         assert store.finding_of(kept[0].id).finding.diagnoser == "bearing"
-    assert [gateway.status()["dropped"] + gateway.status()["refused"] for gateway in gateways] == [0, 0]
+    assert [gateway.status()["dropped"] + gateway.status()["refused"] for gateway in gateways] == [
+        0,
+        0,
+    ]
     store.close()
 
 
-def test_a_scorer_that_comes_late_gets_the_windows_of_a_machine_in_their_order(start_mosquitto, free_port, tmp_path):
+def test_a_scorer_that_comes_late_gets_the_windows_of_a_machine_in_their_order(
+    start_mosquitto, free_port, tmp_path
+):
     """A broker forgets what nobody has subscribed to yet: what comes then must not overtake what is to be sent again."""
-    mqtt = pytest.importorskip("paho.mqtt.client", reason="the extra 'mqtt' is not installed: MQTT was not tried")
+    mqtt = pytest.importorskip(
+        "paho.mqtt.client", reason="the extra 'mqtt' is not installed: MQTT was not tried"
+    )
     port = free_port()
     start_mosquitto(port)
-    gateway = Gateway("hall-1", Spool(tmp_path, 2**30), broker_address(f"mqtt://127.0.0.1:{port}/plant-7"), resend_after=1.0)
+    gateway = Gateway(
+        "hall-1",
+        Spool(tmp_path, 2**30),
+        broker_address(f"mqtt://127.0.0.1:{port}/plant-7"),
+        resend_after=1.0,
+    )
     for number in range(3):
         gateway.handle(machine("press-1"), window(number), "", None)
     came, subscribed = [], threading.Event()
@@ -187,11 +220,23 @@ def test_a_window_that_cannot_be_judged_is_set_aside_holds_up_nothing_and_can_be
         assert (gateway.status()["refused"], gateway.status()["stored"]) == (1, 1)
         aside = SetAside(tmp_path / "data")
         (refused,) = aside.newest()
-        aside.put("good", "hall-1", message_of(machine("press-1"), window(2)), "as if an update had mended it", refused.topic)
-        again = json.loads(command("--again", "--json").out.splitlines()[-1])  # the gateway logs there, too
-        assert again["stored"] == [each["name"] for each in again["messages"] if each["key"] == "good"]
+        aside.put(
+            "good",
+            "hall-1",
+            message_of(machine("press-1"), window(2)),
+            "as if an update had mended it",
+            refused.topic,
+        )
+        again = json.loads(
+            command("--again", "--json").out.splitlines()[-1]
+        )  # the gateway logs there, too
+        assert again["stored"] == [
+            each["name"] for each in again["messages"] if each["key"] == "good"
+        ]
         (left,) = aside.newest()
-        assert left.key == refused.key and left.name != refused.name and "phlogiston" in left.reason, "set aside anew"
+        assert (
+            left.key == refused.key and left.name != refused.name and "phlogiston" in left.reason
+        ), "set aside anew"
         assert left.reason in command(left.name, "--to", str(tmp_path / "taken")).out
         assert WindowMessage.unpack((tmp_path / "taken").read_bytes()).diagnoser == "phlogiston"
         assert "none of this name is set aside" in command("other").err
@@ -203,10 +248,14 @@ def test_a_window_that_cannot_be_judged_is_set_aside_holds_up_nothing_and_can_be
 
 
 def message_of(settings, record):
-    return WindowMessage(settings.asset, settings.diagnoser, settings.asset, PlainRecord.of(record), settings.method).pack()
+    return WindowMessage(
+        settings.asset, settings.diagnoser, settings.asset, PlainRecord.of(record), settings.method
+    ).pack()
 
 
-def test_the_method_that_was_chosen_decides_whatever_the_gateway_says(start_mosquitto, processes, free_port, tmp_path):
+def test_the_method_that_was_chosen_decides_whatever_the_gateway_says(
+    start_mosquitto, processes, free_port, tmp_path
+):
     port, data, case = free_port(), tmp_path / "data", RobustResidual.examples()[0]
     start_mosquitto(port)
     mqtt = f"mqtt://127.0.0.1:{port}"
@@ -226,7 +275,10 @@ def test_the_method_that_was_chosen_decides_whatever_the_gateway_says(start_mosq
         wait_for(lambda: gateway.status()["waiting"] == 0, gateway.status)
     finally:
         gateway.stop()
-    found = {a: store.finding_of(store.windows(a).items[0].id).finding.evidence["method"] for a in ("plant", "other")}
+    found = {
+        a: store.finding_of(store.windows(a).items[0].id).finding.evidence["method"]
+        for a in ("plant", "other")
+    }
     assert found == {"plant": "source", "other": "default"}
     store.close()
 
@@ -241,16 +293,29 @@ def test_a_spool_keeps_its_messages_over_a_crash_and_lets_the_oldest_go_when_it_
     assert len(list(tmp_path.iterdir())) == 3
     assert again.remove(keys[2]) and not again.remove(keys[2]) and again.read(keys[2]) is None
     new = again.put(b"new", "hall-1.press_2")
-    assert again.oldest(9) == Spool(tmp_path, 1000).oldest(9) == {"press-1": [keys[3], keys[4]], "hall-1.press_2": [new]}
+    assert (
+        again.oldest(9)
+        == Spool(tmp_path, 1000).oldest(9)
+        == {"press-1": [keys[3], keys[4]], "hall-1.press_2": [new]}
+    )
     assert again.oldest(1) == {"press-1": [keys[3]], "hall-1.press_2": [new]}
     assert again.remove(new) and again.oldest(9) == {"press-1": [keys[3], keys[4]]}
 
 
-def test_windows_that_wait_for_their_scorer_hold_up_no_other_machine(start_mosquitto, free_port, tmp_path):
-    mqtt = pytest.importorskip("paho.mqtt.client", reason="the extra 'mqtt' is not installed: MQTT was not tried")
+def test_windows_that_wait_for_their_scorer_hold_up_no_other_machine(
+    start_mosquitto, free_port, tmp_path
+):
+    mqtt = pytest.importorskip(
+        "paho.mqtt.client", reason="the extra 'mqtt' is not installed: MQTT was not tried"
+    )
     port = free_port()
     start_mosquitto(port)
-    gateway = Gateway("hall-1", Spool(tmp_path, 2**30), broker_address(f"mqtt://127.0.0.1:{port}/plant-7"), resend_after=1.0)
+    gateway = Gateway(
+        "hall-1",
+        Spool(tmp_path, 2**30),
+        broker_address(f"mqtt://127.0.0.1:{port}/plant-7"),
+        resend_after=1.0,
+    )
     for number in range(40):
         gateway.handle(machine("press-1"), window(number), "", None)  # its scorer is away
     gateway.handle(machine("press-2"), window(0), "", None)
@@ -277,10 +342,20 @@ def test_windows_that_wait_for_their_scorer_hold_up_no_other_machine(start_mosqu
 
 
 def test_a_message_holds_the_window_to_the_bit():
-    record = Record({"a": np.array([0.1, np.nan], np.float32), "b": np.array([1e-300, -0.0])}, {"a": "g", "b": "V"}, 1e-4, t0=7.5)
+    record = Record(
+        {"a": np.array([0.1, np.nan], np.float32), "b": np.array([1e-300, -0.0])},
+        {"a": "g", "b": "V"},
+        1e-4,
+        t0=7.5,
+    )
     message = WindowMessage("press-1", "bearing", "press", PlainRecord.of(record))
     back = WindowMessage.unpack(message.pack())
-    assert (back.asset, back.diagnoser, back.baseline, back.window.t0) == ("press-1", "bearing", "press", 7.5)
+    assert (back.asset, back.diagnoser, back.baseline, back.window.t0) == (
+        "press-1",
+        "bearing",
+        "press",
+        7.5,
+    )
     for name in record.names:
         assert back.window.record()[name].dtype == record[name].dtype
         np.testing.assert_array_equal(back.window.record()[name], record[name])
@@ -314,11 +389,22 @@ def test_every_machine_has_one_scorer_however_many_there_are():
 
 
 def test_commands_without_a_broker_are_refused(capsys, monkeypatch, tmp_path):
-    assert run(["scorer", "--data", str(tmp_path)]) == 2 and "setting mqtt" in capsys.readouterr().err
-    assert run(["gateway", "--data", str(tmp_path)]) == 2 and "needs a broker" in capsys.readouterr().err
+    assert (
+        run(["scorer", "--data", str(tmp_path)]) == 2 and "setting mqtt" in capsys.readouterr().err
+    )
+    assert (
+        run(["gateway", "--data", str(tmp_path)]) == 2
+        and "needs a broker" in capsys.readouterr().err
+    )
     monkeypatch.setenv("RESIDUUM_MQTT", "mqtt://127.0.0.1:1")
-    assert run(["scorer", "--part", "3/2", "--data", str(tmp_path)]) == 2 and "numbered from 1" in capsys.readouterr().err
-    assert run(["scorer", "--part", "one", "--data", str(tmp_path)]) == 2 and "must be K/N" in capsys.readouterr().err
+    assert (
+        run(["scorer", "--part", "3/2", "--data", str(tmp_path)]) == 2
+        and "numbered from 1" in capsys.readouterr().err
+    )
+    assert (
+        run(["scorer", "--part", "one", "--data", str(tmp_path)]) == 2
+        and "must be K/N" in capsys.readouterr().err
+    )
 
 
 def test_a_machines_name_is_no_longer_than_the_database_keeps():

@@ -24,7 +24,9 @@ ASKED = Identify(input="u", output="y", order=20, delay=1)
 @pytest.fixture(scope="module")
 def plant():
     u, e = np.random.default_rng(0).normal(size=(2, 400))
-    return Record({"u": u, "y": lfilter([0, 0.3], [1, -0.7], u) + 0.02 * e}, {"u": "V", "y": "V"}, 0.1)
+    return Record(
+        {"u": u, "y": lfilter([0, 0.3], [1, -0.7], u) + 0.02 * e}, {"u": "V", "y": "V"}, 0.1
+    )
 
 
 @pytest.fixture(scope="module")
@@ -54,17 +56,28 @@ def test_explaining_tells_what_it_tries_and_names_the_record_as_it_is_told(axis)
     asked = Asked("linear-axis", None, [parts_of(axis, "record-7.npz")], {})
     told, found = told_by(analyses.explain, asked, Explain(effects=["coulomb-friction"]))
     doings = [doing for _, doing in told]
-    assert told[-1] == (0.9, "comparing") and doings[:2] == ["explain", "estimating the model as it is"]
+    assert told[-1] == (0.9, "comparing") and doings[:2] == [
+        "explain",
+        "estimating the model as it is",
+    ]
     assert "beside nothing else" in doings
-    assert (found["result"]["model"], found["result"]["records"]) == ("linear-axis", ["record-7.npz"])
+    assert (found["result"]["model"], found["result"]["records"]) == (
+        "linear-axis",
+        ["record-7.npz"],
+    )
 
 
 def test_every_run_is_a_part_of_the_residuals_work(plant):
     model = identified_text(identified([plant], ASKED, lambda *_: None).identified).encode()
     runs = [parts_of(plant, "a.csv"), parts_of(plant, "b.csv")]
-    told, found = told_by(analyses.residuals, model, runs[:1], runs, DesignResidual(), RunResidual())
+    told, found = told_by(
+        analyses.residuals, model, runs[:1], runs, DesignResidual(), RunResidual()
+    )
     assert [share for share, _ in told] == pytest.approx([0, 1 / 3, 2 / 3], abs=1e-6)
-    assert found["design"]["fault"] == "sensor" and [run["alarm"] for run in found["runs"]] == [False, False]
+    assert found["design"]["fault"] == "sensor" and [run["alarm"] for run in found["runs"]] == [
+        False,
+        False,
+    ]
 
 
 def test_a_design_that_cannot_be_is_an_answer(plant):

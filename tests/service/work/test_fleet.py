@@ -55,7 +55,14 @@ def test_an_unfinished_run_is_gone_on_with_from_where_it_was(files, serial, tmp_
     results.write_bytes(b"".join(lines[20:45]) + lines[50][:17])
     done = []
     with open_executor(1, None) as pool:
-        run_fleet(files, fleet_benchmark.WORK, pool, results, workers=1, tell=lambda count, _: done.append(count))
+        run_fleet(
+            files,
+            fleet_benchmark.WORK,
+            pool,
+            results,
+            workers=1,
+            tell=lambda count, _: done.append(count),
+        )
     assert done[0] > 25 and done[-1] == 60 and results.read_bytes() == serial
 
 
@@ -77,7 +84,10 @@ def test_results_of_other_work_are_not_taken_for_ones_own(files, serial, tmp_pat
         Reidentify(Identify(method="arx", input="speed", output="acceleration", order=2, delay=1)),
     )
     for work in other:
-        with ThreadPoolExecutor(1) as executor, pytest.raises(BadInput, match="results of another diagnoser"):
+        with (
+            ThreadPoolExecutor(1) as executor,
+            pytest.raises(BadInput, match="results of another diagnoser"),
+        ):
             run_fleet(files, work, executor, results, workers=1, tell=silent)
     assert results.read_bytes() == serial
 
@@ -91,15 +101,26 @@ def end_if_it_is_the_bad_one(file):
 def test_a_file_that_ends_every_worker_is_refused_and_the_others_are_done(monkeypatch, tmp_path):
     monkeypatch.setattr("residuum.service.work.fleet._ATTEMPTS", 1)
     pool = WorkerPool(1)
-    found = run_fleet(["one", "bad", "three"], end_if_it_is_the_bad_one, pool, tmp_path / "r", workers=1, tell=silent)
+    found = run_fleet(
+        ["one", "bad", "three"],
+        end_if_it_is_the_bad_one,
+        pool,
+        tmp_path / "r",
+        workers=1,
+        tell=silent,
+    )
     pool.terminate()
     assert [each.get("length") for each in found] == [3, None, 5]
     assert "ended its worker" in found[1]["refused"]
 
 
 def test_a_dask_cluster_gives_the_same(files, serial, tmp_path):
-    distributed = pytest.importorskip("distributed", reason="the extra 'fleet' is not installed: no cluster was tried")
-    with distributed.LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=":0") as cluster:
+    distributed = pytest.importorskip(
+        "distributed", reason="the extra 'fleet' is not installed: no cluster was tried"
+    )
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=":0"
+    ) as cluster:
         results = tmp_path / "results.jsonl"
         with open_executor(1, cluster.scheduler_address) as executor:
             run_fleet(files, fleet_benchmark.WORK, executor, results, workers=1, tell=silent)
@@ -108,30 +129,65 @@ def test_a_dask_cluster_gives_the_same(files, serial, tmp_path):
 
 def test_the_commands(files, tmp_path, capsys):
     folder = os.path.dirname(files[0])
-    assert run(["rescore", "bearing", folder, "--out", str(tmp_path / "r"), "--workers", "1", "--json"]) == 0
+    assert (
+        run(
+            ["rescore", "bearing", folder, "--out", str(tmp_path / "r"), "--workers", "1", "--json"]
+        )
+        == 0
+    )
     summary = json.loads(capsys.readouterr().out)
     assert (summary["files"], summary["refused"]) == (60, 1)
     assert summary["healthy"] + summary["faulty"] + summary["not-assessable"] == 59
-    command = ["reidentify", folder, "--input", "speed", "--output", "acceleration", "--order", "5", "--workers", "1"]
+    command = [
+        "reidentify",
+        folder,
+        "--input",
+        "speed",
+        "--output",
+        "acceleration",
+        "--order",
+        "5",
+        "--workers",
+        "1",
+    ]
     assert run([*command, "--out", str(tmp_path / "m"), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["files"] == 60
     for wrong, says in (
         (["rescore", "bearing", str(tmp_path / "none"), "--out", "r"], "is not a folder"),
         (["rescore", "nothing", folder, "--out", "r"], "known are"),
         (["rescore", "bearing", folder, "--out", "/no/such/r"], "does not exist"),
-        (["reidentify", folder, "--input", "a", "--output", "b", "--method", "x", "--out", "r"], "known are"),
+        (
+            ["reidentify", folder, "--input", "a", "--output", "b", "--method", "x", "--out", "r"],
+            "known are",
+        ),
     ):
         assert run(wrong) == 2 and says in capsys.readouterr().err
 
 
 def results_of(capsys, out, *arguments):
-    assert run(["rescore", "bearing", *map(str, arguments), "--out", str(out), "--workers", "1", "--json"]) == 0
+    assert (
+        run(
+            [
+                "rescore",
+                "bearing",
+                *map(str, arguments),
+                "--out",
+                str(out),
+                "--workers",
+                "1",
+                "--json",
+            ]
+        )
+        == 0
+    )
     capsys.readouterr()
     return [json.loads(line) for line in out.read_text().splitlines()]
 
 
 @pytest.mark.parametrize("kind", ["file", "zip"])
-def test_a_bucket_gives_what_the_folder_gives_and_is_gone_on_with(kind, files, serial, tmp_path, capsys):
+def test_a_bucket_gives_what_the_folder_gives_and_is_gone_on_with(
+    kind, files, serial, tmp_path, capsys
+):
     pytest.importorskip("fsspec", reason="the extra 'fleet' is not installed: no bucket was tried")
     url = f"file://{os.path.dirname(files[0])}"
     if kind == "zip":
@@ -142,7 +198,9 @@ def test_a_bucket_gives_what_the_folder_gives_and_is_gone_on_with(kind, files, s
     found = results_of(capsys, tmp_path / "r", url)
     expected = [json.loads(line) for line in serial.splitlines()]
     for mine, theirs in zip(found, expected, strict=True):
-        assert os.path.basename(mine["file"]) == os.path.basename(theirs["file"]) and set(mine) == set(theirs)
+        assert os.path.basename(mine["file"]) == os.path.basename(theirs["file"]) and set(
+            mine
+        ) == set(theirs)
         assert mine.get("finding") == theirs.get("finding")
     (refused,) = (each for each in found if "refused" in each)
     assert refused["refused"].startswith(f"{refused['file']}: ")
@@ -157,7 +215,12 @@ def s3(free_port, monkeypatch):
     pytest.importorskip("s3fs", reason="the extra 'fleet' is not installed: no S3 bucket was tried")
     pytest.importorskip("moto", reason="moto is not installed: no S3 bucket was tried")
     address = f"http://127.0.0.1:{(port := free_port())}"
-    names = {"AWS_ACCESS_KEY_ID": "a", "AWS_SECRET_ACCESS_KEY": "b", "AWS_DEFAULT_REGION": "us-east-1", "AWS_MAX_ATTEMPTS": "1"}
+    names = {
+        "AWS_ACCESS_KEY_ID": "a",
+        "AWS_SECRET_ACCESS_KEY": "b",
+        "AWS_DEFAULT_REGION": "us-east-1",
+        "AWS_MAX_ATTEMPTS": "1",
+    }
     for name, value in (names | {"AWS_ENDPOINT_URL": address}).items():
         monkeypatch.setenv(name, value)
     command = [sys.executable, "-m", "moto.server", "-p", str(port)]
@@ -175,7 +238,9 @@ def wait_for_answer(address, server):
         with contextlib.suppress(OSError):
             urllib.request.urlopen(address, timeout=60).close()
             return
-        assert server.poll() is None and time.monotonic() < end, "the server of the S3 protocol did not start"
+        assert server.poll() is None and time.monotonic() < end, (
+            "the server of the S3 protocol did not start"
+        )
         time.sleep(0.1)
 
 
@@ -187,7 +252,14 @@ def put(address, place, content=b""):
 
 def rescore(out, place):
     """The command in a process of its own: the S3 client's threads and warnings are not those of this one."""
-    command = [sys.executable, "-c", "from residuum.service.cli import main; main()", "rescore", "bearing", place]
+    command = [
+        sys.executable,
+        "-c",
+        "from residuum.service.cli import main; main()",
+        "rescore",
+        "bearing",
+        place,
+    ]
     command += ["--out", out, "--workers", "1", "--json"]
     return subprocess.run(command, check=False, capture_output=True, text=True, timeout=900)
 
@@ -202,19 +274,27 @@ def test_an_s3_bucket_gives_what_the_folder_gives_and_is_gone_on_with(s3, files,
     done = rescore(results, "s3://plant/Halle 1")
     assert done.returncode == 0 and json.loads(done.stdout)["files"] == len(some), done.stderr
     whole = results.read_bytes()
-    for mine, theirs in zip(map(json.loads, whole.splitlines()), map(json.loads, serial.splitlines()[:20]), strict=True):
+    for mine, theirs in zip(
+        map(json.loads, whole.splitlines()), map(json.loads, serial.splitlines()[:20]), strict=True
+    ):
         assert mine["file"] == f"plant/Halle 1/ä/{os.path.basename(theirs['file'])}"
-        assert mine.get("finding") == theirs.get("finding") and ("refused" in mine) == ("refused" in theirs)
+        assert mine.get("finding") == theirs.get("finding") and ("refused" in mine) == (
+            "refused" in theirs
+        )
     results.write_bytes(whole[: len(whole) // 3])
     assert rescore(results, "s3://plant").returncode == 0 and results.read_bytes() == whole
     stop()
     refused = rescore(tmp_path / "none", "s3://plant")
-    assert refused.returncode == 2 and "s3://plant: cannot be listed" in refused.stderr, refused.stderr
+    assert refused.returncode == 2 and "s3://plant: cannot be listed" in refused.stderr, (
+        refused.stderr
+    )
     assert refused.stderr.strip().count("\n") == 0
 
 
 def test_a_bucket_that_goes_away_ends_the_run_and_refuses_no_file(tmp_path):
-    fsspec = pytest.importorskip("fsspec", reason="the extra 'fleet' is not installed: no bucket was tried")
+    fsspec = pytest.importorskip(
+        "fsspec", reason="the extra 'fleet' is not installed: no bucket was tried"
+    )
     fleet._file_system.cache_clear()
 
     class Away(fsspec.AbstractFileSystem):
@@ -225,21 +305,36 @@ def test_a_bucket_that_goes_away_ends_the_run_and_refuses_no_file(tmp_path):
     work = Rescore("bearing", None, fleet.Bucket("away://bucket"))
     done = json.dumps({"file": "a.csv", "by": work.mark, "refused": "-"}) + "\n"
     (tmp_path / "r").write_text(done)
-    with ThreadPoolExecutor(1) as executor, pytest.raises(BadInput, match=r"b\.csv: cannot be reached: KeyError .* to go on"):
+    with (
+        ThreadPoolExecutor(1) as executor,
+        pytest.raises(BadInput, match=r"b\.csv: cannot be reached: KeyError .* to go on"),
+    ):
         run_fleet(["a.csv", "b.csv"], work, executor, tmp_path / "r", workers=1, tell=silent)
     assert (tmp_path / "r").read_text() == done
 
 
 @pytest.mark.parametrize("kind", ["sqlite", "postgresql"])
-def test_the_windows_of_a_database_are_judged_again_as_their_files_are(kind, files, serial, tmp_path, capsys, request):
-    url = f"sqlite:///{tmp_path / 'residuum.db'}" if kind == "sqlite" else request.getfixturevalue("new_postgresql_database")()
+def test_the_windows_of_a_database_are_judged_again_as_their_files_are(
+    kind, files, serial, tmp_path, capsys, request
+):
+    url = (
+        f"sqlite:///{tmp_path / 'residuum.db'}"
+        if kind == "sqlite"
+        else request.getfixturevalue("new_postgresql_database")()
+    )
     store = DiskStore(tmp_path, url)
     sound = [json.loads(line) for line in serial.splitlines() if b"refused" not in line][:20]
     for number, each in enumerate(sound):
-        store.add_window(f"press-{number % 2}", read_record(each["file"]), Finding("bearing", "healthy", reason="-"))
+        store.add_window(
+            f"press-{number % 2}",
+            read_record(each["file"]),
+            Finding("bearing", "healthy", reason="-"),
+        )
     store.close()
     found = results_of(capsys, tmp_path / "r", url, "--data", tmp_path)
-    assert [each["file"] for each in found] == [f"press-{k}/{number + 1}" for k in (0, 1) for number in range(k, 20, 2)]
+    assert [each["file"] for each in found] == [
+        f"press-{k}/{number + 1}" for k in (0, 1) for number in range(k, 20, 2)
+    ]
     for each in found:
         assert each["finding"] == sound[int(each["file"].split("/")[1]) - 1]["finding"]
     next(Path(tmp_path).glob("blocks/*/*")).unlink()
@@ -249,8 +344,16 @@ def test_the_windows_of_a_database_are_judged_again_as_their_files_are(kind, fil
 
 @pytest.mark.parametrize("kind", ["sqlite", "postgresql"])
 def test_each_machine_of_a_database_is_judged_by_its_own_diagnoser(kind, tmp_path, capsys, request):
-    url = f"sqlite:///{tmp_path / 'residuum.db'}" if kind == "sqlite" else request.getfixturevalue("new_postgresql_database")()
-    store, bearing, gate = DiskStore(tmp_path, url), Bearing.examples()[0], GateActuator.examples()[0]
+    url = (
+        f"sqlite:///{tmp_path / 'residuum.db'}"
+        if kind == "sqlite"
+        else request.getfixturevalue("new_postgresql_database")()
+    )
+    store, bearing, gate = (
+        DiskStore(tmp_path, url),
+        Bearing.examples()[0],
+        GateActuator.examples()[0],
+    )
     trained = GateActuator().fit(gate.training, gate.labels).with_settings(method="source")
     trained.save(tmp_path / "gate.base")
     store.add_model_version("gate", "baseline", b"an older one, never loaded")
@@ -262,19 +365,44 @@ def test_each_machine_of_a_database_is_judged_by_its_own_diagnoser(kind, tmp_pat
     choose_method(store, "gate", "source", "somebody")
     store.close()
     out = tmp_path / "own"
-    assert run(["rescore", "own", url, "--data", str(tmp_path), "--out", str(out), "--workers", "1", "--json"]) == 0
-    found = {json.loads(line)["file"].split("/")[0]: json.loads(line) for line in out.read_text().splitlines()}
+    assert (
+        run(
+            [
+                "rescore",
+                "own",
+                url,
+                "--data",
+                str(tmp_path),
+                "--out",
+                str(out),
+                "--workers",
+                "1",
+                "--json",
+            ]
+        )
+        == 0
+    )
+    found = {
+        json.loads(line)["file"].split("/")[0]: json.loads(line)
+        for line in out.read_text().splitlines()
+    }
     capsys.readouterr()
     assert set(found) == {"fan", "gate"}
     for asset, (judge, record) in as_is.items():
         expected = judge.score(record)
         told = found[asset]["finding"]
-        assert (told["diagnoser"], told["verdict"], told["class"]) == (judge.name, expected.verdict, expected.fault_class)
+        assert (told["diagnoser"], told["verdict"], told["class"]) == (
+            judge.name,
+            expected.verdict,
+            expected.fault_class,
+        )
         assert told["thresholds"] == pytest.approx(dict(expected.thresholds))
     store = DiskStore(tmp_path, url)
     store.add_model_version("gate", "baseline", (tmp_path / "gate.base").read_bytes())
     store.close()
-    assert run(["rescore", "own", url, "--data", str(tmp_path), "--out", str(out)]) == 2, "another baseline is other work"
+    assert run(["rescore", "own", url, "--data", str(tmp_path), "--out", str(out)]) == 2, (
+        "another baseline is other work"
+    )
     assert "another diagnoser, baseline or method" in capsys.readouterr().err
 
 
@@ -282,7 +410,10 @@ def test_what_holds_no_fleet_is_refused(tmp_path, capsys):
     (tmp_path / "old.db").touch()
     for wrong, says in (
         ((f"sqlite:///{tmp_path / 'none.db'}", "--data", str(tmp_path)), "no such database"),
-        ((f"sqlite:///{tmp_path / 'old.db'}", "--data", str(tmp_path)), "no database of this version"),
+        (
+            (f"sqlite:///{tmp_path / 'old.db'}", "--data", str(tmp_path)),
+            "no database of this version",
+        ),
         ((f"sqlite:///{tmp_path / 'old.db'}",), "--data"),
         (("phlogiston://bucket",), "cannot be listed"),
         ((f"file://{tmp_path}/empty",), "holds no record"),
@@ -295,11 +426,16 @@ def test_what_holds_no_fleet_is_refused(tmp_path, capsys):
         ((str(tmp_path),), "is no database"),
         (("sqlite:///x", "--baseline", "b"), "each has its own"),
     ):
-        assert run(["rescore", "own", *arguments, "--out", str(tmp_path / "r")]) == 2 and says in capsys.readouterr().err
+        assert (
+            run(["rescore", "own", *arguments, "--out", str(tmp_path / "r")]) == 2
+            and says in capsys.readouterr().err
+        )
 
 
 def test_a_file_name_that_is_no_text_is_refused_before_the_work_begins(tmp_path, capsys):
-    (Path(os.fsdecode(os.fsencode(tmp_path) + b"/press-\xff.csv"))).write_text("time [s],y [V]\n0,1\n")
+    (Path(os.fsdecode(os.fsencode(tmp_path) + b"/press-\xff.csv"))).write_text(
+        "time [s],y [V]\n0,1\n"
+    )
     assert run(["rescore", "bearing", str(tmp_path), "--out", str(tmp_path / "r")]) == 2
     assert "not UTF-8" in capsys.readouterr().err and not (tmp_path / "r").exists()
 
@@ -314,4 +450,7 @@ def test_a_reidentified_model_is_the_identified_one(tmp_path):
 def test_files_of_an_older_format_are_records_of_a_folder(tmp_path):
     for name in ("new.mf4", "OLD.MDF", "notes.md"):
         (tmp_path / name).write_bytes(b"")
-    assert [Path(item).name for item in fleet.Folder(str(tmp_path)).items()] == ["OLD.MDF", "new.mf4"]
+    assert [Path(item).name for item in fleet.Folder(str(tmp_path)).items()] == [
+        "OLD.MDF",
+        "new.mf4",
+    ]

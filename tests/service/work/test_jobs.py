@@ -89,7 +89,10 @@ def test_effects_that_one_job_defines_are_not_the_next_one_s(jobs, work):
 
 def test_bad_input_is_refused_in_one_line_and_a_fault_of_ours_is_told_apart(jobs, work):
     refused = until(jobs, jobs.submit("refuse", work.refuse), over)
-    assert (refused.state, refused.error) == (JobState.REFUSED, "record a.csv, row 3: is empty; must hold a number")
+    assert (refused.state, refused.error) == (
+        JobState.REFUSED,
+        "record a.csv, row 3: is empty; must hold a number",
+    )
     failed = until(jobs, jobs.submit("fail", work.fail), over)
     assert (failed.state, failed.error) == (JobState.FAILED, "ZeroDivisionError: division by zero")
 
@@ -116,7 +119,9 @@ def test_a_job_that_is_cancelled_ends_without_a_word_in_the_log(jobs, work):
         for job in left:
             until(jobs, job, lambda job: job.doing.startswith("waiting in"))
             jobs.cancel(job.id)
-        for after in [jobs.submit("count", work.count, 1) for _ in range(2)]:  # each has the place of one that was cancelled
+        for after in [
+            jobs.submit("count", work.count, 1) for _ in range(2)
+        ]:  # each has the place of one that was cancelled
             assert until(jobs, after, over).state is JobState.DONE
         assert lines == []
         until(jobs, jobs.submit("fail", work.fail), over)

@@ -34,9 +34,17 @@ print(pages() - before)
 """
 
 
-@pytest.mark.skipif(not sys.platform.startswith("linux") or "MALLOC_ARENA_MAX" in os.environ, reason="needs glibc's own settings")
+@pytest.mark.skipif(
+    not sys.platform.startswith("linux") or "MALLOC_ARENA_MAX" in os.environ,
+    reason="needs glibc's own settings",
+)
 def test_large_arrays_leave_no_mark():
-    run = subprocess.run([sys.executable, "-c", _MEASURE.format(given_back=True)], capture_output=True, text=True, check=True)
+    run = subprocess.run(
+        [sys.executable, "-c", _MEASURE.format(given_back=True)],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     assert int(run.stdout) * os.sysconf("SC_PAGE_SIZE") < 8_000_000
 
 

@@ -20,7 +20,9 @@ LIMITS = {"memory": 512 * 2**20, "seconds": 10}
 
 @pytest.mark.parametrize("ending", [".csv", ".npz", ".wav", ".parquet"])
 def test_a_record_comes_back_as_it_was_written(tmp_path, ending):
-    channels = {"y": np.array([0.25, np.nan, -0.5]) if ending != ".wav" else np.array([0.25, 0.0, -0.5])}
+    channels = {
+        "y": np.array([0.25, np.nan, -0.5]) if ending != ".wav" else np.array([0.25, 0.0, -0.5])
+    }
     record = Record(channels, {"y": "V"}, 1e-3)
     write_record(record, tmp_path / f"r{ending}")
     back = read_upload((tmp_path / f"r{ending}").read_bytes(), ending, "mine.x", **LIMITS)
@@ -36,10 +38,16 @@ def test_a_refusal_is_one_line_that_names_the_users_file():
 
 def test_a_refusal_does_not_repeat_the_file(tmp_path):
     """A damaged NPZ whose first name has become thousands of bytes long: the library's words quote all of them."""
-    write_record(Record({"y": np.random.default_rng(1).normal(size=3000)}, {"y": "V"}, 1e-3), tmp_path / "r.npz")
+    write_record(
+        Record({"y": np.random.default_rng(1).normal(size=3000)}, {"y": "V"}, 1e-3),
+        tmp_path / "r.npz",
+    )
     content = bytearray((tmp_path / "r.npz").read_bytes())
     content[26:28] = (9000).to_bytes(2, "little")
-    for read in (lambda: read_upload(bytes(content), ".npz", "mine.npz", **LIMITS), lambda: read_npz(tmp_path / "long.npz")):
+    for read in (
+        lambda: read_upload(bytes(content), ".npz", "mine.npz", **LIMITS),
+        lambda: read_npz(tmp_path / "long.npz"),
+    ):
         (tmp_path / "long.npz").write_bytes(content)
         with pytest.raises(BadInput, match="is not an NPZ file") as refused:
             read()
@@ -58,7 +66,10 @@ def replaced(monkeypatch, tmp_path, body):
 @pytest.mark.parametrize(
     ("body", "says"),
     [
-        ("return bytearray(2**30)", "mine.csv: reading it takes more than 536870912 bytes of memory"),
+        (
+            "return bytearray(2**30)",
+            "mine.csv: reading it takes more than 536870912 bytes of memory",
+        ),
         ("import os; os.abort()", r"mine.csv: reading it ended the process that did \(-6\)"),
         ("import os; os.kill(os.getpid(), 9)", r"\(-9\)"),
         ("raise ZeroDivisionError", r"\(1\)"),
@@ -73,7 +84,11 @@ def test_a_reader_that_breaks_a_limit_or_dies_harms_nobody(monkeypatch, tmp_path
 
 
 @pytest.mark.parametrize(
-    ("body", "says"), [("while True: pass", r"\(-(9|24)\)|longer than 9 s"), ("import time; time.sleep(9999)", "longer than 9 s")]
+    ("body", "says"),
+    [
+        ("while True: pass", r"\(-(9|24)\)|longer than 9 s"),
+        ("import time; time.sleep(9999)", "longer than 9 s"),
+    ],
 )
 def test_a_reader_that_never_ends_is_ended(monkeypatch, tmp_path, body, says):
     replaced(monkeypatch, tmp_path, body)
@@ -85,7 +100,9 @@ def test_a_reader_that_never_ends_is_ended(monkeypatch, tmp_path, body, says):
 def test_what_a_library_leaves_behind_goes_with_the_upload(tmp_path):
     write_record(Record({"y": np.arange(500.0)}, {"y": "V"}, 1e-3), tmp_path / "r.mf4")
     whole = (tmp_path / "r.mf4").read_bytes()
-    unfinished = whole[:60] + b"\x21" + whole[61:200]  # flags of a recording that was not ended: the library works on a copy
+    unfinished = (
+        whole[:60] + b"\x21" + whole[61:200]
+    )  # flags of a recording that was not ended: the library works on a copy
     with pytest.raises(BadRecord):
         read_upload(unfinished, ".mf4", "mine.mf4", **LIMITS)
     assert list(Path(tempfile.gettempdir()).glob("*_upload.mf4")) == []

@@ -1,4 +1,6 @@
-"""What a physical model predicts, as a channel: the input of a residual that watches what the physics leaves over."""
+"""What a physical model predicts, as a channel: the input of a residual that watches what the
+physics leaves over.
+"""
 
 from __future__ import annotations
 
@@ -16,13 +18,17 @@ from residuum.nearest_names import known_names
 PREDICTION = "prediction"
 
 
-def with_prediction(model: PhysicalModel, record: Record, output: str, mapping: Mapping[str, str] | None = None) -> Record:
-    """The record with one more channel, `prediction`: `output` as the model simulates it from the record's inputs.
+def with_prediction(
+    model: PhysicalModel, record: Record, output: str, mapping: Mapping[str, str] | None = None
+) -> Record:
+    """The record with one more channel, `prediction`: `output` as the model simulates it from the
+    record's inputs.
 
-    A residual designed from `prediction` to the measured output (both in one unit, so a nearly unit response is identified)
-    sees only what the physics does not explain. As long as an effect is missing, that is structured and hides small faults;
-    with the effect added (`improve`) the same residual finds them. Only the initial states are fitted, to this record; a
-    fault that is there from its first sample moves them, one that comes later does not move the prediction.
+    A residual designed from `prediction` to the measured output (both in one unit, so a nearly unit
+    response is identified) sees only what the physics does not explain. As long as an effect is
+    missing, that is structured and hides small faults; with the effect added (`improve`) the same
+    residual finds them. Only the initial states are fitted, to this record; a fault that is there
+    from its first sample moves them, one that comes later does not move the prediction.
 
     Parameters
     ----------
@@ -43,12 +49,15 @@ def with_prediction(model: PhysicalModel, record: Record, output: str, mapping: 
     """
     if output not in model.outputs:
         raise BadInput(
-            f"prediction: model {model.name!r} has no output {output!r}; {known_names(output, model.outputs, 'it has')}"
+            f"prediction: model {model.name!r} has no output {output!r};"
+            f" {known_names(output, model.outputs, 'it has')}"
         )
     matched, (experiment,) = match(model, [record], mapping)
     simulated = estimate(matched, [experiment], free=()).predicted[0]
     if not np.isfinite(simulated).all():
-        raise NotIdentifiable(f"prediction: model {model.name!r} diverges on record {record.source!r}; {MAY_DIVERGE}")
+        raise NotIdentifiable(
+            f"prediction: model {model.name!r} diverges on record {record.source!r}; {MAY_DIVERGE}"
+        )
     predicted = np.asarray(simulated[:, list(model.outputs).index(output)])
     channels = MappingProxyType({**record.channels, PREDICTION: predicted})
     units = MappingProxyType({**record.units, PREDICTION: model.outputs[output].unit})

@@ -1,4 +1,6 @@
-"""Residual generator: from measured u, y to the primary, the robust and the whitened residual, sample by sample."""
+"""Residual generator: from measured u, y to the primary, the robust and the whitened residual,
+sample by sample.
+"""
 
 from __future__ import annotations
 
@@ -24,13 +26,16 @@ _SETTLED = 1e-3  # of the observer's start, after which its error is called gone
 class ResidualSignals(NamedTuple):
     """What the generator makes of a block, every array of shape (n,).
 
-    `valid` is False while a memory fills (after the start and after a gap); the other arrays are zero there.
+    `valid` is False while a memory fills (after the start and after a gap); the other arrays are
+    zero there.
     """
 
     primary: FloatArray  # e = M y − N u [output unit]
     robust: FloatArray  # r = Q e
     scores: FloatArray  # whitened e as normal scores: independent standard normals while healthy
-    gain_template: FloatArray  # whitened N u: what a gain that is lost by 100 % takes away from the scores
+    gain_template: (
+        FloatArray  # whitened N u: what a gain that is lost by 100 % takes away from the scores
+    )
     white_input: FloatArray  # whitened u in units of the scores: the regressor of the model error
     valid: BoolArray
 
@@ -71,7 +76,9 @@ class ResidualGenerator:
 
     @property
     def warm_up(self) -> int:
-        """Samples after a start or a gap that are not judged: the memory of model and whitening filter."""
+        """Samples after a start or a gap that are not judged: the memory of model and whitening
+        filter.
+        """
         return self._memory + len(self.noise.ar) - 1
 
     @property
@@ -94,12 +101,18 @@ class ResidualGenerator:
 def generator_of(
     model: IdentifiedModel, Q: StateSpace, noise: NoiseModel, operating_point: tuple[float, float]
 ) -> ResidualGenerator:
-    """The generator of an identified model: its impulse response where it has died out, an observer where it has not."""
+    """The generator of an identified model: its impulse response where it has died out, an observer
+    where it has not.
+    """
     input_mean, output_mean = operating_point
     if model.is_parametric and not _has_died_out(model):
         factors = left_coprime(StateSpace.from_transfer_function(model.transfer_function()))
-        return ResidualGenerator(None, factors.observer.modal, Q.modal, noise, model.sample_time, input_mean, output_mean)
-    return ResidualGenerator(model_taps(model), None, Q.modal, noise, model.sample_time, input_mean, output_mean)
+        return ResidualGenerator(
+            None, factors.observer.modal, Q.modal, noise, model.sample_time, input_mean, output_mean
+        )
+    return ResidualGenerator(
+        model_taps(model), None, Q.modal, noise, model.sample_time, input_mean, output_mean
+    )
 
 
 def model_taps(model: IdentifiedModel) -> FloatArray:
@@ -109,18 +122,27 @@ def model_taps(model: IdentifiedModel) -> FloatArray:
 
 def _has_died_out(model: IdentifiedModel) -> bool:
     g = model.impulse_response
-    return bool(model.transfer_function().is_stable and np.linalg.norm(g[-len(g) // 10 :]) < 1e-3 * np.linalg.norm(g))
+    return bool(
+        model.transfer_function().is_stable
+        and np.linalg.norm(g[-len(g) // 10 :]) < 1e-3 * np.linalg.norm(g)
+    )
 
 
 class ResidualStream:
-    """The running recursion of a generator; `state` saves it and `resume` continues it without a jump."""
+    """The running recursion of a generator; `state` saves it and `resume` continues it without a
+    jump.
+    """
 
     def __init__(self, generator: ResidualGenerator) -> None:
         self.generator = generator
         noise = generator.noise
         ar = noise.ar / noise.sigma
         self._model = FirFilter(generator.taps) if generator.taps is not None else None
-        self._whiteners = {"residual": FirFilter(ar), "template": FirFilter(ar), "input": FirFilter(ar * noise.score_slope)}
+        self._whiteners = {
+            "residual": FirFilter(ar),
+            "template": FirFilter(ar),
+            "input": FirFilter(ar * noise.score_slope),
+        }
         self._states: dict[str, FloatArray] = {}
         self.seen = 0
         self.gaps = 0
@@ -130,13 +152,18 @@ class ResidualStream:
         """Forget the past: the next `warm_up` samples fill the memory."""
         observer = self.generator.observer
         order = observer.order if observer is not None else 0
-        self._states = {"Q": np.zeros(self.generator.Q.order), "observer": np.zeros(order), "prediction": np.zeros(order)}
+        self._states = {
+            "Q": np.zeros(self.generator.Q.order),
+            "observer": np.zeros(order),
+            "prediction": np.zeros(order),
+        }
         for filter in (*self._whiteners.values(), *([self._model] if self._model else [])):
             filter.reset()
         self.seen = 0
 
     def process(self, u: npt.ArrayLike, y: npt.ArrayLike) -> ResidualSignals:
-        """Residuals of the next block, u and y of shape (n,); a missing sample (NaN) re-initialises the recursion.
+        """Residuals of the next block, u and y of shape (n,); a missing sample (NaN) re-initialises
+        the recursion.
 
         Raises
         ------
@@ -145,11 +172,16 @@ class ResidualStream:
         """
         u, y = np.atleast_1d(np.asarray(u, dtype=float)), np.atleast_1d(np.asarray(y, dtype=float))
         if u.shape != y.shape or u.ndim != 1:
-            raise BadInput(f"residual stream: u has shape {u.shape}, y {y.shape}; both must be (n,)")
+            raise BadInput(
+                f"residual stream: u has shape {u.shape}, y {y.shape}; both must be (n,)"
+            )
         missing = np.isnan(u) | np.isnan(y)
         if not missing.any():
             return self._advance(u, y)
-        parts, edges = [], np.flatnonzero(np.diff(np.concatenate([[False], missing, [False]]).astype(int)))
+        parts, edges = (
+            [],
+            np.flatnonzero(np.diff(np.concatenate([[False], missing, [False]]).astype(int))),
+        )
         cuts = [0, *edges.tolist(), len(u)]
         for start, stop in pairwise(cuts):
             if start == stop:
@@ -191,22 +223,38 @@ class ResidualStream:
         observer = self.generator.observer
         if observer is None:
             raise BadInput("residual stream: the generator has neither taps nor an observer")
-        primary, self._states["observer"] = observer.simulate(np.column_stack([y, u]), self._states["observer"])
-        alone, self._states["prediction"] = observer.simulate(np.column_stack([np.zeros_like(u), u]), self._states["prediction"])
+        primary, self._states["observer"] = observer.simulate(
+            np.column_stack([y, u]), self._states["observer"]
+        )
+        alone, self._states["prediction"] = observer.simulate(
+            np.column_stack([np.zeros_like(u), u]), self._states["prediction"]
+        )
         return primary[:, 0], -alone[:, 0]
 
     @property
     def state(self) -> dict[str, Any]:
         """Everything the recursion remembers, as arrays and numbers."""
-        filters = {f"whitener-{name}": filter.history.copy() for name, filter in self._whiteners.items()}
+        filters = {
+            f"whitener-{name}": filter.history.copy() for name, filter in self._whiteners.items()
+        }
         model = {"model": self._model.history.copy()} if self._model is not None else {}
-        return {**filters, **model, **{name: x.copy() for name, x in self._states.items()}, "seen": self.seen, "gaps": self.gaps}
+        return {
+            **filters,
+            **model,
+            **{name: x.copy() for name, x in self._states.items()},
+            "seen": self.seen,
+            "gaps": self.gaps,
+        }
 
     def resume(self, state: Mapping[str, Any]) -> None:
         """Continue from a saved `state`; BadInput when it is of another generator."""
         mine = self.state
-        if mine.keys() != state.keys() or any(np.shape(mine[name]) != np.shape(state[name]) for name in mine):
-            raise BadInput("residual stream: the saved state is of another design; start anew without it")
+        if mine.keys() != state.keys() or any(
+            np.shape(mine[name]) != np.shape(state[name]) for name in mine
+        ):
+            raise BadInput(
+                "residual stream: the saved state is of another design; start anew without it"
+            )
         for name, filter in self._whiteners.items():
             filter.history = np.array(state[f"whitener-{name}"], dtype=float)
         if self._model is not None:

@@ -1,9 +1,10 @@
 """Does a vibration itself tell that its shaft changes speed? Lines of its envelope then move.
 
-Fault lines are looked for at one speed. Where the speed changes and no channel tells it, they are smeared over many cells of the
-spectrum: a broken bearing looks healthy, or only the slowest lines, which smear least, are left and name the wrong part. A steady
-line stands out the more, the longer the stretches are in which it is looked for. A line that moves, at an even rate or to and
-fro, is seen in short stretches, where it can be followed from one to the next, and lost in long ones.
+Fault lines are looked for at one speed. Where the speed changes and no channel tells it, they are
+smeared over many cells of the spectrum: a broken bearing looks healthy, or only the slowest lines,
+which smear least, are left and name the wrong part. A steady line stands out the more, the longer
+the stretches are in which it is looked for. A line that moves, at an even rate or to and fro, is
+seen in short stretches, where it can be followed from one to the next, and lost in long ones.
 """
 
 from __future__ import annotations
@@ -32,13 +33,17 @@ _LONGEST = 0.1  # s each side
 _USUAL_CREST = 3.0  # of a frame
 
 
-def without_knocks(x: npt.ArrayLike, sampling_rate: float, slowest: float | None = None) -> tuple[AnyArray, list[float]]:
-    r"""The signal with isolated knocks scaled down to the median level of its frames, and their times [s].
+def without_knocks(
+    x: npt.ArrayLike, sampling_rate: float, slowest: float | None = None
+) -> tuple[AnyArray, list[float]]:
+    r"""The signal with isolated knocks scaled down to the median level of its frames, and their
+    times [s].
 
-    The energy of 5-ms frames, of the signal and of its first difference (so that a rumble hides no click), is divided by
-    its median. Of at most 4 events a second, those are knocks that hold more than six times the energy of the strongest
-    event left over: a fault that strikes again and again leaves many alike, and keeps them all. Where a fault may
-    strike more seldom than that, at most half as many events as it would make are looked at.
+    The energy of 5-ms frames, of the signal and of its first difference (so that a rumble hides no
+    click), is divided by its median. Of at most 4 events a second, those are knocks that hold more
+    than six times the energy of the strongest event left over: a fault that strikes again and again
+    leaves many alike, and keeps them all. Where a fault may strike more seldom than that, at most
+    half as many events as it would make are looked at.
 
     Parameters
     ----------
@@ -78,14 +83,22 @@ def without_knocks(x: npt.ArrayLike, sampling_rate: float, slowest: float | None
     for event in events:
         peak = np.abs(parts[event]).max(axis=1) / usual
         gain[event] = 1 / np.maximum(1.0, np.maximum(np.sqrt(energy[event]), peak / _USUAL_CREST))
-    gain = np.minimum(gain, np.minimum(np.append(gain[1:], 1.0), np.append(1.0, gain[:-1])))  # edges fall between frames
-    at = sorted((event.start + int(energy[event].argmax())) * length / sampling_rate for event in events)
+    gain = np.minimum(
+        gain, np.minimum(np.append(gain[1:], 1.0), np.append(1.0, gain[:-1]))
+    )  # edges fall between frames
+    at = sorted(
+        (event.start + int(energy[event].argmax())) * length / sampling_rate for event in events
+    )
     centres = (np.arange(frames) + 0.5) * length
-    return mean + (x - mean) * np.interp(np.arange(x.shape[0]), centres, gain).astype(x.dtype), [round(float(t), 3) for t in at]
+    return mean + (x - mean) * np.interp(np.arange(x.shape[0]), centres, gain).astype(x.dtype), [
+        round(float(t), 3) for t in at
+    ]
 
 
 def _energy(x: AnyArray, length: int, frames: int) -> AnyArray:
-    """The larger of the energies of x and of its first difference a frame, each in its median, shape (frames,)."""
+    """The larger of the energies of x and of its first difference a frame, each in its median,
+    shape (frames,).
+    """
     largest = np.zeros(frames)
     for signal in (x - x.mean(dtype=np.float64).astype(x.dtype), np.diff(x, prepend=x[:1])):
         parts = signal[: frames * length].reshape(frames, length)
@@ -131,8 +144,8 @@ def impact_train(
     r"""Impacts of a passing fault that ring a resonance, unit RMS.
 
     .. math::
-        x(t) = \sum_i (1 + m \cos 2\pi f_m t_i)(1 + 0.1 \epsilon_i) h(t - t_i), \quad t_{i+1} = t_i + (1 + s \eta_i)/f, \quad
-        h(t) = e^{-2\pi\zeta f_n t} \sin 2\pi f_n t
+        x(t) = \sum_i (1 + m \cos 2\pi f_m t_i)(1 + 0.1 \epsilon_i) h(t - t_i), \quad t_{i+1} = t_i
+        + (1 + s \eta_i)/f, \quad h(t) = e^{-2\pi\zeta f_n t} \sin 2\pi f_n t
 
     Parameters
     ----------
@@ -151,10 +164,15 @@ def impact_train(
     count = int(n / sampling_rate * frequency * (1 + 5 * slip)) + 8
     times = np.cumsum((1 + slip * rng.standard_normal(count)) / frequency)
     at = (times * sampling_rate).astype(int)
-    strength = (1 + modulation * np.cos(2 * np.pi * modulated_at * times)) * (1 + 0.1 * rng.standard_normal(count))
+    strength = (1 + modulation * np.cos(2 * np.pi * modulated_at * times)) * (
+        1 + 0.1 * rng.standard_normal(count)
+    )
     impacts = np.zeros(n)
     np.add.at(impacts, at[at < n], strength[at < n])
-    t = np.arange(min(n, int(8 * sampling_rate / (2 * np.pi * damping * resonance)) + 2)) / sampling_rate
+    t = (
+        np.arange(min(n, int(8 * sampling_rate / (2 * np.pi * damping * resonance)) + 2))
+        / sampling_rate
+    )
     ring = np.exp(-2 * np.pi * damping * resonance * t) * np.sin(2 * np.pi * resonance * t)
     x = np.fft.irfft(np.fft.rfft(impacts, 2 * n) * np.fft.rfft(ring, 2 * n), 2 * n)[:n]
     return np.asarray(x / np.sqrt(np.mean(x * x)))
@@ -171,7 +189,9 @@ def faulty_bearing(
     resonance: float = 3200.0,
     seed: int = 0,
 ) -> AnyArray:
-    """White noise of unit RMS, shaft harmonics, and (unless `fault` is None) the fault's impacts `snr_db` above the noise."""
+    """White noise of unit RMS, shaft harmonics, and (unless `fault` is None) the fault's impacts
+    `snr_db` above the noise.
+    """
     rng = np.random.default_rng([seed, 1])
     t = np.arange(n) / sampling_rate
     x = rng.standard_normal(n)
@@ -186,7 +206,13 @@ def faulty_bearing(
         "ftf": (orders.get("ftf", 0.0), 0.0, 0.0),
     }[fault]
     train = impact_train(
-        n, sampling_rate, rate * shaft, resonance=resonance, modulation=modulation, modulated_at=modulated_at, seed=seed
+        n,
+        sampling_rate,
+        rate * shaft,
+        resonance=resonance,
+        modulation=modulation,
+        modulated_at=modulated_at,
+        seed=seed,
     )
     return np.asarray(x + 10 ** (snr_db / 20) * train)
 
@@ -198,18 +224,28 @@ _HARMONICS = 3
 _PARTS = (1, 2, 4)
 _PADDED = 2  # times its length a stretch is transformed at: lines lie half a cell apart
 _FLOOR = 48  # lines that share a floor
-_FASTEST = 2  # lines by which a followed line may move from one stretch to the next, half a stretch later
+_FASTEST = (
+    2  # lines by which a followed line may move from one stretch to the next, half a stretch later
+)
 _MOVES = 2  # lines, at least, between the extremes of one that is called moving
-_LEAKS = 8  # lines by which a steady one beyond the searched band may be seen within it in stretches of half the length
+# lines by which a steady one beyond the searched band may be seen within it in stretches of half
+# the length
+_LEAKS = 8
 _STANDS_OUT = 4.2
-"""Mean score of a followed line; noise stays below 3.4, and the busiest healthy rig has steady lines of its own beside it."""
+"""Mean score of a followed line; noise stays below 3.4, and the busiest healthy rig has steady
+lines of its own beside it.
+"""
 _BESIDE_LONGER, _BESIDE_SAME = 0.5, 1.0
-"""By how much a followed line must beat each steady one in stretches of twice the length, or of the same."""
+"""By how much a followed line must beat each steady one in stretches of twice the length, or of the
+same.
+"""
 
 
 @dataclass(frozen=True)
 class MovingLine:
-    """A line of the envelope between its two extremes: from `first` to `last` [Hz] within `seconds`; `evidence` is its score."""
+    """A line of the envelope between its two extremes: from `first` to `last` [Hz] within
+    `seconds`; `evidence` is its score.
+    """
 
     first: float
     last: float
@@ -219,9 +255,11 @@ class MovingLine:
 
 @dataclass(frozen=True, eq=False)
 class _Followed:
-    """What stretches of one length show: scores of the best line that may move and of the best steady one, and the former's way.
+    """What stretches of one length show: scores of the best line that may move and of the best
+    steady one, and the former's way.
 
-    `f` [Hz] is where it is in each stretch, `hop` [s] what lies between two, `moved` the lines between its extremes.
+    `f` [Hz] is where it is in each stretch, `hop` [s] what lies between two, `moved` the lines
+    between its extremes.
     """
 
     followed: float
@@ -238,15 +276,18 @@ class _Followed:
         return blurred or self.followed >= self.steady + _BESIDE_SAME
 
 
-def moving_line(x: npt.ArrayLike, sampling_rate: float, lines: Mapping[str, float]) -> MovingLine | None:
+def moving_line(
+    x: npt.ArrayLike, sampling_rate: float, lines: Mapping[str, float]
+) -> MovingLine | None:
     r"""The line that moves most clearly; None where none does.
 
-    In half-overlapping stretches of 8 to 128 periods the squared envelope of each band is scored as `fault_lines` does,
-    \(S(f) = \sum_{k=1}^3 \ln(1 + P(kf)/N(kf))\). The line of the largest mean score that moves by at most a cell from stretch to
-    stretch (dynamic programming) is held against the best steady line in stretches of the same and of twice the length.
+    In half-overlapping stretches of 8 to 128 periods the squared envelope of each band is scored as
+    `fault_lines` does, \(S(f) = \sum_{k=1}^3 \ln(1 + P(kf)/N(kf))\). The line of the largest mean
+    score that moves by at most a cell from stretch to stretch (dynamic programming) is held against
+    the best steady line in stretches of the same and of twice the length.
 
-    Finds nothing where no line stands out: a healthy bearing on a changing speed is not recognised, nor is a fault
-    whose lines move by many cells within 8 of their periods.
+    Finds nothing where no line stands out: a healthy bearing on a changing speed is not recognised,
+    nor is a fault whose lines move by many cells within 8 of their periods.
 
     Parameters
     ----------
@@ -259,12 +300,24 @@ def moving_line(x: npt.ArrayLike, sampling_rate: float, lines: Mapping[str, floa
     slowest, fastest = min(lines.values()) / _AROUND, _AROUND * max(lines.values())
     spectrum, padded = padded_spectrum(signal)
     envelopes = [
-        _slow(envelope_of_spectrum(spectrum, padded, signal.shape[0], sampling_rate, *band), fastest)
+        _slow(
+            envelope_of_spectrum(spectrum, padded, signal.shape[0], sampling_rate, *band), fastest
+        )
         for band in _bands(sampling_rate, fastest)
     ]
-    looks = [look for periods in _PERIODS if (look := _look(envelopes, periods / slowest, slowest, fastest)) is not None]
-    moving = [look for look, longer in pairwise([*looks, None]) if look is not None and look.beats(longer)]
-    return _between_extremes(max(moving, key=lambda look: look.followed - look.steady)) if moving else None
+    looks = [
+        look
+        for periods in _PERIODS
+        if (look := _look(envelopes, periods / slowest, slowest, fastest)) is not None
+    ]
+    moving = [
+        look for look, longer in pairwise([*looks, None]) if look is not None and look.beats(longer)
+    ]
+    return (
+        _between_extremes(max(moving, key=lambda look: look.followed - look.steady))
+        if moving
+        else None
+    )
 
 
 def _bands(rate: float, fastest: float) -> list[tuple[float, float]]:
@@ -274,16 +327,27 @@ def _bands(rate: float, fastest: float) -> list[tuple[float, float]]:
 
 
 def _slow(envelope: Envelope, fastest: float) -> tuple[AnyArray, float]:
-    """The squared envelope of a band over its mean, less one, at a rate that its lines need, and that rate."""
+    """The squared envelope of a band over its mean, less one, at a rate that its lines need, and
+    that rate.
+    """
     square, rate = envelope.values**2, envelope.sampling_rate
-    n = fft.next_fast_len(max(64, int(square.shape[0] * 2.5 * _HARMONICS * fastest / rate)), real=True)
+    n = fft.next_fast_len(
+        max(64, int(square.shape[0] * 2.5 * _HARMONICS * fastest / rate)), real=True
+    )
     n = min(n, square.shape[0])
     transformed = fft.rfft(square / max(float(square.mean()), np.finfo(np.float32).tiny) - 1)
-    return fft.irfft(transformed[: n // 2 + 1], n) * (n / square.shape[0]), rate * n / square.shape[0]
+    return (
+        fft.irfft(transformed[: n // 2 + 1], n) * (n / square.shape[0]),
+        rate * n / square.shape[0],
+    )
 
 
-def _look(envelopes: list[tuple[AnyArray, float]], length: float, slowest: float, fastest: float) -> _Followed | None:
-    """The best lines over all bands in stretches of `length` [s]; None where they are too few, or too short for a floor."""
+def _look(
+    envelopes: list[tuple[AnyArray, float]], length: float, slowest: float, fastest: float
+) -> _Followed | None:
+    """The best lines over all bands in stretches of `length` [s]; None where they are too few, or
+    too short for a floor.
+    """
     looks = []
     for values, rate in envelopes:
         m = int(length * rate)
@@ -295,7 +359,9 @@ def _look(envelopes: list[tuple[AnyArray, float]], length: float, slowest: float
         followed, way = _follow(scores[:, begin:end])
         around = scores[:, max(0, begin - _LEAKS) : end + _LEAKS]
         steady = float(maximum_filter1d(around, 3, axis=1).mean(axis=0).max())
-        looks.append(_Followed(followed, steady, (begin + way) * f_step, (m // 2) / rate, int(np.ptp(way))))
+        looks.append(
+            _Followed(followed, steady, (begin + way) * f_step, (m // 2) / rate, int(np.ptp(way)))
+        )
     if not looks:
         return None
     best = max(looks, key=lambda look: look.followed)
@@ -303,13 +369,17 @@ def _look(envelopes: list[tuple[AnyArray, float]], length: float, slowest: float
 
 
 def _scores(values: AnyArray, m: int) -> AnyArray:
-    """Score of every stretch of m samples and frequency, shape (stretches, lines of the spectrum up to a third of its end)."""
+    """Score of every stretch of m samples and frequency, shape (stretches, lines of the spectrum up
+    to a third of its end).
+    """
     starts = np.arange(0, values.shape[0] - m + 1, m // 2)
     stretches = values[starts[:, None] + np.arange(m)] * np.hanning(m).astype(values.dtype)
     spectra = fft.rfft(stretches, _PADDED * m, axis=1)
     power = spectra.real**2 + spectra.imag**2
     blocks = power.shape[1] // _FLOOR
-    floor = np.median(power[:, : blocks * _FLOOR].reshape(power.shape[0], blocks, _FLOOR), axis=2) / np.log(2)
+    floor = np.median(
+        power[:, : blocks * _FLOOR].reshape(power.shape[0], blocks, _FLOOR), axis=2
+    ) / np.log(2)
     floor = np.repeat(floor, _FLOOR, axis=1)
     ratio = np.log1p(power[:, : floor.shape[1]] / np.maximum(floor, 1e-30))
     ratio[:, : 2 * _PADDED] = 0.0
@@ -337,4 +407,6 @@ def _follow(scores: AnyArray) -> tuple[float, AnyArray]:
 
 def _between_extremes(look: _Followed) -> MovingLine:
     begin, end = sorted((int(look.f.argmin()), int(look.f.argmax())))
-    return MovingLine(float(look.f[begin]), float(look.f[end]), (end - begin) * look.hop, look.followed)
+    return MovingLine(
+        float(look.f[begin]), float(look.f[end]), (end - begin) * look.hop, look.followed
+    )

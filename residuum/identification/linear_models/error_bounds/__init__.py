@@ -1,1 +1,3 @@
-"""How far a plant may be from its identified model: errors of drawn models, what lies above them, and its certificate."""
+"""How far a plant may be from its identified model: errors of drawn models, what lies above them,
+and its certificate.
+"""

@@ -1,9 +1,11 @@
-"""Ways to state how far an identified model may be from the plant, other than the covariance of its own estimate.
+"""Ways to state how far an identified model may be from the plant, other than the covariance of its
+own estimate.
 
-A covariance that an estimate makes of itself knows variance, not bias: a model of too low an order looks certain. Here the
-error G − Ĝ₀ is identified from residuals that the model leaves on records, and stated as the second moment Σ_e + ê êᵀ of the
-error's impulse response, so that random models drawn about Ĝ₀ reach as far as it does. Weights, residuals and controllers then
-use it as they use any covariance; section 1.4.3 and Remark 2.9 of the source.
+A covariance that an estimate makes of itself knows variance, not bias: a model of too low an order
+looks certain. Here the error G − Ĝ₀ is identified from residuals that the model leaves on records,
+and stated as the second moment Σ_e + ê êᵀ of the error's impulse response, so that random models
+drawn about Ĝ₀ reach as far as it does. Weights, residuals and controllers then use it as they use
+any covariance; section 1.4.3 and Remark 2.9 of the source.
 """
 
 from __future__ import annotations
@@ -21,7 +23,12 @@ from residuum.array_types import ComplexArray, FloatArray
 from residuum.identification.blas_threads import one_thread_if_small
 from residuum.identification.errors import BadInput, BadModel, NotIdentifiable
 from residuum.identification.kernel_based.gram import RegressionSums
-from residuum.identification.kernel_based.impulse_response import check_settings, maximise, provenance, scaled_sums
+from residuum.identification.kernel_based.impulse_response import (
+    check_settings,
+    maximise,
+    provenance,
+    scaled_sums,
+)
 from residuum.identification.kernel_based.kernels import KERNELS
 from residuum.identification.kernel_based.lagged_data import lagged_data
 from residuum.identification.kernel_based.marginal_likelihood import marginal_likelihood
@@ -42,7 +49,9 @@ Envelope = Callable[[FloatArray], FloatArray]
 
 _DECADES, _LOGARITHMIC = 5.5, 600
 _POINTS_A_LAG, _FINE = 4, 30
-"""Points of the linear grid, and of the one on which minima of the nominal response are looked for, a lag."""
+"""Points of the linear grid, and of the one on which minima of the nominal response are looked for,
+a lag.
+"""
 _MINIMA = 60
 OFF_THE_LINE = 0.005
 """By how much a middle may lie above the line through its neighbours, in parts."""
@@ -58,7 +67,8 @@ def refined_grid(
     sample_time: float,
     asked: FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray]:
-    """Frequencies [rad/s] and the envelope there: between them it lies below the lines through its points, within `OFF_THE_LINE`.
+    """Frequencies [rad/s] and the envelope there: between them it lies below the lines through its
+    points, within `OFF_THE_LINE`.
 
     Parameters
     ----------
@@ -69,14 +79,19 @@ def refined_grid(
     lags : int
         Highest power of z in the responses.
     asked : array or None
-        Frequencies [rad/s] that the grid has, none below the first; None: 600 over five and a half decades.
+        Frequencies [rad/s] that the grid has, none below the first; None: 600 over five and a half
+        decades.
 
     Notes
     -----
     Halving ends after `_ROUNDS` rounds or `_MOST` points; what is left between them is the caller's to check.
     """
     nyquist = math.pi / sample_time
-    given = np.geomspace(nyquist / 10**_DECADES, nyquist, _LOGARITHMIC) if asked is None else np.append(asked, nyquist)
+    given = (
+        np.geomspace(nyquist / 10**_DECADES, nyquist, _LOGARITHMIC)
+        if asked is None
+        else np.append(asked, nyquist)
+    )
     omega = np.unique(
         np.concatenate(
             [
@@ -90,35 +105,49 @@ def refined_grid(
     apart = np.append(True, np.diff(omega) > _NARROWEST * omega[1:])
     omega = omega[apart | np.isin(omega, given)]
     values = envelope(omega)
-    doubtful = np.append(np.ones(len(omega) - 1, dtype=bool), False)  # by the point that an interval begins at
+    doubtful = np.append(
+        np.ones(len(omega) - 1, dtype=bool), False
+    )  # by the point that an interval begins at
     for _ in range(_ROUNDS):
         left = np.flatnonzero(doubtful)
         left = left[omega[left + 1] > omega[left] * (1.0 + _NARROWEST)]
         if not len(left) or len(omega) + len(left) > _MOST:
             break
-        middle = np.sqrt(np.maximum(omega[left], 0.1 * omega[left + 1]) * omega[left + 1])  # from ω = 0: a tenth
+        middle = np.sqrt(
+            np.maximum(omega[left], 0.1 * omega[left + 1]) * omega[left + 1]
+        )  # from ω = 0: a tenth
         inner = envelope(middle)
-        line = np.sqrt(values[left] * values[left + 1])  # the middle of a straight line in (ln ω, ln Ω)
+        line = np.sqrt(
+            values[left] * values[left + 1]
+        )  # the middle of a straight line in (ln ω, ln Ω)
         doubtful[left] = above = inner > line * (1.0 + OFF_THE_LINE)
         order = np.argsort(np.concatenate([omega, middle]))
-        omega, values, doubtful = (np.concatenate(pair)[order] for pair in ((omega, middle), (values, inner), (doubtful, above)))
+        omega, values, doubtful = (
+            np.concatenate(pair)[order]
+            for pair in ((omega, middle), (values, inner), (doubtful, above))
+        )
     return omega, values
 
 
 def _minima(nominal: Callable[[FloatArray], ComplexArray], lags: int, nyquist: float) -> FloatArray:
-    """Where the nominal response is smallest beside its neighbours, found on a fine grid and by parabolas through it."""
+    """Where the nominal response is smallest beside its neighbours, found on a fine grid and by
+    parabolas through it.
+    """
     omega = nyquist * np.arange(1, _FINE * lags + 1) / (_FINE * lags)
     power = np.abs(nominal(omega)) ** 2
     inner = np.flatnonzero((power[1:-1] < power[:-2]) & (power[1:-1] <= power[2:])) + 1
     inner = inner[np.argsort(power[inner])[:_MINIMA]]
     step = omega[1] - omega[0]
     bend = power[inner - 1] - 2 * power[inner] + power[inner + 1]
-    shift = 0.5 * np.divide(power[inner - 1] - power[inner + 1], bend, out=np.zeros(len(inner)), where=bend > 0)
+    shift = 0.5 * np.divide(
+        power[inner - 1] - power[inner + 1], bend, out=np.zeros(len(inner)), where=bend > 0
+    )
     return np.asarray(omega[inner] + step * np.clip(shift, -0.5, 0.5))
 
 
 def asked_grid(sample_time: float, points: int | None, lowest: float | None) -> FloatArray | None:
-    """The logarithmic grid [rad/s] up to π/Ts of so many points from a lowest frequency on; None: neither was asked for.
+    """The logarithmic grid [rad/s] up to π/Ts of so many points from a lowest frequency on; None:
+    neither was asked for.
 
     Raises BadInput when the lowest frequency does not lie between 0 and π/Ts.
     """
@@ -127,7 +156,10 @@ def asked_grid(sample_time: float, points: int | None, lowest: float | None) -> 
     nyquist = np.pi / sample_time
     low = nyquist / 10**_DECADES if lowest is None else lowest
     if not 0 < low < nyquist:
-        raise BadInput(f"lowest frequency {low:g}: must lie between 0 and the Nyquist frequency, {nyquist:.6g} rad/s")
+        raise BadInput(
+            f"lowest frequency {low:g}: must lie between 0 and the Nyquist frequency, {nyquist:.6g}"
+            " rad/s"
+        )
     return np.asarray(np.geomspace(low, nyquist, points or _LOGARITHMIC))
 
 
@@ -161,26 +193,47 @@ class DrawnErrors:
     form: str
 
     @classmethod
-    def of(cls, drawn: Polynomials, nominal: Polynomials, sample_time: float, form: str) -> DrawnErrors:
-        """Errors of G_i = N_i/D_i against G₀ = N₀/D₀, coefficient rows in ascending powers of z⁻¹."""
+    def of(
+        cls, drawn: Polynomials, nominal: Polynomials, sample_time: float, form: str
+    ) -> DrawnErrors:
+        """Errors of G_i = N_i/D_i against G₀ = N₀/D₀, coefficient rows in ascending powers of
+        z⁻¹.
+        """
         (N, D), (N0, D0) = drawn, nominal
         mixed = _times(N, D0)
         difference = _sum(mixed, -_times(D, N0))
-        below = {"multiplicative": _times(D, N0), "additive": _times(D, D0), "inverse-multiplicative": mixed}[form]
+        below = {
+            "multiplicative": _times(D, N0),
+            "additive": _times(D, D0),
+            "inverse-multiplicative": mixed,
+        }[form]
         return cls(difference, below, sample_time, form)
 
     @classmethod
     def joined(cls, parts: Sequence[DrawnErrors]) -> DrawnErrors:
         """The errors of several sets of models together."""
-        numerators, denominators = ([getattr(part, name) for part in parts] for name in ("numerators", "denominators"))
+        numerators, denominators = (
+            [getattr(part, name) for part in parts] for name in ("numerators", "denominators")
+        )
         p, q = (max(rows.shape[1] for rows in many) for many in (numerators, denominators))
-        if all(len(rows) == 1 and np.array_equal(_padded(rows, q), _padded(denominators[0], q)) for rows in denominators):
+        if all(
+            len(rows) == 1 and np.array_equal(_padded(rows, q), _padded(denominators[0], q))
+            for rows in denominators
+        ):
             below = _padded(denominators[0], q)
         else:
             below = np.vstack(
-                [np.broadcast_to(_padded(b, q), (len(a), q)) for a, b in zip(numerators, denominators, strict=True)]
+                [
+                    np.broadcast_to(_padded(b, q), (len(a), q))
+                    for a, b in zip(numerators, denominators, strict=True)
+                ]
             )
-        return cls(np.vstack([_padded(rows, p) for rows in numerators]), below, parts[0].sample_time, parts[0].form)
+        return cls(
+            np.vstack([_padded(rows, p) for rows in numerators]),
+            below,
+            parts[0].sample_time,
+            parts[0].form,
+        )
 
     @property
     def lags(self) -> int:
@@ -200,12 +253,16 @@ class DrawnErrors:
         step = max(1, _VALUES_AT_ONCE // len(self.numerators))
         for first in range(0, len(omega), step):
             part = omega[first : first + step]
-            above, below = (magnitude(rows, part * self.sample_time) for rows in (self.numerators, self.denominators))
+            above, below = (
+                magnitude(rows, part * self.sample_time)
+                for rows in (self.numerators, self.denominators)
+            )
             smallest = 1e-14 * np.abs(self.denominators).sum(axis=1, keepdims=True)
             if (below <= smallest).any():
                 zero = part[np.argmax((below <= smallest).any(axis=0))]
                 raise BadModel(
-                    f"uncertainty weight: the response is zero at {zero:g} rad/s, where no {self.form} error exists; use additive"
+                    f"uncertainty weight: the response is zero at {zero:g} rad/s, where no"
+                    f" {self.form} error exists; use additive"
                 )
             largest[first : first + step] = (above / below).max(axis=0)
         return np.maximum(largest, np.finfo(float).tiny)
@@ -241,7 +298,9 @@ def _padded(rows: FloatArray, size: int) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class StochasticEmbedding:
-    """The nominal model, whose covariance holds bias and variance, and the two parts of that covariance, shape (m, m)."""
+    """The nominal model, whose covariance holds bias and variance, and the two parts of that
+    covariance, shape (m, m).
+    """
 
     nominal: IdentifiedModel
     bias_covariance: FloatArray
@@ -259,7 +318,8 @@ def laguerre_basis(pole: float, functions: int, order: int) -> FloatArray:
     """
     if not -1 < pole < 1 or not 1 <= functions <= order:
         raise BadInput(
-            f"Laguerre basis: pole {pole} must lie inside ±1 and {functions} functions between 1 and the order {order}"
+            f"Laguerre basis: pole {pole} must lie inside ±1 and {functions} functions between 1"
+            f" and the order {order}"
         )
     columns = [signal.lfilter([math.sqrt(1 - pole**2)], [1, -pole], np.eye(1, order)[0])]
     while len(columns) < functions:
@@ -277,14 +337,16 @@ def stochastic_embedding(
     delay: int = 1,
     offset: bool = True,
 ) -> StochasticEmbedding:
-    """Identify g = B θ + δ: a nominal model in the span of a few basis functions, and a random error δ ~ N(0, λ K(α)).
+    """Identify g = B θ + δ: a nominal model in the span of a few basis functions, and a random
+    error δ ~ N(0, λ K(α)).
 
-    θ̂ = (BᵀRB)⁻¹BᵀΦᵀy is least squares. λ, α and σ² maximise the likelihood of the data from which θ was eliminated. With Π =
-    B (BᵀRB)⁻¹ BᵀR, the error of the nominal model is
+    θ̂ = (BᵀRB)⁻¹BᵀΦᵀy is least squares. λ, α and σ² maximise the likelihood of the data from which
+    θ was eliminated. With Π = B (BᵀRB)⁻¹ BᵀR, the error of the nominal model is
 
         Cov(Bθ̂ − g) = (Π − I) λK (Π − I)ᵀ + σ² B (BᵀRB)⁻¹ Bᵀ      (bias + variance)
 
-    Goodwin, Gevers, Ninness, IEEE Trans. Automatic Control 37 (1992) 913–928; (1.124) of the source.
+    Goodwin, Gevers, Ninness, IEEE Trans. Automatic Control 37 (1992) 913–928; (1.124) of the
+    source.
 
     Parameters
     ----------
@@ -293,8 +355,9 @@ def stochastic_embedding(
     basis : array, shape (m, p)
         Impulse responses B of the basis functions, e.g. `laguerre_basis`.
     kernel : str
-        Prior of δ. What a basis leaves over swings around zero, which `dc` can express; with `di`, the prior of the
-        reference, and `tc` the 95 % ellipses covered the truth at 40–60 % of the frequencies in our tests, with `dc` at 94–95 %.
+        Prior of δ. What a basis leaves over swings around zero, which `dc` can express; with `di`,
+        the prior of the reference, and `tc` the 95 % ellipses covered the truth at 40–60 % of the
+        frequencies in our tests, with `dc` at 94–95 %.
 
     Raises
     ------
@@ -342,11 +405,15 @@ def _inverse(normal: FloatArray, rows: int) -> FloatArray:
     try:
         return np.asarray(linalg.cho_solve(linalg.cho_factor(normal), np.eye(len(normal))))
     except linalg.LinAlgError:
-        raise NotIdentifiable(f"stochastic embedding: {rows} rows do not excite the {len(normal)} basis functions") from None
+        raise NotIdentifiable(
+            f"stochastic embedding: {rows} rows do not excite the {len(normal)} basis functions"
+        ) from None
 
 
 def _without_nominal(sums: RegressionSums, B: FloatArray, inverse: FloatArray) -> RegressionSums:
-    """The sums after B θ was eliminated, as a constant level is: each basis function takes one degree of freedom."""
+    """The sums after B θ was eliminated, as a constant level is: each basis function takes one
+    degree of freedom.
+    """
     RB, b = sums.gram @ B, B.T @ sums.cross
     return RegressionSums(
         sums.gram - RB @ inverse @ RB.T,
@@ -366,25 +433,44 @@ _POLES = (0.2, 0.4, 0.6, 0.75, 0.85, 0.92, 0.96)
 _FUNCTIONS = 4
 
 
-def with_model_error(model: IdentifiedModel, records: Sequence[Record], noise_bound: float | None = None) -> IdentifiedModel:
-    """The model with a kernel model error model (1.125) from records: Σ_e + ê êᵀ of the error's impulse response.
+def with_model_error(
+    model: IdentifiedModel, records: Sequence[Record], noise_bound: float | None = None
+) -> IdentifiedModel:
+    """The model with a kernel model error model (1.125) from records: Σ_e + ê êᵀ of the error's
+    impulse response.
 
-    Raises BadInput when a noise bound is given: this way has none; and what `model_error_model` raises.
+    Raises BadInput when a noise bound is given: this way has none; and what `model_error_model`
+    raises.
     """
     if noise_bound is not None:
-        raise BadInput("uncertainty model-error: takes no noise bound; that belongs to set-membership")
+        raise BadInput(
+            "uncertainty model-error: takes no noise bound; that belongs to set-membership"
+        )
     shortest = min(record.n for record in records)
     lags = max(_LEAST_LAGS, min(_LAGS, shortest // 4))
     error_model = model_error_model(model, records, order=lags)
     verdict = "falsified" if error_model.falsified else "not falsified"
-    warning = f"model error model: {verdict}, at {len(error_model.falsified_at)} of {len(error_model.omega)} frequencies"
-    return _with_error(model, error_model.error.impulse_response, error_model.error.covariance, "model-error", warning)
+    warning = (
+        f"model error model: {verdict}, at {len(error_model.falsified_at)} of"
+        f" {len(error_model.omega)} frequencies"
+    )
+    return _with_error(
+        model,
+        error_model.error.impulse_response,
+        error_model.error.covariance,
+        "model-error",
+        warning,
+    )
 
 
-def with_set_membership(model: IdentifiedModel, records: Sequence[Record], noise_bound: float | None = None) -> IdentifiedModel:
-    """The model with a set-membership model error model (1.127): all error responses that noise below a bound allows.
+def with_set_membership(
+    model: IdentifiedModel, records: Sequence[Record], noise_bound: float | None = None
+) -> IdentifiedModel:
+    """The model with a set-membership model error model (1.127): all error responses that noise
+    below a bound allows.
 
-    Each coefficient is taken as evenly spread over its interval, centre c and half width r: second moment diag(r²/3) + c cᵀ.
+    Each coefficient is taken as evenly spread over its interval, centre c and half width r: second
+    moment diag(r²/3) + c cᵀ.
 
     Parameters
     ----------
@@ -394,41 +480,59 @@ def with_set_membership(model: IdentifiedModel, records: Sequence[Record], noise
     Raises
     ------
     NotIdentifiable
-        The bound is too small: no error response agrees with the records; says the smallest that does.
+        The bound is too small: no error response agrees with the records; says the smallest that
+        does.
     """
     Phi, residual = _regression(model, records)
-    smallest = feasible_set(Phi, residual, 1e-12 * float(np.abs(residual).max() or 1.0)).smallest_bound
+    smallest = feasible_set(
+        Phi, residual, 1e-12 * float(np.abs(residual).max() or 1.0)
+    ).smallest_bound
     bound = _ROOM * smallest if noise_bound is None else noise_bound
     feasible = feasible_set(Phi, residual, bound)
     if feasible.empty:
         raise NotIdentifiable(
-            f"uncertainty set-membership: with noise of at most {bound:.4g} {model.output_unit} no error response agrees with "
-            f"the records; the smallest bound that leaves one is {smallest:.4g}".replace("  ", " ")
+            f"uncertainty set-membership: with noise of at most {bound:.4g} {model.output_unit} no"
+            " error response agrees with the records; the smallest bound that leaves one is"
+            f" {smallest:.4g}".replace("  ", " ")
         )
     warning = f"set membership: noise at most {bound:.4g} {model.output_unit}".rstrip()
     warning += f", smallest possible {smallest:.4g}"
-    return _with_error(model, feasible.centre, np.diag(feasible.radius**2 / 3.0), "set-membership", warning)
+    return _with_error(
+        model, feasible.centre, np.diag(feasible.radius**2 / 3.0), "set-membership", warning
+    )
 
 
 def with_stochastic_embedding(
     model: IdentifiedModel, records: Sequence[Record], noise_bound: float | None = None
 ) -> IdentifiedModel:
-    """Stochastic embedding (1.124) in the model's place: four Laguerre functions of the likeliest pole, and a random error.
+    """Stochastic embedding (1.124) in the model's place: four Laguerre functions of the likeliest
+    pole, and a random error.
 
-    Raises BadInput when a noise bound is given, NotIdentifiable when the records do not excite the basis.
+    Raises BadInput when a noise bound is given, NotIdentifiable when the records do not excite the
+    basis.
     """
     if noise_bound is not None:
-        raise BadInput("uncertainty stochastic-embedding: takes no noise bound; that belongs to set-membership")
+        raise BadInput(
+            "uncertainty stochastic-embedding: takes no noise bound; that belongs to set-membership"
+        )
     return likeliest_embedding(records, model.input_name, model.output_name, delay=model.delay)
 
 
 def likeliest_embedding(
-    records: Sequence[Record], input: str, output: str, *, delay: int = 1, order: int | None = None, offset: bool = True
+    records: Sequence[Record],
+    input: str,
+    output: str,
+    *,
+    delay: int = 1,
+    order: int | None = None,
+    offset: bool = True,
 ) -> IdentifiedModel:
-    """The nominal model of `stochastic_embedding` on four Laguerre functions of the likeliest of seven poles.
+    """The nominal model of `stochastic_embedding` on four Laguerre functions of the likeliest of
+    seven poles.
 
-    Assumes that what four functions leave over decays and swings about zero (kernel `dc`). Fails, with bands too narrow, where
-    that error is large: a resonance beside a slow mode, of which one pole fits only one.
+    Assumes that what four functions leave over decays and swings about zero (kernel `dc`). Fails,
+    with bands too narrow, where that error is large: a resonance beside a slow mode, of which one
+    pole fits only one.
 
     Parameters
     ----------
@@ -445,25 +549,39 @@ def likeliest_embedding(
     functions = min(_FUNCTIONS, order)
     tried = [
         stochastic_embedding(
-            records, input, output, basis=laguerre_basis(pole, functions, order), delay=delay, offset=offset
+            records,
+            input,
+            output,
+            basis=laguerre_basis(pole, functions, order),
+            delay=delay,
+            offset=offset,
         ).nominal
         for pole in _POLES
     ]
     best = int(np.argmin([model.negative_log_likelihood for model in tried]))
-    warning = f"stochastic embedding: {functions} Laguerre functions of pole {_POLES[best]:g}; the nominal model is theirs"
+    warning = (
+        f"stochastic embedding: {functions} Laguerre functions of pole {_POLES[best]:g}; the"
+        " nominal model is theirs"
+    )
     return replace(tried[best], warnings=(*tried[best].warnings, warning))
 
 
-ERROR_MODELS: dict[str, Callable[[IdentifiedModel, Sequence[Record], float | None], IdentifiedModel]] = {
+ERROR_MODELS: dict[
+    str, Callable[[IdentifiedModel, Sequence[Record], float | None], IdentifiedModel]
+] = {
     "model-error": with_model_error,
     "set-membership": with_set_membership,
     "stochastic-embedding": with_stochastic_embedding,
 }
-"""Name of a choice of `identify --uncertainty` → what makes it; each takes the model, records and a noise bound or None."""
+"""Name of a choice of `identify --uncertainty` → what makes it; each takes the model, records and a
+noise bound or None.
+"""
 
 
 def _regression(model: IdentifiedModel, records: Sequence[Record]) -> tuple[FloatArray, FloatArray]:
-    """Lagged inputs and what the model leaves of the output, about its mean; rows with anything missing are left out."""
+    """Lagged inputs and what the model leaves of the output, about its mean; rows with anything
+    missing are left out.
+    """
     rows, targets = [], []
     for record in records:
         left = residual_record(model, record)
@@ -476,12 +594,19 @@ def _regression(model: IdentifiedModel, records: Sequence[Record]) -> tuple[Floa
         targets.append(e[first:][good] - np.mean(e[first:][good]))
     Phi, target = np.concatenate(rows)[:_SET_ROWS], np.concatenate(targets)[:_SET_ROWS]
     if len(target) < 2 * _SET_LAGS:
-        raise NotIdentifiable(f"uncertainty set-membership: {len(target)} complete rows; at least {2 * _SET_LAGS} are needed")
+        raise NotIdentifiable(
+            f"uncertainty set-membership: {len(target)} complete rows; at least {2 * _SET_LAGS} are"
+            " needed"
+        )
     return np.asarray(Phi, dtype=float), np.asarray(target, dtype=float)
 
 
-def _with_error(model: IdentifiedModel, error: FloatArray, covariance: FloatArray, name: str, warning: str) -> IdentifiedModel:
-    """The nominal impulse response, with the second moment of the error about it as its covariance."""
+def _with_error(
+    model: IdentifiedModel, error: FloatArray, covariance: FloatArray, name: str, warning: str
+) -> IdentifiedModel:
+    """The nominal impulse response, with the second moment of the error about it as its
+    covariance.
+    """
     m = max(model.order, len(error))
     g, e, spread = np.zeros(m), np.zeros(m), np.zeros((m, m))
     g[: model.order], e[: len(error)] = model.impulse_response, error

@@ -17,7 +17,14 @@ from residuum.identification.linear_models.prediction_error.criterion import Ord
 from residuum.identification.linear_models.prediction_error.identify import identify
 from residuum.identification.linear_models.prediction_error.order_selection import CRITERIA
 from residuum.identification.linear_models.prediction_error.result import in_confidence_ellipsoid
-from residuum.identification.linear_models.prediction_error.structures import AR, ARMAX, ARX, FIR, BoxJenkins, OutputError
+from residuum.identification.linear_models.prediction_error.structures import (
+    AR,
+    ARMAX,
+    ARX,
+    FIR,
+    BoxJenkins,
+    OutputError,
+)
 
 STRUCTURES: dict[str, Structure] = {
     "ar": AR(),

@@ -1,12 +1,14 @@
-"""The prediction error criterion: innovations of a model on data, their gradient, and Gauss–Newton blocks.
+"""The prediction error criterion: innovations of a model on data, their gradient, and Gauss–Newton
+blocks.
 
     e(t) = D(q)/C(q) [A(q) (y(t) − y₀) − B(q)/F(q) u(t) − x(t)]
 
-with a level y₀ and the free response x = i(q)/F(q) δ(t) of the states that the system brings into each record. Every
-column of the gradient is a delayed copy of one of five filtered signals, so a step costs O(n p) for filtering and O(n p²) for
-the normal equations.
+with a level y₀ and the free response x = i(q)/F(q) δ(t) of the states that the system brings into
+each record. Every column of the gradient is a delayed copy of one of five filtered signals, so a
+step costs O(n p) for filtering and O(n p²) for the normal equations.
 
-Reference: L. Ljung, *System Identification*, 2nd ed. 1999, section 10.3; (1.101)–(1.104) of the source.
+Reference: L. Ljung, *System Identification*, 2nd ed. 1999, section 10.3; (1.101)–(1.104) of the
+source.
 """
 
 from __future__ import annotations
@@ -26,7 +28,9 @@ from residuum.identification.linear_models.schur import is_schur
 
 
 def filtered(b: npt.ArrayLike, a: npt.ArrayLike, x: FloatArray) -> FloatArray:
-    """b(q⁻¹)/a(q⁻¹) x from rest, shape of `x`; an FIR filter is a convolution, which is several times faster."""
+    """b(q⁻¹)/a(q⁻¹) x from rest, shape of `x`; an FIR filter is a convolution, which is several
+    times faster.
+    """
     b, a = np.atleast_1d(np.asarray(b, dtype=float)), np.atleast_1d(np.asarray(a, dtype=float))
     if len(a) > 1:
         return np.asarray(lfilter(b, a, x))
@@ -45,7 +49,8 @@ _INSIDE = 0.9999
 class Orders:
     """Orders of the polynomials, and the delay n_k of the input in samples.
 
-    `nb` counts the coefficients of B (b₀ acts at lag n_k); the others count coefficients after the leading 1.
+    `nb` counts the coefficients of B (b₀ acts at lag n_k); the others count coefficients after the
+    leading 1.
 
     Raises BadInput for a negative or too large order.
     """
@@ -60,7 +65,10 @@ class Orders:
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
             if not (isinstance(value, int) and 0 <= value <= LONGEST_POLYNOMIAL):
-                raise BadInput(f"Orders, {name}: is {value!r}; must be a whole number from 0 to {LONGEST_POLYNOMIAL}")
+                raise BadInput(
+                    f"Orders, {name}: is {value!r}; must be a whole number from 0 to"
+                    f" {LONGEST_POLYNOMIAL}"
+                )
         if self.na + self.nb + self.nf + self.nc + self.nd == 0:
             raise BadInput("Orders: all are zero; at least one polynomial must have coefficients")
 
@@ -77,7 +85,9 @@ class Orders:
 
 @dataclass(frozen=True, eq=False)
 class Polynomials:
-    """Coefficients in ascending powers of q⁻¹: `a`, `f`, `c`, `d` begin with 1, `b[0]` acts at lag `orders.delay`."""
+    """Coefficients in ascending powers of q⁻¹: `a`, `f`, `c`, `d` begin with 1, `b[0]` acts at lag
+    `orders.delay`.
+    """
 
     orders: Orders
     a: FloatArray
@@ -91,7 +101,9 @@ class Polynomials:
         """The polynomials of θ = [a₁… b₀… f₁… c₁… d₁…]."""
         cuts = np.cumsum([orders.na, orders.nb, orders.nf, orders.nc])
         a, b, f, c, d = np.split(theta[: orders.count], cuts)
-        return cls(orders, *(np.r_[1.0, a], np.asarray(b), np.r_[1.0, f], np.r_[1.0, c], np.r_[1.0, d]))
+        return cls(
+            orders, *(np.r_[1.0, a], np.asarray(b), np.r_[1.0, f], np.r_[1.0, c], np.r_[1.0, d])
+        )
 
     @property
     def vector(self) -> FloatArray:
@@ -100,7 +112,9 @@ class Polynomials:
 
     @property
     def predictor_is_stable(self) -> bool:
-        """Whether F and C, by which the predictor divides, have all roots inside the unit circle."""
+        """Whether F and C, by which the predictor divides, have all roots inside the unit
+        circle.
+        """
         return is_schur(self.f) and is_schur(self.c)
 
     @property
@@ -110,7 +124,8 @@ class Polynomials:
 
 
 def reflected(polynomial: FloatArray) -> FloatArray:
-    """A monic polynomial with its roots outside the unit circle replaced by their mirror images 1/z̄.
+    """A monic polynomial with its roots outside the unit circle replaced by their mirror images
+    1/z̄.
 
     The modulus of its frequency response keeps its shape.
 
@@ -128,7 +143,9 @@ def reflected(polynomial: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Normal:
-    """Gauss–Newton blocks at one point: `cost` = Σ e², `gram` = ψᵀψ, `gradient` = ψᵀe (ψ = −∂e/∂θ), `n` rows used."""
+    """Gauss–Newton blocks at one point: `cost` = Σ e², `gram` = ψᵀψ, `gradient` = ψᵀe (ψ = −∂e/∂θ),
+    `n` rows used.
+    """
 
     cost: float
     gram: FloatArray
@@ -177,7 +194,10 @@ class Criterion:
     def innovations(self, x: FloatArray) -> list[FloatArray]:
         """e of every record without the samples whose past is not in it."""
         polynomials = self.polynomials(x)
-        return [self._innovation(polynomials, x, number)[0][self.skip :] for number in range(len(self.data.pairs))]
+        return [
+            self._innovation(polynomials, x, number)[0][self.skip :]
+            for number in range(len(self.data.pairs))
+        ]
 
     def normal(self, x: FloatArray) -> Normal:
         """Cost and Gauss–Newton blocks."""
@@ -196,7 +216,9 @@ class Criterion:
         shared = self.orders.count + int(self.level)
         return np.r_[np.arange(shared), shared + number * self.free + np.arange(self.free)]
 
-    def _innovation(self, p: Polynomials, x: FloatArray, number: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def _innovation(
+        self, p: Polynomials, x: FloatArray, number: int
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """(e, w = B/F u + free response, v = A (y − y₀) − w)."""
         u, y = self.data.pairs[number]
         y0 = float(x[self.orders.count]) if self.level else 0.0
@@ -212,7 +234,9 @@ class Criterion:
         pulses[: min(self.free, n)] = x[first : first + min(self.free, n)]
         return pulses
 
-    def _with_gradient(self, p: Polynomials, x: FloatArray, number: int) -> tuple[FloatArray, FloatArray]:
+    def _with_gradient(
+        self, p: Polynomials, x: FloatArray, number: int
+    ) -> tuple[FloatArray, FloatArray]:
         """(e, ψ) of one record, rows without a past left out; ψ = −∂e/∂x."""
         o = self.orders
         u, y = self.data.pairs[number]

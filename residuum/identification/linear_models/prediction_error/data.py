@@ -1,4 +1,6 @@
-"""The signals of an estimation: one input and one output of one or more records, scaled, complete, checked."""
+"""The signals of an estimation: one input and one output of one or more records, scaled, complete,
+checked.
+"""
 
 from __future__ import annotations
 
@@ -14,9 +16,11 @@ from residuum.identification.record import Record
 
 @dataclass(frozen=True, eq=False)
 class Signals:
-    """(u, y) pairs of each record with the records' common mean removed and unit power, and how to undo that.
+    """(u, y) pairs of each record with the records' common mean removed and unit power, and how to
+    undo that.
 
-    `u_scale`, `y_scale`, `u_level`, `y_level` are in the channels' units: y_recorded = y_level + y_scale · y.
+    `u_scale`, `y_scale`, `u_level`, `y_level` are in the channels' units: y_recorded = y_level +
+    y_scale · y.
     """
 
     pairs: tuple[tuple[FloatArray, FloatArray], ...]
@@ -37,7 +41,8 @@ def signals(records: Sequence[Record], input: str | None, output: str, *, offset
     Raises
     ------
     BadRecord
-        No record, a missing sample (these methods need every sample), records of different sample time.
+        No record, a missing sample (these methods need every sample), records of different sample
+        time.
     NotIdentifiable
         An output or input that does not move.
     """
@@ -45,20 +50,30 @@ def signals(records: Sequence[Record], input: str | None, output: str, *, offset
         raise BadRecord("prediction error method: no record was given")
     steps = {record.sample_time for record in records}
     if max(steps) - min(steps) > 1e-6 * min(steps):
-        raise BadRecord(f"records: have sample times {sorted(steps)} s; all must be equal, resample one")
+        raise BadRecord(
+            f"records: have sample times {sorted(steps)} s; all must be equal, resample one"
+        )
     ys = [_complete(record, output) for record in records]
-    us = [np.zeros(len(y)) if input is None else _complete(record, input) for record, y in zip(records, ys, strict=True)]
+    us = [
+        np.zeros(len(y)) if input is None else _complete(record, input)
+        for record, y in zip(records, ys, strict=True)
+    ]
     u_level, u_scale = _level_and_scale(us, offset)
     y_level, y_scale = _level_and_scale(ys, offset)
     where = records[0].source or "record"
     if y_scale == 0.0:
         raise NotIdentifiable(
-            f"{where}, channel {output!r}: does not move; there is nothing to identify: take one that answers the input"
+            f"{where}, channel {output!r}: does not move; there is nothing to identify: take one"
+            " that answers the input"
         )
     if input is not None and u_scale == 0.0:
-        raise NotIdentifiable(f"{where}, channel {input!r}: does not move (excites order 0): record while it is moved")
+        raise NotIdentifiable(
+            f"{where}, channel {input!r}: does not move (excites order 0): record while it is moved"
+        )
     u_scale = u_scale or 1.0
-    pairs = tuple(((u - u_level) / u_scale, (y - y_level) / y_scale) for u, y in zip(us, ys, strict=True))
+    pairs = tuple(
+        ((u - u_level) / u_scale, (y - y_level) / y_scale) for u, y in zip(us, ys, strict=True)
+    )
     return Signals(pairs, u_level, y_level, u_scale, y_scale)
 
 
@@ -67,11 +82,13 @@ def _complete(record: Record, name: str) -> FloatArray:
     missing = np.flatnonzero(np.isnan(signal))
     where = record.source or "record"
     if missing.size == signal.size:
-        raise BadRecord(f"{where}, channel {name!r}: has no sample; take a channel that was recorded")
+        raise BadRecord(
+            f"{where}, channel {name!r}: has no sample; take a channel that was recorded"
+        )
     if missing.size:
         raise BadRecord(
-            f"{where}, channel {name!r}: sample {int(missing[0])} is missing; prediction error methods need every sample "
-            "cut the record there, or take --method kernel"
+            f"{where}, channel {name!r}: sample {int(missing[0])} is missing; prediction error"
+            " methods need every sample cut the record there, or take --method kernel"
         )
     return signal
 

@@ -13,7 +13,11 @@ from residuum.identification.blas_threads import one_thread_if_small
 from residuum.identification.errors import BadInput, NotIdentifiable
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.linear_models.prediction_error.base import Structure
-from residuum.identification.linear_models.prediction_error.criterion import Criterion, Orders, Polynomials
+from residuum.identification.linear_models.prediction_error.criterion import (
+    Criterion,
+    Orders,
+    Polynomials,
+)
 from residuum.identification.linear_models.prediction_error.data import Signals, signals
 from residuum.identification.linear_models.prediction_error.multistart import best_fit, rough_fit
 from residuum.identification.linear_models.prediction_error.order_selection import (
@@ -25,7 +29,11 @@ from residuum.identification.linear_models.prediction_error.order_selection impo
     negative_log_likelihood,
     record_folds,
 )
-from residuum.identification.linear_models.prediction_error.result import description, identified_model, orders_text
+from residuum.identification.linear_models.prediction_error.result import (
+    description,
+    identified_model,
+    orders_text,
+)
 from residuum.identification.linear_models.prediction_error.search import Minimum
 from residuum.identification.linear_models.prediction_error.starts import FirstValues
 from residuum.identification.linear_models.schur import is_schur
@@ -56,13 +64,15 @@ def identify(
     structure : Structure
         A member of `STRUCTURES`.
     order, orders : int or Orders
-        One number for the structure, or all polynomial orders; neither: the candidate with the smallest criterion.
+        One number for the structure, or all polynomial orders; neither: the candidate with the
+        smallest criterion.
     delay : int
         Samples before the input acts (ignored with `orders`).
     offset : bool
         Estimate a constant level of the output as well.
     criterion : {"bic", "aic", "k-fold", "record-wise"}
-        What chooses among the candidates: information, or the error on held-out blocks or records; see `order_selection`.
+        What chooses among the candidates: information, or the error on held-out blocks or records;
+        see `order_selection`.
     folds : int
         Blocks of each record with `k-fold`.
 
@@ -71,7 +81,8 @@ def identify(
     BadRecord
         Missing samples, records that differ in sample time.
     NotIdentifiable
-        Fewer samples than five a parameter, an input that does not excite the order (the message says which it supports).
+        Fewer samples than five a parameter, an input that does not excite the order (the message
+        says which it supports).
     BadInput
         Unknown criterion.
 
@@ -81,10 +92,14 @@ def identify(
     """
     started = time.perf_counter()
     if criterion not in CRITERIA:
-        raise BadInput(f"criterion {criterion!r}: {known_names(criterion, CRITERIA, 'must be one of')}")
+        raise BadInput(
+            f"criterion {criterion!r}: {known_names(criterion, CRITERIA, 'must be one of')}"
+        )
     data = signals(records, input if structure.has_input else None, output, offset=offset)
     wanted = (
-        [orders] if orders is not None else [structure.orders(k, delay) for k in ([order] if order is not None else candidates)]
+        [orders]
+        if orders is not None
+        else [structure.orders(k, delay) for k in ([order] if order is not None else candidates)]
     )
     with one_thread_if_small(max(o.count for o in wanted) + 200):
         held_out = _folds(data, criterion, folds) if len(wanted) > 1 else []
@@ -99,7 +114,10 @@ def identify(
     described["warnings"] = _warnings(fit, possible[best])
     described["provenance"] |= {"seconds": time.perf_counter() - started, "criterion": criterion}
     if scores.size:
-        described["provenance"] |= {"candidates": [orders_text(o) for o in possible], criterion: scores.tolist()}
+        described["provenance"] |= {
+            "candidates": [orders_text(o) for o in possible],
+            criterion: scores.tolist(),
+        }
     return _finish(data, fit, possible[best], described, offset)
 
 
@@ -118,26 +136,40 @@ def _scores(
     if len(possible) == 1:
         return np.zeros(0)
     fits = [rough_fit(structure, data, orders, first, offset=offset) for orders in possible]
-    return np.array([information(fit, orders, data.n)[criterion] for fit, orders in zip(fits, possible, strict=True)])
+    return np.array(
+        [
+            information(fit, orders, data.n)[criterion]
+            for fit, orders in zip(fits, possible, strict=True)
+        ]
+    )
 
 
 def _folds(data: Signals, criterion: str, count: int) -> list[Fold]:
     """The folds of a cross-validation criterion, none of an information criterion."""
-    return {"k-fold": lambda: block_folds(data, count), "record-wise": lambda: record_folds(data)}.get(criterion, list)()
+    return {
+        "k-fold": lambda: block_folds(data, count),
+        "record-wise": lambda: record_folds(data),
+    }.get(criterion, list)()
 
 
-def _possible(wanted: Sequence[Orders], data: Signals, held_out: Sequence[Fold], records: Sequence[Record]) -> list[Orders]:
+def _possible(
+    wanted: Sequence[Orders], data: Signals, held_out: Sequence[Fold], records: Sequence[Record]
+) -> list[Orders]:
     """The orders that the data can determine; NotIdentifiable when there is none."""
     enough = [orders for orders in wanted if data.n >= 5 * orders.count]
     where = records[0].source or "record"
     if not enough:
         least = min(orders.count for orders in wanted)
         raise NotIdentifiable(
-            f"{where}: has {data.n} samples; {least} parameters need at least {5 * least}: record longer, or take a smaller order"
+            f"{where}: has {data.n} samples; {least} parameters need at least {5 * least}: record"
+            " longer, or take a smaller order"
         )
     possible = [orders for orders in enough if all(fold.allows(orders) for fold in held_out)]
     if not possible:
-        raise NotIdentifiable(f"{where}: cross-validation leaves too few samples for any candidate; use fewer folds or BIC")
+        raise NotIdentifiable(
+            f"{where}: cross-validation leaves too few samples for any candidate; use fewer folds"
+            " or BIC"
+        )
     return possible
 
 
@@ -145,16 +177,20 @@ def _warnings(fit: Minimum, orders: Orders) -> tuple[str, ...]:
     says = []
     if not fit.converged:
         says.append("the search stopped before it converged; the covariance is not to be trusted")
-    if orders.nb and not is_schur(Polynomials.from_vector(fit.x, orders).a):  # F is kept stable by the search, A is not
+    if orders.nb and not is_schur(
+        Polynomials.from_vector(fit.x, orders).a
+    ):  # F is kept stable by the search, A is not
         pole = max(np.roots(Polynomials.from_vector(fit.x, orders).a), key=abs)
         says.append(
-            f"the model has a pole of size {abs(pole):.4g}, on or outside the unit circle: it predicts, but a simulation with it "
-            "diverges"
+            f"the model has a pole of size {abs(pole):.4g}, on or outside the unit circle: it"
+            " predicts, but a simulation with it diverges"
         )
     return tuple(says)
 
 
-def _finish(data: Signals, fit: Minimum, orders: Orders, described: Mapping[str, Any], offset: bool) -> IdentifiedModel:
+def _finish(
+    data: Signals, fit: Minimum, orders: Orders, described: Mapping[str, Any], offset: bool
+) -> IdentifiedModel:
     """Unscale; the degrees of freedom of level and free responses are taken from the variance."""
     n, p = fit.normal.n, len(fit.x)
     variance = fit.normal.cost / max(n - p, 1)
@@ -168,7 +204,9 @@ def _finish(data: Signals, fit: Minimum, orders: Orders, described: Mapping[str,
 
 
 def _inverse(gram: FloatArray) -> FloatArray:
-    """The inverse of a Gram matrix; directions that the data do not tell have a variance as large as double precision can say."""
+    """The inverse of a Gram matrix; directions that the data do not tell have a variance as large
+    as double precision can say.
+    """
     size = np.diag(gram)
     scale = np.sqrt(np.maximum(size, 1e-30 * max(float(size.max(initial=0.0)), 1e-270)))
     eigenvalues, axes = np.linalg.eigh(gram / np.outer(scale, scale))
@@ -177,7 +215,9 @@ def _inverse(gram: FloatArray) -> FloatArray:
 
 
 def _check_excitation(data: Signals, needed: int, input: str | None) -> None:
-    """Refuse an input whose lagged copies are linearly dependent before `needed` of them are reached."""
+    """Refuse an input whose lagged copies are linearly dependent before `needed` of them are
+    reached.
+    """
     size = min(max(needed, 1), 40)
     gram = np.zeros((size, size))
     for u, _ in data.pairs:
@@ -188,4 +228,7 @@ def _check_excitation(data: Signals, needed: int, input: str | None) -> None:
     eigenvalues = np.linalg.eigvalsh(gram)
     supported = int(np.sum(eigenvalues > 1e-10 * max(float(eigenvalues[-1]), 1e-300)))
     if supported < size:
-        raise NotIdentifiable(f"channel {input!r}: excites {supported} parameters; this order needs {needed}; lower the order")
+        raise NotIdentifiable(
+            f"channel {input!r}: excites {supported} parameters; this order needs {needed}; lower"
+            " the order"
+        )

@@ -13,7 +13,11 @@ from residuum.array_types import FloatArray
 from residuum.identification.errors import BadInput
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.linear_models.prediction_error.base import Structure
-from residuum.identification.linear_models.prediction_error.criterion import Orders, Polynomials, filtered
+from residuum.identification.linear_models.prediction_error.criterion import (
+    Orders,
+    Polynomials,
+    filtered,
+)
 from residuum.identification.linear_models.prediction_error.data import Signals
 from residuum.identification.record import Record
 
@@ -22,7 +26,9 @@ from residuum.identification.record import Record
 _NEGLIGIBLE_EIGENVALUE = 1e-12
 
 
-def in_confidence_ellipsoid(model: IdentifiedModel, theta: npt.ArrayLike, probability: float = 0.95) -> bool:
+def in_confidence_ellipsoid(
+    model: IdentifiedModel, theta: npt.ArrayLike, probability: float = 0.95
+) -> bool:
     """Whether parameters lie in the region that holds the true ones with `probability`.
 
     C = {θ : (θ − θ̂)ᵀ P⁻¹ (θ − θ̂) ≤ χ²_p(probability)},  p the rank of P = cov θ̂      — (1.107) of the source
@@ -32,8 +38,8 @@ def in_confidence_ellipsoid(model: IdentifiedModel, theta: npt.ArrayLike, probab
     model : IdentifiedModel
         With a parameter covariance.
     theta : array, shape (p,)
-        `[*numerator, *denominator[1:]]` in descending powers of z. Coefficients that were not estimated (zero variance) must
-        be equal to the model's.
+        `[*numerator, *denominator[1:]]` in descending powers of z. Coefficients that were not
+        estimated (zero variance) must be equal to the model's.
     probability : float
         Between 0 and 1.
 
@@ -54,23 +60,37 @@ def in_confidence_ellipsoid(model: IdentifiedModel, theta: npt.ArrayLike, probab
     (True, False)
     """
     if model.numerator is None or model.denominator is None or model.parameter_covariance is None:
-        raise BadInput(f"confidence ellipsoid: model {model.method!r} has no parameters with a covariance")
+        raise BadInput(
+            f"confidence ellipsoid: model {model.method!r} has no parameters with a covariance"
+        )
     if not 0 < probability < 1:
-        raise BadInput(f"confidence ellipsoid: probability is {probability}; must lie between 0 and 1")
-    estimate, given = np.concatenate([model.numerator, model.denominator[1:]]), np.asarray(theta, dtype=float)
+        raise BadInput(
+            f"confidence ellipsoid: probability is {probability}; must lie between 0 and 1"
+        )
+    estimate, given = (
+        np.concatenate([model.numerator, model.denominator[1:]]),
+        np.asarray(theta, dtype=float),
+    )
     if given.shape != estimate.shape:
-        raise BadInput(f"confidence ellipsoid: theta has shape {given.shape}; must be {estimate.shape}")
+        raise BadInput(
+            f"confidence ellipsoid: theta has shape {given.shape}; must be {estimate.shape}"
+        )
     std = np.sqrt(np.diag(model.parameter_covariance))
     estimated = std > 0.0
     if np.any(given[~estimated] != estimate[~estimated]):
         return False
     scale = std[estimated]
-    eigenvalues, axes = np.linalg.eigh(model.parameter_covariance[np.ix_(estimated, estimated)] / np.outer(scale, scale))
+    eigenvalues, axes = np.linalg.eigh(
+        model.parameter_covariance[np.ix_(estimated, estimated)] / np.outer(scale, scale)
+    )
     along = axes.T @ ((given - estimate)[estimated] / scale)
     free = eigenvalues > _NEGLIGIBLE_EIGENVALUE * eigenvalues.max(initial=0.0)
     if np.any(np.abs(along[~free]) > np.sqrt(_NEGLIGIBLE_EIGENVALUE)):
         return False
-    return bool(np.sum(along[free] ** 2 / eigenvalues[free]) <= stats.chi2.ppf(probability, df=max(int(free.sum()), 1)))
+    return bool(
+        np.sum(along[free] ** 2 / eigenvalues[free])
+        <= stats.chi2.ppf(probability, df=max(int(free.sum()), 1))
+    )
 
 
 _LONGEST_RESPONSE = 400
@@ -109,7 +129,9 @@ def identified_model(
         covariance=dg @ dg.T,
         noise_variance=innovation_variance * data.y_scale**2,
         delay=polynomials.orders.delay,
-        offset=data.y_level + level * data.y_scale - float(num.sum() / den.sum()) * gain * data.u_level,
+        offset=data.y_level
+        + level * data.y_scale
+        - float(num.sum() / den.sum()) * gain * data.u_level,
         numerator=num * gain,
         denominator=den,
         parameter_covariance=along @ along.T,
@@ -120,9 +142,16 @@ def identified_model(
 
 
 def description(
-    structure: Structure, records: Sequence[Record], input: str | None, output: str, orders: Orders, n: int
+    structure: Structure,
+    records: Sequence[Record],
+    input: str | None,
+    output: str,
+    orders: Orders,
+    n: int,
 ) -> dict[str, Any]:
-    """Names, units and provenance of a result, as IdentifiedModel takes them; `n` is the number of samples used."""
+    """Names, units and provenance of a result, as IdentifiedModel takes them; `n` is the number of
+    samples used.
+    """
     driven = input if structure.has_input and input else ""
     return {
         "method": structure.name,
@@ -141,9 +170,11 @@ def description(
 
 
 def _square_root(covariance: FloatArray) -> FloatArray:
-    """B with B Bᵀ = Σ: J B (J B)ᵀ stays a covariance where J Σ Jᵀ, of badly known parameters, loses its symmetry to rounding.
+    """B with B Bᵀ = Σ: J B (J B)ᵀ stays a covariance where J Σ Jᵀ, of badly known parameters, loses
+    its symmetry to rounding.
 
-    Parameters of unequal size are brought to unit variance first; those that were not estimated keep rows of zeros.
+    Parameters of unequal size are brought to unit variance first; those that were not estimated
+    keep rows of zeros.
     """
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     size = np.where(std > 0, std, 1.0)
@@ -152,7 +183,9 @@ def _square_root(covariance: FloatArray) -> FloatArray:
 
 
 def _plant(p: Polynomials) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(numerator, denominator, ∂[numerator, denominator₁…]/∂θ) of z^{−n_k} B/(A F) in descending powers of z."""
+    """(numerator, denominator, ∂[numerator, denominator₁…]/∂θ) of z^{−n_k} B/(A F) in descending
+    powers of z.
+    """
     o = p.orders
     den = np.convolve(p.a, p.f)
     b = p.b if o.nb else np.zeros(1)
@@ -170,7 +203,9 @@ def _plant(p: Polynomials) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def _impulse_response(p: Polynomials) -> tuple[FloatArray, FloatArray]:
-    """g from lag n_k on until it has decayed (at most 400 coefficients), and ∂g/∂θ, shape (m, count)."""
+    """g from lag n_k on until it has decayed (at most 400 coefficients), and ∂g/∂θ, shape (m,
+    count).
+    """
     o = p.orders
     pulse = np.r_[1.0, np.zeros(_LONGEST_RESPONSE - 1)]
     b = p.b if o.nb else np.zeros(1)
@@ -191,7 +226,9 @@ def _impulse_response(p: Polynomials) -> tuple[FloatArray, FloatArray]:
 
 
 def _noise(p: Polynomials) -> tuple[FloatArray | None, FloatArray | None]:
-    """H = C/(D A) in descending powers of z, both polynomials of equal length; (None, None) for white noise."""
+    """H = C/(D A) in descending powers of z, both polynomials of equal length; (None, None) for
+    white noise.
+    """
     den = np.convolve(p.d, p.a)
     size = max(len(p.c), len(den))
     if size == 1:
@@ -205,5 +242,7 @@ def orders_text(orders: Orders) -> str:
     >>> orders_text(Orders(nb=2, nf=2))
     'nb = 2, nf = 2, nk = 1'
     """
-    parts = [f"{name} = {value}" for name, value in vars(orders).items() if name != "delay" and value]
+    parts = [
+        f"{name} = {value}" for name, value in vars(orders).items() if name != "delay" and value
+    ]
     return ", ".join([*parts, f"nk = {orders.delay}"])

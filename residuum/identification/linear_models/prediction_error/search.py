@@ -20,8 +20,11 @@ class Minimum:
     converged: bool
 
 
-def minimise(criterion: Criterion, start: FloatArray, *, iterations: int = 60, tolerance: float = 1e-9) -> Minimum:
-    """Walk down from `start`; steps that leave the stable region or raise the cost are shortened by damping.
+def minimise(
+    criterion: Criterion, start: FloatArray, *, iterations: int = 60, tolerance: float = 1e-9
+) -> Minimum:
+    """Walk down from `start`; steps that leave the stable region or raise the cost are shortened by
+    damping.
 
     Stops when the predicted relative fall of the cost is below `tolerance`.
     """
@@ -54,7 +57,9 @@ class _Walk:
 
     def point(self, trial: FloatArray) -> _Point:
         cost = self.criterion.cost(trial)
-        return _Point(trial, self.criterion.normal(trial) if np.isfinite(cost) else _nowhere(len(trial)))
+        return _Point(
+            trial, self.criterion.normal(trial) if np.isfinite(cost) else _nowhere(len(trial))
+        )
 
     def ends(self, point: _Point) -> End | None:
         _, fall = _step(point.normal, LEAST_DAMPING)

@@ -7,7 +7,10 @@ import numpy as np
 from residuum.array_types import FloatArray
 from residuum.identification.linear_models.prediction_error.base import Structure
 from residuum.identification.linear_models.prediction_error.criterion import Orders, filtered
-from residuum.identification.linear_models.prediction_error.starts import FirstValues, least_squares_arx
+from residuum.identification.linear_models.prediction_error.starts import (
+    FirstValues,
+    least_squares_arx,
+)
 
 # ARMAX: A y = B u + C e.
 
@@ -25,7 +28,10 @@ class ARMAX(Structure):
         """Two-stage regression, and the ARX solution with C = 1."""
         yield first.armax(orders.na, orders.nb, orders.nc)
         yield np.concatenate(
-            [least_squares_arx(first.data, Orders(orders.na, orders.nb, delay=orders.delay)), np.zeros(orders.nc)]
+            [
+                least_squares_arx(first.data, Orders(orders.na, orders.nb, delay=orders.delay)),
+                np.zeros(orders.nc),
+            ]
         )
 
 
@@ -47,7 +53,9 @@ class ARX(Structure):
 
 
 class FIR(ARX):
-    """y = B u + e: linear, unbiased, but with large variance for long responses (the kernel methods cure that)."""
+    """y = B u + e: linear, unbiased, but with large variance for long responses (the kernel methods
+    cure that).
+    """
 
     name, equation = "fir", "y = B u + e"
 
@@ -79,7 +87,9 @@ class BoxJenkins(Structure):
         return Orders(nb=order, nf=order, nc=order, nd=order, delay=delay)
 
     def starts(self, first: FirstValues, orders: Orders) -> Iterator[FloatArray]:
-        """The plant as for output error, the noise by two-stage regression on what the plant leaves."""
+        """The plant as for output error, the noise by two-stage regression on what the plant
+        leaves.
+        """
         for b, f in first.plant(orders.nb, orders.nf):
             delayed = np.r_[np.zeros(orders.delay), b]
             rests = [y - filtered(delayed, f, u) for u, y in first.data.pairs]
@@ -91,7 +101,9 @@ class BoxJenkins(Structure):
 
 
 class OutputError(Structure):
-    """y = B/F u + e: white noise on the output. With too low an order it fits where the output has power."""
+    """y = B/F u + e: white noise on the output. With too low an order it fits where the output has
+    power.
+    """
 
     name, equation = "oe", "y = B/F u + e"
 

@@ -1,11 +1,14 @@
-"""Equations → LLVM assembly: rates, exact Jacobians, outputs and signals, as functions called by address.
+"""Equations → LLVM assembly: rates, exact Jacobians, outputs and signals, as functions called by
+address.
 
-The functions are straight-line arithmetic, so they are written in the compiler's own language: translating a Python text of
-them (type inference above all) takes ten times as long as compiling what comes out of it. Every expression is computed once
-a function, however often it occurs; branches are selections, so nothing is skipped and nothing can trap.
+The functions are straight-line arithmetic, so they are written in the compiler's own language:
+translating a Python text of them (type inference above all) takes ten times as long as compiling
+what comes out of it. Every expression is computed once a function, however often it occurs;
+branches are selections, so nothing is skipped and nothing can trap.
 
-Each function is `void name(x, u, ur, p, s, m, r₀, r₁, r₂)` of pointers to doubles: states, inputs (time last), their slopes,
-parameters, directions, motion of each surface, and three arrays for results.
+Each function is `void name(x, u, ur, p, s, m, r₀, r₁, r₂)` of pointers to doubles: states, inputs
+(time last), their slopes, parameters, directions, motion of each surface, and three arrays for
+results.
 """
 
 from __future__ import annotations
@@ -38,9 +41,24 @@ _FLAT = (sp.sign, sp.floor, sp.Heaviside)
 """Functions whose slope is nothing, a jump included."""
 
 
-_LIBRARY = {sp.tanh: "tanh", sp.tan: "tan", sp.asin: "asin", sp.acos: "acos", sp.atan: "atan", sp.sinh: "sinh", sp.cosh: "cosh"}
+_LIBRARY = {
+    sp.tanh: "tanh",
+    sp.tan: "tan",
+    sp.asin: "asin",
+    sp.acos: "acos",
+    sp.atan: "atan",
+    sp.sinh: "sinh",
+    sp.cosh: "cosh",
+}
 """Functions of the C library."""
-_INTRINSICS = {sp.sin: "sin", sp.cos: "cos", sp.exp: "exp", sp.log: "log", sp.Abs: "fabs", sp.floor: "floor"}
+_INTRINSICS = {
+    sp.sin: "sin",
+    sp.cos: "cos",
+    sp.exp: "exp",
+    sp.log: "log",
+    sp.Abs: "fabs",
+    sp.floor: "floor",
+}
 
 
 def names_of(equations: Equations) -> dict[str, list[Any]]:
@@ -55,7 +73,9 @@ def names_of(equations: Equations) -> dict[str, list[Any]]:
         "deviating": list(eq.deviating),
         "sizes": list(map(len, (eq.x, eq.u, eq.p, eq.outputs, eq.signals))),
         "surfaces": list(eq.surfaces),
-        "delays": [-1 if name not in eq.delays else _index(eq.p.values(), eq.delays[name]) for name in eq.u],
+        "delays": [
+            -1 if name not in eq.delays else _index(eq.p.values(), eq.delays[name]) for name in eq.u
+        ],
         "own": [list(eq.x).index(name) for name in eq.initial],
         "remembered": [list(eq.x).index(name) for name in eq.initial if name not in eq.deviating],
     }
@@ -64,18 +84,30 @@ def names_of(equations: Equations) -> dict[str, list[Any]]:
 def generate(equations: Equations) -> tuple[str, ...]:
     """The assembly of the modules that make a structure.
 
-    Its own has `FUNCTIONS` and `STEPPING`; those that follow are shared with structures that are alike in them.
+    Its own has `FUNCTIONS` and `STEPPING`; those that follow are shared with structures that are
+    alike in them.
     """
     nx, nu, n_p, ny = map(len, (equations.x, equations.u, equations.p, equations.outputs))
     functions = _functions(equations)
     used = {*_INTRINSICS.values(), "pow", "sqrt"}
-    declared = [f"declare double @llvm.{f}.f64({', '.join(['double'] * (2 if f == 'pow' else 1))})" for f in sorted(used)]
-    declared += [f"declare double @{SYMBOLS[0]}(i64, ptr)", f"declare double @{SYMBOLS[1]}(i64, i64, ptr)"]
+    declared = [
+        f"declare double @llvm.{f}.f64({', '.join(['double'] * (2 if f == 'pow' else 1))})"
+        for f in sorted(used)
+    ]
+    declared += [
+        f"declare double @{SYMBOLS[0]}(i64, ptr)",
+        f"declare double @{SYMBOLS[1]}(i64, i64, ptr)",
+    ]
     systems = {name: system for function in functions for name, system in function.roots.items()}
     bodies = [function.text() for function in functions]
     for name, (z, a, g, start) in systems.items():
-        bodies += [_NewtonStep(f"{name}_step", z, a, g).text(), implicit.newton(name, [float(value) for value in start])]
-    declared += [f"declare double @{f}(double)" for f in _LIBRARY.values()] + ["declare double @atan2(double, double)"]
+        bodies += [
+            _NewtonStep(f"{name}_step", z, a, g).text(),
+            implicit.newton(name, [float(value) for value in start]),
+        ]
+    declared += [f"declare double @{f}(double)" for f in _LIBRARY.values()] + [
+        "declare double @atan2(double, double)"
+    ]
     own = "\n\n".join([*declared, *bodies, stepping(nx, nu, n_p, ny)])
     slopes = functions[FUNCTIONS.index("slopes")]
     return own, *columns_of(nx, ny, slopes.places("r1", nx), slopes.places("r2", n_p + nx))
@@ -90,7 +122,14 @@ def _functions(eq: Equations) -> list[_Function]:
     rates = {i: moving.get(i, sp.S.One) * rate for i, rate in enumerate(eq.rates)}
     start = {list(eq.x).index(name): expression for name, expression in eq.initial.items()}
     outputs, signals = dict(enumerate(eq.outputs.values())), dict(enumerate(eq.signals.values()))
-    given: list[tuple[Rows, Rows]] = [(rates, {}), (rates, rates), (start, start), (outputs, {}), ({}, outputs), (signals, {})]
+    given: list[tuple[Rows, Rows]] = [
+        (rates, {}),
+        (rates, rates),
+        (start, start),
+        (outputs, {}),
+        ({}, outputs),
+        (signals, {}),
+    ]
     return [_Function(name, eq, *pair) for name, pair in zip(FUNCTIONS, given, strict=True)]
 
 
@@ -105,22 +144,36 @@ def _loads(eq: Equations) -> dict[sp.Symbol, Slot]:
 
 
 class _Function:
-    """A function while it is written: a line an operation, the value of each expression and each slope remembered.
+    """A function while it is written: a line an operation, the value of each expression and each
+    slope remembered.
 
-    The values of `rows` go to the first array, the slopes of `sloping` by states and by parameters to those that follow.
+    The values of `rows` go to the first array, the slopes of `sloping` by states and by parameters
+    to those that follow.
     """
 
     def __init__(self, name: str, eq: Equations, rows: Rows, sloping: Rows) -> None:
-        moved = {eq.u[n]: (d, sp.Symbol(f"ur_{list(eq.u).index(n)}", real=True)) for n, d in eq.delays.items()}
+        moved = {
+            eq.u[n]: (d, sp.Symbol(f"ur_{list(eq.u).index(n)}", real=True))
+            for n, d in eq.delays.items()
+        }
         self._begin(name, _loads(eq), moved)
-        self.stores: dict[Slot, str] = {("r0", i): self.value(sp.sympify(e)) for i, e in rows.items()}
+        self.stores: dict[Slot, str] = {
+            ("r0", i): self.value(sp.sympify(e)) for i, e in rows.items()
+        }
         matrices = ("r1", "r2") if rows else ("r0", "r1")
         for i, e in sloping.items():
-            for matrix, by, width in zip(matrices, (eq.x, eq.p), (len(eq.x), len(eq.p) + len(eq.x)), strict=True):
-                slopes = {(matrix, i * width + j): self.slope(sp.sympify(e), v) for j, v in enumerate(by.values())}
+            for matrix, by, width in zip(
+                matrices, (eq.x, eq.p), (len(eq.x), len(eq.p) + len(eq.x)), strict=True
+            ):
+                slopes = {
+                    (matrix, i * width + j): self.slope(sp.sympify(e), v)
+                    for j, v in enumerate(by.values())
+                }
                 self.stores |= {slot: slope for slot, slope in slopes.items() if slope is not None}
 
-    def _begin(self, name: str, loads: Mapping[sp.Symbol, Slot], moved: Mapping[Any, tuple[Any, Any]]) -> None:
+    def _begin(
+        self, name: str, loads: Mapping[sp.Symbol, Slot], moved: Mapping[Any, tuple[Any, Any]]
+    ) -> None:
         self.name, self.loads, self.moved = name, loads, moved
         self.roots: dict[str, Any] = {}
         self.lines: list[str] = []
@@ -133,16 +186,25 @@ class _Function:
         for (array, index), value in self.stores.items():
             self.lines.append(f"store double {value}, ptr {self._place(array, index)}")
         arguments = ", ".join(f"ptr %{name}" for name in ARGUMENTS)
-        return "\n".join([f"define void @{self.name}({arguments}) {{", *(f"  {line}" for line in self.lines), "  ret void", "}"])
+        return "\n".join(
+            [
+                f"define void @{self.name}({arguments}) {{",
+                *(f"  {line}" for line in self.lines),
+                "  ret void",
+                "}",
+            ]
+        )
 
     def places(self, matrix: str, width: int) -> list[tuple[int, int]]:
         """Row and column of what a matrix of slopes holds beside zeros."""
         return [divmod(k, width) for array, k in self.stores if array == matrix]
 
     def slope(self, e: Any, by: sp.Symbol) -> str | None:
-        """What holds the slope of an expression by a symbol, by the chain rule; None where it is nothing.
+        """What holds the slope of an expression by a symbol, by the chain rule; None where it is
+        nothing.
 
-        SymPy's own derivatives take ten times as long to find, and repeat what a chain has in common.
+        SymPy's own derivatives take ten times as long to find, and repeat what a chain has in
+        common.
         """
         if by not in self._depends(e):
             return None
@@ -161,17 +223,25 @@ class _Function:
 
     def _slope(self, e: Any, by: sp.Symbol) -> str | None:
         if e.is_Symbol:
-            return _ONE if e == by else self._new(f"fneg {FREE} double {self.value(self.moved[e][1])}")
+            return (
+                _ONE if e == by else self._new(f"fneg {FREE} double {self.value(self.moved[e][1])}")
+            )
         if isinstance(e, sp.Piecewise):
             pieces = [(self.slope(value, by), condition) for value, condition in e.args]
             some = any(slope for slope, _ in pieces)
-            return self._chosen([(slope or _ZERO, condition) for slope, condition in pieces]) if some else None
+            return (
+                self._chosen([(slope or _ZERO, condition) for slope, condition in pieces])
+                if some
+                else None
+            )
         if isinstance(e, (*_FLAT, Boolean)):
             return None
         if isinstance(e, implicit.Root):
             return self._root_slope(e, by)
         slopes = [(i, self.slope(part, by)) for i, part in enumerate(e.args)]
-        terms = [self._times(self._partial(e, i), slope) for i, slope in slopes if slope is not None]
+        terms = [
+            self._times(self._partial(e, i), slope) for i, slope in slopes if slope is not None
+        ]
         return self._fold("fadd", terms) if terms else None
 
     def _partial(self, e: Any, i: int) -> str:
@@ -213,10 +283,15 @@ class _Function:
         if type(e) in _LIBRARY:
             return self._call(_LIBRARY[type(e)], e.args[0])
         if e.is_Relational:
-            return self._new(f"fcmp {_COMPARISONS[e.rel_op]} double {self.value(e.lhs)}, {self.value(e.rhs)}")
+            return self._new(
+                f"fcmp {_COMPARISONS[e.rel_op]} double {self.value(e.lhs)}, {self.value(e.rhs)}"
+            )
         rule = self._RULES.get(type(e))
         if rule is None:
-            raise NoExplicitEquations(f"model: its equations hold a {type(e).__name__}, which has no code; write it otherwise")
+            raise NoExplicitEquations(
+                f"model: its equations hold a {type(e).__name__}, which has no code; write it"
+                " otherwise"
+            )
         return rule(self, *e.args)
 
     def _add(self, *terms: sp.Expr) -> str:
@@ -233,7 +308,10 @@ class _Function:
         negative = above[:1] == [sp.S.NegativeOne]
         product = self._fold("fmul", [self.value(f) for f in above[negative:]] or [_ONE])
         if below:
-            product = self._new(f"fdiv {FREE} double {product}, {self._fold('fmul', [self.value(f) for f in below])}")
+            product = self._new(
+                f"fdiv {FREE} double {product},"
+                f" {self._fold('fmul', [self.value(f) for f in below])}"
+            )
         return self._new(f"fneg {FREE} double {product}") if negative else product
 
     def _pow(self, base: sp.Expr, exponent: sp.Expr) -> str:
@@ -242,7 +320,9 @@ class _Function:
         if exponent.is_Integer and 1 <= abs(int(exponent)) <= 4:
             product = self._fold("fmul", [self.value(base)] * abs(int(exponent)))
             return product if exponent > 0 else self._new(f"fdiv {FREE} double {_ONE}, {product}")
-        return self._new(f"call double @llvm.pow.f64(double {self.value(base)}, double {self.value(exponent)})")
+        return self._new(
+            f"call double @llvm.pow.f64(double {self.value(base)}, double {self.value(exponent)})"
+        )
 
     def _atan2(self, y: sp.Expr, x: sp.Expr) -> str:
         return self._new(f"call double @atan2(double {self.value(y)}, double {self.value(x)})")
@@ -258,11 +338,15 @@ class _Function:
         return self._new(f"call double @{SYMBOLS[0]}(i64 {k}, ptr {self._array(arguments)})")
 
     def _external_slope(self, k: sp.Expr, j: sp.Expr, *arguments: sp.Expr) -> str:
-        return self._new(f"call double @{SYMBOLS[1]}(i64 {k}, i64 {j}, ptr {self._array(arguments)})")
+        return self._new(
+            f"call double @{SYMBOLS[1]}(i64 {k}, i64 {j}, ptr {self._array(arguments)})"
+        )
 
     def _root(self, i: sp.Expr, *given: Any) -> str:
         z, values = self._solution(given[:4], given[4:]), int(i)
-        return self._new(f"load double, ptr {self._new(f'getelementptr double, ptr {z}, i64 {values}')}")
+        return self._new(
+            f"load double, ptr {self._new(f'getelementptr double, ptr {z}, i64 {values}')}"
+        )
 
     def _solution(self, system: tuple[Any, ...], values: tuple[sp.Expr, ...]) -> str:
         """Where the root of a system stands, found once a function."""
@@ -278,7 +362,10 @@ class _Function:
     def _root_slope(self, e: Any, by: sp.Symbol) -> str:
         """−J⁻¹ ∂g/∂by at the root."""
         i, z, a, g, start, *values = e.args
-        here = [self._held(self.value(implicit.Root(sp.Integer(k), z, a, g, start, *values))) for k in range(len(z))]
+        here = [
+            self._held(self.value(implicit.Root(sp.Integer(k), z, a, g, start, *values)))
+            for k in range(len(z))
+        ]
         at = dict(zip(z, here, strict=True)) | dict(zip(a, values, strict=True))
         equations = [equation.xreplace(at) for equation in g]
         right = [self._held(self.slope(equation, by)) for equation in equations]
@@ -286,7 +373,10 @@ class _Function:
 
     def _jacobian(self, equations: Sequence[Any], unknown: Sequence[Any]) -> list[list[Any]]:
         """Symbols that hold the slopes of equations by unknown symbols."""
-        return [[self._held(self.slope(equation, symbol)) for symbol in unknown] for equation in equations]
+        return [
+            [self._held(self.slope(equation, symbol)) for symbol in unknown]
+            for equation in equations
+        ]
 
     def _held(self, register: str | None) -> Any:
         """A symbol for what a register holds; zero for nothing."""
@@ -314,7 +404,9 @@ class _Function:
 
     def _inverse_root(self, a: sp.Expr) -> str:
         """1/√a in the slope of a root, kept finite where the root is zero (an empty tank)."""
-        return self._new(f"fdiv {FREE} double {_ONE}, {self.value(sp.sqrt(sp.Max(a, sp.Float(1e-12))))}")
+        return self._new(
+            f"fdiv {FREE} double {_ONE}, {self.value(sp.sqrt(sp.Max(a, sp.Float(1e-12))))}"
+        )
 
     def _max(self, *choices: sp.Expr) -> str:
         return self._extreme("ogt", choices)
@@ -324,7 +416,9 @@ class _Function:
 
     def _extreme(self, comparison: str, choices: Iterable[sp.Expr]) -> str:
         def better(best: str, candidate: str) -> str:
-            return self._select(self._new(f"fcmp {comparison} double {candidate}, {best}"), candidate, best)
+            return self._select(
+                self._new(f"fcmp {comparison} double {candidate}, {best}"), candidate, best
+            )
 
         return reduce(better, map(self.value, choices))
 
@@ -334,7 +428,11 @@ class _Function:
     def _chosen(self, pieces: Sequence[tuple[str, Any]]) -> str:
         chosen = _ZERO
         for value, condition in reversed(pieces):
-            chosen = value if condition == sp.true else self._select(self.value(condition), value, chosen)
+            chosen = (
+                value
+                if condition == sp.true
+                else self._select(self.value(condition), value, chosen)
+            )
         return chosen
 
     def _and(self, *conditions: Any) -> str:
@@ -347,10 +445,14 @@ class _Function:
         return self._new(f"xor i1 {self.value(condition)}, true")
 
     def _if_then_else(self, condition: Any, yes: Any, no: Any) -> str:
-        return self._new(f"select i1 {self.value(condition)}, i1 {self.value(yes)}, i1 {self.value(no)}")
+        return self._new(
+            f"select i1 {self.value(condition)}, i1 {self.value(yes)}, i1 {self.value(no)}"
+        )
 
     def _fold_bits(self, operation: str, conditions: Iterable[Any]) -> str:
-        return reduce(lambda a, b: self._new(f"{operation} i1 {a}, {b}"), map(self.value, conditions))
+        return reduce(
+            lambda a, b: self._new(f"{operation} i1 {a}, {b}"), map(self.value, conditions)
+        )
 
     def _fold(self, operation: str, values: Iterable[str]) -> str:
         return reduce(lambda a, b: self._new(f"{operation} {FREE} double {a}, {b}"), values)
@@ -395,13 +497,24 @@ class _Function:
 
 
 class _NewtonStep(_Function):
-    """Newton's next z of g(z, a) = 0, then ‖g‖² at this z; a is in place of the states, z of the inputs."""
+    """Newton's next z of g(z, a) = 0, then ‖g‖² at this z; a is in place of the states, z of the
+    inputs.
+    """
 
     def __init__(self, name: str, z: Sequence[Any], a: Sequence[Any], g: Sequence[Any]) -> None:
         places = (("x", a), ("u", z))
-        self._begin(name, {symbol: (array, k) for array, symbols in places for k, symbol in enumerate(symbols)}, {})
-        steps = implicit.solved(self._jacobian(g, z), [self._held(self.value(equation)) for equation in g])
-        results = [*(at - step for at, step in zip(z, steps, strict=True)), sum(equation**2 for equation in g)]
+        self._begin(
+            name,
+            {symbol: (array, k) for array, symbols in places for k, symbol in enumerate(symbols)},
+            {},
+        )
+        steps = implicit.solved(
+            self._jacobian(g, z), [self._held(self.value(equation)) for equation in g]
+        )
+        results = [
+            *(at - step for at, step in zip(z, steps, strict=True)),
+            sum(equation**2 for equation in g),
+        ]
         self.stores = {("r0", k): self.value(result) for k, result in enumerate(results)}
 
 
@@ -410,9 +523,13 @@ def _is_reciprocal(factor: sp.Expr) -> bool:
 
 
 def _real_number(e: sp.Expr) -> float:
-    """The number; NoExplicitEquations where a term divides by zero or has a negative root, whatever the values."""
+    """The number; NoExplicitEquations where a term divides by zero or has a negative root, whatever
+    the values.
+    """
     if e is sp.nan or e.is_extended_real is False:
-        raise NoExplicitEquations(f"model: its equations hold {e}, no real number: a term divides by zero or has no root")
+        raise NoExplicitEquations(
+            f"model: its equations hold {e}, no real number: a term divides by zero or has no root"
+        )
     return float(e)
 
 

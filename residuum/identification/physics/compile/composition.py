@@ -1,20 +1,23 @@
 """Composition: a PhysicalModel becomes explicit equations, symbolically.
 
-Each balance `storage · dx/dt = Σ terms` is solved for its derivative; a balance without storage is solved for the
-variable it defines. The result is
+Each balance `storage · dx/dt = Σ terms` is solved for its derivative; a balance without storage is
+solved for the variable it defines. The result is
 
     dx/dt = f(x, u, p, s),   y = h(x, u, p)
 
-with states x (the model's, then those of effects), inputs u, parameters p (the model's, those of effects, and one
-additive *missing term* a balance, zero unless a smoother estimates it) and directions s.
+with states x (the model's, then those of effects), inputs u, parameters p (the model's, those of
+effects, and one additive *missing term* a balance, zero unless a smoother estimates it) and
+directions s.
 
-**Standstill is exact.** `sign(v)` of a state v in the balance that gives dv/dt is not evaluated but becomes a direction
-s ∈ {−1, 0, 1} that the integrator switches: with f⁺ and f⁻ the right-hand sides at v = 0 for s = ±1, the machine
-sticks while f⁺ ≤ 0 ≤ f⁻ (Filippov's sliding condition, which is Coulomb's law), so no smoothing width is chosen.
+**Standstill is exact.** `sign(v)` of a state v in the balance that gives dv/dt is not evaluated but
+becomes a direction s ∈ {−1, 0, 1} that the integrator switches: with f⁺ and f⁻ the right-hand sides
+at v = 0 for s = ±1, the machine sticks while f⁺ ≤ 0 ≤ f⁻ (Filippov's sliding condition, which is
+Coulomb's law), so no smoothing width is chosen.
 
-**A balance without storage** may contain its variable linearly, and in `sign()` and `abs()`: with residual
-r + a·i + b·sign(i) + c·|i| it is solved piecewise. Of balances that name a start value the variables are a root (`implicit`),
-each one's or those that define each other together; anything else is refused as an algebraic loop.
+**A balance without storage** may contain its variable linearly, and in `sign()` and `abs()`: with
+residual r + a·i + b·sign(i) + c·|i| it is solved piecewise. Of balances that name a start value the
+variables are a root (`implicit`), each one's or those that define each other together; anything
+else is refused as an algebraic loop.
 
 Reference: A. F. Filippov, *Differential Equations with Discontinuous Righthand Sides*, 1988.
 """
@@ -32,7 +35,15 @@ from residuum.identification.physics.compile.expression_meaning import meaning, 
 from residuum.identification.physics.effects.base import Contribution, Scene
 from residuum.identification.physics.files.consistency import owners_of
 from residuum.identification.physics.files.expression import Call, Name, Node, Number, walk
-from residuum.identification.physics.model import CHANNELS, Balance, EffectUse, PhysicalModel, missing_name, term_name, tied_to
+from residuum.identification.physics.model import (
+    CHANNELS,
+    Balance,
+    EffectUse,
+    PhysicalModel,
+    missing_name,
+    term_name,
+    tied_to,
+)
 
 TIME = sp.Symbol("t", real=True)
 
@@ -49,8 +60,9 @@ class Equations:
         dx/dt, one a state.
     outputs : mapping of name to expression
     signals : mapping of name to expression
-        What else can be looked at: variables that balances define, `balance.term` of every term, `storage:balance` and
-        `drive:balance` (the sum of its terms that contain an input or a current).
+        What else can be looked at: variables that balances define, `balance.term` of every term,
+        `storage:balance` and `drive:balance` (the sum of its terms that contain an input or a
+        current).
     initial : mapping of state to expression
         Initial values of the effects' own states.
     deviating : tuple of str
@@ -79,7 +91,8 @@ def compose(model: PhysicalModel) -> Equations:
     Raises
     ------
     NoExplicitEquations
-        A balance without storage that cannot be solved for its variable (algebraic loop), a storage that is zero or given twice.
+        A balance without storage that cannot be solved for its variable (algebraic loop), a storage
+        that is zero or given twice.
     """
     return _Composer(model).equations()
 
@@ -98,7 +111,9 @@ class _Sides:
 
     @property
     def storage(self) -> sp.Expr:
-        """What multiplies the derivative, or for a balance without storage the slope of its terms by the variable it defines."""
+        """What multiplies the derivative, or for a balance without storage the slope of its terms
+        by the variable it defines.
+        """
         if self.state is not None or self.defines is None:
             return self.coefficient
         return -sp.diff(sum(self.terms.values()), self.defines)
@@ -113,9 +128,17 @@ class _Composer:
         self.u = {name: sp.Symbol(f"u_{k}", real=True) for k, name in enumerate(model.inputs)}
         names = [*model.all_parameters, *map(missing_name, model.balances)]
         self.p = {name: sp.Symbol(f"p_{k}", real=True) for k, name in enumerate(names)}
-        self.variables = {v: sp.Symbol(f"i_{b.name}", real=True) for b in model.balances.values() if (v := b.defines)}
-        self.paths: dict[str, sp.Expr] = {name: self._recorded_or_default(name) for name in model.inputs}
-        self.rates: dict[str, sp.Expr] = {s.name: self.x[s.rate] for s in model.states.values() if s.rate}
+        self.variables = {
+            v: sp.Symbol(f"i_{b.name}", real=True)
+            for b in model.balances.values()
+            if (v := b.defines)
+        }
+        self.paths: dict[str, sp.Expr] = {
+            name: self._recorded_or_default(name) for name in model.inputs
+        }
+        self.rates: dict[str, sp.Expr] = {
+            s.name: self.x[s.rate] for s in model.states.values() if s.rate
+        }
         self.initial: dict[str, sp.Expr] = {}
         self.deviating: list[str] = []
         self.delays: dict[str, sp.Symbol] = {}
@@ -134,35 +157,68 @@ class _Composer:
         for side in sides.values():
             if side.state is not None:
                 self.rates[side.state] = sum(side.terms.values()) / side.coefficient
-        outputs = {name: self._symbolic(output.value.tree, None) for name, output in self.model.outputs.items()}
+        outputs = {
+            name: self._symbolic(output.value.tree, None)
+            for name, output in self.model.outputs.items()
+        }
         for use in self.model.effects:
             if use.effect.place == "output":
                 self._add_to_path(use, outputs)
         return self._explicit(sides, outputs, defined)
 
-    def _explicit(self, sides: dict[str, _Sides], outputs: dict[str, sp.Expr], defined: dict[sp.Symbol, sp.Expr]) -> Equations:
+    def _explicit(
+        self,
+        sides: dict[str, _Sides],
+        outputs: dict[str, sp.Expr],
+        defined: dict[sp.Symbol, sp.Expr],
+    ) -> Equations:
         def put(expression: sp.Expr) -> sp.Expr:
             return sp.sympify(expression).subs(defined)
 
         moving = {s: sp.sign(self.x[name]) for name, s in self.directions.items()}
-        terms = {f"{n}.{term}": put(e).subs(moving) for n, side in sides.items() for term, e in side.terms.items()}
-        variables = {name: defined[symbol] for name, symbol in self.variables.items() if symbol in defined}
+        terms = {
+            f"{n}.{term}": put(e).subs(moving)
+            for n, side in sides.items()
+            for term, e in side.terms.items()
+        }
+        variables = {
+            name: defined[symbol] for name, symbol in self.variables.items() if symbol in defined
+        }
         for name, side in sides.items():
             variables[f"storage:{name}"] = put(side.storage).subs(moving)
             variables[f"drive:{name}"] = put(side.roles["drive"]).subs(moving)
         rates = tuple(put(self.rates[name]) for name in self.x)
         order = list(self.x)
-        surfaces = {order.index(name): s for name, s in self.directions.items() if any(r.has(s) for r in rates)}
+        surfaces = {
+            order.index(name): s
+            for name, s in self.directions.items()
+            if any(r.has(s) for r in rates)
+        }
         initial = {name: put(e) for name, e in self.initial.items()}
         y = {name: put(e) for name, e in outputs.items()}
         deviating = tuple(self.deviating)
-        return Equations(self.x, self.u, self.p, rates, y, variables | terms, initial, deviating, surfaces, self.delays)
+        return Equations(
+            self.x,
+            self.u,
+            self.p,
+            rates,
+            y,
+            variables | terms,
+            initial,
+            deviating,
+            surfaces,
+            self.delays,
+        )
 
     def _recorded_or_default(self, name: str) -> sp.Expr:
         signal = self.model.inputs[name]
         if not signal.absent or signal.default is None:
             return self.u[name]
-        return self.p[signal.default] if signal.default in self.p else sp.Float(float(signal.default), 17)
+        return (
+            self.p[signal.default]
+            if signal.default in self.p
+            else sp.Float(float(signal.default), 17)
+        )
 
     def _sides(self, balance: Balance) -> _Sides:
         owner = next(iter(owners_of(balance)), None)
@@ -171,12 +227,16 @@ class _Composer:
         coefficient = sp.S.Zero
         direction: sp.Expr = sp.sign(defines) if defines is not None else sp.S.Zero
         if state is not None:
-            direction = self.directions.setdefault(state, sp.Symbol(f"s_{len(self.directions)}", real=True))
+            direction = self.directions.setdefault(
+                state, sp.Symbol(f"s_{len(self.directions)}", real=True)
+            )
             derivative = sp.Symbol("derivative", real=True)
             storage = sp.expand(self._symbolic(balance.storage.tree, None, derivative))
             coefficient = storage.coeff(derivative, 1)
             if sp.expand(storage - coefficient * derivative) != 0 or coefficient.has(derivative):
-                raise balance.storage.place.refuse(f"storage {balance.storage.text!r} must be linear in der({state})")
+                raise balance.storage.place.refuse(
+                    f"storage {balance.storage.text!r} must be linear in der({state})"
+                )
         terms = {name: self._symbolic(term.tree, state) for name, term in balance.terms.items()}
         terms["missing"] = self.p[missing_name(balance.name)]
         side = _Sides(balance, terms, state, coefficient, defines, direction)
@@ -188,8 +248,12 @@ class _Composer:
         roles = {role: self._name(name) for role, name in balance.variables.items()}
         own = side.state if side.state is not None else balance.defines
         supply = self.model.supply_input(balance)
-        with_input = [n for n, t in balance.terms.items() if supply is not None and supply in t.names]
-        currents = {b.variables["current"] for b in self.model.balances.values() if "current" in b.variables} - {own}
+        with_input = [
+            n for n, t in balance.terms.items() if supply is not None and supply in t.names
+        ]
+        currents = {
+            b.variables["current"] for b in self.model.balances.values() if "current" in b.variables
+        } - {own}
         inputs = {name for name, signal in self.model.inputs.items() if not signal.is_clock}
         driving = [n for n, t in balance.terms.items() if t.names & (inputs | currents)]
         if supply is not None:
@@ -202,7 +266,9 @@ class _Composer:
 
     def _add_to_balance(self, use: EffectUse, sides: Mapping[str, _Sides]) -> None:
         side, name = sides[use.place], term_name(use)
-        added = self._contribution(use, side.roles | self._tied(use, sides), side.direction, sp.S.Zero)
+        added = self._contribution(
+            use, side.roles | self._tied(use, sides), side.direction, sp.S.Zero
+        )
         side.terms[name] = sp.sympify(added.term)
         for balance, term in added.elsewhere.items():
             sides[balance].terms[name] = sp.sympify(term)
@@ -211,18 +277,27 @@ class _Composer:
             self._give_storage(side, added.inductance, use)
 
     def _tied(self, use: EffectUse, sides: Mapping[str, _Sides]) -> dict[str, sp.Expr]:
-        """What an effect is tied to: signals by name, the other balance's variables as `other:role`."""
+        """What an effect is tied to: signals by name, the other balance's variables as
+        `other:role`.
+        """
         if use.effect.joins(use.target):
-            return {f"other:{role}": value for role, value in sides[tied_to(use.target)[0]].roles.items()}
+            return {
+                f"other:{role}": value
+                for role, value in sides[tied_to(use.target)[0]].roles.items()
+            }
         return {name: self._name(name) for name in tied_to(use.target)}
 
     def _give_storage(self, side: _Sides, inductance: sp.Expr, use: EffectUse) -> None:
         name = side.balance.defines
         if side.state is not None or name is None or side.defines is None:
-            raise NoExplicitEquations(f"effect {use.label!r}: balance {side.balance.name!r} has a storage already")
+            raise NoExplicitEquations(
+                f"effect {use.label!r}: balance {side.balance.name!r} has a storage already"
+            )
         state = sp.Symbol(f"x_{len(self.x)}", real=True)
         resting = self._solve(side.defines, sum(side.terms.values()), side.balance)
-        direction = self.directions.setdefault(name, sp.Symbol(f"s_{len(self.directions)}", real=True))
+        direction = self.directions.setdefault(
+            name, sp.Symbol(f"s_{len(self.directions)}", real=True)
+        )
         self.initial[name] = resting
         self.deviating.append(name)
         self.x[name] = state
@@ -238,7 +313,9 @@ class _Composer:
         if added.delay is not None:
             self.delays[use.target] = added.delay
 
-    def _contribution(self, use: EffectUse, roles: Mapping[str, sp.Expr], direction: sp.Expr, signal: sp.Expr) -> Contribution:
+    def _contribution(
+        self, use: EffectUse, roles: Mapping[str, sp.Expr], direction: sp.Expr, signal: sp.Expr
+    ) -> Contribution:
         site = self.model.site(use.target, use.effect)
         p = {name: self.p[f"{use.label}.{name}"] for name in use.parameters}
         own = {}
@@ -247,38 +324,50 @@ class _Composer:
             own[name] = self.x[full] = sp.Symbol(f"x_{len(self.x)}", real=True)
         added = use.effect.contribution(Scene(site, p, own, roles, direction, signal, TIME))
         self.rates.update({f"{use.label}.{name}": rate for name, rate in added.rates.items()})
-        self.initial.update({f"{use.label}.{name}": sp.sympify(value) for name, value in added.initial.items()})
+        self.initial.update(
+            {f"{use.label}.{name}": sp.sympify(value) for name, value in added.initial.items()}
+        )
         self.deviating += [f"{use.label}.{name}" for name in added.deviating]
         return added
 
     def _solve_defined(self, sides: Mapping[str, _Sides]) -> dict[sp.Symbol, sp.Expr]:
         solved: dict[sp.Symbol, sp.Expr] = dict(self.became_state)
-        open_sides = [side for side in sides.values() if side.state is None and side.defines is not None]
+        open_sides = [
+            side for side in sides.values() if side.state is None and side.defines is not None
+        ]
         while open_sides:
             together = min((_needed(side, open_sides) for side in open_sides), key=len)
             total = [sum(side.terms.values()) for side in together]
             if len(together) == 1 and together[0].balance.start is None:
                 side = together[0]
-                solved[side.defines] = self._solve(side.defines, total[0].subs(solved), side.balance)
+                solved[side.defines] = self._solve(
+                    side.defines, total[0].subs(solved), side.balance
+                )
             else:
                 solved |= self._roots(together, total, solved)
             open_sides = [side for side in open_sides if side not in together]
         return self._substituted(solved)
 
-    def _roots(self, sides: list[_Sides], total: list[sp.Expr], solved: dict[sp.Symbol, sp.Expr]) -> dict[sp.Symbol, sp.Expr]:
-        names, place = ", ".join(side.balance.name for side in sides), sides[0].balance.storage.place
+    def _roots(
+        self, sides: list[_Sides], total: list[sp.Expr], solved: dict[sp.Symbol, sp.Expr]
+    ) -> dict[sp.Symbol, sp.Expr]:
+        names, place = (
+            ", ".join(side.balance.name for side in sides),
+            sides[0].balance.storage.place,
+        )
         start = [side.balance.start for side in sides if side.balance.start is not None]
         if len(start) < len(sides) or len(sides) > implicit.MOST_VARIABLES:
             raise place.refuse(
-                f"algebraic loop: balances {names} define each other's variables; each needs a start value (start: 1.0), and at "
-                f"most {implicit.MOST_VARIABLES} are solved together",
+                f"algebraic loop: balances {names} define each other's variables; each needs a"
+                f" start value (start: 1.0), and at most {implicit.MOST_VARIABLES} are solved"
+                " together",
                 NoExplicitEquations,
             )
         unknown = [side.defines for side in sides]
         if sp.expand(implicit.jacobian(unknown, total).det(method="berkowitz")) == 0:
             raise place.refuse(
-                f"algebraic loop of index 2: balances {names} do not determine the variables that they define; differentiate one "
-                "by hand, or give one a storage",
+                f"algebraic loop of index 2: balances {names} do not determine the variables that"
+                " they define; differentiate one by hand, or give one a storage",
                 NoExplicitEquations,
             )
         return dict(zip(unknown, implicit.roots(unknown, total, start, solved), strict=True))
@@ -286,7 +375,8 @@ class _Composer:
     def _substituted(self, solved: dict[sp.Symbol, sp.Expr]) -> dict[sp.Symbol, sp.Expr]:
         for _ in solved:
             solved = {
-                symbol: sp.sympify(e).subs({k: v for k, v in solved.items() if k != symbol}) for symbol, e in solved.items()
+                symbol: sp.sympify(e).subs({k: v for k, v in solved.items() if k != symbol})
+                for symbol, e in solved.items()
             }
         return solved
 
@@ -303,15 +393,20 @@ class _Composer:
         if b == 0 and c == 0:
             return -r / a
         free, gap = -r / a, b / a
-        return sp.Piecewise((-(r + b) / (a + c), free > gap), (-(r - b) / (a - c), free < -gap), (0, True))
+        return sp.Piecewise(
+            (-(r + b) / (a + c), free > gap), (-(r - b) / (a - c), free < -gap), (0, True)
+        )
 
     def _loop(self, balance: Balance) -> BadModel:
         return balance.storage.place.refuse(
-            f"algebraic loop: balance {balance.name!r} has no storage and is not linear in {balance.defines!r}, which it defines",
+            f"algebraic loop: balance {balance.name!r} has no storage and is not linear in"
+            f" {balance.defines!r}, which it defines",
             NoExplicitEquations,
         )
 
-    def _symbolic(self, tree: Node, surface: str | None, derivative: sp.Symbol | None = None) -> sp.Expr:
+    def _symbolic(
+        self, tree: Node, surface: str | None, derivative: sp.Symbol | None = None
+    ) -> sp.Expr:
         if isinstance(tree, Number):
             return number(tree)
         if isinstance(tree, Name):
@@ -320,7 +415,12 @@ class _Composer:
             return derivative
         if isinstance(tree, Call) and tree.function == "delay":
             return self._delayed(tree)
-        if surface is not None and isinstance(tree, Call) and tree.function == "sign" and _is_name(tree.operands[0], surface):
+        if (
+            surface is not None
+            and isinstance(tree, Call)
+            and tree.function == "sign"
+            and _is_name(tree.operands[0], surface)
+        ):
             return self.directions[surface]
         operands = [self._symbolic(operand, surface, derivative) for operand in tree.operands]
         return meaning(tree)(*operands)
@@ -330,8 +430,15 @@ class _Composer:
         signal, by = call.operands
         delay = self._symbolic(by, None)
         for node in walk(signal):
-            if isinstance(node, Name) and node.name in self.u and self.delays.setdefault(node.name, delay) != delay:
-                raise NoExplicitEquations(f"input {node.name!r}: the model delays it itself; one delay is all that it can have")
+            if (
+                isinstance(node, Name)
+                and node.name in self.u
+                and self.delays.setdefault(node.name, delay) != delay
+            ):
+                raise NoExplicitEquations(
+                    f"input {node.name!r}: the model delays it itself; one delay is all that it can"
+                    " have"
+                )
         return self._symbolic(signal, None)
 
     def _name(self, name: str) -> sp.Expr:

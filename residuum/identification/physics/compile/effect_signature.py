@@ -1,4 +1,6 @@
-"""What a physical effect looks like: its own equation along a standard movement, against its natural argument."""
+"""What a physical effect looks like: its own equation along a standard movement, against its
+natural argument.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,14 @@ import numpy as np
 import numpy.typing as npt
 import sympy as sp
 
-from residuum.identification.physics.effects.base import Conditions, Contribution, Effect, Parameter, Scene, Site
+from residuum.identification.physics.effects.base import (
+    Conditions,
+    Contribution,
+    Effect,
+    Parameter,
+    Scene,
+    Site,
+)
 
 Array = npt.NDArray[np.float64]
 _SAMPLES, _PERIODS, _EVERY = 800, 2, 4
@@ -22,7 +31,9 @@ _PATHS = ("input", "output")
 
 @dataclass(frozen=True)
 class Scenario:
-    """A standard movement of a balance or a path: its site, period [s], storage, driving magnitude and supply."""
+    """A standard movement of a balance or a path: its site, period [s], storage, driving magnitude
+    and supply.
+    """
 
     site: Site
     period: float
@@ -33,13 +44,35 @@ class Scenario:
 
 _MECHANICAL = {"supply": "V", "current": "A"}
 SCENARIOS: Mapping[str, Scenario] = {
-    "torque": Scenario(Site("torque", "shaft", "N*m", {"velocity": "rad/s", "position": "rad"} | _MECHANICAL), 2.0, 0.1),
-    "force": Scenario(Site("force", "axis", "N", {"velocity": "m/s", "position": "m"} | _MECHANICAL), 2.0, 0.1),
-    "voltage": Scenario(
-        Site("voltage", "winding", "V", {"current": "A", "velocity": "rad/s", "supply": "V", "defined": "A"}), 1.0, 1.0, 12.0
+    "torque": Scenario(
+        Site("torque", "shaft", "N*m", {"velocity": "rad/s", "position": "rad"} | _MECHANICAL),
+        2.0,
+        0.1,
     ),
-    "heat": Scenario(Site("heat", "chamber", "W", {"temperature": "°C", "supply": "W"}), 3600.0, 2000.0, 1000.0, 1000.0),
-    "volume": Scenario(Site("volume", "tank", "m**3/s", {"level": "m", "supply": "V"}), 600.0, 0.02, 1e-3),
+    "force": Scenario(
+        Site("force", "axis", "N", {"velocity": "m/s", "position": "m"} | _MECHANICAL), 2.0, 0.1
+    ),
+    "voltage": Scenario(
+        Site(
+            "voltage",
+            "winding",
+            "V",
+            {"current": "A", "velocity": "rad/s", "supply": "V", "defined": "A"},
+        ),
+        1.0,
+        1.0,
+        12.0,
+    ),
+    "heat": Scenario(
+        Site("heat", "chamber", "W", {"temperature": "°C", "supply": "W"}),
+        3600.0,
+        2000.0,
+        1000.0,
+        1000.0,
+    ),
+    "volume": Scenario(
+        Site("volume", "tank", "m**3/s", {"level": "m", "supply": "V"}), 600.0, 0.02, 1e-3
+    ),
     "input": Scenario(Site("input", "u", "V"), 1.0, 1.0, 8.0),
     "output": Scenario(Site("output", "y", "rad/s"), 1.0, 1.0, 8.0),
 }
@@ -49,7 +82,8 @@ SCENARIOS: Mapping[str, Scenario] = {
 class Signature:
     """A curve: `value` [unit] against `at` [axis_unit].
 
-    `before` is the path's signal without the effect (None for a balance); `parameters` hold the values that it is drawn with.
+    `before` is the path's signal without the effect (None for a balance); `parameters` hold the
+    values that it is drawn with.
     """
 
     kind: str
@@ -63,11 +97,13 @@ class Signature:
 
 
 def signature(effect: Effect, kind: str | None = None) -> Signature:
-    """The effect's term (or its path's signal) along the standard movement of a kind of balance (default: the first it acts on).
+    """The effect's term (or its path's signal) along the standard movement of a kind of balance
+    (default: the first it acts on).
 
-    Speeds, currents and signals swing as sines, temperatures and levels rise and fall evenly, positions are the speed's
-    integral; the effect's own states are integrated (Runge–Kutta). Of the effect's first values the most conspicuous are
-    drawn, over time both periods, else the second one, in which what an effect remembers has settled.
+    Speeds, currents and signals swing as sines, temperatures and levels rise and fall evenly,
+    positions are the speed's integral; the effect's own states are integrated (Runge–Kutta). Of the
+    effect's first values the most conspicuous are drawn, over time both periods, else the second
+    one, in which what an effect remembers has settled.
 
     >>> from residuum.identification.physics.effects import EFFECTS
     >>> drawn = signature(EFFECTS["coulomb-friction"])
@@ -76,20 +112,33 @@ def signature(effect: Effect, kind: str | None = None) -> Signature:
     """
     scenario = SCENARIOS[effect.acts_on[0] if kind is None else kind]
     motion = _motion(scenario)
-    known = {name: values for name, values in motion.items() if name in scenario.site.units or name in ("signal", "measured")}
+    known = {
+        name: values
+        for name, values in motion.items()
+        if name in scenario.site.units or name in ("signal", "measured")
+    }
     last = float(motion["t"][-1])
-    conditions = Conditions(scenario.period / 200, last, scenario.magnitude, scenario.storage, known)
+    conditions = Conditions(
+        scenario.period / 200, last, scenario.magnitude, scenario.storage, known
+    )
     parameters = {parameter.name: parameter for parameter in effect.parameters(scenario.site)}
-    drawn = [_Drawing(effect, scenario, motion, {**_defaults(parameters), **start}) for start in effect.starts(conditions)]
+    drawn = [
+        _Drawing(effect, scenario, motion, {**_defaults(parameters), **start})
+        for start in effect.starts(conditions)
+    ]
     best = max(enumerate(drawn), key=lambda numbered: (numbered[1].conspicuous, numbered[0]))[1]
     axis = best.axis
-    values = tuple(replace(parameter, value=float(best.values[name])) for name, parameter in parameters.items())
+    values = tuple(
+        replace(parameter, value=float(best.values[name])) for name, parameter in parameters.items()
+    )
     units = {"t": "s", "signal": scenario.site.unit, **scenario.site.units}
     name = {"t": "time"}.get(axis, axis)
     shown = slice(0 if axis == "t" else _SAMPLES, None, _EVERY)
     before = None if best.before is None else best.before[shown]
     at, value = motion[axis][shown], best.value[shown]
-    return Signature(scenario.site.kind, name, units[axis], scenario.site.unit, at, value, before, values)
+    return Signature(
+        scenario.site.kind, name, units[axis], scenario.site.unit, at, value, before, values
+    )
 
 
 def _defaults(parameters: Mapping[str, Parameter]) -> dict[str, float]:
@@ -124,12 +173,21 @@ def _motion(scenario: Scenario) -> dict[str, Array]:
 class _Drawing:
     """One set of values, evaluated along the movement."""
 
-    def __init__(self, effect: Effect, scenario: Scenario, motion: Mapping[str, Array], values: Mapping[str, float]) -> None:
+    def __init__(
+        self,
+        effect: Effect,
+        scenario: Scenario,
+        motion: Mapping[str, Array],
+        values: Mapping[str, float],
+    ) -> None:
         self.values = values
         site = scenario.site
         self._p = {name: sp.Symbol(f"p_{name}", real=True) for name in values}
         self._x = {name: sp.Symbol(f"x_{name}", real=True) for name in effect.states(site)}
-        self._roles = {name: sp.Symbol(name, real=True) for name in (*site.units, "supply_terms", "drive", "storage")}
+        self._roles = {
+            name: sp.Symbol(name, real=True)
+            for name in (*site.units, "supply_terms", "drive", "storage")
+        }
         scene = Scene(site, self._p, self._x, self._roles, _direction, _signal, _t)
         self._motion = motion
         added = effect.contribution(scene)
@@ -140,7 +198,9 @@ class _Drawing:
 
     @property
     def conspicuous(self) -> float:
-        """How much of the picture the effect fills: where it is felt; on a path, how much it changes."""
+        """How much of the picture the effect fills: where it is felt; on a path, how much it
+        changes.
+        """
         if self.before is not None:
             return round(float(np.sqrt(np.mean((self.value - self.before) ** 2))), 3)
         return round(float(np.mean(np.abs(self.value) > 0.05 * np.abs(self.value).max())), 2)
@@ -158,10 +218,14 @@ class _Drawing:
     def _symbols(self) -> list[sp.Symbol]:
         return [*self._roles.values(), _direction, _signal, _t]
 
-    def _function(self, expressions: Sequence[sp.Expr]) -> Callable[[Sequence[Array], Sequence[Array]], list[Array]]:
+    def _function(
+        self, expressions: Sequence[sp.Expr]
+    ) -> Callable[[Sequence[Array], Sequence[Array]], list[Array]]:
         values = {symbol: self.values[name] for name, symbol in self._p.items()}
         fixed = [sp.sympify(expression).subs(values) for expression in expressions]
-        function: Callable[..., list[Array]] = sp.lambdify([self._symbols, list(self._x.values())], fixed, modules=_MODULES)
+        function: Callable[..., list[Array]] = sp.lambdify(
+            [self._symbols, list(self._x.values())], fixed, modules=_MODULES
+        )
         return function
 
     def _integrated(self, added: Contribution) -> list[Array]:
@@ -171,7 +235,9 @@ class _Drawing:
         names = list(self._x)
         rates = self._function([added.rates[name] for name in names])
         U = np.array(self._inputs())
-        begin = self._function([sp.sympify(added.initial[name]) for name in names])(list(U[:, 0]), [np.zeros(())] * len(names))
+        begin = self._function([sp.sympify(added.initial[name]) for name in names])(
+            list(U[:, 0]), [np.zeros(())] * len(names)
+        )
         step = float(self._motion["t"][1])
         X = np.empty((len(names), U.shape[1]))
         X[:, 0] = np.array(begin, dtype=float)
@@ -197,10 +263,14 @@ class _Drawing:
     def _term(self, added: Contribution) -> Array:
         if added.inductance is None:
             return self._evaluated(added.term)
-        return -self._evaluated(added.inductance) * np.gradient(self._motion["current"], self._motion["t"])
+        return -self._evaluated(added.inductance) * np.gradient(
+            self._motion["current"], self._motion["t"]
+        )
 
     def _axis(self, site: Site, added: Contribution) -> str:
-        """Time where the effect remembers or waits (a position where it is mechanical), else what its equation asks for first."""
+        """Time where the effect remembers or waits (a position where it is mechanical), else what
+        its equation asks for first.
+        """
         mechanical = site.kind in ("torque", "force")
         remembers = bool(self._x) or added.inductance is not None or added.delay is not None
         asked = sp.sympify(added.term).free_symbols

@@ -9,7 +9,14 @@ from itertools import pairwise
 from typing import Any
 
 from residuum.identification.physics.compile import symbolic as sp
-from residuum.identification.physics.files.expression import Call, Name, Node, Number, Operation, smooth
+from residuum.identification.physics.files.expression import (
+    Call,
+    Name,
+    Node,
+    Number,
+    Operation,
+    smooth,
+)
 
 EXTERNAL = "external"
 """Name of the function that a compiled library holds; no model file can call it."""
@@ -30,8 +37,12 @@ _WRITTEN: Mapping[str, Callable[..., Any]] = {
     "hypot": lambda a, b: sp.sqrt(a**2 + b**2),
     "mod": lambda a, b: a - b * sp.floor(a / b),
     "where": lambda condition, a, b: sp.Piecewise((a, condition), (b, True)),
-    "table": lambda x, *knots: _straight_lines(x, knots[: len(knots) // 2], knots[len(knots) // 2 :]),
-    "cubic": lambda x, *knots: smooth(x, knots[: len(knots) // 2], knots[len(knots) // 2 :], _within, _where_positive),
+    "table": lambda x, *knots: _straight_lines(
+        x, knots[: len(knots) // 2], knots[len(knots) // 2 :]
+    ),
+    "cubic": lambda x, *knots: smooth(
+        x, knots[: len(knots) // 2], knots[len(knots) // 2 :], _within, _where_positive
+    ),
 }
 """What is put together from other operations."""
 _OPERATORS: Mapping[str, Callable[..., Any]] = {
@@ -58,23 +69,37 @@ def meaning(node: Operation | Call) -> Callable[..., Any]:
 
 
 def _straight_lines(x: Any, places: Sequence[Any], values: Sequence[Any]) -> Any:
-    """y₁ + Σ_k (y_{k+1} − y_k) / (x_{k+1} − x_k) · (min(max(x, x_k), x_{k+1}) − x_k): held beyond the places."""
+    """y₁ + Σ_k (y_{k+1} − y_k) / (x_{k+1} − x_k) · (min(max(x, x_k), x_{k+1}) − x_k): held beyond
+    the places.
+    """
     knots = zip(pairwise(places), pairwise(values), strict=True)
-    return values[0] + sum((b - a) / (right - left) * (_within(x, left, right) - left) for (left, right), (a, b) in knots)
+    return values[0] + sum(
+        (b - a) / (right - left) * (_within(x, left, right) - left)
+        for (left, right), (a, b) in knots
+    )
 
 
 def number(node: Number) -> Any:
     """A literal; a whole one stays exact."""
-    return sp.Integer(int(node.value)) if node.value == int(node.value) else sp.Float(node.value, 17)
+    return (
+        sp.Integer(int(node.value)) if node.value == int(node.value) else sp.Float(node.value, 17)
+    )
 
 
 def symbolic(tree: Node, names: Mapping[str, Any], signs: Mapping[str, Any]) -> Any:
-    """The expression with its names replaced; `sign(name)` is what `signs` has for the name, where it has something."""
+    """The expression with its names replaced; `sign(name)` is what `signs` has for the name, where
+    it has something.
+    """
     if isinstance(tree, Number):
         return number(tree)
     if isinstance(tree, Name):
         return names[tree.name]
     first = tree.operands[0]
-    if isinstance(tree, Call) and tree.function == "sign" and isinstance(first, Name) and first.name in signs:
+    if (
+        isinstance(tree, Call)
+        and tree.function == "sign"
+        and isinstance(first, Name)
+        and first.name in signs
+    ):
         return signs[first.name]
     return meaning(tree)(*(symbolic(operand, names, signs) for operand in tree.operands))

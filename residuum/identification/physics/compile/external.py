@@ -1,8 +1,9 @@
-"""Functions that a model's equations call and that no text of ours holds: what a compiled library computes.
+"""Functions that a model's equations call and that no text of ours holds: what a compiled library
+computes.
 
-`ExternalValue(k, t, x…, u…)` is the k-th of the library's values at a time, states and inputs; its slopes by them are
-`ExternalSlope(k, j, t, x…, u…)`. Generated code calls them by the names in `SYMBOLS`; a process has one library, whose functions
-stand in `machine_code.ADDRESSES`.
+`ExternalValue(k, t, x…, u…)` is the k-th of the library's values at a time, states and inputs; its
+slopes by them are `ExternalSlope(k, j, t, x…, u…)`. Generated code calls them by the names in
+`SYMBOLS`; a process has one library, whose functions stand in `machine_code.ADDRESSES`.
 """
 
 from __future__ import annotations
@@ -12,7 +13,9 @@ from typing import Any
 import sympy as sp
 
 SYMBOLS = ("external_value", "external_slope")
-"""double external_value(i64 k, double *arguments) and double external_slope(i64 k, i64 j, double *arguments)."""
+"""double external_value(i64 k, double *arguments) and double external_slope(i64 k, i64 j, double
+*arguments).
+"""
 
 
 class ExternalSlope(sp.Function):

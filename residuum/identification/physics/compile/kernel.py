@@ -1,9 +1,11 @@
-"""Kernels: the compiled form of a model's structure, kept on disk so that only the first use of a structure compiles.
+"""Kernels: the compiled form of a model's structure, kept on disk so that only the first use of a
+structure compiles.
 
-The key of a kernel is a digest of the model's structure (balances, effects, paths; not parameter values, bounds or
-units), of this package's own sources and of the processor. Its names are written once to the cache folder (`$RESIDUUM_CACHE`,
-else `~/.cache/residuum`); a warm start therefore neither composes symbolically nor compiles. Machine code is kept beside them
-by its text, which names nothing of a model: structures share what is alike in them.
+The key of a kernel is a digest of the model's structure (balances, effects, paths; not parameter
+values, bounds or units), of this package's own sources and of the processor. Its names are written
+once to the cache folder (`$RESIDUUM_CACHE`, else `~/.cache/residuum`); a warm start therefore
+neither composes symbolically nor compiles. Machine code is kept beside them by its text, which
+names nothing of a model: structures share what is alike in them.
 """
 
 from __future__ import annotations
@@ -53,7 +55,9 @@ def kernel_of(model: PhysicalModel) -> Kernel:
 
 
 def cache_folder() -> Path:
-    """Where generated kernels are kept: in `$RESIDUUM_CACHE`, else `~/.cache/residuum`; this user's alone."""
+    """Where generated kernels are kept: in `$RESIDUUM_CACHE`, else `~/.cache/residuum`; this user's
+    alone.
+    """
     return code_folder("kernels", "RESIDUUM_CACHE")
 
 
@@ -76,9 +80,14 @@ def _kernel(structure: str, deferred: _Deferred) -> Kernel:
     with _MAKING:  # what several threads ask for at once is made once
         manifest = _told(path) or _made(path, deferred.model)
     code = [(path.parent / part).read_bytes() for part in manifest["parts"]]
-    functions: Mapping[str, Any] = dict(zip(_LOADED, machine_code.loaded(code, _LOADED), strict=True))
+    functions: Mapping[str, Any] = dict(
+        zip(_LOADED, machine_code.loaded(code, _LOADED), strict=True)
+    )
     numbers: Mapping[str, Any] = {key: np.array(manifest[key], dtype=np.int64) for key in _COUNTED}
-    names = {key: tuple(manifest[key]) for key in ("states", "parameters", "outputs", "signals", "deviating")}
+    names = {
+        key: tuple(manifest[key])
+        for key in ("states", "parameters", "outputs", "signals", "deviating")
+    }
     return Kernel(**names, system=System(**functions, **numbers))
 
 
@@ -97,8 +106,13 @@ def _told(path: Path) -> dict[str, Any] | None:
 
 
 def _made(path: Path, model: PhysicalModel) -> dict[str, Any]:
-    """A kernel's file and its code, written. SymPy is imported here: where all kernels are on disk it is not needed."""
-    from residuum.identification.physics.compile.code_generation import generate, names_of  # noqa: PLC0415
+    """A kernel's file and its code, written. SymPy is imported here: where all kernels are on disk
+    it is not needed.
+    """
+    from residuum.identification.physics.compile.code_generation import (  # noqa: PLC0415
+        generate,
+        names_of,
+    )
     from residuum.identification.physics.compile.composition import compose  # noqa: PLC0415
 
     equations = compose(model)
@@ -108,7 +122,9 @@ def _made(path: Path, model: PhysicalModel) -> dict[str, Any]:
 
 
 def _compiled(assembly: str) -> str:
-    """The name of the file of a module's machine code, which is compiled where it is not on disk."""
+    """The name of the file of a module's machine code, which is compiled where it is not on
+    disk.
+    """
     path = _place("code", assembly)
     if not path.exists():
         _write(path, machine_code.compiled(assembly))
@@ -117,11 +133,22 @@ def _compiled(assembly: str) -> str:
 
 def _structure(model: PhysicalModel) -> str:
     balances = [
-        (b.name, b.kind, b.storage.text, b.start, [(n, t.text) for n, t in b.terms.items()], sorted(b.variables.items()))
+        (
+            b.name,
+            b.kind,
+            b.storage.text,
+            b.start,
+            [(n, t.text) for n, t in b.terms.items()],
+            sorted(b.variables.items()),
+        )
         for b in model.balances.values()
     ]
-    effects = [(use.id, use.target, use.instance, EFFECTS.fingerprint(use.id)) for use in model.effects]
-    inputs = [(i.name, (i.absent or i.is_clock) and i.default, i.unit) for i in model.inputs.values()]
+    effects = [
+        (use.id, use.target, use.instance, EFFECTS.fingerprint(use.id)) for use in model.effects
+    ]
+    inputs = [
+        (i.name, (i.absent or i.is_clock) and i.default, i.unit) for i in model.inputs.values()
+    ]
     states = [(s.name, s.rate, s.unit) for s in model.states.values()]
     outputs = [(o.name, o.value.text) for o in model.outputs.values()]
     return repr((inputs, states, list(model.parameters), balances, outputs, effects))

@@ -1,4 +1,6 @@
-"""Assembly → machine code of this processor, and machine code → functions that compiled code calls by address."""
+"""Assembly → machine code of this processor, and machine code → functions that compiled code calls
+by address.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,9 @@ _PLACED = 1000
 
 
 class Function(types.WrapperAddressProtocol):
-    """A function of a loaded library; it keeps the library, and what placed it, in memory as long as it lives."""
+    """A function of a loaded library; it keeps the library, and what placed it, in memory as long
+    as it lives.
+    """
 
     def __init__(self, library: Any, name: str, linker: Any) -> None:
         self._kept = library, linker
@@ -51,7 +55,10 @@ class Function(types.WrapperAddressProtocol):
 def target() -> str:
     """The processor that code is made for; code made for another must not be loaded."""
     features = llvm.get_host_cpu_features().flatten()
-    return f"{llvm.get_process_triple()} {llvm.get_host_cpu_name()} {features} {llvm.llvm_version_info}"
+    return (
+        f"{llvm.get_process_triple()} {llvm.get_host_cpu_name()} {features}"
+        f" {llvm.llvm_version_info}"
+    )
 
 
 def compiled(assembly: str) -> bytes:
@@ -82,7 +89,9 @@ def loaded(parts: Iterable[bytes], names: Sequence[str]) -> tuple[Function, ...]
 
 @lru_cache(maxsize=1)
 def _linker(_which: int) -> Any:
-    """What places object code in memory: one for many, since to set one up takes five times as long as to place a kernel."""
+    """What places object code in memory: one for many, since to set one up takes five times as long
+    as to place a kernel.
+    """
     return llvm.create_lljit_compiler(_machine())
 
 
@@ -90,5 +99,9 @@ def _machine() -> Any:
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
     return llvm.Target.from_default_triple().create_target_machine(
-        cpu=llvm.get_host_cpu_name(), features=llvm.get_host_cpu_features().flatten(), opt=2, reloc="pic", jit=True
+        cpu=llvm.get_host_cpu_name(),
+        features=llvm.get_host_cpu_features().flatten(),
+        opt=2,
+        reloc="pic",
+        jit=True,
     )

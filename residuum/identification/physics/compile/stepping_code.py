@@ -1,16 +1,20 @@
-"""A Runge–Kutta step of a structure, and of its sensitivities, as LLVM assembly: unrolled over the states.
+"""A Runge–Kutta step of a structure, and of its sensitivities, as LLVM assembly: unrolled over the
+states.
 
-What is done for each column of S takes the most code and asks of the equations only how many states and outputs there are and
-what is always zero in A and B. So it stands apart, in `columns` and `observed`, and is compiled once for all structures alike.
+What is done for each column of S takes the most code and asks of the equations only how many states
+and outputs there are and what is always zero in A and B. So it stands apart, in `columns` and
+`observed`, and is compiled once for all structures alike.
 
     advance(x, u₀, u₁, u₂, p, s, m, work, step)
     advance_slopes(x, u₀, u₁, u₂, p, s, m, work, step, S, columns, count)
     observe(x, u, ur, p, s, m, work, y, dy, S, columns, count)
 
-`u₀ u₁ u₂` are the inputs at the beginning, middle and end of the step, each followed by its slopes; `step` holds its length h.
-With k₁ … k₄ the rates of the four stages, x ← x + h/6·(k₁ + 2k₂ + 2k₃ + k₄); a column of S obeys d = A·S + B, A and B taken
-at the same four stages, so S stays the exact derivative of the computed x. `work`, of 5·NX + 4·NX·(NP + 2·NX) doubles (NY·(NP
-+ 2·NX) for `observe`), is zero at first: the places of A and B that are always zero are never written. No two arrays
+`u₀ u₁ u₂` are the inputs at the beginning, middle and end of the step, each followed by its slopes;
+`step` holds its length h. With k₁ … k₄ the rates of the four stages, x ← x + h/6·(k₁ + 2k₂ + 2k₃ +
+k₄); a column of S obeys d = A·S + B, A and B taken at the same four stages, so S stays the exact
+derivative of the computed x. `work`, of 5·NX + 4·NX·(NP + 2·NX) doubles (NY·(NP
++ 2·NX) for `observe`), is zero at first: the places of A and B that are always zero are never
+  written. No two arrays
 overlap, so that what depends on p alone is computed once a step.
 """
 
@@ -31,26 +35,39 @@ Places = Collection[tuple[int, int]]
 """Row and column of what need not be zero in a matrix."""
 
 
-_COLUMNS = "ptr noalias %work, ptr noalias {0}, ptr noalias %S, ptr noalias %columns, i64 %count, i64 {1}"
-"""Of `columns`, whose second argument is `step`, and of `observed`, whose second is `dy`; the last is the width of B."""
+_COLUMNS = (
+    "ptr noalias %work, ptr noalias {0}, ptr noalias %S, ptr noalias %columns, i64 %count, i64 {1}"
+)
+"""Of `columns`, whose second argument is `step`, and of `observed`, whose second is `dy`; the last
+is the width of B.
+"""
 
 
 def stepping(nx: int, nu: int, n_p: int, ny: int) -> str:
     """The assembly of the three functions for so many states, inputs, parameters and outputs.
 
-    They call `rates`, `slopes`, `outputs` and `output_slopes` beside them, and what `columns_of` gives.
+    They call `rates`, `slopes`, `outputs` and `output_slopes` beside them, and what `columns_of`
+    gives.
     """
-    declared = [f"declare void @{name}(ptr, ptr, ptr, ptr, i64, i64)" for name in ("columns", "observed")]
-    return "\n\n".join([*declared, _advance(nx, nu), _advance(nx, nu, n_p + nx), _observe(nx, ny, n_p + nx)])
+    declared = [
+        f"declare void @{name}(ptr, ptr, ptr, ptr, i64, i64)" for name in ("columns", "observed")
+    ]
+    return "\n\n".join(
+        [*declared, _advance(nx, nu), _advance(nx, nu, n_p + nx), _observe(nx, ny, n_p + nx)]
+    )
 
 
 def columns_of(nx: int, ny: int, A: Places, B: Places) -> tuple[str, str]:
-    """The assembly of `columns` and of `observed`, a module each; `A` and `B` say where slopes need not be zero."""
+    """The assembly of `columns` and of `observed`, a module each; `A` and `B` say where slopes need
+    not be zero.
+    """
     return _columns(nx, A, {row for row, _ in B}), _observed(nx, ny)
 
 
 class _Lines:
-    """Assembly text while it is written; every value has a name of its own. Sums and products are of `kind`."""
+    """Assembly text while it is written; every value has a name of its own. Sums and products are
+    of `kind`.
+    """
 
     def __init__(self) -> None:
         self.lines: list[str] = []
@@ -88,9 +105,23 @@ def _advance(nx: int, nu: int, width: int | None = None) -> str:
     """With the sensitivities where the width of B is given."""
     t = _Lines()
     slopes = width is not None
-    given = ("x", "u0", "u1", "u2", "p", "s", "m", "work", "step", *(("S", "columns") if slopes else ()))
+    given = (
+        "x",
+        "u0",
+        "u1",
+        "u2",
+        "p",
+        "s",
+        "m",
+        "work",
+        "step",
+        *(("S", "columns") if slopes else ()),
+    )
     name = "advance_slopes" if slopes else "advance"
-    t.say(f"define void @{name}({', '.join(f'ptr noalias %{a}' for a in given)}{', i64 %count' if slopes else ''}) {{")
+    t.say(
+        "define void"
+        f" @{name}({', '.join(f'ptr noalias %{a}' for a in given)}{', i64 %count' if slopes else ''}) {{"
+    )
     h, half, sixth, third = _lengths(t)
     x0 = [t.load("%x", i) for i in range(nx)]
     xs = t.place("%work", 4 * nx)
@@ -133,9 +164,17 @@ def _slope_places(t: _Lines, nx: int, width: str) -> tuple[list[str], list[str]]
 
 
 def _stage(
-    t: _Lines, r: int, k: str, at: str, slopes_of_inputs: list[str], results: tuple[str, str] | None, nx: int
+    t: _Lines,
+    r: int,
+    k: str,
+    at: str,
+    slopes_of_inputs: list[str],
+    results: tuple[str, str] | None,
+    nx: int,
 ) -> list[str]:
-    """Rates, written to k, of stage r at the states `at`, with their slopes where there are places for these results."""
+    """Rates, written to k, of stage r at the states `at`, with their slopes where there are places
+    for these results.
+    """
     j = _STAGES[r]
     inputs = f"ptr %u{j}, ptr {slopes_of_inputs[int(j)]}, ptr %p, ptr %s, ptr %m"
     function, written = ("slopes", (k, *results)) if results else ("rates", (k, k, k))
@@ -150,13 +189,18 @@ def _move(t: _Lines, x0: list[str], reach: str, rates: list[str], xs: str) -> No
 
 
 class _Column:
-    """One sensitivity column, or as many as a vector holds side by side: how their values are read, written and repeated."""
+    """One sensitivity column, or as many as a vector holds side by side: how their values are read,
+    written and repeated.
+    """
 
     def __init__(self, t: _Lines, c: str, together: int) -> None:
         self.t, self.c, self.together = t, c, together
         t.kind = "double" if together == 1 else f"<{together} x double>"
         numbers = [c] + [t.new(f"add i64 {c}, {lane}") for lane in range(1, together)]
-        self.columns = [t.new(f"load i64, ptr {t.new(f'getelementptr i64, ptr %columns, i64 {number}')}") for number in numbers]
+        self.columns = [
+            t.new(f"load i64, ptr {t.new(f'getelementptr i64, ptr %columns, i64 {number}')}")
+            for number in numbers
+        ]
 
     def load(self, array: str, row: int) -> str:
         """Of an array with a place for each column in every row."""
@@ -167,7 +211,9 @@ class _Column:
         self.t.say(f"  store {self.t.kind} {value}, ptr {self._place(array, row)}, align 8")
 
     def pick(self, array: str, row: str) -> str:
-        """Of a row of a matrix, which begins at `row`, the values in the places that the columns name."""
+        """Of a row of a matrix, which begins at `row`, the values in the places that the columns
+        name.
+        """
         t = self.t
         values = [t.load(array, t.new(f"add i64 {row}, {column}")) for column in self.columns]
         return values[0] if self.together == 1 else self._joined(values)
@@ -177,7 +223,10 @@ class _Column:
         if self.together == 1:
             return value
         first = self.t.new(f"insertelement {self.t.kind} poison, double {value}, i32 0")
-        return self.t.new(f"shufflevector {self.t.kind} {first}, {self.t.kind} poison, <{self.together} x i32> zeroinitializer")
+        return self.t.new(
+            f"shufflevector {self.t.kind} {first}, {self.t.kind} poison, <{self.together} x i32>"
+            " zeroinitializer"
+        )
 
     def _joined(self, values: Sequence[str]) -> str:
         joined = "poison"
@@ -186,7 +235,9 @@ class _Column:
         return joined
 
     def _place(self, array: str, row: int) -> str:
-        return self.t.place(array, self.t.new(f"add i64 {self.t.new(f'mul i64 {row}, %count')}, {self.c}"))
+        return self.t.place(
+            array, self.t.new(f"add i64 {self.t.new(f'mul i64 {row}, %count')}, {self.c}")
+        )
 
 
 def _column_step(
@@ -205,7 +256,11 @@ def _column_step(
         d = []
         for i in range(nx):
             terms = [column.pick(B, begins[i])] if i in begins else []
-            terms += [t.times(column.all(t.load(A, i * nx + j)), S[j]) for j in range(nx) if (i, j) in places]
+            terms += [
+                t.times(column.all(t.load(A, i * nx + j)), S[j])
+                for j in range(nx)
+                if (i, j) in places
+            ]
             d.append(reduce(t.add, terms) if terms else column.all("0.0"))
         stages.append(d)
         S = [t.add(S0[i], t.times(h if r == 2 else half, d[i])) for i in range(nx)]
@@ -214,11 +269,16 @@ def _column_step(
 
 
 def _columns_loop(t: _Lines, body: Callable[[_Column], None]) -> None:
-    """Do `body` for all sensitivity columns, as many side by side as a vector holds, then for those left one by one."""
+    """Do `body` for all sensitivity columns, as many side by side as a vector holds, then for those
+    left one by one.
+    """
     first, begun = "0", "entry"
     for together in _VECTORS:
         n = str(together)
-        t.say(f"  br label %head{n}\nhead{n}:\n  %c{n} = phi i64 [ {first}, %{begun} ], [ %next{n}, %body{n} ]")
+        t.say(
+            f"  br label %head{n}\nhead{n}:\n  %c{n} = phi i64 [ {first}, %{begun} ], [ %next{n},"
+            f" %body{n} ]"
+        )
         t.say(f"  %next{n} = add i64 %c{n}, {n}\n  %more{n} = icmp sle i64 %next{n}, %count")
         t.say(f"  br i1 %more{n}, label %body{n}, label %done{n}\nbody{n}:")
         body(_Column(t, f"%c{n}", together))
@@ -239,8 +299,14 @@ def _observe(nx: int, ny: int, width: int) -> str:
     given = ", ".join(f"ptr %{a}" for a in arrays[:6])
     t.say(f"  call void @outputs({given}, ptr %y, ptr %work, ptr %work)")
     t.say("  %none = icmp eq i64 %count, 0\n  br i1 %none, label %end, label %slopes\nslopes:")
-    t.say(f"  call void @output_slopes({given}, ptr %work, ptr {t.place('%work', ny * nx)}, ptr %work)")
-    t.say(f"  call void @observed({_COLUMNS.format('%dy', width).replace('noalias ', '')})\n  br label %end\nend:")
+    t.say(
+        f"  call void @output_slopes({given}, ptr %work, ptr {t.place('%work', ny * nx)}, ptr"
+        " %work)"
+    )
+    t.say(
+        f"  call void @observed({_COLUMNS.format('%dy', width).replace('noalias ', '')})\n  br"
+        " label %end\nend:"
+    )
     return t.ended()
 
 

@@ -1,4 +1,6 @@
-"""The catalogue of physical effects: id → effect. A new effect is one class in the file of its kind and one line in `EFFECTS`."""
+"""The catalogue of physical effects: id → effect. A new effect is one class in the file of its kind
+and one line in `EFFECTS`.
+"""
 
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -6,7 +8,12 @@ from types import MappingProxyType
 from residuum.identification.entry_points import from_entry_points
 from residuum.identification.physics.effects.base import Effect
 from residuum.identification.physics.effects.catalogue import EffectCatalogue
-from residuum.identification.physics.effects.electric import BrushDrop, Inductance, ResistanceHeating, SupplySag
+from residuum.identification.physics.effects.electric import (
+    BrushDrop,
+    Inductance,
+    ResistanceHeating,
+    SupplySag,
+)
 from residuum.identification.physics.effects.friction import (
     CoulombFriction,
     DirectionalFriction,
@@ -18,7 +25,14 @@ from residuum.identification.physics.effects.friction import (
     StribeckFriction,
     ViscousFriction,
 )
-from residuum.identification.physics.effects.hydraulic import CheckValve, Leak, Orifice, Outflow, Overflow, PumpNonlinearity
+from residuum.identification.physics.effects.hydraulic import (
+    CheckValve,
+    Leak,
+    Orifice,
+    Outflow,
+    Overflow,
+    PumpNonlinearity,
+)
 from residuum.identification.physics.effects.input_path import (
     InputBacklash,
     InputDeadZone,
@@ -28,7 +42,12 @@ from residuum.identification.physics.effects.input_path import (
     InputPower,
     InputSaturation,
 )
-from residuum.identification.physics.effects.load import Cogging, ConstantLoad, PositionLoad, ToothRipple
+from residuum.identification.physics.effects.load import (
+    Cogging,
+    ConstantLoad,
+    PositionLoad,
+    ToothRipple,
+)
 from residuum.identification.physics.effects.output_path import (
     OutputAbsolute,
     OutputDrift,
@@ -38,7 +57,12 @@ from residuum.identification.physics.effects.output_path import (
     OutputQuantisation,
     OutputSaturation,
 )
-from residuum.identification.physics.effects.spring import BoucWen, CubicSpring, Hysteresis, LinearSpring
+from residuum.identification.physics.effects.spring import (
+    BoucWen,
+    CubicSpring,
+    Hysteresis,
+    LinearSpring,
+)
 from residuum.identification.physics.effects.structure import Coupling, ForgottenInput, Learned
 from residuum.identification.physics.effects.thermal import (
     AmbientLoss,
@@ -50,7 +74,11 @@ from residuum.identification.physics.effects.thermal import (
     Radiation,
     SecondHeatStore,
 )
-from residuum.identification.physics.effects.transmission import Backlash, ElasticTransmission, EndStop
+from residuum.identification.physics.effects.transmission import (
+    Backlash,
+    ElasticTransmission,
+    EndStop,
+)
 
 EFFECTS = EffectCatalogue(
     {
@@ -112,6 +140,8 @@ EFFECTS = EffectCatalogue(
 STRUCTURAL: Mapping[str, Effect] = MappingProxyType(
     {"forgotten-input": ForgottenInput(), "coupling": Coupling(), "learned": Learned()}
 )
-"""Effects at `balance(signal)` or `balance(other)`: what they are tied to is searched in the records, not in the catalogue."""
+"""Effects at `balance(signal)` or `balance(other)`: what they are tied to is searched in the
+records, not in the catalogue.
+"""
 for _found in from_entry_points("residuum.effects"):
     EFFECTS.add(_found() if isinstance(_found, type) else _found)

@@ -1,4 +1,6 @@
-"""What every physical effect is: one more term in one balance, or one more stage on the path of an input or output."""
+"""What every physical effect is: one more term in one balance, or one more stage on the path of an
+input or output.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,9 @@ class Prior:
 
 @dataclass(frozen=True)
 class Parameter:
-    """A number of a model: value, unit, bounds, meaning; `fixed` keeps it out of the estimation, a `prior` draws it."""
+    """A number of a model: value, unit, bounds, meaning; `fixed` keeps it out of the estimation, a
+    `prior` draws it.
+    """
 
     name: str
     value: float
@@ -51,16 +55,19 @@ class Site:
     Parameters
     ----------
     kind : str
-        Balance kind (`torque`, `force`, `voltage`, `heat`, `volume`, `signal`), or `input` or `output`.
+        Balance kind (`torque`, `force`, `voltage`, `heat`, `volume`, `signal`), or `input` or
+        `output`.
     name : str
         Name of the balance, input or output.
     unit : str
         Unit of the balance's terms, or of the signal.
     units : mapping of role to unit
-        The variables there are: `velocity`, `position`, `current`, `temperature`, `ambient`, `level`, `supply` (the
-        input that drives the balance); the effect's `needs` must be among them.
+        The variables there are: `velocity`, `position`, `current`, `temperature`, `ambient`,
+        `level`, `supply` (the input that drives the balance); the effect's `needs` must be among
+        them.
     signals : tuple of str
-        What the effect is tied to besides, by name: signals of the model, or another balance; signals are in `units` too.
+        What the effect is tied to besides, by name: signals of the model, or another balance;
+        signals are in `units` too.
     """
 
     kind: str
@@ -82,11 +89,11 @@ class Site:
 class Scene:
     """The symbols an effect writes its equation with.
 
-    `p` and `x` are the effect's own parameters and states by name; `variables` has, by role, the balance's
-    variables and in addition `supply` (the input), `supply_terms` and `drive` (sums of the balance's terms that contain an
-    input, an
-    input or a current) and `storage` (what multiplies the derivative); `direction` is the sign of the velocity or
-    current, zero at standstill; `signal` is the path's signal so far, `t` the time since the record's start [s].
+    `p` and `x` are the effect's own parameters and states by name; `variables` has, by role, the
+    balance's variables and in addition `supply` (the input), `supply_terms` and `drive` (sums of
+    the balance's terms that contain an input, an input or a current) and `storage` (what multiplies
+    the derivative); `direction` is the sign of the velocity or current, zero at standstill;
+    `signal` is the path's signal so far, `t` the time since the record's start [s].
     """
 
     site: Site
@@ -114,11 +121,13 @@ class Contribution:
     rates, initial : mapping of own state to expression
         Time derivative and initial value of the effect's own states.
     deviating : tuple of own state
-        Those that may begin away from their initial value (a sensor that has not settled); by how much is estimated.
+        Those that may begin away from their initial value (a sensor that has not settled); by how
+        much is estimated.
     storage_factor : expression
         Multiplies the balance's storage.
     inductance : expression
-        Storage that a balance without storage receives: the variable that it defined becomes a state.
+        Storage that a balance without storage receives: the variable that it defined becomes a
+        state.
     signal : expression or None
         A path's signal after this stage.
     delay : symbol or None
@@ -138,7 +147,8 @@ class Contribution:
 
 @dataclass(frozen=True)
 class Conditions:
-    """What is known of the operation when an effect is about to be tried: scales for its first values.
+    """What is known of the operation when an effect is about to be tried: scales for its first
+    values.
 
     Parameters
     ----------
@@ -147,11 +157,13 @@ class Conditions:
     magnitude : float
         RMS of the balance's driving terms, or of the path's signal, in the site's unit.
     storage : float
-        The balance's storage coefficient (inertia, mass, heat capacity, area), in the site's unit a unit of rate.
+        The balance's storage coefficient (inertia, mass, heat capacity, area), in the site's unit a
+        unit of rate.
     variables : mapping of role to array
         The balance's variables along the simulation of the present model.
     missing : array or None
-        What the effect `follows`, along the same samples: the balance's smoothed missing term, or what is left of an output.
+        What the effect `follows`, along the same samples: the balance's smoothed missing term, or
+        what is left of an output.
     """
 
     sample_time: float
@@ -175,15 +187,19 @@ class Conditions:
 
 
 def _or_one(size: float) -> float:
-    """A size that effects divide by, also by its powers: what a simulation of a machine at rest leaves of it is none."""
+    """A size that effects divide by, also by its powers: what a simulation of a machine at rest
+    leaves of it is none.
+    """
     return size if size > RESTS else 1.0
 
 
 @dataclass(frozen=True)
 class Example:
-    """A model file's text with the effect in it, for the conformance test: the input moves as `profile` says.
+    """A model file's text with the effect in it, for the conformance test: the input moves as
+    `profile` says.
 
-    `profile` is `sweep` (both directions, standstill between) or `steps` (between zero and `amplitude`).
+    `profile` is `sweep` (both directions, standstill between) or `steps` (between zero and
+    `amplitude`).
     """
 
     model: str
@@ -207,34 +223,39 @@ class Effect(ABC):
     needs : tuple of str
         Roles of the variables its equation uses.
     sizes : tuple of str
-        Parameters that all vanish when there is no effect. Empty: the effect has no zero (a delay of one sample, a limit) and
-        is screened by trying its `starts`.
+        Parameters that all vanish when there is no effect. Empty: the effect has no zero (a delay
+        of one sample, a limit) and is screened by trying its `starts`.
     rest : float
-        Fraction of the starting size at which derivatives "at zero" are taken. Zero where the equation is smooth in the
-        size; a small number for friction, whose standstill (an exactly zero velocity) exists only once there is some.
+        Fraction of the starting size at which derivatives "at zero" are taken. Zero where the
+        equation is smooth in the size; a small number for friction, whose standstill (an exactly
+        zero velocity) exists only once there is some.
     follows : tuple of str
-        What its `starts` look at, one after the other, as the conditions' `missing`: `lack` (what its balance lacked),
-        `innovations` (what the noise cannot predict of an output), `error` (all the error of an output).
+        What its `starts` look at, one after the other, as the conditions' `missing`: `lack` (what
+        its balance lacked), `innovations` (what the noise cannot predict of an output), `error`
+        (all the error of an output).
     natural_bounds : tuple of str
-        Parameters that may well lie on a bound; any other estimate on a bound is another effect, or none, in disguise.
+        Parameters that may well lie on a bound; any other estimate on a bound is another effect, or
+        none, in disguise.
     ordered : tuple of (str, str)
-        Pairs of parameters of which the first lies below the second (the ends of a travel): where it does not there is no such
-        machine, and no estimate comes out.
+        Pairs of parameters of which the first lies below the second (the ends of a travel): where
+        it does not there is no such machine, and no estimate comes out.
     generalises : str
-        Effect that this one contains as a special case (or itself): where that one fits, this one is tried from there as well
-        (`grown`).
+        Effect that this one contains as a special case (or itself): where that one fits, this one
+        is tried from there as well (`grown`).
     shifts : str
         Parameter that says by how much it shifts a signal in time [s]; empty: none does.
     takes_columns : bool
         Whether it is tried with columns of the record that the model does not use.
     curve : bool
-        Whether it is a curve to be learned: tried where nothing with a name is real, and begun where what its balance lacks lies.
+        Whether it is a curve to be learned: tried where nothing with a name is real, and begun
+        where what its balance lacks lies.
     signals : int
         How many signals it is tied to; its target is then `balance(signal, …)`.
     between : bool
         Whether it stands between two balances; its target is then `balance(other)`.
     reaches : bool
-        Whether what it takes from its balance may also run into another one: its target is then `balance(other)`, else `balance`.
+        Whether what it takes from its balance may also run into another one: its target is then
+        `balance(other)`, else `balance`.
     """
 
     id: ClassVar[str]
@@ -258,7 +279,9 @@ class Effect(ABC):
 
     @property
     def vanishes(self) -> bool:
-        """Whether a zero of all `sizes` removes the effect, so that derivatives at zero screen it."""
+        """Whether a zero of all `sizes` removes the effect, so that derivatives at zero screen
+        it.
+        """
         return bool(self.sizes)
 
     def joins(self, target: str) -> bool:
@@ -290,29 +313,46 @@ class Effect(ABC):
     def starts(self, conditions: Conditions) -> Sequence[Mapping[str, float]]:
         """Values to try first: one mapping (of every parameter) for each shape worth trying."""
 
-    def grown(self, special: Mapping[str, float], conditions: Conditions) -> Sequence[Mapping[str, float]]:
-        """Values to try near an estimate of the effect that it `generalises`, in the conditions of that estimate."""
+    def grown(
+        self, special: Mapping[str, float], conditions: Conditions
+    ) -> Sequence[Mapping[str, float]]:
+        """Values to try near an estimate of the effect that it `generalises`, in the conditions of
+        that estimate.
+        """
         return []
 
-    def specialised(self, general: Mapping[str, float], conditions: Conditions) -> Mapping[str, float]:
-        """Values of the effect that it `generalises` at an estimate of its own; empty where they do not follow."""
+    def specialised(
+        self, general: Mapping[str, float], conditions: Conditions
+    ) -> Mapping[str, float]:
+        """Values of the effect that it `generalises` at an estimate of its own; empty where they do
+        not follow.
+        """
         return {}
 
     def says_more(self, general: Mapping[str, float], std: Mapping[str, float]) -> bool:
-        """Whether an estimate of its own differs from the effect that it `generalises` by more than twice its doubt."""
+        """Whether an estimate of its own differs from the effect that it `generalises` by more than
+        twice its doubt.
+        """
         return True
 
     def recorded(self, site: Site) -> bool:
-        """Whether the record says when the effect acts; an event that nobody recorded may have been something else."""
+        """Whether the record says when the effect acts; an event that nobody recorded may have been
+        something else.
+        """
         return True
 
     def shows(self, values: Mapping[str, float], conditions: Conditions) -> bool:
-        """Whether the effect can be told, where it has these values and within the conditions' duration, from an unknown load."""
+        """Whether the effect can be told, where it has these values and within the conditions'
+        duration, from an unknown load.
+        """
         return True
 
     def at_rest(self, start: Mapping[str, float]) -> dict[str, float]:
         """A start with its sizes shrunk to where screening takes derivatives."""
-        return {name: value * self.rest if name in self.sizes else value for name, value in start.items()}
+        return {
+            name: value * self.rest if name in self.sizes else value
+            for name, value in start.items()
+        }
 
     @abstractmethod
     def examples(self) -> Sequence[Example]:
@@ -321,7 +361,8 @@ class Effect(ABC):
 
 @lru_cache(maxsize=1024)
 def quotient(numerator: str, denominator: str, power: float = 1.0) -> str:
-    """Unit `numerator / denominator**power` in short symbols; temperatures count as differences (K).
+    """Unit `numerator / denominator**power` in short symbols; temperatures count as differences
+    (K).
 
     >>> quotient("W", "°C", 4)
     'W/K**4'
@@ -337,13 +378,17 @@ def product(first: str, second: str) -> str:
     >>> product("W", "s")
     'W*s'
     """
-    return _short(parse_unit(_DIFFERENCE.get(first, first)) * parse_unit(_DIFFERENCE.get(second, second)))
+    return _short(
+        parse_unit(_DIFFERENCE.get(first, first)) * parse_unit(_DIFFERENCE.get(second, second))
+    )
 
 
 def _short(unit: Unit) -> str:
     """Short symbols, force and voltage before lengths and times: N*m*s/rad."""
     symbols = list(unit.symbols.items())
-    symbols.sort(key=lambda item: (_ORDER.index(item[0]) if item[0] in _ORDER else len(_ORDER), item[0]))
+    symbols.sort(
+        key=lambda item: (_ORDER.index(item[0]) if item[0] in _ORDER else len(_ORDER), item[0])
+    )
     above = [_raised(name, exponent) for name, exponent in symbols if exponent > 0]
     below = [_raised(name, -exponent) for name, exponent in symbols if exponent < 0]
     return "/".join(["*".join(above) or "1", *below]) if symbols else ""
@@ -353,5 +398,25 @@ def _raised(name: str, exponent: float) -> str:
     return name if exponent == 1 else f"{name}**{exponent:g}"
 
 
-_ORDER = ("kN", "N", "mN", "V", "W", "kW", "J", "A", "ohm", "kg", "K", "m", "cm", "mm", "l", "s", "min", "h", "rad")
+_ORDER = (
+    "kN",
+    "N",
+    "mN",
+    "V",
+    "W",
+    "kW",
+    "J",
+    "A",
+    "ohm",
+    "kg",
+    "K",
+    "m",
+    "cm",
+    "mm",
+    "l",
+    "s",
+    "min",
+    "h",
+    "rad",
+)
 _DIFFERENCE = {"°C": "K", "degC": "K", "C": "K"}

@@ -18,10 +18,12 @@ from residuum.identification.physics.effects.example_models import drive_example
 
 
 class Inductance(Effect):
-    """A voltage balance without storage receives L·di/dt: the current becomes a state with time constant L/R.
+    """A voltage balance without storage receives L·di/dt: the current becomes a state with time
+    constant L/R.
 
-    `L` [balance unit · s / current unit] > 0. A time constant far below the sample time cannot be seen; near it, it resembles an
-    input delay. The current begins where it would settle, or where the record says: a machine may be switched on with it.
+    `L` [balance unit · s / current unit] > 0. A time constant far below the sample time cannot be
+    seen; near it, it resembles an input delay. The current begins where it would settle, or where
+    the record says: a machine may be switched on with it.
     """
 
     id = "inductance"
@@ -32,13 +34,19 @@ class Inductance(Effect):
     needs = ("current", "defined")
 
     def parameters(self, site: Site) -> tuple[Parameter, ...]:
-        return (Parameter("L", 1e-6, product(site.per("current"), "s"), lower=1e-12, meaning="inductance"),)
+        return (
+            Parameter(
+                "L", 1e-6, product(site.per("current"), "s"), lower=1e-12, meaning="inductance"
+            ),
+        )
 
     def contribution(self, scene: Scene) -> Contribution:
         return Contribution(inductance=scene.p["L"])
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
-        return [{"L": steps * conditions.storage * conditions.sample_time} for steps in (0.2, 1.0, 5.0)]
+        return [
+            {"L": steps * conditions.storage * conditions.sample_time} for steps in (0.2, 1.0, 5.0)
+        ]
 
     def examples(self) -> list[Example]:
         return [drive_example()]
@@ -47,7 +55,8 @@ class Inductance(Effect):
 class BrushDrop(Effect):
     """−V_b·sign(i): no current flows until the drop is overcome.
 
-    `V_b` [balance unit] ≥ 0. Through K·i it resembles Coulomb friction unless the current is recorded.
+    `V_b` [balance unit] ≥ 0. Through K·i it resembles Coulomb friction unless the current is
+    recorded.
     """
 
     id = "brush-drop"
@@ -75,14 +84,17 @@ class BrushDrop(Effect):
 class SupplySag(Effect):
     """The supply terms, in all u, fall with the current i: −k·|i|·u, by a share for each ampere.
 
-    `k` [1 / current unit] ≥ 0. `p`, fixed, is the power of u by which they fall: 0 for a resistance in the supply,
-    −k·u_ref·|i|·sgn(u); 1 for a share; 2 for a chopper, which takes from its supply less than the motor's current, by its duty.
-    `fed`, fixed: with 1 only current that the supply feeds counts, (|i| + i·sgn(u))/2, with 0 that of braking too.
+    `k` [1 / current unit] ≥ 0. `p`, fixed, is the power of u by which they fall: 0 for a resistance
+    in the supply, −k·u_ref·|i|·sgn(u); 1 for a share; 2 for a chopper, which takes from its supply
+    less than the motor's current, by its duty. `fed`, fixed: with 1 only current that the supply
+    feeds counts, (|i| + i·sgn(u))/2, with 0 that of braking too.
     """
 
     id = "supply-sag"
     title = "Supply sag"
-    equation = "−k·|i|·supply, or with |supply/u_ref|^p instead of supply; with braking current or without"
+    equation = (
+        "−k·|i|·supply, or with |supply/u_ref|^p instead of supply; with braking current or without"
+    )
     reference = "J. Larminie, J. Lowry, Electric Vehicle Technology Explained, ch. 3"
     acts_on = ("voltage",)
     needs = ("current", "supply")
@@ -92,23 +104,55 @@ class SupplySag(Effect):
         per_current = quotient("1", site.units["current"])
         return (
             Parameter("k", 0.0, per_current, lower=0.0, meaning="relative sag per current"),
-            Parameter("p", 1.0, "", lower=0.0, upper=2.0, fixed=True, meaning="power of the supply: 0, 1 or 2"),
-            Parameter("fed", 0.0, "", lower=0.0, upper=1.0, fixed=True, meaning="1: only current that the supply feeds"),
-            Parameter("u_ref", 1.0, site.unit, lower=1e-12, fixed=True, meaning="supply at which all powers do the same"),
+            Parameter(
+                "p",
+                1.0,
+                "",
+                lower=0.0,
+                upper=2.0,
+                fixed=True,
+                meaning="power of the supply: 0, 1 or 2",
+            ),
+            Parameter(
+                "fed",
+                0.0,
+                "",
+                lower=0.0,
+                upper=1.0,
+                fixed=True,
+                meaning="1: only current that the supply feeds",
+            ),
+            Parameter(
+                "u_ref",
+                1.0,
+                site.unit,
+                lower=1e-12,
+                fixed=True,
+                meaning="supply at which all powers do the same",
+            ),
         )
 
     def contribution(self, scene: Scene) -> Contribution:
         k, p, fed, u_ref = (scene.p[name] for name in ("k", "p", "fed", "u_ref"))
         u, i = scene["supply_terms"], scene["current"]
         z, way = sp.Abs(u) / u_ref, sp.sign(u)
-        share = (1 - p) * (2 - p) / 2 + p * (2 - p) * z + p * (p - 1) / 2 * z**2  # z^p where p is whole
+        share = (
+            (1 - p) * (2 - p) / 2 + p * (2 - p) * z + p * (p - 1) / 2 * z**2
+        )  # z^p where p is whole
         current = (1 - fed / 2) * sp.Abs(i) * way + fed / 2 * i * way**2
         return Contribution(term=-k * u_ref * share * current)
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
         k = 0.05 / conditions.largest("current")
-        u_ref = conditions.largest("supply_terms") if "supply_terms" in conditions.variables else conditions.magnitude
-        return [{"k": k, "p": p, "fed": fed, "u_ref": u_ref} for p, fed in ((1.0, 0.0), (0.0, 1.0), (2.0, 1.0))]
+        u_ref = (
+            conditions.largest("supply_terms")
+            if "supply_terms" in conditions.variables
+            else conditions.magnitude
+        )
+        return [
+            {"k": k, "p": p, "fed": fed, "u_ref": u_ref}
+            for p, fed in ((1.0, 0.0), (0.0, 1.0), (2.0, 1.0))
+        ]
 
     def examples(self) -> list[Example]:
         return [drive_example()]
@@ -117,9 +161,8 @@ class SupplySag(Effect):
 class ResistanceHeating(Effect):
     """Extra resistance ρ with its own warming: −ρ·i, τ·ρ' = a·i² − ρ.
 
-    `a` [ohm / current unit²] ≥ 0, the extra resistance that a squared current ends at; `tau` [s] > 0. Records much shorter
-    than tau show
-    only a/tau.
+    `a` [ohm / current unit²] ≥ 0, the extra resistance that a squared current ends at; `tau` [s] >
+    0. Records much shorter than tau show only a/tau.
     """
 
     id = "resistance-heating"
@@ -147,7 +190,11 @@ class ResistanceHeating(Effect):
 
     def contribution(self, scene: Scene) -> Contribution:
         p, i, rho = scene.p, scene["current"], scene.x["rho"]
-        return Contribution(term=-rho * i, rates={"rho": (p["a"] * i**2 - rho) / p["tau"]}, initial={"rho": sp.S.Zero})
+        return Contribution(
+            term=-rho * i,
+            rates={"rho": (p["a"] * i**2 - rho) / p["tau"]},
+            initial={"rho": sp.S.Zero},
+        )
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
         size = 0.1 * conditions.storage / conditions.largest("current") ** 2

@@ -43,7 +43,9 @@ class ViscousFriction(Friction):
     sizes = ("d",)
 
     def parameters(self, site: Site) -> tuple[Parameter, ...]:
-        return (Parameter("d", 0.0, site.per("velocity"), lower=0.0, meaning="friction per velocity"),)
+        return (
+            Parameter("d", 0.0, site.per("velocity"), lower=0.0, meaning="friction per velocity"),
+        )
 
     def contribution(self, scene: Scene) -> Contribution:
         return Contribution(term=-scene.p["d"] * scene["velocity"])
@@ -61,7 +63,9 @@ class CoulombFriction(Friction):
     id = "coulomb-friction"
     title = "Coulomb friction"
     equation = "−τ_c·sign(v)"
-    reference = "Coulomb 1785; Armstrong-Hélouvry, Dupont, Canudas de Wit, Automatica 30 (1994) 1083"
+    reference = (
+        "Coulomb 1785; Armstrong-Hélouvry, Dupont, Canudas de Wit, Automatica 30 (1994) 1083"
+    )
     sizes = ("tau_c",)
     rest = 0.001
 
@@ -78,14 +82,17 @@ class CoulombFriction(Friction):
 class StribeckFriction(Friction):
     """Stribeck curve: −(τ_c + τ_s·exp(−(v/v_s)²))·sign(v); breakaway needs τ_c + τ_s, sliding τ_c.
 
-    `tau_c`, `tau_s` [balance unit] ≥ 0; `v_s` [velocity unit] > 0, the velocity over which the extra friction fades.
-    Where the record never passes slowly through v_s, `tau_s` and `v_s` trade off.
+    `tau_c`, `tau_s` [balance unit] ≥ 0; `v_s` [velocity unit] > 0, the velocity over which the
+    extra friction fades. Where the record never passes slowly through v_s, `tau_s` and `v_s` trade
+    off.
     """
 
     id = "stribeck-friction"
     title = "Stribeck friction"
     equation = "−(τ_c + τ_s·exp(−(v/v_s)²))·sign(v)"
-    reference = "Stribeck 1902; Armstrong-Hélouvry, Dupont, Canudas de Wit, Automatica 30 (1994) 1083"
+    reference = (
+        "Stribeck 1902; Armstrong-Hélouvry, Dupont, Canudas de Wit, Automatica 30 (1994) 1083"
+    )
     sizes = ("tau_c", "tau_s")
     rest = 0.001
     generalises = "coulomb-friction"
@@ -94,7 +101,13 @@ class StribeckFriction(Friction):
         return (
             Parameter("tau_c", 0.0, site.unit, lower=0.0, meaning="friction while sliding"),
             Parameter("tau_s", 0.0, site.unit, lower=0.0, meaning="extra friction at breakaway"),
-            Parameter("v_s", 0.1, site.units["velocity"], lower=1e-9, meaning="velocity over which it fades"),
+            Parameter(
+                "v_s",
+                0.1,
+                site.units["velocity"],
+                lower=1e-9,
+                meaning="velocity over which it fades",
+            ),
         )
 
     def contribution(self, scene: Scene) -> Contribution:
@@ -104,7 +117,10 @@ class StribeckFriction(Friction):
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
         size, fastest = 0.1 * conditions.magnitude, conditions.largest("velocity")
-        return [{"tau_c": size, "tau_s": size, "v_s": fraction * fastest} for fraction in (0.01, 0.05, 0.2)]
+        return [
+            {"tau_c": size, "tau_s": size, "v_s": fraction * fastest}
+            for fraction in (0.01, 0.05, 0.2)
+        ]
 
     def specialised(self, general: Mapping[str, float], conditions: Conditions) -> dict[str, float]:
         """The friction while sliding."""
@@ -117,20 +133,27 @@ class StribeckFriction(Friction):
     def grown(self, special: Mapping[str, float], conditions: Conditions) -> list[dict[str, float]]:
         """Dry friction that was too large at speed and too small at rest."""
         tau, fastest = special["tau_c"], conditions.largest("velocity")
-        return [{"tau_c": 0.8 * tau, "tau_s": 0.5 * tau, "v_s": fraction * fastest} for fraction in (0.02, 0.1)]
+        return [
+            {"tau_c": 0.8 * tau, "tau_s": 0.5 * tau, "v_s": fraction * fastest}
+            for fraction in (0.02, 0.1)
+        ]
 
 
 class LuGre(Effect):
-    """−F, F' = σ·(v − |v|·F/g(v)), g = τ_c + τ_s·exp(−(v/v_s)²): LuGre's model without its damping of the bristles.
+    """−F, F' = σ·(v − |v|·F/g(v)), g = τ_c + τ_s·exp(−(v/v_s)²): LuGre's model without its damping
+    of the bristles.
 
-    `tau_c`, `tau_s` [balance unit] ≥ 0; `v_s` [velocity unit] > 0; `sigma` [balance unit / position unit] > 0, the bristles'
-    stiffness. With a stiff bristle it is Stribeck's friction.
+    `tau_c`, `tau_s` [balance unit] ≥ 0; `v_s` [velocity unit] > 0; `sigma` [balance unit / position
+    unit] > 0, the bristles' stiffness. With a stiff bristle it is Stribeck's friction.
     """
 
     id = "lugre"
     title = "LuGre friction"
     equation = "−F, F' = σ·(v − |v|·F/g(v))"
-    reference = "C. Canudas de Wit, H. Olsson, K. J. Åström, P. Lischinsky, IEEE Trans. Autom. Control 40 (1995) 419"
+    reference = (
+        "C. Canudas de Wit, H. Olsson, K. J. Åström, P. Lischinsky, IEEE Trans. Autom. Control 40"
+        " (1995) 419"
+    )
     acts_on = ("torque", "force")
     needs = ("velocity",)
     sizes = ("sigma",)
@@ -140,7 +163,13 @@ class LuGre(Effect):
         return (
             Parameter("tau_c", 1e-6, site.unit, lower=1e-12, meaning="friction while sliding"),
             Parameter("tau_s", 0.0, site.unit, lower=0.0, meaning="extra friction at breakaway"),
-            Parameter("v_s", 0.1, site.units["velocity"], lower=1e-9, meaning="velocity over which it fades"),
+            Parameter(
+                "v_s",
+                0.1,
+                site.units["velocity"],
+                lower=1e-9,
+                meaning="velocity over which it fades",
+            ),
             Parameter("sigma", 0.0, stiffness, lower=0.0, meaning="stiffness of the bristles"),
         )
 
@@ -150,13 +179,22 @@ class LuGre(Effect):
     def contribution(self, scene: Scene) -> Contribution:
         p, v, force = scene.p, scene["velocity"], scene.x["F"]
         g = p["tau_c"] + p["tau_s"] * sp.exp(-((v / p["v_s"]) ** 2))
-        return Contribution(term=-force, rates={"F": p["sigma"] * (v - sp.Abs(v) * force / g)}, initial={"F": sp.S.Zero})
+        return Contribution(
+            term=-force,
+            rates={"F": p["sigma"] * (v - sp.Abs(v) * force / g)},
+            initial={"F": sp.S.Zero},
+        )
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
         size, fastest = 0.1 * conditions.magnitude, conditions.largest("velocity")
         travelled = fastest * conditions.sample_time
         return [
-            {"tau_c": size, "tau_s": 0.3 * size, "v_s": 0.1 * fastest, "sigma": size / (steps * travelled)}
+            {
+                "tau_c": size,
+                "tau_s": 0.3 * size,
+                "v_s": 0.1 * fastest,
+                "sigma": size / (steps * travelled),
+            }
             for steps in (5.0, 30.0)
         ]
 
@@ -199,7 +237,9 @@ class DirectionalFriction(Friction):
         return {"tau_c": 0.5 * (general["tau_plus"] + general["tau_minus"])}
 
     def says_more(self, general: Mapping[str, float], std: Mapping[str, float]) -> bool:
-        """Not where both sides are equal; it may where the data leave that open, as beside a spring at rest anywhere."""
+        """Not where both sides are equal; it may where the data leave that open, as beside a spring
+        at rest anywhere.
+        """
         doubt = float(np.hypot(std["tau_plus"], std["tau_minus"]))
         return not abs(general["tau_plus"] - general["tau_minus"]) <= 2.0 * doubt < np.inf
 
@@ -213,20 +253,36 @@ class DirectionalViscous(Friction):
     id = "directional-viscous"
     title = "Directional viscous friction"
     equation = "−d₊·v for v > 0, −d₋·v for v < 0"
-    reference = "A. Wahrburg et al., Motor-current-based estimation, IEEE Robot. Autom. Lett. 3 (2018) 775"
+    reference = (
+        "A. Wahrburg et al., Motor-current-based estimation, IEEE Robot. Autom. Lett. 3 (2018) 775"
+    )
     sizes = ("d_plus", "d_minus")
     generalises = "viscous-friction"
     natural_bounds = ("d_plus", "d_minus")
 
     def parameters(self, site: Site) -> tuple[Parameter, ...]:
         return (
-            Parameter("d_plus", 0.0, site.per("velocity"), lower=0.0, meaning="friction per velocity forwards"),
-            Parameter("d_minus", 0.0, site.per("velocity"), lower=0.0, meaning="friction per velocity backwards"),
+            Parameter(
+                "d_plus",
+                0.0,
+                site.per("velocity"),
+                lower=0.0,
+                meaning="friction per velocity forwards",
+            ),
+            Parameter(
+                "d_minus",
+                0.0,
+                site.per("velocity"),
+                lower=0.0,
+                meaning="friction per velocity backwards",
+            ),
         )
 
     def contribution(self, scene: Scene) -> Contribution:
         v = scene["velocity"]
-        return Contribution(term=-scene.p["d_plus"] * sp.Max(v, 0) - scene.p["d_minus"] * sp.Min(v, 0))
+        return Contribution(
+            term=-scene.p["d_plus"] * sp.Max(v, 0) - scene.p["d_minus"] * sp.Min(v, 0)
+        )
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
         size = 0.1 * conditions.magnitude / conditions.largest("velocity")
@@ -238,11 +294,16 @@ class DirectionalViscous(Friction):
 
     def says_more(self, general: Mapping[str, float], std: Mapping[str, float]) -> bool:
         """Not where both sides are equal."""
-        return not abs(general["d_plus"] - general["d_minus"]) <= 2.0 * float(np.hypot(std["d_plus"], std["d_minus"])) < np.inf
+        return (
+            not abs(general["d_plus"] - general["d_minus"])
+            <= 2.0 * float(np.hypot(std["d_plus"], std["d_minus"]))
+            < np.inf
+        )
 
 
 class LoadFriction(Friction):
-    """Worm gears and guideways: −μ·|drive|·sign(v), with the sum of the driving terms (motor torque, applied force).
+    """Worm gears and guideways: −μ·|drive|·sign(v), with the sum of the driving terms (motor
+    torque, applied force).
 
     `mu` [1], 0 … 1.
     """
@@ -255,7 +316,11 @@ class LoadFriction(Friction):
     rest = 0.001
 
     def parameters(self, site: Site) -> tuple[Parameter, ...]:
-        return (Parameter("mu", 0.0, "", lower=0.0, upper=1.0, meaning="friction per driving torque or force"),)
+        return (
+            Parameter(
+                "mu", 0.0, "", lower=0.0, upper=1.0, meaning="friction per driving torque or force"
+            ),
+        )
 
     def contribution(self, scene: Scene) -> Contribution:
         return Contribution(term=-scene.p["mu"] * sp.Abs(scene["drive"]) * scene.direction)
@@ -267,13 +332,17 @@ class LoadFriction(Friction):
 class PlaceFriction(Friction):
     """−τ·exp(−((q − q_0)/w)²)·sign(v): a dent in a rail, a rubbing seal, a chip in a screw.
 
-    `tau` [balance unit] ≥ 0; `q_0` [position unit], the place; `w` [position unit] > 0, its half width.
+    `tau` [balance unit] ≥ 0; `q_0` [position unit], the place; `w` [position unit] > 0, its half
+    width.
     """
 
     id = "place-friction"
     title = "Friction at one place"
     equation = "−τ·exp(−((q − q_0)/w)²)·sign(v)"
-    reference = "Armstrong-Hélouvry, Control of Machines with Friction, Kluwer 1991, ch. 5 (position-dependent friction)"
+    reference = (
+        "Armstrong-Hélouvry, Control of Machines with Friction, Kluwer 1991, ch. 5"
+        " (position-dependent friction)"
+    )
     needs = ("velocity", "position")
     sizes = ("tau",)
     rest = 0.001
@@ -294,7 +363,10 @@ class PlaceFriction(Friction):
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
         size, travel = 0.1 * conditions.magnitude, conditions.span("position")
         lowest = float(conditions.variables["position"].min())
-        return [{"tau": size, "q_0": lowest + part * travel, "w": 0.12 * travel} for part in (0.5, 0.2, 0.8, 0.35)]
+        return [
+            {"tau": size, "q_0": lowest + part * travel, "w": 0.12 * travel}
+            for part in (0.5, 0.2, 0.8, 0.35)
+        ]
 
 
 class QuadraticDrag(Friction):
@@ -310,7 +382,11 @@ class QuadraticDrag(Friction):
     sizes = ("c",)
 
     def parameters(self, site: Site) -> tuple[Parameter, ...]:
-        return (Parameter("c", 0.0, site.per("velocity", 2), lower=0.0, meaning="drag per velocity squared"),)
+        return (
+            Parameter(
+                "c", 0.0, site.per("velocity", 2), lower=0.0, meaning="drag per velocity squared"
+            ),
+        )
 
     def contribution(self, scene: Scene) -> Contribution:
         v = scene["velocity"]

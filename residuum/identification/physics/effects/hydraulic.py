@@ -1,18 +1,28 @@
 """Effects of liquid volumes."""
 
 from residuum.identification.physics.compile import symbolic as sp
-from residuum.identification.physics.effects.base import Conditions, Contribution, Effect, Example, Parameter, Scene, Site
+from residuum.identification.physics.effects.base import (
+    Conditions,
+    Contribution,
+    Effect,
+    Example,
+    Parameter,
+    Scene,
+    Site,
+)
 from residuum.identification.physics.effects.example_models import tank_example
 
 _SMALLEST = 1e-6
-"""Least share of the full input at which the power law is still followed: at zero it has no derivative."""
+"""Least share of the full input at which the power law is still followed: at zero it has no
+derivative.
+"""
 
 
 class SupplyNonlinearity(Effect):
     """The supply's gain changes with the input u: supply·((1 + b·w)·w^γ − 1) with w = |u|/u_ref.
 
-    γ follows power laws (lamps, phase control), b a gain that falls or rises evenly (saturating heaters, slipping pumps).
-    `b`, `gamma` [1]; `u_ref` [input unit] fixed, where w is 1.
+    γ follows power laws (lamps, phase control), b a gain that falls or rises evenly (saturating
+    heaters, slipping pumps). `b`, `gamma` [1]; `u_ref` [input unit] fixed, where w is 1.
     """
 
     equation = "supply·((1 + b·w)·w^γ − 1), w = |u|/u_ref"
@@ -22,13 +32,29 @@ class SupplyNonlinearity(Effect):
     def parameters(self, site: Site) -> tuple[Parameter, ...]:
         return (
             Parameter("b", 0.0, "", meaning="change of the gain over the input's range"),
-            Parameter("gamma", 0.0, "", lower=-0.9, upper=5.0, meaning="exponent of the power law beyond 1"),
-            Parameter("u_ref", 1.0, site.units["supply"], lower=1e-12, fixed=True, meaning="input at which w is 1"),
+            Parameter(
+                "gamma",
+                0.0,
+                "",
+                lower=-0.9,
+                upper=5.0,
+                meaning="exponent of the power law beyond 1",
+            ),
+            Parameter(
+                "u_ref",
+                1.0,
+                site.units["supply"],
+                lower=1e-12,
+                fixed=True,
+                meaning="input at which w is 1",
+            ),
         )
 
     def contribution(self, scene: Scene) -> Contribution:
         p, w = scene.p, sp.Max(sp.Abs(scene["supply"]) / scene.p["u_ref"], sp.Float(_SMALLEST))
-        return Contribution(term=scene["supply_terms"] * ((1 + p["b"] * w) * sp.exp(p["gamma"] * sp.log(w)) - 1))
+        return Contribution(
+            term=scene["supply_terms"] * ((1 + p["b"] * w) * sp.exp(p["gamma"] * sp.log(w)) - 1)
+        )
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
         return [{"b": 0.1, "gamma": 0.1, "u_ref": conditions.largest("supply")}]
@@ -57,7 +83,11 @@ class Outflow(Drain):
     sizes = ("c",)
 
     def parameters(self, site: Site) -> tuple[Parameter, ...]:
-        return (Parameter("c", 0.0, site.per("level", 0.5), lower=0.0, meaning="orifice area times √(2g)"),)
+        return (
+            Parameter(
+                "c", 0.0, site.per("level", 0.5), lower=0.0, meaning="orifice area times √(2g)"
+            ),
+        )
 
     def contribution(self, scene: Scene) -> Contribution:
         return Contribution(term=-scene.p["c"] * sp.sqrt(sp.Max(scene["level"], sp.Float(1e-12))))
@@ -70,7 +100,8 @@ _LEAST = 1e-4
 
 
 class Orifice(Effect):
-    """−c·sign(h − h_0)·√|h − h_0|, both ways: a pipe to a neighbour whose level h_0 stays, or that ends below the tank's zero.
+    """−c·sign(h − h_0)·√|h − h_0|, both ways: a pipe to a neighbour whose level h_0 stays, or that
+    ends below the tank's zero.
 
     `c` [balance unit / √level unit] ≥ 0; `h_0` [level unit], the level beyond.
     """
@@ -85,17 +116,25 @@ class Orifice(Effect):
 
     def parameters(self, site: Site) -> tuple[Parameter, ...]:
         return (
-            Parameter("c", 0.0, site.per("level", 0.5), lower=0.0, meaning="orifice area times √(2g)"),
+            Parameter(
+                "c", 0.0, site.per("level", 0.5), lower=0.0, meaning="orifice area times √(2g)"
+            ),
             Parameter("h_0", 0.0, site.units["level"], meaning="level beyond the orifice"),
         )
 
     def contribution(self, scene: Scene) -> Contribution:
         difference = scene["level"] - scene.p["h_0"]
-        return Contribution(term=-scene.p["c"] * difference / sp.sqrt(sp.Abs(difference) + sp.Float(_LEAST)))
+        return Contribution(
+            term=-scene.p["c"] * difference / sp.sqrt(sp.Abs(difference) + sp.Float(_LEAST))
+        )
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
         size = 0.1 * conditions.magnitude / conditions.span("level") ** 0.5
-        beyond = (conditions.quantile("level", 0.1), conditions.quantile("level", 0.5), -0.5 * conditions.span("level"))
+        beyond = (
+            conditions.quantile("level", 0.1),
+            conditions.quantile("level", 0.5),
+            -0.5 * conditions.span("level"),
+        )
         return [{"c": size, "h_0": h} for h in beyond]
 
     def examples(self) -> list[Example]:
@@ -105,13 +144,17 @@ class Orifice(Effect):
 class Overflow(Drain):
     """Weir: −c·max(h − h_max, 0)^1.5, which runs away, or at `balance(other)` into another store.
 
-    `c` [balance unit / level unit^1.5] ≥ 0; `h_max` [level unit], the rim; `share` ≥ 0 times what runs over reaches the other
-    store (above one where that one is the narrower, and both levels are counted in their own units).
+    `c` [balance unit / level unit^1.5] ≥ 0; `h_max` [level unit], the rim; `share` ≥ 0 times what
+    runs over reaches the other store (above one where that one is the narrower, and both levels are
+    counted in their own units).
     """
 
     id = "overflow"
     title = "Overflow"
-    equation = "−c·max(h − h_max, 0)^1.5, and +share·c·max(h − h_max, 0)^1.5 in another store that it runs into"
+    equation = (
+        "−c·max(h − h_max, 0)^1.5, and +share·c·max(h − h_max, 0)^1.5 in another store that it runs"
+        " into"
+    )
     reference = "Poleni 1717"
     sizes = ("c",)
     reaches = True
@@ -123,7 +166,16 @@ class Overflow(Drain):
         )
         if not site.signals:
             return weir
-        return (*weir, Parameter("share", 1.0, "1", lower=0.0, meaning="what the other store rises by, per fall of this one"))
+        return (
+            *weir,
+            Parameter(
+                "share",
+                1.0,
+                "1",
+                lower=0.0,
+                meaning="what the other store rises by, per fall of this one",
+            ),
+        )
 
     def contribution(self, scene: Scene) -> Contribution:
         over = scene.p["c"] * sp.Max(scene["level"] - scene.p["h_max"], 0) ** sp.Rational(3, 2)
@@ -134,7 +186,9 @@ class Overflow(Drain):
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
         size = conditions.magnitude / (0.1 * conditions.span("level")) ** 1.5
         into = {"share": 1.0} if "other:level" in conditions.variables else {}
-        return [{"c": size, "h_max": conditions.quantile("level", f), **into} for f in (0.6, 0.8, 0.95)]
+        return [
+            {"c": size, "h_max": conditions.quantile("level", f), **into} for f in (0.6, 0.8, 0.95)
+        ]
 
 
 class CheckValve(Drain):
@@ -151,8 +205,12 @@ class CheckValve(Drain):
 
     def parameters(self, site: Site) -> tuple[Parameter, ...]:
         return (
-            Parameter("c", 0.0, site.per("level"), lower=0.0, meaning="flow per level above the opening"),
-            Parameter("h_0", 0.0, site.units["level"], lower=0.0, meaning="level at which it opens"),
+            Parameter(
+                "c", 0.0, site.per("level"), lower=0.0, meaning="flow per level above the opening"
+            ),
+            Parameter(
+                "h_0", 0.0, site.units["level"], lower=0.0, meaning="level at which it opens"
+            ),
         )
 
     def contribution(self, scene: Scene) -> Contribution:
@@ -160,7 +218,9 @@ class CheckValve(Drain):
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
         size = 0.2 * conditions.magnitude / conditions.span("level")
-        return [{"c": size, "h_0": max(conditions.quantile("level", part), 0.0)} for part in (0.3, 0.6)]
+        return [
+            {"c": size, "h_0": max(conditions.quantile("level", part), 0.0)} for part in (0.3, 0.6)
+        ]
 
 
 class Leak(Drain):
@@ -186,7 +246,9 @@ class Leak(Drain):
 
 
 class PumpNonlinearity(SupplyNonlinearity):
-    """Flow that falls behind the input (slip, pipe losses) or follows a power law; equation and parameters as in its base."""
+    """Flow that falls behind the input (slip, pipe losses) or follows a power law; equation and
+    parameters as in its base.
+    """
 
     id = "pump-nonlinearity"
     title = "Pump nonlinearity"

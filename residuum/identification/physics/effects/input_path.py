@@ -3,8 +3,21 @@
 from collections.abc import Mapping
 
 from residuum.identification.physics.compile import symbolic as sp
-from residuum.identification.physics.effects.base import Conditions, Contribution, Effect, Example, Parameter, Scene, Site
-from residuum.identification.physics.effects.example_models import axis_example, drive_example, oven_example, tank_example
+from residuum.identification.physics.effects.base import (
+    Conditions,
+    Contribution,
+    Effect,
+    Example,
+    Parameter,
+    Scene,
+    Site,
+)
+from residuum.identification.physics.effects.example_models import (
+    axis_example,
+    drive_example,
+    oven_example,
+    tank_example,
+)
 
 
 class InputDelay(Effect):
@@ -34,7 +47,9 @@ class InputDelay(Effect):
     def grown(self, special: Mapping[str, float], conditions: Conditions) -> list[dict[str, float]]:
         """Half a sample to either side: between two samples of a fast input lies a small summit."""
         moves = [part * conditions.sample_time for part in (-0.5, 0.5)]
-        return [{"delay": special["delay"] + move} for move in moves if special["delay"] + move > 0.0]
+        return [
+            {"delay": special["delay"] + move} for move in moves if special["delay"] + move > 0.0
+        ]
 
     def examples(self) -> list[Example]:
         return [axis_example(), drive_example(), oven_example(), tank_example()]
@@ -49,7 +64,9 @@ class InputLag(Effect):
     id = "input-lag"
     title = "Input lag"
     equation = "τ·u_f' = u − u_f"
-    reference = "G. F. Franklin, J. D. Powell, A. Emami-Naeini, Feedback Control of Dynamic Systems, ch. 2"
+    reference = (
+        "G. F. Franklin, J. D. Powell, A. Emami-Naeini, Feedback Control of Dynamic Systems, ch. 2"
+    )
     acts_on = ("input",)
 
     def parameters(self, site: Site) -> tuple[Parameter, ...]:
@@ -60,7 +77,9 @@ class InputLag(Effect):
 
     def contribution(self, scene: Scene) -> Contribution:
         u, lagged = scene.signal, scene.x["u_f"]
-        return Contribution(signal=lagged, rates={"u_f": (u - lagged) / scene.p["tau"]}, initial={"u_f": u})
+        return Contribution(
+            signal=lagged, rates={"u_f": (u - lagged) / scene.p["tau"]}, initial={"u_f": u}
+        )
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
         return [{"tau": steps * conditions.sample_time} for steps in (1.0, 5.0, 25.0)]
@@ -78,16 +97,23 @@ class InputDeadZone(Effect):
     id = "input-dead-zone"
     title = "Input dead zone"
     equation = "dead zone of ±δ"
-    reference = "G. Tao, P. V. Kokotović, Adaptive Control of Systems with Actuator and Sensor Nonlinearities, Wiley 1996"
+    reference = (
+        "G. Tao, P. V. Kokotović, Adaptive Control of Systems with Actuator and Sensor"
+        " Nonlinearities, Wiley 1996"
+    )
     acts_on = ("input",)
     sizes = ("delta",)
 
     def parameters(self, site: Site) -> tuple[Parameter, ...]:
-        return (Parameter("delta", 0.0, site.unit, lower=0.0, meaning="half width of the dead zone"),)
+        return (
+            Parameter("delta", 0.0, site.unit, lower=0.0, meaning="half width of the dead zone"),
+        )
 
     def contribution(self, scene: Scene) -> Contribution:
         u, delta = scene.signal, scene.p["delta"]
-        return Contribution(signal=sp.Piecewise((u - delta, u > delta), (u + delta, u < -delta), (0, True)))
+        return Contribution(
+            signal=sp.Piecewise((u - delta, u > delta), (u + delta, u < -delta), (0, True))
+        )
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
         return [{"delta": 0.05 * conditions.largest("signal")}]
@@ -100,27 +126,36 @@ _LEAST = 1e-9
 
 
 class InputPower(Effect):
-    """u·(|u|/u_0)^e: a propeller's thrust goes with the square of its command (e = 1), a heater's power with that of its voltage.
+    """u·(|u|/u_0)^e: a propeller's thrust goes with the square of its command (e = 1), a heater's
+    power with that of its voltage.
 
-    `e` [1], −0.9 … 3, the exponent less one; `u_0` [input unit], fixed at its RMS, where nothing changes.
+    `e` [1], −0.9 … 3, the exponent less one; `u_0` [input unit], fixed at its RMS, where nothing
+    changes.
     """
 
     id = "input-power"
     title = "Power law of an input"
     equation = "u·(|u|/u_0)^e"
-    reference = "T. I. Fossen, Handbook of Marine Craft Hydrodynamics and Motion Control, ch. 9 (propeller thrust)"
+    reference = (
+        "T. I. Fossen, Handbook of Marine Craft Hydrodynamics and Motion Control, ch. 9 (propeller"
+        " thrust)"
+    )
     acts_on = ("input",)
     sizes = ("e",)
 
     def parameters(self, site: Site) -> tuple[Parameter, ...]:
         return (
             Parameter("e", 0.0, "", lower=-0.9, upper=3.0, meaning="exponent less one"),
-            Parameter("u_0", 1.0, site.unit, lower=1e-12, fixed=True, meaning="input that stays as it is"),
+            Parameter(
+                "u_0", 1.0, site.unit, lower=1e-12, fixed=True, meaning="input that stays as it is"
+            ),
         )
 
     def contribution(self, scene: Scene) -> Contribution:
         u = scene.signal
-        return Contribution(signal=u * (sp.Abs(u) / scene.p["u_0"] + sp.Float(_LEAST)) ** scene.p["e"])
+        return Contribution(
+            signal=u * (sp.Abs(u) / scene.p["u_0"] + sp.Float(_LEAST)) ** scene.p["e"]
+        )
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
         return [{"e": e, "u_0": conditions.magnitude} for e in (0.5, -0.3)]
@@ -145,7 +180,9 @@ class InputSaturation(Effect):
         return (Parameter("u_max", 1e9, site.unit, lower=1e-12, meaning="largest input"),)
 
     def contribution(self, scene: Scene) -> Contribution:
-        return Contribution(signal=sp.Min(sp.Max(scene.signal, -scene.p["u_max"]), scene.p["u_max"]))
+        return Contribution(
+            signal=sp.Min(sp.Max(scene.signal, -scene.p["u_max"]), scene.p["u_max"])
+        )
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
         return [{"u_max": fraction * conditions.largest("signal")} for fraction in (0.95, 0.8, 0.6)]
@@ -155,21 +192,28 @@ class InputSaturation(Effect):
 
 
 class InputBacklash(Effect):
-    """Play: u_b follows u once it is more than w behind; τ·u_b' = dead zone of ±w of (u − u_b), τ short.
+    """Play: u_b follows u once it is more than w behind; τ·u_b' = dead zone of ±w of (u − u_b), τ
+    short.
 
-    `w` [input unit] > 0, half the play; `tau` [s], fixed at some samples: linkages, valve stems, gear racks.
+    `w` [input unit] > 0, half the play; `tau` [s], fixed at some samples: linkages, valve stems,
+    gear racks.
     """
 
     id = "input-backlash"
     title = "Play of an input"
     equation = "τ·u_b' = dead zone of ±w of (u − u_b)"
-    reference = "G. Tao, P. V. Kokotović, Adaptive Control of Systems with Actuator and Sensor Nonlinearities, Wiley 1996"
+    reference = (
+        "G. Tao, P. V. Kokotović, Adaptive Control of Systems with Actuator and Sensor"
+        " Nonlinearities, Wiley 1996"
+    )
     acts_on = ("input",)
 
     def parameters(self, site: Site) -> tuple[Parameter, ...]:
         return (
             Parameter("w", 1e-9, site.unit, lower=1e-12, meaning="half the play"),
-            Parameter("tau", 1e-3, "s", lower=1e-9, fixed=True, meaning="time in which it is taken up"),
+            Parameter(
+                "tau", 1e-3, "s", lower=1e-9, fixed=True, meaning="time in which it is taken up"
+            ),
         )
 
     def states(self, site: Site) -> Mapping[str, str]:
@@ -179,10 +223,15 @@ class InputBacklash(Effect):
         u, behind, w = scene.signal, scene.x["u_b"], scene.p["w"]
         away = u - behind
         pulled = sp.Piecewise((away - w, away > w), (away + w, away < -w), (0, True))
-        return Contribution(signal=behind, rates={"u_b": pulled / scene.p["tau"]}, initial={"u_b": u})
+        return Contribution(
+            signal=behind, rates={"u_b": pulled / scene.p["tau"]}, initial={"u_b": u}
+        )
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
-        return [{"w": part * conditions.largest("signal"), "tau": 2.0 * conditions.sample_time} for part in (0.03, 0.15)]
+        return [
+            {"w": part * conditions.largest("signal"), "tau": 2.0 * conditions.sample_time}
+            for part in (0.03, 0.15)
+        ]
 
     def examples(self) -> list[Example]:
         return [axis_example(), drive_example(), oven_example(), tank_example()]

@@ -49,11 +49,11 @@ class ConstantLoad(Effect):
 
 
 class PositionLoad(Effect):
-    """Unbalanced arms, slopes, cranks: −(a·sin κq + b·cos κq), a wave of at most a few periods over the travel.
+    """Unbalanced arms, slopes, cranks: −(a·sin κq + b·cos κq), a wave of at most a few periods over
+    the travel.
 
-    `a`, `b` [balance unit]; `kappa` [rad / position unit] > 0, the wave number. Over less than half a period it cannot be
-    told from a
-    spring with preload.
+    `a`, `b` [balance unit]; `kappa` [rad / position unit] > 0, the wave number. Over less than half
+    a period it cannot be told from a spring with preload.
     """
 
     id = "position-load"
@@ -69,7 +69,13 @@ class PositionLoad(Effect):
         return (
             Parameter("a", 0.0, site.unit, meaning="sine amplitude"),
             Parameter("b", 0.0, site.unit, meaning="cosine amplitude"),
-            Parameter("kappa", 1.0, quotient("rad", site.units["position"]), lower=1e-9, meaning="wave number"),
+            Parameter(
+                "kappa",
+                1.0,
+                quotient("rad", site.units["position"]),
+                lower=1e-9,
+                meaning="wave number",
+            ),
         )
 
     def contribution(self, scene: Scene) -> Contribution:
@@ -78,29 +84,41 @@ class PositionLoad(Effect):
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
         size, travel = 0.1 * conditions.magnitude, conditions.span("position")
-        waves = [*(np.pi * periods / travel for periods in (1.0, 2.0, 4.0)), 1.0]  # the last: once a turn, an arm's own weight
+        waves = [
+            *(np.pi * periods / travel for periods in (1.0, 2.0, 4.0)),
+            1.0,
+        ]  # the last: once a turn, an arm's own weight
         return [{"a": size, "b": size, "kappa": float(kappa)} for kappa in waves]
 
     def grown(self, special: Mapping[str, float], conditions: Conditions) -> list[dict[str, float]]:
-        """Waves that have the spring's stiffness at q = 0: of about half a period, and of one a radian (an arm's own weight)."""
+        """Waves that have the spring's stiffness at q = 0: of about half a period, and of one a
+        radian (an arm's own weight).
+        """
         waves = (1.0, 2.0 / conditions.span("position"))
-        return [{"a": special["k"] / kappa, "b": special["tau_0"], "kappa": kappa} for kappa in waves]
+        return [
+            {"a": special["k"] / kappa, "b": special["tau_0"], "kappa": kappa} for kappa in waves
+        ]
 
     def examples(self) -> list[Example]:
         return [axis_example(), drive_example()]
 
 
 _FEWEST, _MANY = 5.0, 12.0
-"""Periods over the travel from which on a wave may be a ripple, and up to which it may be a load that depends on the position."""
+"""Periods over the travel from which on a wave may be a ripple, and up to which it may be a load
+that depends on the position.
+"""
 _REFINED_ON = 10_000
 """Samples on which a wave number is refined."""
 
 
-def strongest_wave_numbers(position: Array, signal: Array, count: int = 3, fewest_periods: float = _FEWEST) -> list[float]:
+def strongest_wave_numbers(
+    position: Array, signal: Array, count: int = 3, fewest_periods: float = _FEWEST
+) -> list[float]:
     """Wave numbers [rad / position unit] at which a signal varies most along the position.
 
-    The signal is averaged in cells of position, a slow trend over the travel is taken out, and the highest separate peaks
-    of the cells' spectrum are returned, strongest first; waves with under `fewest_periods` over the travel are left out.
+    The signal is averaged in cells of position, a slow trend over the travel is taken out, and the
+    highest separate peaks of the cells' spectrum are returned, strongest first; waves with under
+    `fewest_periods` over the travel are left out.
     """
     travel = float(np.ptp(position))
     if travel <= RESTS:
@@ -108,7 +126,9 @@ def strongest_wave_numbers(position: Array, signal: Array, count: int = 3, fewes
     cells = int(min(4096, max(64, position.size // 4)))
     cell = np.minimum(((position - position.min()) / travel * cells).astype(int), cells - 1)
     weight = np.bincount(cell, minlength=cells)
-    mean = np.bincount(cell, weights=signal - signal.mean(), minlength=cells) / np.maximum(weight, 1)
+    mean = np.bincount(cell, weights=signal - signal.mean(), minlength=cells) / np.maximum(
+        weight, 1
+    )
     spectrum = np.abs(np.fft.rfft(mean * np.hanning(cells), 4 * cells))
     first = int(4 * fewest_periods)
     wave_numbers: list[float] = []
@@ -119,13 +139,21 @@ def strongest_wave_numbers(position: Array, signal: Array, count: int = 3, fewes
         if len(wave_numbers) == count:
             break
     every = slice(None, None, max(1, position.size // _REFINED_ON))
-    return [_refined(position[every], signal[every], wave_number, np.pi / (2.0 * travel)) for wave_number in wave_numbers]
+    return [
+        _refined(position[every], signal[every], wave_number, np.pi / (2.0 * travel))
+        for wave_number in wave_numbers
+    ]
 
 
 def _refined(position: Array, signal: Array, wave_number: float, width: float) -> float:
-    """The wave number within ± `width` at which the samples themselves, not their cells, vary most."""
+    """The wave number within ± `width` at which the samples themselves, not their cells, vary
+    most.
+    """
     tried = wave_number + width * np.linspace(-1.0, 1.0, 9)
-    turned, turn = np.exp(-1j * tried[0] * position) * signal, np.exp(-1j * (tried[1] - tried[0]) * position)
+    turned, turn = (
+        np.exp(-1j * tried[0] * position) * signal,
+        np.exp(-1j * (tried[1] - tried[0]) * position),
+    )
     sizes = [abs(turned.sum())]
     for _ in tried[1:]:
         turned *= turn
@@ -134,10 +162,12 @@ def _refined(position: Array, signal: Array, wave_number: float, width: float) -
 
 
 class ToothRipple(Effect):
-    """Gear meshing, cogging, ball passages: −(a·sin nq + b·cos nq) with many periods over the travel.
+    """Gear meshing, cogging, ball passages: −(a·sin nq + b·cos nq) with many periods over the
+    travel.
 
-    `a`, `b` [balance unit]; `n` [rad / position unit] > 0, ripples a radian of angle (2π over the pitch of a length). The
-    first values of n are the strongest periods over position of what is missing, where that is known.
+    `a`, `b` [balance unit]; `n` [rad / position unit] > 0, ripples a radian of angle (2π over the
+    pitch of a length). The first values of n are the strongest periods over position of what is
+    missing, where that is known.
     """
 
     id = "tooth-ripple"
@@ -155,7 +185,11 @@ class ToothRipple(Effect):
             Parameter("a", 0.0, site.unit, meaning="sine amplitude"),
             Parameter("b", 0.0, site.unit, meaning="cosine amplitude"),
             Parameter(
-                "n", 1.0, quotient("rad", site.units["position"]), lower=1e-9, meaning="ripples per radian or 2π per pitch"
+                "n",
+                1.0,
+                quotient("rad", site.units["position"]),
+                lower=1e-9,
+                meaning="ripples per radian or 2π per pitch",
             ),
         )
 
@@ -171,7 +205,9 @@ class ToothRipple(Effect):
         else:
             orders = strongest_wave_numbers(conditions.variables["position"], conditions.missing)
             if len(orders) > 1 and abs(orders[0] - orders[1]) < 24.0 * np.pi / travel:
-                orders.append(0.5 * (orders[0] + orders[1]))  # a response that lags differently both ways splits the peak
+                orders.append(
+                    0.5 * (orders[0] + orders[1])
+                )  # a response that lags differently both ways splits the peak
         return [{"a": size, "b": size, "n": float(order)} for order in orders]
 
     def grown(self, special: Mapping[str, float], conditions: Conditions) -> list[dict[str, float]]:
@@ -191,7 +227,8 @@ class ToothRipple(Effect):
 class Cogging(ToothRipple):
     """−(a·sin nq + b·cos nq + a₂·sin 2nq + b₂·cos 2nq): magnets over iron, whose ripple is no sine.
 
-    Amplitudes [balance unit]; `n` [rad / position unit] > 0. A tooth ripple has the first wave alone.
+    Amplitudes [balance unit]; `n` [rad / position unit] > 0. A tooth ripple has the first wave
+    alone.
     """
 
     id = "cogging"
@@ -203,7 +240,10 @@ class Cogging(ToothRipple):
 
     def parameters(self, site: Site) -> tuple[Parameter, ...]:
         first, second, wave = super().parameters(site)
-        more = [Parameter(name, 0.0, site.unit, meaning="amplitude of the harmonic") for name in ("a2", "b2")]
+        more = [
+            Parameter(name, 0.0, site.unit, meaning="amplitude of the harmonic")
+            for name in ("a2", "b2")
+        ]
         return (first, second, *more, wave)
 
     def contribution(self, scene: Scene) -> Contribution:
@@ -212,7 +252,10 @@ class Cogging(ToothRipple):
         return Contribution(term=-(p["a"] * sp.sin(angle) + p["b"] * sp.cos(angle) + harmonic))
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
-        return [start | {"a2": 0.3 * start["a"], "b2": 0.3 * start["b"]} for start in super().starts(conditions)]
+        return [
+            start | {"a2": 0.3 * start["a"], "b2": 0.3 * start["b"]}
+            for start in super().starts(conditions)
+        ]
 
     def grown(self, special: Mapping[str, float], conditions: Conditions) -> list[dict[str, float]]:
         """The same wave with a small harmonic."""

@@ -15,7 +15,12 @@ from residuum.identification.physics.effects.base import (
     Site,
     quotient,
 )
-from residuum.identification.physics.effects.example_models import axis_example, drive_example, oven_example, tank_example
+from residuum.identification.physics.effects.example_models import (
+    axis_example,
+    drive_example,
+    oven_example,
+    tank_example,
+)
 
 
 class OutputLag(Effect):
@@ -39,14 +44,19 @@ class OutputLag(Effect):
 
     def contribution(self, scene: Scene) -> Contribution:
         y, lagged = scene.signal, scene.x["y_f"]
-        return Contribution(signal=lagged, rates={"y_f": (y - lagged) / scene.p["tau"]}, initial={"y_f": y}, deviating=("y_f",))
+        return Contribution(
+            signal=lagged,
+            rates={"y_f": (y - lagged) / scene.p["tau"]},
+            initial={"y_f": y},
+            deviating=("y_f",),
+        )
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
         return [{"tau": steps * conditions.sample_time} for steps in (0.2, 1.0, 5.0, 25.0)]
 
     def shows(self, values: Mapping[str, float], conditions: Conditions) -> bool:
-        """Whether the sensor comes near what it measures within the record. One that begins anywhere and hardly moves would
-        make a load of what it measures, and friction of a speed.
+        """Whether the sensor comes near what it measures within the record. One that begins
+        anywhere and hardly moves would make a load of what it measures, and friction of a speed.
         """
         return 2.0 * values["tau"] < conditions.duration
 
@@ -164,7 +174,8 @@ class OutputAbsolute(Effect):
 class OutputGainCurve(Effect):
     """y·(1 + c·y/y_0): a reading that bends.
 
-    `c` [1], −0.9 … 0.9, the gain's relative change at y_0; `y_0` [output unit], fixed at a large reading.
+    `c` [1], −0.9 … 0.9, the gain's relative change at y_0; `y_0` [output unit], fixed at a large
+    reading.
     """
 
     id = "output-gain-curve"
@@ -177,7 +188,14 @@ class OutputGainCurve(Effect):
     def parameters(self, site: Site) -> tuple[Parameter, ...]:
         return (
             Parameter("c", 0.0, "", lower=-0.9, upper=0.9, meaning="change of the gain at y_0"),
-            Parameter("y_0", 1.0, site.unit, lower=1e-12, fixed=True, meaning="reading at which it is told"),
+            Parameter(
+                "y_0",
+                1.0,
+                site.unit,
+                lower=1e-12,
+                fixed=True,
+                meaning="reading at which it is told",
+            ),
         )
 
     def contribution(self, scene: Scene) -> Contribution:
@@ -194,8 +212,9 @@ class OutputGainCurve(Effect):
 class OutputQuantisation(Effect):
     """q·round(y/q). Derivatives lean on the line through the stairs.
 
-    `q` [output unit] > 0 is read off the record, whose samples lie on the stairs, and held: as a function of q the error has a
-    minimum for every number of steps that a signal may be long. It only improves a model whose error is below a step.
+    `q` [output unit] > 0 is read off the record, whose samples lie on the stairs, and held: as a
+    function of q the error has a minimum for every number of steps that a signal may be long. It
+    only improves a model whose error is below a step.
     """
 
     id = "output-quantisation"
@@ -208,7 +227,10 @@ class OutputQuantisation(Effect):
         return (Parameter("q", 1e-9, site.unit, lower=1e-12, fixed=True, meaning="step"),)
 
     def contribution(self, scene: Scene) -> Contribution:
-        from residuum.identification.physics.simulate.stepped_round import SteppedRound  # noqa: PLC0415  its class needs SymPy
+        # its class needs SymPy
+        from residuum.identification.physics.simulate.stepped_round import (  # noqa: PLC0415
+            SteppedRound,
+        )
 
         q = scene.p["q"]
         return Contribution(signal=q * SteppedRound(scene.signal / q))

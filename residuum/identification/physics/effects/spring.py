@@ -50,8 +50,8 @@ class LinearSpring(Effect):
 class CubicSpring(Effect):
     """Membranes, Duffing oscillators: −k₃·d³ − k₂·d² with the deflection d = q − q_0.
 
-    `k_3` [balance unit / position unit³], negative for a softening spring; `k_2` [balance unit / position unit²], its asymmetry;
-    `q_0` [position unit] fixed, where it is at rest.
+    `k_3` [balance unit / position unit³], negative for a softening spring; `k_2` [balance unit /
+    position unit²], its asymmetry; `q_0` [position unit] fixed, where it is at rest.
     """
 
     id = "cubic-spring"
@@ -66,7 +66,9 @@ class CubicSpring(Effect):
         return (
             Parameter("k_3", 0.0, site.per("position", 3), meaning="cubic stiffness"),
             Parameter("k_2", 0.0, site.per("position", 2), meaning="asymmetry"),
-            Parameter("q_0", 0.0, site.units["position"], fixed=True, meaning="where it is at rest"),
+            Parameter(
+                "q_0", 0.0, site.units["position"], fixed=True, meaning="where it is at rest"
+            ),
         )
 
     def contribution(self, scene: Scene) -> Contribution:
@@ -84,7 +86,8 @@ class CubicSpring(Effect):
 
 
 class Hysteresis(Effect):
-    """Dahl's presliding friction: −f_c·z with x_0·z' = v − |v|·z; after a reversal the friction returns over the distance x_0.
+    """Dahl's presliding friction: −f_c·z with x_0·z' = v − |v|·z; after a reversal the friction
+    returns over the distance x_0.
 
     `f_c` [balance unit] ≥ 0; `x_0` [position unit] > 0. With x_0 → 0 it is Coulomb friction.
     """
@@ -100,7 +103,13 @@ class Hysteresis(Effect):
     def parameters(self, site: Site) -> tuple[Parameter, ...]:
         return (
             Parameter("f_c", 0.0, site.unit, lower=0.0, meaning="friction once built up"),
-            Parameter("x_0", 0.01, product(site.units["velocity"], "s"), lower=1e-9, meaning="distance over which it builds up"),
+            Parameter(
+                "x_0",
+                0.01,
+                product(site.units["velocity"], "s"),
+                lower=1e-9,
+                meaning="distance over which it builds up",
+            ),
         )
 
     def states(self, site: Site) -> Mapping[str, str]:
@@ -116,7 +125,10 @@ class Hysteresis(Effect):
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
         travelled = conditions.largest("velocity") * conditions.sample_time
-        return [{"f_c": 0.1 * conditions.magnitude, "x_0": steps * travelled} for steps in (2.0, 10.0, 50.0)]
+        return [
+            {"f_c": 0.1 * conditions.magnitude, "x_0": steps * travelled}
+            for steps in (2.0, 10.0, 50.0)
+        ]
 
     def examples(self) -> list[Example]:
         return [axis_example(), drive_example()]
@@ -125,8 +137,8 @@ class Hysteresis(Effect):
 class BoucWen(Effect):
     """−z, z' = A·v − β·|v|·z − γ·v·|z| (exponent one): joints, mounts, steel, piezos.
 
-    `A` [balance unit / position unit] ≥ 0; `beta` ≥ 0 and `gamma`, either sign [1 / position unit]. With γ = 0 it is Dahl's
-    presliding friction of size A/β.
+    `A` [balance unit / position unit] ≥ 0; `beta` ≥ 0 and `gamma`, either sign [1 / position unit].
+    With γ = 0 it is Dahl's presliding friction of size A/β.
     """
 
     id = "bouc-wen"
@@ -141,9 +153,20 @@ class BoucWen(Effect):
     def parameters(self, site: Site) -> tuple[Parameter, ...]:
         length = product(site.units["velocity"], "s")
         return (
-            Parameter("A", 0.0, quotient(site.unit, length), lower=0.0, meaning="stiffness after a reversal"),
+            Parameter(
+                "A",
+                0.0,
+                quotient(site.unit, length),
+                lower=0.0,
+                meaning="stiffness after a reversal",
+            ),
             Parameter("beta", 1.0, quotient("1", length), lower=0.0, meaning="how fast it is lost"),
-            Parameter("gamma", 0.0, quotient("1", length), meaning="how fast it softens (or, negative, hardens)"),
+            Parameter(
+                "gamma",
+                0.0,
+                quotient("1", length),
+                meaning="how fast it softens (or, negative, hardens)",
+            ),
         )
 
     def states(self, site: Site) -> Mapping[str, str]:
@@ -157,7 +180,10 @@ class BoucWen(Effect):
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
         travelled = conditions.largest("velocity") * conditions.sample_time
         size = 0.2 * conditions.magnitude
-        return [{"A": size / d, "beta": 1.0 / d, "gamma": 0.0} for d in (5.0 * travelled, 20.0 * travelled, 80.0 * travelled)]
+        return [
+            {"A": size / d, "beta": 1.0 / d, "gamma": 0.0}
+            for d in (5.0 * travelled, 20.0 * travelled, 80.0 * travelled)
+        ]
 
     def grown(self, special: Mapping[str, float], conditions: Conditions) -> list[dict[str, float]]:
         """The presliding friction that it contains."""
@@ -165,7 +191,11 @@ class BoucWen(Effect):
 
     def specialised(self, general: Mapping[str, float], conditions: Conditions) -> dict[str, float]:
         """The presliding friction with its stiffness and its loss."""
-        return {"f_c": general["A"] / general["beta"], "x_0": 1.0 / general["beta"]} if general["beta"] > 0.0 else {}
+        return (
+            {"f_c": general["A"] / general["beta"], "x_0": 1.0 / general["beta"]}
+            if general["beta"] > 0.0
+            else {}
+        )
 
     def says_more(self, general: Mapping[str, float], std: Mapping[str, float]) -> bool:
         """Not without a γ of its own."""

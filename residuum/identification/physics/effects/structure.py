@@ -1,4 +1,6 @@
-"""Effects that tie a balance to other signals: a forgotten input, a coupling of two balances, a learned curve."""
+"""Effects that tie a balance to other signals: a forgotten input, a coupling of two balances, a
+learned curve.
+"""
 
 from __future__ import annotations
 
@@ -19,9 +21,11 @@ from residuum.identification.physics.effects.example_models import axis_example,
 
 
 class ForgottenInput(Effect):
-    """g·s, s a signal of the record: a flow into the next tank, a load that somebody measured, the neighbour's heat.
+    """g·s, s a signal of the record: a flow into the next tank, a load that somebody measured, the
+    neighbour's heat.
 
-    It stands at `balance(signal)`. `gain` g [balance unit / signal unit], −1 where the signal is the flow that leaves.
+    It stands at `balance(signal)`. `gain` g [balance unit / signal unit], −1 where the signal is
+    the flow that leaves.
     """
 
     id = "forgotten-input"
@@ -53,16 +57,20 @@ ACROSS = {"heat": "temperature", "volume": "level", "torque": "velocity", "force
 
 
 class Coupling(Effect):
-    """−k·(x − x′), taken from one balance and given to the other: heat exchange, flow between stores, friction between bodies.
+    """−k·(x − x′), taken from one balance and given to the other: heat exchange, flow between
+    stores, friction between bodies.
 
-    It stands at `balance(other)`, both of one kind. x is the balance's temperature, level or velocity, x′ the other's;
-    `k` [balance unit / unit of x] ≥ 0.
+    It stands at `balance(other)`, both of one kind. x is the balance's temperature, level or
+    velocity, x′ the other's; `k` [balance unit / unit of x] ≥ 0.
     """
 
     id = "coupling"
     title = "Coupling of two balances"
     equation = "−k·(x − x′), and +k·(x − x′) in the other"
-    reference = "D. C. Karnopp, D. L. Margolis, R. C. Rosenberg, System Dynamics, Wiley, ch. 3 (one-port between two junctions)"
+    reference = (
+        "D. C. Karnopp, D. L. Margolis, R. C. Rosenberg, System Dynamics, Wiley, ch. 3 (one-port"
+        " between two junctions)"
+    )
     acts_on = tuple(ACROSS)
     sizes = ("k",)
     between = True
@@ -71,7 +79,11 @@ class Coupling(Effect):
         return super().fits(site) and ACROSS[site.kind] in site.units
 
     def parameters(self, site: Site) -> tuple[Parameter, ...]:
-        return (Parameter("k", 0.0, site.per(ACROSS[site.kind]), lower=0.0, meaning="exchange per difference"),)
+        return (
+            Parameter(
+                "k", 0.0, site.per(ACROSS[site.kind]), lower=0.0, meaning="exchange per difference"
+            ),
+        )
 
     def contribution(self, scene: Scene) -> Contribution:
         mine, partner = ACROSS[scene.site.kind], f"other:{ACROSS[scene.site.kind]}"
@@ -79,7 +91,9 @@ class Coupling(Effect):
         return Contribution(term=-exchange, elsewhere={scene.site.signals[0]: exchange})
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
-        role = next(role for role in conditions.variables if f"other:{role}" in conditions.variables)
+        role = next(
+            role for role in conditions.variables if f"other:{role}" in conditions.variables
+        )
         difference = conditions.variables[role] - conditions.variables[f"other:{role}"]
         return [{"k": 0.1 * conditions.magnitude / (float(abs(difference).max()) or 1.0)}]
 
@@ -91,10 +105,12 @@ KNOTS_OF_A_CURVE = 9
 
 
 class Learned(Effect):
-    """Σ vₖ·hatₖ(s): straight lines between the values vₖ [balance unit] at the knots aₖ [signal unit], level beyond the ends.
+    """Σ vₖ·hatₖ(s): straight lines between the values vₖ [balance unit] at the knots aₖ [signal
+    unit], level beyond the ends.
 
-    It stands at `balance(signal)`. The knots are fixed, at even quantiles of the signal; the value at the knot in the middle is
-    that of the balance's other terms (0), so that a constant is never learned twice.
+    It stands at `balance(signal)`. The knots are fixed, at even quantiles of the signal; the value
+    at the knot in the middle is that of the balance's other terms (0), so that a constant is never
+    learned twice.
     """
 
     id = "learned"
@@ -108,8 +124,14 @@ class Learned(Effect):
 
     def parameters(self, site: Site) -> tuple[Parameter, ...]:
         unit = site.units[site.signals[0]] if site.signals else ""
-        knots = [Parameter(f"a{k}", float(k), unit, fixed=True, meaning="knot") for k in range(1, KNOTS_OF_A_CURVE + 1)]
-        return (*knots, *(Parameter(name, 0.0, site.unit, meaning="value at the knot") for name in self.sizes))
+        knots = [
+            Parameter(f"a{k}", float(k), unit, fixed=True, meaning="knot")
+            for k in range(1, KNOTS_OF_A_CURVE + 1)
+        ]
+        return (
+            *knots,
+            *(Parameter(name, 0.0, site.unit, meaning="value at the knot") for name in self.sizes),
+        )
 
     def contribution(self, scene: Scene) -> Contribution:
         s = scene[scene.site.signals[0]]
@@ -119,14 +141,19 @@ class Learned(Effect):
         return Contribution(term=sp.Piecewise((v[0], s < a[0]), *lines, (v[-1], True)))
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
-        """Knots at even quantiles of the signal, kept apart; values that any regression may change."""
+        """Knots at even quantiles of the signal, kept apart; values that any regression may
+        change.
+        """
         signal = conditions.variables[list(conditions.variables)[-1]]
         least = 0.02 * float(np.ptp(signal)) or 1.0
         at = np.quantile(signal, np.linspace(0.005, 0.995, KNOTS_OF_A_CURVE))
         for k in range(1, KNOTS_OF_A_CURVE):
             at[k] = max(at[k], at[k - 1] + least)
         size = 0.1 * conditions.magnitude
-        return [{f"a{k + 1}": float(at[k]) for k in range(KNOTS_OF_A_CURVE)} | dict.fromkeys(self.sizes, size)]
+        return [
+            {f"a{k + 1}": float(at[k]) for k in range(KNOTS_OF_A_CURVE)}
+            | dict.fromkeys(self.sizes, size)
+        ]
 
     def examples(self) -> list[Example]:
         return [axis_example()]

@@ -23,7 +23,9 @@ from residuum.identification.physics.effects.hydraulic import SupplyNonlinearity
 
 
 class HeatLoss(Effect):
-    """Base of the losses to the surroundings; the surroundings' temperature is the balance's `ambient`, else a parameter."""
+    """Base of the losses to the surroundings; the surroundings' temperature is the balance's
+    `ambient`, else a parameter.
+    """
 
     acts_on = ("heat",)
     needs = ("temperature",)
@@ -33,7 +35,14 @@ class HeatLoss(Effect):
         if "ambient" in site.units:
             return ()
         unit = site.units["temperature"]
-        return (Parameter("T_a", 20.0 + 273.15 + absolute_zero(unit), unit, meaning="temperature of the surroundings"),)
+        return (
+            Parameter(
+                "T_a",
+                20.0 + 273.15 + absolute_zero(unit),
+                unit,
+                meaning="temperature of the surroundings",
+            ),
+        )
 
     def ambient(self, scene: Scene) -> sp.Expr:
         """Temperature of the surroundings."""
@@ -72,7 +81,13 @@ class AmbientLoss(HeatLoss):
 
     def parameters(self, site: Site) -> tuple[Parameter, ...]:
         return (
-            Parameter("h", 0.0, site.per("temperature"), lower=0.0, meaning="loss per temperature difference"),
+            Parameter(
+                "h",
+                0.0,
+                site.per("temperature"),
+                lower=0.0,
+                meaning="loss per temperature difference",
+            ),
             *self.surroundings(site),
         )
 
@@ -80,7 +95,12 @@ class AmbientLoss(HeatLoss):
         return Contribution(term=-scene.p["h"] * (scene["temperature"] - self.ambient(scene)))
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
-        return [{"h": 0.1 * conditions.magnitude / conditions.span("temperature"), **self.first_ambient(conditions)}]
+        return [
+            {
+                "h": 0.1 * conditions.magnitude / conditions.span("temperature"),
+                **self.first_ambient(conditions),
+            }
+        ]
 
 
 class ConstantHeat(Effect):
@@ -112,7 +132,8 @@ class ConstantHeat(Effect):
 class Radiation(HeatLoss):
     """−c·(T⁴ − T_a⁴) with absolute temperatures.
 
-    `c` [balance unit / K⁴] ≥ 0 (emissivity · area · Stefan–Boltzmann constant); `T_a` as in the ambient loss.
+    `c` [balance unit / K⁴] ≥ 0 (emissivity · area · Stefan–Boltzmann constant); `T_a` as in the
+    ambient loss.
     """
 
     id = "radiation"
@@ -123,7 +144,13 @@ class Radiation(HeatLoss):
 
     def parameters(self, site: Site) -> tuple[Parameter, ...]:
         return (
-            Parameter("c", 0.0, site.per("temperature", 4), lower=0.0, meaning="emissivity · area · Stefan–Boltzmann constant"),
+            Parameter(
+                "c",
+                0.0,
+                site.per("temperature", 4),
+                lower=0.0,
+                meaning="emissivity · area · Stefan–Boltzmann constant",
+            ),
             *self.surroundings(site),
         )
 
@@ -133,16 +160,23 @@ class Radiation(HeatLoss):
         return Contribution(term=-scene.p["c"] * (hot**4 - cold**4))
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
-        return [{"c": 0.1 * conditions.magnitude / (300.0**3 * conditions.span("temperature")), **self.first_ambient(conditions)}]
+        return [
+            {
+                "c": 0.1 * conditions.magnitude / (300.0**3 * conditions.span("temperature")),
+                **self.first_ambient(conditions),
+            }
+        ]
 
 
 _LEAST = 1e-6
 
 
 class Convection(HeatLoss):
-    """−h·ΔT·(|ΔT|/10 K)^n, ΔT = T − T_a: air that rises the faster the hotter the wall (n = 0.25 to 0.33).
+    """−h·ΔT·(|ΔT|/10 K)^n, ΔT = T − T_a: air that rises the faster the hotter the wall (n = 0.25 to
+    0.33).
 
-    `h` [balance unit / K] ≥ 0, at a difference of 10 K; `n` [1], 0 … 1.5. With n = 0 it is the plain loss.
+    `h` [balance unit / K] ≥ 0, at a difference of 10 K; `n` [1], 0 … 1.5. With n = 0 it is the
+    plain loss.
     """
 
     id = "convection"
@@ -155,8 +189,12 @@ class Convection(HeatLoss):
 
     def parameters(self, site: Site) -> tuple[Parameter, ...]:
         return (
-            Parameter("h", 0.0, site.per("temperature"), lower=0.0, meaning="loss per difference, at 10 K"),
-            Parameter("n", 0.25, "", lower=0.0, upper=1.5, meaning="exponent of the difference, less one"),
+            Parameter(
+                "h", 0.0, site.per("temperature"), lower=0.0, meaning="loss per difference, at 10 K"
+            ),
+            Parameter(
+                "n", 0.25, "", lower=0.0, upper=1.5, meaning="exponent of the difference, less one"
+            ),
             *self.surroundings(site),
         )
 
@@ -181,7 +219,8 @@ class Convection(HeatLoss):
 class SecondHeatStore(Effect):
     """C_2·T_2' = G·(T − T_2) and −G·(T − T_2) in the balance.
 
-    `C_2` [balance unit · s / K] > 0, `G` [balance unit / K] ≥ 0. T_2 begins at T, or where the record says.
+    `C_2` [balance unit · s / K] > 0, `G` [balance unit / K] ≥ 0. T_2 begins at T, or where the
+    record says.
     """
 
     id = "second-heat-store"
@@ -193,8 +232,20 @@ class SecondHeatStore(Effect):
 
     def parameters(self, site: Site) -> tuple[Parameter, ...]:
         return (
-            Parameter("C_2", 1.0, product(site.per("temperature"), "s"), lower=1e-9, meaning="heat capacity of the second store"),
-            Parameter("G", 0.0, site.per("temperature"), lower=0.0, meaning="conductance between the stores"),
+            Parameter(
+                "C_2",
+                1.0,
+                product(site.per("temperature"), "s"),
+                lower=1e-9,
+                meaning="heat capacity of the second store",
+            ),
+            Parameter(
+                "G",
+                0.0,
+                site.per("temperature"),
+                lower=0.0,
+                meaning="conductance between the stores",
+            ),
         )
 
     def states(self, site: Site) -> Mapping[str, str]:
@@ -203,7 +254,10 @@ class SecondHeatStore(Effect):
     def contribution(self, scene: Scene) -> Contribution:
         flow = scene.p["G"] * (scene["temperature"] - scene.x["T_2"])
         return Contribution(
-            term=-flow, rates={"T_2": flow / scene.p["C_2"]}, initial={"T_2": scene["temperature"]}, deviating=("T_2",)
+            term=-flow,
+            rates={"T_2": flow / scene.p["C_2"]},
+            initial={"T_2": scene["temperature"]},
+            deviating=("T_2",),
         )
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
@@ -214,7 +268,9 @@ class SecondHeatStore(Effect):
         return first_values
 
     def shows(self, values: Mapping[str, float], conditions: Conditions) -> bool:
-        """Whether the second store fills within the record. One that does not is a loss to where its temperature began."""
+        """Whether the second store fills within the record. One that does not is a loss to where
+        its temperature began.
+        """
         return values["C_2"] < values["G"] * conditions.duration
 
     def examples(self) -> list[Example]:
@@ -222,11 +278,11 @@ class SecondHeatStore(Effect):
 
 
 class ConveyorLoad(HeatLoss):
-    """Cold goods enter and leave warm: −G·(T − T_a), times the conveyor signal where the model has an input `conveyor`.
+    """Cold goods enter and leave warm: −G·(T − T_a), times the conveyor signal where the model has
+    an input `conveyor`.
 
-    `G` [balance unit / K] ≥ 0 (mass flow · specific heat); `T_a` as in the ambient loss. Without a recorded conveyor
-    signal it cannot be told
-    from an ambient loss.
+    `G` [balance unit / K] ≥ 0 (mass flow · specific heat); `T_a` as in the ambient loss. Without a
+    recorded conveyor signal it cannot be told from an ambient loss.
     """
 
     id = "conveyor-load"
@@ -237,7 +293,13 @@ class ConveyorLoad(HeatLoss):
 
     def parameters(self, site: Site) -> tuple[Parameter, ...]:
         return (
-            Parameter("G", 0.0, site.per("temperature"), lower=0.0, meaning="mass flow times specific heat"),
+            Parameter(
+                "G",
+                0.0,
+                site.per("temperature"),
+                lower=0.0,
+                meaning="mass flow times specific heat",
+            ),
             *self.surroundings(site),
         )
 
@@ -247,14 +309,23 @@ class ConveyorLoad(HeatLoss):
 
     def contribution(self, scene: Scene) -> Contribution:
         running = scene.variables.get("conveyor", sp.S.One)
-        return Contribution(term=-scene.p["G"] * (scene["temperature"] - self.ambient(scene)) * running)
+        return Contribution(
+            term=-scene.p["G"] * (scene["temperature"] - self.ambient(scene)) * running
+        )
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
-        return [{"G": 0.1 * conditions.magnitude / conditions.span("temperature"), **self.first_ambient(conditions)}]
+        return [
+            {
+                "G": 0.1 * conditions.magnitude / conditions.span("temperature"),
+                **self.first_ambient(conditions),
+            }
+        ]
 
 
 def lowest_stretch(signal: Array) -> tuple[int, int]:
-    """Samples [begin, end) of the stretch where the signal stays furthest below its median (largest partial sum)."""
+    """Samples [begin, end) of the stretch where the signal stays furthest below its median (largest
+    partial sum).
+    """
     below = np.median(signal) - signal
     below = below - 0.25 * np.std(below)
     total = np.concatenate([[0.0], np.cumsum(below)])
@@ -264,11 +335,12 @@ def lowest_stretch(signal: Array) -> tuple[int, int]:
 
 
 class DoorOpening(HeatLoss):
-    """−G·(T − T_a) while open: by the input `door` where the model has one, else once, from t_open for t_length.
+    """−G·(T − T_a) while open: by the input `door` where the model has one, else once, from t_open
+    for t_length.
 
-    `G` [balance unit / K] ≥ 0; `t_open`, `t_length` [s] since the record's start (edges of a twentieth of t_length); `T_a`
-    as in the ambient loss.
-    Without a door signal it describes a single record.
+    `G` [balance unit / K] ≥ 0; `t_open`, `t_length` [s] since the record's start (edges of a
+    twentieth of t_length); `T_a` as in the ambient loss. Without a door signal it describes a
+    single record.
     """
 
     id = "door-opening"
@@ -286,7 +358,9 @@ class DoorOpening(HeatLoss):
         return (G, *(() if "door" in site.units else times), *self.surroundings(site))
 
     def recorded(self, site: Site) -> bool:
-        """Where there is a door signal: else it is heat that was lost for a while, whoever took it."""
+        """Where there is a door signal: else it is heat that was lost for a while, whoever took
+        it.
+        """
         return "door" in site.units
 
     def contribution(self, scene: Scene) -> Contribution:
@@ -295,12 +369,18 @@ class DoorOpening(HeatLoss):
             opened = scene["door"]
         else:
             edge = p["t_length"] / 20
-            begin, end = (scene.t - p["t_open"]) / edge, (scene.t - p["t_open"] - p["t_length"]) / edge
+            begin, end = (
+                (scene.t - p["t_open"]) / edge,
+                (scene.t - p["t_open"] - p["t_length"]) / edge,
+            )
             opened = (sp.tanh(begin) - sp.tanh(end)) / 2
         return Contribution(term=-p["G"] * (scene["temperature"] - self.ambient(scene)) * opened)
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
-        base = {"G": 0.3 * conditions.magnitude / conditions.span("temperature"), **self.first_ambient(conditions)}
+        base = {
+            "G": 0.3 * conditions.magnitude / conditions.span("temperature"),
+            **self.first_ambient(conditions),
+        }
         if "door" in conditions.variables:
             return [base]
         if conditions.missing is not None:
@@ -312,7 +392,9 @@ class DoorOpening(HeatLoss):
 
 
 class HeaterNonlinearity(SupplyNonlinearity):
-    """Power that follows a power law of the input (P ∝ u², lamps) or saturates; equation and parameters as in its base."""
+    """Power that follows a power law of the input (P ∝ u², lamps) or saturates; equation and
+    parameters as in its base.
+    """
 
     id = "heater-nonlinearity"
     title = "Heater nonlinearity"

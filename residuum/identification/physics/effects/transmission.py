@@ -23,17 +23,22 @@ from residuum.identification.physics.effects.example_models import axis_example,
 
 
 class TwoBodies(Effect):
-    """A share r of the inertia J has a velocity w of its own and is driven through what the twist φ transmits. φ' = v − w and
-    r·J·w' = transmitted. The drive side keeps (1 − r)·J and feels −transmitted.
+    """A share r of the inertia J has a velocity w of its own and is driven through what the twist φ
+    transmits. φ' = v − w and r·J·w' = transmitted. The drive side keeps (1 − r)·J and feels
+    −transmitted.
 
-    A record, or a window of one, may begin while the contact is twisted or the far body still swings: where is estimated.
+    A record, or a window of one, may begin while the contact is twisted or the far body still
+    swings: where is estimated.
     """
 
     acts_on = ("torque", "force")
     needs = ("velocity",)
 
     def states(self, site: Site) -> Mapping[str, str]:
-        return {"twist": product(site.units["velocity"], "s"), "far_velocity": site.units["velocity"]}
+        return {
+            "twist": product(site.units["velocity"], "s"),
+            "far_velocity": site.units["velocity"],
+        }
 
     @abstractmethod
     def transmitted(self, p: Mapping[str, sp.Expr], twist: sp.Expr, slip: sp.Expr) -> sp.Expr:
@@ -51,25 +56,30 @@ class TwoBodies(Effect):
         )
 
     def shows(self, values: Mapping[str, float], conditions: Conditions) -> bool:
-        """Whether the bodies swing against each other once at least, or come to rest as fast. A far body that begins anywhere on
-        a softer spring, or creeps back, is a load and its slope.
+        """Whether the bodies swing against each other once at least, or come to rest as fast. A far
+        body that begins anywhere on a softer spring, or creeps back, is a load and its slope.
         """
-        reduced = values["share"] * conditions.storage  # the storage is what stays on this side of the spring
+        reduced = (
+            values["share"] * conditions.storage
+        )  # the storage is what stays on this side of the spring
         frequency = np.sqrt(values["k"] / reduced)
         ratio = max(1.0, values["d"] / (2.0 * np.sqrt(values["k"] * reduced)))
-        return bool(frequency / (ratio + np.sqrt(ratio**2 - 1.0)) * conditions.duration > 2.0 * np.pi)
+        return bool(
+            frequency / (ratio + np.sqrt(ratio**2 - 1.0)) * conditions.duration > 2.0 * np.pi
+        )
 
     def examples(self) -> list[Example]:
         return [axis_example(), drive_example()]
 
 
 class ElasticTransmission(TwoBodies):
-    """A share r of the inertia J is driven through a stiffness with damping. With twist φ and its own velocity w, φ' = v − w
-    and r·J·w' = k·φ + d·(v − w). The drive side keeps (1 − r)·J and feels −k·φ − d·(v − w).
+    """A share r of the inertia J is driven through a stiffness with damping. With twist φ and its
+    own velocity w, φ' = v − w and r·J·w' = k·φ + d·(v − w). The drive side keeps (1 − r)·J and
+    feels −k·φ − d·(v − w).
 
-    `k` [balance unit / position unit] > 0, `d` [balance unit / velocity unit] ≥ 0, `share` r [1] in 0.01 … 0.99. The
-    resonance is at
-    ω² = k/(r(1−r)J); above half the sampling rate nothing of it can be seen.
+    `k` [balance unit / position unit] > 0, `d` [balance unit / velocity unit] ≥ 0, `share` r [1] in
+    0.01 … 0.99. The resonance is at ω² = k/(r(1−r)J); above half the sampling rate nothing of it
+    can be seen.
     """
 
     id = "elastic-transmission"
@@ -80,9 +90,18 @@ class ElasticTransmission(TwoBodies):
 
     def parameters(self, site: Site) -> tuple[Parameter, ...]:
         return (
-            Parameter("k", 1.0, product(site.per("velocity"), "1/s"), lower=1e-12, meaning="stiffness"),
+            Parameter(
+                "k", 1.0, product(site.per("velocity"), "1/s"), lower=1e-12, meaning="stiffness"
+            ),
             Parameter("d", 0.0, site.per("velocity"), lower=0.0, meaning="damping"),
-            Parameter("share", 0.5, "", lower=0.01, upper=0.99, meaning="share of the inertia beyond the spring"),
+            Parameter(
+                "share",
+                0.5,
+                "",
+                lower=0.01,
+                upper=0.99,
+                meaning="share of the inertia beyond the spring",
+            ),
         )
 
     def transmitted(self, p: Mapping[str, sp.Expr], twist: sp.Expr, slip: sp.Expr) -> sp.Expr:
@@ -98,14 +117,21 @@ class ElasticTransmission(TwoBodies):
 
 
 def _shapes(conditions: Conditions) -> list[tuple[float, float, float]]:
-    """Resonances to try: (frequency times sample time, share of the inertia, damping); the error rings where there is one."""
+    """Resonances to try: (frequency times sample time, share of the inertia, damping); the error
+    rings where there is one.
+    """
     known = [(0.02, 0.5, 0.1), (0.04, 0.5, 0.1), (0.08, 0.5, 0.1), (0.2, 0.3, 0.1)]
     if conditions.missing is None:
         return known
-    power = np.abs(np.fft.rfft(np.diff(conditions.missing) * np.hanning(conditions.missing.size - 1))) ** 2
+    power = (
+        np.abs(np.fft.rfft(np.diff(conditions.missing) * np.hanning(conditions.missing.size - 1)))
+        ** 2
+    )
     power = np.convolve(power, np.full(5, 0.2), mode="same")
     frequency = np.linspace(0.0, 0.5, power.size)
-    ringing = float(frequency[np.argmax(np.where((frequency > 0.002) & (frequency < 0.25), power, 0.0))])
+    ringing = float(
+        frequency[np.argmax(np.where((frequency > 0.002) & (frequency < 0.25), power, 0.0))]
+    )
     if ringing == 0.0:  # nothing rings: a machine that stands still, or too short a record
         return known
     return known + [(ringing, share, damping) for share in (0.3, 0.7) for damping in (0.03, 0.2)]
@@ -114,15 +140,17 @@ def _shapes(conditions: Conditions) -> list[tuple[float, float, float]]:
 _CROSSINGS = (4.0, 12.0, 36.0)
 """Samples in which the drive side alone, pushed as it is on average, crosses the play."""
 _SOFT = (10.0, 30.0)
-"""Samples in which the machine at its fastest crosses a play whose contact gives way by half of it, pushed on average."""
+"""Samples in which the machine at its fastest crosses a play whose contact gives way by half of it,
+pushed on average.
+"""
 
 
 class Backlash(TwoBodies):
-    """A share r of the inertia is driven through a contact with play. Nothing is transmitted while |φ| < gap/2. Beyond it acts
-    a stiff, damped contact, k·(φ ∓ gap/2) + d·(v − w).
+    """A share r of the inertia is driven through a contact with play. Nothing is transmitted while
+    |φ| < gap/2. Beyond it acts a stiff, damped contact, k·(φ ∓ gap/2) + d·(v − w).
 
-    `gap` [position unit] ≥ 0, `k`, `d`, `share` as in the elastic transmission. Only motion that reverses, or torque that
-    does, shows it.
+    `gap` [position unit] ≥ 0, `k`, `d`, `share` as in the elastic transmission. Only motion that
+    reverses, or torque that does, shows it.
     """
 
     id = "backlash"
@@ -134,15 +162,30 @@ class Backlash(TwoBodies):
     def parameters(self, site: Site) -> tuple[Parameter, ...]:
         return (
             Parameter("gap", 0.0, product(site.units["velocity"], "s"), lower=0.0, meaning="play"),
-            Parameter("k", 1.0, product(site.per("velocity"), "1/s"), lower=1e-12, meaning="contact stiffness"),
+            Parameter(
+                "k",
+                1.0,
+                product(site.per("velocity"), "1/s"),
+                lower=1e-12,
+                meaning="contact stiffness",
+            ),
             Parameter("d", 0.0, site.per("velocity"), lower=0.0, meaning="contact damping"),
-            Parameter("share", 0.5, "", lower=0.01, upper=0.99, meaning="share of the inertia beyond the play"),
+            Parameter(
+                "share",
+                0.5,
+                "",
+                lower=0.01,
+                upper=0.99,
+                meaning="share of the inertia beyond the play",
+            ),
         )
 
     def transmitted(self, p: Mapping[str, sp.Expr], twist: sp.Expr, slip: sp.Expr) -> sp.Expr:
         half, damping = p["gap"] / 2, p["d"] * slip
         return sp.Piecewise(
-            (p["k"] * (twist - half) + damping, twist > half), (p["k"] * (twist + half) + damping, twist < -half), (0, True)
+            (p["k"] * (twist - half) + damping, twist > half),
+            (p["k"] * (twist + half) + damping, twist < -half),
+            (0, True),
         )
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
@@ -157,7 +200,14 @@ class Backlash(TwoBodies):
         for samples in _SOFT if travelled > 0.0 else ():
             gap = samples * travelled
             k = 2.0 * conditions.magnitude / gap
-            first_values.append({"gap": gap, "k": k, "d": 0.5 * float(np.sqrt(k * conditions.storage)), "share": 0.5})
+            first_values.append(
+                {
+                    "gap": gap,
+                    "k": k,
+                    "d": 0.5 * float(np.sqrt(k * conditions.storage)),
+                    "share": 0.5,
+                }
+            )
         return first_values
 
     def specialised(self, general: Mapping[str, float], conditions: Conditions) -> dict[str, float]:
@@ -173,7 +223,11 @@ class Backlash(TwoBodies):
         travel = 2.0 * float(np.max(np.abs(conditions.variables["twist"])))
         first_values = []
         for share in (0.3, 0.8):
-            stiffer = {"k": special["k"] / (1.0 - share), "d": special["d"], "share": special["share"]}
+            stiffer = {
+                "k": special["k"] / (1.0 - share),
+                "d": special["d"],
+                "share": special["share"],
+            }
             first_values.append({"gap": share * travel, **stiffer})
         return first_values
 
@@ -183,30 +237,36 @@ _DEPTHS = np.array([0.001, 0.005, 0.03])
 
 
 def _bend(position: Array, force: Array) -> float:
-    """Where, in the upper half of the travel, a force that falls evenly from there on explains most of the force.
+    """Where, in the upper half of the travel, a force that falls evenly from there on explains most
+    of the force.
 
-    A machine that is at this end for more than half of the time has no upper half: then the end itself.
+    A machine that is at this end for more than half of the time has no upper half: then the end
+    itself.
     """
     middle, end = float(np.median(position)), float(np.max(position))
     if middle == end:
         return end
     q = np.linspace(middle, end, 60, endpoint=False)
     beyond = [np.maximum(position - knee, 0.0) for knee in q]
-    explained = [min(float(force @ b), 0.0) ** 2 / max(float(b @ b), 1e-300) for b in beyond]  # a travel of 1e-160 m squares to 0
+    explained = [
+        min(float(force @ b), 0.0) ** 2 / max(float(b @ b), 1e-300) for b in beyond
+    ]  # a travel of 1e-160 m squares to 0
     return float(q[int(np.argmax(explained))])
 
 
 class EndStop(Effect):
-    """Pushes back beyond either end, as a spring with a damper that never pulls. It adds −max(k·(q − q_max) + d·v, 0) above
-    q_max,
-    max(k·(q_min − q) − d·v, 0) below q_min.
+    """Pushes back beyond either end, as a spring with a damper that never pulls. It adds −max(k·(q
+    − q_max) + d·v, 0) above q_max, max(k·(q_min − q) − d·v, 0) below q_min.
 
-    `k` [balance unit / position unit] ≥ 0, `d` [balance unit / velocity unit] ≥ 0; `q_max`, `q_min` [position unit].
+    `k` [balance unit / position unit] ≥ 0, `d` [balance unit / velocity unit] ≥ 0; `q_max`, `q_min`
+    [position unit].
     """
 
     id = "end-stop"
     title = "End stop"
-    equation = "−max(k·(q − q_max) + d·v, 0) for q > q_max, max(k·(q_min − q) − d·v, 0) for q < q_min"
+    equation = (
+        "−max(k·(q − q_max) + d·v, 0) for q > q_max, max(k·(q_min − q) − d·v, 0) for q < q_min"
+    )
     reference = "W. J. Stronge, Impact Mechanics, Cambridge 2000 (Kelvin–Voigt contact)"
     acts_on = ("torque", "force")
     needs = ("position", "velocity")
@@ -227,15 +287,23 @@ class EndStop(Effect):
 
     def contribution(self, scene: Scene) -> Contribution:
         p, q, damped = scene.p, scene["position"], scene.p["d"] * scene["velocity"]
-        above = sp.Piecewise((sp.Max(p["k"] * (q - p["q_max"]) + damped, 0), q > p["q_max"]), (0, True))
-        below = sp.Piecewise((sp.Max(p["k"] * (p["q_min"] - q) - damped, 0), q < p["q_min"]), (0, True))
+        above = sp.Piecewise(
+            (sp.Max(p["k"] * (q - p["q_max"]) + damped, 0), q > p["q_max"]), (0, True)
+        )
+        below = sp.Piecewise(
+            (sp.Max(p["k"] * (p["q_min"] - q) - damped, 0), q < p["q_min"]), (0, True)
+        )
         return Contribution(term=below - above)
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
-        """One end at a time; how far the motion goes beyond it nobody knows, unless what is missing shows it."""
+        """One end at a time; how far the motion goes beyond it nobody knows, unless what is missing
+        shows it.
+        """
         q, span = conditions.variables["position"], conditions.span("position")
         low, high = float(np.min(q)), float(np.max(q))
-        ends = [(high - depth, low - span) for depth in _DEPTHS * span] + [(high + span, low + depth) for depth in _DEPTHS * span]
+        ends = [(high - depth, low - span) for depth in _DEPTHS * span] + [
+            (high + span, low + depth) for depth in _DEPTHS * span
+        ]
         if conditions.missing is not None and np.any(conditions.missing):
             above, below = _bend(q, conditions.missing), _bend(-q, -conditions.missing)
             ends += [(above, low - span), (high + span, -below), (above, -below)]
@@ -244,17 +312,30 @@ class EndStop(Effect):
             if not q_min < q_max:  # both bends at the middle of the travel: a spring
                 continue
             k = conditions.magnitude / max(high - q_max, q_min - low, 1e-6 * span)
-            first_values.append({"k": k, "d": 2.0 * float(np.sqrt(k * conditions.storage)), "q_max": q_max, "q_min": q_min})
+            first_values.append(
+                {
+                    "k": k,
+                    "d": 2.0 * float(np.sqrt(k * conditions.storage)),
+                    "q_max": q_max,
+                    "q_min": q_min,
+                }
+            )
         return first_values
 
     def grown(self, special: Mapping[str, float], conditions: Conditions) -> list[dict[str, float]]:
-        """The stops moved by parts of what the machine travels in a sample: each moment of contact is a small summit."""
+        """The stops moved by parts of what the machine travels in a sample: each moment of contact
+        is a small summit.
+        """
         motion = float(np.quantile(np.abs(np.diff(conditions.variables["position"])), 0.9))
         moves = [part * motion for part in (-0.3, -0.05, 0.05, 0.3)]
-        return [dict(special) | {n: special[n] + move for n in ("q_max", "q_min")} for move in moves]
+        return [
+            dict(special) | {n: special[n] + move for n in ("q_max", "q_min")} for move in moves
+        ]
 
     def shows(self, values: Mapping[str, float], conditions: Conditions) -> bool:
-        """Whether the machine leaves a stop within the record: one that it always touches is a spring, a load and a damping."""
+        """Whether the machine leaves a stop within the record: one that it always touches is a
+        spring, a load and a damping.
+        """
         q = conditions.variables["position"]
         return bool(np.any((q <= values["q_max"]) & (q >= values["q_min"])))
 

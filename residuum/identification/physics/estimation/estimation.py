@@ -1,16 +1,18 @@
 """Estimation of a model's parameters from records, each with its own initial states.
 
-Minimises Σ over experiments, outputs and samples of (w·F(q)(y − ŷ(θ, x₀)))² by Levenberg–Marquardt with exact
-sensitivities: θ are the free parameters, x₀ the initial states of each experiment, w = 1/σ the weight of an output,
-F an optional noise filter (an AR polynomial: the whitened residual of coloured noise). The initial states of one
-experiment touch no other, so they are eliminated blockwise (Schur complement) and thousands of experiments cost no
-more than their simulations. Cutting a record into windows of k samples (`windows`) gives the k-step prediction
-error with free states, which suits plants that integrate and data from a closed loop.
+Minimises Σ over experiments, outputs and samples of (w·F(q)(y − ŷ(θ, x₀)))² by Levenberg–Marquardt
+with exact sensitivities: θ are the free parameters, x₀ the initial states of each experiment, w =
+1/σ the weight of an output, F an optional noise filter (an AR polynomial: the whitened residual of
+coloured noise). The initial states of one experiment touch no other, so they are eliminated
+blockwise (Schur complement) and thousands of experiments cost no more than their simulations.
+Cutting a record into windows of k samples (`windows`) gives the k-step prediction error with free
+states, which suits plants that integrate and data from a closed loop.
 
-Bounds are kept by projection: a parameter at its bound with the gradient pointing out is held for that step.
-Parameter covariance is σ²·H⁻¹ with H the Gauss–Newton matrix after elimination (Ljung, *System Identification*, 9.4);
-an eigenvector of the scaled H with a vanishing eigenvalue is a *flat direction*: the data cannot tell its members apart.
-A parameter's prior is one more row, (θ − μ)/σ (`priors`).
+Bounds are kept by projection: a parameter at its bound with the gradient pointing out is held for
+that step. Parameter covariance is σ²·H⁻¹ with H the Gauss–Newton matrix after elimination (Ljung,
+*System Identification*, 9.4); an eigenvector of the scaled H with a vanishing eigenvalue is a *flat
+direction*: the data cannot tell its members apart. A parameter's prior is one more row, (θ − μ)/σ
+(`priors`).
 """
 
 from __future__ import annotations
@@ -61,7 +63,8 @@ class Estimate:
     parameters : tuple of str
         Full names of the estimated parameters.
     theta, covariance : array
-        Their values and covariance, shapes (q,) and (q, q); infinite variance along flat directions.
+        Their values and covariance, shapes (q,) and (q, q); infinite variance along flat
+        directions.
     initial : list of array
         Initial states of each experiment, in the kernel's order.
     predicted : list of array
@@ -80,7 +83,8 @@ class Estimate:
     priors : Priors
         Of the parameters.
     promised : float
-        Part of the cost that a whole Gauss–Newton step from here promises: next to nothing in a minimum.
+        Part of the cost that a whole Gauss–Newton step from here promises: next to nothing in a
+        minimum.
     """
 
     model: PhysicalModel
@@ -108,7 +112,9 @@ class Estimate:
 
     @property
     def rmse(self) -> Array:
-        """Root mean square residual of each output (NaN where it was never measured), shape (outputs,)."""
+        """Root mean square residual of each output (NaN where it was never measured), shape
+        (outputs,).
+        """
         stacked = np.concatenate(self.residuals)
         count = np.sum(np.isfinite(stacked), axis=0)
         return np.sqrt(np.nansum(stacked**2, axis=0) / np.where(count, count, np.nan))
@@ -118,10 +124,11 @@ class Estimate:
 class Settings:
     """How to estimate.
 
-    `weights`: 1/σ of each output (None: from the residuals, twice); `filters`: AR polynomials (1, a₁, …) of each output's
-    noise; `iterations`: the most Gauss–Newton steps; `tolerance`: relative fall of the cost at which to stop; `blocks`: whether
-    the means of the experiments' blocks are to be met rather than every sample; `rival`: a cost, of which a point that is not
-    promised to come near it is left.
+    `weights`: 1/σ of each output (None: from the residuals, twice); `filters`: AR polynomials (1,
+    a₁, …) of each output's noise; `iterations`: the most Gauss–Newton steps; `tolerance`: relative
+    fall of the cost at which to stop; `blocks`: whether the means of the experiments' blocks are to
+    be met rather than every sample; `rival`: a cost, of which a point that is not promised to come
+    near it is left.
     """
 
     weights: Array | None = None
@@ -133,7 +140,9 @@ class Settings:
 
 
 def windows(experiment: Experiment, samples: int) -> list[Experiment]:
-    """The experiment in windows of `samples`, each to be given its own initial states (a rest under half is dropped)."""
+    """The experiment in windows of `samples`, each to be given its own initial states (a rest under
+    half is dropped).
+    """
     starts = range(0, experiment.n, samples)
     cut = [experiment.window(start, min(start + samples, experiment.n)) for start in starts]
     return [part for part in cut if part.n >= max(2, samples // 2)]
@@ -155,9 +164,11 @@ def estimate(
     free : sequence of str
         Full names; default: the model's free parameters.
     initial : sequence of array
-        First values of the states, one vector an experiment in kernel order; default: `first_states`.
+        First values of the states, one vector an experiment in kernel order; default:
+        `first_states`.
     substeps : sequence of int
-        Integration steps a sample of each experiment; default: as many as its first simulation asks for.
+        Integration steps a sample of each experiment; default: as many as its first simulation asks
+        for.
 
     Raises
     ------
@@ -165,7 +176,9 @@ def estimate(
         No measured output, or the model diverges at its starting values already.
     """
     if not experiments or not any(e.measured.any() for e in experiments):
-        raise NotIdentifiable(f"model {model.name!r}: no output of it was measured; there is nothing to estimate from")
+        raise NotIdentifiable(
+            f"model {model.name!r}: no output of it was measured; there is nothing to estimate from"
+        )
     count_fit()
     names = tuple(model.free if free is None else free)
     problem = _Problem(Simulator(model), list(experiments), names, settings)
@@ -195,8 +208,19 @@ class _Point:
 class _Problem:
     """One least-squares problem: evaluates cost and Gauss–Newton blocks, and walks down."""
 
-    def __init__(self, simulator: Simulator, experiments: list[Experiment], names: tuple[str, ...], settings: Settings) -> None:
-        self.simulator, self.experiments, self.names, self.settings = simulator, experiments, names, settings
+    def __init__(
+        self,
+        simulator: Simulator,
+        experiments: list[Experiment],
+        names: tuple[str, ...],
+        settings: Settings,
+    ) -> None:
+        self.simulator, self.experiments, self.names, self.settings = (
+            simulator,
+            experiments,
+            names,
+            settings,
+        )
         parameters = simulator.model.all_parameters
         self.lower = np.array([parameters[name].lower for name in names])
         self.upper = np.array([parameters[name].upper for name in names])
@@ -204,7 +228,9 @@ class _Problem:
         self.priors = Priors.of(parameters, names)
         self.index = simulator.columns(names)
         self.states = () if self._all_known(simulator.free_states) else simulator.free_states
-        self.summed = self.experiments if self.states or len(experiments) == 1 else [_end_to_end(experiments)]
+        self.summed = (
+            self.experiments if self.states or len(experiments) == 1 else [_end_to_end(experiments)]
+        )
         self.state_index = [simulator.states.index(name) for name in self.states]
         self.slopes = [*names, *(f"initial:{name}" for name in self.states)]
         self.measured = np.any([e.measured for e in experiments], axis=0)
@@ -212,18 +238,32 @@ class _Problem:
         self.weights = np.where(self.measured, 1.0, 0.0)
 
     def _all_known(self, states: Sequence[str]) -> bool:
-        """Whether nothing is free that belongs to one experiment alone: then the sums may run over all of them at once."""
+        """Whether nothing is free that belongs to one experiment alone: then the sums may run over
+        all of them at once.
+        """
         settings = self.settings
         known = all(name in e.known for e in self.experiments for name in states)
-        return known and settings.filters is None and not (settings.blocks and any(e.block > 1 for e in self.experiments))
+        return (
+            known
+            and settings.filters is None
+            and not (settings.blocks and any(e.block > 1 for e in self.experiments))
+        )
 
     def _runs(self, initial: list[Array], p: Array, slopes: Sequence[str] = ()) -> Runs:
         """Simulations of the experiments that are summed over."""
-        runs = self.simulator.run_each(self.experiments, initial, p, slopes=slopes, substeps=self.substeps)
-        return runs if self.summed is self.experiments else replace(runs, experiments=self.summed, starts=runs.starts[[0, -1]])
+        runs = self.simulator.run_each(
+            self.experiments, initial, p, slopes=slopes, substeps=self.substeps
+        )
+        return (
+            runs
+            if self.summed is self.experiments
+            else replace(runs, experiments=self.summed, starts=runs.starts[[0, -1]])
+        )
 
     def first_states(self) -> list[Array]:
-        """Initial states at zero (or as the model fixes them), then fitted to the beginning of each record."""
+        """Initial states at zero (or as the model fixes them), then fitted to the beginning of each
+        record.
+        """
         starts = [self.simulator.measured_start(experiment) for experiment in self.experiments]
         p = self.p(self.theta0)
         self.substeps = self.simulator.substeps_each(self.experiments, starts, p)
@@ -234,12 +274,16 @@ class _Problem:
         return starts
 
     def _fit_states(self, number: int, x0: Array, p: Array) -> Array:
-        """One Gauss–Newton step of the initial states alone, over the whole record, kept when it helps."""
+        """One Gauss–Newton step of the initial states alone, over the whole record, kept when it
+        helps.
+        """
         if not self.states:
             return x0
 
         def run(x: Array, slopes: Sequence[str]) -> Runs:
-            return self.simulator.run_each([self.experiments[number]], [x], p, slopes=slopes, substeps=[self.substeps[number]])
+            return self.simulator.run_each(
+                [self.experiments[number]], [x], p, slopes=slopes, substeps=[self.substeps[number]]
+            )
 
         before = run(x0, self.slopes[len(self.names) :])
         if not before.bounded:
@@ -257,7 +301,9 @@ class _Problem:
         return trial if r_there @ r_there < r @ r else x0
 
     def _scales(self) -> Array:
-        spread = np.nanstd(np.concatenate([e.Y for e in self.experiments])[:, self.measured], axis=0)
+        spread = np.nanstd(
+            np.concatenate([e.Y for e in self.experiments])[:, self.measured], axis=0
+        )
         weights = np.zeros(self.measured.size)
         weights[self.measured] = 1.0 / np.where(spread > 0, spread, 1.0)
         return weights
@@ -268,9 +314,13 @@ class _Problem:
         return p
 
     def solve(self, initial: list[Array], substeps: Sequence[int] | None = None) -> Estimate:
-        """Walk down from the model's values and these first states; `substeps` where they are known."""
+        """Walk down from the model's values and these first states; `substeps` where they are
+        known.
+        """
         self.substeps = list(
-            self.simulator.substeps_each(self.experiments, initial, self.p(self.theta0)) if substeps is None else substeps
+            self.simulator.substeps_each(self.experiments, initial, self.p(self.theta0))
+            if substeps is None
+            else substeps
         )
         point, iterations, converged = self._walked(initial)
         if substeps is None and self._too_coarse(point):
@@ -279,9 +329,11 @@ class _Problem:
         return self._result(point, iterations, converged)
 
     def _too_coarse(self, point: _Point) -> bool:
-        """Whether the runs that were found ask for many more steps a sample than the first ones did; those are taken from now on.
+        """Whether the runs that were found ask for many more steps a sample than the first ones
+        did; those are taken from now on.
 
-        A stop or a valve that the first run never reaches is stiff where it is met, and coarse steps leave it for anywhere.
+        A stop or a valve that the first run never reaches is stiff where it is met, and coarse
+        steps leave it for anywhere.
         """
         needed = self.simulator.modal_substeps(self.experiments, point.initial, self.p(point.theta))
         if not any(n > _COARSE * have for n, have in zip(needed, self.substeps, strict=True)):
@@ -290,12 +342,17 @@ class _Problem:
         return True
 
     def _walked(self, initial: list[Array]) -> tuple[_Point, int, bool]:
-        """The lowest point from the model's values and these first states; weights are those of the residuals unless given."""
+        """The lowest point from the model's values and these first states; weights are those of the
+        residuals unless given.
+        """
         given = self.settings.weights
         self.weights = self._scales() if given is None else np.where(self.measured, given, 0.0)
         point = self.point((self.theta0, initial))
         if not np.isfinite(point.cost):
-            raise NotIdentifiable(f"model {self.simulator.model.name!r}: diverges at its starting values; {MAY_DIVERGE}")
+            raise NotIdentifiable(
+                f"model {self.simulator.model.name!r}: diverges at its starting values;"
+                f" {MAY_DIVERGE}"
+            )
         point, iterations, converged = self._descend(point)
         for _ in range(self._reweightings()):
             before, self.weights = self.weights, self._from_residuals(point)
@@ -309,13 +366,21 @@ class _Problem:
         return point, iterations, converged
 
     def _reweightings(self) -> int:
-        """How often at most: one output is weighed against priors alone, whose weight does not follow."""
+        """How often at most: one output is weighed against priors alone, whose weight does not
+        follow.
+        """
         if self.settings.weights is not None:
             return 0
-        return MOST_REWEIGHTINGS if self.priors.count else REWEIGHTINGS * int(np.sum(self.measured) > 1)
+        return (
+            MOST_REWEIGHTINGS
+            if self.priors.count
+            else REWEIGHTINGS * int(np.sum(self.measured) > 1)
+        )
 
     def _from_residuals(self, point: _Point) -> Array:
-        stacked = np.concatenate([e.Y - y for e, y in zip(self.summed, point.predicted, strict=True)])[:, self.measured]
+        stacked = np.concatenate(
+            [e.Y - y for e, y in zip(self.summed, point.predicted, strict=True)]
+        )[:, self.measured]
         floor = 1e-9 / self._scales()[self.measured]
         weights = np.zeros(self.measured.size)
         weights[self.measured] = 1.0 / np.maximum(np.sqrt(np.nanmean(stacked**2, axis=0)), floor)
@@ -324,21 +389,35 @@ class _Problem:
     def _descend(self, point: _Point) -> tuple[_Point, int, bool]:
         if not self.slopes:
             return point, 0, True
-        point, steps, end = descend(self, point, steps=self.settings.iterations, relative=self.settings.tolerance)
+        point, steps, end = descend(
+            self, point, steps=self.settings.iterations, relative=self.settings.tolerance
+        )
         return point, steps, end in (End.SETTLED, End.STUCK)
 
     def ends(self, point: _Point) -> End | None:
         """Left where it is not promised to come near the rival."""
         rival = self.settings.rival
-        return End.LEFT if rival < np.inf and point.cost - _OPTIMISM * self._promised(point) > rival else None
+        return (
+            End.LEFT
+            if rival < np.inf and point.cost - _OPTIMISM * self._promised(point) > rival
+            else None
+        )
 
     def _eliminated(self, point: _Point, damping: float) -> tuple[Array, Array, Array]:
-        """Curvature and gradient of the parameters with the initial states eliminated, damped; and what those follow from."""
+        """Curvature and gradient of the parameters with the initial states eliminated, damped; and
+        what those follow from.
+        """
         cross = np.array(point.cross)
-        wanted = np.concatenate([cross.swapaxes(1, 2), np.array(point.own_gradient)[:, :, None]], axis=2)
+        wanted = np.concatenate(
+            [cross.swapaxes(1, 2), np.array(point.own_gradient)[:, :, None]], axis=2
+        )
         eliminated = solve_scaled(damped(np.array(point.own), damping), wanted)
         absorbed = np.einsum("kqm,kmc->qc", cross, eliminated)
-        return damped(point.hessian, damping) - absorbed[:, :-1], point.gradient - absorbed[:, -1], eliminated
+        return (
+            damped(point.hessian, damping) - absorbed[:, :-1],
+            point.gradient - absorbed[:, -1],
+            eliminated,
+        )
 
     def _promised(self, point: _Point) -> float:
         """By how much the cost falls with the whole step, if the outputs go on as they begin to."""
@@ -347,7 +426,9 @@ class _Problem:
         return own + float(g @ solve_scaled(H, g[:, None])[:, 0])
 
     def trial(self, point: _Point, damping: float) -> tuple[Array, list[Array]]:
-        """Parameters and first states after the damped Gauss–Newton step, initial states eliminated, parameters within bounds."""
+        """Parameters and first states after the damped Gauss–Newton step, initial states
+        eliminated, parameters within bounds.
+        """
         H, g, eliminated = self._eliminated(point, damping)
         step = bounded_step(H, g, point.theta, self.lower, self.upper)
         theta = np.clip(point.theta + step, self.lower, self.upper)
@@ -365,7 +446,11 @@ class _Problem:
         """Cost, and the blocks that the next step needs."""
         theta, initial = trial
         q, runs = len(self.names), self._runs(initial, self.p(theta), self.slopes)
-        pull, precision, cost = self.priors.pull(theta), np.diag(self.priors.precisions), self.priors.cost(theta)
+        pull, precision, cost = (
+            self.priors.pull(theta),
+            np.diag(self.priors.precisions),
+            self.priors.cost(theta),
+        )
         point = _Point(theta, initial, [], pull, precision, [], [], [], cost)
         if not runs.bounded:
             point.cost = np.inf
@@ -386,10 +471,16 @@ class _Problem:
         """The cost alone, which needs no sensitivities."""
         theta, initial = trial
         runs = self._runs(initial, self.p(theta))
-        return float(sum(r @ r for r, _ in self._weighted(runs))) + self.priors.cost(theta) if runs.bounded else np.inf
+        return (
+            float(sum(r @ r for r, _ in self._weighted(runs))) + self.priors.cost(theta)
+            if runs.bounded
+            else np.inf
+        )
 
     def _weighted(self, runs: Runs) -> list[tuple[Array, Array | None]]:
-        """Weighted, filtered residuals of each experiment, those of all outputs in one, and their Jacobian; 0 where missing."""
+        """Weighted, filtered residuals of each experiment, those of all outputs in one, and their
+        Jacobian; 0 where missing.
+        """
         blocks = runs.in_blocks if self.settings.blocks else lambda values: (values, runs.starts)
         errors, starts = blocks(runs.errors)
         known = np.isfinite(errors)
@@ -404,7 +495,16 @@ class _Problem:
         for a, b in pairwise(starts.tolist()):
             valid = known[a:b]
             errors = self._filtered(r[a:b], valid).ravel()
-            weighted.append((errors, None if J is None else self._filtered(J[a:b], valid).reshape(errors.size, J.shape[-1])))
+            weighted.append(
+                (
+                    errors,
+                    (
+                        None
+                        if J is None
+                        else self._filtered(J[a:b], valid).reshape(errors.size, J.shape[-1])
+                    ),
+                )
+            )
         return weighted
 
     def _filtered(self, signals: Array, known: npt.NDArray[np.bool_]) -> Array:
@@ -413,18 +513,24 @@ class _Problem:
             return signals
         filtered = np.zeros_like(signals)
         for o in map(int, np.flatnonzero(self.measured)):
-            filtered[:, o] = scipy.signal.lfilter(self.settings.filters[o], [1.0], signals[:, o], axis=0)
+            filtered[:, o] = scipy.signal.lfilter(
+                self.settings.filters[o], [1.0], signals[:, o], axis=0
+            )
         filtered[~known] = 0.0
         return filtered
 
     def _result(self, point: _Point, iterations: int, converged: bool) -> Estimate:
         cross = np.array(point.cross)
-        reduced = point.hessian - np.einsum("kqm,kmc->qc", cross, solve_scaled(np.array(point.own), cross.swapaxes(1, 2)))
+        reduced = point.hessian - np.einsum(
+            "kqm,kmc->qc", cross, solve_scaled(np.array(point.own), cross.swapaxes(1, 2))
+        )
         samples = sum(int(np.sum(np.isfinite(e.Y[:, self.measured]))) for e in self.experiments)
         unknowns = len(self.names) + len(self.experiments) * len(self.states)
         variance = point.cost / max(samples + self.priors.count - unknowns, 1)
         covariance, flat = covariance_of(reduced, variance, self.names, point.theta)
-        model = self.simulator.model.with_values(dict(zip(self.names, point.theta.tolist(), strict=True)))
+        model = self.simulator.model.with_values(
+            dict(zip(self.names, point.theta.tolist(), strict=True))
+        )
         bound = (point.theta <= self.lower) | (point.theta >= self.upper)
         ends = np.cumsum([e.n for e in self.experiments])[:-1]
         predicted = np.split(np.concatenate(point.predicted), ends)
@@ -440,7 +546,9 @@ class _Problem:
             cost=point.cost,
             samples=samples,
             flat=flat,
-            at_bound=tuple(name for name, is_at_bound in zip(self.names, bound, strict=True) if is_at_bound),
+            at_bound=tuple(
+                name for name, is_at_bound in zip(self.names, bound, strict=True) if is_at_bound
+            ),
             converged=converged,
             iterations=iterations,
             substeps=tuple(self.substeps),

@@ -1,12 +1,16 @@
-"""Least squares of a model's simulation error as one compiled pass, and what follows from it without another simulation.
+"""Least squares of a model's simulation error as one compiled pass, and what follows from it
+without another simulation.
 
-A pass simulates windows of records with forward sensitivities and adds up, for each *cell* (the rows of one window in one block)
-and output, the normal equations M = Σ v vᵀ of v = w·[∂y/∂θ, ∂y/∂x₀, e]; no trajectory is kept. The first states of a window touch
-no other one, so they are eliminated: with z = (I, −E), E their best answer to a change of the parameters and to the error, the
-equations of a cell are zᵀMz. From these follow the next step, what it promises, and the fit without some cells (downdating).
+A pass simulates windows of records with forward sensitivities and adds up, for each *cell* (the
+rows of one window in one block) and output, the normal equations M = Σ v vᵀ of v = w·[∂y/∂θ,
+∂y/∂x₀, e]; no trajectory is kept. The first states of a window touch no other one, so they are
+eliminated: with z = (I, −E), E their best answer to a change of the parameters and to the error,
+the equations of a cell are zᵀMz. From these follow the next step, what it promises, and the fit
+without some cells (downdating).
 
-Weights are Huber's: an error beyond `clip` counts in proportion to its size. Errors are whitened by an autoregression of each
-output where one is given; a missing sample counts nothing. A parameter's prior is one more row (`priors`).
+Weights are Huber's: an error beyond `clip` counts in proportion to its size. Errors are whitened by
+an autoregression of each output where one is given; a missing sample counts nothing. A parameter's
+prior is one more row (`priors`).
 
 References
 ----------
@@ -26,7 +30,12 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.descent import ATTEMPTS, HARDER, End, descend
-from residuum.identification.physics.estimation.least_squares import NOTHING_ALONG, bounded_step, covariance_of, solved
+from residuum.identification.physics.estimation.least_squares import (
+    NOTHING_ALONG,
+    bounded_step,
+    covariance_of,
+    solved,
+)
 from residuum.identification.physics.estimation.priors import Priors
 from residuum.identification.physics.model import PhysicalModel
 from residuum.identification.physics.simulate.experiment import Experiment
@@ -39,17 +48,21 @@ Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 
 PROMISED = 0.3
-"""Part of the fall of the cost at which a descent ends, below which a step that promises it is not taken."""
+"""Part of the fall of the cost at which a descent ends, below which a step that promises it is not
+taken.
+"""
 AT_ONCE, OVERFLOW = 64, 1e60
-"""Samples that are simulated before their products are added up (they stay in the processor's cache), and errors of no use."""
+"""Samples that are simulated before their products are added up (they stay in the processor's
+cache), and errors of no use.
+"""
 SHORTENED = (0.0, 0.1, 1.0, 10.0)
 """Dampings by which a step without some cells is shortened until the others are fitted no worse."""
 
 
 class _Unit(Protocol):
-    """In what errors are measured: 1/σ of each output (0: it does not count), the weighted errors beyond which Huber's weights
-    fall, whitening autoregressions (1, a₁, …), one an output, and the variance of a weighted error that is noise, beside which
-    priors count (0: they do not).
+    """In what errors are measured: 1/σ of each output (0: it does not count), the weighted errors
+    beyond which Huber's weights fall, whitening autoregressions (1, a₁, …), one an output, and the
+    variance of a weighted error that is noise, beside which priors count (0: they do not).
     """
 
     @property
@@ -64,7 +77,9 @@ class _Unit(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """Experiments laid end to end; `cell` (rows,) is each row's, `part` and `block` (cells,) are each cell's."""
+    """Experiments laid end to end; `cell` (rows,) is each row's, `part` and `block` (cells,) are
+    each cell's.
+    """
 
     parts: Sequence[Experiment]
     joined: Joined
@@ -80,13 +95,20 @@ class Cells:
         part = np.repeat(np.arange(len(parts)), np.diff(joined.starts))
         block = np.zeros(len(part), dtype=np.int64) if block is None else block
         new = np.r_[True, (np.diff(part) != 0) | (np.diff(block) != 0)]
-        return cls(parts, joined, np.concatenate([e.Y for e in parts]), np.cumsum(new) - 1, part[new], block[new])
+        return cls(
+            parts,
+            joined,
+            np.concatenate([e.Y for e in parts]),
+            np.cumsum(new) - 1,
+            part[new],
+            block[new],
+        )
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """A model's free parameters, within `lower` and `upper`, and first states to be fitted to cells in a unit, with so many
-    integration steps a sample of each window.
+    """A model's free parameters, within `lower` and `upper`, and first states to be fitted to cells
+    in a unit, with so many integration steps a sample of each window.
     """
 
     simulator: Simulator
@@ -97,11 +119,23 @@ class Problem:
     upper: Array
 
     @classmethod
-    def of(cls, simulator: Simulator, cells: Cells, unit: _Unit, substeps: Sequence[int]) -> Problem:
+    def of(
+        cls, simulator: Simulator, cells: Cells, unit: _Unit, substeps: Sequence[int]
+    ) -> Problem:
         """With the bounds that the model gives."""
         values = simulator.model.all_parameters
-        lower, upper = ([getattr(values[name], side) for name in simulator.model.free] for side in ("lower", "upper"))
-        return cls(simulator, cells, unit, np.array(substeps), np.array(lower, dtype=float), np.array(upper, dtype=float))
+        lower, upper = (
+            [getattr(values[name], side) for name in simulator.model.free]
+            for side in ("lower", "upper")
+        )
+        return cls(
+            simulator,
+            cells,
+            unit,
+            np.array(substeps),
+            np.array(lower, dtype=float),
+            np.array(upper, dtype=float),
+        )
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -116,7 +150,9 @@ class Problem:
     @cached_property
     def columns(self) -> Integers:
         """Kernel columns of the parameters, then of the first states."""
-        return self.simulator.columns([*self.parameters, *(f"initial:{n}" for n in self.simulator.free_states)])
+        return self.simulator.columns(
+            [*self.parameters, *(f"initial:{n}" for n in self.simulator.free_states)]
+        )
 
     @cached_property
     def free(self) -> Array:
@@ -130,14 +166,18 @@ class Problem:
     def filters(self) -> Array:
         """Those of the outputs, filled up with zeros, shape (outputs, order + 1)."""
         coefficients = self.unit.filters
-        out = np.zeros((self.cells.Y.shape[1], 1 if coefficients is None else max(map(len, coefficients))))
+        out = np.zeros(
+            (self.cells.Y.shape[1], 1 if coefficients is None else max(map(len, coefficients)))
+        )
         for o, a in enumerate(coefficients or ()):
             out[o, : len(a)] = a
         return out
 
     def begin(self, X0: Array) -> Fit:
         """The fit at the model's own values."""
-        return self.at(np.array([self.simulator.model.values[name] for name in self.parameters]), X0)
+        return self.at(
+            np.array([self.simulator.model.values[name] for name in self.parameters]), X0
+        )
 
     def p(self, theta: Array) -> Array:
         """All parameters in the kernel's order."""
@@ -147,22 +187,46 @@ class Problem:
 
     def at(self, theta: Array, X0: Array, *, slopes: bool = True) -> Fit:
         """One pass at parameters and first states; without slopes for the cost alone."""
-        at, columns, p = self.cells.joined, self.columns if slopes else self.columns[:0], self.p(theta)
-        M = np.empty((len(self.cells.part), self.cells.Y.shape[1], len(columns) + 1, len(columns) + 1))
+        at, columns, p = (
+            self.cells.joined,
+            self.columns if slopes else self.columns[:0],
+            self.p(theta),
+        )
+        M = np.empty(
+            (len(self.cells.part), self.cells.Y.shape[1], len(columns) + 1, len(columns) + 1)
+        )
         power = np.empty(M.shape[:2])
         count_samples(int(np.diff(at.starts) @ self.substeps) * (1 + len(columns)))
         system, unit, of = self.simulator.kernel.system, self.unit, self.cells
         possible = self.simulator.possible(p) and _accumulated(
             *(system, at.U, of.Y, unit.weights, self.filters, unit.clip, at.starts, p, X0),
-            *(at.sample_times, self.substeps, at.holds, at.follows, self.free, columns, of.cell, M, power),
+            *(
+                at.sample_times,
+                self.substeps,
+                at.holds,
+                at.follows,
+                self.free,
+                columns,
+                of.cell,
+                M,
+                power,
+            ),
         )
-        return Fit(self, theta, X0, M, power, float(power.sum()) + self.priors.cost(theta) if possible else np.inf)
+        return Fit(
+            self,
+            theta,
+            X0,
+            M,
+            power,
+            float(power.sum()) + self.priors.cost(theta) if possible else np.inf,
+        )
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A problem at parameters `theta` and first states `X0` (windows, states): the normal equations M (cells, outputs, m, m) and
-    Huber's `power` (cells, outputs), whose sum with the priors' is the `cost`; that is infinite where the model diverges.
+    """A problem at parameters `theta` and first states `X0` (windows, states): the normal equations
+    M (cells, outputs, m, m) and Huber's `power` (cells, outputs), whose sum with the priors' is the
+    `cost`; that is infinite where the model diverges.
     """
 
     problem: Problem
@@ -175,7 +239,9 @@ class Fit:
     @cached_property
     def model(self) -> PhysicalModel:
         """With the values here."""
-        return self.problem.simulator.model.with_values(dict(zip(self.parameters, self.theta.tolist(), strict=True)))
+        return self.problem.simulator.model.with_values(
+            dict(zip(self.parameters, self.theta.tolist(), strict=True))
+        )
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -218,44 +284,67 @@ class Fit:
 
     @cached_property
     def residuals(self) -> list[Array]:
-        """What was measured less what is simulated, of each window, in the outputs' units: NaN where a sample is missing."""
+        """What was measured less what is simulated, of each window, in the outputs' units: NaN
+        where a sample is missing.
+        """
         at = self.problem
-        runs = at.simulator.run_each(at.cells.parts, self.initial, at.p(self.theta), substeps=self.substeps)
+        runs = at.simulator.run_each(
+            at.cells.parts, self.initial, at.p(self.theta), substeps=self.substeps
+        )
         return runs.errors_of_each
 
     @cached_property
     def std(self) -> Array:
         """Standard deviations of the parameters, infinite along flat directions."""
         q = len(self.theta)
-        H = _eliminated(self.M, self.problem.cells.part, len(self.X0), q, np.ones(len(self.power)), 0.0)[0]
+        H = _eliminated(
+            self.M, self.problem.cells.part, len(self.X0), q, np.ones(len(self.power)), 0.0
+        )[0]
         unknowns = q + int(self.problem.free[:, q:].sum()) - self.priors.count
         H[np.diag_indices(q)] += self.priors.precisions
-        covariance, _ = covariance_of(H, self.cost / max(self.samples - unknowns, 1), self.parameters, self.theta)
+        covariance, _ = covariance_of(
+            H, self.cost / max(self.samples - unknowns, 1), self.parameters, self.theta
+        )
         return np.sqrt(np.diag(covariance))
 
-    def step(self, use: Array | None = None, damping: float = 0.0, ridge: float = 0.0) -> tuple[Array, Array]:
-        """Changes of the parameters within their bounds, fitted to cells weighed `use` (None: all alike), and of the first
-        states, which stay fitted to all rows of their window. `damping` raises the diagonals of both, `ridge` that of the
-        parameters alone.
+    def step(
+        self, use: Array | None = None, damping: float = 0.0, ridge: float = 0.0
+    ) -> tuple[Array, Array]:
+        """Changes of the parameters within their bounds, fitted to cells weighed `use` (None: all
+        alike), and of the first states, which stay fitted to all rows of their window. `damping`
+        raises the diagonals of both, `ridge` that of the parameters alone.
         """
         part, use = self.problem.cells.part, np.ones(len(self.power)) if use is None else use
         try:
             H, g, E = _eliminated(self.M, part, len(self.X0), len(self.theta), use, damping)
             g += self.priors.pull(self.theta)
-            H[np.diag_indices(len(g))] = np.maximum(np.diag(H) + self.priors.precisions, 0.0) * (1.0 + damping + ridge)
+            H[np.diag_indices(len(g))] = np.maximum(np.diag(H) + self.priors.precisions, 0.0) * (
+                1.0 + damping + ridge
+            )
             move = bounded_step(H, g, self.theta, self.problem.lower, self.problem.upper)
-        except (ValueError, np.linalg.LinAlgError):  # eigenvalues that are not found: next to an overflow
-            return np.zeros(len(self.theta)), np.zeros((len(self.X0), self.M.shape[-1] - 1 - len(self.theta)))
+        except (
+            ValueError,
+            np.linalg.LinAlgError,
+        ):  # eigenvalues that are not found: next to an overflow
+            return np.zeros(len(self.theta)), np.zeros(
+                (len(self.X0), self.M.shape[-1] - 1 - len(self.theta))
+            )
         move = np.clip(self.theta + move, self.problem.lower, self.problem.upper) - self.theta
         return move, E[:, :, -1] - E[:, :, :-1] @ move
 
     def predicted(self, move: Array, firsts: Array) -> Array:
-        """Power (cells, outputs) after such changes, if the outputs go on as they begin to and no error passes its limit."""
+        """Power (cells, outputs) after such changes, if the outputs go on as they begin to and no
+        error passes its limit.
+        """
         return _predicted(self.M, self.power, self.problem.cells.part, move, firsts)
 
     def promised(self, move: Array, firsts: Array) -> float:
         """By how much the cost falls then."""
-        return self.cost - float(self.predicted(move, firsts).sum()) - self.priors.cost(self.theta + move)
+        return (
+            self.cost
+            - float(self.predicted(move, firsts).sum())
+            - self.priors.cost(self.theta + move)
+        )
 
     def moved(self, move: Array, firsts: Array) -> tuple[Array, Array]:
         """Parameters and first states after such changes."""
@@ -264,15 +353,19 @@ class Fit:
         return self.theta + move, X0
 
     def descended(self, steps: int, tolerance: float) -> Fit:
-        """So many steps down at most, or until one promises or gains less than the part `tolerance` of the cost."""
+        """So many steps down at most, or until one promises or gains less than the part `tolerance`
+        of the cost.
+        """
         if self.cost == np.inf or not len(self.problem.columns):
             return self
-        return descend(_Downhill(self.problem, tolerance), self, steps=steps, relative=tolerance).point
+        return descend(
+            _Downhill(self.problem, tolerance), self, steps=steps, relative=tolerance
+        ).point
 
     def without(self, out: npt.NDArray[np.bool_], ridge: float, steps: int = 1) -> Fit:
-        """The fit without the cells `out` (cells,), by simulated steps from this one, each shortened until the other cells are
-        fitted no worse. Parameters that the others leave nearly undetermined are held by the `ridge`; first states stay fitted
-        to all rows.
+        """The fit without the cells `out` (cells,), by simulated steps from this one, each
+        shortened until the other cells are fitted no worse. Parameters that the others leave nearly
+        undetermined are held by the `ridge`; first states stay fitted to all rows.
         """
         use, fit = np.where(out, 0.0, 1.0), self
         for _ in range(steps if len(self.theta) else 0):
@@ -288,7 +381,9 @@ class Fit:
         return float(use @ self.power.sum(axis=1)) + self.priors.cost(self.theta)
 
     def with_states_refitted(self) -> Fit:
-        """First states once more fitted to all rows of their window, parameters held, where that helps."""
+        """First states once more fitted to all rows of their window, parameters held, where that
+        helps.
+        """
         held = replace(self, problem=replace(self.problem, lower=self.theta, upper=self.theta))
         refitted = self.problem.at(*held.moved(*held.step()), slopes=False)
         return refitted if refitted.cost < self.cost else self
@@ -302,7 +397,9 @@ class _Downhill:
     tolerance: float
 
     def trial(self, point: Fit, damping: float) -> tuple[Array, Array] | None:
-        """The first damped step that promises enough. One that a bound cuts short may promise a rise: a shorter one will not."""
+        """The first damped step that promises enough. One that a bound cuts short may promise a
+        rise: a shorter one will not.
+        """
         for _ in range(ATTEMPTS):
             change = point.step(damping=damping)
             promised = point.promised(*change)
@@ -328,12 +425,35 @@ class _Downhill:
 
 @njit(error_model="numpy")
 def _accumulated(
-    q, U, Y, weights, filters, clip, starts, p, X0, sample_times, substeps, holds, follows, free, columns, cell, M, power
+    q,
+    U,
+    Y,
+    weights,
+    filters,
+    clip,
+    starts,
+    p,
+    X0,
+    sample_times,
+    substeps,
+    holds,
+    follows,
+    free,
+    columns,
+    cell,
+    M,
+    power,
 ):
-    """One pass over all windows, adding up M and Huber's cost `power`; False where the model diverges."""
+    """One pass over all windows, adding up M and Huber's cost `power`; False where the model
+    diverges.
+    """
     count, ny, order = columns.shape[0], q.sizes[3], filters.shape[1]
     w, memory = new_memory(q, count), np.zeros((q.remembered.shape[0], count + 1))
-    X, simulated, dY = np.zeros((AT_ONCE + 1, q.sizes[0])), np.zeros((AT_ONCE + 1, ny)), np.zeros((AT_ONCE + 1, ny, count))
+    X, simulated, dY = (
+        np.zeros((AT_ONCE + 1, q.sizes[0])),
+        np.zeros((AT_ONCE + 1, ny)),
+        np.zeros((AT_ONCE + 1, ny, count)),
+    )
     past, v = np.zeros((ny, order, count + 1)), np.zeros(count + 1)
     M[:], power[:] = 0.0, 0.0
     for j in range(X0.shape[0]):
@@ -342,7 +462,21 @@ def _accumulated(
         begin(q, w, U, starts, j, p, X0, sample_times, holds, follows, columns, memory)
         for first in range(0, b - a, AT_ONCE):
             last = min(first + AT_ONCE, b - a - 1)
-            integrate(q, w, U[a:b], first, last, sample_times[j], substeps[j], holds[j], p, columns, X, simulated, dY)
+            integrate(
+                q,
+                w,
+                U[a:b],
+                first,
+                last,
+                sample_times[j],
+                substeps[j],
+                holds[j],
+                p,
+                columns,
+                X,
+                simulated,
+                dY,
+            )
             if not np.isfinite(w.x).all():
                 return False
             for k in range(first, min(first + AT_ONCE, b - a)):
@@ -363,7 +497,9 @@ def _accumulated(
                         v += filters[o, lag] * past[o, (k - lag) % order]
                     e = abs(v[count])
                     _add(M[cell[a + k], o], v, min(1.0, clip[o] / max(e, 1e-300)))
-                    power[cell[a + k], o] += e * e if e <= clip[o] else clip[o] * (2.0 * e - clip[o])
+                    power[cell[a + k], o] += (
+                        e * e if e <= clip[o] else clip[o] * (2.0 * e - clip[o])
+                    )
     for i in range(count + 1):
         M[:, :, :i, i] = M[:, :, i, :i]
     return np.isfinite(M).all()
@@ -380,7 +516,9 @@ def _add(M, v, weight):
 
 @njit(error_model="numpy")
 def _eliminated(M, part, parts, q, use, damping):
-    """H (q, q) and g (q,) of the cells weighed `use`, and E (parts, states, q + 1), which all rows of a window say."""
+    """H (q, q) and g (q,) of the cells weighed `use`, and E (parts, states, q + 1), which all rows
+    of a window say.
+    """
     c, E = M.shape[2] - 1, np.zeros((parts, M.shape[2] - 1 - q, q + 1))
     if c > q:
         W = _by_part(M, part, parts, np.ones(M.shape[0]))
@@ -416,5 +554,10 @@ def _predicted(M, power, part, move, firsts):
     for i in range(M.shape[0]):
         d[:q], d[q:] = move, firsts[part[i]]
         for o in range(M.shape[1]):
-            out[i, o] = max(power[i, o] + np.sum(d * (M[i, o, :c, :c] * d).sum(axis=1)) - 2.0 * np.sum(d * M[i, o, :c, c]), 0.0)
+            out[i, o] = max(
+                power[i, o]
+                + np.sum(d * (M[i, o, :c, :c] * d).sum(axis=1))
+                - 2.0 * np.sum(d * M[i, o, :c, c]),
+                0.0,
+            )
     return out

@@ -1,4 +1,6 @@
-"""The linear algebra of Gauss–Newton steps: scaled solves, covariance, and directions that the data leave open."""
+"""The linear algebra of Gauss–Newton steps: scaled solves, covariance, and directions that the data
+leave open.
+"""
 
 from __future__ import annotations
 
@@ -21,21 +23,27 @@ NOTHING_ALONG = 1e-13
 
 @dataclass(frozen=True)
 class FlatDirection:
-    """Parameters that trade off: moving them together by `weights` (relative to their size) leaves the outputs as they are."""
+    """Parameters that trade off: moving them together by `weights` (relative to their size) leaves
+    the outputs as they are.
+    """
 
     parameters: tuple[str, ...]
     weights: tuple[float, ...]
 
 
 def damped(H: Array, damping: float) -> Array:
-    """H, or each of several (…, m, m), with its diagonal raised by the fraction `damping` (Marquardt)."""
+    """H, or each of several (…, m, m), with its diagonal raised by the fraction `damping`
+    (Marquardt).
+    """
     raised = H.copy()
     np.einsum("...ii->...i", raised)[...] *= 1.0 + damping
     return raised
 
 
 def bounded_step(H: Array, g: Array, theta: Array, lower: Array, upper: Array) -> Array:
-    """Solution of H step = g for parameters within bounds: those at a bound that it would leave are held (active set)."""
+    """Solution of H step = g for parameters within bounds: those at a bound that it would leave are
+    held (active set).
+    """
     held = np.zeros(len(g), dtype=bool)
     step = np.zeros(len(g))
     for _ in range(len(g) + 1):
@@ -49,14 +57,19 @@ def bounded_step(H: Array, g: Array, theta: Array, lower: Array, upper: Array) -
 
 
 def solve_scaled(H: Array, right: Array, ridge: float = NOTHING_ALONG) -> Array:
-    """H⁻¹ right for symmetric H scaled to unit diagonal, zero along directions of too little curvature, or after an overflow.
+    """H⁻¹ right for symmetric H scaled to unit diagonal, zero along directions of too little
+    curvature, or after an overflow.
 
-    Shapes (…, m, m) and (…, m, columns); `ridge` is the fraction of the largest scaled curvature that is too little.
+    Shapes (…, m, m) and (…, m, columns); `ridge` is the fraction of the largest scaled curvature
+    that is too little.
     """
     m, columns = right.shape[-2:]
     if not right.size:
         return np.zeros(right.shape)
-    several = np.ascontiguousarray(H).reshape(-1, m, m), np.ascontiguousarray(right).reshape(-1, m, columns)
+    several = (
+        np.ascontiguousarray(H).reshape(-1, m, m),
+        np.ascontiguousarray(right).reshape(-1, m, columns),
+    )
     return np.asarray(solved(*several, ridge).reshape(right.shape))
 
 
@@ -81,7 +94,9 @@ def solved(H, right, ridge):  # type: ignore[no-untyped-def]
     return solution
 
 
-def covariance_of(H: Array, variance: float, names: tuple[str, ...], theta: Array) -> tuple[Array, tuple[FlatDirection, ...]]:
+def covariance_of(
+    H: Array, variance: float, names: tuple[str, ...], theta: Array
+) -> tuple[Array, tuple[FlatDirection, ...]]:
     """Covariance σ²·H⁻¹ of parameters, infinite along flat directions, and those directions."""
     if not names:
         return np.zeros((0, 0)), ()
@@ -107,5 +122,9 @@ def covariance_of(H: Array, variance: float, names: tuple[str, ...], theta: Arra
         members = np.flatnonzero(np.abs(relative) > 0.05)
         touched = np.abs(vectors[:, k]) > 1e-3
         covariance[touched, touched] = np.inf
-        directions.append(FlatDirection(tuple(names[i] for i in members), tuple(float(relative[i]) for i in members)))
+        directions.append(
+            FlatDirection(
+                tuple(names[i] for i in members), tuple(float(relative[i]) for i in members)
+            )
+        )
     return covariance, tuple(directions)

@@ -1,13 +1,13 @@
 """Estimation of a model's parameters by the likelihood of the extended Kalman filter's innovations.
 
-For plants that integrate and for data from a closed loop: the filter follows the record, so drift of a simulation does
-not enter, and each balance's unknown random-walk term absorbs what the model lacks instead of bending its parameters.
-Minimises −log L = ½ Σ (e²/V + log 2πV) over θ by Gauss–Newton steps on the normalised innovations e/√V (their derivatives
-by forward
-differences), alternating with maximum likelihood of the noise (`kalman.tune`).
+For plants that integrate and for data from a closed loop: the filter follows the record, so drift
+of a simulation does not enter, and each balance's unknown random-walk term absorbs what the model
+lacks instead of bending its parameters. Minimises −log L = ½ Σ (e²/V + log 2πV) over θ by
+Gauss–Newton steps on the normalised innovations e/√V (their derivatives by forward differences),
+alternating with maximum likelihood of the noise (`kalman.tune`).
 
-Reference: T. Bohlin, *Practical Grey-box Process Identification*, Springer 2006; N. R. Kristensen, H. Madsen, S. B. Jørgensen,
-Automatica 40 (2004) 225.
+Reference: T. Bohlin, *Practical Grey-box Process Identification*, Springer 2006; N. R. Kristensen,
+H. Madsen, S. B. Jørgensen, Automatica 40 (2004) 225.
 """
 
 from __future__ import annotations
@@ -20,7 +20,12 @@ import numpy.typing as npt
 
 from residuum.identification.descent import End, descend
 from residuum.identification.physics.estimation.estimation import Estimate, Settings, estimate
-from residuum.identification.physics.estimation.least_squares import bounded_step, covariance_of, damped, solve_scaled
+from residuum.identification.physics.estimation.least_squares import (
+    bounded_step,
+    covariance_of,
+    damped,
+    solve_scaled,
+)
 from residuum.identification.physics.estimation.priors import Priors
 from residuum.identification.physics.model import PhysicalModel
 from residuum.identification.physics.simulate.experiment import Experiment
@@ -37,10 +42,11 @@ _ENOUGH = 1e-3  # of log L
 def estimate_by_likelihood(
     model: PhysicalModel, experiments: Sequence[Experiment], *, free: Sequence[str] | None = None
 ) -> Estimate:
-    """Estimate free parameters by the filter's likelihood; initial states are the filter's, started wide.
+    """Estimate free parameters by the filter's likelihood; initial states are the filter's, started
+    wide.
 
-    The result's `predicted` and `residuals` are those of the simulation with the estimated parameters and refitted initial
-    states; its covariance is that of the likelihood.
+    The result's `predicted` and `residuals` are those of the simulation with the estimated
+    parameters and refitted initial states; its covariance is that of the likelihood.
 
     Raises
     ------
@@ -97,7 +103,13 @@ class _Point:
 class _Likelihood:
     """The negative log likelihood of the innovations as a function of the parameters."""
 
-    def __init__(self, model: PhysicalModel, experiments: list[Experiment], names: tuple[str, ...], initial: list[Array]) -> None:
+    def __init__(
+        self,
+        model: PhysicalModel,
+        experiments: list[Experiment],
+        names: tuple[str, ...],
+        initial: list[Array],
+    ) -> None:
         self.model, self.experiments, self.names, self.initial = model, experiments, names, initial
         parameters = model.all_parameters
         self.lower = np.array([parameters[name].lower for name in names])
@@ -117,7 +129,9 @@ class _Likelihood:
         """Normalised innovations of all experiments, stacked, and −log L."""
         kalman = Filter(self.at(theta), self.noise)
         parts, cost = [], 0.0
-        for experiment, x0, steps in zip(self.experiments, self.initial, self.substeps, strict=True):
+        for experiment, x0, steps in zip(
+            self.experiments, self.initial, self.substeps, strict=True
+        ):
             run = kalman.run(experiment, x0, substeps=steps, smooth=False)
             if not np.isfinite(run.log_likelihood):
                 return np.zeros(0), np.inf
@@ -139,7 +153,10 @@ class _Likelihood:
         """−log L there, and the Gauss–Newton matrix and gradient of the innovations."""
         innovations, cost = self.innovations(trial)
         J = self.slopes(trial, innovations) if np.isfinite(cost) else np.zeros((0, trial.size))
-        curvature, descent = J.T @ J + np.diag(self.priors.precisions), self.priors.pull(trial) - J.T @ innovations
+        curvature, descent = (
+            J.T @ J + np.diag(self.priors.precisions),
+            self.priors.pull(trial) - J.T @ innovations,
+        )
         return _Point(trial, cost + 0.5 * self.priors.cost(trial), curvature, descent)
 
     def cost(self, trial: Array) -> float:
@@ -148,7 +165,9 @@ class _Likelihood:
 
     def trial(self, point: _Point, damping: float) -> Array:
         """The damped step, within bounds."""
-        step = bounded_step(damped(point.hessian, damping), point.descent, point.theta, self.lower, self.upper)
+        step = bounded_step(
+            damped(point.hessian, damping), point.descent, point.theta, self.lower, self.upper
+        )
         return np.clip(point.theta + step, self.lower, self.upper)
 
     def ends(self, point: _Point) -> End | None:

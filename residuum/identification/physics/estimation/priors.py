@@ -1,7 +1,9 @@
-"""What was known of parameters before a record, as rows of the least squares: (θ − μ)/σ each, a measurement like any other.
+"""What was known of parameters before a record, as rows of the least squares: (θ − μ)/σ each, a
+measurement like any other.
 
-With H the Gauss–Newton matrix of the data and P = diag(1/σ²) the estimate minimises ‖r‖² + (θ − μ)ᵀP(θ − μ), and its covariance
-is (H + P)⁻¹. Where θ is drawn from its prior, a band of two standard deviations covers it as often as it says.
+With H the Gauss–Newton matrix of the data and P = diag(1/σ²) the estimate minimises ‖r‖² + (θ −
+μ)ᵀP(θ − μ), and its covariance is (H + P)⁻¹. Where θ is drawn from its prior, a band of two
+standard deviations covers it as often as it says.
 
 Reference: A. Gelman et al., *Bayesian Data Analysis*, 2013, ch. 14.8.
 """
@@ -21,14 +23,20 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Priors:
-    """Normal priors of parameters: their `means` and `precisions` 1/σ², shape (q,) each; precision 0 where nothing was known."""
+    """Normal priors of parameters: their `means` and `precisions` 1/σ², shape (q,) each; precision
+    0 where nothing was known.
+    """
 
     means: Array
     precisions: Array
 
     @classmethod
-    def of(cls, parameters: Mapping[str, Parameter], names: Sequence[str], variance: float = 1.0) -> Priors:
-        """Those of the parameters of these names, beside squares of errors of which noise has this variance."""
+    def of(
+        cls, parameters: Mapping[str, Parameter], names: Sequence[str], variance: float = 1.0
+    ) -> Priors:
+        """Those of the parameters of these names, beside squares of errors of which noise has this
+        variance.
+        """
         known = [parameters[name].prior for name in names]
         means = [0.0 if prior is None else prior.mean for prior in known]
         precisions = [0.0 if prior is None else variance / prior.std**2 for prior in known]
@@ -44,5 +52,7 @@ class Priors:
         return float(self.precisions @ (theta - self.means) ** 2)
 
     def pull(self, theta: Array) -> Array:
-        """How they draw the values back: what they add to the gradient Jᵀr of the data, shape (q,)."""
+        """How they draw the values back: what they add to the gradient Jᵀr of the data, shape
+        (q,).
+        """
         return self.precisions * (self.means - theta)

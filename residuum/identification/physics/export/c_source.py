@@ -10,7 +10,8 @@ from residuum.identification.physics.export.explicit_model import ExplicitModel
 
 
 def c_source(model: ExplicitModel) -> str:
-    """One file: `NAME_parameters`, `NAME_initial`, `NAME_rates`, `NAME_outputs`, `NAME_step` and `NAME_advance` (inputs held).
+    """One file: `NAME_parameters`, `NAME_initial`, `NAME_rates`, `NAME_outputs`, `NAME_step` and
+    `NAME_advance` (inputs held).
 
     Each effect's term is a function of its own, `NAME_EFFECT_PLACE`.
     """
@@ -35,14 +36,27 @@ def c_source(model: ExplicitModel) -> str:
             *_table(model, "u", model.inputs),
             *_table(model, "p", model.parameters),
             *_table(model, "y", tuple(model.outputs)),
-            *(f"// s[{k}]: direction of {model.described(v)}" for k, v in enumerate(model.directions)),
+            *(
+                f"// s[{k}]: direction of {model.described(v)}"
+                for k, v in enumerate(model.directions)
+            ),
             "",
             "static inline double residuum_sign(double v) { return (v > 0.0) - (v < 0.0); }",
             f"const double {name}_parameters[] = {{{values}}};",
             "",
-            *_function(model, f"void {name}_initial(double t, const double *u, const double *p, double *x)", "x", model.initial),
+            *_function(
+                model,
+                f"void {name}_initial(double t, const double *u, const double *p, double *x)",
+                "x",
+                model.initial,
+            ),
             *(line for key in model.components for line in _component(model, key, of_all)),
-            *_function(model, f"void {name}_rates_by_direction({of_all}, const double *s, double *dx)", "dx", model.rates),
+            *_function(
+                model,
+                f"void {name}_rates_by_direction({of_all}, const double *s, double *dx)",
+                "dx",
+                model.rates,
+            ),
             *_function(model, f"void {name}_outputs({of_all}, double *y)", "y", model.outputs),
             *c_stepping(name, len(model.states), surfaces),
             "",
@@ -53,7 +67,10 @@ def c_source(model: ExplicitModel) -> str:
 def _component(model: ExplicitModel, key: str, of_all: str) -> list[str]:
     part = model.components[key]
     signature = f"double {model.name}_{key}({of_all}, const double *s)"
-    return [f"// {part.title} [{part.unit}]", *_function(model, signature, "return", {key: part.expression})]
+    return [
+        f"// {part.title} [{part.unit}]",
+        *_function(model, signature, "return", {key: part.expression}),
+    ]
 
 
 def _table(model: ExplicitModel, letter: str, names: tuple[str, ...]) -> list[str]:
@@ -62,35 +79,61 @@ def _table(model: ExplicitModel, letter: str, names: tuple[str, ...]) -> list[st
 
 def _function(model: ExplicitModel, signature: str, target: str, expressions: Any) -> list[str]:
     arrays = {"x": model.states, "u": model.inputs, "p": model.parameters}
-    used = set().union(*(sp.sympify(e).free_symbols for e in expressions.values())) if expressions else set()
+    used = (
+        set().union(*(sp.sympify(e).free_symbols for e in expressions.values()))
+        if expressions
+        else set()
+    )
     local = [
         f"    const double {name} = {letter}[{k}];"
         for letter, names in arrays.items()
         for k, name in enumerate(names)
         if model.symbols[name] in used and not (letter == "x" and target == "x")
     ]
-    local += [f"    const double {d.name} = s[{k}];" for k, d in enumerate(model.directions.values()) if d in used]
     local += [
-        f"    const double {key} = {model.name}_{key}(t, x, u, p, s);" for key in model.components if model.symbols[key] in used
+        f"    const double {d.name} = s[{k}];"
+        for k, d in enumerate(model.directions.values())
+        if d in used
+    ]
+    local += [
+        f"    const double {key} = {model.name}_{key}(t, x, u, p, s);"
+        for key in model.components
+        if model.symbols[key] in used
     ]
     clock = ["    const double time = t;"] if model.symbols["time"] in used else ["    (void)t;"]
     letters = (*arrays, "s")
-    unused = [f"    (void){letter};" for letter in letters if f"*{letter}," in signature.replace(")", ",") and letter != target]
-    places = ["return"] if target == "return" else [f"{target}[{k}] =" for k in range(len(expressions))]
-    body = [f"    {place} {_code(e)};" for place, e in zip(places, expressions.values(), strict=True)]
+    unused = [
+        f"    (void){letter};"
+        for letter in letters
+        if f"*{letter}," in signature.replace(")", ",") and letter != target
+    ]
+    places = (
+        ["return"] if target == "return" else [f"{target}[{k}] =" for k in range(len(expressions))]
+    )
+    body = [
+        f"    {place} {_code(e)};" for place, e in zip(places, expressions.values(), strict=True)
+    ]
     return [signature, "{", *clock, *unused, *local, *body, "}", ""]
 
 
 def _code(expression: Any) -> str:
-    return str(sp.ccode(sp.sympify(expression).evalf(17), standard="c99", user_functions={"sign": "residuum_sign"}))
+    return str(
+        sp.ccode(
+            sp.sympify(expression).evalf(17),
+            standard="c99",
+            user_functions={"sign": "residuum_sign"},
+        )
+    )
 
 
-# C99 that steps an exported model: a Runge–Kutta step of fixed length, and an adaptive one that finds its events.
+# C99 that steps an exported model: a Runge–Kutta step of fixed length, and an adaptive one that
+# finds its events.
 #
-# Both hold a machine at rest exactly. With f⁺ and f⁻ the rate of a velocity at zero on its two sides, it rests while
-# f⁺ ≤ 0 ≤ f⁻ (Filippov's sliding condition). `NAME_step` takes the same time every time, as a controller needs it. `NAME_advance`
-# keeps the error of a step below a tolerance (Dormand and Prince, J. Comp. Appl. Math. 6 (1980) 19) and ends steps where a
-# velocity passes zero or a machine breaks away, for past a kink no step of a Runge–Kutta method is exact.
+# Both hold a machine at rest exactly. With f⁺ and f⁻ the rate of a velocity at zero on its two
+# sides, it rests while f⁺ ≤ 0 ≤ f⁻ (Filippov's sliding condition). `NAME_step` takes the same time
+# every time, as a controller needs it. `NAME_advance` keeps the error of a step below a tolerance
+# (Dormand and Prince, J. Comp. Appl. Math. 6 (1980) 19) and ends steps where a velocity passes zero
+# or a machine breaks away, for past a kink no step of a Runge–Kutta method is exact.
 
 _NODES = ("0.0", "0.2", "0.3", "0.8", "8.0 / 9.0", "1.0", "1.0")
 _WEIGHTS = (
@@ -114,11 +157,23 @@ _ERRORS = (
 
 
 def c_stepping(name: str, states: int, surfaces: Sequence[int]) -> list[str]:
-    """Lines after `NAME_rates_by_direction(t, x, u, p, s, dx)`; `surfaces` are the states that can stand still."""
-    text = _TEXT.replace("NAME", name).replace("STATES", str(max(states, 1))).replace("COUNT", str(states))
-    text = text.replace("SURFACES", str(max(len(surfaces), 1))).replace("STANDING", str(len(surfaces)))
+    """Lines after `NAME_rates_by_direction(t, x, u, p, s, dx)`; `surfaces` are the states that can
+    stand still.
+    """
+    text = (
+        _TEXT.replace("NAME", name)
+        .replace("STATES", str(max(states, 1)))
+        .replace("COUNT", str(states))
+    )
+    text = text.replace("SURFACES", str(max(len(surfaces), 1))).replace(
+        "STANDING", str(len(surfaces))
+    )
     text = text.replace("INDICES", ", ".join(map(str, surfaces)) or "0")
-    text = text.replace("NODES", ", ".join(_NODES)).replace("WEIGHTS", ", ".join(_WEIGHTS)).replace("ERRORS", ", ".join(_ERRORS))
+    text = (
+        text.replace("NODES", ", ".join(_NODES))
+        .replace("WEIGHTS", ", ".join(_WEIGHTS))
+        .replace("ERRORS", ", ".join(_ERRORS))
+    )
     return text.splitlines()
 
 

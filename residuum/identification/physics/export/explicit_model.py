@@ -16,18 +16,25 @@ from residuum.identification.physics.model import PhysicalModel, missing_name, t
 from residuum.identification.physics.simulate.stepped_round import SteppedRound
 
 AT_REST = (
-    "Standstill is exact: at zero velocity the machine rests until what drives it exceeds the friction (Filippov's condition).",
+    (
+        "Standstill is exact: at zero velocity the machine rests until what drives it exceeds the"
+        " friction (Filippov's condition)."
+    ),
 )
 LIMITS = (
     "Standstill: where the model has dry friction, sign(v) of an exactly zero velocity is 0 here.",
-    "The original holds a machine at rest until the forces exceed the friction; here it may creep by a step's length.",
+    (
+        "The original holds a machine at rest until the forces exceed the friction; here it may"
+        " creep by a step's length."
+    ),
 )
 """What the text cannot do as the original does; stands in its head."""
 
 
 @dataclass(frozen=True)
 class Component:
-    """The term that an effect adds to a balance: `expression` [`unit`]; `title` is `effect in balance`.
+    """The term that an effect adds to a balance: `expression` [`unit`]; `title` is `effect in
+    balance`.
 
     `effect` is the effect's label, by which its parameters are named.
     """
@@ -42,10 +49,12 @@ class Component:
 class ExplicitModel:
     """Names, units and expressions of one model.
 
-    `states`, `inputs`, `parameters` are identifiers in order; `symbols` has the symbol of each, of each component and of `time`;
-    `rates` and `initial` are by state, `outputs` by identifier; `units` and `meanings` by identifier; `values` by parameter.
-    `components` are the terms of effects by identifier; rates name them. `directions` has the symbol, in rates and components, of
-    the direction of each velocity that can stand still; `with_signs` puts the sign of the velocity there.
+    `states`, `inputs`, `parameters` are identifiers in order; `symbols` has the symbol of each, of
+    each component and of `time`; `rates` and `initial` are by state, `outputs` by identifier;
+    `units` and `meanings` by identifier; `values` by parameter. `components` are the terms of
+    effects by identifier; rates name them. `directions` has the symbol, in rates and components, of
+    the direction of each velocity that can stand still; `with_signs` puts the sign of the velocity
+    there.
     """
 
     name: str
@@ -64,15 +73,23 @@ class ExplicitModel:
     directions: Mapping[str, Any]
 
     def head(self, comment: str, *, at_rest: bool = False) -> list[str]:
-        """The first lines of any text: what it is, and what it does at standstill: `at_rest`, as the original does."""
+        """The first lines of any text: what it is, and what it does at standstill: `at_rest`, as
+        the original does.
+        """
         lines = [
-            f"Model {self.title!r}, written by Residuum. Inputs, states, outputs and parameters in the units named beside them."
+            f"Model {self.title!r}, written by Residuum. Inputs, states, outputs and parameters in"
+            " the units named beside them."
         ]
-        return [f"{comment} {line}" for line in [*lines, *((AT_REST if at_rest else LIMITS) if self.directions else ())]]
+        return [
+            f"{comment} {line}"
+            for line in [*lines, *((AT_REST if at_rest else LIMITS) if self.directions else ())]
+        ]
 
     def with_signs(self, expression: Any) -> Any:
         """An expression with each direction as the sign of its velocity."""
-        return sp.sympify(expression).subs({d: sp.sign(self.symbols[v]) for v, d in self.directions.items()})
+        return sp.sympify(expression).subs(
+            {d: sp.sign(self.symbols[v]) for v, d in self.directions.items()}
+        )
 
     def described(self, name: str) -> str:
         """`full name [unit]`."""
@@ -97,15 +114,29 @@ def explicit(model: PhysicalModel) -> ExplicitModel:
     outputs = _identifiers(equations.outputs, taken)
     places = _effect_terms(model, equations)
     terms = _identifiers([title for title, _, _ in places.values()], taken)
-    symbols = {new: sp.Symbol(new, real=True) for family in (states, inputs, parameters, terms) for new in family.values()}
+    symbols = {
+        new: sp.Symbol(new, real=True)
+        for family in (states, inputs, parameters, terms)
+        for new in family.values()
+    }
     symbols["time"] = sp.Symbol("time", real=True)
     directions = _directions(equations, states, taken)
-    swap = {equations.p[name]: sp.S.Zero for name in unknown} | _renamed(equations, symbols, states, inputs, parameters)
-    swap |= {symbol: directions[states[list(equations.x)[k]]] for k, symbol in equations.surfaces.items()}
-    swap |= {equations.u[name]: symbols["time"] for name, signal in model.inputs.items() if signal.is_clock}
+    swap = {equations.p[name]: sp.S.Zero for name in unknown} | _renamed(
+        equations, symbols, states, inputs, parameters
+    )
+    swap |= {
+        symbol: directions[states[list(equations.x)[k]]] for k, symbol in equations.surfaces.items()
+    }
+    swap |= {
+        equations.u[name]: symbols["time"]
+        for name, signal in model.inputs.items()
+        if signal.is_clock
+    }
 
     def put(expression: Any) -> Any:
-        renamed = sp.sympify(expression).xreplace(swap)  # all at once: a model may call its own states x_1, x_2
+        renamed = sp.sympify(expression).xreplace(
+            swap
+        )  # all at once: a model may call its own states x_1, x_2
         return renamed.replace(SteppedRound, lambda a: sp.floor(a + sp.Rational(1, 2)))
 
     def turned(expression: Any) -> Any:
@@ -116,9 +147,15 @@ def explicit(model: PhysicalModel) -> ExplicitModel:
     for balance, state in _owners(model, equations).items():
         own = [signal for signal in equations.signals if signal.startswith(f"{balance}.")]
         if not named.keys().isdisjoint(own):
-            total = sum(named[signal] if signal in named else turned(equations.signals[signal]) for signal in own)
+            total = sum(
+                named[signal] if signal in named else turned(equations.signals[signal])
+                for signal in own
+            )
             rates[states[state]] = total / put(equations.signals[f"storage:{balance}"])
-    own_first = {name: put(equations.initial.get(old, model.initial.get(old, 0.0))) for old, name in states.items()}
+    own_first = {
+        name: put(equations.initial.get(old, model.initial.get(old, 0.0)))
+        for old, name in states.items()
+    }
     first = {symbols[name]: value for name, value in own_first.items()}
     return ExplicitModel(
         name=_identifier(model.name),
@@ -131,10 +168,16 @@ def explicit(model: PhysicalModel) -> ExplicitModel:
         initial={name: value.subs(first).subs(first) for name, value in own_first.items()},
         outputs={new: put(equations.outputs[old]) for old, new in outputs.items()},
         units=_units(model, states, inputs, parameters, outputs),
-        meanings={new: old for family in (states, inputs, parameters, outputs) for old, new in family.items()},
+        meanings={
+            new: old
+            for family in (states, inputs, parameters, outputs)
+            for old, new in family.items()
+        },
         values={new: model.values[old] for old, new in parameters.items()},
         components={
-            terms[title]: Component(title, effect, turned(equations.signals[signal]), model.balances[balance].unit)
+            terms[title]: Component(
+                title, effect, turned(equations.signals[signal]), model.balances[balance].unit
+            )
             for signal, (title, effect, balance) in places.items()
         },
         directions=directions,
@@ -144,11 +187,17 @@ def explicit(model: PhysicalModel) -> ExplicitModel:
 def _owners(model: PhysicalModel, equations: Equations) -> dict[str, str]:
     """The state whose derivative each balance gives."""
     owners = {b.name: next(iter(owners_of(b)), b.defines) for b in model.balances.values()}
-    return {balance: state for balance, state in owners.items() if state is not None and state in equations.x}
+    return {
+        balance: state
+        for balance, state in owners.items()
+        if state is not None and state in equations.x
+    }
 
 
 def _effect_terms(model: PhysicalModel, equations: Equations) -> dict[str, tuple[str, str, str]]:
-    """Signal `balance.term` → (title, effect's label, balance) of the terms of effects in balances that have a state."""
+    """Signal `balance.term` → (title, effect's label, balance) of the terms of effects in balances
+    that have a state.
+    """
     terms = {term_name(use): use for use in model.effects if use.effect.place == "balance"}
     by_signal = {}
     for balance in _owners(model, equations):
@@ -170,17 +219,20 @@ def _undelayed(model: PhysicalModel) -> Equations:
     equations = compose(model)
     if any(sp.sympify(e).has(Root) for e in (*equations.rates, *equations.outputs.values())):
         raise BadModel(
-            f"export: model {model.name!r} solves balances by Newton's method (start:), which no exported text can hold; solve "
-            "them for their variables by hand"
+            f"export: model {model.name!r} solves balances by Newton's method (start:), which no"
+            " exported text can hold; solve them for their variables by hand"
         )
     for delayed in equations.delays:
         raise BadModel(
-            f"export: input {delayed!r} is delayed, which no exported text can hold; take the delay out, and delay what drives it"
+            f"export: input {delayed!r} is delayed, which no exported text can hold; take the delay"
+            " out, and delay what drives it"
         )
     return equations
 
 
-def _renamed(equations: Equations, symbols: Mapping[str, Any], *families: Mapping[str, str]) -> dict[Any, Any]:
+def _renamed(
+    equations: Equations, symbols: Mapping[str, Any], *families: Mapping[str, str]
+) -> dict[Any, Any]:
     """Every symbol of the equations by what stands for it in the text."""
     states, inputs, parameters = families
     swap = {TIME: symbols["time"]}

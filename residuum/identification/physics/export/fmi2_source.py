@@ -1,10 +1,12 @@
 """C99 that offers an exported model over FMI 2.0, for co-simulation and for model exchange.
 
-Reference: Functional Mock-up Interface for Model Exchange and Co-Simulation, version 2.0.5, Modelica Association 2024.
+Reference: Functional Mock-up Interface for Model Exchange and Co-Simulation, version 2.0.5,
+Modelica Association 2024.
 
-Value references count through the states, their derivatives, the inputs, the outputs, the parameters, and the effects' terms. In
-model exchange each velocity that can stand still has one event indicator: while it moves, its size on the side that it is on;
-while it rests, how much is wanting until it breaks away. At an event the directions are found anew, so that rest is exact.
+Value references count through the states, their derivatives, the inputs, the outputs, the
+parameters, and the effects' terms. In model exchange each velocity that can stand still has one
+event indicator: while it moves, its size on the side that it is on; while it rests, how much is
+wanting until it breaks away. At an event the directions are found anew, so that rest is exact.
 """
 
 from __future__ import annotations
@@ -13,7 +15,9 @@ from residuum.identification.physics.export.explicit_model import ExplicitModel
 
 
 def fmi2_source(model: ExplicitModel, guid: str) -> str:
-    """The text that, after that of `c_source`, makes an FMU's library; `guid` is the one of its description."""
+    """The text that, after that of `c_source`, makes an FMU's library; `guid` is the one of its
+    description.
+    """
     sizes = {
         "STATES": len(model.states),
         "INPUTS": len(model.inputs),
@@ -23,9 +27,14 @@ def fmi2_source(model: ExplicitModel, guid: str) -> str:
         "SURFACES": len(model.directions),
     }
     terms = ["(void)m; (void)y;"] + [
-        f"y[{k}] = {model.name}_{key}(m->t, m->x, m->u, m->p, m->s);" for k, key in enumerate(model.components)
+        f"y[{k}] = {model.name}_{key}(m->t, m->x, m->u, m->p, m->s);"
+        for k, key in enumerate(model.components)
     ]
-    text = _TEXT.replace("GUID", guid).replace("TERM_VALUES", "\n    ".join(terms)).replace("NAME", model.name)
+    text = (
+        _TEXT.replace("GUID", guid)
+        .replace("TERM_VALUES", "\n    ".join(terms))
+        .replace("NAME", model.name)
+    )
     for key, count in sizes.items():
         text = text.replace(f"N_{key}", str(count)).replace(f"ROOM_{key}", str(max(count, 1)))
     return text

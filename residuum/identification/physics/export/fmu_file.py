@@ -1,4 +1,6 @@
-"""A model as an FMU of FMI 2.0: its description, its C sources, and its library where a C compiler is at hand."""
+"""A model as an FMU of FMI 2.0: its description, its C sources, and its library where a C compiler
+is at hand.
+"""
 
 from __future__ import annotations
 
@@ -22,12 +24,16 @@ from residuum.identification.physics.export.fmi2_source import fmi2_source
 PLATFORMS = {("Linux", "x86_64"): ("linux64", ".so"), ("Darwin", "x86_64"): ("darwin64", ".dylib")}
 """(system, machine) → folder of FMI 2.0 and ending of a library."""
 _TIMEOUT = 120.0
-_ABLE = dict.fromkeys(("canGetAndSetFMUstate", "canSerializeFMUstate", "canNotUseMemoryManagementFunctions"), "true")
+_ABLE = dict.fromkeys(
+    ("canGetAndSetFMUstate", "canSerializeFMUstate", "canNotUseMemoryManagementFunctions"), "true"
+)
 
 
 @dataclass(frozen=True)
 class Fmu:
-    """The bytes of an FMU; `library` is the folder of its compiled library, or None with `why` there is none."""
+    """The bytes of an FMU; `library` is the folder of its compiled library, or None with `why`
+    there is none.
+    """
 
     content: bytes
     library: str | None
@@ -35,7 +41,8 @@ class Fmu:
 
 
 def fmu(model: ExplicitModel) -> Fmu:
-    """An FMU for co-simulation and model exchange; effects are components: `coulomb_friction_shaft.tau_c`, `….term`.
+    """An FMU for co-simulation and model exchange; effects are components:
+    `coulomb_friction_shaft.tau_c`, `….term`.
 
     Sources are always in it; without a compiler for this platform they are all that is.
     """
@@ -61,7 +68,9 @@ def _compiled(name: str, sources: dict[str, str]) -> tuple[bytes | None, str | N
     """(library, its folder, why there is none)."""
     if _here() not in PLATFORMS:
         return None, None, f"no library is made on {' '.join(_here())}: sources only"
-    compiler = next((program for name in ("cc", "gcc", "clang") if (program := shutil.which(name))), None)
+    compiler = next(
+        (program for name in ("cc", "gcc", "clang") if (program := shutil.which(name))), None
+    )
     if compiler is None:
         return None, None, "no C compiler (cc, gcc, clang) was found: sources only"
     folder, ending = PLATFORMS[_here()]
@@ -69,12 +78,28 @@ def _compiled(name: str, sources: dict[str, str]) -> tuple[bytes | None, str | N
         for file, text in sources.items():
             (Path(place) / file).write_text(text, encoding="utf-8")
         out = Path(place) / f"{name}{ending}"
-        flags = ["-std=c99", "-O2", "-fPIC", "-shared", "-fvisibility=hidden", "-o", str(out), str(Path(place) / "fmi2.c"), "-lm"]
+        flags = [
+            "-std=c99",
+            "-O2",
+            "-fPIC",
+            "-shared",
+            "-fvisibility=hidden",
+            "-o",
+            str(out),
+            str(Path(place) / "fmi2.c"),
+            "-lm",
+        ]
         try:
             subprocess.run([compiler, *flags], check=True, capture_output=True, timeout=_TIMEOUT)
         except (subprocess.SubprocessError, OSError) as error:
-            message = (getattr(error, "stderr", b"") or b"").decode(errors="replace").split("\n", 1)[0]
-            return None, None, f"{compiler} failed ({message or type(error).__name__}): sources only"
+            message = (
+                (getattr(error, "stderr", b"") or b"").decode(errors="replace").split("\n", 1)[0]
+            )
+            return (
+                None,
+                None,
+                f"{compiler} failed ({message or type(error).__name__}): sources only",
+            )
         return out.read_bytes(), folder, ""
 
 
@@ -108,8 +133,10 @@ def _description(model: ExplicitModel, guid: str) -> bytes:
     indices = {
         "Outputs": range(2 * n + m + 1, 2 * n + m + 1 + len(model.outputs)),
         "Derivatives": range(n + 1, 2 * n + 1),
-        "InitialUnknowns": [k + 1 for k, name in enumerate(model.states) if not _known(model, name)]
-        + [*range(n + 1, 2 * n + 1), *range(2 * n + m + 1, 2 * n + m + 1 + len(model.outputs))],
+        "InitialUnknowns": (
+            [k + 1 for k, name in enumerate(model.states) if not _known(model, name)]
+            + [*range(n + 1, 2 * n + 1), *range(2 * n + m + 1, 2 * n + m + 1 + len(model.outputs))]
+        ),
     }
     for kind, numbers in indices.items():
         if numbers:
@@ -123,7 +150,9 @@ _Variable = tuple[str, str, dict[str, str], str, dict[str, str]]
 
 
 def _variables(model: ExplicitModel) -> Iterator[_Variable]:
-    """(name, description, attributes, unit, attributes of the Real) in the order of value references."""
+    """(name, description, attributes, unit, attributes of the Real) in the order of value
+    references.
+    """
     moving = {"causality": "local", "variability": "continuous"}
     taken = {*model.states, *model.inputs, *model.parameters}
     for name in model.states:
@@ -133,7 +162,13 @@ def _variables(model: ExplicitModel) -> Iterator[_Variable]:
         yield name, model.meanings[name], attributes, model.units.get(name, ""), real
     for k, name in enumerate(model.states, start=1):
         unit = f"({model.units[name]})/s" if model.units.get(name) else ""
-        yield f"der({name})", f"rate of {model.meanings[name]}", {**moving, "initial": "calculated"}, unit, {"derivative": str(k)}
+        yield (
+            f"der({name})",
+            f"rate of {model.meanings[name]}",
+            {**moving, "initial": "calculated"},
+            unit,
+            {"derivative": str(k)},
+        )
     for name in model.inputs:
         attributes = {"causality": "input", "variability": "continuous"}
         yield name, model.meanings[name], attributes, model.units.get(name, ""), {"start": "0.0"}

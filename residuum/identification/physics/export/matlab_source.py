@@ -9,7 +9,9 @@ from residuum.identification.physics.export.explicit_model import ExplicitModel
 
 
 def matlab_source(model: ExplicitModel) -> str:
-    """`[y, x] = NAME(t, u, p)`: outputs and states at the times t for inputs u (n, inputs), held; p overrides parameters."""
+    """`[y, x] = NAME(t, u, p)`: outputs and states at the times t for inputs u (n, inputs), held; p
+    overrides parameters.
+    """
     return "\n".join(
         [
             f"function [y, x] = {model.name}(t, u, p)",
@@ -19,7 +21,10 @@ def matlab_source(model: ExplicitModel) -> str:
             *(f"% y(:, {k + 1}): {model.described(n)}" for k, n in enumerate(model.outputs)),
             *(f"q.{n} = {model.values[n]!r}; % {model.described(n)}" for n in model.parameters),
             "if nargin > 2, for name = fieldnames(p)', q.(name{1}) = p.(name{1}); end, end",
-            f"n = numel(t); substeps = 10; x = zeros(n, {len(model.states)}); y = zeros(n, {len(model.outputs)});",
+            (
+                f"n = numel(t); substeps = 10; x = zeros(n, {len(model.states)}); y = zeros(n,"
+                f" {len(model.outputs)});"
+            ),
             "x(1, :) = first_states(t(1), u(1, :), q);",
             "for k = 1:n",
             "    y(k, :) = outputs(t(k), x(k, :), u(k, :), q);",
@@ -44,7 +49,9 @@ def matlab_source(model: ExplicitModel) -> str:
                 for key, part in model.components.items()
                 for line in [
                     f"% {part.title} [{part.unit}]",
-                    *_function(model, f"{key}_of(time, x, u, q)", {key: part.expression}, ("x", "u")),
+                    *_function(
+                        model, f"{key}_of(time, x, u, q)", {key: part.expression}, ("x", "u")
+                    ),
                 ]
             ),
             *_function(model, "outputs(time, x, u, q)", model.outputs, ("x", "u")),
@@ -52,12 +59,23 @@ def matlab_source(model: ExplicitModel) -> str:
     )
 
 
-def _function(model: ExplicitModel, signature: str, expressions: Any, arrays: tuple[str, ...]) -> list[str]:
+def _function(
+    model: ExplicitModel, signature: str, expressions: Any, arrays: tuple[str, ...]
+) -> list[str]:
     expressions = {name: model.with_signs(e) for name, e in expressions.items()}
     used = set().union(*(e.free_symbols for e in expressions.values())) if expressions else set()
     families = {"x": model.states, "u": model.inputs}
-    local = [f"{n} = {a}({k + 1});" for a in arrays for k, n in enumerate(families[a]) if model.symbols[n] in used]
+    local = [
+        f"{n} = {a}({k + 1});"
+        for a in arrays
+        for k, n in enumerate(families[a])
+        if model.symbols[n] in used
+    ]
     local += [f"{n} = q.{n};" for n in model.parameters if model.symbols[n] in used]
-    local += [f"{key} = {key}_of(time, x, u, q);" for key in model.components if model.symbols[key] in used]
+    local += [
+        f"{key} = {key}_of(time, x, u, q);"
+        for key in model.components
+        if model.symbols[key] in used
+    ]
     values = ", ".join(f"({sp.octave_code(e)})" for e in expressions.values())
     return [f"function value = {signature}", *local, f"value = [{values}];", "end", ""]

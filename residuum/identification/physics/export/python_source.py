@@ -10,11 +10,15 @@ from residuum.identification.physics.export.explicit_model import ExplicitModel
 
 
 def python_source(model: ExplicitModel) -> str:
-    """One file with `PARAMETERS`, `rates`, `outputs` and `simulate(t, u, parameters=None, initial=None, tolerance=1e-9)`.
+    """One file with `PARAMETERS`, `rates`, `outputs` and `simulate(t, u, parameters=None,
+    initial=None, tolerance=1e-9)`.
 
     Each effect's term is a function of its own, named after it.
     """
-    parameters = [f'    "{name}": {model.values[name]!r},  # {model.described(name)}' for name in model.parameters]
+    parameters = [
+        f'    "{name}": {model.values[name]!r},  # {model.described(name)}'
+        for name in model.parameters
+    ]
     return "\n".join(
         [
             *model.head("#", at_rest=True),
@@ -25,7 +29,10 @@ def python_source(model: ExplicitModel) -> str:
             f"STATES = {list(model.states)!r}",
             f"INPUTS = {list(model.inputs)!r}",
             f"OUTPUTS = {list(model.outputs)!r}",
-            f"SURFACES = {[model.states.index(v) for v in model.directions]!r}  # states that can stand still",
+            (
+                f"SURFACES = {[model.states.index(v) for v in model.directions]!r}  # states that"
+                " can stand still"
+            ),
             "PARAMETERS = {",
             *parameters,
             "}",
@@ -158,18 +165,39 @@ def _component(model: ExplicitModel, key: str) -> list[str]:
 
 
 def _function(model: ExplicitModel, name: str, expressions: Any, arguments: str) -> list[str]:
-    used = set().union(*(sp.sympify(e).free_symbols for e in expressions.values())) if expressions else set()
+    used = (
+        set().union(*(sp.sympify(e).free_symbols for e in expressions.values()))
+        if expressions
+        else set()
+    )
     given = arguments.split(", ")
-    families = [(letter, names) for letter, names in (("u", model.inputs), ("x", model.states)) if letter in given]
-    local = [f"    {n} = {letter}[{k}]" for letter, names in families for k, n in enumerate(names) if model.symbols[n] in used]
+    families = [
+        (letter, names)
+        for letter, names in (("u", model.inputs), ("x", model.states))
+        if letter in given
+    ]
+    local = [
+        f"    {n} = {letter}[{k}]"
+        for letter, names in families
+        for k, n in enumerate(names)
+        if model.symbols[n] in used
+    ]
     local += [f'    {n} = p["{n}"]' for n in model.parameters if model.symbols[n] in used]
-    local += [f"    {d.name} = s[{k}]" for k, d in enumerate(model.directions.values()) if d in used]
-    local += [f"    {key}_now = {key}(time, x, u, p, s)" for key in model.components if model.symbols[key] in used]
+    local += [
+        f"    {d.name} = s[{k}]" for k, d in enumerate(model.directions.values()) if d in used
+    ]
+    local += [
+        f"    {key}_now = {key}(time, x, u, p, s)"
+        for key in model.components
+        if model.symbols[key] in used
+    ]
     printed = import_module("sympy.printing.numpy").NumPyPrinter()
     now = {model.symbols[key]: sp.Symbol(f"{key}_now", real=True) for key in model.components}
     values = [_code(printed, sp.sympify(e).subs(now)) for e in expressions.values()]
     body = (
-        [f"    return {values[0]}"] if name in model.components else ["    return [", *(f"        {v}," for v in values), "    ]"]
+        [f"    return {values[0]}"]
+        if name in model.components
+        else ["    return [", *(f"        {v}," for v in values), "    ]"]
     )
     return [f"def {name}({arguments}):", *local, *body, "", ""]
 

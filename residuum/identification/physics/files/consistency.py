@@ -1,4 +1,6 @@
-"""What must hold of a model read from a file before it is composed: names, states, units, no division by zero."""
+"""What must hold of a model read from a file before it is composed: names, states, units, no
+division by zero.
+"""
 
 from __future__ import annotations
 
@@ -8,10 +10,30 @@ from dataclasses import replace
 from types import MappingProxyType
 
 from residuum.identification.errors import NoExplicitEquations
-from residuum.identification.physics.files.dimension import Dimension, dimension_of, dimension_of_unit
-from residuum.identification.physics.files.expression import Call, Expression, Name, Node, Operation, Place, evaluate, walk
+from residuum.identification.physics.files.dimension import (
+    Dimension,
+    dimension_of,
+    dimension_of_unit,
+)
+from residuum.identification.physics.files.expression import (
+    Call,
+    Expression,
+    Name,
+    Node,
+    Operation,
+    Place,
+    evaluate,
+    walk,
+)
 from residuum.identification.physics.files.yaml_tree import Table
-from residuum.identification.physics.model import BALANCE_KINDS, ROLE_UNITS, Balance, Output, PhysicalModel, State
+from residuum.identification.physics.model import (
+    BALANCE_KINDS,
+    ROLE_UNITS,
+    Balance,
+    Output,
+    PhysicalModel,
+    State,
+)
 from residuum.nearest_names import known_names
 
 _OTHER_UNITS: Mapping[str, tuple[str, ...]] = {
@@ -19,13 +41,24 @@ _OTHER_UNITS: Mapping[str, tuple[str, ...]] = {
     "force": ("mN", "kN"),
     "voltage": ("mV", "kV"),
     "heat": ("mW", "kW", "MW", "J/min", "kJ/min", "J/hour", "kJ/hour"),
-    "volume": ("cm**3/s", "mm**3/s", "l/s", "l/min", "cm**3/min", "m**3/min", "m**3/hour", "l/hour"),
+    "volume": (
+        "cm**3/s",
+        "mm**3/s",
+        "l/s",
+        "l/min",
+        "cm**3/min",
+        "m**3/min",
+        "m**3/hour",
+        "l/hour",
+    ),
 }
 """Units a balance may be kept in besides its kind's SI unit, when all its terms agree on it."""
 
 
 def check(model: PhysicalModel, tree: Table) -> PhysicalModel:
-    """The model with the unit of each balance filled in; BadModel with line and column for the first thing wrong."""
+    """The model with the unit of each balance filled in; BadModel with line and column for the
+    first thing wrong.
+    """
     _unique_names(tree)
     _known_names(model)
     _inputs(model, tree)
@@ -42,7 +75,9 @@ def check(model: PhysicalModel, tree: Table) -> PhysicalModel:
 
 def expressions_of(model: PhysicalModel) -> list[Expression]:
     """Of its balances, then of its outputs."""
-    parts = [expression for b in model.balances.values() for expression in (b.storage, *b.terms.values())]
+    parts = [
+        expression for b in model.balances.values() for expression in (b.storage, *b.terms.values())
+    ]
     return [*parts, *(output.value for output in model.outputs.values())]
 
 
@@ -62,7 +97,8 @@ def _known_names(model: PhysicalModel) -> None:
         for node in walk(expression.tree):
             if isinstance(node, Name) and node.name not in known:
                 raise node.place.refuse(
-                    f"name {node.name!r} is not declared; {known_names(node.name, sorted(known), 'there are')}"
+                    f"name {node.name!r} is not declared;"
+                    f" {known_names(node.name, sorted(known), 'there are')}"
                 )
 
 
@@ -72,26 +108,39 @@ def _inputs(model: PhysicalModel, tree: Table) -> None:
             if not dimension_of_unit(signal.unit).agrees(dimension_of_unit("s")):
                 place = tree.table("inputs", "model file").keys[name]
                 raise place.refuse(f"input {name!r}: a clock is in s, not {signal.unit!r}")
-        elif signal.default is not None and signal.default not in model.parameters and not _is_number(signal.default):
+        elif (
+            signal.default is not None
+            and signal.default not in model.parameters
+            and not _is_number(signal.default)
+        ):
             place = tree.table("inputs", "model file").keys[name]
-            raise place.refuse(f"input {name!r}: default {signal.default!r} is neither a number, a parameter nor 'clock'")
+            raise place.refuse(
+                f"input {name!r}: default {signal.default!r} is neither a number, a parameter nor"
+                " 'clock'"
+            )
 
 
 def _delays(model: PhysicalModel) -> None:
-    """Each delay() is of inputs, by a parameter that is no negative time; an input has one delay wherever it stands."""
-    used: dict[str, set[str]] = {name: {""} for b in model.balances.values() for name in b.variables.values()}
+    """Each delay() is of inputs, by a parameter that is no negative time; an input has one delay
+    wherever it stands.
+    """
+    used: dict[str, set[str]] = {
+        name: {""} for b in model.balances.values() for name in b.variables.values()
+    }
     for expression in expressions_of(model):
         for by, node in _delayed_names(expression.tree, ""):
             if by and node.name not in model.inputs and node.name not in model.parameters:
                 raise node.place.refuse(
-                    f"delay() of {node.name!r}: what is delayed is made of inputs; that a reading is late is the effect "
-                    "output-lag, that a quantity is transported a state more"
+                    f"delay() of {node.name!r}: what is delayed is made of inputs; that a reading"
+                    " is late is the effect output-lag, that a quantity is transported a state"
+                    " more"
                 )
             used.setdefault(node.name, set()).add(by)
             if node.name in model.inputs and len(used[node.name]) > 1:
                 raise node.place.refuse(
-                    f"input {node.name!r} stands in the model with more than one delay; declare a second input and map it to the "
-                    f"same column: --map {node.name}_late={node.name}"
+                    f"input {node.name!r} stands in the model with more than one delay; declare a"
+                    " second input and map it to the same column: --map"
+                    f" {node.name}_late={node.name}"
                 )
         for call in walk(expression.tree):
             if isinstance(call, Call) and call.function == "delay":
@@ -103,7 +152,9 @@ def _delayed_names(tree: Node, by: str) -> Iterator[tuple[str, Name]]:
     if isinstance(tree, Name):
         yield by, tree
     elif isinstance(tree, Call) and tree.function == "delay":
-        yield from _delayed_names(tree.operands[0], tree.operands[1].name if isinstance(tree.operands[1], Name) else "?")
+        yield from _delayed_names(
+            tree.operands[0], tree.operands[1].name if isinstance(tree.operands[1], Name) else "?"
+        )
     elif isinstance(tree, Operation | Call):
         for operand in tree.operands:
             yield from _delayed_names(operand, by)
@@ -114,10 +165,15 @@ def _check_delay(call: Call, model: PhysicalModel) -> None:
     if any(isinstance(node, Call) and node.function == "delay" for node in walk(signal)):
         raise call.place.refuse("delay() of a delay(): one is enough, by the sum of both")
     if not isinstance(by, Name) or by.name not in model.parameters:
-        raise call.place.refuse("delay() is by a parameter or a constant; declare one, constants: {T: 0.5 s}")
+        raise call.place.refuse(
+            "delay() is by a parameter or a constant; declare one, constants: {T: 0.5 s}"
+        )
     parameter = model.parameters[by.name]
     if min(parameter.value, parameter.value if parameter.fixed else parameter.lower) < 0.0:
-        raise call.place.refuse(f"parameter {by.name!r} is a delay; it must not be negative, and has to say so: lower: 0")
+        raise call.place.refuse(
+            f"parameter {by.name!r} is a delay; it must not be negative, and has to say so:"
+            " lower: 0"
+        )
 
 
 def _is_number(text: str) -> bool:
@@ -134,8 +190,12 @@ def _states_have_rates(model: PhysicalModel, tree: Table) -> None:
         for node in _derivatives(balance.storage):
             _check_der(node, balance, model, owners)
         if not owners_of(balance) and balance.storage.text not in ("0", "0.0"):
-            raise balance.storage.place.refuse(f"balance {balance.name!r}: storage has no der() of a state and is not 0")
-    elsewhere = [term for b in model.balances.values() for term in b.terms.values()] + [o.value for o in model.outputs.values()]
+            raise balance.storage.place.refuse(
+                f"balance {balance.name!r}: storage has no der() of a state and is not 0"
+            )
+    elsewhere = [term for b in model.balances.values() for term in b.terms.values()] + [
+        o.value for o in model.outputs.values()
+    ]
     for expression in elsewhere:
         for node in _derivatives(expression):
             raise node.place.refuse("der() may only stand in a storage")
@@ -143,23 +203,35 @@ def _states_have_rates(model: PhysicalModel, tree: Table) -> None:
         _check_rate(state, model, owners, places[name])
 
 
-def _check_rate(state: State, model: PhysicalModel, owners: Mapping[str, str], place: Place) -> None:
+def _check_rate(
+    state: State, model: PhysicalModel, owners: Mapping[str, str], place: Place
+) -> None:
     name, rate = state.name, state.rate
     if rate is None:
         if name not in owners:
-            raise place.refuse(f"state without a balance: no storage has der({name}) and it has no 'rate'")
+            raise place.refuse(
+                f"state without a balance: no storage has der({name}) and it has no 'rate'"
+            )
         return
     if rate not in model.states:
         raise place.refuse(f"state {name!r}: rate {rate!r} is not a state")
     if name in owners:
-        raise place.refuse(f"state {name!r} has a 'rate' and der({name}) in balance {owners[name]!r}; only one may be")
+        raise place.refuse(
+            f"state {name!r} has a 'rate' and der({name}) in balance {owners[name]!r}; only one"
+            " may be"
+        )
     change = dimension_of_unit(state.unit) / dimension_of_unit("s")
     if not change.agrees(dimension_of_unit(model.states[rate].unit)):
-        raise place.refuse(f"unit clash: the rate of {name!r} is in {change}, {rate!r} is in {model.states[rate].unit}")
+        raise place.refuse(
+            f"unit clash: the rate of {name!r} is in {change}, {rate!r} is in"
+            f" {model.states[rate].unit}"
+        )
 
 
 def _derivatives(expression: Expression) -> list[Call]:
-    return [node for node in walk(expression.tree) if isinstance(node, Call) and node.function == "der"]
+    return [
+        node for node in walk(expression.tree) if isinstance(node, Call) and node.function == "der"
+    ]
 
 
 def owners_of(balance: Balance) -> list[str]:
@@ -171,11 +243,17 @@ def owners_of(balance: Balance) -> list[str]:
 def _check_der(node: Call, balance: Balance, model: PhysicalModel, owners: dict[str, str]) -> None:
     operand = node.operands[0]
     if not isinstance(operand, Name) or operand.name not in model.states:
-        raise node.place.refuse(f"der() takes the name of a state; there are {', '.join(model.states) or 'none'}")
+        raise node.place.refuse(
+            f"der() takes the name of a state; there are {', '.join(model.states) or 'none'}"
+        )
     if owners.setdefault(operand.name, balance.name) != balance.name:
-        raise node.place.refuse(f"der({operand.name}) stands in balances {owners[operand.name]!r} and {balance.name!r}")
+        raise node.place.refuse(
+            f"der({operand.name}) stands in balances {owners[operand.name]!r} and {balance.name!r}"
+        )
     if len(set(owners_of(balance))) > 1:
-        raise node.place.refuse(f"balance {balance.name!r}: storage has the derivative of more than one state")
+        raise node.place.refuse(
+            f"balance {balance.name!r}: storage has the derivative of more than one state"
+        )
 
 
 def _variables(model: PhysicalModel, tree: Table) -> None:
@@ -185,35 +263,55 @@ def _variables(model: PhysicalModel, tree: Table) -> None:
         table = section.table(name, "balances")
         if balance.storage.text in ("0", "0.0"):
             if balance.defines is None:
-                raise section.keys[name].refuse(f"balance {name!r}: storage is 0, so it must name the variable that it defines")
+                raise section.keys[name].refuse(
+                    f"balance {name!r}: storage is 0, so it must name the variable that it defines"
+                )
             declared = {*model.states, *model.inputs, *model.parameters}
             if balance.defines in declared or balance.defines in defined:
-                raise section.keys[name].refuse(f"balance {name!r}: {balance.defines!r} is defined elsewhere already")
+                raise section.keys[name].refuse(
+                    f"balance {name!r}: {balance.defines!r} is defined elsewhere already"
+                )
             if not any(balance.defines in term.names for term in balance.terms.values()):
-                raise section.keys[name].refuse(f"balance {name!r}: no term contains {balance.defines!r}, which it must define")
+                raise section.keys[name].refuse(
+                    f"balance {name!r}: no term contains {balance.defines!r}, which it must define"
+                )
             defined.add(balance.defines)
             continue
         for role, variable in balance.variables.items():
-            if variable not in model.states and variable not in model.inputs and variable not in model.parameters:
-                raise table.scalar(role, name).place.refuse(f"balance {name!r}: {role} {variable!r} is not declared")
+            if (
+                variable not in model.states
+                and variable not in model.inputs
+                and variable not in model.parameters
+            ):
+                raise table.scalar(role, name).place.refuse(
+                    f"balance {name!r}: {role} {variable!r} is not declared"
+                )
 
 
 def _with_roles(model: PhysicalModel) -> PhysicalModel:
-    """The model with the variables that its balances do not name: a heat balance that stores C der(T) is that of temperature T.
+    """The model with the variables that its balances do not name: a heat balance that stores C
+    der(T) is that of temperature T.
 
-    Without them effects that act through a variable, a second store of heat or a friction, would not be known to fit there.
+    Without them effects that act through a variable, a second store of heat or a friction, would
+    not be known to fit there.
     """
     balances = {}
     for name, balance in model.balances.items():
         (own,) = owners_of(balance)[:1] or ("",)
         places = [state.name for state in model.states.values() if own and state.rate == own]
-        roles = dict.fromkeys(("velocity", "current", "temperature", "level"), own) | {"position": (*places, "")[0]}
+        roles = dict.fromkeys(("velocity", "current", "temperature", "level"), own) | {
+            "position": (*places, "")[0]
+        }
         inferred = {
             role: roles[role]
             for role in BALANCE_KINDS[balance.kind][1]
-            if role not in balance.variables and roles.get(role) and _is_in(model.states[roles[role]].unit, role, balance.kind)
+            if role not in balance.variables
+            and roles.get(role)
+            and _is_in(model.states[roles[role]].unit, role, balance.kind)
         }
-        balances[name] = replace(balance, variables=MappingProxyType({**balance.variables, **inferred}))
+        balances[name] = replace(
+            balance, variables=MappingProxyType({**balance.variables, **inferred})
+        )
     return replace(model, balances=MappingProxyType(balances))
 
 
@@ -223,8 +321,15 @@ def _is_in(unit: str, role: str, kind: str) -> bool:
 
 def _no_division_by_zero(expression: Expression, values: Mapping[str, float]) -> None:
     for node in walk(expression.tree):
-        if isinstance(node, Operation) and node.operator == "/" and evaluate(node.operands[1], values) == 0:
-            raise node.place.refuse(f"division by zero: the divisor in {expression.text!r} is 0 at the given parameter values")
+        if (
+            isinstance(node, Operation)
+            and node.operator == "/"
+            and evaluate(node.operands[1], values) == 0
+        ):
+            raise node.place.refuse(
+                f"division by zero: the divisor in {expression.text!r} is 0 at the given parameter"
+                " values"
+            )
 
 
 def _storage_is_not_zero(balance: Balance, values: Mapping[str, float]) -> None:
@@ -235,12 +340,17 @@ def _storage_is_not_zero(balance: Balance, values: Mapping[str, float]) -> None:
 
 
 def _defined_variables_can_be_solved(model: PhysicalModel) -> None:
-    """Each balance without storage is linear in its variable with a slope that is not zero, and none define each other, but those
-    that name a start value.
+    """Each balance without storage is linear in its variable with a slope that is not zero, and
+    none define each other, but those that name a start value.
     """
-    defined = {variable: balance for balance in model.balances.values() if (variable := balance.defines)}
+    defined = {
+        variable: balance for balance in model.balances.values() if (variable := balance.defines)
+    }
     needs = {
-        variable: {name for term in balance.terms.values() for name in term.names} & (set(defined) - {variable})
+        variable: (
+            {name for term in balance.terms.values() for name in term.names}
+            & (set(defined) - {variable})
+        )
         for variable, balance in defined.items()
     }
     for variable, balance in defined.items():
@@ -249,21 +359,25 @@ def _defined_variables_can_be_solved(model: PhysicalModel) -> None:
         for term in balance.terms.values():
             if _degree(term.tree, variable) > 1:
                 raise term.place.refuse(
-                    f"algebraic loop: balance {balance.name!r} has no storage and is not linear in {variable!r}, "
-                    "which it defines; give it a value to solve from, start: 1.0",
+                    f"algebraic loop: balance {balance.name!r} has no storage and is not linear in"
+                    f" {variable!r}, which it defines; give it a value to solve from, start: 1.0",
                     NoExplicitEquations,
                 )
         zero = dict.fromkeys([*model.states, *model.inputs, *defined], 0.0) | dict(model.values)
-        slope = [evaluate(t.tree, zero | {variable: 1.0}) - evaluate(t.tree, zero) for t in balance.terms.values()]
+        slope = [
+            evaluate(t.tree, zero | {variable: 1.0}) - evaluate(t.tree, zero)
+            for t in balance.terms.values()
+        ]
         if sum(slope) == 0:
             raise balance.storage.place.refuse(
-                f"division by zero: the terms with {variable!r}, which balance {balance.name!r} defines, add up to 0",
+                f"division by zero: the terms with {variable!r}, which balance {balance.name!r}"
+                " defines, add up to 0",
                 NoExplicitEquations,
             )
         if _reaches(needs, variable, variable):
             raise balance.storage.place.refuse(
-                f"algebraic loop: balance {balance.name!r} and another define each other's variables; give each a value to solve "
-                "from, start: 1.0",
+                f"algebraic loop: balance {balance.name!r} and another define each other's"
+                " variables; give each a value to solve from, start: 1.0",
                 NoExplicitEquations,
             )
 
@@ -300,38 +414,58 @@ def _degree(tree: Node, name: str) -> int:
 def _with_units(model: PhysicalModel) -> PhysicalModel:
     declared = [*model.inputs, *model.states, *model.parameters]
     names = {name: dimension_of_unit(model.unit_of(name)) for name in declared}
-    names |= {v: dimension_of_unit(model.unit_of(v)) for b in model.balances.values() if (v := b.defines) and v not in names}
-    units = list(dict.fromkeys(u for name in declared if (u := model.unit_of(name)) not in ("", "1", "%", "percent")))
+    names |= {
+        v: dimension_of_unit(model.unit_of(v))
+        for b in model.balances.values()
+        if (v := b.defines) and v not in names
+    }
+    units = list(
+        dict.fromkeys(
+            u for name in declared if (u := model.unit_of(name)) not in ("", "1", "%", "percent")
+        )
+    )
     plain = {name for name, parameter in model.parameters.items() if parameter.unit in ("", "1")}
-    balances = {name: _with_unit(balance, names, units, plain) for name, balance in model.balances.items()}
+    balances = {
+        name: _with_unit(balance, names, units, plain) for name, balance in model.balances.items()
+    }
     for output in model.outputs.values():
         _check_output(output, names)
     return replace(model, balances=MappingProxyType(balances))
 
 
-def _with_unit(balance: Balance, names: Mapping[str, Dimension], units: Iterable[str], plain: set[str]) -> Balance:
-    """The balance with the unit of its terms: its kind's own, a usual multiple, or any other (a level in volts, a textbook's
-    normalised motor).
+def _with_unit(
+    balance: Balance, names: Mapping[str, Dimension], units: Iterable[str], plain: set[str]
+) -> Balance:
+    """The balance with the unit of its terms: its kind's own, a usual multiple, or any other (a
+    level in volts, a textbook's normalised motor).
 
-    Terms have to agree with the storage. A term with a parameter that is a `plain` number is taken to be in the balance's unit:
-    so normalised models are written, whose coefficients hide the units.
+    Terms have to agree with the storage. A term with a parameter that is a `plain` number is taken
+    to be in the balance's unit: so normalised models are written, whose coefficients hide the
+    units.
     """
     scale: Dimension | None = None
-    sides = [("storage", balance.storage), *((f"term {name!r}", term) for name, term in balance.terms.items())]
+    sides = [
+        ("storage", balance.storage),
+        *((f"term {name!r}", term) for name, term in balance.terms.items()),
+    ]
     for side, expression in sides:
         dimension = dimension_of(expression.tree, names)
         if dimension.literal:
             continue
         if scale is not None and not dimension.agrees(scale) and not plain & set(expression.names):
             raise expression.place.refuse(
-                f"unit clash: {side} of {balance.kind} balance {balance.name!r} is in {dimension}; the balance is in {scale}"
+                f"unit clash: {side} of {balance.kind} balance {balance.name!r} is in {dimension};"
+                f" the balance is in {scale}"
             )
         scale = scale or dimension
     if scale is None or balance.kind == "signal":
         return balance
     usual = (balance.unit, *_OTHER_UNITS[balance.kind])
     rates = [f"{unit}/{time}" for unit in units for time in ("s", "min", "hour")]
-    spelled = next((unit for unit in (*usual, *units, *rates) if scale.agrees(dimension_of_unit(unit))), str(scale))
+    spelled = next(
+        (unit for unit in (*usual, *units, *rates) if scale.agrees(dimension_of_unit(unit))),
+        str(scale),
+    )
     return replace(balance, unit=spelled)
 
 
@@ -339,6 +473,7 @@ def _check_output(output: Output, names: Mapping[str, Dimension]) -> None:
     dimension, declared = dimension_of(output.value.tree, names), dimension_of_unit(output.unit)
     if not dimension.agrees(declared):
         raise output.value.place.refuse(
-            f"unit clash: the value of output {output.name!r} is in {dimension}, declared is {output.unit!r}, {declared}; "
-            "declare the unit of the value: a record in another unit is converted when it is read"
+            f"unit clash: the value of output {output.name!r} is in {dimension}, declared is"
+            f" {output.unit!r}, {declared}; declare the unit of the value: a record in another unit"
+            " is converted when it is read"
         )

@@ -1,9 +1,11 @@
-"""Dimensions of expressions: every sum must add like to like, in one scale, or the model file is refused.
+"""Dimensions of expressions: every sum must add like to like, in one scale, or the model file is
+refused.
 
-A dimension is the product of base units to rational powers together with the scale to SI (kJ is 1000 J),
-so that adding mV to V is refused as surely as adding V to A. Numbers in an equation are taken in the units
-that the file declares; nothing is rescaled behind the user's back. A bare number takes the dimension of what
-it is added to or compared with (`T + 273.15`, `max(h, 0)`); `%` counts as a plain number.
+A dimension is the product of base units to rational powers together with the scale to SI (kJ is
+1000 J), so that adding mV to V is refused as surely as adding V to A. Numbers in an equation are
+taken in the units that the file declares; nothing is rescaled behind the user's back. A bare number
+takes the dimension of what it is added to or compared with (`T + 273.15`, `max(h, 0)`); `%` counts
+as a plain number.
 """
 
 from __future__ import annotations
@@ -14,7 +16,14 @@ from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
 
-from residuum.identification.physics.files.expression import COMPARISONS, Call, Name, Node, Number, Operation
+from residuum.identification.physics.files.expression import (
+    COMPARISONS,
+    Call,
+    Name,
+    Node,
+    Number,
+    Operation,
+)
 from residuum.identification.units import is_own, parse_unit
 
 _PLAIN = {"%", "percent"}
@@ -23,7 +32,9 @@ _OFFSET = {"°C": "K", "degC": "K", "C": "K", "°F": "delta_degF"}
 
 @dataclass(frozen=True)
 class Dimension:
-    """Base units with exponents, and the factor to SI; `literal` marks a bare number, which fits anywhere."""
+    """Base units with exponents, and the factor to SI; `literal` marks a bare number, which fits
+    anywhere.
+    """
 
     exponents: tuple[tuple[str, Fraction], ...] = ()
     scale: float = 1.0
@@ -36,7 +47,11 @@ class Dimension:
         return Dimension(_sorted(powers), self.scale * other.scale, self.literal and other.literal)
 
     def __pow__(self, exponent: Fraction) -> Dimension:
-        return Dimension(_sorted({b: e * exponent for b, e in self.exponents}), self.scale ** float(exponent), self.literal)
+        return Dimension(
+            _sorted({b: e * exponent for b, e in self.exponents}),
+            self.scale ** float(exponent),
+            self.literal,
+        )
 
     def __truediv__(self, other: Dimension) -> Dimension:
         return self * other ** Fraction(-1)
@@ -44,8 +59,8 @@ class Dimension:
     def agrees(self, other: Dimension) -> bool:
         """Same base units and same scale (a bare number agrees with everything).
 
-        A word that nobody knows counts things, as a radian does: `ticks` may stand where nothing does (kg·m²·ticks/s² beside
-        N·m), but not where another word stands.
+        A word that nobody knows counts things, as a radian does: `ticks` may stand where nothing
+        does (kg·m²·ticks/s² beside N·m), but not where another word stands.
         """
         if self.literal or other.literal:
             return True
@@ -75,13 +90,18 @@ def dimension_of_unit(unit: str) -> Dimension:
         return PLAIN
     spelled = unit.replace("percent", "1").replace("%", "1")
     parsed = parse_unit(_OFFSET.get(spelled.strip(), spelled))
-    powers = {_short(name): Fraction(exponent).limit_denominator(64) for name, exponent in parsed.base.items()}
+    powers = {
+        _short(name): Fraction(exponent).limit_denominator(64)
+        for name, exponent in parsed.base.items()
+    }
     powers.pop("rad", None)
     return Dimension(_sorted(powers), parsed.scale)
 
 
 def dimension_of(tree: Node, names: Mapping[str, Dimension]) -> Dimension:
-    """The dimension of an expression; BadModel with line and column when unlike things are added."""
+    """The dimension of an expression; BadModel with line and column when unlike things are
+    added.
+    """
     if isinstance(tree, Number):
         return LITERAL
     if isinstance(tree, Name):
@@ -115,7 +135,9 @@ def _of_call(tree: Call, operands: list[Dimension]) -> Dimension:
         return _alike(tree, operands[1 + len(operands) // 2 :])
     if tree.function == "delay":
         if not operands[1].agrees(dimension_of_unit(_SECOND)):
-            raise tree.place.refuse(f"unit clash: delay() by something in {operands[1]}; it must be a time in s")
+            raise tree.place.refuse(
+                f"unit clash: delay() by something in {operands[1]}; it must be a time in s"
+            )
         return operands[0]
     if tree.function == "der":
         return operands[0] / dimension_of_unit(_SECOND)
@@ -126,7 +148,10 @@ def _of_call(tree: Call, operands: list[Dimension]) -> Dimension:
     if tree.function == "sign":
         return PLAIN
     if not operands[0].agrees(PLAIN):
-        raise tree.place.refuse(f"unit clash: {tree.function}() of something in {operands[0]}; it must be a plain number")
+        raise tree.place.refuse(
+            f"unit clash: {tree.function}() of something in {operands[0]}; it must be a plain"
+            " number"
+        )
     return PLAIN
 
 
@@ -142,19 +167,27 @@ def _alike(tree: Operation | Call, operands: list[Dimension]) -> Dimension:
 def _power(tree: Operation, operands: list[Dimension]) -> Dimension:
     base, exponent = operands
     if not exponent.agrees(PLAIN):
-        raise tree.place.refuse(f"unit clash: an exponent must be a plain number, not in {exponent}")
+        raise tree.place.refuse(
+            f"unit clash: an exponent must be a plain number, not in {exponent}"
+        )
     if base.agrees(PLAIN):
         return base
     power = _literal(tree.operands[1])
     if power is None:
-        raise tree.place.refuse(f"unit clash: something in {base} can only be raised to a literal number")
+        raise tree.place.refuse(
+            f"unit clash: something in {base} can only be raised to a literal number"
+        )
     return base ** Fraction(power).limit_denominator(64)
 
 
 def _literal(tree: Node) -> float | None:
     if isinstance(tree, Number):
         return tree.value
-    if isinstance(tree, Operation) and tree.operator == "neg" and isinstance(tree.operands[0], Number):
+    if (
+        isinstance(tree, Operation)
+        and tree.operator == "neg"
+        and isinstance(tree.operands[0], Number)
+    ):
         return -tree.operands[0].value
     return None
 
@@ -164,4 +197,11 @@ def _sorted(powers: Mapping[str, Fraction]) -> tuple[tuple[str, Fraction], ...]:
 
 
 def _short(name: str) -> str:
-    return {"kilogram": "kg", "meter": "m", "second": "s", "ampere": "A", "kelvin": "K", "radian": "rad"}.get(name, name)
+    return {
+        "kilogram": "kg",
+        "meter": "m",
+        "second": "s",
+        "ampere": "A",
+        "kelvin": "K",
+        "radian": "rad",
+    }.get(name, name)

@@ -1,4 +1,5 @@
-"""Effects of a user's own, written in YAML: the equation, its parameters and states, and where it acts.
+"""Effects of a user's own, written in YAML: the equation, its parameters and states, and where it
+acts.
 
     effects:
       - id: dent
@@ -11,10 +12,11 @@
           w:   {value: 0.02, unit: m, lower: 1e-6, meaning: its half width}
         reference: our own measurement of May
 
-`term` is added to the balance and may name its variables by role (position, velocity, current, temperature, ambient, level,
-supply), the effect's parameters and states; `signal` is, for an input or output, what becomes of it, and names it `signal`.
-The equation is in SI units of its kind of balance (a volume balance in m**3/s, its level in m), whatever the model has.
-Parameters with `size: true` vanish with the effect. `states` is a mapping of name to `{unit, rate, start}`.
+`term` is added to the balance and may name its variables by role (position, velocity, current,
+temperature, ambient, level, supply), the effect's parameters and states; `signal` is, for an input
+or output, what becomes of it, and names it `signal`. The equation is in SI units of its kind of
+balance (a volume balance in m**3/s, its level in m), whatever the model has. Parameters with `size:
+true` vanish with the effect. `states` is a mapping of name to `{unit, rate, start}`.
 """
 
 from __future__ import annotations
@@ -30,10 +32,24 @@ import numpy as np
 from residuum.identification.errors import BadModel
 from residuum.identification.physics.compile import symbolic as sp
 from residuum.identification.physics.compile.expression_meaning import symbolic
-from residuum.identification.physics.effects.base import Conditions, Contribution, Effect, Example, Parameter, Scene, Site
+from residuum.identification.physics.effects.base import (
+    Conditions,
+    Contribution,
+    Effect,
+    Example,
+    Parameter,
+    Scene,
+    Site,
+)
 from residuum.identification.physics.files.dimension import dimension_of, dimension_of_unit
 from residuum.identification.physics.files.expression import Expression, parse
-from residuum.identification.physics.files.yaml_tree import MOST_CHARACTERS, Listing, Scalar, Table, read_tree
+from residuum.identification.physics.files.yaml_tree import (
+    MOST_CHARACTERS,
+    Listing,
+    Scalar,
+    Table,
+    read_tree,
+)
 from residuum.identification.physics.model import BALANCE_KINDS, ROLE_UNITS
 from residuum.identification.units import compatible, convert
 from residuum.nearest_names import known_names
@@ -57,14 +73,18 @@ class OwnState:
 class WrittenEffect(Effect):
     """An effect that a file defines; `definition` is what the file says."""
 
-    def __init__(self, definition: Mapping[str, Any], equation: Expression, states: Mapping[str, OwnState]) -> None:
+    def __init__(
+        self, definition: Mapping[str, Any], equation: Expression, states: Mapping[str, OwnState]
+    ) -> None:
         self.definition = dict(definition)
         self.id = definition["id"]  # type: ignore[misc]
         self.title = definition.get("title", self.id)  # type: ignore[misc]
         self.equation = equation.text  # type: ignore[misc]
         self.reference = definition.get("reference", "")  # type: ignore[misc]
         self.acts_on = tuple(definition["acts_on"])  # type: ignore[misc]
-        self._own = tuple(_parameter(name, entry) for name, entry in definition["parameters"].items())
+        self._own = tuple(
+            _parameter(name, entry) for name, entry in definition["parameters"].items()
+        )
         self.sizes = tuple(n for n, entry in definition["parameters"].items() if entry.get("size"))  # type: ignore[misc]
         self.needs = tuple(role for role in ROLE_UNITS if role in _names(equation, states))  # type: ignore[misc]
         self.rest = 0.001 if "sign" in equation.text else 0.0  # type: ignore[misc]
@@ -81,11 +101,16 @@ class WrittenEffect(Effect):
     def contribution(self, scene: Scene) -> Contribution:
         """The equation in the scene's symbols; `sign(velocity)` is exact at standstill.
 
-        The file is written in SI units: what a model has in others (litres, degrees) is converted on its way in and out.
+        The file is written in SI units: what a model has in others (litres, degrees) is converted
+        on its way in and out.
         """
-        variables = {role: _in_si(role, value, scene.site) for role, value in scene.variables.items()}
+        variables = {
+            role: _in_si(role, value, scene.site) for role, value in scene.variables.items()
+        }
         names = {**variables, **scene.p, **scene.x, "signal": scene.signal}
-        signs = {role: scene.direction for role in ("velocity", "current") if role in scene.variables}
+        signs = {
+            role: scene.direction for role in ("velocity", "current") if role in scene.variables
+        }
         value = symbolic(self._equation.tree, names, signs)
         rates = {n: symbolic(s.rate.tree, names, signs) for n, s in self._states.items()}
         initial = {n: symbolic(s.start.tree, names, signs) for n, s in self._states.items()}
@@ -94,7 +119,9 @@ class WrittenEffect(Effect):
         return Contribution(signal=value, rates=rates, initial=initial)
 
     def starts(self, conditions: Conditions) -> Sequence[Mapping[str, float]]:
-        """The file's values; sizes that are zero there, so large that the term is a tenth of what drives the balance."""
+        """The file's values; sizes that are zero there, so large that the term is a tenth of what
+        drives the balance.
+        """
         values = {p.name: p.value for p in self._own}
         open_ = [name for name in self.sizes if values[name] == 0.0]
         if not open_:
@@ -104,17 +131,26 @@ class WrittenEffect(Effect):
         known = {p.name: p for p in self._own}
         size = _FIRST * conditions.magnitude / largest
         signs = (1.0, -1.0) if any(known[n].lower < 0.0 for n in open_) else (1.0,)
-        return [values | {n: float(np.clip(sign * size, known[n].lower, known[n].upper)) for n in open_} for sign in signs]
+        return [
+            values | {n: float(np.clip(sign * size, known[n].lower, known[n].upper)) for n in open_}
+            for sign in signs
+        ]
 
     def _largest(self, values: Mapping[str, float], conditions: Conditions) -> float:
-        """Largest magnitude of the term at these values along the operation; 1 where states of its own decide."""
+        """Largest magnitude of the term at these values along the operation; 1 where states of its
+        own decide.
+        """
         if self._states or self.place != "balance":
             return 1.0
         names = {name: sp.Symbol(name, real=True) for name in _names(self._equation, self._states)}
         expression = symbolic(self._equation.tree, names, {})
         known = [conditions.variables[n] if n in conditions.variables else values[n] for n in names]
         with np.errstate(all="ignore"):
-            along = np.atleast_1d(np.asarray(sp.lambdify(list(names.values()), expression, "numpy")(*known), dtype=float))
+            along = np.atleast_1d(
+                np.asarray(
+                    sp.lambdify(list(names.values()), expression, "numpy")(*known), dtype=float
+                )
+            )
         finite = np.abs(along[np.isfinite(along)])
         return float(finite.max(initial=0.0)) or 1.0
 
@@ -138,7 +174,9 @@ def read_effects(path: str | Path) -> list[WrittenEffect]:
         with file.open(encoding="utf-8") as opened:
             text = opened.read(MOST_CHARACTERS + 1)
     except (OSError, UnicodeDecodeError) as error:
-        raise BadModel(f"catalogue {str(path)!r}: cannot be read as UTF-8 text ({error.__class__.__name__})") from None
+        raise BadModel(
+            f"catalogue {str(path)!r}: cannot be read as UTF-8 text ({error.__class__.__name__})"
+        ) from None
     return effects_in(text, file.name)
 
 
@@ -172,12 +210,21 @@ def _effect(item: Table) -> WrittenEffect:
     if ("signal" in item.entries) != on_path or ("term" in item.entries) == on_path:
         raise item.place.refuse(f"{label}: a balance gets a 'term', an input or output a 'signal'")
     text = item.scalar("signal" if on_path else "term", label)
-    definition: dict[str, Any] = {"id": id.text, "acts_on": acts_on, "signal" if on_path else "term": text.text}
-    definition |= {key: item.scalar(key, label).text for key in ("title", "reference") if key in item.entries}
+    definition: dict[str, Any] = {
+        "id": id.text,
+        "acts_on": acts_on,
+        "signal" if on_path else "term": text.text,
+    }
+    definition |= {
+        key: item.scalar(key, label).text for key in ("title", "reference") if key in item.entries
+    }
     definition["parameters"] = _parameters(item.table("parameters", label), label)
     states = _states(item.table("states", label), label)
     if states:
-        definition["states"] = {n: {"unit": s.unit, "rate": s.rate.text, "start": s.start.text} for n, s in states.items()}
+        definition["states"] = {
+            n: {"unit": s.unit, "rate": s.rate.text, "start": s.start.text}
+            for n, s in states.items()
+        }
     equation = parse(text.text, text.place)
     _check(label, equation, states, definition, on_path)
     return WrittenEffect(definition, equation, states)
@@ -193,7 +240,9 @@ def _acts_on(item: Table, label: str) -> list[str]:
             raise kind.place.refuse(f"{label}: acts_on is a list of {', '.join(PLACES)}")
         kinds.append(kind.text)
     if len(kinds) > 1 and {"input", "output"} & set(kinds):
-        raise listing.place.refuse(f"{label}: acts on balances, on an input or on an output, not on several of these")
+        raise listing.place.refuse(
+            f"{label}: acts on balances, on an input or on an output, not on several of these"
+        )
     return kinds
 
 
@@ -203,11 +252,23 @@ def _parameters(table: Table, label: str) -> dict[str, dict[str, Any]]:
         part, entry = f"{label}, parameter {name!r}", table.table(name, label)
         entry.only(("value", "unit", "lower", "upper", "fixed", "size", "meaning"), part)
         given = {key: entry.scalar(key, part) for key in entry}
-        numbers = {key: text.number(f"{part}: {key}") for key, text in given.items() if key in ("value", "lower", "upper")}
-        flags = {key: text.truth(f"{part}: {key}") for key, text in given.items() if key in ("fixed", "size")}
+        numbers = {
+            key: text.number(f"{part}: {key}")
+            for key, text in given.items()
+            if key in ("value", "lower", "upper")
+        }
+        flags = {
+            key: text.truth(f"{part}: {key}")
+            for key, text in given.items()
+            if key in ("fixed", "size")
+        }
         texts = {key: text.text for key, text in given.items() if key in ("unit", "meaning")}
         parameters[name] = {"value": 0.0, "unit": "", "meaning": name, **texts, **numbers, **flags}
-        if not numbers.get("lower", -np.inf) <= numbers.get("value", 0.0) <= numbers.get("upper", np.inf):
+        if (
+            not numbers.get("lower", -np.inf)
+            <= numbers.get("value", 0.0)
+            <= numbers.get("upper", np.inf)
+        ):
             raise entry.place.refuse(f"{part}: value is outside its bounds")
     return parameters
 
@@ -224,14 +285,23 @@ def _states(table: Table, label: str) -> dict[str, OwnState]:
     return states
 
 
-def _check(tag: str, equation: Expression, states: Mapping[str, OwnState], definition: Mapping[str, Any], on_path: bool) -> None:
-    """Names are known, units agree in the first kind of balance, and nothing is left of the effect without its sizes."""
+def _check(
+    tag: str,
+    equation: Expression,
+    states: Mapping[str, OwnState],
+    definition: Mapping[str, Any],
+    on_path: bool,
+) -> None:
+    """Names are known, units agree in the first kind of balance, and nothing is left of the effect
+    without its sizes.
+    """
     own = {*definition["parameters"], *states}
     allowed = own | ({"signal"} if on_path else {*ROLE_UNITS, "supply"})
     for expression in (equation, *(e for s in states.values() for e in (s.rate, s.start))):
         if unknown := sorted(expression.names - allowed):
             raise expression.place.refuse(
-                f"{tag}: {unknown[0]!r} is not known here; {known_names(unknown[0], sorted(allowed), 'there are')}"
+                f"{tag}: {unknown[0]!r} is not known here;"
+                f" {known_names(unknown[0], sorted(allowed), 'there are')}"
             )
     sizes = [name for name, entry in definition["parameters"].items() if entry.get("size")]
     if not sizes or states:
@@ -241,12 +311,16 @@ def _check(tag: str, equation: Expression, states: Mapping[str, OwnState], defin
         _check_units(tag, equation, definition)
 
 
-def _check_vanishes(label: str, equation: Expression, allowed: Iterable[str], sizes: list[str], on_path: bool) -> None:
+def _check_vanishes(
+    label: str, equation: Expression, allowed: Iterable[str], sizes: list[str], on_path: bool
+) -> None:
     """Where its sizes are zero an effect adds nothing, or leaves the signal as it is."""
     names = {n: sp.Symbol(n, real=True) for n in allowed} | dict.fromkeys(sizes, sp.S.Zero)
     nothing = symbolic(equation.tree, names, {}) - (names["signal"] if on_path else 0)
     if sp.simplify(nothing) != 0:
-        raise equation.place.refuse(f"{label}: does not vanish where its sizes ({', '.join(sizes)}) are zero")
+        raise equation.place.refuse(
+            f"{label}: does not vanish where its sizes ({', '.join(sizes)}) are zero"
+        )
 
 
 def _check_units(label: str, equation: Expression, definition: Mapping[str, Any]) -> None:
@@ -254,16 +328,22 @@ def _check_units(label: str, equation: Expression, definition: Mapping[str, Any]
     units = {role: by_kind[kind] for role, by_kind in ROLE_UNITS.items() if kind in by_kind}
     units |= {name: entry["unit"] for name, entry in definition["parameters"].items()}
     try:
-        dimension = dimension_of(equation.tree, {name: dimension_of_unit(unit) for name, unit in units.items()})
+        dimension = dimension_of(
+            equation.tree, {name: dimension_of_unit(unit) for name, unit in units.items()}
+        )
     except KeyError:
         return
     expected = dimension_of_unit(BALANCE_KINDS[kind][0])
     if kind != "signal" and not dimension.agrees(expected):
-        raise equation.place.refuse(f"{label}: the term is in {dimension}; a {kind} balance is in {expected}")
+        raise equation.place.refuse(
+            f"{label}: the term is in {dimension}; a {kind} balance is in {expected}"
+        )
 
 
 def _in_si(role: str, value: sp.Expr, site: Site) -> sp.Expr:
-    """A variable of the model in the unit in which definitions have its role; as it is where that is not known."""
+    """A variable of the model in the unit in which definitions have its role; as it is where that
+    is not known.
+    """
     unit, own = site.units.get(role, ""), ROLE_UNITS.get(role, {}).get(site.kind, "")
     if not (unit and own) or not compatible(unit, own):
         return value
@@ -272,7 +352,9 @@ def _in_si(role: str, value: sp.Expr, site: Site) -> sp.Expr:
 
 
 def _of_si(site: Site) -> float:
-    """The unit of definitions for this kind of balance, in the model's; 1 where those do not convert."""
+    """The unit of definitions for this kind of balance, in the model's; 1 where those do not
+    convert.
+    """
     own = BALANCE_KINDS[site.kind][0] if site.kind in BALANCE_KINDS else ""
     return float(convert(1.0, own, site.unit)) if own and compatible(own, site.unit) else 1.0
 

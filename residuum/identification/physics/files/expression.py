@@ -1,4 +1,5 @@
-"""Expressions of model files: a whitelist parser (nothing is ever evaluated as Python) and what can be asked of the tree.
+"""Expressions of model files: a whitelist parser (nothing is ever evaluated as Python) and what can
+be asked of the tree.
 
 Grammar, lowest precedence first::
 
@@ -61,7 +62,13 @@ MOST_KNOTS, MOST_VALUES = 200, 1000
 LONGEST_EXPRESSION = 20_000
 DEEPEST_EXPRESSION, LARGEST_EXPONENT = 60, 20
 
-_INSTEAD = {"|": "; write abs(x)", "^": "; write x**2", "·": "; write *", "×": "; write *", "²": "; write **2"}
+_INSTEAD = {
+    "|": "; write abs(x)",
+    "^": "; write x**2",
+    "·": "; write *",
+    "×": "; write *",
+    "²": "; write **2",
+}
 _TOKEN = re.compile(
     r"\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)|(?P<name>[A-Za-z_][A-Za-z_0-9]*)|(?P<mark>\*\*|[<>=!]=|[-+*/(),<>\[\]])|(?P<bad>\S))"
 )
@@ -102,7 +109,9 @@ class Name:
 
 @dataclass(frozen=True)
 class Operation:
-    """`+ - * / **` of two nodes, unary `-` (operator "neg") of one; in a `where`'s condition comparisons, `and or not`, too."""
+    """`+ - * / **` of two nodes, unary `-` (operator "neg") of one; in a `where`'s condition
+    comparisons, `and or not`, too.
+    """
 
     operator: str
     operands: tuple[Node, ...]
@@ -111,8 +120,8 @@ class Operation:
 
 @dataclass(frozen=True)
 class Call:
-    """One of `FUNCTIONS` applied to its arguments; of a table (`cubic`: a smooth one) they are what is looked up, the places, and
-    the values there. One of two places is a table of tables.
+    """One of `FUNCTIONS` applied to its arguments; of a table (`cubic`: a smooth one) they are what
+    is looked up, the places, and the values there. One of two places is a table of tables.
     """
 
     function: str
@@ -166,8 +175,8 @@ def parse(text: str | float, place: Place | None = None) -> Expression:
     Raises
     ------
     BadModel
-        With line and column: unknown character or function, missing bracket, wrong number of arguments,
-        longer than 20000 characters, brackets more than 60 deep.
+        With line and column: unknown character or function, missing bracket, wrong number of
+        arguments, longer than 20000 characters, brackets more than 60 deep.
 
     Examples
     --------
@@ -180,7 +189,9 @@ def parse(text: str | float, place: Place | None = None) -> Expression:
     start = place or Place()
     source = str(text)
     if len(source) > LONGEST_EXPRESSION:
-        raise start.refuse(f"expression has {len(source)} characters; at most {LONGEST_EXPRESSION} are allowed")
+        raise start.refuse(
+            f"expression has {len(source)} characters; at most {LONGEST_EXPRESSION} are allowed"
+        )
     return Expression(source.strip(), _Parser(source, start).parse())
 
 
@@ -193,12 +204,19 @@ def with_definitions(expression: Expression, definitions: Mapping[str, Expressio
     used = expression.names & definitions.keys()
     if not used:
         return expression
-    text = re.sub(r"[A-Za-z_]\w*", lambda name: f"({definitions[name[0]].text})" if name[0] in used else name[0], expression.text)
+    text = re.sub(
+        r"[A-Za-z_]\w*",
+        lambda name: f"({definitions[name[0]].text})" if name[0] in used else name[0],
+        expression.text,
+    )
     if len(text) > LONGEST_EXPRESSION:
         raise expression.place.refuse(
-            f"with its definitions it has {len(text)} characters; at most {LONGEST_EXPRESSION} are allowed"
+            f"with its definitions it has {len(text)} characters; at most {LONGEST_EXPRESSION} are"
+            " allowed"
         )
-    return Expression(text, _replaced(expression.tree, {name: definitions[name].tree for name in used}))
+    return Expression(
+        text, _replaced(expression.tree, {name: definitions[name].tree for name in used})
+    )
 
 
 def _replaced(tree: Node, trees: Mapping[str, Node]) -> Node:
@@ -210,7 +228,8 @@ def _replaced(tree: Node, trees: Mapping[str, Node]) -> Node:
 
 
 def evaluate(tree: Node, values: Mapping[str, float]) -> float:
-    """The number that the tree gives for these names; nan where it is undefined (a division by zero, a negative root).
+    """The number that the tree gives for these names; nan where it is undefined (a division by
+    zero, a negative root).
 
     `der()` counts as 1, so that a storage gives what multiplies the derivative.
 
@@ -223,7 +242,9 @@ def evaluate(tree: Node, values: Mapping[str, float]) -> float:
         return values.get(tree.name, math.nan)
     numbers = [evaluate(operand, values) for operand in tree.operands]
     try:
-        return float(_MEANING[tree.operator if isinstance(tree, Operation) else tree.function](*numbers))
+        return float(
+            _MEANING[tree.operator if isinstance(tree, Operation) else tree.function](*numbers)
+        )
     except (ZeroDivisionError, ValueError, OverflowError, TypeError):
         return math.nan
 
@@ -259,7 +280,9 @@ _MEANING: Mapping[str, Callable[..., float]] = {
     "delay": lambda signal, by: signal,
     "where": lambda condition, a, b: a if condition else b,
     "table": lambda x, *knots: interpolated(x, knots[: len(knots) // 2], knots[len(knots) // 2 :]),
-    "cubic": lambda x, *knots: smooth(x, knots[: len(knots) // 2], knots[len(knots) // 2 :], _within, _where_positive),
+    "cubic": lambda x, *knots: smooth(
+        x, knots[: len(knots) // 2], knots[len(knots) // 2 :], _within, _where_positive
+    ),
     "<": lambda a, b: a < b,
     "<=": lambda a, b: a <= b,
     ">": lambda a, b: a > b,
@@ -273,7 +296,8 @@ _MEANING: Mapping[str, Callable[..., float]] = {
 
 
 def interpolated(x: float, places: Sequence[float], values: Sequence[float]) -> float:
-    """The straight line between the values at neighbouring places; the first and the last value hold beyond them.
+    """The straight line between the values at neighbouring places; the first and the last value
+    hold beyond them.
 
     >>> interpolated(1.5, [0.0, 1.0, 2.0], [0.0, 10.0, 30.0]), interpolated(9.0, [0.0, 1.0], [0.0, 10.0])
     (20.0, 10.0)
@@ -301,20 +325,28 @@ def smooth(
     within: Callable[[Any, Any, Any], Any],
     where_positive: Callable[[Any, Any, Any], Any],
 ) -> Any:
-    """The cubic between the values at neighbouring places that rises and falls only where they do; held beyond them.
+    """The cubic between the values at neighbouring places that rises and falls only where they do;
+    held beyond them.
 
-    Numbers and SymPy's expressions alike: `within` bounds x, `where_positive` chooses by the sign of its first argument.
+    Numbers and SymPy's expressions alike: `within` bounds x, `where_positive` chooses by the sign
+    of its first argument.
 
     Reference: F. N. Fritsch, J. Butland, SIAM J. Sci. Stat. Comput. 5 (1984) 300.
     """
     total, slopes = values[0], _monotone_slopes(places, values, where_positive)
-    for (a, b), (low, high), (at_a, at_b) in zip(pairwise(places), pairwise(values), pairwise(slopes), strict=True):
+    for (a, b), (low, high), (at_a, at_b) in zip(
+        pairwise(places), pairwise(values), pairwise(slopes), strict=True
+    ):
         t = (within(x, a, b) - a) / (b - a)
-        total += t * t * (3 - 2 * t) * (high - low) + t * (1 - t) * (b - a) * ((1 - t) * at_a - t * at_b)
+        total += t * t * (3 - 2 * t) * (high - low) + t * (1 - t) * (b - a) * (
+            (1 - t) * at_a - t * at_b
+        )
     return total
 
 
-def _monotone_slopes(places: Sequence[Any], values: Sequence[Any], where_positive: Callable[[Any, Any, Any], Any]) -> list[Any]:
+def _monotone_slopes(
+    places: Sequence[Any], values: Sequence[Any], where_positive: Callable[[Any, Any, Any], Any]
+) -> list[Any]:
     h = [b - a for a, b in pairwise(places)]
     m = [(b - a) / width for (a, b), width in zip(pairwise(values), h, strict=True)]
     if len(m) == 1:
@@ -329,7 +361,11 @@ def _monotone_slopes(places: Sequence[Any], values: Sequence[Any], where_positiv
     for (h0, h1), (m0, m1) in zip(pairwise(h), pairwise(m), strict=True):
         w0, w1 = 2 * h1 + h0, h1 + 2 * h0
         below = w0 * m1 + w1 * m0
-        inner.append(where_positive(m0 * m1, (w0 + w1) * m0 * m1 / where_positive(m0 * m1, below, 1 + 0 * m0), 0 * m0))
+        inner.append(
+            where_positive(
+                m0 * m1, (w0 + w1) * m0 * m1 / where_positive(m0 * m1, below, 1 + 0 * m0), 0 * m0
+            )
+        )
     return [end(h[0], h[1], m[0], m[1]), *inner, end(h[-1], h[-2], m[-1], m[-2])]
 
 
@@ -398,7 +434,9 @@ class _Parser:
     def _sign(self) -> Node:
         self._depth += 1
         if self._depth > DEEPEST_EXPRESSION:
-            raise self._peek.place.refuse(f"brackets and signs are nested more than {DEEPEST_EXPRESSION} deep")
+            raise self._peek.place.refuse(
+                f"brackets and signs are nested more than {DEEPEST_EXPRESSION} deep"
+            )
         if token := self._accept("-", "+"):
             operand = self._sign()
             tree = Operation("neg", (operand,), token.place) if token.text == "-" else operand
@@ -412,7 +450,9 @@ class _Parser:
         if token := self._accept("**"):
             exponent = self._sign()
             if any(_is_steep(node) for node in walk(exponent)):
-                raise token.place.refuse(f"an exponent is at most {LARGEST_EXPONENT}, and no power itself")
+                raise token.place.refuse(
+                    f"an exponent is at most {LARGEST_EXPONENT}, and no power itself"
+                )
             return Operation("**", (tree, exponent), token.place)
         return tree
 
@@ -432,7 +472,8 @@ class _Parser:
     def _call(self, function: _Token) -> Node:
         if function.text not in FUNCTIONS:
             raise function.place.refuse(
-                f"function {function.text!r} is not known; {known_names(function.text, FUNCTIONS, 'there are')}"
+                f"function {function.text!r} is not known;"
+                f" {known_names(function.text, FUNCTIONS, 'there are')}"
             )
         if function.text == "table":
             return self._table(function)
@@ -443,7 +484,9 @@ class _Parser:
         fewest, most = FUNCTIONS[function.text]
         if not fewest <= len(operands) <= most:
             count = str(fewest) if fewest == most else f"{fewest} to {most}"
-            raise function.place.refuse(f"{function.text}() takes {count} argument(s), not {len(operands)}")
+            raise function.place.refuse(
+                f"{function.text}() takes {count} argument(s), not {len(operands)}"
+            )
         return Call(function.text, tuple(operands), function.place)
 
     def _table(self, function: _Token) -> Node:
@@ -458,27 +501,38 @@ class _Parser:
             values, name = self._list(self._sum), "table"
             if self._accept(","):
                 if not self._accept_word("cubic"):
-                    raise self._peek.place.refuse("'cubic' or ')' is expected after the values of a table()")
+                    raise self._peek.place.refuse(
+                        "'cubic' or ')' is expected after the values of a table()"
+                    )
                 name = "cubic"
         else:
             inner = self._list(self._sum)
             self._expect(",")
             rows, name = self._list(lambda: self._list(self._sum)), "table"
             if len(rows) * len(inner) > MOST_VALUES:
-                raise function.place.refuse(f"table() has {len(rows) * len(inner)} values; must be at most {MOST_VALUES}")
+                raise function.place.refuse(
+                    f"table() has {len(rows) * len(inner)} values; must be at most {MOST_VALUES}"
+                )
             values = [self._looked_up(function, "table", second, inner, row) for row in rows]
         self._expect(")")
         return self._looked_up(function, name, first, places, values)
 
-    def _looked_up(self, function: _Token, name: str, x: Node, places: list[Node], values: list[Node]) -> Node:
+    def _looked_up(
+        self, function: _Token, name: str, x: Node, places: list[Node], values: list[Node]
+    ) -> Node:
         if len(places) != len(values) or not 2 <= len(places) <= MOST_KNOTS:
             raise function.place.refuse(
-                f"table() has {len(places)} places and {len(values)} values; must be as many of both, 2 to {MOST_KNOTS}"
+                f"table() has {len(places)} places and {len(values)} values; must be as many of"
+                f" both, 2 to {MOST_KNOTS}"
             )
         numbers = [evaluate(place, {}) for place in places]
         if not all(left < right for left, right in pairwise(numbers)):
-            raise function.place.refuse("the places of a table() must be numbers that rise; only its values may hold names")
-        known = tuple(Number(number, place.place) for number, place in zip(numbers, places, strict=True))
+            raise function.place.refuse(
+                "the places of a table() must be numbers that rise; only its values may hold names"
+            )
+        known = tuple(
+            Number(number, place.place) for number, place in zip(numbers, places, strict=True)
+        )
         return Call(name, (x, *known, *values), function.place)
 
     def _list(self, item: Callable[[], T]) -> list[T]:
@@ -504,7 +558,9 @@ class _Parser:
     def _either(self) -> Node:
         self._depth += 1
         if self._depth > DEEPEST_EXPRESSION:
-            raise self._peek.place.refuse(f"conditions are nested more than {DEEPEST_EXPRESSION} deep")
+            raise self._peek.place.refuse(
+                f"conditions are nested more than {DEEPEST_EXPRESSION} deep"
+            )
         if token := self._accept_word("not"):
             tree: Node = Operation("not", (self._either(),), token.place)
         else:
@@ -527,7 +583,9 @@ class _Parser:
         left = self._sum()
         token = self._accept(*COMPARISONS)
         if token is None:
-            raise self._peek.place.refuse(f"a condition compares two values ({' '.join(COMPARISONS)})")
+            raise self._peek.place.refuse(
+                f"a condition compares two values ({' '.join(COMPARISONS)})"
+            )
         return Operation(token.text, (left, self._sum()), token.place)
 
     def _accept_word(self, word: str) -> _Token | None:

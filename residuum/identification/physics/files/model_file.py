@@ -20,7 +20,13 @@ from residuum.identification.physics.files.consistency import check, expressions
 from residuum.identification.physics.files.effect_file import WrittenEffect, effects_of
 from residuum.identification.physics.files.expression import Expression, parse, with_definitions
 from residuum.identification.physics.files.table_file import with_table_files
-from residuum.identification.physics.files.yaml_tree import MOST_CHARACTERS, Listing, Scalar, Table, read_tree
+from residuum.identification.physics.files.yaml_tree import (
+    MOST_CHARACTERS,
+    Listing,
+    Scalar,
+    Table,
+    read_tree,
+)
 from residuum.identification.physics.model import (
     BALANCE_KINDS,
     CLOCK,
@@ -60,7 +66,22 @@ TIME = "time"
 _NAME = re.compile(r"[A-Za-z_][A-Za-z_0-9]*")
 _UNCERTAIN = re.compile(r"(\S+?)\s*(?:±|\+-|\+/-)\s*(\S+)")
 """A number and its standard deviation."""
-_RESERVED = {"der", "sin", "cos", "tanh", "exp", "log", "sqrt", "abs", "sign", "min", "max", "and", "or", "not"}
+_RESERVED = {
+    "der",
+    "sin",
+    "cos",
+    "tanh",
+    "exp",
+    "log",
+    "sqrt",
+    "abs",
+    "sign",
+    "min",
+    "max",
+    "and",
+    "or",
+    "not",
+}
 
 
 def load_model(name_or_path: str | Path) -> PhysicalModel:
@@ -69,7 +90,8 @@ def load_model(name_or_path: str | Path) -> PhysicalModel:
     Raises
     ------
     BadModel
-        Neither a built-in name nor a readable file, or anything wrong in the file (with line and column).
+        Neither a built-in name nor a readable file, or anything wrong in the file (with line and
+        column).
 
     Examples
     --------
@@ -77,47 +99,72 @@ def load_model(name_or_path: str | Path) -> PhysicalModel:
     ('M',)
     """
     if str(name_or_path) in BUILT_IN:
-        resource = files("residuum.identification.physics") / "models" / f"{str(name_or_path).replace('-', '_')}.yaml"
+        resource = (
+            files("residuum.identification.physics")
+            / "models"
+            / f"{str(name_or_path).replace('-', '_')}.yaml"
+        )
         return read_model(resource.read_text(encoding="utf-8"), str(name_or_path))
     path = Path(name_or_path)
     if path.suffix.lower() == ".fmu":
         raise BadModel(
-            f"model {str(path)!r}: is an FMU; `residuum compare` and `residuum explain` take it, in a process of its own"
+            f"model {str(path)!r}: is an FMU; `residuum compare` and `residuum explain` take it, in"
+            " a process of its own"
         )
     if not path.is_file():
         raise BadModel(
-            f"model {str(name_or_path)!r}: no such file; {known_names(path.stem, BUILT_IN, 'the built-in models are')}"
+            f"model {str(name_or_path)!r}: no such file;"
+            f" {known_names(path.stem, BUILT_IN, 'the built-in models are')}"
         )
     if path.suffix.lower() in LINEAR:
-        from residuum.identification.physics.files.linear_model import read_linear_file  # noqa: PLC0415  SciPy, for these alone
+        # SciPy, for these alone
+        from residuum.identification.physics.files.linear_model import (  # noqa: PLC0415
+            read_linear_file,
+        )
 
         return read_model(read_linear_file(path), path.name)
     try:
         with path.open(encoding="utf-8") as file:
             text = file.read(MOST_CHARACTERS + 1)
     except (OSError, UnicodeDecodeError) as error:
-        raise BadModel(f"model {str(path)!r}: cannot be read as UTF-8 text ({error.__class__.__name__})") from None
+        raise BadModel(
+            f"model {str(path)!r}: cannot be read as UTF-8 text ({error.__class__.__name__})"
+        ) from None
     return read_model(text, path.name, path.parent)
 
 
 def read_model(text: str, source: str = "model", folder: Path | None = None) -> PhysicalModel:
-    """The model that a YAML text describes (docs/reference/model-files.md says the format); `source` names it in refusals, the
-    files of its tables stand in `folder`.
+    """The model that a YAML text describes (docs/reference/model-files.md says the format);
+    `source` names it in refusals, the files of its tables stand in `folder`.
     """
     tree = with_table_files(read_tree(text, source), folder)
     tree.only(KEYS, "model file")
     for section in ("balances", "outputs"):
         if not list(tree.table(section, "model file", required=True)):
             raise tree.keys[section].refuse(f"{section}: is empty; a model has at least one")
-    inputs = {name: _input(name, tree.table("inputs", "model file")) for name in _names(tree, "inputs")}
-    states = {name: _state(name, tree.table("states", "model file")) for name in _names(tree, "states")}
-    parameters = {name: _parameter(name, tree.table("parameters", "model file")) for name in _names(tree, "parameters")}
-    parameters |= {name: _constant(name, tree.table("constants", "model file")) for name in _names(tree, "constants")}
+    inputs = {
+        name: _input(name, tree.table("inputs", "model file")) for name in _names(tree, "inputs")
+    }
+    states = {
+        name: _state(name, tree.table("states", "model file")) for name in _names(tree, "states")
+    }
+    parameters = {
+        name: _parameter(name, tree.table("parameters", "model file"))
+        for name in _names(tree, "parameters")
+    }
+    parameters |= {
+        name: _constant(name, tree.table("constants", "model file"))
+        for name in _names(tree, "constants")
+    }
     let = _definitions(tree)
     balances = {
-        name: _balance(name, tree.table("balances", "model file", required=True), let) for name in _names(tree, "balances")
+        name: _balance(name, tree.table("balances", "model file", required=True), let)
+        for name in _names(tree, "balances")
     }
-    outputs = {name: _output(name, tree.table("outputs", "model file", required=True), let) for name in _names(tree, "outputs")}
+    outputs = {
+        name: _output(name, tree.table("outputs", "model file", required=True), let)
+        for name in _names(tree, "outputs")
+    }
     name = tree.scalar("name", "model file").text
     model = PhysicalModel(
         name,
@@ -133,38 +180,76 @@ def read_model(text: str, source: str = "model", folder: Path | None = None) -> 
 
 
 def _with_clock(model: PhysicalModel) -> PhysicalModel:
-    """The model with `time` among its inputs, where an expression names it and nothing declares it."""
-    declared = {*model.inputs, *model.states, *model.parameters, *(b.defines for b in model.balances.values())}
-    if TIME in declared or not any(TIME in expression.names for expression in expressions_of(model)):
+    """The model with `time` among its inputs, where an expression names it and nothing declares
+    it.
+    """
+    declared = {
+        *model.inputs,
+        *model.states,
+        *model.parameters,
+        *(b.defines for b in model.balances.values()),
+    }
+    if TIME in declared or not any(
+        TIME in expression.names for expression in expressions_of(model)
+    ):
         return model
     return replace(model, inputs=MappingProxyType({**model.inputs, TIME: Input(TIME, "s", CLOCK)}))
 
 
 def write_model(model: PhysicalModel) -> str:
-    """The YAML text of a model, effects and their provenance included; `read_model` gives the same model back."""
+    """The YAML text of a model, effects and their provenance included; `read_model` gives the same
+    model back.
+    """
     document: dict[str, Any] = {
         "name": model.name,
         "inputs": {
-            i.name: i.unit if i.default is None else {"unit": i.unit, "default": i.default} for i in model.inputs.values()
+            i.name: i.unit if i.default is None else {"unit": i.unit, "default": i.default}
+            for i in model.inputs.values()
         },
-        "states": {s.name: {"unit": s.unit} | ({"rate": s.rate} if s.rate else {}) for s in model.states.values()},
+        "states": {
+            s.name: {"unit": s.unit} | ({"rate": s.rate} if s.rate else {})
+            for s in model.states.values()
+        },
         "parameters": {name: _written(parameter) for name, parameter in model.parameters.items()},
-        "balances": {balance.name: _written_balance(balance) for balance in model.balances.values()},
-        "outputs": {o.name: {"value": o.value.text, "unit": o.unit} for o in model.outputs.values()},
+        "balances": {
+            balance.name: _written_balance(balance) for balance in model.balances.values()
+        },
+        "outputs": {
+            o.name: {"value": o.value.text, "unit": o.unit} for o in model.outputs.values()
+        },
     }
     if model.initial:
         document["initial"] = dict(model.initial)
-    if own := {use.id: use.effect.definition for use in model.effects if isinstance(use.effect, WrittenEffect)}:
+    if own := {
+        use.id: use.effect.definition
+        for use in model.effects
+        if isinstance(use.effect, WrittenEffect)
+    }:
         document["own_effects"] = list(own.values())
     if model.effects:
         document["effects"] = [_written_use(use) for use in model.effects]
-    return str(yaml.dump(document, Dumper=_Dumper, sort_keys=False, allow_unicode=True, default_flow_style=None, width=120))
+    return str(
+        yaml.dump(
+            document,
+            Dumper=_Dumper,
+            sort_keys=False,
+            allow_unicode=True,
+            default_flow_style=None,
+            width=120,
+        )
+    )
 
 
 def _written_balance(balance: Balance) -> dict[str, Any]:
     terms = {name: term.text for name, term in balance.terms.items()}
     start = {} if balance.start is None else {"start": balance.start}
-    return {"kind": balance.kind, "storage": balance.storage.text, "terms": terms, **start, **balance.variables}
+    return {
+        "kind": balance.kind,
+        "storage": balance.storage.text,
+        "terms": terms,
+        **start,
+        **balance.variables,
+    }
 
 
 def _written_use(use: EffectUse) -> dict[str, Any]:
@@ -183,8 +268,12 @@ class _Dumper(yaml.SafeDumper):
 def _names(tree: Table, section: str) -> list[str]:
     table = tree.table(section, "model file")
     for name, place in table.keys.items():
-        if section not in ("outputs", "balances") and (not _NAME.fullmatch(name) or name in _RESERVED):
-            raise place.refuse(f"{section}: {name!r} is not a name (letters, digits and _; no function's name)")
+        if section not in ("outputs", "balances") and (
+            not _NAME.fullmatch(name) or name in _RESERVED
+        ):
+            raise place.refuse(
+                f"{section}: {name!r} is not a name (letters, digits and _; no function's name)"
+            )
     return list(table)
 
 
@@ -203,7 +292,9 @@ def _input(name: str, section: Table) -> Input:
     table = section.table(name, "inputs")
     table.only(INPUT_KEYS, f"input {name!r}")
     default = table.optional("default", f"input {name!r}")
-    return Input(name, _unit(table.scalar("unit", f"input {name!r}")), default.text if default else None)
+    return Input(
+        name, _unit(table.scalar("unit", f"input {name!r}")), default.text if default else None
+    )
 
 
 def _state(name: str, section: Table) -> State:
@@ -224,9 +315,13 @@ def _parameter(name: str, section: Table) -> Parameter:
     value = table.scalar("value", label)
     number, prior = _value_and_prior(table, label)
     if lower >= upper:
-        raise table.place.refuse(f"{label}: lower is {lower:g} and upper is {upper:g}; lower must be below upper")
+        raise table.place.refuse(
+            f"{label}: lower is {lower:g} and upper is {upper:g}; lower must be below upper"
+        )
     if not lower <= number <= upper:
-        raise value.place.refuse(f"{label}: value is {number:g}; must be within {lower:g} to {upper:g}")
+        raise value.place.refuse(
+            f"{label}: value is {number:g}; must be within {lower:g} to {upper:g}"
+        )
     return Parameter(
         name,
         number,
@@ -247,9 +342,14 @@ def _value_and_prior(table: Table, what: str) -> tuple[float, Prior | None]:
         return number, prior
     before = _uncertain(known, f"{what}: prior")[1]
     if before is None:
-        raise known.place.refuse(f"{what}: prior is {known.text!r}; must be a value and its standard deviation, '0.07 ± 0.01'")
+        raise known.place.refuse(
+            f"{what}: prior is {known.text!r}; must be a value and its standard deviation, '0.07 ±"
+            " 0.01'"
+        )
     if prior is not None:
-        raise known.place.refuse(f"{what}: its value has a standard deviation and there is a 'prior'; only one may be")
+        raise known.place.refuse(
+            f"{what}: its value has a standard deviation and there is a 'prior'; only one may be"
+        )
     return number, before
 
 
@@ -258,9 +358,15 @@ def _uncertain(text: Scalar, what: str) -> tuple[float, Prior | None]:
     found = _UNCERTAIN.fullmatch(text.text.strip())
     if found is None:
         return text.number(what), None
-    mean, std = Scalar(found[1], text.place).number(what), Scalar(found[2], text.place).number(f"{what}: standard deviation")
+    mean, std = (
+        Scalar(found[1], text.place).number(what),
+        Scalar(found[2], text.place).number(f"{what}: standard deviation"),
+    )
     if std <= 0.0:
-        raise text.place.refuse(f"{what} is {text.text!r}; its standard deviation must be positive (fixed: true holds a value)")
+        raise text.place.refuse(
+            f"{what} is {text.text!r}; its standard deviation must be positive (fixed: true holds a"
+            " value)"
+        )
     return mean, Prior(mean, std)
 
 
@@ -274,7 +380,10 @@ def _constant(name: str, section: Table) -> Parameter:
     number, _, unit = text.text.partition(" ")
     value = Scalar(number, text.place).number(f"constant {name!r}")
     return Parameter(
-        name, value, _unit(Scalar(unit.strip(), text.place.right(len(number) + 1))) if unit.strip() else "", fixed=True
+        name,
+        value,
+        _unit(Scalar(unit.strip(), text.place.right(len(number) + 1))) if unit.strip() else "",
+        fixed=True,
     )
 
 
@@ -298,7 +407,10 @@ def _balance(name: str, section: Table, let: Mapping[str, Expression]) -> Balanc
     table = section.table(name, "balances")
     kind = table.scalar("kind", label)
     if kind.text not in BALANCE_KINDS:
-        raise kind.place.refuse(f"{label}: kind {kind.text!r} is not known; {known_names(kind.text, BALANCE_KINDS, 'there are')}")
+        raise kind.place.refuse(
+            f"{label}: kind {kind.text!r} is not known;"
+            f" {known_names(kind.text, BALANCE_KINDS, 'there are')}"
+        )
     roles = BALANCE_KINDS[kind.text][1]
     table.only(("kind", "storage", "terms", "start", *roles), label)
     start = table.optional("start", label)
@@ -307,8 +419,12 @@ def _balance(name: str, section: Table, let: Mapping[str, Expression]) -> Balanc
         name,
         kind.text,
         _expression(table.scalar("storage", label), let),
-        MappingProxyType({term: _expression(terms.scalar(term, f"{label}, terms"), let) for term in terms}),
-        MappingProxyType({role: table.scalar(role, label).text for role in roles if role in table.entries}),
+        MappingProxyType(
+            {term: _expression(terms.scalar(term, f"{label}, terms"), let) for term in terms}
+        ),
+        MappingProxyType(
+            {role: table.scalar(role, label).text for role in roles if role in table.entries}
+        ),
         BALANCE_KINDS[kind.text][0],
         None if start is None else start.number(f"{label}: start"),
     )
@@ -317,7 +433,10 @@ def _balance(name: str, section: Table, let: Mapping[str, Expression]) -> Balanc
 def _output(name: str, section: Table, let: Mapping[str, Expression]) -> Output:
     table = section.table(name, "outputs")
     table.only(OUTPUT_KEYS, f"output {name!r}")
-    value, unit = table.scalar("value", f"output {name!r}"), table.optional("unit", f"output {name!r}")
+    value, unit = (
+        table.scalar("value", f"output {name!r}"),
+        table.optional("unit", f"output {name!r}"),
+    )
     return Output(name, _expression(value, let), _unit(unit) if unit else "")
 
 
@@ -325,7 +444,9 @@ def _initial(tree: Table, model: PhysicalModel) -> Mapping[str, float]:
     table = tree.table("initial", "model file")
     for name, place in table.keys.items():
         if name not in model.states:
-            raise place.refuse(f"initial: {name!r} is not a state; {known_names(name, model.states, 'there are')}")
+            raise place.refuse(
+                f"initial: {name!r} is not a state; {known_names(name, model.states, 'there are')}"
+            )
     return {name: table.scalar(name, "initial").number(f"initial: {name}") for name in table}
 
 
@@ -349,7 +470,9 @@ def _with_effect(model: PhysicalModel, item: Table) -> PhysicalModel:
     item.only(EFFECT_KEYS, label)
     targets = [key for key in ("balance", "input", "output") if key in item.entries]
     if len(targets) != 1:
-        raise item.place.refuse("effect: exactly one of 'balance', 'input', 'output' says where it is")
+        raise item.place.refuse(
+            "effect: exactly one of 'balance', 'input', 'output' says where it is"
+        )
     target = item.scalar(targets[0], label)
     table = item.table("parameters", label)
     values: dict[str, float] = {}
@@ -358,23 +481,33 @@ def _with_effect(model: PhysicalModel, item: Table) -> PhysicalModel:
     for name in table:
         entry, named = table.entries[name], f"effect parameter {name!r}"
         values[name], priors[name] = (
-            _uncertain(entry, named) if isinstance(entry, Scalar) else _value_and_prior(table.table(name, label), named)
+            _uncertain(entry, named)
+            if isinstance(entry, Scalar)
+            else _value_and_prior(table.table(name, label), named)
         )
         if isinstance(entry, Table):
             entry.only(PARAMETER_KEYS, named)
             flag = entry.optional("fixed", label)
             fixed += [name] if flag and flag.truth(label) else []
-    provenance = {key: _plain(tree) for key, tree in item.table("provenance", label).entries.items()}
+    provenance = {
+        key: _plain(tree) for key, tree in item.table("provenance", label).entries.items()
+    }
     try:
         id = item.scalar("id", label).text
-        return model.with_effect(id, target.text, values, fixed=fixed, priors=priors, provenance=provenance)
+        return model.with_effect(
+            id, target.text, values, fixed=fixed, priors=priors, provenance=provenance
+        )
     except BadInput as error:
         raise item.place.refuse(str(error)) from None
 
 
 def _plain(tree: Scalar | Listing | Table) -> Any:
     if isinstance(tree, Scalar):
-        return yaml.safe_load(tree.text) if re.fullmatch(r"[-+.\deE]+|true|false|null", tree.text) else tree.text
+        return (
+            yaml.safe_load(tree.text)
+            if re.fullmatch(r"[-+.\deE]+|true|false|null", tree.text)
+            else tree.text
+        )
     if isinstance(tree, Listing):
         return [_plain(item) for item in tree.items]
     return {key: _plain(value) for key, value in tree.entries.items()}

@@ -18,9 +18,15 @@ from residuum.identification.physics.model import BALANCE_KINDS
 
 _NAME = "^[A-Za-z_][A-Za-z_0-9]*$"
 _TEXT: dict[str, Any] = {"type": "string"}
-_NUMBER: dict[str, Any] = {"type": ["number", "string"], "pattern": r"^[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?$"}
+_NUMBER: dict[str, Any] = {
+    "type": ["number", "string"],
+    "pattern": r"^[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?$",
+}
 """A text as well, since YAML 1.1 reads `1e-4` as one."""
-_UNCERTAIN: dict[str, Any] = {"type": "string", "pattern": r"^[-+.0-9eE]+\s*(±|\+-|\+/-)\s*[-+.0-9eE]+$"}
+_UNCERTAIN: dict[str, Any] = {
+    "type": "string",
+    "pattern": r"^[-+.0-9eE]+\s*(±|\+-|\+/-)\s*[-+.0-9eE]+$",
+}
 """A number and its standard deviation."""
 _EXPRESSION = {"type": ["string", "number"]}
 _TYPES: dict[str, dict[str, Any]] = {
@@ -30,7 +36,8 @@ _TYPES: dict[str, dict[str, Any]] = {
 
 
 def model_schema() -> dict[str, Any]:
-    """The schema (JSON Schema 2020-12). It says what a file may hold; names, units and equations are checked when it is read.
+    """The schema (JSON Schema 2020-12). It says what a file may hold; names, units and equations
+    are checked when it is read.
 
     >>> sorted(model_schema()["required"])
     ['balances', 'name', 'outputs']
@@ -44,7 +51,11 @@ def model_schema() -> dict[str, Any]:
         "parameters": _named(parameter),
         "constants": _named({"type": ["number", "string"]}),
         "let": _named(_EXPRESSION),
-        "balances": {"type": "object", "minProperties": 1, "additionalProperties": {"oneOf": _balances()}},
+        "balances": {
+            "type": "object",
+            "minProperties": 1,
+            "additionalProperties": {"oneOf": _balances()},
+        },
         "outputs": {
             "type": "object",
             "minProperties": 1,
@@ -68,10 +79,22 @@ def _balances() -> list[dict[str, Any]]:
     terms = {"type": "object", "additionalProperties": _EXPRESSION}
     schemas = []
     for kind, (_, roles) in BALANCE_KINDS.items():
-        properties = {"kind": {"const": kind}, "storage": _EXPRESSION, "terms": terms, "start": _NUMBER}
+        properties = {
+            "kind": {"const": kind},
+            "storage": _EXPRESSION,
+            "terms": terms,
+            "start": _NUMBER,
+        }
         properties |= dict.fromkeys(roles, _TEXT)
         required = ["kind", "storage", "terms"]
-        schemas.append({"type": "object", "required": required, "additionalProperties": False, "properties": properties})
+        schemas.append(
+            {
+                "type": "object",
+                "required": required,
+                "additionalProperties": False,
+                "properties": properties,
+            }
+        )
     return schemas
 
 
@@ -83,12 +106,27 @@ def _effect(parameter: dict[str, Any]) -> dict[str, Any]:
         "provenance": {"type": "object"},
     }
     given = {key: properties[key] for key in EFFECT_KEYS}
-    return {"type": "object", "required": ["id"], "additionalProperties": False, "properties": given}
+    return {
+        "type": "object",
+        "required": ["id"],
+        "additionalProperties": False,
+        "properties": given,
+    }
 
 
 def _own_effect() -> dict[str, Any]:
-    types = {"value": _NUMBER, "lower": _NUMBER, "upper": _NUMBER, "fixed": {"type": "boolean"}, "size": {"type": "boolean"}}
-    parameter = {"type": "object", "additionalProperties": False, "properties": types | {"unit": _TEXT, "meaning": _TEXT}}
+    types = {
+        "value": _NUMBER,
+        "lower": _NUMBER,
+        "upper": _NUMBER,
+        "fixed": {"type": "boolean"},
+        "size": {"type": "boolean"},
+    }
+    parameter = {
+        "type": "object",
+        "additionalProperties": False,
+        "properties": types | {"unit": _TEXT, "meaning": _TEXT},
+    }
     state = {"unit": _TEXT, "rate": _EXPRESSION, "start": _EXPRESSION}
     properties: dict[str, dict[str, Any]] = {
         **dict.fromkeys(DEFINITION_KEYS, _TEXT),
@@ -97,14 +135,33 @@ def _own_effect() -> dict[str, Any]:
         "term": _EXPRESSION,
         "signal": _EXPRESSION,
         "parameters": _named(parameter),
-        "states": _named({"type": "object", "required": ["rate"], "additionalProperties": False, "properties": state}),
+        "states": _named(
+            {
+                "type": "object",
+                "required": ["rate"],
+                "additionalProperties": False,
+                "properties": state,
+            }
+        ),
     }
-    return {"type": "object", "required": ["id", "acts_on"], "additionalProperties": False, "properties": properties}
+    return {
+        "type": "object",
+        "required": ["id", "acts_on"],
+        "additionalProperties": False,
+        "properties": properties,
+    }
 
 
-def _object(keys: tuple[str, ...], required: list[str], **own_types: dict[str, Any]) -> dict[str, Any]:
+def _object(
+    keys: tuple[str, ...], required: list[str], **own_types: dict[str, Any]
+) -> dict[str, Any]:
     properties = {key: own_types.get(key, _TYPES[key]) for key in keys}
-    return {"type": "object", "required": required, "additionalProperties": False, "properties": properties}
+    return {
+        "type": "object",
+        "required": required,
+        "additionalProperties": False,
+        "properties": properties,
+    }
 
 
 def _named(item: dict[str, Any]) -> dict[str, Any]:

@@ -31,7 +31,13 @@ _FUNCTIONS = {
     sp.Min: "min",
     sp.Max: "max",
 }
-_ROLES = {"torque": "velocity", "force": "velocity", "voltage": "current", "heat": "temperature", "volume": "level"}
+_ROLES = {
+    "torque": "velocity",
+    "force": "velocity",
+    "voltage": "current",
+    "heat": "temperature",
+    "volume": "level",
+}
 
 Units = tuple[Mapping[str, str], Mapping[str, str], Mapping[str, tuple[float, str]]]
 """Units of states and inputs; values and units of parameters."""
@@ -48,7 +54,9 @@ class _Text(StrPrinter):
             raise BadModel(f"equations: {written} is not known in models; {known}")
         return f"{name}({', '.join(map(self._print, expression.args))})"
 
-    _print_Abs = _print_sign = _print_Min = _print_Max = _print_LatticeOp = _print_ExpBase = _print_Function
+    _print_Abs = _print_sign = _print_Min = _print_Max = _print_LatticeOp = _print_ExpBase = (
+        _print_Function
+    )
 
     def _print_Float(self, expression: Any) -> str:
         return repr(float(expression))
@@ -59,7 +67,9 @@ class _Text(StrPrinter):
     def _print_Piecewise(self, expression: Any) -> str:
         *cases, (last, condition) = expression.args
         if condition != sp.true:
-            raise BadModel("equations: the last case of a Piecewise must hold whatever else does (True)")
+            raise BadModel(
+                "equations: the last case of a Piecewise must hold whatever else does (True)"
+            )
         text = self._print(last)
         for value, condition in reversed(cases):
             text = f"where({self._condition(condition)}, {self._print(value)}, {text})"
@@ -73,13 +83,22 @@ class _Text(StrPrinter):
             return f"not {parts[0]}"
         if isinstance(condition, sp.And | sp.Or):
             return (" and " if isinstance(condition, sp.And) else " or ").join(parts)
-        raise BadModel(f"equations: the condition {condition} is not known in models; write it with comparisons, and, or, not")
+        raise BadModel(
+            f"equations: the condition {condition} is not known in models; write it with"
+            " comparisons, and, or, not"
+        )
 
 
 def model_table(
-    name: str, rates: Mapping[str, Any], outputs: Mapping[str, Any], units: Units, kinds: Mapping[str, str]
+    name: str,
+    rates: Mapping[str, Any],
+    outputs: Mapping[str, Any],
+    units: Units,
+    kinds: Mapping[str, str],
 ) -> dict[str, Any]:
-    """The table of a model file: a balance a state, with the rate as its one term; see `residuum.library.foreign_models`."""
+    """The table of a model file: a balance a state, with the rate as its one term; see
+    `residuum.library.foreign_models`.
+    """
     states, inputs, parameters = units
     printer = _Text()
     text = {state: printer.doprint(sp.sympify(rate)) for state, rate in rates.items()}
@@ -88,12 +107,18 @@ def model_table(
         "name": name,
         "inputs": dict(inputs),
         "states": {
-            state: {"unit": unit} | ({"rate": positions[state]} if state in positions else {}) for state, unit in states.items()
+            state: {"unit": unit} | ({"rate": positions[state]} if state in positions else {})
+            for state, unit in states.items()
         },
-        "parameters": {key: {"value": float(value), "unit": unit} for key, (value, unit) in parameters.items()},
+        "parameters": {
+            key: {"value": float(value), "unit": unit} for key, (value, unit) in parameters.items()
+        },
         "balances": {},
         "outputs": {
-            key: {"value": printer.doprint(sp.sympify(value)), "unit": _unit_of(value, states, inputs)}
+            key: {
+                "value": printer.doprint(sp.sympify(value)),
+                "unit": _unit_of(value, states, inputs),
+            }
             for key, value in outputs.items()
         },
     }
@@ -103,10 +128,15 @@ def model_table(
     return table
 
 
-def _balance(state: str, rate: str, unit: str, kinds: Mapping[str, str], positions: Mapping[str, str]) -> dict[str, Any]:
+def _balance(
+    state: str, rate: str, unit: str, kinds: Mapping[str, str], positions: Mapping[str, str]
+) -> dict[str, Any]:
     kind = kinds.get(state, "signal")
     if kind not in BALANCE_KINDS:
-        raise BadModel(f"equations, kind of {state!r}: {kind!r} is not known; {known_names(kind, BALANCE_KINDS, 'there are')}")
+        raise BadModel(
+            f"equations, kind of {state!r}: {kind!r} is not known;"
+            f" {known_names(kind, BALANCE_KINDS, 'there are')}"
+        )
     balance: dict[str, Any] = {"kind": kind, "storage": f"der({state})", "terms": {"rate": rate}}
     if kind in _ROLES:
         balance[_ROLES[kind]] = state
@@ -117,5 +147,7 @@ def _balance(state: str, rate: str, unit: str, kinds: Mapping[str, str], positio
 
 
 def _unit_of(value: Any, states: Mapping[str, str], inputs: Mapping[str, str]) -> str:
-    """The unit of an output that is one state or input; any other has none unless its file is written by hand."""
+    """The unit of an output that is one state or input; any other has none unless its file is
+    written by hand.
+    """
     return {**states, **inputs}.get(str(value), "")

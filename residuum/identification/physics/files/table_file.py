@@ -1,7 +1,9 @@
-"""Tables that stand in CSV files beside the model file: put into its expressions as lists, so that a model is one text.
+"""Tables that stand in CSV files beside the model file: put into its expressions as lists, so that
+a model is one text.
 
-Two columns are places and values; more are a table of two places: the first row holds the second places, the first column the
-first ones, and the corner anything. Lines that begin with # and a head of names are left out.
+Two columns are places and values; more are a table of two places: the first row holds the second
+places, the first column the first ones, and the corner anything. Lines that begin with # and a head
+of names are left out.
 """
 
 from __future__ import annotations
@@ -27,31 +29,52 @@ def with_table_files(tree: T, folder: Path | None) -> T:
     Raises
     ------
     BadModel
-        With line and column: no such file in the folder, no folder (a model that came as a text), no table in it.
+        With line and column: no such file in the folder, no folder (a model that came as a text),
+        no table in it.
     """
     if isinstance(tree, Table):
-        return Table({k: with_table_files(v, folder) for k, v in tree.entries.items()}, tree.keys, tree.place)  # type: ignore[return-value]
+        return Table(
+            {k: with_table_files(v, folder) for k, v in tree.entries.items()}, tree.keys, tree.place
+        )  # type: ignore[return-value]
     if isinstance(tree, Listing):
         return Listing([with_table_files(item, folder) for item in tree.items], tree.place)  # type: ignore[return-value]
     if "table(" not in tree.text:
         return tree
-    return Scalar(_FILE.sub(lambda name: _lists(name[0], folder, tree.place), tree.text), tree.place)  # type: ignore[return-value]
+    return Scalar(
+        _FILE.sub(lambda name: _lists(name[0], folder, tree.place), tree.text), tree.place
+    )  # type: ignore[return-value]
 
 
 def _lists(name: str, folder: Path | None, place: Place) -> str:
     if folder is None:
-        raise place.refuse(f"table {name!r}: a model that is given as a text has no files beside it; write the values as lists")
+        raise place.refuse(
+            f"table {name!r}: a model that is given as a text has no files beside it; write the"
+            " values as lists"
+        )
     try:
         with (folder / name).open(encoding="utf-8-sig", newline="") as file:
-            lines = [line for line in file.read(_LARGEST).splitlines() if line.strip() and not line.startswith("#")]
+            lines = [
+                line
+                for line in file.read(_LARGEST).splitlines()
+                if line.strip() and not line.startswith("#")
+            ]
     except (OSError, UnicodeDecodeError) as error:
-        raise place.refuse(f"table {name!r}: cannot be read beside the model file ({error.__class__.__name__})") from None
+        raise place.refuse(
+            f"table {name!r}: cannot be read beside the model file ({error.__class__.__name__})"
+        ) from None
     rows = [[_number(cell) for cell in row] for row in csv.reader(lines)]
     if rows and len(rows[0]) == 2 and not all(map(math.isfinite, rows[0])):
         rows = rows[1:]
     body = [row[1:] if k == 0 and len(row) > 2 else row for k, row in enumerate(rows)]
-    if len(rows) < 2 or {len(row) for row in rows} != {len(rows[0])} or not all(math.isfinite(x) for row in body for x in row):
-        raise place.refuse(f"table {name!r}: must hold rows of numbers, all as long: place,value, or the values of two places")
+    if (
+        len(rows) < 2
+        or {len(row) for row in rows} != {len(rows[0])}
+        or not all(math.isfinite(x) for row in body for x in row)
+    ):
+        raise place.refuse(
+            f"table {name!r}: must hold rows of numbers, all as long: place,value, or the values of"
+            " two places"
+        )
     if len(rows[0]) == 2:
         return f"{[x for x, _ in rows]}, {[y for _, y in rows]}"
     return f"{[row[0] for row in rows[1:]]}, {rows[0][1:]}, {[row[1:] for row in rows[1:]]}"

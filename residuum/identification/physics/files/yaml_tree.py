@@ -1,7 +1,8 @@
-"""YAML with places: mappings and scalars that know their line and column, so that a refusal can name them.
+"""YAML with places: mappings and scalars that know their line and column, so that a refusal can
+name them.
 
-Only plain data is read (mappings, sequences, scalars): no tags, no anchors or aliases (a few lines of them can
-expand to gigabytes), a bound on size and on nesting, no key twice.
+Only plain data is read (mappings, sequences, scalars): no tags, no anchors or aliases (a few lines
+of them can expand to gigabytes), a bound on size and on nesting, no key twice.
 """
 
 from __future__ import annotations
@@ -16,7 +17,9 @@ from residuum.identification.physics.files.expression import Place
 from residuum.nearest_names import known_names
 
 MOST_CHARACTERS = 200_000
-"""Of a model file: the largest here has 3 000. Parsing more takes seconds, so a longer text is refused before that."""
+"""Of a model file: the largest here has 3 000. Parsing more takes seconds, so a longer text is
+refused before that.
+"""
 DEEPEST_NESTING = 12
 
 
@@ -65,7 +68,8 @@ class Table:
         for key, place in self.keys.items():
             if key not in allowed:
                 raise place.refuse(
-                    f"{label}: key {key!r} is not known; {known_names(key, allowed, 'there are')}{self._remedy(key)}"
+                    f"{label}: key {key!r} is not known;"
+                    f" {known_names(key, allowed, 'there are')}{self._remedy(key)}"
                 )
 
     def table(self, key: str, label: str, *, required: bool = False) -> Table:
@@ -92,7 +96,9 @@ class Table:
         return iter(self.entries)
 
     def _remedy(self, key: str) -> str:
-        """How to go on where the key is the rest of a text that YAML cut at its comma: nothing stands under it."""
+        """How to go on where the key is the rest of a text that YAML cut at its comma: nothing
+        stands under it.
+        """
         value = self.entries[key]
         cut = isinstance(value, Scalar) and not value.text
         return "; a text with a comma stands in quotation marks" if cut else ""
@@ -106,11 +112,17 @@ class Table:
 Tree = Scalar | Listing | Table
 
 
-def read_tree(text: str, source: str, form: str = "a model file is a mapping that begins with 'name:'") -> Table:
-    """The mapping that a YAML text holds; BadModel with line and column when it is not acceptable."""
+def read_tree(
+    text: str, source: str, form: str = "a model file is a mapping that begins with 'name:'"
+) -> Table:
+    """The mapping that a YAML text holds; BadModel with line and column when it is not
+    acceptable.
+    """
     start = Place(source)
     if len(text) > MOST_CHARACTERS:
-        raise start.refuse(f"longer than the {MOST_CHARACTERS} characters that a model file may have")
+        raise start.refuse(
+            f"longer than the {MOST_CHARACTERS} characters that a model file may have"
+        )
     try:
         _bounded(text, source)
         node = yaml.compose(text, Loader=yaml.SafeLoader)
@@ -153,10 +165,15 @@ def _tree(node: yaml.Node, source: str) -> Tree:
     for key_node, value_node in node.value:
         key = _tree(key_node, source)
         if not isinstance(key, Scalar):
-            raise key.place.refuse("a key must be a single word; in braces, a text with a comma or [ ] stands in quotation marks")
+            raise key.place.refuse(
+                "a key must be a single word; in braces, a text with a comma or [ ] stands in"
+                " quotation marks"
+            )
         before = entries.get(last)
         if isinstance(before, Scalar) and before.text.count("(") > before.text.count(")"):
-            entries[last] = Scalar(f"{before.text}, {key.text}", before.place)  # `{a: max(b, 0)}`: YAML split at the comma
+            entries[last] = Scalar(
+                f"{before.text}, {key.text}", before.place
+            )  # `{a: max(b, 0)}`: YAML split at the comma
             continue
         if key.text in entries:
             raise key.place.refuse(f"key {key.text!r} stands twice")

@@ -14,7 +14,11 @@ from residuum.identification.errors import BadModel, in_one_line
 
 ENDING = ".fmu"
 _ARCHITECTURE = {"x86_64": "x86_64", "AMD64": "x86_64", "aarch64": "aarch64", "arm64": "aarch64"}
-_SYSTEM = {"Linux": ("linux", "linux"), "Darwin": ("darwin", "darwin"), "Windows": ("windows", "win")}
+_SYSTEM = {
+    "Linux": ("linux", "linux"),
+    "Darwin": ("darwin", "darwin"),
+    "Windows": ("windows", "win"),
+}
 """System → its name in folders of FMI 3 and of FMI 2."""
 
 
@@ -29,10 +33,12 @@ class Variable:
 
 @dataclass(frozen=True)
 class Description:
-    """An FMU's description: real variables by what they are for, and the ways in which it can be run.
+    """An FMU's description: real variables by what they are for, and the ways in which it can be
+    run.
 
-    `states` and `derivatives` are in one order; `events` counts event indicators. `exchange` and `simulation` are the
-    identifiers of its library for model exchange and co-simulation, None where it has no such way.
+    `states` and `derivatives` are in one order; `events` counts event indicators. `exchange` and
+    `simulation` are the identifiers of its library for model exchange and co-simulation, None where
+    it has no such way.
     """
 
     path: str
@@ -67,7 +73,8 @@ def describe(path: str | Path) -> Description:
     Raises
     ------
     BadModel
-        No such file, not an FMU, FMI 1, without a library for this platform (those that it has are named), no output.
+        No such file, not an FMU, FMI 1, without a library for this platform (those that it has are
+        named), no output.
     """
     path = str(path)
     library = fmpy()
@@ -94,13 +101,26 @@ def _check_platform(path: str, version: int, held: Iterable[str]) -> None:
     of_three, of_two = _SYSTEM.get(system, (system.lower(), system.lower()))
     folder = f"{machine}-{of_three}" if version == 3 else f"{of_two}64"
     platforms = sorted(
-        {name.split("/")[1] for name in held if name.startswith("binaries/") and name.count("/") > 1 and name[-1] != "/"}
+        {
+            name.split("/")[1]
+            for name in held
+            if name.startswith("binaries/") and name.count("/") > 1 and name[-1] != "/"
+        }
     )
     if folder in platforms and (version == 3 or machine == "x86_64"):
         return
-    has = f"libraries for {', '.join(platforms)}" if platforms else "sources only" if _has_sources(held) else "no library"
+    has = (
+        f"libraries for {', '.join(platforms)}"
+        if platforms
+        else "sources only"
+        if _has_sources(held)
+        else "no library"
+    )
     remedy = "compile it with its sources, or export it" if _has_sources(held) else "export it"
-    raise BadModel(f"model {path!r}: has {has}, none for {folder}, which this platform needs; {remedy} for {folder}")
+    raise BadModel(
+        f"model {path!r}: has {has}, none for {folder}, which this platform needs; {remedy} for"
+        f" {folder}"
+    )
 
 
 def _has_sources(held: Iterable[str]) -> bool:
@@ -108,7 +128,11 @@ def _has_sources(held: Iterable[str]) -> bool:
 
 
 def _description(path: str, version: int, read: Any) -> Description:
-    reals = [v for v in read.modelVariables if v.type in ("Real", "Float64") and not getattr(v, "dimensions", None)]
+    reals = [
+        v
+        for v in read.modelVariables
+        if v.type in ("Real", "Float64") and not getattr(v, "dimensions", None)
+    ]
     derivatives = [d.variable for d in read.derivatives if d.variable.derivative is not None]
     exchange, simulation = read.modelExchange, read.coSimulation
     return Description(
@@ -120,7 +144,11 @@ def _description(path: str, version: int, read: Any) -> Description:
         tuple(_variable(v) for v in reals if v.causality == "output"),
         tuple(_variable(d.derivative) for d in derivatives),
         tuple(_variable(d) for d in derivatives),
-        int(getattr(read, "numberOfEventIndicators", 0) or 0) if version == 2 else len(getattr(read, "eventIndicators", ())),
+        (
+            int(getattr(read, "numberOfEventIndicators", 0) or 0)
+            if version == 2
+            else len(getattr(read, "eventIndicators", ()))
+        ),
         exchange.modelIdentifier if exchange is not None else None,
         simulation.modelIdentifier if simulation is not None else None,
     )

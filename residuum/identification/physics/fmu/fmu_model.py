@@ -1,7 +1,9 @@
-"""An FMU as a model of balances: a balance a state, whose term is what the FMU computes, so that effects can be added to it.
+"""An FMU as a model of balances: a balance a state, whose term is what the FMU computes, so that
+effects can be added to it.
 
-With model exchange and without events every state has its own balance: a state whose derivative is another state needs none. Any
-other FMU is simulated by itself beforehand (`simulated`): then only what happens on its outputs can be judged.
+With model exchange and without events every state has its own balance: a state whose derivative is
+another state needs none. Any other FMU is simulated by itself beforehand (`simulated`): then only
+what happens on its outputs can be judged.
 """
 
 from __future__ import annotations
@@ -16,7 +18,14 @@ import numpy as np
 
 from residuum.identification.errors import BadUnit
 from residuum.identification.physics.compile.expression_meaning import EXTERNAL
-from residuum.identification.physics.files.expression import Call, Expression, Name, Number, Place, parse
+from residuum.identification.physics.files.expression import (
+    Call,
+    Expression,
+    Name,
+    Number,
+    Place,
+    parse,
+)
 from residuum.identification.physics.fmu.description import Description, Variable
 from residuum.identification.physics.fmu.loaded_library import LoadedLibrary
 from residuum.identification.physics.model import Balance, Input, Output, PhysicalModel, State
@@ -27,7 +36,9 @@ _ALIKE = 1e-7
 
 
 def is_exchangeable(described: Description) -> bool:
-    """Whether rates can be asked of it at any point: it has model exchange, states, and no events to follow."""
+    """Whether rates can be asked of it at any point: it has model exchange, states, and no events
+    to follow.
+    """
     return described.exchange is not None and bool(described.states) and not described.events
 
 
@@ -56,10 +67,17 @@ def exchange_model(library: LoadedLibrary) -> PhysicalModel:
         if k in rates:
             continue
         kind, roles = _kind(name, unit, next((states[q] for q, v in rates.items() if v == k), None))
-        balances[name] = Balance(name, kind, parse(f"der({name})"), {"fmu": external(k)}, roles, f"{unit or '1'}/s")
+        balances[name] = Balance(
+            name, kind, parse(f"der({name})"), {"fmu": external(k)}, roles, f"{unit or '1'}/s"
+        )
     sections: dict[str, dict[str, Any]] = {
-        "inputs": {name: Input(name, unit_of(v)) for name, v in zip(inputs, described.inputs, strict=True)},
-        "states": {name: State(name, units[k], states[rates[k]] if k in rates else None) for k, name in enumerate(states)},
+        "inputs": {
+            name: Input(name, unit_of(v)) for name, v in zip(inputs, described.inputs, strict=True)
+        },
+        "states": {
+            name: State(name, units[k], states[rates[k]] if k in rates else None)
+            for k, name in enumerate(states)
+        },
         "balances": balances,
         "outputs": {
             name: Output(name, external(len(states) + k), unit_of(v))
@@ -74,12 +92,19 @@ def _rates(library: LoadedLibrary) -> dict[int, int]:
     """State → the state that is its derivative, as is seen at points drawn around the start."""
     n = len(library.description.states)
     rng = np.random.default_rng(0)
-    points = [np.concatenate([[0.0], library.start + rng.normal(size=library.start.size)]) for _ in range(_POINTS)]
+    points = [
+        np.concatenate([[0.0], library.start + rng.normal(size=library.start.size)])
+        for _ in range(_POINTS)
+    ]
     values = np.array([library.value(point)[:n] for point in points])
     x = np.array(points)[:, 1 : 1 + n]
     rates: dict[int, int] = {}
     for q in range(n):
-        near = [v for v in range(n) if v != q and np.all(np.abs(values[:, q] - x[:, v]) <= _ALIKE * (1 + np.abs(x[:, v])))]
+        near = [
+            v
+            for v in range(n)
+            if v != q and np.all(np.abs(values[:, q] - x[:, v]) <= _ALIKE * (1 + np.abs(x[:, v])))
+        ]
         if near and near[0] not in rates:
             rates[q] = near[0]
     return rates
@@ -117,12 +142,16 @@ def unit_of(variable: Variable) -> str:
     >>> unit_of(Variable("a", 1, "m/s2")), unit_of(Variable("a", 1, "N.m")), unit_of(Variable("a", 1, "1"))
     ('m/s**2', 'N*m', '')
     """
-    unit = re.sub(r"(?<=[A-Za-z])(-?\d+)", r"**\1", variable.unit.strip().replace(".", "*").replace("·", "*"))
+    unit = re.sub(
+        r"(?<=[A-Za-z])(-?\d+)", r"**\1", variable.unit.strip().replace(".", "*").replace("·", "*")
+    )
     return {"1": "", "-": ""}.get(unit, unit)
 
 
 def names_of(described: Description) -> tuple[list[str], list[str], list[str]]:
-    """Names of states, inputs and outputs as expressions take them, none twice; an output may be called as a state is."""
+    """Names of states, inputs and outputs as expressions take them, none twice; an output may be
+    called as a state is.
+    """
     inputs = _given(described.inputs, set())
     states = _given(described.states, set(inputs))
     return states, inputs, _given(tuple(map(_without_prefix, described.outputs)), set(inputs))

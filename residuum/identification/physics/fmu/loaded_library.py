@@ -1,7 +1,8 @@
-"""An FMU's library in this process: its rates and outputs as a function of time, states and inputs, for compiled code.
+"""An FMU's library in this process: its rates and outputs as a function of time, states and inputs,
+for compiled code.
 
-Its slopes are central differences. The FMU is one object with a state of its own, so what calls it holds a lock, and the last
-point is remembered: a step asks for each rate at the same point.
+Its slopes are central differences. The FMU is one object with a state of its own, so what calls it
+holds a lock, and the last point is remembered: a step asks for each rate at the same point.
 """
 
 # mypy: disable-error-code="no-untyped-def,no-untyped-call,untyped-decorator,attr-defined,call-arg"
@@ -31,7 +32,9 @@ _KEPT: list[Any] = []
 
 @dataclass(frozen=True, eq=False)
 class LoadedLibrary:
-    """`value(point)` gives rates, then outputs, at a point (time, states, inputs); `start` has the first states and inputs."""
+    """`value(point)` gives rates, then outputs, at a point (time, states, inputs); `start` has the
+    first states and inputs.
+    """
 
     description: Description
     value: Any
@@ -60,10 +63,14 @@ def load(description: Description) -> LoadedLibrary:
     nx, nu, ny = len(description.states), len(description.inputs), len(description.outputs)
     n, m = 1 + nx + nu, nx + ny
     memory = np.full(n + m + n + m * n + 2 * m + n, np.nan)
-    references = np.array([v.reference for v in (*description.inputs, *description.outputs)], dtype=np.uint32)
+    references = np.array(
+        [v.reference for v in (*description.inputs, *description.outputs)], dtype=np.uint32
+    )
     mutex = np.zeros(16, dtype=np.int64)
     _KEPT.extend([instance, functions, memory, references, mutex])
-    value, slope = _compiled(functions, int(instance.component), (nx, nu, ny), memory, references, mutex)
+    value, slope = _compiled(
+        functions, int(instance.component), (nx, nu, ny), memory, references, mutex
+    )
     _KEPT.extend([value, slope])
     ADDRESSES.update(zip(SYMBOLS, (value.address, slope.address), strict=True))
     start = _reals(instance, description)
@@ -80,7 +87,11 @@ def _reals(instance: Any, description: Description) -> list[float]:
     references = [v.reference for v in (*description.states, *description.inputs)]
     if not references:
         return []
-    return list(instance.getReal(references) if description.version == 2 else instance.getFloat64(references))
+    return list(
+        instance.getReal(references)
+        if description.version == 2
+        else instance.getFloat64(references)
+    )
 
 
 def _instance(description: Description) -> tuple[Any, dict[str, Any]]:
@@ -109,7 +120,9 @@ def _instance(description: Description) -> tuple[Any, dict[str, Any]]:
             _settle_three(model)
             model.component = model.component if hasattr(model, "component") else model._instance
     except Exception as error:
-        raise BadModel(f"model {description.path!r}: the FMU cannot be set up ({in_one_line(error)})") from None
+        raise BadModel(
+            f"model {description.path!r}: the FMU cannot be set up ({in_one_line(error)})"
+        ) from None
     return model, _functions(model.dll, description.version)
 
 
@@ -136,7 +149,11 @@ def _settle_three(model: Any) -> None:
 def _functions(dll: Any, version: int) -> dict[str, Any]:
     pointer, size, double, status = ctypes.c_void_p, ctypes.c_size_t, ctypes.c_double, ctypes.c_int
     arrays = (pointer, pointer, size)
-    by_reference = (pointer, pointer, size, pointer) if version == 2 else (pointer, pointer, size, pointer, size)
+    by_reference = (
+        (pointer, pointer, size, pointer)
+        if version == 2
+        else (pointer, pointer, size, pointer, size)
+    )
     names = {
         "time": ("SetTime", (pointer, double)),
         "states": ("SetContinuousStates", arrays),
@@ -144,15 +161,22 @@ def _functions(dll: Any, version: int) -> dict[str, Any]:
         "set": ("SetReal" if version == 2 else "SetFloat64", by_reference),
         "get": ("GetReal" if version == 2 else "GetFloat64", by_reference),
     }
-    functions = {key: ctypes.CFUNCTYPE(status, *types_)((f"fmi{version}{name}", dll)) for key, (name, types_) in names.items()}
+    functions = {
+        key: ctypes.CFUNCTYPE(status, *types_)((f"fmi{version}{name}", dll))
+        for key, (name, types_) in names.items()
+    }
     process = ctypes.CDLL(None)
     for name in ("lock", "unlock"):
         functions[name] = ctypes.CFUNCTYPE(status, pointer)((f"pthread_mutex_{name}", process))
     return functions | {"version": version}
 
 
-def _by_reference(f: dict[str, Any], component: int, inputs: tuple[int, int], outputs: tuple[int, int]) -> tuple[Any, Any]:
-    """What sets the inputs from an address, and what writes the outputs to one: FMI 3 asks for the count of values besides."""
+def _by_reference(
+    f: dict[str, Any], component: int, inputs: tuple[int, int], outputs: tuple[int, int]
+) -> tuple[Any, Any]:
+    """What sets the inputs from an address, and what writes the outputs to one: FMI 3 asks for the
+    count of values besides.
+    """
     set_reals, get_reals = f["set"], f["get"]
     ins, nu = inputs
     outs, ny = outputs
@@ -164,15 +188,27 @@ def _by_reference(f: dict[str, Any], component: int, inputs: tuple[int, int], ou
 
 
 def _compiled(  # noqa: C901  compiled functions that share what they close over
-    f: dict[str, Any], component: int, sizes: tuple[int, int, int], memory: Array, references: Any, mutex: Any
+    f: dict[str, Any],
+    component: int,
+    sizes: tuple[int, int, int],
+    memory: Array,
+    references: Any,
+    mutex: Any,
 ) -> Any:
     """The two functions that generated code calls.
 
-    `memory` has the last point and its values, the point of the slopes and them, two rows of values, and a point to move.
+    `memory` has the last point and its values, the point of the slopes and them, two rows of
+    values, and a point to move.
     """
     nx, nu, ny = sizes
     n, m = 1 + nx + nu, nx + ny
-    set_time, set_states, rates, lock, unlock = f["time"], f["states"], f["rates"], f["lock"], f["unlock"]
+    set_time, set_states, rates, lock, unlock = (
+        f["time"],
+        f["states"],
+        f["rates"],
+        f["lock"],
+        f["unlock"],
+    )
     at, guard, ins = memory.ctypes.data, mutex.ctypes.data, references.ctypes.data
     outs = ins + 4 * nu
     room = memory.size

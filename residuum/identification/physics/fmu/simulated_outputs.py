@@ -1,6 +1,8 @@
-"""An FMU that is simulated along a record: its outputs become recorded signals, which the model that is compared passes on.
+"""An FMU that is simulated along a record: its outputs become recorded signals, which the model
+that is compared passes on.
 
-Nothing is known of its inside, so effects can be judged on the paths of its outputs alone, and its first state is its own.
+Nothing is known of its inside, so effects can be judged on the paths of its outputs alone, and its
+first state is its own.
 """
 
 from __future__ import annotations
@@ -26,7 +28,9 @@ def simulated_model(described: Description) -> PhysicalModel:
     _, inputs, outputs = names_of(described)
     units = [unit_of(v) for v in described.outputs]
     idle = {name: Input(name, unit_of(v)) for name, v in zip(inputs, described.inputs, strict=True)}
-    simulated = {_MADE + name: Input(_MADE + name, unit) for name, unit in zip(outputs, units, strict=True)}
+    simulated = {
+        _MADE + name: Input(_MADE + name, unit) for name, unit in zip(outputs, units, strict=True)
+    }
     empty: Mapping[str, object] = MappingProxyType({})
     return PhysicalModel(
         described.name,
@@ -34,12 +38,17 @@ def simulated_model(described: Description) -> PhysicalModel:
         empty,  # type: ignore[arg-type]
         empty,  # type: ignore[arg-type]
         empty,  # type: ignore[arg-type]
-        MappingProxyType({n: Output(n, parse(_MADE + n), unit) for n, unit in zip(outputs, units, strict=True)}),
+        MappingProxyType(
+            {n: Output(n, parse(_MADE + n), unit) for n, unit in zip(outputs, units, strict=True)}
+        ),
     )
 
 
-def with_simulation(described: Description, model: PhysicalModel, record: Record, mapping: Mapping[str, str]) -> Record:
-    """The record with what the FMU's outputs would have been, from its own start, inputs held over each sample.
+def with_simulation(
+    described: Description, model: PhysicalModel, record: Record, mapping: Mapping[str, str]
+) -> Record:
+    """The record with what the FMU's outputs would have been, from its own start, inputs held over
+    each sample.
 
     Raises
     ------
@@ -49,9 +58,15 @@ def with_simulation(described: Description, model: PhysicalModel, record: Record
         Its simulation fails.
     """
     _, inputs, outputs = names_of(described)
-    signals = [_input(record, mapping.get(name, name), unit_of(v)) for name, v in zip(inputs, described.inputs, strict=True)]
+    signals = [
+        _input(record, mapping.get(name, name), unit_of(v))
+        for name, v in zip(inputs, described.inputs, strict=True)
+    ]
     time = record.sample_time * np.arange(record.n)
-    held = np.zeros(max(2 * record.n - 1, 1), dtype=[("time", float), *((v.name, float) for v in described.inputs)])
+    held = np.zeros(
+        max(2 * record.n - 1, 1),
+        dtype=[("time", float), *((v.name, float) for v in described.inputs)],
+    )
     held["time"][::2], held["time"][1::2] = time, time[1:]
     for variable, values in zip(described.inputs, signals, strict=True):
         held[variable.name][::2], held[variable.name][1::2] = values, values[:-1]
@@ -67,9 +82,15 @@ def with_simulation(described: Description, model: PhysicalModel, record: Record
             output=[v.name for v in described.outputs],
         )
     except Exception as error:
-        raise BadModel(f"model {described.path!r}: its simulation along {record.source!r} fails ({in_one_line(error)})") from None
+        raise BadModel(
+            f"model {described.path!r}: its simulation along {record.source!r} fails"
+            f" ({in_one_line(error)})"
+        ) from None
     at = np.clip(np.searchsorted(trajectory["time"], time + 1e-3 * record.sample_time) - 1, 0, None)
-    simulated = {_MADE + name: np.asarray(trajectory[v.name])[at] for name, v in zip(outputs, described.outputs, strict=True)}
+    simulated = {
+        _MADE + name: np.asarray(trajectory[v.name])[at]
+        for name, v in zip(outputs, described.outputs, strict=True)
+    }
     units = {name: model.inputs[name].unit for name in simulated}
     return Record(
         {**record.channels, **simulated},
@@ -83,9 +104,14 @@ def with_simulation(described: Description, model: PhysicalModel, record: Record
 
 def _input(record: Record, column: str, unit: str) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
     if column not in record.names:
-        raise BadRecord(f"record {record.source!r}: input {column!r} is missing; the columns are {', '.join(record.names)}")
+        raise BadRecord(
+            f"record {record.source!r}: input {column!r} is missing; the columns are"
+            f" {', '.join(record.names)}"
+        )
     values = record.in_unit(column, unit)
     if np.isnan(values).any():
         at = int(np.argmax(np.isnan(values)))
-        raise BadRecord(f"record {record.source!r}: input {column!r} lacks sample {at}; cut the record there")
+        raise BadRecord(
+            f"record {record.source!r}: input {column!r} lacks sample {at}; cut the record there"
+        )
     return values

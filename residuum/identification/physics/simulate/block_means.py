@@ -1,4 +1,6 @@
-"""Means of consecutive blocks of samples; one that lacks a sample is missing, the last, incomplete one is left out."""
+"""Means of consecutive blocks of samples; one that lacks a sample is missing, the last, incomplete
+one is left out.
+"""
 
 from __future__ import annotations
 
@@ -18,9 +20,11 @@ def block_means(values: Array, block: int) -> Array:
     return means_in_blocks(values, np.array([0, len(values)]), [block])[0]
 
 
-def means_in_blocks(values: Array, starts: Integers, blocks: Sequence[int]) -> tuple[Array, Integers]:
-    """Means along axis 0 of several pieces. Piece k is values[starts[k]] … values[starts[k + 1] − 1], in blocks of blocks[k].
-    Also where those of each piece start and the last ones end.
+def means_in_blocks(
+    values: Array, starts: Integers, blocks: Sequence[int]
+) -> tuple[Array, Integers]:
+    """Means along axis 0 of several pieces. Piece k is values[starts[k]] … values[starts[k + 1] −
+    1], in blocks of blocks[k]. Also where those of each piece start and the last ones end.
     """
     if all(block == 1 for block in blocks):
         return values, starts

@@ -1,12 +1,14 @@
 """How far estimated parameters can be trusted where the noise has a colour.
 
-Least squares on coloured noise still finds the parameters, but σ²·H⁻¹ counts every sample as news: at ρ = 0.95 its standard
-deviations are six times too small. With J the weighted derivatives (initial states eliminated) and Γ the noise's
-autocovariance the covariance is H⁻¹ (Jᵀ Γ J) H⁻¹. Autoregressive noise A v = e has Γ = σ² (AᵀA)⁻¹, so that Jᵀ Γ J holds the
-products of the derivatives filtered by 1/A backwards in time. Rows of priors are news each: they add P to H and
-σ²P to the middle.
+Least squares on coloured noise still finds the parameters, but σ²·H⁻¹ counts every sample as news:
+at ρ = 0.95 its standard deviations are six times too small. With J the weighted derivatives
+(initial states eliminated) and Γ the noise's autocovariance the covariance is H⁻¹ (Jᵀ Γ J) H⁻¹.
+Autoregressive noise A v = e has Γ = σ² (AᵀA)⁻¹, so that Jᵀ Γ J holds the products of the
+derivatives filtered by 1/A backwards in time. Rows of priors are news each: they add P to H and σ²P
+to the middle.
 
-Reference: W. K. Newey, K. D. West, Econometrica 55 (1987) 703; L. Ljung, *System Identification*, 1999, 9.4.
+Reference: W. K. Newey, K. D. West, Econometrica 55 (1987) 703; L. Ljung, *System Identification*,
+1999, 9.4.
 """
 
 from __future__ import annotations
@@ -30,12 +32,20 @@ Array = npt.NDArray[np.float64]
 
 
 def with_coloured_noise(result: Estimate, experiments: Sequence[Experiment]) -> Estimate:
-    """The estimate with its covariance for noise of the residuals' own colour (unfiltered simulation error)."""
-    return replace(result, covariance=coloured_covariance(result, experiments)) if result.parameters else result
+    """The estimate with its covariance for noise of the residuals' own colour (unfiltered
+    simulation error).
+    """
+    return (
+        replace(result, covariance=coloured_covariance(result, experiments))
+        if result.parameters
+        else result
+    )
 
 
 def coloured_covariance(result: Estimate | Fit, experiments: Sequence[Experiment]) -> Array:
-    """Covariance of estimated parameters for noise of the residuals' own colour, infinite along flat directions."""
+    """Covariance of estimated parameters for noise of the residuals' own colour, infinite along
+    flat directions.
+    """
     slopes = [_reduced_slopes(result, k, e) for k, e in enumerate(experiments)]
     q = len(result.parameters)
     H, spread = np.zeros((q, q)), np.zeros((q, q))
@@ -61,7 +71,9 @@ def _variance(result: Estimate | Fit) -> float:
 
 
 def _reduced_slopes(result: Estimate | Fit, number: int, experiment: Experiment) -> Array:
-    """Weighted derivatives of the outputs by the parameters, less what the initial states take up; zero where missing."""
+    """Weighted derivatives of the outputs by the parameters, less what the initial states take up;
+    zero where missing.
+    """
     simulator = Simulator(result.model)
     states = [f"initial:{name}" for name in simulator.free_states]
     names = [*result.parameters, *states]
@@ -77,7 +89,9 @@ def _reduced_slopes(result: Estimate | Fit, number: int, experiment: Experiment)
 
 
 def _colour(residuals: Sequence[Array]) -> tuple[Array, float]:
-    """Autoregression of one output's residuals, no product taken across two experiments; white where they are too few."""
+    """Autoregression of one output's residuals, no product taken across two experiments; white
+    where they are too few.
+    """
     joined = np.concatenate([part for r in residuals for part in (r, [np.nan])])
     try:
         return fit_autoregression(joined)

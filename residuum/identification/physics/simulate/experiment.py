@@ -24,7 +24,9 @@ SHORTEST_PART = 50
 
 @dataclass(frozen=True, eq=False)
 class Spare:
-    """A column of a record that the model does not use: `values` (n,) complete, and their `unit`."""
+    """A column of a record that the model does not use: `values` (n,) complete, and their
+    `unit`.
+    """
 
     values: Array
     unit: str
@@ -45,13 +47,15 @@ class Experiment:
     sample_time, t0 : float
         [s].
     block : int
-        Statistics of residuals are taken over means of so many samples (`means`); the simulation is not affected.
+        Statistics of residuals are taken over means of so many samples (`means`); the simulation is
+        not affected.
     known : mapping of state to value
         Initial values that are known from what went before, and not estimated.
     spare : mapping of column to Spare
         What else was recorded, sample by sample as U is.
     clocks : tuple of bool
-        Which inputs are the time since the record's begin, whatever the timing of the others; empty: none.
+        Which inputs are the time since the record's begin, whatever the timing of the others;
+        empty: none.
     """
 
     U: Array
@@ -76,14 +80,22 @@ class Experiment:
         return ~np.all(np.isnan(self.Y), axis=0)
 
     def turned(self, which: npt.NDArray[np.bool_]) -> Experiment:
-        """These of the inputs at the other timing: those that were held move evenly, and those that moved are held."""
+        """These of the inputs at the other timing: those that were held move evenly, and those that
+        moved are held.
+        """
         clocks = np.array(self.clocks or (False,) * len(self.hold), dtype=bool)
         return replace(self, hold=np.where(which & ~clocks, 1.0 - self.hold, self.hold))
 
     def follows(self, other: Experiment) -> bool:
-        """Whether this one's first sample is the next after the other's last, in the same record."""
+        """Whether this one's first sample is the next after the other's last, in the same
+        record.
+        """
         end = other.t0 + other.n * other.sample_time
-        return self.source == other.source and self.t0 > other.t0 and abs(self.t0 - end) < 0.5 * self.sample_time
+        return (
+            self.source == other.source
+            and self.t0 > other.t0
+            and abs(self.t0 - end) < 0.5 * self.sample_time
+        )
 
     def means(self, values: Array) -> Array:
         """`block_means` over this experiment's blocks."""
@@ -94,7 +106,9 @@ class Experiment:
         known = self.known if start == 0 else {}
         spare = {name: replace(s, values=s.values[start:stop]) for name, s in self.spare.items()}
         t0 = self.t0 + start * self.sample_time
-        return replace(self, U=self.U[start:stop], Y=self.Y[start:stop], t0=t0, known=known, spare=spare)
+        return replace(
+            self, U=self.U[start:stop], Y=self.Y[start:stop], t0=t0, known=known, spare=spare
+        )
 
 
 def match(
@@ -103,41 +117,57 @@ def match(
     mapping: Mapping[str, str] | None = None,
     hold: Mapping[str, str] | str = "auto",
 ) -> tuple[PhysicalModel, list[Experiment]]:
-    """The records as experiments of the model, and the model with the optional inputs that they lack marked absent.
+    """The records as experiments of the model, and the model with the optional inputs that they
+    lack marked absent.
 
     Parameters
     ----------
     mapping : mapping of model name to column
         For columns that are not named as the model's inputs and outputs are.
     hold : "auto", "zero-order", "linear", or a mapping of input to one of these
-        How inputs move between samples. "auto": linear for a signal whose steps are mostly small (under 2 % of its span) or
-        that moves at nearly every sample with under 5 % of its power above three quarters of the Nyquist frequency; held
-        otherwise.
+        How inputs move between samples. "auto": linear for a signal whose steps are mostly small
+        (under 2 % of its span) or that moves at nearly every sample with under 5 % of its power
+        above three quarters of the Nyquist frequency; held otherwise.
 
     Raises
     ------
     BadRecord
-        A required input is absent or has missing samples, a mapped name or column does not exist, no output is there.
+        A required input is absent or has missing samples, a mapped name or column does not exist,
+        no output is there.
     BadUnit
         A column's unit cannot be converted to the model's.
     """
     columns = _columns(model, mapping or {})
-    optional = [name for name, signal in model.inputs.items() if signal.default is not None and not signal.is_clock]
+    optional = [
+        name
+        for name, signal in model.inputs.items()
+        if signal.default is not None and not signal.is_clock
+    ]
     lacking = [name for name in optional if not all(columns[name] in r.names for r in records)]
-    inputs = {name: replace(signal, absent=name in lacking) for name, signal in model.inputs.items()}
+    inputs = {
+        name: replace(signal, absent=name in lacking) for name, signal in model.inputs.items()
+    }
     model = replace(model, inputs=MappingProxyType(inputs))
     return model, [_experiment(model, record, columns, hold) for record in records]
 
 
-def measured_parts(model: PhysicalModel, records: Sequence[Record], mapping: Mapping[str, str] | None = None) -> list[Record]:
-    """The records, those with holes in an input cut there: every part is an experiment with first states of its own.
+def measured_parts(
+    model: PhysicalModel, records: Sequence[Record], mapping: Mapping[str, str] | None = None
+) -> list[Record]:
+    """The records, those with holes in an input cut there: every part is an experiment with first
+    states of its own.
 
-    A hole is where an input was not measured: what the machine did meanwhile nobody knows, and no simulation goes on after it.
-    Where what is left between the holes is shorter than `SHORTEST_PART` samples (an input that is there at every other sample
-    only), the record stays as it is, and `match` refuses it.
+    A hole is where an input was not measured: what the machine did meanwhile nobody knows, and no
+    simulation goes on after it. Where what is left between the holes is shorter than
+    `SHORTEST_PART` samples (an input that is there at every other sample only), the record stays as
+    it is, and `match` refuses it.
     """
     inputs = [(mapping or {}).get(name, name) for name in model.inputs]
-    return [part for record in records for part in _between_holes(record, [name for name in inputs if name in record.names])]
+    return [
+        part
+        for record in records
+        for part in _between_holes(record, [name for name in inputs if name in record.names])
+    ]
 
 
 def _between_holes(record: Record, inputs: Sequence[str]) -> list[Record]:
@@ -150,8 +180,13 @@ def _between_holes(record: Record, inputs: Sequence[str]) -> list[Record]:
     parts = list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
     if not parts or min(stop - start for start, stop in parts) < SHORTEST_PART:
         return [record]
-    named = [(record.window(start, stop), number) for number, (start, stop) in enumerate(parts, start=1)]
-    return [replace(part, source=f"{record.source} {PART}{k}: {part.t0:.6g} to {part.time[-1]:.6g} s)") for part, k in named]
+    named = [
+        (record.window(start, stop), number) for number, (start, stop) in enumerate(parts, start=1)
+    ]
+    return [
+        replace(part, source=f"{record.source} {PART}{k}: {part.t0:.6g} to {part.time[-1]:.6g} s)")
+        for part, k in named
+    ]
 
 
 def _columns(model: PhysicalModel, mapping: Mapping[str, str]) -> dict[str, str]:
@@ -159,12 +194,15 @@ def _columns(model: PhysicalModel, mapping: Mapping[str, str]) -> dict[str, str]
     for name in mapping:
         if name not in known:
             raise BadRecord(
-                f"map {name}={mapping[name]}: the model has no input or output {name!r}; {known_names(name, known, 'there are')}"
+                f"map {name}={mapping[name]}: the model has no input or output {name!r};"
+                f" {known_names(name, known, 'there are')}"
             )
     return {name: mapping.get(name, name) for name in known}
 
 
-def _experiment(model: PhysicalModel, record: Record, columns: Mapping[str, str], hold: Mapping[str, str] | str) -> Experiment:
+def _experiment(
+    model: PhysicalModel, record: Record, columns: Mapping[str, str], hold: Mapping[str, str] | str
+) -> Experiment:
     U = np.zeros((record.n, len(model.inputs)))
     clocks = [signal.is_clock for signal in model.inputs.values()]
     for k, signal in enumerate(model.inputs.values()):
@@ -177,17 +215,34 @@ def _experiment(model: PhysicalModel, record: Record, columns: Mapping[str, str]
         column = columns[output.name]
         if column not in (output.name, *record.names):
             hint = known_names(column, record.names, "the columns are")
-            raise BadRecord(f"{_named(record)}: output {output.name!r} is mapped to {column!r}, which is not there; {hint}")
+            raise BadRecord(
+                f"{_named(record)}: output {output.name!r} is mapped to {column!r}, which is not"
+                f" there; {hint}"
+            )
         if column in record.names:
             Y[:, k] = record.in_unit(column, output.unit)
     if np.all(np.isnan(Y)):
         hint = f"outputs are {', '.join(model.outputs)}; columns are {', '.join(record.names)}"
         way = ("map", {"OUTPUT": "COLUMN"})
-        raise BadRecord(f"record {record.source!r}: has no output of model {model.name!r} ({hint})", way_on=[way])
+        raise BadRecord(
+            f"record {record.source!r}: has no output of model {model.name!r} ({hint})",
+            way_on=[way],
+        )
     wanted = [hold if isinstance(hold, str) else hold.get(name, "auto") for name in model.inputs]
-    linear = np.array([clocks[k] or _is_linear(how, U[:, k]) for k, how in enumerate(wanted)], dtype=float)
+    linear = np.array(
+        [clocks[k] or _is_linear(how, U[:, k]) for k, how in enumerate(wanted)], dtype=float
+    )
     spare = _spare(record, set(columns.values()))
-    return Experiment(U, Y, linear, record.sample_time, record.t0, record.source, spare=spare, clocks=tuple(clocks))
+    return Experiment(
+        U,
+        Y,
+        linear,
+        record.sample_time,
+        record.t0,
+        record.source,
+        spare=spare,
+        clocks=tuple(clocks),
+    )
 
 
 def _spare(record: Record, used: set[str]) -> dict[str, Spare]:
@@ -195,7 +250,12 @@ def _spare(record: Record, used: set[str]) -> dict[str, Spare]:
     spare = {}
     for name in record.names:
         values = np.asarray(record.channels[name], dtype=float)
-        if name not in used and name.isidentifier() and np.all(np.isfinite(values)) and np.ptp(values) > 0:
+        if (
+            name not in used
+            and name.isidentifier()
+            and np.all(np.isfinite(values))
+            and np.ptp(values) > 0
+        ):
             spare[name] = Spare(values, record.units.get(name, ""))
     return spare
 
@@ -204,21 +264,31 @@ def _input(record: Record, column: str, name: str, unit: str) -> Array:
     if column not in record.names:
         hint = known_names(column, record.names, "the columns are")
         lacking = "is missing" if column == name else f"is mapped to {column!r}, which is not there"
-        raise BadRecord(f"{_named(record)}: input {name!r} {lacking}; {hint}", way_on=[("map", {name: "COLUMN"})])
+        raise BadRecord(
+            f"{_named(record)}: input {name!r} {lacking}; {hint}",
+            way_on=[("map", {name: "COLUMN"})],
+        )
     gaps = np.flatnonzero(record.missing(column))
     if gaps.size:
-        where = f"{_named(record)}: input {column!r} has no value at sample {int(gaps[0])}; inputs must be complete"
+        where = (
+            f"{_named(record)}: input {column!r} has no value at sample {int(gaps[0])}; inputs must"
+            " be complete"
+        )
         raise _incomplete(record.missing(column), where)
     return record.in_unit(column, unit)
 
 
 def _incomplete(missing: npt.NDArray[np.bool_], says: str) -> BadRecord:
-    """The refusal of an input without these samples: one that is recorded at a lower rate gets lines between its samples."""
+    """The refusal of an input without these samples: one that is recorded at a lower rate gets
+    lines between its samples.
+    """
     apart = np.diff(np.flatnonzero(~missing))
     if apart.size and (step := int(np.median(apart))) > 1:
         way = ("resample", True, "where the record is read, to have those between")
         return BadRecord(f"{says}, it has one every {step} samples", way_on=[way])
-    return BadRecord(f"{says}: cut the record there, record.window(start, stop), and give the parts as a list")
+    return BadRecord(
+        f"{says}: cut the record there, record.window(start, stop), and give the parts as a list"
+    )
 
 
 def _named(record: Record) -> str:

@@ -1,14 +1,17 @@
-"""Integration of generated equations: RK4 with exact sensitivities and exact standstill, Kalman filter and smoother.
+"""Integration of generated equations: RK4 with exact sensitivities and exact standstill, Kalman
+filter and smoother.
 
-Everything here is compiled once for all models. A model's own equations arrive as a `System`: compiled functions called
-by address, so a new structure compiles only its equations (a fraction of a second), never the integrator.
+Everything here is compiled once for all models. A model's own equations arrive as a `System`:
+compiled functions called by address, so a new structure compiles only its equations (a fraction of
+a second), never the integrator.
 
-Sensitivities S = ∂x/∂θ obey dS/dt = A·S + B and are stepped by the same Runge–Kutta scheme, so they are the exact
-derivatives of the *computed* trajectory. Columns are chosen by `columns`: j < NP is parameter j, NP + i the initial
-value of state i.
+Sensitivities S = ∂x/∂θ obey dS/dt = A·S + B and are stepped by the same Runge–Kutta scheme, so they
+are the exact derivatives of the *computed* trajectory. Columns are chosen by `columns`: j < NP is
+parameter j, NP + i the initial value of state i.
 
-Arrays: U (n, inputs), p (NP,), x (NX,), S (NX, columns), A (NX, NX), B (NX, NP + NX; the last NX columns stay zero), C (NY, NX),
-D (NY, NP + NX). `u` has one element more than there are inputs: the time since the record's start.
+Arrays: U (n, inputs), p (NP,), x (NX,), S (NX, columns), A (NX, NX), B (NX, NP + NX; the last NX
+columns stay zero), C (NY, NX), D (NY, NP + NX). `u` has one element more than there are inputs: the
+time since the record's start.
 """
 
 # mypy: disable-error-code="no-untyped-def,no-untyped-call,untyped-decorator"
@@ -31,13 +34,15 @@ FORGOTTEN = 1e-200
 
 
 class System(NamedTuple):
-    """A model's compiled equations, each `function(x, u, ur, p, s, m, …)` writing through the pointers that follow.
+    """A model's compiled equations, each `function(x, u, ur, p, s, m, …)` writing through the
+    pointers that follow.
 
-    `rates`(dx) · `slopes`(dx, A, B) · `initial`(x, A, B): own states of effects · `outputs`(y) · `output_slopes`(C, D) ·
-    `signals`(z); `advance`, `advance_slopes` and `observe` are those of `stepping_code`. `sizes` = (NX, NU, NP, NY, NZ);
-    `surfaces`: states that can stand still; `delays`: for each input the parameter that delays it, or −1; `own`: states of
-    effects, whose initial values follow from the others; `remembered`: those of them that go on in an experiment which follows
-    another one in time.
+    `rates`(dx) · `slopes`(dx, A, B) · `initial`(x, A, B): own states of effects · `outputs`(y) ·
+    `output_slopes`(C, D) · `signals`(z); `advance`, `advance_slopes` and `observe` are those of
+    `stepping_code`. `sizes` = (NX, NU, NP, NY, NZ); `surfaces`: states that can stand still;
+    `delays`: for each input the parameter that delays it, or −1; `own`: states of effects, whose
+    initial values follow from the others; `remembered`: those of them that go on in an experiment
+    which follows another one in time.
     """
 
     rates: Any
@@ -58,7 +63,9 @@ class System(NamedTuple):
 
 @typeof_impl.register(System)
 def _type_of_system(system, context):
-    """The numba type that all systems share: found once, for numba would look at every part of a system in every call."""
+    """The numba type that all systems share: found once, for numba would look at every part of a
+    system in every call.
+    """
     if not _SYSTEM:
         _SYSTEM.append(types.NamedTuple([typeof_impl(part, context) for part in system], System))
     return _SYSTEM[0]
@@ -70,10 +77,10 @@ _SYSTEM: list[types.NamedTuple] = []
 class Memory(NamedTuple):
     """Working arrays of one run, so that no step allocates.
 
-    x : state; u, ur : inputs (time last) and their slopes; s, m : direction of each surface, and 0 where it sticks.
-    k, A, B, C, D : rates and Jacobians at one point; S : sensitivities of the state, (NX, columns).
-    inputs : u and ur at the beginning, the middle and the end of a step; step : its length.
-    work, seen : of the generated `advance` and `observe`.
+    x : state; u, ur : inputs (time last) and their slopes; s, m : direction of each surface, and 0
+    where it sticks. k, A, B, C, D : rates and Jacobians at one point; S : sensitivities of the
+    state, (NX, columns). inputs : u and ur at the beginning, the middle and the end of a step; step
+    : its length. work, seen : of the generated `advance` and `observe`.
     """
 
     x: Array
@@ -119,7 +126,9 @@ def new_memory(q, count):
 
 @njit(error_model="numpy", inline="always")
 def interpolated(U, j, position, delayed):
-    """Input j at a position in samples, and its step from the sample before that to the one after."""
+    """Input j at a position in samples, and its step from the sample before that to the one
+    after.
+    """
     last = U.shape[0] - 1
     position = min(max(position, 0.0), float(last))
     i = min(int(position), max(last - 1, 0))
@@ -131,10 +140,11 @@ def interpolated(U, j, position, delayed):
 
 @njit(error_model="numpy")
 def set_inputs(delays, u, ur, U, k, c, sample_time, hold, p):
-    """Inputs at time (k + c) samples: held (`hold` 0) or linear between samples (1); delayed ones interpolated.
+    """Inputs at time (k + c) samples: held (`hold` 0) or linear between samples (1); delayed ones
+    interpolated.
 
-    A held signal delayed by a fraction of a sample takes, over the sample, its mean: the same interpolation. Before the record
-    began, its first sample is taken to have lasted.
+    A held signal delayed by a fraction of a sample takes, over the sample, its mean: the same
+    interpolation. Before the record began, its first sample is taken to have lasted.
     """
     for j in range(U.shape[1]):
         position = k + c * hold[j]
@@ -148,7 +158,9 @@ def set_inputs(delays, u, ur, U, k, c, sample_time, hold, p):
 
 @njit(error_model="numpy")
 def lags_of(delays, sample_time, p):
-    """Delay of each input in samples; none where one is not delayed, −1 of each that is not where others are."""
+    """Delay of each input in samples; none where one is not delayed, −1 of each that is not where
+    others are.
+    """
     lags = np.full(delays.shape[0], -1.0)
     some = False
     for j in range(delays.shape[0]):
@@ -184,7 +196,8 @@ def set_delayed_stages(inputs, lags, U, k, c, ch, sample_time, hold):
 
 @njit(error_model="numpy", inline="always")
 def slip_or_stick(rates, at_x, at_u, at_ur, at_p, at_s, at_m, at_k, at_A, at_B, s, m, k, i, j):
-    """Slip where f⁺ > 0 or f⁻ < 0, stick otherwise, for surface j, whose state i is zero (f⁺ = f⁻: no friction, no sticking).
+    """Slip where f⁺ > 0 or f⁻ < 0, stick otherwise, for surface j, whose state i is zero (f⁺ = f⁻:
+    no friction, no sticking).
 
     Returns f⁺ and f⁻, the state's rates on both sides.
     """
@@ -211,7 +224,21 @@ def resolve_standstill(q, w, p, j):
     x, u, ur, s, m, k, A, B = w.x, w.u, w.ur, w.s, w.m, w.k, w.A, w.B
     i = q.surfaces[j]
     return slip_or_stick(
-        q.rates, x.ctypes, u.ctypes, ur.ctypes, p.ctypes, s.ctypes, m.ctypes, k.ctypes, A.ctypes, B.ctypes, s, m, k, i, j
+        q.rates,
+        x.ctypes,
+        u.ctypes,
+        ur.ctypes,
+        p.ctypes,
+        s.ctypes,
+        m.ctypes,
+        k.ctypes,
+        A.ctypes,
+        B.ctypes,
+        s,
+        m,
+        k,
+        i,
+        j,
     )
 
 
@@ -238,7 +265,9 @@ def crossed(x, surfaces, s, m):
 
 @njit(error_model="numpy")
 def stand(q, w, U, k, c, sample_time, hold, p):
-    """Directions of the surfaces that stand still, by the forces at time (k + c) samples (the middle of the step)."""
+    """Directions of the surfaces that stand still, by the forces at time (k + c) samples (the
+    middle of the step).
+    """
     set_inputs(q.delays, w.u, w.ur, U, k, c, sample_time, hold, p)
     for j in range(q.surfaces.shape[0]):
         if w.s[j] == 0.0:
@@ -249,8 +278,9 @@ def stand(q, w, U, k, c, sample_time, hold, p):
 def land(q, w, p, columns):
     """After a step: bring every surface that was crossed, and where the machine sticks, to zero.
 
-    Where it slips on, the rest of the step after the crossing was walked at the rate of the side that it left: the state is
-    scaled to the rate of the side that it is on, and its derivatives with it (the saltation of Aizerman and Gantmacher 1958).
+    Where it slips on, the rest of the step after the crossing was walked at the rate of the side
+    that it left: the state is scaled to the rate of the side that it is on, and its derivatives
+    with it (the saltation of Aizerman and Gantmacher 1958).
     """
     for j in range(q.surfaces.shape[0]):
         i = q.surfaces[j]
@@ -277,7 +307,17 @@ def add_rate_slopes(q, w, p, columns, j, side, factor):
     """Add to the derivatives of surface j's state those of its rate on one side, times a factor."""
     i = q.surfaces[j]
     w.s[j] = side
-    q.slopes(w.x.ctypes, w.u.ctypes, w.ur.ctypes, p.ctypes, w.s.ctypes, w.m.ctypes, w.k.ctypes, w.A.ctypes, w.B.ctypes)
+    q.slopes(
+        w.x.ctypes,
+        w.u.ctypes,
+        w.ur.ctypes,
+        p.ctypes,
+        w.s.ctypes,
+        w.m.ctypes,
+        w.k.ctypes,
+        w.A.ctypes,
+        w.B.ctypes,
+    )
     for c in range(columns.shape[0]):
         slope = w.B[i, columns[c]]
         for state in range(w.x.shape[0]):
@@ -290,17 +330,42 @@ def add_rate_slopes(q, w, p, columns, j, side, factor):
 def integrate(  # noqa: PLR0912
     q, w, U, first, last, sample_time, substeps, hold, p, columns, X, Y, dY
 ):
-    """From sample `first` to `last`, `substeps` Runge–Kutta steps a sample; w.x and, for the columns, w.S are overwritten.
+    """From sample `first` to `last`, `substeps` Runge–Kutta steps a sample; w.x and, for the
+    columns, w.S are overwritten.
 
-    States, outputs and output slopes before each sample's steps, and at the last, go to the rows of X, Y and dY, from the first
-    row on (of no rows: nothing is kept). Stops where a state ceases to be finite. Arrays are bound once, what every step needs is
-    inlined, and inputs are looked up the long way only where one is delayed: each of these would cost more than the step.
+    States, outputs and output slopes before each sample's steps, and at the last, go to the rows of
+    X, Y and dY, from the first row on (of no rows: nothing is kept). Stops where a state ceases to
+    be finite. Arrays are bound once, what every step needs is inlined, and inputs are looked up the
+    long way only where one is delayed: each of these would cost more than the step.
     """
-    x, u, ur, s, m, S, inputs, surfaces, count = w.x, w.u, w.ur, w.s, w.m, w.S, w.inputs, q.surfaces, columns.shape[0]
-    at_x, at_u, at_ur, at_p, at_s, at_m = x.ctypes, u.ctypes, ur.ctypes, p.ctypes, s.ctypes, m.ctypes
+    x, u, ur, s, m, S, inputs, surfaces, count = (
+        w.x,
+        w.u,
+        w.ur,
+        w.s,
+        w.m,
+        w.S,
+        w.inputs,
+        q.surfaces,
+        columns.shape[0],
+    )
+    at_x, at_u, at_ur, at_p, at_s, at_m = (
+        x.ctypes,
+        u.ctypes,
+        ur.ctypes,
+        p.ctypes,
+        s.ctypes,
+        m.ctypes,
+    )
     at_0, at_1, at_2 = inputs[0].ctypes, inputs[1].ctypes, inputs[2].ctypes
     at_1r, at_k, at_A, at_B = inputs[1, U.shape[1] + 1 :].ctypes, w.k.ctypes, w.A.ctypes, w.B.ctypes
-    at_S, at_columns, at_step, at_work, at_seen = S.ctypes, columns.ctypes, w.step.ctypes, w.work.ctypes, w.seen.ctypes
+    at_S, at_columns, at_step, at_work, at_seen = (
+        S.ctypes,
+        columns.ctypes,
+        w.step.ctypes,
+        w.work.ctypes,
+        w.seen.ctypes,
+    )
     recording, ch, lags = X.shape[0] > 0, 1.0 / substeps, lags_of(q.delays, sample_time, p)
     delayed = lags.shape[0] > 0
     w.step[0] = sample_time / substeps
@@ -315,7 +380,9 @@ def integrate(  # noqa: PLR0912
                 u[: U.shape[1]] = U[k]
                 u[U.shape[1]] = k * sample_time
             at_y, at_dy = Y[k - first].ctypes, dY[k - first].ctypes
-            q.observe(at_x, at_u, at_ur, at_p, at_s, at_m, at_seen, at_y, at_dy, at_S, at_columns, count)
+            q.observe(
+                at_x, at_u, at_ur, at_p, at_s, at_m, at_seen, at_y, at_dy, at_S, at_columns, count
+            )
         if k == last:
             return
         for step in range(substeps):
@@ -327,9 +394,38 @@ def integrate(  # noqa: PLR0912
             if set_directions(x, surfaces, s, m):  # by the forces in the middle of the step
                 for j in range(surfaces.shape[0]):
                     if s[j] == 0.0:
-                        slip_or_stick(q.rates, at_x, at_1, at_1r, at_p, at_s, at_m, at_k, at_A, at_B, s, m, w.k, surfaces[j], j)
+                        slip_or_stick(
+                            q.rates,
+                            at_x,
+                            at_1,
+                            at_1r,
+                            at_p,
+                            at_s,
+                            at_m,
+                            at_k,
+                            at_A,
+                            at_B,
+                            s,
+                            m,
+                            w.k,
+                            surfaces[j],
+                            j,
+                        )
             if count > 0:
-                q.advance_slopes(at_x, at_0, at_1, at_2, at_p, at_s, at_m, at_work, at_step, at_S, at_columns, count)
+                q.advance_slopes(
+                    at_x,
+                    at_0,
+                    at_1,
+                    at_2,
+                    at_p,
+                    at_s,
+                    at_m,
+                    at_work,
+                    at_step,
+                    at_S,
+                    at_columns,
+                    count,
+                )
             else:
                 q.advance(at_x, at_0, at_1, at_2, at_p, at_s, at_m, at_work, at_step)
             if crossed(x, surfaces, s, m):
@@ -341,7 +437,9 @@ def integrate(  # noqa: PLR0912
 
 @njit(error_model="numpy")
 def forget(S):
-    """Sensitivities that have decayed to nothing are zero: a processor takes forty times as long for numbers that underflow."""
+    """Sensitivities that have decayed to nothing are zero: a processor takes forty times as long
+    for numbers that underflow.
+    """
     for i in range(S.shape[0]):
         for c in range(S.shape[1]):
             if abs(S[i, c]) < FORGOTTEN:
@@ -360,19 +458,33 @@ def keep(x, row):
 
 @njit(error_model="numpy")
 def start(q, w, U, sample_time, hold, p, x0):
-    """w.x = x0 with the effects' own states set from it, x0 being their deviation; w.A and w.B then hold their derivatives."""
+    """w.x = x0 with the effects' own states set from it, x0 being their deviation; w.A and w.B then
+    hold their derivatives.
+    """
     w.x[:] = x0
     w.A[:] = 0.0
     w.B[:] = 0.0
     set_inputs(q.delays, w.u, w.ur, U, 0, 0.0, sample_time, hold, p)
-    q.initial(w.x.ctypes, w.u.ctypes, w.ur.ctypes, p.ctypes, w.s.ctypes, w.m.ctypes, w.x.ctypes, w.A.ctypes, w.B.ctypes)
+    q.initial(
+        w.x.ctypes,
+        w.u.ctypes,
+        w.ur.ctypes,
+        p.ctypes,
+        w.s.ctypes,
+        w.m.ctypes,
+        w.x.ctypes,
+        w.A.ctypes,
+        w.B.ctypes,
+    )
     for i in q.own:
         w.x[i] += x0[i]
 
 
 @njit(error_model="numpy")
 def start_slopes(q, w, columns):
-    """Sensitivities of the initial states: identity, and for the effects' own the chain rule besides."""
+    """Sensitivities of the initial states: identity, and for the effects' own the chain rule
+    besides.
+    """
     parameters = w.B.shape[1] - w.x.shape[0]
     for c in range(columns.shape[0]):
         for i in range(w.x.shape[0]):
@@ -390,23 +502,55 @@ def start_slopes(q, w, columns):
 def observe(q, w, U, k, sample_time, hold, p, y):
     """Outputs of w.x at sample k."""
     set_inputs(q.delays, w.u, w.ur, U, k, 0.0, sample_time, hold, p)
-    q.outputs(w.x.ctypes, w.u.ctypes, w.ur.ctypes, p.ctypes, w.s.ctypes, w.m.ctypes, y.ctypes, w.A.ctypes, w.B.ctypes)
+    q.outputs(
+        w.x.ctypes,
+        w.u.ctypes,
+        w.ur.ctypes,
+        p.ctypes,
+        w.s.ctypes,
+        w.m.ctypes,
+        y.ctypes,
+        w.A.ctypes,
+        w.B.ctypes,
+    )
 
 
 @njit(error_model="numpy")
 def observe_slopes(q, w, p):
     """C and D of the outputs of w.x (the inputs are those that `observe` set)."""
-    q.output_slopes(w.x.ctypes, w.u.ctypes, w.ur.ctypes, p.ctypes, w.s.ctypes, w.m.ctypes, w.C.ctypes, w.D.ctypes, w.B.ctypes)
+    q.output_slopes(
+        w.x.ctypes,
+        w.u.ctypes,
+        w.ur.ctypes,
+        p.ctypes,
+        w.s.ctypes,
+        w.m.ctypes,
+        w.C.ctypes,
+        w.D.ctypes,
+        w.B.ctypes,
+    )
 
 
 @njit(error_model="numpy")
 def remember(q, w, U, sample_time, hold, p, columns, memory):
-    """Values and sensitivities of the remembered states a sample after an experiment's last, in the columns of `memory`.
+    """Values and sensitivities of the remembered states a sample after an experiment's last, in the
+    columns of `memory`.
 
-    The derivatives by first states are left out: they are those of this experiment, not of the next.
+    The derivatives by first states are left out: they are those of this experiment, not of the
+    next.
     """
     set_inputs(q.delays, w.u, w.ur, U, U.shape[0] - 1, 0.0, sample_time, hold, p)
-    q.rates(w.x.ctypes, w.u.ctypes, w.ur.ctypes, p.ctypes, w.s.ctypes, w.m.ctypes, w.k.ctypes, w.A.ctypes, w.B.ctypes)
+    q.rates(
+        w.x.ctypes,
+        w.u.ctypes,
+        w.ur.ctypes,
+        p.ctypes,
+        w.s.ctypes,
+        w.m.ctypes,
+        w.k.ctypes,
+        w.A.ctypes,
+        w.B.ctypes,
+    )
     parameters = w.B.shape[1] - w.x.shape[0]
     for number in range(q.remembered.shape[0]):
         i = q.remembered[number]
@@ -442,11 +586,13 @@ def begin(q, w, U, starts, j, p, X0, sample_times, holds, follows, columns, memo
 
 @njit(error_model="numpy")
 def simulate(q, U, starts, p, X0, sample_times, substeps, holds, follows, columns):
-    """States X (n, NX), outputs Y (n, NY) and dY = ∂Y/∂θ (n, NY, columns) at the samples of several experiments.
+    """States X (n, NX), outputs Y (n, NY) and dY = ∂Y/∂θ (n, NY, columns) at the samples of several
+    experiments.
 
-    Experiment j has rows starts[j] … starts[j + 1] − 1 of all these and of U, and its own first state X0[j], sample time,
-    sub-steps and hold; one call for all, since a call costs as much as hundreds of steps. NaN after a state ceases to be finite.
-    In one that `follows` the one before in time, what effects remember (heat, strain) goes on.
+    Experiment j has rows starts[j] … starts[j + 1] − 1 of all these and of U, and its own first
+    state X0[j], sample time, sub-steps and hold; one call for all, since a call costs as much as
+    hundreds of steps. NaN after a state ceases to be finite. In one that `follows` the one before
+    in time, what effects remember (heat, strain) goes on.
     """
     n, w = U.shape[0], new_memory(q, columns.shape[0])
     X, Y = np.full((n, q.sizes[0]), np.nan), np.full((n, q.sizes[3]), np.nan)
@@ -455,7 +601,21 @@ def simulate(q, U, starts, p, X0, sample_times, substeps, holds, follows, column
     for j in range(X0.shape[0]):
         a, b, h = starts[j], starts[j + 1], sample_times[j]
         begin(q, w, U, starts, j, p, X0, sample_times, holds, follows, columns, memory)
-        integrate(q, w, U[a:b], 0, b - a - 1, h, substeps[j], holds[j], p, columns, X[a:b], Y[a:b], dY[a:b])
+        integrate(
+            q,
+            w,
+            U[a:b],
+            0,
+            b - a - 1,
+            h,
+            substeps[j],
+            holds[j],
+            p,
+            columns,
+            X[a:b],
+            Y[a:b],
+            dY[a:b],
+        )
     return X, Y, dY
 
 
@@ -466,7 +626,17 @@ def evaluate_signals(q, U, X, p, sample_time, hold):
     for k in range(U.shape[0]):
         w.x[:] = X[k]
         set_inputs(q.delays, w.u, w.ur, U, k, 0.0, sample_time, hold, p)
-        q.signals(w.x.ctypes, w.u.ctypes, w.ur.ctypes, p.ctypes, w.s.ctypes, w.m.ctypes, Z[k].ctypes, w.A.ctypes, w.B.ctypes)
+        q.signals(
+            w.x.ctypes,
+            w.u.ctypes,
+            w.ur.ctypes,
+            p.ctypes,
+            w.s.ctypes,
+            w.m.ctypes,
+            Z[k].ctypes,
+            w.A.ctypes,
+            w.B.ctypes,
+        )
     return Z
 
 
@@ -482,9 +652,11 @@ def evaluate_outputs(q, U, X, p, sample_time, hold):
 
 @njit(error_model="numpy")
 def rate_slopes(q, U, starts, X, p, sample_times, holds, samples):
-    """A = ∂f/∂x at the given samples of several experiments laid out as in `simulate`, for the choice of sub-steps.
+    """A = ∂f/∂x at the given samples of several experiments laid out as in `simulate`, for the
+    choice of sub-steps.
 
-    Samples (experiments, count) are counted from each experiment's first; shape of A (experiments, count, NX, NX).
+    Samples (experiments, count) are counted from each experiment's first; shape of A (experiments,
+    count, NX, NX).
     """
     w = new_memory(q, 0)
     out = np.zeros((samples.shape[0], samples.shape[1], q.sizes[0], q.sizes[0]))
@@ -497,6 +669,16 @@ def rate_slopes(q, U, starts, X, p, sample_times, holds, samples):
             if set_directions(w.x, q.surfaces, w.s, w.m):
                 stand(q, w, part, k, 0.0, h, hold, p)
             set_inputs(q.delays, w.u, w.ur, part, k, 0.0, h, hold, p)
-            q.slopes(w.x.ctypes, w.u.ctypes, w.ur.ctypes, p.ctypes, w.s.ctypes, w.m.ctypes, w.k.ctypes, w.A.ctypes, w.B.ctypes)
+            q.slopes(
+                w.x.ctypes,
+                w.u.ctypes,
+                w.ur.ctypes,
+                p.ctypes,
+                w.s.ctypes,
+                w.m.ctypes,
+                w.k.ctypes,
+                w.A.ctypes,
+                w.B.ctypes,
+            )
             out[j, i] = w.A
     return out

@@ -1,14 +1,16 @@
 """Extended Kalman filter and smoother of a model whose balances each carry an unknown term.
 
-The model is frozen; to every balance a term w is added that walks at random, dw = σ_w dB, and estimated together with
-the states from the measured outputs. Plotted against speed, position, current, temperature or time, the smoothed w is the
-picture of what the balance lacks. Feedback through the measurements keeps the states on the record, so it works on
-plants that integrate and on data from a closed loop, where a simulation drifts.
+The model is frozen; to every balance a term w is added that walks at random, dw = σ_w dB, and
+estimated together with the states from the measured outputs. Plotted against speed, position,
+current, temperature or time, the smoothed w is the picture of what the balance lacks. Feedback
+through the measurements keeps the states on the record, so it works on plants that integrate and on
+data from a closed loop, where a simulation drifts.
 
-How fast w may move (σ_w) and how noisy the outputs are (r) are found by maximum likelihood of the innovations.
+How fast w may move (σ_w) and how noisy the outputs are (r) are found by maximum likelihood of the
+innovations.
 
-Reference: G. J. Bierman, *Factorization Methods for Discrete Sequential Estimation*, 1977 (smoother of Bryson and Frazier);
-B. D. O. Anderson, J. B. Moore, *Optimal Filtering*, 1979.
+Reference: G. J. Bierman, *Factorization Methods for Discrete Sequential Estimation*, 1977 (smoother
+of Bryson and Frazier); B. D. O. Anderson, J. B. Moore, *Optimal Filtering*, 1979.
 """
 
 from __future__ import annotations
@@ -37,8 +39,8 @@ TUNING_SAMPLES = 4000
 class Noise:
     """What the filter assumes.
 
-    `output_variance`: r of each output [unit²], shape (outputs,); `walk`: σ_w² of each balance's unknown term [unit²/s],
-    by balance name (0 freezes it at zero).
+    `output_variance`: r of each output [unit²], shape (outputs,); `walk`: σ_w² of each balance's
+    unknown term [unit²/s], by balance name (0 freezes it at zero).
     """
 
     output_variance: Array
@@ -47,7 +49,9 @@ class Noise:
 
 @dataclass(frozen=True, eq=False)
 class MissingTerm:
-    """A balance's unknown term along a record: smoothed value and standard deviation, shape (n,), in the balance's unit."""
+    """A balance's unknown term along a record: smoothed value and standard deviation, shape (n,),
+    in the balance's unit.
+    """
 
     balance: str
     unit: str
@@ -64,9 +68,9 @@ class MissingTerm:
 class Smoothed:
     """What filter and smoother give of one experiment.
 
-    `X` (n, states) smoothed states; `missing` by balance; `innovations`, `variances` (n, outputs); `filtered` (n, states +
-    walking
-    terms) is the state after each sample; `log_likelihood` of the innovations.
+    `X` (n, states) smoothed states; `missing` by balance; `innovations`, `variances` (n, outputs);
+    `filtered` (n, states + walking terms) is the state after each sample; `log_likelihood` of the
+    innovations.
     """
 
     X: Array
@@ -84,7 +88,9 @@ class Filter:
         self.simulator = Simulator(model)
         self.model, self.noise = model, noise
         self.balances = [name for name in model.balances if noise.walk.get(name, 0.0) > 0]
-        names = [f"initial:{name}" for name in self.simulator.states] + [missing_name(b) for b in self.balances]
+        names = [f"initial:{name}" for name in self.simulator.states] + [
+            missing_name(b) for b in self.balances
+        ]
         self.columns = self.simulator.columns(names)
 
     def run(
@@ -96,12 +102,17 @@ class Filter:
         smooth: bool = True,
         scales: Array | None = None,
     ) -> Smoothed:
-        """Filter (and smooth) one experiment from first states x0; `scales` are its `state_scales`, where they are known."""
+        """Filter (and smooth) one experiment from first states x0; `scales` are its `state_scales`,
+        where they are known.
+        """
         p = self.simulator.p()
         steps = substeps or self.simulator.substeps(experiment, x0, p)
         count_samples(experiment.n * steps * (1 + len(self.columns)))
         z0 = np.concatenate([x0, np.zeros(len(self.balances))])
-        P0, Q = self._covariances(experiment, state_scales(self.simulator, experiment, x0, steps) if scales is None else scales)
+        P0, Q = self._covariances(
+            experiment,
+            state_scales(self.simulator, experiment, x0, steps) if scales is None else scales,
+        )
         arguments: tuple[Any, ...] = (
             z0,
             P0,
@@ -112,34 +123,52 @@ class Filter:
             steps,
             experiment.hold,
         )
-        z, P, F, H, e, V, filtered = kalman_filter(self.simulator.kernel.system, experiment.U, experiment.Y, p, *arguments)
-        Z, variance = adjoint_smoother(z, P, F, H, e, V) if smooth else (filtered, np.zeros_like(filtered))
+        z, P, F, H, e, V, filtered = kalman_filter(
+            self.simulator.kernel.system, experiment.U, experiment.Y, p, *arguments
+        )
+        Z, variance = (
+            adjoint_smoother(z, P, F, H, e, V) if smooth else (filtered, np.zeros_like(filtered))
+        )
         n_x = len(x0)
         missing = {
-            b: MissingTerm(b, self.model.balances[b].unit, Z[:, n_x + j], np.sqrt(variance[:, n_x + j]))
+            b: MissingTerm(
+                b, self.model.balances[b].unit, Z[:, n_x + j], np.sqrt(variance[:, n_x + j])
+            )
             for j, b in enumerate(self.balances)
         }
         return Smoothed(Z[:, :n_x], missing, e, V, filtered, _log_likelihood(experiment, e, V))
 
-    def predict(self, experiment: Experiment, smoothed: Smoothed, steps: int, *, substeps: int = 1) -> Array:
-        """Outputs predicted `steps` samples ahead from the filtered states, shape (n, outputs); NaN in the first `steps` rows."""
+    def predict(
+        self, experiment: Experiment, smoothed: Smoothed, steps: int, *, substeps: int = 1
+    ) -> Array:
+        """Outputs predicted `steps` samples ahead from the filtered states, shape (n, outputs); NaN
+        in the first `steps` rows.
+        """
         system = self.simulator.kernel.system
         arguments = (self.columns, steps, experiment.sample_time, substeps, experiment.hold)
-        return np.asarray(predict_ahead(system, experiment.U, smoothed.filtered, self.simulator.p(), *arguments))
+        return np.asarray(
+            predict_ahead(system, experiment.U, smoothed.filtered, self.simulator.p(), *arguments)
+        )
 
     def _covariances(self, experiment: Experiment, scale: Array) -> tuple[Array, Array]:
-        """Initial covariance wide enough for any start, and process noise: the walks, and a trace on every state.
+        """Initial covariance wide enough for any start, and process noise: the walks, and a trace
+        on every state.
 
-        The trace keeps a state that stands still (its sensitivities are then zero) open to correction.
+        The trace keeps a state that stands still (its sensitivities are then zero) open to
+        correction.
         """
         walk = np.array([self.noise.walk[b] for b in self.balances])
-        P0 = np.diag(np.concatenate([scale**2, walk * 10.0 * experiment.sample_time * experiment.n]))
+        P0 = np.diag(
+            np.concatenate([scale**2, walk * 10.0 * experiment.sample_time * experiment.n])
+        )
         Q = np.diag(np.concatenate([(1e-5 * scale) ** 2, walk * experiment.sample_time]))
         return P0, Q
 
 
 def state_scales(simulator: Simulator, experiment: Experiment, x0: Array, substeps: int) -> Array:
-    """Size of each state: its peak in a simulation, or the largest output where that diverges or rests at zero."""
+    """Size of each state: its peak in a simulation, or the largest output where that diverges or
+    rests at zero.
+    """
     largest = float(np.nanmax(np.abs(experiment.Y)))
     run = simulator.run_vectors(experiment, x0, simulator.p(), substeps=substeps)
     peak = np.nanmax(np.abs(run.X), axis=0)
@@ -147,25 +176,37 @@ def state_scales(simulator: Simulator, experiment: Experiment, x0: Array, subste
 
 
 def noise_floor(Y: Array) -> Array:
-    """Standard deviation of each output's measurement noise from its third differences, shape (outputs,).
+    """Standard deviation of each output's measurement noise from its third differences, shape
+    (outputs,).
 
-    Third differences remove any smooth motion and multiply the variance of white noise by 20; the median makes it robust
-    to steps.
-    For noise whose neighbours correlate it is a lower bound.
+    Third differences remove any smooth motion and multiply the variance of white noise by 20; the
+    median makes it robust to steps. For noise whose neighbours correlate it is a lower bound.
     """
     differences = np.diff(Y, n=3, axis=0)
     with np.errstate(invalid="ignore"):
-        deviation = np.array([np.median(np.abs(d[np.isfinite(d)])) if np.isfinite(d).any() else np.nan for d in differences.T])
+        deviation = np.array(
+            [
+                np.median(np.abs(d[np.isfinite(d)])) if np.isfinite(d).any() else np.nan
+                for d in differences.T
+            ]
+        )
     return deviation / 0.6745 / np.sqrt(20.0)
 
 
 def first_noise(model: PhysicalModel, experiments: Sequence[Experiment]) -> Noise:
-    """A starting guess: output variances from `noise_floor` (at least 1e-4 of the signal), walks from the inputs' size."""
+    """A starting guess: output variances from `noise_floor` (at least 1e-4 of the signal), walks
+    from the inputs' size.
+    """
     Y = np.concatenate([e.Y for e in experiments])
     with np.errstate(invalid="ignore"):
         spread = np.array([np.nanstd(y) if np.isfinite(y).any() else 1.0 for y in Y.T])
     floor = noise_floor(Y)
-    r = np.maximum(np.where(np.isfinite(floor), floor, spread), 1e-4 * np.where(spread > 0, spread, 1.0)) ** 2
+    r = (
+        np.maximum(
+            np.where(np.isfinite(floor), floor, spread), 1e-4 * np.where(spread > 0, spread, 1.0)
+        )
+        ** 2
+    )
     simulator = Simulator(model)
     e = experiments[0]
     run = simulator.run(e)
@@ -173,13 +214,25 @@ def first_noise(model: PhysicalModel, experiments: Sequence[Experiment]) -> Nois
     look = simulator.look(e, X)
     walk = {}
     for name, balance in model.balances.items():
-        rms = max((float(np.sqrt(np.mean(look[f"{name}.{term}"] ** 2))) for term in balance.terms), default=1.0)
-        walk[name] = (0.1 * (rms if np.isfinite(rms) and rms > 0 else 1.0)) ** 2 / (0.02 * e.n * e.sample_time)
+        rms = max(
+            (float(np.sqrt(np.mean(look[f"{name}.{term}"] ** 2))) for term in balance.terms),
+            default=1.0,
+        )
+        walk[name] = (0.1 * (rms if np.isfinite(rms) and rms > 0 else 1.0)) ** 2 / (
+            0.02 * e.n * e.sample_time
+        )
     return Noise(r, walk)
 
 
-def tune(model: PhysicalModel, experiments: Sequence[Experiment], initial: Sequence[Array], evaluations: int = 60) -> Noise:
-    """The noise that maximises the innovations' likelihood on at most `TUNING_SAMPLES` samples, from `first_noise`."""
+def tune(
+    model: PhysicalModel,
+    experiments: Sequence[Experiment],
+    initial: Sequence[Array],
+    evaluations: int = 60,
+) -> Noise:
+    """The noise that maximises the innovations' likelihood on at most `TUNING_SAMPLES` samples,
+    from `first_noise`.
+    """
     start = first_noise(model, experiments)
     parts = [e.window(0, max(2, min(e.n, TUNING_SAMPLES // len(experiments)))) for e in experiments]
     simulator = Simulator(model)
@@ -188,7 +241,9 @@ def tune(model: PhysicalModel, experiments: Sequence[Experiment], initial: Seque
     scales = [state_scales(simulator, *run) for run in known]
 
     def noise(exponents: Array) -> Noise:
-        walk = {b: start.walk[b] * float(np.exp(v)) for b, v in zip(balances, exponents, strict=False)}
+        walk = {
+            b: start.walk[b] * float(np.exp(v)) for b, v in zip(balances, exponents, strict=False)
+        }
         return Noise(start.output_variance * np.exp(exponents[len(balances) :]), walk)
 
     def cost(exponents: Array) -> float:
@@ -196,7 +251,10 @@ def tune(model: PhysicalModel, experiments: Sequence[Experiment], initial: Seque
             return 1e12
         kalman = Filter(model, noise(exponents))
         runs = zip(known, scales, strict=True)
-        total = sum(kalman.run(e, x, substeps=n, smooth=False, scales=s).log_likelihood for (e, x, n), s in runs)
+        total = sum(
+            kalman.run(e, x, substeps=n, smooth=False, scales=s).log_likelihood
+            for (e, x, n), s in runs
+        )
         return -total if np.isfinite(total) else 1e12
 
     size = len(balances) + len(start.output_variance)
@@ -205,9 +263,14 @@ def tune(model: PhysicalModel, experiments: Sequence[Experiment], initial: Seque
 
 
 def missing_terms(
-    model: PhysicalModel, experiments: Sequence[Experiment], initial: Sequence[Array], noise: Noise | None = None
+    model: PhysicalModel,
+    experiments: Sequence[Experiment],
+    initial: Sequence[Array],
+    noise: Noise | None = None,
 ) -> list[Smoothed]:
-    """Filter and smooth every experiment with an unknown term in each balance; `noise` is tuned when not given."""
+    """Filter and smooth every experiment with an unknown term in each balance; `noise` is tuned
+    when not given.
+    """
     kalman = Filter(model, noise or tune(model, experiments, initial))
     return [kalman.run(experiment, x0) for experiment, x0 in zip(experiments, initial, strict=True)]
 

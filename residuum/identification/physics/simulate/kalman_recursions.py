@@ -1,4 +1,6 @@
-"""The compiled recursions of the extended Kalman filter, its smoother and its predictor, for any `System`."""
+"""The compiled recursions of the extended Kalman filter, its smoother and its predictor, for any
+`System`.
+"""
 
 # mypy: disable-error-code="no-untyped-def,untyped-decorator"
 
@@ -25,7 +27,9 @@ from residuum.kept_loops import njit
 
 @njit(error_model="numpy", inline="always")
 def update(z, P, H, y, k, Y, r, e, V, before, gain):
-    """Use the outputs of sample k, one after the other; z and P are overwritten, e[k] and V[k] receive the innovations."""
+    """Use the outputs of sample k, one after the other; z and P are overwritten, e[k] and V[k]
+    receive the innovations.
+    """
     nz = z.shape[0]
     before[:] = z
     for o in range(r.shape[0]):
@@ -67,10 +71,11 @@ def propagate(F, P, Q, work):
 
 @njit(error_model="numpy")
 def kalman_filter(q, U, Y, p, z0, P0, Q, r, columns, sample_time, substeps, hold):
-    """Extended Kalman filter of the states and of some parameters that walk at random (the missing terms).
+    """Extended Kalman filter of the states and of some parameters that walk at random (the missing
+    terms).
 
-    z = (x, w) with w the parameters `columns[NX:]`; `columns` begins with the NX initial-state columns. The outputs'
-    noises are independent with variances r; a missing sample is passed over.
+    z = (x, w) with w the parameters `columns[NX:]`; `columns` begins with the NX initial-state
+    columns. The outputs' noises are independent with variances r; a missing sample is passed over.
 
     Returns
     -------
@@ -79,17 +84,59 @@ def kalman_filter(q, U, Y, p, z0, P0, Q, r, columns, sample_time, substeps, hold
     H (n, NY, NZ), e (n, NY), V (n, NY) : output slopes, innovations and their variances (NaN where nothing was measured).
     filtered (n, NZ) : after the sample was used.
 
-    A sample is stepped here as `integrate` does it: to call it for one sample costs three times as much as the step.
+    A sample is stepped here as `integrate` does it: to call it for one sample costs three times as
+    much as the step.
     """
     n, nz, ny = U.shape[0], columns.shape[0], Y.shape[1]
     z, P, F = np.full((n, nz), np.nan), np.zeros((n, nz, nz)), np.zeros((n, nz, nz))
     H, e, V = np.zeros((n, ny, nz)), np.full((n, ny), np.nan), np.full((n, ny), np.nan)
-    filtered, y, Hk, work = np.full((n, nz), np.nan), np.zeros(ny), np.zeros((ny, nz)), np.zeros((nz, nz))
-    p, zk, Pk, w, before, gain = p.copy(), z0.copy(), P0.copy(), new_memory(q, nz), np.zeros(nz), np.zeros(nz)
-    x, u, ur, s, m, S, inputs, surfaces, nx = w.x, w.u, w.ur, w.s, w.m, w.S, w.inputs, q.surfaces, w.x.shape[0]
-    at_x, at_u, at_ur, at_p, at_s, at_m = x.ctypes, u.ctypes, ur.ctypes, p.ctypes, s.ctypes, m.ctypes
-    at_0, at_1, at_2, at_y, at_H = inputs[0].ctypes, inputs[1].ctypes, inputs[2].ctypes, y.ctypes, Hk.ctypes
-    at_S, at_columns, at_step, at_work, at_seen = S.ctypes, columns.ctypes, w.step.ctypes, w.work.ctypes, w.seen.ctypes
+    filtered, y, Hk, work = (
+        np.full((n, nz), np.nan),
+        np.zeros(ny),
+        np.zeros((ny, nz)),
+        np.zeros((nz, nz)),
+    )
+    p, zk, Pk, w, before, gain = (
+        p.copy(),
+        z0.copy(),
+        P0.copy(),
+        new_memory(q, nz),
+        np.zeros(nz),
+        np.zeros(nz),
+    )
+    x, u, ur, s, m, S, inputs, surfaces, nx = (
+        w.x,
+        w.u,
+        w.ur,
+        w.s,
+        w.m,
+        w.S,
+        w.inputs,
+        q.surfaces,
+        w.x.shape[0],
+    )
+    at_x, at_u, at_ur, at_p, at_s, at_m = (
+        x.ctypes,
+        u.ctypes,
+        ur.ctypes,
+        p.ctypes,
+        s.ctypes,
+        m.ctypes,
+    )
+    at_0, at_1, at_2, at_y, at_H = (
+        inputs[0].ctypes,
+        inputs[1].ctypes,
+        inputs[2].ctypes,
+        y.ctypes,
+        Hk.ctypes,
+    )
+    at_S, at_columns, at_step, at_work, at_seen = (
+        S.ctypes,
+        columns.ctypes,
+        w.step.ctypes,
+        w.work.ctypes,
+        w.seen.ctypes,
+    )
     ch, lags = 1.0 / substeps, lags_of(q.delays, sample_time, p)
     delayed = lags.shape[0] > 0
     w.step[0] = sample_time / substeps
@@ -114,7 +161,9 @@ def kalman_filter(q, U, Y, p, z0, P0, Q, r, columns, sample_time, substeps, hold
                 set_delayed_stages(inputs, lags, U, k, c, ch, sample_time, hold)
             else:
                 set_stages(inputs, U, k, c, ch, sample_time, hold)
-            q.advance_slopes(at_x, at_0, at_1, at_2, at_p, at_s, at_m, at_work, at_step, at_S, at_columns, nz)
+            q.advance_slopes(
+                at_x, at_0, at_1, at_2, at_p, at_s, at_m, at_work, at_step, at_S, at_columns, nz
+            )
             if crossed(x, surfaces, s, m):
                 set_inputs(q.delays, u, ur, U, k, c + ch, sample_time, hold, p)
                 land(q, w, p, columns)
@@ -141,11 +190,18 @@ def place(z, x, p, columns):
 
 @njit(error_model="numpy")
 def smooth(z, P, F, H, e, V):
-    """Smoothed z and the diagonal of its covariance by the adjoint recursion of Bryson and Frazier (nothing is inverted)."""
+    """Smoothed z and the diagonal of its covariance by the adjoint recursion of Bryson and Frazier
+    (nothing is inverted).
+    """
     n, nz = z.shape
     Z, variance = np.zeros((n, nz)), np.zeros((n, nz))
     adjoint, Adjoint, work = np.zeros(nz), np.zeros((nz, nz)), np.zeros((nz, nz))
-    gains, none, Pk, beside = np.zeros((e.shape[1], nz)), np.zeros((nz, nz)), np.zeros((nz, nz)), np.zeros(nz)
+    gains, none, Pk, beside = (
+        np.zeros((e.shape[1], nz)),
+        np.zeros((nz, nz)),
+        np.zeros((nz, nz)),
+        np.zeros(nz),
+    )
     for k in range(n - 1, -1, -1):
         if k < n - 1:
             transposed_times(F[k], adjoint, beside)
@@ -178,7 +234,9 @@ def transposed_times(F, v, work):
 
 @njit(error_model="numpy", inline="always")
 def output_gains(P, H, e, V, gains):
-    """Kalman gain P·Hᵀ/V of each output of one sample, taken one after the other; P is overwritten."""
+    """Kalman gain P·Hᵀ/V of each output of one sample, taken one after the other; P is
+    overwritten.
+    """
     nz = P.shape[0]
     for o in range(e.shape[0]):
         if not np.isfinite(e[o]):
@@ -214,7 +272,9 @@ def pass_output(adjoint, Adjoint, a, gain, e, V, Ag):
 
 @njit(error_model="numpy")
 def predict_ahead(q, U, filtered, p, columns, steps, sample_time, substeps, hold):
-    """Outputs at sample k + steps predicted from the filtered state at k, shape (n, NY); NaN in the first `steps` rows."""
+    """Outputs at sample k + steps predicted from the filtered state at k, shape (n, NY); NaN in the
+    first `steps` rows.
+    """
     n, w = U.shape[0], new_memory(q, 0)
     Y = np.full((n, q.sizes[3]), np.nan)
     nx, p, no_columns = w.x.shape[0], p.copy(), np.zeros(0, dtype=np.int64)
@@ -223,6 +283,8 @@ def predict_ahead(q, U, filtered, p, columns, steps, sample_time, substeps, hold
         w.x[:] = filtered[k, :nx]
         for i in range(nx, columns.shape[0]):
             p[columns[i]] = filtered[k, i]
-        integrate(q, w, U, k, k + steps, sample_time, substeps, hold, p, no_columns, none, none, none3)
+        integrate(
+            q, w, U, k, k + steps, sample_time, substeps, hold, p, no_columns, none, none, none3
+        )
         observe(q, w, U, k + steps, sample_time, hold, p, Y[k + steps])
     return Y

@@ -16,9 +16,15 @@ Array = npt.NDArray[np.float64]
 
 
 def conditions_at(
-    model: PhysicalModel, effect: Effect, target: str, experiment: Experiment, X: Array, missing: Array | None = None
+    model: PhysicalModel,
+    effect: Effect,
+    target: str,
+    experiment: Experiment,
+    X: Array,
+    missing: Array | None = None,
 ) -> Conditions:
-    """Scales of the balance, input or output that an effect acts on, along the states X (simulated or smoothed) of an experiment.
+    """Scales of the balance, input or output that an effect acts on, along the states X (simulated
+    or smoothed) of an experiment.
 
     `missing` is the balance's smoothed missing term along the same samples, when there is one.
     """
@@ -30,36 +36,60 @@ def conditions_at(
         terms = [variables[name] for name in variables if name.startswith("term:")]
         driving = variables.get("supply_terms", np.zeros(1))
         rms = _rms(driving) or max(map(_rms, terms), default=0.0) or 1.0
-        storage = float(np.median(np.abs(simulator.look(experiment, X)[f"storage:{balance.name}"]))) or 1.0
+        storage = (
+            float(np.median(np.abs(simulator.look(experiment, X)[f"storage:{balance.name}"])))
+            or 1.0
+        )
         variables |= _tied(simulator, effect, target, experiment, X)
         return Conditions(experiment.sample_time, duration, rms, storage, variables, missing)
     if effect.place == "input":
         signal = experiment.U[:, list(model.inputs).index(target)]
-        return Conditions(experiment.sample_time, duration, _rms(signal) or 1.0, variables={"signal": signal})
+        return Conditions(
+            experiment.sample_time, duration, _rms(signal) or 1.0, variables={"signal": signal}
+        )
     column = list(model.outputs).index(target)
     run = simulator.look_outputs(experiment, X)[:, column]
     measured = experiment.Y[:, column]
-    return Conditions(experiment.sample_time, duration, _rms(run) or 1.0, variables={"signal": run, "measured": measured})
+    return Conditions(
+        experiment.sample_time,
+        duration,
+        _rms(run) or 1.0,
+        variables={"signal": run, "measured": measured},
+    )
 
 
-def _tied(simulator: Simulator, effect: Effect, target: str, experiment: Experiment, X: Array) -> dict[str, Array]:
-    """What an effect is tied to: signals by name (last), the other balance's variables as `other:role`."""
+def _tied(
+    simulator: Simulator, effect: Effect, target: str, experiment: Experiment, X: Array
+) -> dict[str, Array]:
+    """What an effect is tied to: signals by name (last), the other balance's variables as
+    `other:role`.
+    """
     if effect.joins(target):
-        variables = balance_variables(simulator, simulator.model.balances[tied_to(target)[0]], experiment, X)
+        variables = balance_variables(
+            simulator, simulator.model.balances[tied_to(target)[0]], experiment, X
+        )
         return {f"other:{role}": values for role, values in variables.items()}
     known = {name: X[:, k] for k, name in enumerate(simulator.states)}
     known |= {name: experiment.U[:, k] for k, name in enumerate(simulator.model.inputs)}
-    look = simulator.look(experiment, X) if any(name not in known for name in tied_to(target)) else {}
+    look = (
+        simulator.look(experiment, X) if any(name not in known for name in tied_to(target)) else {}
+    )
     return {name: known[name] if name in known else look[name] for name in tied_to(target)}
 
 
-def balance_variables(simulator: Simulator, balance: Balance, experiment: Experiment, X: Array) -> dict[str, Array]:
-    """A balance's variables by role along the states X: with `supply`, `supply_terms`, `term:name`, and effects' own states."""
+def balance_variables(
+    simulator: Simulator, balance: Balance, experiment: Experiment, X: Array
+) -> dict[str, Array]:
+    """A balance's variables by role along the states X: with `supply`, `supply_terms`, `term:name`,
+    and effects' own states.
+    """
     model, look = simulator.model, simulator.look(experiment, X)
     states = {name: X[:, k] for k, name in enumerate(simulator.states)}
     inputs = {name: experiment.U[:, k] for k, name in enumerate(model.inputs)}
     known = states | {n: look[n] for n in look if "." not in n} | inputs
-    by_role = {role: _value(model, name, known, experiment.n) for role, name in balance.variables.items()}
+    by_role = {
+        role: _value(model, name, known, experiment.n) for role, name in balance.variables.items()
+    }
     for use in model.effects:
         if use.effect.place == "balance" and use.place == balance.name:
             by_role |= _inside(states, f"{use.label}.")
@@ -71,7 +101,9 @@ def balance_variables(simulator: Simulator, balance: Balance, experiment: Experi
 def _of_supply(
     model: PhysicalModel, balance: Balance, inputs: Mapping[str, Array], look: Mapping[str, Array]
 ) -> dict[str, Array]:
-    """What drives a balance, and the sum of the terms that it stands in; nothing where no input drives it."""
+    """What drives a balance, and the sum of the terms that it stands in; nothing where no input
+    drives it.
+    """
     supply = model.supply_input(balance)
     if supply is None:
         return {}

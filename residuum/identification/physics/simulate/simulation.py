@@ -26,13 +26,16 @@ Integers = npt.NDArray[np.int64]
 MOST_SUBSTEPS = 64
 _OSCILLATING, _DECAYING = 0.25, 0.8
 _EXACT, _LEAST = 0.02, 1e-4
-"""Parts of a record's noise and of an output's spread, by whose sum finer steps may still change the outputs."""
+"""Parts of a record's noise and of an output's spread, by whose sum finer steps may still change
+the outputs.
+"""
 _DIVERGED = 1e60
 _LOOKED_AT, _LOOKS, _ALL_LOOKS = 20_000, 15, 60
 """First samples of an experiment, and points along them, at which its eigenvalues are looked at."""
 _CHECKED, _DOUBLINGS, _SETTLING = 5000, 3, 0.7
-"""Samples on which that is tried, how often steps are halved for it, and the factor by which the change has to fall each time: a
-chaotic model's does not."""
+"""Samples on which that is tried, how often steps are halved for it, and the factor by which the
+change has to fall each time: a chaotic model's does not.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,9 +65,11 @@ class Simulation:
 
 @dataclass(frozen=True, eq=False)
 class Runs(Sequence[Simulation]):
-    """Simulations of several experiments, one after the other in X, Y and dY; experiment k begins at row starts[k].
+    """Simulations of several experiments, one after the other in X, Y and dY; experiment k begins
+    at row starts[k].
 
-    Taken apart they are a `Simulation` each; what is done with all of them is done at one go, for windows are many and short.
+    Taken apart they are a `Simulation` each; what is done with all of them is done at one go, for
+    windows are many and short.
     """
 
     experiments: Sequence[Experiment]
@@ -86,13 +91,19 @@ class Runs(Sequence[Simulation]):
             return [self[k] for k in range(len(self))[at]]
         k = range(len(self))[at]
         rows = slice(self.starts[k], self.starts[k + 1])
-        return Simulation(self.X[rows], self.Y[rows], None if self.dY is None else self.dY[rows], self.columns)
+        return Simulation(
+            self.X[rows], self.Y[rows], None if self.dY is None else self.dY[rows], self.columns
+        )
 
     @cached_property
     def bounded(self) -> bool:
-        """Outputs and sensitivities are finite, and so far from overflow that sums of squares are finite too."""
+        """Outputs and sensitivities are finite, and so far from overflow that sums of squares are
+        finite too.
+        """
         arrays = [values for values in (self.Y, self.dY) if values is not None and values.size]
-        return all(bool(values.max() < _DIVERGED and values.min() > -_DIVERGED) for values in arrays)
+        return all(
+            bool(values.max() < _DIVERGED and values.min() > -_DIVERGED) for values in arrays
+        )
 
     @cached_property
     def errors(self) -> Array:
@@ -106,7 +117,9 @@ class Runs(Sequence[Simulation]):
         return [self.errors[a:b] for a, b in pairwise(self.starts.tolist())]
 
     def in_blocks(self, values: Array) -> tuple[Array, Integers]:
-        """Means of such rows over the blocks of each experiment, and where each begins and the last one ends."""
+        """Means of such rows over the blocks of each experiment, and where each begins and the last
+        one ends.
+        """
         return means_in_blocks(values, self.starts, [e.block for e in self.experiments])
 
     def means(self, values: Array) -> list[Array]:
@@ -149,12 +162,19 @@ class Simulator:
 
     @property
     def free_states(self) -> tuple[str, ...]:
-        """States whose first value is estimated: the model's that it does not fix, and the deviations of effects' own."""
-        return (*(name for name in self.model.states if name not in self.model.initial), *self.kernel.deviating)
+        """States whose first value is estimated: the model's that it does not fix, and the
+        deviations of effects' own.
+        """
+        return (
+            *(name for name in self.model.states if name not in self.model.initial),
+            *self.kernel.deviating,
+        )
 
     @property
     def remembers(self) -> bool:
-        """Whether effects have states that go on in an experiment which follows another one in time."""
+        """Whether effects have states that go on in an experiment which follows another one in
+        time.
+        """
         return bool(self.kernel.system.remembered.size)
 
     @property
@@ -177,7 +197,9 @@ class Simulator:
         return x0
 
     def measured_start(self, experiment: Experiment) -> Array:
-        """First states: what is known, the first measured value of states that are themselves outputs, zero elsewhere."""
+        """First states: what is known, the first measured value of states that are themselves
+        outputs, zero elsewhere.
+        """
         x0 = self.x0(experiment.known)
         for o, output in enumerate(self.model.outputs.values()):
             name, readings = output.value.text, experiment.Y[np.isfinite(experiment.Y[:, o]), o]
@@ -190,7 +212,9 @@ class Simulator:
         count = len(self._index)
         known = self._index | {f"initial:{name}": count + k for name, k in self._state.items()}
         if unknown := [name for name in names if name not in known]:
-            raise BadModel(f"model {self.model.name!r}: nothing named {unknown[0]!r} to differentiate by")
+            raise BadModel(
+                f"model {self.model.name!r}: nothing named {unknown[0]!r} to differentiate by"
+            )
         return np.array([known[name] for name in names], dtype=np.int64)
 
     def run(
@@ -204,14 +228,25 @@ class Simulator:
     ) -> Simulation:
         """Simulate from these initial states; `slopes` names what to differentiate the outputs by.
 
-        A model that diverges gives NaN from there on (`Simulation.finite` is False), not an exception.
+        A model that diverges gives NaN from there on (`Simulation.finite` is False), not an
+        exception.
         """
-        return self.run_vectors(experiment, self.x0(initial), self.p(values), slopes=slopes, substeps=substeps)
+        return self.run_vectors(
+            experiment, self.x0(initial), self.p(values), slopes=slopes, substeps=substeps
+        )
 
     def run_vectors(
-        self, experiment: Experiment, x0: Array, p: Array, *, slopes: Sequence[str] = (), substeps: int | None = None
+        self,
+        experiment: Experiment,
+        x0: Array,
+        p: Array,
+        *,
+        slopes: Sequence[str] = (),
+        substeps: int | None = None,
     ) -> Simulation:
-        """`run` with initial states and parameters as vectors in kernel order; nothing depends on what the experiment knows."""
+        """`run` with initial states and parameters as vectors in kernel order; nothing depends on
+        what the experiment knows.
+        """
         steps = substeps or self.substeps(experiment, x0, p)
         return self.run_each([experiment], [x0], p, slopes=slopes, substeps=[steps])[0]
 
@@ -224,12 +259,16 @@ class Simulator:
         slopes: Sequence[str] = (),
         substeps: Sequence[int],
     ) -> Runs:
-        """`run_vectors` of several experiments, each from its own first states and with its own steps a sample, at one go.
+        """`run_vectors` of several experiments, each from its own first states and with its own
+        steps a sample, at one go.
 
-        Parameters that no machine has (`Possible`) give NaN as a model that diverges does: no estimation goes there.
+        Parameters that no machine has (`Possible`) give NaN as a model that diverges does: no
+        estimation goes there.
         """
         joined = Joined.of(experiments)
-        X, Y, dY = self._simulated(joined, np.array(initial), p, np.array(substeps), self.columns(slopes))
+        X, Y, dY = self._simulated(
+            joined, np.array(initial), p, np.array(substeps), self.columns(slopes)
+        )
         if not self.possible(p):
             X, Y, dY = (np.full_like(values, np.nan) for values in (X, Y, dY))
         for k, e in enumerate(experiments):
@@ -243,14 +282,22 @@ class Simulator:
     ) -> tuple[Array, Array, Array]:
         q, at = self.kernel.system, joined
         count_samples(int(np.diff(at.starts) @ substeps) * (1 + len(columns)))
-        return integration.simulate(q, at.U, at.starts, p, initial, at.sample_times, substeps, at.holds, at.follows, columns)
+        return integration.simulate(
+            q, at.U, at.starts, p, initial, at.sample_times, substeps, at.holds, at.follows, columns
+        )
 
-    def look(self, experiment: Experiment, X: Array, values: Mapping[str, float] | None = None) -> dict[str, Array]:
-        """Every signal (defined variables, `balance.term`, `storage:balance`, `drive:balance`) along the states X."""
+    def look(
+        self, experiment: Experiment, X: Array, values: Mapping[str, float] | None = None
+    ) -> dict[str, Array]:
+        """Every signal (defined variables, `balance.term`, `storage:balance`, `drive:balance`)
+        along the states X.
+        """
         Z = integration.evaluate_signals(*self._along(experiment, X, values))
         return {name: Z[:, k] for k, name in enumerate(self.kernel.signals)}
 
-    def look_outputs(self, experiment: Experiment, X: Array, values: Mapping[str, float] | None = None) -> Array:
+    def look_outputs(
+        self, experiment: Experiment, X: Array, values: Mapping[str, float] | None = None
+    ) -> Array:
         """Outputs along the states X, shape (n, outputs)."""
         return np.asarray(integration.evaluate_outputs(*self._along(experiment, X, values)))
 
@@ -259,10 +306,16 @@ class Simulator:
         joined, p = Joined.of([experiment]), self.p()
         system, X = self.kernel.system, np.ascontiguousarray(X)
         times = (joined.sample_times, joined.holds)
-        return np.asarray(integration.rate_slopes(system, joined.U, joined.starts, X, p, *times, samples[None])[0])
+        return np.asarray(
+            integration.rate_slopes(system, joined.U, joined.starts, X, p, *times, samples[None])[0]
+        )
 
-    def _along(self, experiment: Experiment, X: Array, values: Mapping[str, float] | None) -> tuple[Any, ...]:
-        """What evaluates along given states; whole arrays, since for strided ones it would be compiled once more."""
+    def _along(
+        self, experiment: Experiment, X: Array, values: Mapping[str, float] | None
+    ) -> tuple[Any, ...]:
+        """What evaluates along given states; whole arrays, since for strided ones it would be
+        compiled once more.
+        """
         U, X = np.ascontiguousarray(experiment.U), np.ascontiguousarray(X)
         return self.kernel.system, U, X, self.p(values), experiment.sample_time, experiment.hold
 
@@ -271,19 +324,30 @@ class Simulator:
         return self.substeps_each([experiment], [x0], p)[0]
 
     def substeps_each(
-        self, experiments: Sequence[Experiment], initial: Sequence[Array], p: Array, modal: Sequence[int] | None = None
+        self,
+        experiments: Sequence[Experiment],
+        initial: Sequence[Array],
+        p: Array,
+        modal: Sequence[int] | None = None,
     ) -> list[int]:
-        """Runge–Kutta steps a sample of each experiment, from the eigenvalues of ∂f/∂x along a first simulation.
+        """Runge–Kutta steps a sample of each experiment, from the eigenvalues of ∂f/∂x along a
+        first simulation.
 
         |λ|·h ≤ 0.25 for oscillating and 0.8 for decaying modes, at most 64; a run that diverges is tried finer, and so is one
         whose outputs would still change by a fiftieth of the record's noise: what the integrator errs would pass for physics.
         `modal` are those of `modal_substeps`, where they are known.
         """
-        first = np.array(self.modal_substeps(experiments, initial, p) if modal is None else modal, dtype=np.int64)
+        first = np.array(
+            self.modal_substeps(experiments, initial, p) if modal is None else modal, dtype=np.int64
+        )
         return self._exact_enough(experiments, np.array(initial), p, first).tolist()
 
-    def modal_substeps(self, experiments: Sequence[Experiment], initial: Sequence[Array], p: Array) -> list[int]:
-        """Steps a sample that the fastest mode in each experiment asks for, if they need not be exact."""
+    def modal_substeps(
+        self, experiments: Sequence[Experiment], initial: Sequence[Array], p: Array
+    ) -> list[int]:
+        """Steps a sample that the fastest mode in each experiment asks for, if they need not be
+        exact.
+        """
         joined, X0, none = Joined.of(experiments, _LOOKED_AT), np.array(initial), self.columns(())
         steps = np.ones(len(experiments), dtype=np.int64)
         for _ in range(4):
@@ -294,8 +358,12 @@ class Simulator:
             steps = needed
         return steps.tolist()
 
-    def _exact_enough(self, experiments: Sequence[Experiment], X0: Array, p: Array, first: Integers) -> Integers:
-        """Steps doubled until the outputs no longer change visibly; the first where that does not settle."""
+    def _exact_enough(
+        self, experiments: Sequence[Experiment], X0: Array, p: Array, first: Integers
+    ) -> Integers:
+        """Steps doubled until the outputs no longer change visibly; the first where that does not
+        settle.
+        """
         steps, open_ = first.copy(), np.arange(len(experiments))
         before = np.full(len(experiments), np.inf)
         parts = [e.window(0, min(e.n, _CHECKED)) for e in experiments]
@@ -306,7 +374,9 @@ class Simulator:
             return joined.cut(self._simulated(joined, X0[indices], p, substeps, none)[1])
 
         runs = dict(zip(open_.tolist(), outputs(open_, steps), strict=True))
-        tolerances = [_EXACT * _noise(e.Y, runs[k]) + _LEAST * _spread(e.Y) for k, e in enumerate(parts)]
+        tolerances = [
+            _EXACT * _noise(e.Y, runs[k]) + _LEAST * _spread(e.Y) for k, e in enumerate(parts)
+        ]
         for _ in range(_DOUBLINGS):
             open_ = open_[2 * steps[open_] <= MOST_SUBSTEPS]
             if not open_.size:
@@ -329,28 +399,46 @@ class Simulator:
         return np.minimum(np.ceil(self._asked_along(joined, X, p)), MOST_SUBSTEPS).astype(np.int64)
 
     def _asked_along(self, joined: Joined, X: Array, p: Array) -> Array:
-        """Steps a sample that the fastest mode of each experiment asks for, infinite where no sample is finite.
+        """Steps a sample that the fastest mode of each experiment asks for, infinite where no
+        sample is finite.
 
-        Looked at are samples all along, those where a state is largest or smallest, and where such a sample's change leads on:
-        there stops and valves are met, and too coarse steps jump off them before the next sample.
+        Looked at are samples all along, those where a state is largest or smallest, and where such
+        a sample's change leads on: there stops and valves are met, and too coarse steps jump off
+        them before the next sample.
         """
         lengths = np.diff(joined.starts)
         if not X.shape[1]:
             return np.ones(len(lengths))
-        along = np.linspace(0, lengths - 1, max(_LOOKS, _ALL_LOOKS // len(lengths)), axis=1).astype(np.int64)
+        along = np.linspace(0, lengths - 1, max(_LOOKS, _ALL_LOOKS // len(lengths)), axis=1).astype(
+            np.int64
+        )
         far = _extremes(X, joined.starts)
-        at, before = joined.starts[:-1, None] + far, joined.starts[:-1, None] + np.maximum(far - 1, 0)
+        at, before = (
+            joined.starts[:-1, None] + far,
+            joined.starts[:-1, None] + np.maximum(far - 1, 0),
+        )
         beyond = X.copy()
         with np.errstate(over="ignore", invalid="ignore"):  # of a run that diverges
             beyond[at] += X[at] - X[before]
         looks = ((X, np.concatenate([along, far], axis=1)), (beyond, far))
-        return np.max([self._asked_at(joined, states, samples, p) for states, samples in looks], axis=0)
+        return np.max(
+            [self._asked_at(joined, states, samples, p) for states, samples in looks], axis=0
+        )
 
     def _asked_at(self, joined: Joined, X: Array, samples: Integers, p: Array) -> Array:
-        """What the states X at these samples of each experiment ask for, shape (experiments,); infinite where none is finite."""
+        """What the states X at these samples of each experiment ask for, shape (experiments,);
+        infinite where none is finite.
+        """
         finite = np.all(np.isfinite(X[joined.starts[:-1, None] + samples]), axis=2)
         A = integration.rate_slopes(
-            self.kernel.system, joined.U, joined.starts, X, p, joined.sample_times, joined.holds, np.where(finite, samples, 0)
+            self.kernel.system,
+            joined.U,
+            joined.starts,
+            X,
+            p,
+            joined.sample_times,
+            joined.holds,
+            np.where(finite, samples, 0),
         )
         finite &= np.all(np.isfinite(A), axis=(2, 3))
         A[~finite] = 0.0
@@ -359,17 +447,22 @@ class Simulator:
 
 
 def _extremes(X: Array, starts: Integers) -> Integers:
-    """In each experiment the samples where each state is largest and smallest, shape (experiments, 2·states)."""
+    """In each experiment the samples where each state is largest and smallest, shape (experiments,
+    2·states).
+    """
     finite = np.isfinite(X)
     high, low = np.where(finite, X, -np.inf), np.where(finite, X, np.inf)
     parts = pairwise(starts.tolist())
-    return np.array([[*high[a:b].argmax(axis=0), *low[a:b].argmin(axis=0)] for a, b in parts], dtype=np.int64)
+    return np.array(
+        [[*high[a:b].argmax(axis=0), *low[a:b].argmin(axis=0)] for a, b in parts], dtype=np.int64
+    )
 
 
 @dataclass(frozen=True, eq=False)
 class Joined:
-    """Experiments laid end to end, as the integrator takes them: inputs U, first rows and the last one's end. Of each also its
-    sample time, its hold, and whether it follows the one before in time.
+    """Experiments laid end to end, as the integrator takes them: inputs U, first rows and the last
+    one's end. Of each also its sample time, its hold, and whether it follows the one before in
+    time.
     """
 
     U: Array
@@ -404,10 +497,14 @@ def _visible(finer: Array, Y: Array, tolerance: Array) -> float:
 
 
 def _noise(measured: Array, simulated: Array) -> Array:
-    """Size of each output's fast noise, from the steps of the error between samples; 0 where it was not measured."""
+    """Size of each output's fast noise, from the steps of the error between samples; 0 where it was
+    not measured.
+    """
     steps = np.abs(np.diff(measured - simulated, axis=0))
     known = np.any(np.isfinite(steps), axis=0)
-    return np.where(known, np.nanmedian(np.where(known, steps, 0.0), axis=0) / (0.6745 * np.sqrt(2.0)), 0.0)
+    return np.where(
+        known, np.nanmedian(np.where(known, steps, 0.0), axis=0) / (0.6745 * np.sqrt(2.0)), 0.0
+    )
 
 
 def _spread(measured: Array) -> Array:
@@ -420,4 +517,10 @@ def _steps_for(A: Array) -> Array:
     """Steps a second that the eigenvalues of each matrix (…, NX, NX) ask for, shape (…)."""
     eigenvalues = np.linalg.eigvals(A)
     oscillating = np.abs(eigenvalues.imag) > 0.05 * np.abs(eigenvalues.real)
-    return np.asarray(np.max(np.abs(eigenvalues) / np.where(oscillating, _OSCILLATING, _DECAYING), axis=-1, initial=0.0))
+    return np.asarray(
+        np.max(
+            np.abs(eigenvalues) / np.where(oscillating, _OSCILLATING, _DECAYING),
+            axis=-1,
+            initial=0.0,
+        )
+    )

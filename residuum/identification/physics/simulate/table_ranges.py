@@ -13,17 +13,21 @@ from residuum.identification.physics.model import PhysicalModel
 from residuum.identification.physics.simulate.experiment import Experiment
 
 _LOOKED_AT = 1000
-"""Samples of a record, evenly, besides those where what is looked up is made of an extreme value."""
+"""Samples of a record, evenly, besides those where what is looked up is made of an extreme
+value.
+"""
 
 
 def leaves_tables(model: PhysicalModel, experiments: Sequence[Experiment]) -> tuple[str, ...]:
     """A sentence for each table that a record leaves: how far, for which part of it.
 
-    What is looked up is computed from the inputs and the outputs that show a state alone, as they were measured; of a table of a
-    state that was not measured nothing is said.
+    What is looked up is computed from the inputs and the outputs that show a state alone, as they
+    were measured; of a table of a state that was not measured nothing is said.
     """
     nodes = (node for e in expressions_of(model) for node in walk(e.tree))
-    tables = {n: _looked_up(n) for n in nodes if isinstance(n, Call) and n.function in ("table", "cubic")}
+    tables = {
+        n: _looked_up(n) for n in nodes if isinstance(n, Call) and n.function in ("table", "cubic")
+    }
     told: dict[str, str] = {}
     for node, text in tables.items():
         low, high = _ends(node)
@@ -31,10 +35,13 @@ def leaves_tables(model: PhysicalModel, experiments: Sequence[Experiment]) -> tu
             seen = np.array(list(_along(node, model, experiment)))
             out = (seen < low) | (seen > high)
             if out.any() and text not in told:
-                to = f"{np.nanmin(seen):.4g} to {np.nanmax(seen):.4g}, which is there from {low:g} to {high:g}"
+                to = (
+                    f"{np.nanmin(seen):.4g} to {np.nanmax(seen):.4g}, which is there from {low:g}"
+                    f" to {high:g}"
+                )
                 told[text] = (
-                    f"table: {experiment.source or 'the record'} leads {text} from {to}; its end values hold beyond "
-                    f"({100 * np.mean(out):.2g} % of the record)"
+                    f"table: {experiment.source or 'the record'} leads {text} from {to}; its end"
+                    f" values hold beyond ({100 * np.mean(out):.2g} % of the record)"
                 )
     return tuple(told.values())
 
@@ -45,25 +52,35 @@ def _looked_up(node: Call) -> str:
 
 
 def _ends(node: Call) -> tuple[float, float]:
-    places = [n.value for n in node.operands[1 : 1 + len(node.operands) // 2] if isinstance(n, Number)]
+    places = [
+        n.value for n in node.operands[1 : 1 + len(node.operands) // 2] if isinstance(n, Number)
+    ]
     return places[0], places[-1]
 
 
 def _along(node: Call, model: PhysicalModel, experiment: Experiment) -> Iterator[float]:
     first = node.operands[0]
     names = {n.name for n in walk(first) if isinstance(n, Name)} - model.parameters.keys()
-    columns = {name: values for name in names if (values := _measured(name, model, experiment)) is not None}
+    columns = {
+        name: values for name in names if (values := _measured(name, model, experiment)) is not None
+    }
     if names - columns.keys() or not names:
         return
-    samples = set(np.linspace(0, experiment.n - 1, min(experiment.n, _LOOKED_AT)).astype(int).tolist())
+    samples = set(
+        np.linspace(0, experiment.n - 1, min(experiment.n, _LOOKED_AT)).astype(int).tolist()
+    )
     for values in columns.values():
         if np.isfinite(values).any():
             samples |= {int(np.nanargmin(values)), int(np.nanargmax(values))}
     for k in sorted(samples):
-        yield evaluate(first, {**model.values, **{name: float(values[k]) for name, values in columns.items()}})
+        yield evaluate(
+            first, {**model.values, **{name: float(values[k]) for name, values in columns.items()}}
+        )
 
 
-def _measured(name: str, model: PhysicalModel, experiment: Experiment) -> npt.NDArray[np.float64] | None:
+def _measured(
+    name: str, model: PhysicalModel, experiment: Experiment
+) -> npt.NDArray[np.float64] | None:
     if name in model.inputs:
         return experiment.U[:, list(model.inputs).index(name)]
     for number, output in enumerate(model.outputs.values()):

@@ -1,4 +1,6 @@
-"""Column heads as loggers write them: the name, and the unit in brackets, in parentheses or after a slash."""
+"""Column heads as loggers write them: the name, and the unit in brackets, in parentheses or after a
+slash.
+"""
 
 import re
 
@@ -42,7 +44,10 @@ def is_unit(text: str) -> bool:
     >>> is_unit("m/s^2"), is_unit("left")
     (True, False)
     """
-    parts = [re.sub(r"(\^|\*\*)?-?[0-9²³]$", "", part) or part for part in re.split(r"(?<!\*)[*](?!\*)|[/·]", text.strip())]
+    parts = [
+        re.sub(r"(\^|\*\*)?-?[0-9²³]$", "", part) or part
+        for part in re.split(r"(?<!\*)[*](?!\*)|[/·]", text.strip())
+    ]
     if text.strip() in _WHOLE or is_spelled(text.strip()):
         return True
     return bool(text.strip()) and all(_ATOM.fullmatch(part) for part in parts)

@@ -1,4 +1,6 @@
-"""The mapping of a logger's file: how its text becomes a record, as a YAML file that a person can read and mend."""
+"""The mapping of a logger's file: how its text becomes a record, as a YAML file that a person can
+read and mend.
+"""
 
 import re
 from collections.abc import Mapping
@@ -13,9 +15,23 @@ import yaml
 
 from residuum.identification.errors import BadRecord
 from residuum.identification.record import Record
-from residuum.identification.record_formats.even_time import an_hour_ahead, even_columns, some_rounded_alike
-from residuum.identification.record_formats.loggers.logger_text import MISSING, cells_of, decoded, number
-from residuum.identification.record_formats.loggers.logger_time import FORMS, SINCE_START, nanoseconds, over_midnight
+from residuum.identification.record_formats.even_time import (
+    an_hour_ahead,
+    even_columns,
+    some_rounded_alike,
+)
+from residuum.identification.record_formats.loggers.logger_text import (
+    MISSING,
+    cells_of,
+    decoded,
+    number,
+)
+from residuum.identification.record_formats.loggers.logger_time import (
+    FORMS,
+    SINCE_START,
+    nanoseconds,
+    over_midnight,
+)
 from residuum.identification.record_formats.loggers.no_value import without_overloads
 from residuum.identification.record_formats.options import ReadOptions
 from residuum.identification.yaml_text import read_yaml
@@ -25,7 +41,11 @@ ENDING = ".mapping.yaml"
 _DUPLICATES = ("refuse", "first", "mean", "spread")
 _BRIDGE = ("reordered", "bridge", "where the rows came as they stand and only the clock was set")
 _SORT = ("reordered", "sort", "where its rows are only shuffled")
-DUPLICATES = ("duplicates", "spread", "(even steps until the next stamp; `first` and `mean` are others)")
+DUPLICATES = (
+    "duplicates",
+    "spread",
+    "(even steps until the next stamp; `first` and `mean` are others)",
+)
 """The way on where rows of one stamp differ."""
 _REORDERED = ("refuse", "sort", "bridge")
 _AROUND = 60
@@ -64,7 +84,8 @@ class LoggerMapping:
     first_row : int
         File row of the first sample.
     time : tuple of int
-        The time column, or the columns of date and of time of day; none where `sample_time` says how far apart the rows are.
+        The time column, or the columns of date and of time of day; none where `sample_time` says
+        how far apart the rows are.
     time_form : str
         One of `logger_time.FORMS`.
     names, units : mapping of column to name and to unit
@@ -72,10 +93,12 @@ class LoggerMapping:
     missing : tuple of str
         Cells (in lower case) that stand for no value.
     duplicates, reordered : str
-        What becomes of rows of one stamp (`refuse`, `first`, `mean`, or `spread` evenly until the next stamp) and of rows out of
-        order (`refuse`, `sort`, or `bridge`: they came as they stand, and the clock was set between two of them).
+        What becomes of rows of one stamp (`refuse`, `first`, `mean`, or `spread` evenly until the
+        next stamp) and of rows out of order (`refuse`, `sort`, or `bridge`: they came as they
+        stand, and the clock was set between two of them).
     suffixes : mapping of column to text
-        The unit that stands behind every number of a column (`20,00 °C`); a cell with another one is refused.
+        The unit that stands behind every number of a column (`20,00 °C`); a cell with another one
+        is refused.
     sample_time : float or None
         Seconds from row to row of a file without times.
 
@@ -110,30 +133,59 @@ class LoggerMapping:
             "duplicates": self.duplicates in _DUPLICATES,
             "reordered": self.reordered in _REORDERED,
             "sample_time": self.sample_time is None or _is_positive(self.sample_time),
-            "time": (self.sample_time is None) <= len(self.time) <= 2 and all(_is_count(column) for column in self.time),
-            "names": bool(self.names) and all(_is_count(column) and isinstance(name, str) for column, name in self.names.items()),
+            "time": (
+                (self.sample_time is None) <= len(self.time) <= 2
+                and all(_is_count(column) for column in self.time)
+            ),
+            "names": (
+                bool(self.names)
+                and all(
+                    _is_count(column) and isinstance(name, str)
+                    for column, name in self.names.items()
+                )
+            ),
             "suffixes": all(isinstance(unit, str) and unit for unit in self.suffixes.values()),
-            "units": all(isinstance(unit, str) for unit in self.units.values()) and set(self.units) <= set(self.names),
+            "units": (
+                all(isinstance(unit, str) for unit in self.units.values())
+                and set(self.units) <= set(self.names)
+            ),
         }
         for name, holds in rules.items():
             if not holds:
-                raise BadRecord(f"mapping, {name}: {getattr(self, name)!r} is not possible; see the one that inspect writes")
+                raise BadRecord(
+                    f"mapping, {name}: {getattr(self, name)!r} is not possible; see the one that"
+                    " inspect writes"
+                )
         self._check_columns()
 
     def _check_columns(self) -> None:
         """Refuse a column that rows of this width do not have."""
         if beyond := [column for column in (*self.time, *self.names) if column > self.width]:
-            near = ", ".join(f"{column} {name!r}" for column, name in self.names.items() if column <= self.width)
-            raise BadRecord(f"mapping: there is no column {beyond[0]}; rows have {self.width} cells ({near})")
+            near = ", ".join(
+                f"{column} {name!r}" for column, name in self.names.items() if column <= self.width
+            )
+            raise BadRecord(
+                f"mapping: there is no column {beyond[0]}; rows have {self.width} cells ({near})"
+            )
 
     def with_told(self, options: ReadOptions) -> "LoggerMapping":
-        """The mapping with what is said beside it; BadRecord where that is another column of times."""
+        """The mapping with what is said beside it; BadRecord where that is another column of
+        times.
+        """
         if options.time_column is not None and options.time_column in self.names.values():
-            raise BadRecord(f"time={options.time_column}", "map", "the mapping says another column; change its `time`")
+            raise BadRecord(
+                f"time={options.time_column}",
+                "map",
+                "the mapping says another column; change its `time`",
+            )
         choices = {name: getattr(options, name) for name in _TOLD}
         check_told(choices)
         missing = (*self.missing, *(cell.strip().lower() for cell in options.missing))
-        return replace(self, missing=missing, **{name: value for name, value in choices.items() if value is not None})
+        return replace(
+            self,
+            missing=missing,
+            **{name: value for name, value in choices.items() if value is not None},
+        )
 
     def to_yaml(self) -> str:
         """The mapping as YAML."""
@@ -146,7 +198,9 @@ def _is_count(value: object) -> bool:
 
 
 def _is_positive(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and 0 < value < float("inf")
+    return (
+        isinstance(value, int | float) and not isinstance(value, bool) and 0 < value < float("inf")
+    )
 
 
 def read_mapping(path: Path) -> LoggerMapping:
@@ -156,7 +210,9 @@ def read_mapping(path: Path) -> LoggerMapping:
     if not isinstance(content, dict):
         raise BadRecord(f"{path}: is no table, as a mapping is; known are {', '.join(known)}")
     if unknown := [key for key in content if key not in known]:
-        raise BadRecord(f"{path}: {unknown[0]!r} is not part of a mapping; {known_names(unknown[0], known)}")
+        raise BadRecord(
+            f"{path}: {unknown[0]!r} is not part of a mapping; {known_names(unknown[0], known)}"
+        )
     if lacking := [name for name in known[:9] if name not in content]:
         raise BadRecord(f"{path}: lacks {lacking[0]!r}; `residuum inspect` writes it")
     try:
@@ -169,23 +225,40 @@ def read_mapping(path: Path) -> LoggerMapping:
         raise BadRecord(f"{path}: {error}") from None
 
 
-def table(text: str, mapping: LoggerMapping, source: str) -> tuple[npt.NDArray[np.int64], FloatArray, list[int]]:
-    """(times [ns] shape (n,), channels shape (c, n), file rows) as the file has them, holes as NaN."""
+def table(
+    text: str, mapping: LoggerMapping, source: str
+) -> tuple[npt.NDArray[np.int64], FloatArray, list[int]]:
+    """(times [ns] shape (n,), channels shape (c, n), file rows) as the file has them, holes as
+    NaN.
+    """
     stamps: list[int] = []
     values, rows = [], []
-    for row, cells in enumerate(cells_of(text, mapping.delimiter)[mapping.first_row - 1 :], start=mapping.first_row):
+    for row, cells in enumerate(
+        cells_of(text, mapping.delimiter)[mapping.first_row - 1 :], start=mapping.first_row
+    ):
         if not any(cells):
             continue
         if len(cells) != mapping.width:
-            raise BadRecord(f"{source}, row {row}: {len(cells)} cells; {mapping.width} are needed, mend or cut the row")
+            raise BadRecord(
+                f"{source}, row {row}: {len(cells)} cells; {mapping.width} are needed, mend or cut"
+                " the row"
+            )
         stamps.append(_stamp(cells, mapping, len(stamps), f"{source}, row {row}"))
         where = f"{source}, row {row}, column"
-        values.append([_value(cells[k - 1], mapping, k, f"{where} {name!r}") for k, name in mapping.names.items()])
+        values.append(
+            [
+                _value(cells[k - 1], mapping, k, f"{where} {name!r}")
+                for k, name in mapping.names.items()
+            ]
+        )
         rows.append(row)
     if len(rows) < 2:
         raise BadRecord(f"{source}: has {len(rows)} data rows; at least 2 are needed")
     if max(stamps) - min(stamps) >= 2**63 or max(map(abs, stamps)) >= 2**63:
-        raise BadRecord(f"{source}: time stamps beyond the years 1678 to 2262; check the time's form {mapping.time_form!r}")
+        raise BadRecord(
+            f"{source}: time stamps beyond the years 1678 to 2262; check the time's form"
+            f" {mapping.time_form!r}"
+        )
     times = np.array(stamps, dtype=np.int64)
     if mapping.time_form == "clock" and len(mapping.time) == 1:
         times = over_midnight(times)
@@ -202,20 +275,27 @@ def _stamp(cells: list[str], mapping: LoggerMapping, number_of_row: int, where: 
     except (ValueError, OverflowError):
         fault = f"{stamp[:40]!r} is no time of the form {mapping.time_form!r}"
         if _ZONE.fullmatch(stamp):
-            raise BadRecord(f"{where}: {fault}: names of time zones are not read; write the offset, as +02:00") from None
+            raise BadRecord(
+                f"{where}: {fault}: names of time zones are not read; write the offset, as +02:00"
+            ) from None
         raise BadRecord(f"{where}: {fault}; cut or mend the row") from None
 
 
 def no_number(cell: str, where: str) -> BadRecord:
     """The refusal of a cell among numbers, which may mean that there is no value."""
-    return BadRecord(f"{where}: {cell[:40]!r} is not a number", way_on=[("missing", [cell[:40]], "if it means no value")])
+    return BadRecord(
+        f"{where}: {cell[:40]!r} is not a number",
+        way_on=[("missing", [cell[:40]], "if it means no value")],
+    )
 
 
 def _value(cell: str, mapping: LoggerMapping, column: int, where: str) -> float:
     if cell.lower() in mapping.missing:
         return float("nan")
     try:
-        value = number(cell.removesuffix(mapping.suffixes.get(column, "")).rstrip(), mapping.decimal)
+        value = number(
+            cell.removesuffix(mapping.suffixes.get(column, "")).rstrip(), mapping.decimal
+        )
     except ValueError:
         raise no_number(cell, where) from None
     return float("nan") if value in _marks(mapping.missing, mapping.decimal) else value
@@ -232,11 +312,14 @@ def _marks(missing: tuple[str, ...], decimal: str) -> frozenset[float]:
     return frozenset(marks)
 
 
-def read_logger_file(path: Path, mapping: LoggerMapping, options: ReadOptions = ReadOptions()) -> Record:
+def read_logger_file(
+    path: Path, mapping: LoggerMapping, options: ReadOptions = ReadOptions()
+) -> Record:
     """Read a logger's file by its mapping.
 
-    Rows of one stamp, rows out of order and uneven stamps are refused unless the mapping or `options.resample` says what to
-    do. What was done stands in the record's notes, with the error that resampling makes; no hole is filled without it.
+    Rows of one stamp, rows out of order and uneven stamps are refused unless the mapping or
+    `options.resample` says what to do. What was done stands in the record's notes, with the error
+    that resampling makes; no hole is filled without it.
 
     Raises BadRecord with file and row.
     """
@@ -247,7 +330,9 @@ def read_logger_file(path: Path, mapping: LoggerMapping, options: ReadOptions = 
     return without_overloads(parse_logger(content, str(path), mapping, options))
 
 
-def parse_logger(content: bytes, source: str, mapping: LoggerMapping, options: ReadOptions = ReadOptions()) -> Record:
+def parse_logger(
+    content: bytes, source: str, mapping: LoggerMapping, options: ReadOptions = ReadOptions()
+) -> Record:
     """Read the bytes of a logger's file (see `read_logger_file`); `source` names it in messages."""
     mapping = mapping.with_told(options)
     stamps, values, rows = table(decoded(content, source, mapping.encoding)[0], mapping, source)
@@ -258,33 +343,52 @@ def parse_logger(content: bytes, source: str, mapping: LoggerMapping, options: R
     columns = np.stack([time, *values])
     try:
         step, columns = even_columns(
-            columns, source, resample=options.resample, first_row=mapping.first_row, told=notes, names=names
+            columns,
+            source,
+            resample=options.resample,
+            first_row=mapping.first_row,
+            told=notes,
+            names=names,
         )
     except BadRecord as error:
         error.way_on += (_BRIDGE,) if _hours_ahead(stamps) else ()
         raise
     options.settle_sample_time(step, source)
-    units = {name: options.unit_of(name, mapping.units.get(column, "")) for column, name in mapping.names.items()}
+    units = {
+        name: options.unit_of(name, mapping.units.get(column, ""))
+        for column, name in mapping.names.items()
+    }
     channels = dict(zip(names, columns[1:], strict=True))
-    return Record(channels, units, step, t0=float(stamps[0]) / 1e9, notes=tuple(notes), source=source)
+    return Record(
+        channels, units, step, t0=float(stamps[0]) / 1e9, notes=tuple(notes), source=source
+    )
 
 
 def _ordered(
-    stamps: npt.NDArray[np.int64], values: FloatArray, rows: list[int], mapping: LoggerMapping, notes: list[str], source: str
+    stamps: npt.NDArray[np.int64],
+    values: FloatArray,
+    rows: list[int],
+    mapping: LoggerMapping,
+    notes: list[str],
+    source: str,
 ) -> tuple[npt.NDArray[np.int64], FloatArray]:
     backward = np.diff(stamps) < 0
     was_set = clock_steps(stamps)
     if mapping.reordered == "bridge" and (changed := sorted([*was_set, *_hours_ahead(stamps)])):
         stamps = _bridged(stamps, changed)
         notes.append(
-            f"the clock was set {len(changed)} time{'s' * (len(changed) > 1)}, first at row {rows[changed[0]]}; bridged by "
-            "the usual step: what was lost in that moment cannot be seen"
+            f"the clock was set {len(changed)} time{'s' * (len(changed) > 1)}, first at row"
+            f" {rows[changed[0]]}; bridged by the usual step: what was lost in that moment cannot"
+            " be seen"
         )
         backward = np.diff(stamps) < 0
     if backward.any():
         if mapping.reordered != "sort" or was_set:
             row = rows[int(was_set[0] if was_set else np.argmax(backward) + 1)]
-            says = f"{source}, row {row}: time goes back{went_back(stamps, was_set)}; cut the file there"
+            says = (
+                f"{source}, row {row}: time goes back{went_back(stamps, was_set)}; cut the file"
+                " there"
+            )
             if mapping.time_form in SINCE_START:
                 raise BadRecord(says)
             raise BadRecord(f"{says}, or", way_on=[_BRIDGE if was_set else _SORT])
@@ -308,22 +412,33 @@ def _ordered(
     return stamps[starts], np.where(present > 0, total / np.maximum(present, 1), np.nan)
 
 
-def _spread(stamps: npt.NDArray[np.int64], starts: npt.NDArray[np.intp], rows: list[int], source: str) -> npt.NDArray[np.int64]:
-    """Rows of one stamp at even steps until the next one; the first stamp may lack its first rows, the last its last ones.
+def _spread(
+    stamps: npt.NDArray[np.int64], starts: npt.NDArray[np.intp], rows: list[int], source: str
+) -> npt.NDArray[np.int64]:
+    """Rows of one stamp at even steps until the next one; the first stamp may lack its first rows,
+    the last its last ones.
 
-    Even stamps that were rounded to too few digits stand once or twice: their step is that of the whole.
+    Even stamps that were rounded to too few digits stand once or twice: their step is that of the
+    whole.
     """
     if some_rounded_alike((stamps - stamps[0]) / 1e9):
-        even: npt.NDArray[np.int64] = np.rint(np.linspace(stamps[0], stamps[-1], len(stamps))).astype(np.int64)
+        even: npt.NDArray[np.int64] = np.rint(
+            np.linspace(stamps[0], stamps[-1], len(stamps))
+        ).astype(np.int64)
         return even
     counts = np.diff(np.append(starts, len(stamps)))
     usual_count, between = int(np.median(counts)), np.diff(stamps[starts])
     inner = counts[1:-1]
-    if len(starts) < 3 or (inner != usual_count).any() or counts[0] > usual_count or counts[-1] > usual_count:
+    if (
+        len(starts) < 3
+        or (inner != usual_count).any()
+        or counts[0] > usual_count
+        or counts[-1] > usual_count
+    ):
         wrong = 1 + int(np.argmax(inner != usual_count)) if len(inner) else 0
         raise BadRecord(
-            f"{source}, row {rows[starts[wrong]]}: a stamp stands {counts[wrong]} times, others {usual_count} times; "
-            "they cannot be spread evenly, cut the file there"
+            f"{source}, row {rows[starts[wrong]]}: a stamp stands {counts[wrong]} times, others"
+            f" {usual_count} times; they cannot be spread evenly, cut the file there"
         )
     step = int(np.median(between)) // usual_count
     place = np.concatenate([np.arange(count) for count in counts])
@@ -333,10 +448,12 @@ def _spread(stamps: npt.NDArray[np.int64], starts: npt.NDArray[np.intp], rows: l
 
 
 def clock_steps(stamps: npt.NDArray[np.int64]) -> list[int]:
-    """Numbers of the rows before which the clock was set back, while rows went on coming in their order.
+    """Numbers of the rows before which the clock was set back, while rows went on coming in their
+    order.
 
-    A row out of order leaves a hole where it belongs, so that time passes as usual from well before to well after it, and sorting
-    makes the steps even. A clock that was set back leaves none, and sorting puts rows of two times between each other.
+    A row out of order leaves a hole where it belongs, so that time passes as usual from well before
+    to well after it, and sorting makes the steps even. A clock that was set back leaves none, and
+    sorting puts rows of two times between each other.
 
     >>> clock_steps(np.r_[0:100, 70:170]), clock_steps(np.r_[0:50, 51, 50, 52:100])
     ([100], [])
@@ -359,23 +476,34 @@ def clock_steps(stamps: npt.NDArray[np.int64]) -> list[int]:
 
 
 def _hours_ahead(stamps: npt.NDArray[np.int64]) -> list[int]:
-    """Numbers of the rows before which an hour is left out, as summer time leaves one out at its beginning.
+    """Numbers of the rows before which an hour is left out, as summer time leaves one out at its
+    beginning.
 
     A hole of an hour looks alike: only who knows that the rows went on coming can say which it was.
     """
     steps = np.diff(stamps) / 1e9
-    return [] if not len(steps) else [int(k) + 1 for k in np.flatnonzero(an_hour_ahead(steps, float(np.median(steps))))]
+    return (
+        []
+        if not len(steps)
+        else [int(k) + 1 for k in np.flatnonzero(an_hour_ahead(steps, float(np.median(steps))))]
+    )
 
 
-def _sorting_mends(stamps: npt.NDArray[np.int64], steps: npt.NDArray[np.int64], usual: float) -> bool:
-    """Whether the rows in the order of their stamps are the usual step apart, each once, without a hole that was not there."""
+def _sorting_mends(
+    stamps: npt.NDArray[np.int64], steps: npt.NDArray[np.int64], usual: float
+) -> bool:
+    """Whether the rows in the order of their stamps are the usual step apart, each once, without a
+    hole that was not there.
+    """
     merged: FloatArray = np.diff(np.sort(stamps)).astype(np.float64)
     even = np.abs(merged - usual * np.maximum(np.rint(merged / max(usual, 1.0)), 1)) < 0.01 * usual
     return bool((merged > 0).all() and even.all() and merged.max() <= steps.max())
 
 
 def _bridged(stamps: npt.NDArray[np.int64], was_set: list[int]) -> npt.NDArray[np.int64]:
-    """The stamps as if the clock had never been set: the usual step between the rows on both sides."""
+    """The stamps as if the clock had never been set: the usual step between the rows on both
+    sides.
+    """
     steps = np.diff(stamps)
     steps[np.array(was_set) - 1] = int(np.median(steps[steps > 0]))
     bridged: npt.NDArray[np.int64] = stamps[0] + np.concatenate([[0], np.cumsum(steps)])
@@ -385,7 +513,10 @@ def _bridged(stamps: npt.NDArray[np.int64], was_set: list[int]) -> npt.NDArray[n
 def went_back(stamps: npt.NDArray[np.int64], was_set: list[int]) -> str:
     """By how much a clock went back, and where that looks like the end of summer time."""
     steps = np.diff(stamps)
-    back, usual = int(steps[was_set[0] - 1] if was_set else steps[np.argmax(steps < 0)]), int(np.median(steps))
+    back, usual = (
+        int(steps[was_set[0] - 1] if was_set else steps[np.argmax(steps < 0)]),
+        int(np.median(steps)),
+    )
     if abs(back + 3600 * 10**9 - usual) <= max(usual, 10**9):
         return " by an hour, as at the end of summer time"
     return f" by {(usual - back) / 1e9:g} s: the clock was set" if was_set else ""

@@ -1,4 +1,6 @@
-"""The text of a logger's file: encoding, delimiter, decimal sign, cells. Every guess comes with its reason."""
+"""The text of a logger's file: encoding, delimiter, decimal sign, cells. Every guess comes with its
+reason.
+"""
 
 import csv
 import re
@@ -9,7 +11,24 @@ from residuum.identification.errors import BadRecord
 
 DELIMITERS = ("\t", ";", "|", ",", " ")
 MISSING = (
-    *("", "nan", "null", "none", "n/a", "na", "#n/a", "#nv", "-", "--", "---", "*", "?", "no data", "bad", "invalid"),
+    *(
+        "",
+        "nan",
+        "null",
+        "none",
+        "n/a",
+        "na",
+        "#n/a",
+        "#nv",
+        "-",
+        "--",
+        "---",
+        "*",
+        "?",
+        "no data",
+        "bad",
+        "invalid",
+    ),
     *("unavailable", "unknown", "offline", "not available", "no value"),  # of home automation
     *("#div/0!", "#value!", "#ref!", "#num!", "#name?"),  # of spreadsheets
 )
@@ -17,10 +36,14 @@ MISSING = (
 _SIGN = ("decimal", "SIGN")
 _NUMBER = re.compile(r"[+-]?(\d[\d.,]*|[.,]\d+)([eE][+-]?\d+)?")
 _STAMP = re.compile(
-    r"(\d{4}[-/.]\d\d?[-/.]\d\d?|\d\d?[-/.]\d\d?[-/.](\d{4}|\d\d)|\d+:\d\d|\d\d?[-. /]+[A-Za-zä]{3,9}[-. ,/]+\d{4}"
+    r"(\d{4}[-/.]\d\d?[-/.]\d\d?|\d\d?[-/.]\d\d?[-/.](\d{4}|\d\d)|\d+:\d\d|\d\d?[-."
+    r" /]+[A-Za-zä]{3,9}[-. ,/]+\d{4}"
     r"|[A-Za-zä]{3,9}[. ]+\d\d?,? +\d{4})([T :,.][^|;\t]*)?"
 )
-_GROUPED = {",": re.compile(r"[+-]?[1-9]\d{0,2}(\.\d{3})+(,\d*)?"), ".": re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+(\.\d*)?")}
+_GROUPED = {
+    ",": re.compile(r"[+-]?[1-9]\d{0,2}(\.\d{3})+(,\d*)?"),
+    ".": re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+(\.\d*)?"),
+}
 _SURE = {
     sign: re.compile(
         rf"[+-]?((0|\d{{4,}})?{at}\d+|\d*{at}(\d{{1,2}}|\d{{4,}})|\d+{at}|[1-9]\d{{0,2}}({by}\d{{3}})+{at}\d*"
@@ -33,14 +56,22 @@ _WITH_UNIT = re.compile(r"([+-]?[\d.,]+(?:[eE][+-]?\d+)?)\s*([A-Za-zµΩ°%][^\s
 _SCANNED = 2000
 _BLANK_BETTER = 0.1
 _BLANKS = "\u00a0\u202f\u2009 '’"
-"""What stands between thousands beside point and comma: blanks that do not break, Swiss apostrophes."""
+"""What stands between thousands beside point and comma: blanks that do not break, Swiss
+apostrophes.
+"""
 _BY_BLANKS = re.compile(rf"[+-]?[1-9]\d{{0,2}}([{_BLANKS}]\d{{3}})+([.,]\d*)?")
 
 
 def plain(start: bytes) -> bytes:
-    """The begin of a text file of any encoding, in one that spells ASCII as itself, to look for what a format begins with."""
+    """The begin of a text file of any encoding, in one that spells ASCII as itself, to look for
+    what a format begins with.
+    """
     encoding = _encoding(start)[0]
-    return start.decode(encoding, "ignore").removeprefix("\ufeff").encode() if encoding != "latin-1" else start
+    return (
+        start.decode(encoding, "ignore").removeprefix("\ufeff").encode()
+        if encoding != "latin-1"
+        else start
+    )
 
 
 def decoded(content: bytes, source: str, encoding: str | None = None) -> tuple[str, str, str]:
@@ -49,10 +80,13 @@ def decoded(content: bytes, source: str, encoding: str | None = None) -> tuple[s
     try:
         text = content.decode(name)
     except (UnicodeDecodeError, LookupError) as error:
-        raise BadRecord(f"{source}: is not text in encoding {name!r} ({' '.join(str(error).split())[:80]})") from None
+        raise BadRecord(
+            f"{source}: is not text in encoding {name!r} ({' '.join(str(error).split())[:80]})"
+        ) from None
     if "\x00" in text:
         raise BadRecord(
-            f"{source}: holds the character NUL; it is not a logger's text file, or in an unknown encoding: save as UTF-8"
+            f"{source}: holds the character NUL; it is not a logger's text file, or in an unknown"
+            " encoding: save as UTF-8"
         )
     if not text.strip():
         raise BadRecord(f"{source}: is empty; column names and at least two rows are needed")
@@ -79,13 +113,19 @@ def _encoding(content: bytes) -> tuple[str, str]:
 
 
 def cells_of(text: str, delimiter: str) -> list[list[str]]:
-    """The cells of every line (quotes removed, blanks stripped); runs of blanks separate where the delimiter is a blank."""
+    """The cells of every line (quotes removed, blanks stripped); runs of blanks separate where the
+    delimiter is a blank.
+    """
     lines = text.splitlines()
     if delimiter == " ":
         return [[cell for cell in re.split(r"[ \t]+", line) if cell] for line in lines]
     rows = []
     for line in lines:
-        row = next(csv.reader([line], delimiter=delimiter), []) if '"' in line else line.split(delimiter)
+        row = (
+            next(csv.reader([line], delimiter=delimiter), [])
+            if '"' in line
+            else line.split(delimiter)
+        )
         rows.append([cell.strip() for cell in row])
     return rows
 
@@ -114,8 +154,8 @@ def is_stamp(cell: str) -> bool:
 def find_delimiter(text: str, source: str, missing: Collection[str] = ()) -> tuple[str, str]:
     """(delimiter, reason): the one that cuts the rows into equally many cells that are values.
 
-    Cells of `missing`, in lower case, are left out. The blank between date and time of day has to be better by a tenth: a few
-    words that mean no value must not make it the delimiter.
+    Cells of `missing`, in lower case, are left out. The blank between date and time of day has to
+    be better by a tenth: a few words that mean no value must not make it the delimiter.
     """
     lines = [line for line in text.splitlines()[:_SCANNED] if line.strip()]
     sample = "\n".join(lines[len(lines) // 2 :])
@@ -123,18 +163,36 @@ def find_delimiter(text: str, source: str, missing: Collection[str] = ()) -> tup
     for delimiter in DELIMITERS:
         rows = cells_of(sample, delimiter)
         width, count = Counter(map(len, rows)).most_common(1)[0]
-        filled = [cell for row in rows for cell in row if cell.lower() not in MISSING and cell.lower() not in missing]
-        share = sum(is_value(cell) or with_unit(cell) is not None for cell in filled) / max(1, len(filled))
+        filled = [
+            cell
+            for row in rows
+            for cell in row
+            if cell.lower() not in MISSING and cell.lower() not in missing
+        ]
+        share = sum(is_value(cell) or with_unit(cell) is not None for cell in filled) / max(
+            1, len(filled)
+        )
         score = share * count / len(rows)
         if width >= 2 and score > best[0] + (_BLANK_BETTER if delimiter == " " else 1e-9):
-            best = (score, delimiter, f"cuts {count} of {len(rows)} rows into {width} cells, {100 * share:.0f} % of them values")
+            best = (
+                score,
+                delimiter,
+                (
+                    f"cuts {count} of {len(rows)} rows into {width} cells, {100 * share:.0f} % of"
+                    " them values"
+                ),
+            )
     if best[0] < 0.3:
-        raise BadRecord(f"{source}: no delimiter (tab ; | , blank) cuts its rows into columns of numbers")
+        raise BadRecord(
+            f"{source}: no delimiter (tab ; | , blank) cuts its rows into columns of numbers"
+        )
     return best[1], best[2]
 
 
 def find_decimal(rows: list[list[str]], source: str, first_row: int) -> tuple[str, str]:
-    """(decimal sign, reason); BadRecord where `1,234` may be either, or where both signs are used."""
+    """(decimal sign, reason); BadRecord where `1,234` may be either, or where both signs are
+    used.
+    """
     by_sign: dict[str, tuple[int, str]] = {}
     unsure: tuple[int, str] | None = None
     for row, cells in enumerate(rows, start=first_row):
@@ -154,7 +212,10 @@ def find_decimal(rows: list[list[str]], source: str, first_row: int) -> tuple[st
         return sign, f"{cell!r} in row {row} reads only so"
     if unsure is not None:
         row, cell = unsure
-        raise BadRecord(f"{source}, row {row}: {cell!r} may hold a decimal comma or a thousands sign", way_on=[_SIGN])
+        raise BadRecord(
+            f"{source}, row {row}: {cell!r} may hold a decimal comma or a thousands sign",
+            way_on=[_SIGN],
+        )
     return ".", "no cell says otherwise"
 
 

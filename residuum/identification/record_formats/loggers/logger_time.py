@@ -1,4 +1,6 @@
-"""The times of a logger's file: seconds or milliseconds since start, epoch numbers, ISO and local stamps, Excel dates, clocks."""
+"""The times of a logger's file: seconds or milliseconds since start, epoch numbers, ISO and local
+stamps, Excel dates, clocks.
+"""
 
 import re
 from datetime import UTC, datetime, timedelta
@@ -27,7 +29,17 @@ STAMPS = ("iso", "day first", "month first", "clock", "hh:mm", "mm:ss")
 FORMS = (*PER_SECOND, "excel", "datenum", *STAMPS)
 CLOCKS = ("clock", "hh:mm", "mm:ss", "hh:mm or mm:ss")
 """Times of day or since a start, without a date."""
-SINCE_START = ("seconds", "milliseconds", "microseconds", "nanoseconds", "minutes", "hours", "clock", "hh:mm", "mm:ss")
+SINCE_START = (
+    "seconds",
+    "milliseconds",
+    "microseconds",
+    "nanoseconds",
+    "minutes",
+    "hours",
+    "clock",
+    "hh:mm",
+    "mm:ss",
+)
 UNITS = {
     **dict.fromkeys(("s", "sec", "secs", "second", "seconds", "sek"), "seconds"),
     **dict.fromkeys(("ms", "msec", "millis", "milliseconds"), "milliseconds"),
@@ -38,10 +50,26 @@ UNITS = {
 }
 _EXCEL_EPOCH = datetime(1899, 12, 30, tzinfo=UTC)
 _MONTHS = {
-    **{"jan": 1, "feb": 2, "mar": 3, "apr": 4, "may": 5, "jun": 6, "jul": 7, "aug": 8, "sep": 9, "oct": 10, "nov": 11, "dec": 12},
+    **{
+        "jan": 1,
+        "feb": 2,
+        "mar": 3,
+        "apr": 4,
+        "may": 5,
+        "jun": 6,
+        "jul": 7,
+        "aug": 8,
+        "sep": 9,
+        "oct": 10,
+        "nov": 11,
+        "dec": 12,
+    },
     **{"mär": 3, "mrz": 3, "mai": 5, "okt": 10, "dez": 12},
 }
-_NAMED = re.compile(r"(?:(\d{1,2})[-. /]+([A-Za-zä]{3,9})|([A-Za-zä]{3,9})[. ]+(\d{1,2}),?)[-. ,/]+(\d{4})(?:[T ,:]+(.*))?")
+_NAMED = re.compile(
+    r"(?:(\d{1,2})[-. /]+([A-Za-zä]{3,9})|([A-Za-zä]{3,9})[. ]+(\d{1,2}),?)[-. ,/]+(\d{4})(?:[T"
+    r" ,:]+(.*))?"
+)
 _MINUTES = re.compile(r"(\d+):([0-5]\d)(?:[.,](\d+))?", re.ASCII)
 _CENTURY = 70
 """Years of two digits from here on are of the twentieth century (POSIX has 69)."""
@@ -50,11 +78,14 @@ _DATENUM_1970 = 719_529
 _DAY = 86_400 * 10**9
 _DATE = re.compile(r"(\d{1,4})[-/.](\d{1,2})[-/.](\d{1,4})(?:[T ,]+(.*))?", re.ASCII)
 _CLOCK = re.compile(
-    r"(\d+):(\d\d)(?::(\d\d)(?:([.,:])(\d+))?)?\s*([AaPp][Mm])?\s*(Z|UTC|[+-]\d\d:?\d\d|[+-]\d\d)?", re.ASCII | re.IGNORECASE
+    r"(\d+):(\d\d)(?::(\d\d)(?:([.,:])(\d+))?)?\s*([AaPp][Mm])?\s*(Z|UTC|[+-]\d\d:?\d\d|[+-]\d\d)?",
+    re.ASCII | re.IGNORECASE,
 )
 _1904 = "seconds since 1904"
 _SINCE_1904 = 2_082_844_800
-"""Seconds from 1904-01-01, where LabVIEW and old Macintoshes begin to count, to 1970-01-01 (both UTC)."""
+"""Seconds from 1904-01-01, where LabVIEW and old Macintoshes begin to count, to 1970-01-01 (both
+UTC).
+"""
 _EPOCHS = (
     ("epoch s", 1e9, 2.2e9),
     (_1904, 1e9 + _SINCE_1904, 2.2e9 + _SINCE_1904),
@@ -62,7 +93,9 @@ _EPOCHS = (
     ("epoch us", 1e15, 2.2e15),
     ("epoch ns", 1e18, 2.2e18),
 )
-"""Forms of numbers that count from an epoch, and the numbers that are then of our days: these do not overlap."""
+"""Forms of numbers that count from an epoch, and the numbers that are then of our days: these do
+not overlap.
+"""
 
 
 def seconds_of(unit: str) -> float | None:
@@ -84,7 +117,13 @@ def number_form(name: str, unit: str, values: npt.NDArray[np.float64]) -> tuple[
         return (form, f"unit {unit!r} of column {name!r}") if form else None
     words = re.split(r"[\s_.:-]+", name.lower())
     if "datenum" in words and float(np.min(values)) > 690_000 and float(np.max(values)) < 770_000:
-        return "datenum", f"MATLAB's days: {float(np.min(values)):.5f} is {_date(float(np.min(values)), 'datenum')}"
+        return (
+            "datenum",
+            (
+                f"MATLAB's days: {float(np.min(values)):.5f} is"
+                f" {_date(float(np.min(values)), 'datenum')}"
+            ),
+        )
     if words[-1] in UNITS and len(words) > 1:
         return UNITS[words[-1]], f"the name {name!r} ends in {words[-1]!r}"
     return _excel_form(words, values)
@@ -94,7 +133,13 @@ def _epoch_form(unit: str, low: float, high: float) -> tuple[str, str] | None:
     """The unit in which numbers from `low` to `high` are times of our days, since 1970 or 1904."""
     for form, least, most in _EPOCHS:
         if least <= low and high <= most and (not unit or UNITS.get(unit.lower()) == _plain(form)):
-            return form, f"{low:.0f} is {_date(low, form)} as seconds since {1904 if form == _1904 else 1970}"
+            return (
+                form,
+                (
+                    f"{low:.0f} is {_date(low, form)} as seconds since"
+                    f" {1904 if form == _1904 else 1970}"
+                ),
+            )
     return None
 
 
@@ -102,8 +147,19 @@ def _excel_form(words: list[str], values: npt.NDArray[np.float64]) -> tuple[str,
     """Days of a spreadsheet: close together, of our days, in a column that is called a date."""
     low, high = float(np.min(values)), float(np.max(values))
     step = float(np.median(np.abs(np.diff(values)))) if len(values) > 1 else 0.0
-    if low >= 25000 and high <= 75000 and 0 < step < 0.05 and {"date", "datetime", "datum"} & set(words):
-        return "excel", f"days since 1899-12-30: {low:.5f} is {(_EXCEL_EPOCH + timedelta(days=low)):%Y-%m-%d %H:%M}"
+    if (
+        low >= 25000
+        and high <= 75000
+        and 0 < step < 0.05
+        and {"date", "datetime", "datum"} & set(words)
+    ):
+        return (
+            "excel",
+            (
+                f"days since 1899-12-30: {low:.5f} is"
+                f" {(_EXCEL_EPOCH + timedelta(days=low)):%Y-%m-%d %H:%M}"
+            ),
+        )
     return None
 
 
@@ -144,18 +200,25 @@ def stamp_form(cells: list[str]) -> tuple[str, str] | None:
 
 
 def _short_year(cells: list[str], parts: list[tuple[str, ...]]) -> tuple[str, str]:
-    """What three numbers of two digits are: with points the day is first, above 31 stands a year; the rest has to be said."""
+    """What three numbers of two digits are: with points the day is first, above 31 stands a year;
+    the rest has to be said.
+    """
     if all("." in cell[:3] for cell in cells):
         return "day first", f"dates with points and years of two digits, {cells[0]!r}"
     if any(int(first) > 31 for first, *_ in parts):
         return "iso", "a first part is above 31"
     if any(int(second) > 12 for _, second, *_ in parts):
         return "month first", "a second part is above 12, years of two digits"
-    return "day or month first", f"{cells[0]!r} may be day/month/year, month/day/year or (iso) year/month/day"
+    return (
+        "day or month first",
+        f"{cells[0]!r} may be day/month/year, month/day/year or (iso) year/month/day",
+    )
 
 
 def _two_parts(cells: list[str]) -> tuple[str, str]:
-    """What two numbers and a colon are: a watch may show hours and minutes, or minutes and seconds."""
+    """What two numbers and a colon are: a watch may show hours and minutes, or minutes and
+    seconds.
+    """
     parts = [match.groups() for match in map(_MINUTES.fullmatch, cells) if match]
     if any(fraction for *_, fraction in parts):
         return "mm:ss", f"minutes:seconds with decimals, {cells[0]!r}"
@@ -165,7 +228,9 @@ def _two_parts(cells: list[str]) -> tuple[str, str]:
 
 
 def _numbered(cell: str) -> str:
-    """A stamp whose month is written by name as one with points, day first; any other cell as it is."""
+    """A stamp whose month is written by name as one with points, day first; any other cell as it
+    is.
+    """
     match = _NAMED.fullmatch(cell)
     month = _MONTHS.get((match[2] or match[3])[:3].lower()) if match else None
     if match is None or month is None:
@@ -174,9 +239,11 @@ def _numbered(cell: str) -> str:
 
 
 def over_midnight(times: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-    """Times of day [ns] that go on after midnight: a step back that is a usual step and a day is that day's end.
+    """Times of day [ns] that go on after midnight: a step back that is a usual step and a day is
+    that day's end.
 
-    Any other step back is left: a clock that was set or restarted tells nothing of the time between.
+    Any other step back is left: a clock that was set or restarted tells nothing of the time
+    between.
     """
     steps = np.diff(times)
     forward = steps[steps > 0]
@@ -188,17 +255,25 @@ def over_midnight(times: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
 
 
 def nanoseconds(cell: str, form: str, decimal: str) -> int:
-    """Time of a cell [ns], since the start, midnight, or 1970 by its form; ValueError when it is not of that form.
+    """Time of a cell [ns], since the start, midnight, or 1970 by its form; ValueError when it is
+    not of that form.
 
-    A stamp without zone is taken as UTC. Digits are kept exactly, so a 19-digit epoch loses nothing.
+    A stamp without zone is taken as UTC. Digits are kept exactly, so a 19-digit epoch loses
+    nothing.
     """
     if form in PER_SECOND:
         number(cell, decimal)
-        count = Fraction(cell.replace(",", ".") if decimal == "," else cell.replace(",", "")) * PER_SECOND[form]
+        count = (
+            Fraction(cell.replace(",", ".") if decimal == "," else cell.replace(",", ""))
+            * PER_SECOND[form]
+        )
         return round((count - (_SINCE_1904 if form == _1904 else 0)) * 10**9)
     if form == "excel":
         microseconds = round(number(cell, decimal) * 86_400_000_000)
-        return (microseconds + int((_EXCEL_EPOCH - datetime(1970, 1, 1, tzinfo=UTC)).total_seconds()) * 10**6) * 1000
+        return (
+            microseconds
+            + int((_EXCEL_EPOCH - datetime(1970, 1, 1, tzinfo=UTC)).total_seconds()) * 10**6
+        ) * 1000
     if form == "datenum":
         return round((Fraction(cell.replace(",", ".")) - _DATENUM_1970) * _DAY)
     if form in ("clock", "hh:mm"):
@@ -211,7 +286,11 @@ def nanoseconds(cell: str, form: str, decimal: str) -> int:
     first, second, third, clock = match.groups()
     if not _dated(form, first, third):
         raise ValueError(cell)
-    order = {"iso": (first, second, third), "day first": (third, second, first), "month first": (third, first, second)}[form]
+    order = {
+        "iso": (first, second, third),
+        "day first": (third, second, first),
+        "month first": (third, first, second),
+    }[form]
     year, month, date = map(int, order)
     if len(order[0]) == 2:
         year += 2000 if year < _CENTURY else 1900
@@ -220,7 +299,9 @@ def nanoseconds(cell: str, form: str, decimal: str) -> int:
 
 
 def _dated(form: str, first: str, third: str) -> bool:
-    """Whether the outer parts of a date are as long as its form has them: a year of four digits or of two."""
+    """Whether the outer parts of a date are as long as its form has them: a year of four digits or
+    of two.
+    """
     year, day = (first, third) if form == "iso" else (third, first)
     return len(day) <= 2 and len(year) in (2, 4)
 

@@ -1,4 +1,6 @@
-"""Numbers that instruments write where they have no value: an overload is taken for missing, what only may be one is told."""
+"""Numbers that instruments write where they have no value: an overload is taken for missing, what
+only may be one is told.
+"""
 
 import re
 from collections.abc import Sequence
@@ -10,7 +12,9 @@ import numpy.typing as npt
 from residuum.identification.record import Record, Signal
 
 OVERLOAD = 1e30
-"""No instrument measures this much in any unit; 9.9e37 is what meters and oscilloscopes write for an overload."""
+"""No instrument measures this much in any unit; 9.9e37 is what meters and oscilloscopes write for
+an overload.
+"""
 NO_VALUE = "no value: "
 """How a note begins that tells of such numbers."""
 _MARK = re.compile(r"-?(9{3,}(\.9+)?|32767|32768|65535|2147483647|2147483648)")
@@ -20,12 +24,18 @@ _APART = 2.0
 
 
 def without_overloads(record: Record) -> Record:
-    """The record with overloads missing; the notes tell how many, and which numbers may be marks for no value."""
+    """The record with overloads missing; the notes tell how many, and which numbers may be marks
+    for no value.
+    """
     channels, notes = dict(record.channels), list(record.notes)
     for name, signal in record.channels.items():
         channels[name], remarks = without_overload(name, signal)
         notes += remarks
-    return record if notes == list(record.notes) else replace(record, channels=channels, notes=tuple(notes))
+    return (
+        record
+        if notes == list(record.notes)
+        else replace(record, channels=channels, notes=tuple(notes))
+    )
 
 
 def without_marks(record: Record, cells: Sequence[str]) -> Record:
@@ -35,22 +45,35 @@ def without_marks(record: Record, cells: Sequence[str]) -> Record:
     for name, signal in record.channels.items():
         if (marked := np.isin(signal, np.array(marks, dtype=signal.dtype))).any():
             channels[name] = np.where(marked, np.nan, signal)
-            notes.append(f"{NO_VALUE}{name}: {int(marked.sum())} samples of {signal[marked][0]:.10g}, as was said")
+            notes.append(
+                f"{NO_VALUE}{name}: {int(marked.sum())} samples of {signal[marked][0]:.10g}, as was"
+                " said"
+            )
     return replace(record, channels=channels, notes=tuple(notes)) if marks else record
 
 
 def without_overload(name: str, signal: Signal) -> tuple[Signal, list[str]]:
-    """A channel, shape (n,), with overloads missing, and the notes on it and on what may be a mark for no value."""
+    """A channel, shape (n,), with overloads missing, and the notes on it and on what may be a mark
+    for no value.
+    """
     notes, over = [], np.abs(signal) >= OVERLOAD  # a comparison with NaN is false
     if over.any():
-        notes.append(f"{NO_VALUE}{name}: {int(over.sum())} samples of {signal[over][0]:.9g} are an overload, taken as missing")
+        notes.append(
+            f"{NO_VALUE}{name}: {int(over.sum())} samples of {signal[over][0]:.9g} are an overload,"
+            " taken as missing"
+        )
         signal = np.where(over, np.nan, signal)
-    return signal, notes + [f"{NO_VALUE}{name}: {_said(value, count)}" for value, count in _marks(np.asarray(signal))]
+    return signal, notes + [
+        f"{NO_VALUE}{name}: {_said(value, count)}" for value, count in _marks(np.asarray(signal))
+    ]
 
 
 def _said(value: float, count: int) -> str:
     cell = f"{value:.10g}"
-    return f"{count} samples of {cell}, far from all others, may mean that there is none; then read the file with missing {cell}"
+    return (
+        f"{count} samples of {cell}, far from all others, may mean that there is none; then read"
+        f" the file with missing {cell}"
+    )
 
 
 def _marks(signal: Signal) -> list[tuple[float, int]]:

@@ -1,4 +1,6 @@
-"""Where does a model fail? Ranked regions of speed, position, time, … in which its error is large."""
+"""Where does a model fail? Ranked regions of speed, position, time, … in which its error is
+large.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,8 @@ from residuum.identification.units import compatible
 class Axis:
     """A signal against which an error is shown.
 
-    `kind` is one of velocity, position, current, temperature, level, input, time, frequency, other; it only chooses the words.
+    `kind` is one of velocity, position, current, temperature, level, input, time, frequency, other;
+    it only chooses the words.
     """
 
     name: str
@@ -47,7 +50,9 @@ class Axis:
 
     @cached_property
     def bins(self) -> tuple[FloatArray, npt.NDArray[np.intp]]:
-        """Edges of bins of the values that are there, and the bin of each: the same for every error that has no gaps."""
+        """Edges of bins of the values that are there, and the bin of each: the same for every error
+        that has no gaps.
+        """
         return _binned(self.values[self.known])
 
 
@@ -55,9 +60,10 @@ class Axis:
 class Region:
     """A stretch of one axis on which the error is larger than elsewhere.
 
-    `times_noise` = RMS of the error there ÷ noise floor; `share` = part of the error's power that lies there;
-    `time_share` = part of the samples that lie there; `direction` is "forward" or "backward" when the region is seen in
-    one direction of movement only; `of` names the output or balance whose error it is.
+    `times_noise` = RMS of the error there ÷ noise floor; `share` = part of the error's power that
+    lies there; `time_share` = part of the samples that lie there; `direction` is "forward" or
+    "backward" when the region is seen in one direction of movement only; `of` names the output or
+    balance whose error it is.
     """
 
     axis: str
@@ -84,10 +90,10 @@ def locate(
 ) -> list[Region]:
     """Rank the regions that hold more of an error's power than their share of time.
 
-    Along each axis every interval of 24 quantile bins is scored by the likelihood ratio of "one variance inside, another
-    outside" against "one variance everywhere" (Kulldorff's scan statistic for variances), with the number of
-    independent samples n / `correlation_samples`. A region whose error has four times the power in one direction of
-    movement is given for that direction only.
+    Along each axis every interval of 24 quantile bins is scored by the likelihood ratio of "one
+    variance inside, another outside" against "one variance everywhere" (Kulldorff's scan statistic
+    for variances), with the number of independent samples n / `correlation_samples`. A region whose
+    error has four times the power in one direction of movement is given for that direction only.
 
     Parameters
     ----------
@@ -118,7 +124,10 @@ def locate(
         interval = _scan(error, axis, correlation_samples)
         if interval is not None:
             candidates.append(_region(error, axis, interval, noise_rms, of, direction, total))
-    return sorted((region for region in candidates if region.times_noise > 1.0), key=lambda region: -region.score)
+    return sorted(
+        (region for region in candidates if region.times_noise > 1.0),
+        key=lambda region: -region.score,
+    )
 
 
 @dataclass(frozen=True)
@@ -139,11 +148,15 @@ def _scan(error: FloatArray, axis: Axis, correlation: float) -> _Interval | None
     if len(edges) < 3:
         return None
     count = np.asarray(np.bincount(index, minlength=len(edges) - 1), dtype=np.float64)
-    power = np.asarray(np.bincount(index, weights=squares, minlength=len(edges) - 1), dtype=np.float64)
+    power = np.asarray(
+        np.bincount(index, weights=squares, minlength=len(edges) - 1), dtype=np.float64
+    )
     first, last, score = _best_interval(count, power, correlation)
     if score < LOCATION_SCORE + 2.0 * np.log(len(count)):
         return None
-    return _Interval(float(edges[first]), float(edges[last + 1]), float(edges[0]), float(edges[-1]), score)
+    return _Interval(
+        float(edges[first]), float(edges[last + 1]), float(edges[0]), float(edges[-1]), score
+    )
 
 
 def _region(
@@ -160,7 +173,9 @@ def _region(
     if way is not None and direction is not None:
         inside &= (direction > 0) == (way == "forward")
     power = float(np.sum(error[inside] ** 2))
-    times_noise = float(np.sqrt(power / max(inside.sum(), 1)) / noise_rms) if noise_rms > 0 else float("inf")
+    times_noise = (
+        float(np.sqrt(power / max(inside.sum(), 1)) / noise_rms) if noise_rms > 0 else float("inf")
+    )
     return Region(
         axis=axis.name,
         start=interval.start,
@@ -176,7 +191,9 @@ def _region(
     )
 
 
-def _one_way(error: FloatArray, inside: npt.NDArray[np.bool_], direction: FloatArray | None) -> str | None:
+def _one_way(
+    error: FloatArray, inside: npt.NDArray[np.bool_], direction: FloatArray | None
+) -> str | None:
     """The direction of movement that holds nearly all of the error inside a region, if one does."""
     if direction is None:
         return None
@@ -195,7 +212,9 @@ def _binned(values: FloatArray) -> tuple[FloatArray, npt.NDArray[np.intp]]:
 
 
 def _bin_edges(values: FloatArray) -> FloatArray:
-    """Half quantile, half even edges of sorted values: quantiles alone blur rare places, even bins alone starve the busy ones."""
+    """Half quantile, half even edges of sorted values: quantiles alone blur rare places, even bins
+    alone starve the busy ones.
+    """
     low, high = float(values[0]), float(values[-1])
     if not high > low:
         return np.array([low])
@@ -211,28 +230,46 @@ def _bin_edges(values: FloatArray) -> FloatArray:
     return np.array([*merged, edges[-1]])
 
 
-def _best_interval(count: FloatArray, power: FloatArray, correlation: float) -> tuple[int, int, float]:
-    """(first bin, last bin, twice the log-likelihood ratio) of the interval with the largest variance contrast."""
+def _best_interval(
+    count: FloatArray, power: FloatArray, correlation: float
+) -> tuple[int, int, float]:
+    """(first bin, last bin, twice the log-likelihood ratio) of the interval with the largest
+    variance contrast.
+    """
     n, total = count.sum(), power.sum()
     cumulative_n, cumulative_p = np.r_[0.0, np.cumsum(count)], np.r_[0.0, np.cumsum(power)]
     inside_n = cumulative_n[None, 1:] - cumulative_n[:-1, None]
     inside_p = cumulative_p[None, 1:] - cumulative_p[:-1, None]
     outside_n, outside_p = n - inside_n, total - inside_p
     with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = inside_n * np.log(inside_p / inside_n / (total / n)) + outside_n * np.log(outside_p / outside_n / (total / n))
+        ratio = inside_n * np.log(inside_p / inside_n / (total / n)) + outside_n * np.log(
+            outside_p / outside_n / (total / n)
+        )
         higher = inside_p / inside_n > outside_p / outside_n
-    allowed = (np.triu(np.ones_like(inside_n)) > 0) & (inside_n > 0) & (outside_n > 0) & higher & (inside_n <= WIDEST_REGION * n)
+    allowed = (
+        (np.triu(np.ones_like(inside_n)) > 0)
+        & (inside_n > 0)
+        & (outside_n > 0)
+        & higher
+        & (inside_n <= WIDEST_REGION * n)
+    )
     score = np.where(allowed, -ratio, -np.inf) / max(correlation, 1.0)
     first, last = np.unravel_index(int(np.argmax(score)), score.shape)
     return int(first), int(last), float(score[first, last])
 
 
-_STANDSTILL: Mapping[str, str] = {"velocity": "near standstill", "current": "near zero current", "input": "near zero input"}
+_STANDSTILL: Mapping[str, str] = {
+    "velocity": "near standstill",
+    "current": "near zero current",
+    "input": "near zero input",
+}
 
 
 def _words(axis: Axis, interval: _Interval, direction: str | None, times_noise: float) -> str:
     start, stop, lowest, highest = interval.start, interval.stop, interval.lowest, interval.highest
-    near_zero = start <= 0 <= stop and max(abs(start), abs(stop)) < STANDSTILL_REGION * max(abs(lowest), abs(highest))
+    near_zero = start <= 0 <= stop and max(abs(start), abs(stop)) < STANDSTILL_REGION * max(
+        abs(lowest), abs(highest)
+    )
     edge = 1e-9 * (highest - lowest)
     unit = f" {axis.unit}" if axis.unit else ""
     if near_zero and axis.kind in _STANDSTILL:
@@ -245,20 +282,28 @@ def _words(axis: Axis, interval: _Interval, direction: str | None, times_noise: 
         place = f"at {axis.name} above {start:.3g}{unit}"
     else:
         place = f"at {axis.name} between {start:.3g} and {stop:.3g}{unit}"
-    only = {"forward": ", moving forward only", "backward": ", moving backward only"}.get(direction or "", "")
+    only = {"forward": ", moving forward only", "backward": ", moving backward only"}.get(
+        direction or "", ""
+    )
     if not np.isfinite(times_noise):
         return f"the model fails {place}{only}: the error has no noise beside it"
-    return f"the model fails {place}{only}: the error is {float(f'{times_noise:.2g}'):g} times the noise"
+    return (
+        f"the model fails {place}{only}: the error is {float(f'{times_noise:.2g}'):g} times the"
+        " noise"
+    )
 
 
 # The signals of a model along which its error is looked at.
 
 
-def signal_axes(model: PhysicalModel, experiment: Experiment, X: FloatArray, record: Record | None = None) -> list[Axis]:
-    """Inputs, states, variables that balances define, recorded temperatures and time, as axes of one record.
+def signal_axes(
+    model: PhysicalModel, experiment: Experiment, X: FloatArray, record: Record | None = None
+) -> list[Axis]:
+    """Inputs, states, variables that balances define, recorded temperatures and time, as axes of
+    one record.
 
-    `X` are the states along which to look, shape (n, states), from a simulation or a smoother. A state or variable that
-    is measured carries the name of its output.
+    `X` are the states along which to look, shape (n, states), from a simulation or a smoother. A
+    state or variable that is measured carries the name of its output.
     """
     roles = _roles(model)
     shown = {output.value.text.strip(): name for name, output in model.outputs.items()}
@@ -275,10 +320,21 @@ def signal_axes(model: PhysicalModel, experiment: Experiment, X: FloatArray, rec
     for balance in model.balances.values():
         if balance.defines is not None and balance.defines in look:
             name = balance.defines
-            axes.append(Axis(shown.get(name, name), _unit_of_output(model, name), roles.get(name, "other"), look[name]))
+            axes.append(
+                Axis(
+                    shown.get(name, name),
+                    _unit_of_output(model, name),
+                    roles.get(name, "other"),
+                    look[name],
+                )
+            )
     if record is not None:
         axes += _recorded_temperatures(record, {axis.name for axis in axes})
-    axes.append(Axis("time", "s", "time", experiment.sample_time * np.arange(experiment.n, dtype=np.float64)))
+    axes.append(
+        Axis(
+            "time", "s", "time", experiment.sample_time * np.arange(experiment.n, dtype=np.float64)
+        )
+    )
     return axes
 
 
@@ -287,22 +343,41 @@ def direction_of_movement(axes: Sequence[Axis]) -> FloatArray | None:
     velocity = next((axis.values for axis in axes if axis.kind == "velocity"), None)
     if velocity is None or not np.any(np.isfinite(velocity)):
         return None
-    return np.asarray(np.where(np.abs(velocity) > STANDSTILL_SPEED * np.nanmax(np.abs(velocity)), np.sign(velocity), 0.0))
+    return np.asarray(
+        np.where(
+            np.abs(velocity) > STANDSTILL_SPEED * np.nanmax(np.abs(velocity)),
+            np.sign(velocity),
+            0.0,
+        )
+    )
 
 
 def _roles(model: PhysicalModel) -> Mapping[str, str]:
     kinds = {"ambient": "temperature"}
-    return {name: kinds.get(role, role) for balance in model.balances.values() for role, name in balance.variables.items()}
+    return {
+        name: kinds.get(role, role)
+        for balance in model.balances.values()
+        for role, name in balance.variables.items()
+    }
 
 
 def _unit_of_output(model: PhysicalModel, variable: str) -> str:
-    units = [output.unit for output in model.outputs.values() if output.value.text.strip() == variable]
+    units = [
+        output.unit for output in model.outputs.values() if output.value.text.strip() == variable
+    ]
     return units[0] if units else {"current": "A"}.get(_roles(model).get(variable, ""), "")
 
 
 def _recorded_temperatures(record: Record, known: set[str]) -> list[Axis]:
-    columns = [name for name in record.names if name not in known and record.units[name] and compatible(record.units[name], "K")]
-    return [Axis(name, record.units[name], "temperature", np.asarray(record[name], dtype=float)) for name in columns]
+    columns = [
+        name
+        for name in record.names
+        if name not in known and record.units[name] and compatible(record.units[name], "K")
+    ]
+    return [
+        Axis(name, record.units[name], "temperature", np.asarray(record[name], dtype=float))
+        for name in columns
+    ]
 
 
 # Where structured outputs and their balances' missing terms are large.
@@ -317,33 +392,56 @@ def regions(
     floors: Mapping[str, float],
     structured: Mapping[str, StructuredError],
 ) -> tuple[Region, ...]:
-    """Regions of every axis and of frequency, the most telling first; none when no output's error is structured.
+    """Regions of every axis and of frequency, the most telling first; none when no output's error
+    is structured.
 
-    `floors` is the noise floor of each output; a missing term is compared with the width of its own band.
+    `floors` is the noise floor of each output; a missing term is compared with the width of its own
+    band.
     """
     present = [name for name, test in structured.items() if test.present]
     if not present:
         return ()
-    joined = [replace(axis, values=np.concatenate([a[k].values for a in axes])) for k, axis in enumerate(axes[0])]
+    joined = [
+        replace(axis, values=np.concatenate([a[k].values for a in axes]))
+        for k, axis in enumerate(axes[0])
+    ]
     direction = direction_of_movement(joined)
     located: list[Region] = []
     for name in present:
         errors = [residual[:, list(model.outputs).index(name)] for residual in residuals]
         memory = max(structured[name].noise.time_constant, 1.0)
         error = np.concatenate(errors)
-        located += locate(error, joined, noise_rms=floors[name], of=name, direction=direction, correlation_samples=memory)
+        located += locate(
+            error,
+            joined,
+            noise_rms=floors[name],
+            of=name,
+            direction=direction,
+            correlation_samples=memory,
+        )
         amplitude, frequency = _spectrum(errors, experiments)
         located += locate(amplitude, [frequency], noise_rms=floors[name], of=name)
     for balance in smoothed[0].missing:
         term = np.concatenate([s.missing[balance].value for s in smoothed])
         band = float(np.median(np.concatenate([s.missing[balance].std for s in smoothed])))
         memory = _correlation_samples(term)
-        located += locate(term, joined, noise_rms=band, of=balance, direction=direction, correlation_samples=memory)
+        located += locate(
+            term,
+            joined,
+            noise_rms=band,
+            of=balance,
+            direction=direction,
+            correlation_samples=memory,
+        )
     return tuple(sorted(located, key=lambda region: -region.score)[:MOST_REGIONS])
 
 
-def _spectrum(errors: Sequence[FloatArray], experiments: Sequence[Experiment]) -> tuple[FloatArray, Axis]:
-    """Amplitudes |E(f)|/√n of the longest stretch (white noise of RMS σ gives RMS σ), and their frequencies [Hz]."""
+def _spectrum(
+    errors: Sequence[FloatArray], experiments: Sequence[Experiment]
+) -> tuple[FloatArray, Axis]:
+    """Amplitudes |E(f)|/√n of the longest stretch (white noise of RMS σ gives RMS σ), and their
+    frequencies [Hz].
+    """
     parts = [
         (error[part], e.sample_time)
         for error, e in zip(errors, experiments, strict=True)

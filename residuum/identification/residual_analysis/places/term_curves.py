@@ -1,4 +1,6 @@
-"""A term of a balance as a curve over a signal: what is missing there, and what an effect would add."""
+"""A term of a balance as a curve over a signal: what is missing there, and what an effect would
+add.
+"""
 
 from __future__ import annotations
 
@@ -29,8 +31,8 @@ class Binned:
 def binned(x: FloatArray, y: FloatArray, bins: int) -> Binned:
     """y in bins of x, shape (n,) each, sparse bins left out.
 
-    Half of the edges are quantiles and half are evenly spaced: rest and steady speed hold most samples, yet the way
-    between them is where the shape is.
+    Half of the edges are quantiles and half are evenly spaced: rest and steady speed hold most
+    samples, yet the way between them is where the shape is.
     """
     known = np.isfinite(x) & np.isfinite(y)
     x, y = x[known], y[known]
@@ -49,16 +51,25 @@ def binned(x: FloatArray, y: FloatArray, bins: int) -> Binned:
 def joined(axes: Sequence[Sequence[Axis]]) -> list[Axis]:
     """The axes of several records, one record after the other."""
     by_signal = zip(*axes, strict=True)
-    return [Axis(same[0].name, same[0].unit, same[0].kind, np.concatenate([axis.values for axis in same])) for same in by_signal]
+    return [
+        Axis(
+            same[0].name, same[0].unit, same[0].kind, np.concatenate([axis.values for axis in same])
+        )
+        for same in by_signal
+    ]
 
 
 def telling(axes: Sequence[Axis], term: FloatArray, bins: int) -> Axis:
-    """The axis over which a curve takes away most of the term's power, shape (n,); the first of equals."""
+    """The axis over which a curve takes away most of the term's power, shape (n,); the first of
+    equals.
+    """
     return max(axes, key=lambda axis: _told(binned(axis.values, term, bins), axis.values, term))
 
 
 def _told(curve: Binned, x: FloatArray, term: FloatArray) -> float:
-    """Part of the term's power that the curve tells of other samples than those it was drawn from (every second one)."""
+    """Part of the term's power that the curve tells of other samples than those it was drawn from
+    (every second one).
+    """
     if len(curve.at) < 2:
         return 0.0
     rows = np.flatnonzero(np.isfinite(x) & np.isfinite(term))
@@ -67,7 +78,10 @@ def _told(curve: Binned, x: FloatArray, term: FloatArray) -> float:
     power = float(np.sum((term[held_out] - term[held_out].mean()) ** 2))
     if len(half.at) < 2 or not power > 0.0:
         return 0.0
-    return 1.0 - float(np.sum((term[held_out] - np.interp(x[held_out], half.at, half.mean)) ** 2)) / power
+    return (
+        1.0
+        - float(np.sum((term[held_out] - np.interp(x[held_out], half.at, half.mean)) ** 2)) / power
+    )
 
 
 def effect_curves(
@@ -77,7 +91,8 @@ def effect_curves(
     values: Mapping[str, float],
     records: Sequence[Record] | None = None,
 ) -> Iterator[tuple[Axis, Binned]]:
-    """What an effect of these values would add to its balance, over every axis of the model's simulation with it.
+    """What an effect of these values would add to its balance, over every axis of the model's
+    simulation with it.
 
     Nothing for an effect on the path of an input or output, or one with which the model diverges.
     """
@@ -91,10 +106,17 @@ def effect_curves(
     except BadInput:
         return
     simulator = Simulator(with_it)
-    X = [simulator.run_vectors(e, x0, simulator.p()).X for e, x0 in zip(experiments, simulation.initial, strict=True)]
-    value = np.concatenate([simulator.look(e, x)[term] * np.ones(e.n) for e, x in zip(experiments, X, strict=True)])
+    X = [
+        simulator.run_vectors(e, x0, simulator.p()).X
+        for e, x0 in zip(experiments, simulation.initial, strict=True)
+    ]
+    value = np.concatenate(
+        [simulator.look(e, x)[term] * np.ones(e.n) for e, x in zip(experiments, X, strict=True)]
+    )
     known = [None] * len(X) if records is None else records
-    for axis in joined([signal_axes(with_it, e, x, r) for e, x, r in zip(experiments, X, known, strict=True)]):
+    for axis in joined(
+        [signal_axes(with_it, e, x, r) for e, x, r in zip(experiments, X, known, strict=True)]
+    ):
         curve = binned(axis.values, value, _EFFECT_BINS)
         if len(curve.at):
             yield axis, curve

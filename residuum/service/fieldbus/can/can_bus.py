@@ -2,64 +2,23 @@
 
 from __future__ import annotations
 
-import logging
 import socket
 import sys
-from collections.abc import Mapping
 from contextlib import suppress
 from types import NoneType
-from typing import Any
-from urllib.parse import urlsplit
 
 import can
 import numpy as np
 import numpy.typing as npt
 
-from residuum.identification.errors import BadInput
-from residuum.service.fieldbus.can.frame_batch import BUS_OFF, EXTENDED, FrameBatch, FrameBatchBuilder
-from residuum.service.fieldbus.can.frame_layout import Bytes, FrameLayout
+from residuum.service.fieldbus.can.can_channel import bus_arguments
+from residuum.service.fieldbus.can.frame_batch import (
+    BUS_OFF,
+    EXTENDED,
+    FrameBatch,
+    FrameBatchBuilder,
+)
 
-# How settings name a CAN bus: `interface:channel`, as python-can has them.
-
-_MULTICAST_PORT = 43113
-
-
-def bus_arguments(channel: str) -> dict[str, Any]:
-    """What `can.Bus` is to be given; of `udp_multicast` the channel is `GROUP[:PORT][/HOPS]`.
-
-    Raises BadInput for an address that is none.
-
-    >>> bus_arguments("socketcan:can0")
-    {'interface': 'socketcan', 'channel': 'can0'}
-    >>> bus_arguments("udp_multicast:239.1.2.3:5000/1")
-    {'interface': 'udp_multicast', 'channel': '239.1.2.3', 'port': 5000, 'hop_limit': 1}
-    """
-    interface, colon, address = channel.partition(":")
-    if not (interface and colon and address):
-        raise BadInput(f"CAN channel {channel!r}: must be interface:channel, for example socketcan:can0")
-    if interface != "udp_multicast":
-        return {"interface": interface, "channel": address}
-    group, port, hops = multicast_address(address)
-    return {"interface": interface, "channel": group, "port": port, "hop_limit": hops}
-
-
-def multicast_address(text: str) -> tuple[str, int, int]:
-    """Group, port and hops of `GROUP[:PORT][/HOPS]`; an IPv6 group with a port stands in brackets.
-
-    >>> multicast_address("239.1.2.3:5000/1"), multicast_address("[ff15::1]:5000")
-    (('239.1.2.3', 5000, 1), ('ff15::1', 5000, 0))
-    """
-    address, _, hops = text.partition("/")
-    if address.count(":") > 1 and not address.startswith("["):
-        address = f"[{address}]"
-    try:
-        parts = urlsplit(f"//{address}")
-        return parts.hostname or "", parts.port or _MULTICAST_PORT, int(hops or 0)
-    except ValueError:
-        raise BadInput(f"CAN channel {text!r}: must be GROUP[:PORT][/HOPS] with whole numbers") from None
-
-
-logging.getLogger("can").setLevel(logging.CRITICAL)  # counters and exceptions say it
 _MOST_IN_ONE_READ = 2048
 _SEND_TIMEOUT = 0.2
 _RECEIVE_BUFFER = 16 << 20
@@ -75,7 +34,9 @@ class CanBus:
         _make_room(bus)
 
     def read(self, timeout: float) -> FrameBatch:
-        """Frames that came within `timeout` seconds; OSError or can.CanError once the bus has failed or reported a bus-off."""
+        """Frames that came within `timeout` seconds; OSError or can.CanError once the bus has
+        failed or reported a bus-off.
+        """
         if self._ended:
             raise self._ended
         batch = FrameBatchBuilder()
@@ -85,7 +46,9 @@ class CanBus:
         return batch.batch()
 
     def _take(self, batch: FrameBatchBuilder, timeout: float) -> bool:
-        """Add the next message; whether another may follow. What came before a failure is not lost with it."""
+        """Add the next message; whether another may follow. What came before a failure is not lost
+        with it.
+        """
         try:
             message = self._bus.recv(timeout)
         except (OSError, can.CanError) as error:
@@ -103,9 +66,14 @@ class CanBus:
     def send(self, frame_id: int, data: bytes, *, is_fd: bool = False) -> None:
         """Send one frame; an identifier that is long or has `EXTENDED` makes it an extended one."""
         kind = {"is_extended_id": frame_id > 0x7FF, "is_fd": is_fd, "bitrate_switch": is_fd}
-        self._bus.send(can.Message(arbitration_id=frame_id & ~EXTENDED, data=data, **kind), timeout=_SEND_TIMEOUT)
+        self._bus.send(
+            can.Message(arbitration_id=frame_id & ~EXTENDED, data=data, **kind),
+            timeout=_SEND_TIMEOUT,
+        )
 
-    def send_many(self, frame_id: int, frames: npt.NDArray[np.uint8], *, is_fd: bool = False) -> None:
+    def send_many(
+        self, frame_id: int, frames: npt.NDArray[np.uint8], *, is_fd: bool = False
+    ) -> None:
         """Send frames of one message, shape (n, length), in order."""
         for data in frames:
             self.send(frame_id, data.tobytes(), is_fd=is_fd)
@@ -116,51 +84,29 @@ class CanBus:
 
 
 def open_bus(channel: str) -> CanBus:
-    """Open `interface:channel`, for example `socketcan:can0`, `virtual:bench`, `udp_multicast:239.74.163.2:43113`.
+    """Open `interface:channel`, for example `socketcan:can0`, `virtual:bench`,
+    `udp_multicast:239.74.163.2:43113`.
 
-    Raises BadInput for an address that is none, OSError or can.CanError when the bus cannot be opened.
+    Raises BadInput for an address that is none, OSError or can.CanError when the bus cannot be
+    opened.
     """
     arguments = bus_arguments(channel)
     try:
         return CanBus(can.Bus(**arguments, fd=True))
     except can.CanInitializationError as error:
-        raise can.CanInitializationError(f"{channel}: {error.__cause__ or error} (a multicast group needs a route)") from error
+        raise can.CanInitializationError(
+            f"{channel}: {error.__cause__ or error} (a multicast group needs a route)"
+        ) from error
 
 
 def _make_room(bus: can.BusABC) -> None:
-    """Let frames wait in the bus's socket while this process does not get the processor; 256 fit in otherwise."""
-    with suppress(OSError, NotImplementedError), socket.fromfd(bus.fileno(), socket.AF_INET, socket.SOCK_DGRAM) as opened:
+    """Let frames wait in the bus's socket while this process does not get the processor; 256 fit in
+    otherwise.
+    """
+    with (
+        suppress(OSError, NotImplementedError),
+        socket.fromfd(bus.fileno(), socket.AF_INET, socket.SOCK_DGRAM) as opened,
+    ):
         opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
         if sys.platform == "linux":  # beyond the system's limit where we may (root)
             opened.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, _RECEIVE_BUFFER)
-
-
-# FrameSender: puts the samples of one stream into CAN frames, counter and all, and onto the bus.
-
-
-class FrameSender:
-    """Frames of one message from samples that come in pieces of any length.
-
-    Parameters
-    ----------
-    layout : FrameLayout
-    """
-
-    def __init__(self, layout: FrameLayout) -> None:
-        self.layout = layout
-        self._sent = 0
-        self._waiting: dict[str, npt.NDArray[np.float64]] = {name: np.empty(0) for name in layout.units}
-
-    def frames(self, channels: Mapping[str, npt.NDArray[np.float64]]) -> Bytes:
-        """The frames that these samples complete, shape (n, length)."""
-        waiting = {name: np.concatenate([held, channels[name]]) for name, held in self._waiting.items()}
-        n = len(next(iter(waiting.values()))) // self.layout.samples
-        whole = n * self.layout.samples
-        self._waiting = {name: values[whole:] for name, values in waiting.items()}
-        counter = (self._sent + np.arange(n)) % (1 << self.layout.counter_bits)
-        self._sent += n
-        return self.layout.encode(counter, {name: values[:whole] for name, values in waiting.items()})
-
-    def send(self, bus: CanBus, channels: Mapping[str, npt.NDArray[np.float64]]) -> None:
-        """Send the frames that these samples complete."""
-        bus.send_many(self.layout.bus_id, self.frames(channels), is_fd=self.layout.is_fd)

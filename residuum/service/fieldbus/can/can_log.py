@@ -24,7 +24,9 @@ _CANDUMP = re.compile(
     r"(?:##(?P<flags>[0-9A-Fa-f])(?P<fd>(?:[0-9A-Fa-f]{2})*)|#(?P<classic>R[0-9A-Fa-f]*|(?:[0-9A-Fa-f]{2})*(?:_[0-9A-Fa-f])?)"
     r"|\s+\[(?P<length>\d+)\]\s*(?P<bytes>(?:[0-9A-Fa-f]{2}(?=\s|$)\s*)*)(?P<rest>\S.*)?)(?:\s+(?:[RT]X?|B|E)+)?\s*$"
 )
-"""A line of candump: `(stamp) bus id#bytes`, `id##flagbytes` of CAN FD, or `(stamp) bus id [length] bytes` as it prints them."""
+"""A line of candump: `(stamp) bus id#bytes`, `id##flagbytes` of CAN FD, or `(stamp) bus id [length]
+bytes` as it prints them.
+"""
 _ERROR_FRAME, _EXTENDED_MASK = 0x2000_0000, 0x1FFF_FFFF
 _SHARE_BACK = 0.1
 """Steps back from which on stamps are no times but the time since the frame before."""
@@ -50,7 +52,9 @@ class CanLog:
 
 
 class _Candump:
-    """The messages of a candump log in any form it prints; what it cannot read ends it as a damage does."""
+    """The messages of a candump log in any form it prints; what it cannot read ends it as a damage
+    does.
+    """
 
     def __init__(self, file: IO[str]) -> None:
         self._file = file
@@ -70,11 +74,18 @@ class _Candump:
 def _candump_message(line: str, number: int) -> can.Message:
     fields = _CANDUMP.match(line)
     if fields is None:
-        raise ValueError(f"line {number} is none of candump's (`(stamp) bus id#bytes`); record with `candump -l` or `-L`")
+        raise ValueError(
+            f"line {number} is none of candump's (`(stamp) bus id#bytes`); record with `candump -l`"
+            " or `-L`"
+        )
     if fields["stamp"] is None:
-        raise ValueError(f"line {number} has no time stamp; record with `candump -l` or `-L`, or print with -ta")
+        raise ValueError(
+            f"line {number} has no time stamp; record with `candump -l` or `-L`, or print with -ta"
+        )
     identifier, classic, mark = int(fields["id"], 16), fields["classic"] or "", fields["rest"] or ""
-    data = bytes.fromhex(fields["fd"] or fields["bytes"] or classic.split("_")[0] * (not classic.startswith("R")))
+    data = bytes.fromhex(
+        fields["fd"] or fields["bytes"] or classic.split("_")[0] * (not classic.startswith("R"))
+    )
     length = int(fields["length"]) if fields["length"] else len(data)
     return can.Message(
         timestamp=_stamp(fields["stamp"].strip(), number),
@@ -97,14 +108,20 @@ def _stamp(text: str, number: int) -> float:
     try:
         return datetime.fromisoformat(text).replace(tzinfo=UTC).timestamp()
     except ValueError:
-        raise ValueError(f"line {number}: time stamp {text!r} is neither seconds nor a date") from None
+        raise ValueError(
+            f"line {number}: time stamp {text!r} is neither seconds nor a date"
+        ) from None
 
 
-_READERS: dict[str, Any] = dict(zip(CAN_LOGS, (can.BLFReader, can.ASCReader, _Candump, can.TRCReader), strict=True))
+_READERS: dict[str, Any] = dict(
+    zip(CAN_LOGS, (can.BLFReader, can.ASCReader, _Candump, can.TRCReader), strict=True)
+)
 
 
 def _since_the_last(frames: Sequence[TimedFrame]) -> bool:
-    """Whether the stamps are differences, as `candump -td` prints them: from zero on, and back again and again."""
+    """Whether the stamps are differences, as `candump -td` prints them: from zero on, and back
+    again and again.
+    """
     back = sum(after.time < before.time for before, after in pairwise(frames))
     return frames[0].time == 0 and back > _SHARE_BACK * len(frames)
 
@@ -118,7 +135,8 @@ def _summed(frames: Sequence[TimedFrame]) -> list[TimedFrame]:
 
 
 def read_can_log(path: str | Path) -> CanLog:
-    """The data frames of a CAN log; of one that is cut or damaged those before the damage, with a remark.
+    """The data frames of a CAN log; of one that is cut or damaged those before the damage, with a
+    remark.
 
     Raises BadBusDescription when the file is no such log, or holds no data frame.
     """
@@ -142,18 +160,25 @@ def read_can_log(path: str | Path) -> CanLog:
             frames = frames[:-1]  # half of a frame's last byte would be a byte
     except MemoryError:
         raise
-    except Exception as error:  # of a damaged file the readers raise their own, struct's, zlib's and Python's errors
+    # of a damaged file the readers raise their own, struct's, zlib's and Python's errors
+    except Exception as error:
         damage = in_one_line(error)
         if not frames:
             raise BadBusDescription(f"{path.name}: cannot be read as a CAN log: {damage}") from None
     if not frames:
-        raise BadBusDescription(f"{path.name}: holds no data frame; the log must be one of {', '.join(CAN_LOGS)}")
+        raise BadBusDescription(
+            f"{path.name}: holds no data frame; the log must be one of {', '.join(CAN_LOGS)}"
+        )
     remarks = _remarks(path.name, frames, damage, short)
     if errors or remote:
-        remarks.append(f"{path.name}: {errors} error frames and {remote} remote frames carry no data, left out")
+        remarks.append(
+            f"{path.name}: {errors} error frames and {remote} remote frames carry no data, left out"
+        )
     if path.suffix.lower() == ".log" and _since_the_last(frames):
         frames = _summed(frames)
-        remarks.append(f"{path.name}: its stamps are the times since the frame before (candump -td), summed up")
+        remarks.append(
+            f"{path.name}: its stamps are the times since the frame before (candump -td), summed up"
+        )
     return CanLog(path.name, frames, remarks)
 
 
@@ -163,7 +188,9 @@ def _opened(path: Path) -> IO[Any]:
 
 def _timed(message: can.Message) -> TimedFrame:
     identifier = message.arbitration_id | EXTENDED * message.is_extended_id
-    return TimedFrame(message.timestamp, identifier, bytes(message.data), message.is_fd, str(message.channel))
+    return TimedFrame(
+        message.timestamp, identifier, bytes(message.data), message.is_fd, str(message.channel)
+    )
 
 
 def _cut(path: Path, log: Any) -> str:
@@ -185,8 +212,8 @@ def _remarks(name: str, frames: Sequence[TimedFrame], damage: str, short: int) -
     remarks = []
     if damage:
         remarks.append(
-            f"{name}: is cut or damaged after frame {len(frames)} ({frames[-1].time:.6f} s): {damage}; "
-            "the frames before are used, export the log anew for the rest"
+            f"{name}: is cut or damaged after frame {len(frames)} ({frames[-1].time:.6f} s):"
+            f" {damage}; the frames before are used, export the log anew for the rest"
         )
     if short:
         remarks.append(f"{name}: {short} frames have fewer bytes than they say, left out")

@@ -13,23 +13,44 @@ from residuum.service.fieldbus.can.can_bus import CanBus, open_bus
 from residuum.service.fieldbus.can.frame_batch import FrameBatch
 from residuum.service.fieldbus.can.frame_layout import BadBusDescription, BusMessages, FrameLayout
 from residuum.service.fieldbus.sequence import BREAK, Placed, SequenceCounter
-from residuum.service.fieldbus.source import Backoff, Block, FaultsUnavailable, Sink, Source, StreamFormat
+from residuum.service.fieldbus.source import (
+    Backoff,
+    Block,
+    FaultsUnavailable,
+    Sink,
+    Source,
+    StreamFormat,
+)
 
 _POLL = 0.1
 _GATHER = 0.01
-"""How long frames wait in the bus's own buffer, so that they are decoded together [s]; some buses keep some hundred."""
+"""How long frames wait in the bus's own buffer, so that they are decoded together [s]; some buses
+keep some hundred.
+"""
 COMMAND, STATE = "FAULT_COMMAND", "FAULT_STATE"
 
 
 def streamed(layouts: Mapping[str, FrameLayout]) -> list[FrameLayout]:
-    """The messages that carry streams of samples, those with a counter first; BadBusDescription when there are none."""
-    streams = [layout for layout in layouts.values() if not layout.why_no_stream and layout.name not in (COMMAND, STATE)]
+    """The messages that carry streams of samples, those with a counter first; BadBusDescription
+    when there are none.
+    """
+    streams = [
+        layout
+        for layout in layouts.values()
+        if not layout.why_no_stream and layout.name not in (COMMAND, STATE)
+    ]
     if not streams:
-        why = [f"message {layout.name} {layout.why_no_stream}" for layout in layouts.values() if layout.why_no_stream]
+        why = [
+            f"message {layout.name} {layout.why_no_stream}"
+            for layout in layouts.values()
+            if layout.why_no_stream
+        ]
         where = "bus"
         if isinstance(layouts, BusMessages):
             where, why = layouts.where, [*why, *layouts.unusable.values()]
-        raise BadBusDescription(f"{where}: has nothing to stream: {'; '.join(why) or 'no message has signals'}")
+        raise BadBusDescription(
+            f"{where}: has nothing to stream: {'; '.join(why) or 'no message has signals'}"
+        )
     return sorted(streams, key=lambda layout: layout.counter_bits == 0)
 
 
@@ -41,8 +62,8 @@ class CanSource(Source):
     channel : str
         Bus address, see `can_bus.open_bus`.
     layouts : mapping of message name to FrameLayout
-        Messages with a time between frames become streams, those with a counter first; `FAULT_COMMAND` and `FAULT_STATE`
-        switch the faults of simulated machines.
+        Messages with a time between frames become streams, those with a counter first;
+        `FAULT_COMMAND` and `FAULT_STATE` switch the faults of simulated machines.
     sink : callable
 
     Raises
@@ -55,12 +76,21 @@ class CanSource(Source):
         super().__init__(channel, sink)
         self.channel = channel
         self._layouts = {layout.bus_id: layout for layout in streamed(layouts)}
-        self.health.remarks = [f"message {layout.name}: {layout.remark}" for layout in self._layouts.values() if layout.remark]
+        self.health.remarks = [
+            f"message {layout.name}: {layout.remark}"
+            for layout in self._layouts.values()
+            if layout.remark
+        ]
         self._command, self._state = layouts.get(COMMAND), layouts.get(STATE)
-        self._faults = {name: number for number, name in (self._state.choices["fault"] if self._state else {}).items()}
+        self._faults = {
+            name: number
+            for number, name in (self._state.choices["fault"] if self._state else {}).items()
+        }
         self._sizes: dict[str, float] = {}
         self._places = {
-            frame_id: SequenceCounter(layout.counter_bits) if layout.counter_bits else ArrivalOrder()
+            frame_id: (
+                SequenceCounter(layout.counter_bits) if layout.counter_bits else ArrivalOrder()
+            )
             for frame_id, layout in self._layouts.items()
         }
         self._last_seen: dict[int, float] = {}
@@ -134,30 +164,50 @@ class CanSource(Source):
             for frames in arrays:
                 if frame_id in self._layouts:
                     self._take_samples(self._layouts[frame_id], frames)
-                elif self._state is not None and frame_id == self._state.bus_id and self._state.fits(frames.shape[1]):
+                elif (
+                    self._state is not None
+                    and frame_id == self._state.bus_id
+                    and self._state.fits(frames.shape[1])
+                ):
                     self._take_state(self._state, frames)
 
     def _take_samples(self, layout: FrameLayout, frames: npt.NDArray[np.uint8]) -> None:
         if not layout.fits(frames.shape[1]):
-            self.health.count("undecodable", len(frames), f"{layout.name}: {frames.shape[1]} bytes, not {layout.length}")
+            self.health.count(
+                "undecodable",
+                len(frames),
+                f"{layout.name}: {frames.shape[1]} bytes, not {layout.length}",
+            )
             return
         now = self._clock()
         since = now - self._last_seen.get(layout.bus_id, now)
         self._last_seen[layout.bus_id] = now
         counter, channels = layout.decode(frames)
         rate = 1.0 / (layout.sample_time * layout.samples)
-        counted = layout.counter_bits > 0  # a reader that was held up is no silence where the counter tells how many came
-        placed = self._places[layout.bus_id].place(counter, since if self._was_empty or not counted else 0.0, rate)
-        for name, times in (("lost", placed.lost), ("duplicated", placed.duplicated), ("reordered", placed.reordered)):
+        counted = (
+            layout.counter_bits > 0
+        )  # a reader that was held up is no silence where the counter tells how many came
+        placed = self._places[layout.bus_id].place(
+            counter, since if self._was_empty or not counted else 0.0, rate
+        )
+        for name, times in (
+            ("lost", placed.lost),
+            ("duplicated", placed.duplicated),
+            ("reordered", placed.reordered),
+        ):
             if times:
                 self.health.count(name, times, f"{layout.name}: frames {name}")
         if placed.jumps and counted:
-            self.health.count("counter_jumps", placed.jumps, f"{layout.name}: the sequence counter jumped")
+            self.health.count(
+                "counter_jumps", placed.jumps, f"{layout.name}: the sequence counter jumped"
+            )
         elif placed.jumps:
             self.health.count("pauses", placed.jumps, f"{layout.name}: no frames for {since:.3g} s")
         keep = np.repeat(placed.keep, layout.samples)
         number = (placed.number[:, None] * layout.samples + np.arange(layout.samples)).reshape(-1)
-        block = Block(layout.name, number[keep], {name: values[keep] for name, values in channels.items()})
+        block = Block(
+            layout.name, number[keep], {name: values[keep] for name, values in channels.items()}
+        )
         self._deliver(block, len(frames))
 
     def _take_state(self, layout: FrameLayout, frames: npt.NDArray[np.uint8]) -> None:
@@ -174,10 +224,11 @@ _FRAMES_OF_A_PAUSE = 4.0
 
 
 class ArrivalOrder:
-    """Numbers frames in the order in which they come; single losses cannot be seen, and what they were worth is not known.
+    """Numbers frames in the order in which they come; single losses cannot be seen, and what they
+    were worth is not known.
 
-    A time without frames of more than half a second, and of more than four frames' time, is a pause: the numbers advance by
-    `BREAK`, and no window reaches across.
+    A time without frames of more than half a second, and of more than four frames' time, is a
+    pause: the numbers advance by `BREAK`, and no window reaches across.
 
     Examples
     --------
@@ -191,8 +242,11 @@ class ArrivalOrder:
     def __init__(self) -> None:
         self._next = 0
 
-    def place(self, counters: npt.NDArray[np.generic], since: float = 0.0, rate: float = 0.0) -> Placed:
-        """Place the frames of one batch that comes `since` seconds after the one before, at a rate of `rate` frames a second.
+    def place(
+        self, counters: npt.NDArray[np.generic], since: float = 0.0, rate: float = 0.0
+    ) -> Placed:
+        """Place the frames of one batch that comes `since` seconds after the one before, at a rate
+        of `rate` frames a second.
 
         Of `counters`, shape (n,), only the length counts.
         """
@@ -201,4 +255,6 @@ class ArrivalOrder:
         paused = bool(waited > max(_SHORTEST_PAUSE, _FRAMES_OF_A_PAUSE / (rate or np.inf)))
         begin = self._next + BREAK * paused
         self._next = begin + n
-        return Placed(np.arange(begin, begin + n, dtype=np.int64), np.ones(n, bool), jumps=int(paused))
+        return Placed(
+            np.arange(begin, begin + n, dtype=np.int64), np.ones(n, bool), jumps=int(paused)
+        )

@@ -1,4 +1,6 @@
-"""The text of a DBC file without what would make cantools refuse the whole of it for one message's or one line's sake."""
+"""The text of a DBC file without what would make cantools refuse the whole of it for one message's
+or one line's sake.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,9 @@ from cantools.database.errors import Error as DatabaseError
 # value lies outside of the range that the DBC file declares; where the file calls a message
 # J1939's and declares no range it always is. A value table may name one.
 
-_NAMED = re.compile(r"(?i)\b(sna|n/a|not avail\w*|unavailable|no value|signal invalid|invalid signal)\b")
+_NAMED = re.compile(
+    r"(?i)\b(sna|n/a|not avail\w*|unavailable|no value|signal invalid|invalid signal)\b"
+)
 _J1939 = "j1939"
 
 
@@ -80,7 +84,9 @@ def _first_reserved(bits: int) -> int | None:
 
 
 def _declared(signal: Any, number: int) -> bool | None:
-    """Whether a raw number's value lies within the range that the file declares; None where it declares none."""
+    """Whether a raw number's value lies within the range that the file declares; None where it
+    declares none.
+    """
     low, high = signal.minimum, signal.maximum
     if low is None or high is None or not low < high:
         return None
@@ -90,7 +96,10 @@ def _declared(signal: Any, number: int) -> bool | None:
 
 
 _STATEMENT = r'(?:[^;"]|"[^"]*")*;'
-_MESSAGE = re.compile(r"^BO_ +(?P<id>\d+) +(?P<name>\w+) *:.*\n?(?P<signals>(?:[ \t]+SG_.*\n?|[ \t]*\n)*)", re.MULTILINE)
+_MESSAGE = re.compile(
+    r"^BO_ +(?P<id>\d+) +(?P<name>\w+) *:.*\n?(?P<signals>(?:[ \t]+SG_.*\n?|[ \t]*\n)*)",
+    re.MULTILINE,
+)
 _PAGED = re.compile(r"^[ \t]+SG_ +(?P<signal>\w+) +m\d* *:", re.MULTILINE)
 _MULTIPLEXER = re.compile(r"^[ \t]+SG_ +\w+ +(?:m\d+)?M *:", re.MULTILINE)
 _SIGNAL = re.compile(r"^[ \t]+SG_ +(\w+)", re.MULTILINE)
@@ -100,8 +109,9 @@ _INDEPENDENT = "VECTOR__INDEPENDENT_SIG_MSG"
 
 
 def usable_text(text: str) -> tuple[str, dict[str, str]]:
-    """The text without messages of impossible identifiers, or with pages that no signal names, and without value tables of
-    signals that no message has. Also why each message was left out, by its name.
+    """The text without messages of impossible identifiers, or with pages that no signal names, and
+    without value tables of signals that no message has. Also why each message was left out, by its
+    name.
 
     >>> text, why = usable_text("BO_ 2048 late: 8 A\\n SG_ x : 0|8@1+ (1,0) [0|0] \\"\\" A\\nBO_ 7 kept: 8 A\\n")
     >>> text, why["late"][:45]
@@ -111,32 +121,60 @@ def usable_text(text: str) -> tuple[str, dict[str, str]]:
     why = {
         message["name"]: reason
         for message in messages
-        if (reason := _impossible(int(message["id"]), message["name"]) or _unnamed_page(message["signals"]))
+        if (
+            reason := _impossible(int(message["id"]), message["name"])
+            or _unnamed_page(message["signals"])
+        )
     }
-    signals = {(m["id"], name) for m in messages if m["name"] not in why for name in _SIGNAL.findall(m["signals"])}
-    if not why and all((choices["id"], choices["signal"]) in signals for choices in _CHOICES.finditer(text)):
+    signals = {
+        (m["id"], name)
+        for m in messages
+        if m["name"] not in why
+        for name in _SIGNAL.findall(m["signals"])
+    }
+    if not why and all(
+        (choices["id"], choices["signal"]) in signals for choices in _CHOICES.finditer(text)
+    ):
         return text, {}
     text = _CHOICES.sub(
-        lambda choices: choices[0] if (choices["id"], choices["signal"]) in signals else _lines_of(choices[0]), text
+        lambda choices: (
+            choices[0] if (choices["id"], choices["signal"]) in signals else _lines_of(choices[0])
+        ),
+        text,
     )
-    return _MESSAGE.sub(lambda message: _lines_of(message[0]) if message["name"] in why else message[0], text), why
+    return (
+        _MESSAGE.sub(
+            lambda message: _lines_of(message[0]) if message["name"] in why else message[0], text
+        ),
+        why,
+    )
 
 
 def _unnamed_page(signals: str) -> str:
     paged = _PAGED.search(signals)
     if paged is None or _MULTIPLEXER.search(signals):
         return ""
-    return f"signal {paged['signal']!r} is on a page, and no signal names the page: mark that one with M"
+    return (
+        f"signal {paged['signal']!r} is on a page, and no signal names the page: mark that one"
+        " with M"
+    )
 
 
 def _impossible(identifier: int, name: str) -> str:
     if name == _INDEPENDENT:
         return ""
     if identifier >= _EXTENDED:
-        return f"identifier {identifier} is longer than 29 bits: correct it" if identifier - _EXTENDED > 0x1FFFFFFF else ""
+        return (
+            f"identifier {identifier} is longer than 29 bits: correct it"
+            if identifier - _EXTENDED > 0x1FFFFFFF
+            else ""
+        )
     if identifier <= 0x7FF:
         return ""
-    return f"identifier {identifier} is longer than 11 bits and is not marked as extended: add {_EXTENDED} to it"
+    return (
+        f"identifier {identifier} is longer than 11 bits and is not marked as extended: add"
+        f" {_EXTENDED} to it"
+    )
 
 
 # Lines that cannot be read.
@@ -157,7 +195,8 @@ _CHANGES_VALUES = re.compile(
 
 
 def read_text(text: str) -> tuple[Database, dict[str, str]]:
-    """The database in the text of a DBC file, and why each message (by its name) or line (`line 7`) was left out.
+    """The database in the text of a DBC file, and why each message (by its name) or line (`line 7`)
+    was left out.
 
     Raises what cantools raises, where a line that cannot be read is not the whole fault.
     """
@@ -180,7 +219,9 @@ def read_text(text: str) -> tuple[Database, dict[str, str]]:
                 text = usable = usable[:start] + _lines_of(usable[start:end]) + usable[end:]
             why |= messages
         else:
-            if first is not None and not (database.messages or messages):  # what is left is no DBC file
+            if first is not None and not (
+                database.messages or messages
+            ):  # what is left is no DBC file
                 raise first
             return database, left_out
 
@@ -198,17 +239,25 @@ def _unread(text: str, complaint: str) -> list[tuple[int, int]]:
         return _about(text, statements, int(at[1]), int(at[2]))
     if attribute := _NO_ATTRIBUTE.search(complaint):
         named = f'"{attribute[1]}"'
-        return [(a, b) for a, b in statements if text.startswith("BA_", a) and named in text[a:b]][:1]
+        return [(a, b) for a, b in statements if text.startswith("BA_", a) and named in text[a:b]][
+            :1
+        ]
     if number := _FLOAT_OF_NONE.search(complaint):
         return [(a, b) for a, b in statements if " ".join(text[a:b].split()).startswith(number[1])]
     return []
 
 
-def _about(text: str, statements: list[tuple[int, int]], line: int, column: int) -> list[tuple[int, int]]:
-    """The statement at fault for what cannot be read there: one that does not close its quotes, or does not end, before it."""
+def _about(
+    text: str, statements: list[tuple[int, int]], line: int, column: int
+) -> list[tuple[int, int]]:
+    """The statement at fault for what cannot be read there: one that does not close its quotes, or
+    does not end, before it.
+    """
     place = sum(len(part) for part in text.splitlines(keepends=True)[: line - 1])
     before = [part for part in statements if part[0] <= place]
-    if unclosed := [part for part in before if text[slice(*part)].replace('\\"', "").count('"') % 2]:
+    if unclosed := [
+        part for part in before if text[slice(*part)].replace('\\"', "").count('"') % 2
+    ]:
         return unclosed[:1]
     if column == 1 and len(before) > 1 and _does_not_end(text[slice(*before[-2])]):
         return before[-2:-1]
@@ -219,7 +268,9 @@ def _about(text: str, statements: list[tuple[int, int]], line: int, column: int)
 
 
 def _with_signals(text: str, start: int, end: int) -> int:
-    """Where a statement ends with the signals below it: left alone they would be those of the message above."""
+    """Where a statement ends with the signals below it: left alone they would be those of the
+    message above.
+    """
     below = _SIGNALS.match(text, end) if not text[start:end].lstrip().startswith("SG_") else None
     return below.end() if below else end
 
@@ -234,7 +285,9 @@ def _told(text: str, start: int, end: int) -> dict[str, str]:
     line = text.count("\n", 0, start) + 1
     reason = f"{' '.join(statement.split())[:60]!r} cannot be read: correct the line"
     signals = (
-        "the signals below it" if not statement.startswith("SG_") and re.search(r"^[ \t]+SG_", text[start:end], re.M) else ""
+        "the signals below it"
+        if not statement.startswith("SG_") and re.search(r"^[ \t]+SG_", text[start:end], re.M)
+        else ""
     )
     left_out = {f"line {line}": f"{reason}; it is left out{f', and {signals}' if signals else ''}"}
     if match := _CHANGES_VALUES.match(statement):

@@ -1,10 +1,12 @@
-"""FrameLayout: the channels of a CAN message, from a DBC file; decodes and encodes many frames at once with NumPy.
+"""FrameLayout: the channels of a CAN message, from a DBC file; decodes and encodes many frames at
+once with NumPy.
 
-A frame that carries samples has the message attribute `SampleTime` [s] or `GenMsgCycleTime` [ms], and best a sequence
-counter: the signal `counter`, else the only one that is called like an alive, rolling, message or sequence counter. Every
-other signal is a channel with one sample a frame, whatever its name; a multiplexed one is missing (NaN) in frames of other
-pages. Only where the message attribute `SamplesPerFrame` says so (more than 1) are signals named `x_00`, `x_01`, … successive
-samples of one channel `x`.
+A frame that carries samples has the message attribute `SampleTime` [s] or `GenMsgCycleTime` [ms],
+and best a sequence counter: the signal `counter`, else the only one that is called like an alive,
+rolling, message or sequence counter. Every other signal is a channel with one sample a frame,
+whatever its name; a multiplexed one is missing (NaN) in frames of other pages. Only where the
+message attribute `SamplesPerFrame` says so (more than 1) are signals named `x_00`, `x_01`, …
+successive samples of one channel `x`.
 """
 
 from __future__ import annotations
@@ -29,7 +31,11 @@ from residuum.service.fieldbus.source import Samples, StreamFormat
 Bytes = npt.NDArray[np.uint8]
 Raw = npt.NDArray[np.uint64]
 MOST_BITS = 64
-_FLOATS: dict[int, tuple[Any, Any]] = {16: (np.float16, np.uint16), 32: (np.float32, np.uint32), 64: (np.float64, np.uint64)}
+_FLOATS: dict[int, tuple[Any, Any]] = {
+    16: (np.float16, np.uint16),
+    32: (np.float32, np.uint32),
+    64: (np.float64, np.uint64),
+}
 """Bits of a floating-point signal → its type, and the whole number of the same bits."""
 _ALL_ONES = np.uint64(0xFFFFFFFFFFFFFFFF)
 
@@ -54,13 +60,19 @@ class SignalBits:
                 self._left[k, j], self._right[k, j] = max(8 * j - lowest, 0), max(lowest - 8 * j, 0)
         self._mask = _ALL_ONES >> (np.uint64(MOST_BITS) - self._bits)
         self._signed = np.array([signal.is_signed for signal in signals], bool)
-        self._floats = [(k, signal.length) for k, signal in enumerate(signals) if signal.conversion.is_float]
+        self._floats = [
+            (k, signal.length) for k, signal in enumerate(signals) if signal.conversion.is_float
+        ]
         self._scale = np.array([float(signal.conversion.scale) for signal in signals])
         self._offset = np.array([float(signal.conversion.offset) for signal in signals])
 
     def raw(self, frames: Bytes) -> Raw:
-        """The bits of each signal as a number, shape (n, signals), from frames of shape (n, length)."""
-        parts = (frames[:, self._index].astype(np.uint64) * self._there) << self._left >> self._right
+        """The bits of each signal as a number, shape (n, signals), from frames of shape (n,
+        length).
+        """
+        parts = (
+            (frames[:, self._index].astype(np.uint64) * self._there) << self._left >> self._right
+        )
         whole: Raw = np.bitwise_or.reduce(parts, axis=2) & self._mask
         return whole
 
@@ -68,26 +80,43 @@ class SignalBits:
         """Physical values of raw numbers, shape (n, signals)."""
         sign = np.uint64(1) << (self._bits - np.uint64(1))
         signed = (raw ^ sign).astype(np.int64) - sign.astype(np.int64)
-        values = np.where(self._signed, signed.astype(float), raw.astype(float)) * self._scale + self._offset
+        values = (
+            np.where(self._signed, signed.astype(float), raw.astype(float)) * self._scale
+            + self._offset
+        )
         for k, bits in self._floats:
             kind, integer = _FLOATS[bits]
             with np.errstate(invalid="ignore"):  # NaN is missing, also a signalling one
-                values[:, k] = raw[:, k].astype(integer).view(kind).astype(float) * self._scale[k] + self._offset[k]
+                values[:, k] = (
+                    raw[:, k].astype(integer).view(kind).astype(float) * self._scale[k]
+                    + self._offset[k]
+                )
         return values
 
     def raw_of(self, values: Samples) -> Raw:
-        """Raw numbers of physical values, shape (n, signals), rounded and clipped to what fits; missing ones as 0."""
+        """Raw numbers of physical values, shape (n, signals), rounded and clipped to what fits;
+        missing ones as 0.
+        """
         scaled = np.nan_to_num((values - self._offset) / self._scale)
         bits = self._bits.astype(float)
         # the largest float below 2⁶⁴ (2⁶³): the limit itself is no 64-bit number
         high = np.minimum(2.0**bits - 1, np.nextafter(2.0**64, 0))
         highest = np.minimum(2.0 ** (bits - 1) - 1, np.nextafter(2.0**63, 0))
-        unsigned = np.clip(np.rint(np.where(self._signed, 0.0, scaled)), 0.0, high).astype(np.uint64)
-        signed = np.clip(np.rint(np.where(self._signed, scaled, 0.0)), -(2.0 ** (bits - 1)), highest).astype(np.int64)
+        unsigned = np.clip(np.rint(np.where(self._signed, 0.0, scaled)), 0.0, high).astype(
+            np.uint64
+        )
+        signed = np.clip(
+            np.rint(np.where(self._signed, scaled, 0.0)), -(2.0 ** (bits - 1)), highest
+        ).astype(np.int64)
         raw: Raw = np.where(self._signed, signed.astype(np.uint64), unsigned)
         for k, width in self._floats:
             kind, integer = _FLOATS[width]
-            raw[:, k] = ((values[:, k] - self._offset[k]) / self._scale[k]).astype(kind).view(integer).astype(np.uint64)
+            raw[:, k] = (
+                ((values[:, k] - self._offset[k]) / self._scale[k])
+                .astype(kind)
+                .view(integer)
+                .astype(np.uint64)
+            )
         return raw
 
     def frames(self, raw: Raw, length: int) -> Bytes:
@@ -95,18 +124,24 @@ class SignalBits:
         frames = np.zeros((length, len(raw)), np.uint8)
         masked = raw & self._mask
         for j in range(self._index.shape[1]):
-            byte = ((masked >> self._left[:, j] << self._right[:, j]) & np.uint64(0xFF)) * self._there[:, j]
+            byte = (
+                (masked >> self._left[:, j] << self._right[:, j]) & np.uint64(0xFF)
+            ) * self._there[:, j]
             np.bitwise_or.at(frames, self._index[:, j], byte.T.astype(np.uint8))
         return np.ascontiguousarray(frames.T)
 
 
 def usable_bits(signal: Any) -> bool:
-    """Whether a signal is of a width that is read here: at most 64 bits, a floating-point one 16, 32 or 64."""
+    """Whether a signal is of a width that is read here: at most 64 bits, a floating-point one 16,
+    32 or 64.
+    """
     return signal.length in _FLOATS if signal.conversion.is_float else signal.length <= MOST_BITS
 
 
 def _span(start: int, length: int, byte_order: str) -> tuple[list[int], int]:
-    """Bytes that a signal touches, most significant first, and how far its lowest bit is from the end of the last one."""
+    """Bytes that a signal touches, most significant first, and how far its lowest bit is from the
+    end of the last one.
+    """
     if byte_order == "little_endian":
         first, last = start // 8, (start + length - 1) // 8
         return list(range(last, first - 1, -1)), start - 8 * first
@@ -119,7 +154,9 @@ COUNTER = "counter"
 NO_COUNTER = "no counter: losses cannot be seen"
 SAMPLES_PER_FRAME = "SamplesPerFrame"
 _FRAME_TIMES = (("SampleTime", 1.0), ("GenMsgCycleTime", 1e-3))
-_COUNTER_LIKE = re.compile(r"(.*_)?(alive|rolling|message|msg|sequence|seq|frame)_?(counter|count|cnt)", re.IGNORECASE)
+_COUNTER_LIKE = re.compile(
+    r"(.*_)?(alive|rolling|message|msg|sequence|seq|frame)_?(counter|count|cnt)", re.IGNORECASE
+)
 _COUNTER_BITS = range(4, 33)
 _INDEXED = re.compile(r"^(?P<channel>.+)_(?P<index>\d{2,})$")
 _ENCODING = "cp1252"
@@ -128,7 +165,9 @@ _FD_LENGTHS = (12, 16, 20, 24, 32, 48, 64)
 
 
 class BadBusDescription(BadInput):
-    """A DBC file or register map cannot be used; the message names the file, the place and the rule."""
+    """A DBC file or register map cannot be used; the message names the file, the place and the
+    rule.
+    """
 
 
 class FrameLayout:
@@ -143,8 +182,8 @@ class FrameLayout:
     Raises
     ------
     BadBusDescription
-        A signal of more than 64 bits, signals that overlap or do not fit into the message, numbered signals that are not as
-        many as the message says.
+        A signal of more than 64 bits, signals that overlap or do not fit into the message, numbered
+        signals that are not as many as the message says.
     """
 
     def __init__(self, message: Any, where: str) -> None:
@@ -157,18 +196,27 @@ class FrameLayout:
         signals = list(message.signals)
         _refuse_misplaced(message, signals, where)
         self._names = [signal.name for signal in signals]
-        self._bits, self._multiplexing, self._codes = SignalBits(signals), Multiplexing(signals), NoValueCodes(message)
+        self._bits, self._multiplexing, self._codes = (
+            SignalBits(signals),
+            Multiplexing(signals),
+            NoValueCodes(message),
+        )
         self.choices: dict[str, dict[int, str]] = {
-            signal.name: {int(key): str(value) for key, value in (signal.choices or {}).items()} for signal in signals
+            signal.name: {int(key): str(value) for key, value in (signal.choices or {}).items()}
+            for signal in signals
         }
         self._counter, self.remark = self._find_counter(signals)
         self.counter_bits: int = 0 if self._counter is None else signals[self._counter].length
         self._channels, self.samples = self._group(message, where)
-        self.units = {name: signals[members[0]].unit or "" for name, members in self._channels.items()}
+        self.units = {
+            name: signals[members[0]].unit or "" for name, members in self._channels.items()
+        }
         self.sample_time = _frame_time(message) / self.samples
 
     def _find_counter(self, signals: Sequence[Any]) -> tuple[int | None, str]:
-        """Place of the signal that counts frames, None without one; and what is to be said of it."""
+        """Place of the signal that counts frames, None without one; and what is to be said of
+        it.
+        """
         name = _counter_of(self._names)
         if name is None:
             return None, NO_COUNTER
@@ -176,7 +224,10 @@ class FrameLayout:
         if place in self._multiplexing.paged:
             return None, f"{NO_COUNTER} ({name!r} is on a page, which not every frame carries)"
         if signals[place].length not in _COUNTER_BITS or signals[place].conversion.is_float:
-            return None, f"{NO_COUNTER} ({name!r} has {signals[place].length} bits; 4 to 32 are needed)"
+            return (
+                None,
+                f"{NO_COUNTER} ({name!r} has {signals[place].length} bits; 4 to 32 are needed)",
+            )
         return place, ""
 
     def _group(self, message: Any, where: str) -> tuple[dict[str, npt.NDArray[np.intp]], int]:
@@ -192,10 +243,14 @@ class FrameLayout:
         for channel, members in groups.items():
             if len(members) != samples:
                 raise BadBusDescription(
-                    f"{where}: {SAMPLES_PER_FRAME} is {samples} and channel {channel!r} has {len(members)} signals; all must "
-                    f"have {samples}, named {channel}_00, {channel}_01, …"
+                    f"{where}: {SAMPLES_PER_FRAME} is {samples} and channel {channel!r} has"
+                    f" {len(members)} signals; all must have {samples}, named {channel}_00,"
+                    f" {channel}_01, …"
                 )
-        return {name: np.array([k for _, k in sorted(members)], np.intp) for name, members in groups.items()}, samples
+        return {
+            name: np.array([k for _, k in sorted(members)], np.intp)
+            for name, members in groups.items()
+        }, samples
 
     @property
     def bus_id(self) -> int:
@@ -209,7 +264,10 @@ class FrameLayout:
             return "carries no channel"
         if not self.sample_time:
             has = "has a counter and" if self.counter_bits else "has"
-            return f"{has} no time between frames; give it the attribute SampleTime [s] or GenMsgCycleTime [ms]"
+            return (
+                f"{has} no time between frames; give it the attribute SampleTime [s] or"
+                " GenMsgCycleTime [ms]"
+            )
         return ""
 
     @property
@@ -220,23 +278,35 @@ class FrameLayout:
         return StreamFormat(self.name, self.sample_time, self.units)
 
     def fits(self, length: int) -> bool:
-        """Whether a frame of so many bytes is one of these; CAN FD fills up to the next length that it knows."""
+        """Whether a frame of so many bytes is one of these; CAN FD fills up to the next length that
+        it knows.
+        """
         return length == self.length or (
-            self.is_fd and length == next((known for known in _FD_LENGTHS if known >= self.length), self.length)
+            self.is_fd
+            and length
+            == next((known for known in _FD_LENGTHS if known >= self.length), self.length)
         )
 
     def decode(self, frames: Bytes) -> tuple[npt.NDArray[np.int64], dict[str, Samples]]:
-        """Counter of each frame, shape (n,), and the samples of each channel, shape (n · samples,), in physical units.
+        """Counter of each frame, shape (n,), and the samples of each channel, shape (n · samples,),
+        in physical units.
 
-        `frames` has shape (n, length). What a frame does not carry, and a code for no value, is NaN; without a counter it is 0.
+        `frames` has shape (n, length). What a frame does not carry, and a code for no value, is
+        NaN; without a counter it is 0.
         """
         raw = self._bits.raw(frames)
         values = self._bits.values(raw)
         if self._multiplexing.paged:
             values[~self._multiplexing.carried(values)] = np.nan
         values[self._codes.there(raw)] = np.nan
-        counter = np.zeros(len(frames), np.int64) if self._counter is None else raw[:, self._counter].astype(np.int64)
-        return counter, {name: values[:, members].reshape(-1) for name, members in self._channels.items()}
+        counter = (
+            np.zeros(len(frames), np.int64)
+            if self._counter is None
+            else raw[:, self._counter].astype(np.int64)
+        )
+        return counter, {
+            name: values[:, members].reshape(-1) for name, members in self._channels.items()
+        }
 
     def codes(self, frames: Bytes) -> dict[str, int]:
         """How many samples of each channel are codes for no value, of those that have some."""
@@ -246,9 +316,11 @@ class FrameLayout:
         return {name: count for name, count in many.items() if count}
 
     def encode(self, counter: npt.ArrayLike, channels: Mapping[str, npt.ArrayLike]) -> Bytes:
-        """Frames, shape (n, length), from channels of shape (n · samples,); values are rounded and clipped to what fits.
+        """Frames, shape (n, length), from channels of shape (n · samples,); values are rounded and
+        clipped to what fits.
 
-        Of a multiplexed message a frame carries the page that its multiplexer's value names, and nothing of the others.
+        Of a multiplexed message a frame carries the page that its multiplexer's value names, and
+        nothing of the others.
         """
         counter = np.atleast_1d(np.asarray(counter, np.int64))
         values = self._table(channels, len(counter))
@@ -273,12 +345,16 @@ class FrameLayout:
 def _refuse_misplaced(message: Any, signals: Sequence[Any], where: str) -> None:
     for signal in signals:
         if not usable_bits(signal):
-            raise BadBusDescription(f"{where}: signal {signal.name!r} has {signal.length} bits; at most {MOST_BITS} are read")
+            raise BadBusDescription(
+                f"{where}: signal {signal.name!r} has {signal.length} bits; at most {MOST_BITS} are"
+                " read"
+            )
     try:
         message.refresh(strict=True)
     except DatabaseError as error:
         raise BadBusDescription(
-            f"{where}: {' '.join(str(error).split())} Correct the file: signals of a page share no bits and lie in the message"
+            f"{where}: {' '.join(str(error).split())} Correct the file: signals of a page share no"
+            " bits and lie in the message"
         ) from None
 
 
@@ -302,7 +378,8 @@ def _frame_time(message: Any) -> float:
 
 
 class BusMessages(dict[str, FrameLayout]):
-    """The messages of a DBC file by name; `unusable` has, by name, what is wrong with each of the others.
+    """The messages of a DBC file by name; `unusable` has, by name, what is wrong with each of the
+    others.
 
     Messages without signals are in neither: there is nothing to read in them.
     """
@@ -324,13 +401,17 @@ class BusMessages(dict[str, FrameLayout]):
         if owner is None:
             self[message.name], self._names[layout.bus_id] = layout, message.name
         else:
-            self.unusable[message.name] = f"{self.where}, message {message.name}: has the name or identifier of {owner}; keep one"
+            self.unusable[message.name] = (
+                f"{self.where}, message {message.name}: has the name or identifier of {owner};"
+                " keep one"
+            )
 
 
 def read_dbc(path: str | Path) -> BusMessages:
     """The messages of a DBC file by name; BadBusDescription when it is none.
 
-    A message that cannot be used costs that message, a line that cannot be read that line: `unusable` says which and why.
+    A message that cannot be used costs that message, a line that cannot be read that line:
+    `unusable` says which and why.
     """
     where = Path(path).name
     messages = BusMessages(where)
@@ -341,17 +422,21 @@ def read_dbc(path: str | Path) -> BusMessages:
         raise BadBusDescription(f"{path}: cannot be read: {error.strerror}") from None
     except DatabaseError as error:
         raise BadBusDescription(
-            f"{where}: cannot be read as a DBC file: {' '.join(str(error).split())}; correct the file there"
+            f"{where}: cannot be read as a DBC file: {' '.join(str(error).split())}; correct the"
+            " file there"
         ) from None
     for place, why in left_out.items():
-        messages.unusable[place] = f"{where}, {place if ' ' in place else f'message {place}'}: {why}"
+        messages.unusable[place] = (
+            f"{where}, {place if ' ' in place else f'message {place}'}: {why}"
+        )
     for message in database.messages:
         if message.signals and message.name not in left_out:
             messages.add(message)
     return messages
 
 
-# Multiplexing: which signals of a CAN message a frame carries, by the page that its multiplexer signals name.
+# Multiplexing: which signals of a CAN message a frame carries, by the page that its multiplexer
+# signals name.
 
 
 class Multiplexing:
@@ -364,10 +449,21 @@ class Multiplexing:
 
     def __init__(self, signals: Sequence[Any]) -> None:
         place = {signal.name: k for k, signal in enumerate(signals)}
-        paged = [signal for signal in signals if signal.multiplexer_ids is not None and signal.multiplexer_signal in place]
+        paged = [
+            signal
+            for signal in signals
+            if signal.multiplexer_ids is not None and signal.multiplexer_signal in place
+        ]
         parent = {place[signal.name]: place[signal.multiplexer_signal] for signal in paged}
         self._pages = sorted(
-            ((place[signal.name], parent[place[signal.name]], np.array(signal.multiplexer_ids, float)) for signal in paged),
+            (
+                (
+                    place[signal.name],
+                    parent[place[signal.name]],
+                    np.array(signal.multiplexer_ids, float),
+                )
+                for signal in paged
+            ),
             key=lambda page: _depth(page[0], parent),
         )
         self.paged = frozenset(parent)
@@ -377,12 +473,16 @@ class Multiplexing:
         """Which of the values, shape (n, signals), their frames carry."""
         carried = np.ones(values.shape, bool)
         for k, multiplexer, pages in self._pages:
-            carried[:, k] = carried[:, multiplexer] & np.isin(np.trunc(values[:, multiplexer]), pages)
+            carried[:, k] = carried[:, multiplexer] & np.isin(
+                np.trunc(values[:, multiplexer]), pages
+            )
         return carried
 
 
 def _depth(signal: int, parent: dict[int, int]) -> int:
-    """How many multiplexers stand above a signal; one that is above itself is as deep as there are signals."""
+    """How many multiplexers stand above a signal; one that is above itself is as deep as there are
+    signals.
+    """
     depth = 0
     while signal in parent and depth <= len(parent):
         signal, depth = parent[signal], depth + 1

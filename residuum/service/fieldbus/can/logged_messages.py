@@ -1,4 +1,6 @@
-"""LoggedMessage: the frames of one message in a CAN log, each with its place on the message's own even clock."""
+"""LoggedMessage: the frames of one message in a CAN log, each with its place on the message's own
+even clock.
+"""
 
 from __future__ import annotations
 
@@ -10,14 +12,21 @@ import numpy.typing as npt
 
 from residuum.service.fieldbus.can.can_log import CanLog, TimedFrame
 from residuum.service.fieldbus.can.frame_batch import EXTENDED
-from residuum.service.fieldbus.can.frame_layout import BadBusDescription, BusMessages, Bytes, FrameLayout
+from residuum.service.fieldbus.can.frame_layout import (
+    BadBusDescription,
+    BusMessages,
+    Bytes,
+    FrameLayout,
+)
 from residuum.service.fieldbus.source import Numbers, Samples
 
 _SAME_TIME = 0.01
 _SHARED = 0.2
 """Of all steps that are zero, from which on stamps do not tell frames apart."""
 _LATE = 2.0
-"""Frames by which time stamps may be off what the counter says, beside a quarter of the time between two frames."""
+"""Frames by which time stamps may be off what the counter says, beside a quarter of the time
+between two frames.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +47,8 @@ class LoggedMessage:
         How far time stamps lie off the even clock at most, in frames.
     remarks : sequence of str
     placed : bool
-        Whether something else than the time stamps gives the places: a counter, or the order of frames that share stamps.
+        Whether something else than the time stamps gives the places: a counter, or the order of
+        frames that share stamps.
     """
 
     layout: FrameLayout
@@ -52,8 +62,14 @@ class LoggedMessage:
 
     @property
     def lost(self) -> int | None:
-        """Frames that the counter says were sent and that are not in the log; None without a counter."""
-        return int(self.number[-1] - self.number[0] + 1 - len(self.number)) if self.layout.counter_bits else None
+        """Frames that the counter says were sent and that are not in the log; None without a
+        counter.
+        """
+        return (
+            int(self.number[-1] - self.number[0] + 1 - len(self.number))
+            if self.layout.counter_bits
+            else None
+        )
 
     @property
     def begin(self) -> float:
@@ -67,10 +83,14 @@ class LoggedMessage:
         return self.frame_time / self.layout.samples
 
 
-def logged_messages(log: CanLog, messages: BusMessages) -> tuple[list[LoggedMessage], dict[str, int]]:
-    """The messages of a DBC file that a log holds at least twice, and how often each other identifier is there.
+def logged_messages(
+    log: CanLog, messages: BusMessages
+) -> tuple[list[LoggedMessage], dict[str, int]]:
+    """The messages of a DBC file that a log holds at least twice, and how often each other
+    identifier is there.
 
-    Raises BadBusDescription when a message is on several buses of the log: which one is meant is not guessed.
+    Raises BadBusDescription when a message is on several buses of the log: which one is meant is
+    not guessed.
     """
     known = {layout.bus_id: layout for layout in messages.values()}
     time, set_clock = on_one_clock(log.name, log.frames, known)
@@ -79,33 +99,56 @@ def logged_messages(log: CanLog, messages: BusMessages) -> tuple[list[LoggedMess
         by_identifier.setdefault(frame.frame_id, []).append(frame._replace(time=float(instant)))
     logged, unused = [], {}
     for identifier, frames in by_identifier.items():
-        fitting = [frame for frame in frames if identifier in known and known[identifier].fits(len(frame.data))]
+        fitting = [
+            frame
+            for frame in frames
+            if identifier in known and known[identifier].fits(len(frame.data))
+        ]
         if len(fitting) > 1:
             logged.append(_logged(log.name, known[identifier], fitting, len(frames) - len(fitting)))
         else:
-            unused[f"0x{identifier & ~EXTENDED:X}{'x' if identifier & EXTENDED else ''}"] = len(frames)
+            unused[f"0x{identifier & ~EXTENDED:X}{'x' if identifier & EXTENDED else ''}"] = len(
+                frames
+            )
     if logged and set_clock:
         logged[0] = replace(logged[0], remarks=[*set_clock, *logged[0].remarks])
     return logged, unused
 
 
-def _logged(name: str, layout: FrameLayout, frames: Sequence[TimedFrame], misfits: int) -> LoggedMessage:
+def _logged(
+    name: str, layout: FrameLayout, frames: Sequence[TimedFrame], misfits: int
+) -> LoggedMessage:
     where = f"{name}, message {layout.name}"
     if len(buses := {frame.bus for frame in frames}) > 1:
-        raise BadBusDescription(f"{where}: is on the buses {', '.join(sorted(buses))} of the log; export one bus alone")
+        raise BadBusDescription(
+            f"{where}: is on the buses {', '.join(sorted(buses))} of the log; export one bus alone"
+        )
     time = np.array([frame.time for frame in frames])
-    data = np.frombuffer(b"".join(frame.data[: layout.length] for frame in frames), np.uint8).reshape(len(frames), layout.length)
-    remarks = [f"{where}: {misfits} frames have another length than {layout.length} bytes, left out"] if misfits else []
+    data = np.frombuffer(
+        b"".join(frame.data[: layout.length] for frame in frames), np.uint8
+    ).reshape(len(frames), layout.length)
+    remarks = (
+        [f"{where}: {misfits} frames have another length than {layout.length} bytes, left out"]
+        if misfits
+        else []
+    )
     if layout.counter_bits:
         spread = None
         number, frame_time, jumps = _by_counter(layout, time, layout.decode(data)[0])
-        remarks += [f"{where}: the counter jumped {jumps} times, placed by time stamps there"] if jumps else []
+        remarks += (
+            [f"{where}: the counter jumped {jumps} times, placed by time stamps there"]
+            if jumps
+            else []
+        )
     else:
         spread = _spread(layout, time)
         number, frame_time = _by_time(time, data) if spread is None else spread
         remarks.append(f"{where}: {layout.remark}")
         if spread is not None:
-            remarks.append(f"{where}: several frames share a stamp; placed in their order, one every {frame_time:.6g} s")
+            remarks.append(
+                f"{where}: several frames share a stamp; placed in their order, one every"
+                f" {frame_time:.6g} s"
+            )
     order = np.unique(number, return_index=True)[1]  # in order, the first of those that came twice
     if len(order) < len(number):
         remarks.append(f"{where}: {len(number) - len(order)} frames came twice, used once")
@@ -117,12 +160,28 @@ def _logged(name: str, layout: FrameLayout, frames: Sequence[TimedFrame], misfit
         remarks.append(f"{where}: {lost} frames lost, their samples are missing")
     jitter = float(np.ptp(off) / 2)
     if layout.counter_bits and jitter > 1.0:
-        remarks.append(f"{where}: time stamps lie up to {jitter:.3g} frames off its even clock; the counter gives the places")
-    return LoggedMessage(layout, time, data, number, frame_time, jitter, remarks, layout.counter_bits > 0 or spread is not None)
+        remarks.append(
+            f"{where}: time stamps lie up to {jitter:.3g} frames off its even clock; the counter"
+            " gives the places"
+        )
+    return LoggedMessage(
+        layout,
+        time,
+        data,
+        number,
+        frame_time,
+        jitter,
+        remarks,
+        layout.counter_bits > 0 or spread is not None,
+    )
 
 
-def _by_counter(layout: FrameLayout, time: Samples, counter: npt.NDArray[np.int64]) -> tuple[Numbers, float, int]:
-    """Places by the counter, unwrapped by the time stamps; time between frames; how often the counter jumped."""
+def _by_counter(
+    layout: FrameLayout, time: Samples, counter: npt.NDArray[np.int64]
+) -> tuple[Numbers, float, int]:
+    """Places by the counter, unwrapped by the time stamps; time between frames; how often the
+    counter jumped.
+    """
     modulus = 1 << layout.counter_bits
     counted, elapsed = np.diff(counter) % modulus, np.diff(time)
     following = elapsed[(counted == 1) & (elapsed > 0)]
@@ -136,10 +195,12 @@ def _by_counter(layout: FrameLayout, time: Samples, counter: npt.NDArray[np.int6
 
 
 def _spread(layout: FrameLayout, time: Samples) -> tuple[Numbers, float] | None:
-    """Places of frames of which several share a stamp, one after the other by the DBC file's time; None where stamps tell.
+    """Places of frames of which several share a stamp, one after the other by the DBC file's time;
+    None where stamps tell.
 
-    A logger that stamps by transfers, or whose clock is coarse, gives equal stamps to frames that are not the same. A place is
-    left free only where the stamps are further on than that can explain.
+    A logger that stamps by transfers, or whose clock is coarse, gives equal stamps to frames that
+    are not the same. A place is left free only where the stamps are further on than that can
+    explain.
     """
     due, steps = layout.sample_time * layout.samples, np.diff(time)
     if not due or np.count_nonzero(steps == 0) < _SHARED * len(steps) or not (steps > 0).any():
@@ -151,7 +212,9 @@ def _spread(layout: FrameLayout, time: Samples) -> tuple[Numbers, float] | None:
 
 
 def _by_time(time: Samples, data: Bytes) -> tuple[Numbers, float]:
-    """Places by the time stamps alone, and the time between frames; only what is the same can have come twice."""
+    """Places by the time stamps alone, and the time between frames; only what is the same can have
+    come twice.
+    """
     frame_time = _typical(time)
     step = np.maximum(np.rint(np.diff(time) / frame_time), 0).astype(np.int64)
     differs = np.any(data[1:] != data[:-1], axis=1)
@@ -175,7 +238,9 @@ def _slope(time: Samples, number: Numbers, otherwise: float) -> float:
 
 
 def _settled(layout: FrameLayout, period: float) -> tuple[float, list[str]]:
-    """The time between frames: what the DBC file says where the log agrees to 1 %, else what the log shows."""
+    """The time between frames: what the DBC file says where the log agrees to 1 %, else what the
+    log shows.
+    """
     due = layout.sample_time * layout.samples
     if due and abs(period - due) <= _SAME_TIME * due:
         return due, []
@@ -184,22 +249,27 @@ def _settled(layout: FrameLayout, period: float) -> tuple[float, list[str]]:
 
 # The clock of a CAN log: where it was set while frames went on coming, and by how much.
 #
-# A step back is seen in the order of the frames: two in a row before one that came earlier. A step forward looks like a
-# pause, and is told from one where the counters go on as if nothing had been lost; one of an hour is as good as a pause, for
-# a counter goes round too often meanwhile. What lies on both sides is brought together by the counters, else by the period of
-# the fastest message, which takes for granted that nothing was lost in that moment.
+# A step back is seen in the order of the frames: two in a row before one that came earlier. A step
+# forward looks like a pause, and is told from one where the counters go on as if nothing had been
+# lost; one of an hour is as good as a pause, for a counter goes round too often meanwhile. What
+# lies on both sides is brought together by the counters, else by the period of the fastest message,
+# which takes for granted that nothing was lost in that moment.
 
 _DISORDER = 1e-3
 """Seconds by which frames of several buses may stand in another order than they came."""
 _PAUSE, _LONG = 20.0, 0.3
-"""Periods of the fastest message, and seconds, from which on a pause may be a clock that was set."""
+"""Periods of the fastest message, and seconds, from which on a pause may be a clock that was
+set.
+"""
 _OFF, _OFF_PART = 2.0, 0.005
 """Frames, and the part of a pause, by which a counter and the clock may differ."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Stream:
-    """The frames of one message: their places in the log, the period [s], and the counter with its modulus where there is one."""
+    """The frames of one message: their places in the log, the period [s], and the counter with its
+    modulus where there is one.
+    """
 
     name: str
     places: npt.NDArray[np.intp]
@@ -208,7 +278,9 @@ class _Stream:
     modulus: int
 
     def around(self, place: int) -> tuple[int, int] | None:
-        """Its last frame before `place` of the log and its first from there on, as numbers of its own."""
+        """Its last frame before `place` of the log and its first from there on, as numbers of its
+        own.
+        """
         after = int(np.searchsorted(self.places, place))
         return (after - 1, after) if 0 < after < len(self.places) else None
 
@@ -220,7 +292,9 @@ class _Stream:
         return int((self.counter[ends[1]] - self.counter[ends[0]]) % self.modulus)
 
 
-def on_one_clock(name: str, frames: Sequence[TimedFrame], known: Mapping[int, FrameLayout]) -> tuple[Samples, list[str]]:
+def on_one_clock(
+    name: str, frames: Sequence[TimedFrame], known: Mapping[int, FrameLayout]
+) -> tuple[Samples, list[str]]:
     """The frames' times as if the clock had never been set, and what was found: a line each."""
     time = np.array([frame.time for frame in frames], dtype=float)
     streams = _streams(frames, time, known)
@@ -231,14 +305,16 @@ def on_one_clock(name: str, frames: Sequence[TimedFrame], known: Mapping[int, Fr
         step, by = _step(time, place, streams)
         if step:
             remarks.append(
-                f"{name}: the clock was set {'forward' if step > 0 else 'back'} by {abs(step):.3g} s after frame {place} "
-                f"({time[place - 1] - time[0]:.6g} s into the log); {by}"
+                f"{name}: the clock was set {'forward' if step > 0 else 'back'} by {abs(step):.3g}"
+                f" s after frame {place} ({time[place - 1] - time[0]:.6g} s into the log); {by}"
             )
             time[place:] -= step
     return time, remarks
 
 
-def _streams(frames: Sequence[TimedFrame], time: Samples, known: Mapping[int, FrameLayout]) -> list[_Stream]:
+def _streams(
+    frames: Sequence[TimedFrame], time: Samples, known: Mapping[int, FrameLayout]
+) -> list[_Stream]:
     places: dict[int, list[int]] = {}
     for place, frame in enumerate(frames):
         if frame.frame_id in known and known[frame.frame_id].fits(len(frame.data)):
@@ -254,7 +330,9 @@ def _streams(frames: Sequence[TimedFrame], time: Samples, known: Mapping[int, Fr
             data = np.frombuffer(b"".join(rows), np.uint8).reshape(len(rows), layout.length)
             counter = layout.decode(data)[0]
         period = layout.sample_time * layout.samples or float(np.median(steps[steps > 0]))
-        streams.append(_Stream(layout.name, np.array(where), period, counter, 1 << layout.counter_bits))
+        streams.append(
+            _Stream(layout.name, np.array(where), period, counter, 1 << layout.counter_bits)
+        )
     return streams
 
 
@@ -274,16 +352,25 @@ def _step(time: Samples, place: int, streams: Sequence[_Stream]) -> tuple[float,
     for stream, went in sorted(counted, key=lambda pair: pair[0].period):
         before, after = (stream.places[k] for k in stream.around(place) or (0, 0))
         elapsed = float(time[after] - time[before])
-        off = (elapsed / stream.period - went + stream.modulus / 2) % stream.modulus - stream.modulus / 2
+        off = (
+            elapsed / stream.period - went + stream.modulus / 2
+        ) % stream.modulus - stream.modulus / 2
         agrees = abs(off) <= _OFF + _OFF_PART * abs(elapsed) / stream.period
         if back or (not agrees and went <= stream.modulus // 4):
             return elapsed - went * stream.period, f"bridged by the counter of {stream.name}"
         return 0.0, ""
     if not back:
         return 0.0, ""
-    fastest = min((stream for stream in streams if stream.around(place)), key=lambda stream: stream.period, default=None)
+    fastest = min(
+        (stream for stream in streams if stream.around(place)),
+        key=lambda stream: stream.period,
+        default=None,
+    )
     if fastest is None:
         return 0.0, ""
     before, after = (fastest.places[k] for k in fastest.around(place) or (0, 0))
     elapsed = float(time[after] - time[before])
-    return elapsed - fastest.period, f"bridged by the period of {fastest.name}: frames lost in that moment cannot be seen"
+    return (
+        elapsed - fastest.period,
+        f"bridged by the period of {fastest.name}: frames lost in that moment cannot be seen",
+    )

@@ -1,4 +1,6 @@
-"""ChannelRegisters: where a channel lies in a Modbus device's registers, how its words make a number, and when it has none."""
+"""ChannelRegisters: where a channel lies in a Modbus device's registers, how its words make a
+number, and when it has none.
+"""
 
 from __future__ import annotations
 
@@ -39,36 +41,67 @@ def _several(value: Any) -> Any:
 class ChannelRegisters(StrictModel):
     """Where a channel lies within a sample, and how it is to be read."""
 
-    register_: int = Field(alias="register", ge=0, lt=_ADDRESSES, description="First register or coil, from the address.")
-    type: Literal["bit", "uint16", "int16", "uint32", "int32", "uint64", "int64", "float32", "float64"] = "uint16"
-    registers: int | None = Field(default=None, ge=1, le=4, description="How many the manual gives it; must fit the type.")
-    word_order: Order = Field(default="big", description="big: the high word comes first; little: the low word.")
-    byte_order: Order = Field(default="big", description="Within a word; Modbus has it big, some devices little.")
+    register_: int = Field(
+        alias="register",
+        ge=0,
+        lt=_ADDRESSES,
+        description="First register or coil, from the address.",
+    )
+    type: Literal[
+        "bit", "uint16", "int16", "uint32", "int32", "uint64", "int64", "float32", "float64"
+    ] = "uint16"
+    registers: int | None = Field(
+        default=None, ge=1, le=4, description="How many the manual gives it; must fit the type."
+    )
+    word_order: Order = Field(
+        default="big", description="big: the high word comes first; little: the low word."
+    )
+    byte_order: Order = Field(
+        default="big", description="Within a word; Modbus has it big, some devices little."
+    )
     bit: int = Field(default=0, ge=0, le=15, description="type bit: the lowest bit, 0 to 15.")
-    bits: int = Field(default=1, ge=1, le=16, description="type bit: how many bits make the number.")
+    bits: int = Field(
+        default=1, ge=1, le=16, description="type bit: how many bits make the number."
+    )
     scale: float = 1.0
     offset: float = 0.0
     scale_register: int | None = Field(
-        default=None, ge=0, lt=_ADDRESSES, description="Register with a signed power of ten that scales the value as well."
+        default=None,
+        ge=0,
+        lt=_ADDRESSES,
+        description="Register with a signed power of ten that scales the value as well.",
     )
     missing: Annotated[tuple[int | float, ...], BeforeValidator(_several)] = Field(
-        default=(), description="What the device puts there when it has no value, as in its registers: before scale and offset."
+        default=(),
+        description=(
+            "What the device puts there when it has no value, as in its registers: before scale and"
+            " offset."
+        ),
     )
-    function: Function | None = Field(default=None, description="Which of the device's tables; None: the stream's.")
+    function: Function | None = Field(
+        default=None, description="Which of the device's tables; None: the stream's."
+    )
     unit: str = ""
 
     @model_validator(mode="after")
     def _consistent(self) -> ChannelRegisters:
         if self.registers is not None and self.registers != self.width:
-            raise ValueError(f"type {self.type} takes {self.width} registers, registers says {self.registers}; correct one")
+            raise ValueError(
+                f"type {self.type} takes {self.width} registers, registers says {self.registers};"
+                " correct one"
+            )
         if self.bit + self.bits > 16:
-            raise ValueError(f"bits {self.bit} to {self.bit + self.bits - 1} do not lie in one register of 16")
+            raise ValueError(
+                f"bits {self.bit} to {self.bit + self.bits - 1} do not lie in one register of 16"
+            )
         if self.type != "bit" and "bits" in self.model_fields_set:
             raise ValueError(f"bits: only type bit has them, not {self.type}")
         if self.function is not None:
             self.refuse_other_than_bits(self.function)
         if self.register_ + self.width > _ADDRESSES:
-            raise ValueError(f"type {self.type} at register {self.register_} goes beyond register 65535")
+            raise ValueError(
+                f"type {self.type} at register {self.register_} goes beyond register 65535"
+            )
         if self.scale == 0:
             raise ValueError("scale is 0: every value would be the same")
         return self
@@ -76,7 +109,9 @@ class ChannelRegisters(StrictModel):
     def refuse_other_than_bits(self, function: Function) -> None:
         """ValueError where a table of bits is to give anything else."""
         if function in OF_BITS and (self.type != "bit" or self.bit or self.bits > 1):
-            raise ValueError(f"function {function} gives single bits; type must be bit, without bit and bits")
+            raise ValueError(
+                f"function {function} gives single bits; type must be bit, without bit and bits"
+            )
 
     @property
     def width(self) -> int:
@@ -88,39 +123,54 @@ class ChannelRegisters(StrictModel):
         return self.values(registers[:, self.register_ : self.register_ + self.width])
 
     def values(self, words: Registers) -> Samples:
-        """Values from their own words, shape (n, width); NaN where the device says that it has none."""
+        """Values from their own words, shape (n, width); NaN where the device says that it has
+        none.
+        """
         if self.type == "bit":
             raw = words[:, 0]
             values = ((raw >> self.bit) & ((1 << self.bits) - 1)).astype(float)
         else:
             raw = ordered(words, self.word_order, self.byte_order).view(NUMBERS[self.type][0])[:, 0]
-            with np.errstate(invalid="ignore"):  # words in another order than the map says may be a signalling NaN
+            with np.errstate(
+                invalid="ignore"
+            ):  # words in another order than the map says may be a signalling NaN
                 values = raw.astype(float)
         for sentinel in self.missing:
             values[_equal(raw, sentinel)] = np.nan
         return values * self.scale + self.offset
 
     def encode(self, values: npt.ArrayLike, registers: Registers) -> None:
-        """Write values into registers of shape (n, words of a sample); a missing one as the first of `missing`, else as 0."""
+        """Write values into registers of shape (n, words of a sample); a missing one as the first
+        of `missing`, else as 0.
+        """
         values = np.asarray(values, float)
         scaled = (values - self.offset) / self.scale
         if self.missing:
             scaled = np.where(np.isnan(scaled), float(self.missing[0]), scaled)
         if self.type == "bit":
-            field = np.clip(np.rint(np.nan_to_num(scaled)), 0, (1 << self.bits) - 1).astype(np.uint16)
+            field = np.clip(np.rint(np.nan_to_num(scaled)), 0, (1 << self.bits) - 1).astype(
+                np.uint16
+            )
             field = np.where(values != 0, np.uint16(1), np.uint16(0)) if self.bits == 1 else field
             registers[:, self.register_] |= field << np.uint16(self.bit)
             return
         kind = np.dtype(NUMBERS[self.type][0])
         if kind.kind in "iu":
-            highest = min(float(np.iinfo(kind).max), np.nextafter(float(np.iinfo(kind).max), 0) if kind.itemsize == 8 else np.inf)
+            highest = min(
+                float(np.iinfo(kind).max),
+                np.nextafter(float(np.iinfo(kind).max), 0) if kind.itemsize == 8 else np.inf,
+            )
             scaled = np.clip(np.rint(np.nan_to_num(scaled)), float(np.iinfo(kind).min), highest)
         words = scaled.astype(kind).reshape(-1, 1).view(">u2")
-        registers[:, self.register_ : self.register_ + self.width] = ordered(words, self.word_order, self.byte_order)
+        registers[:, self.register_ : self.register_ + self.width] = ordered(
+            words, self.word_order, self.byte_order
+        )
 
 
 def ordered(words: npt.NDArray[Any], word_order: Order, byte_order: Order) -> npt.NDArray[Any]:
-    """Words, shape (n, width), with the high word and the high byte first; the same again turns them back."""
+    """Words, shape (n, width), with the high word and the high byte first; the same again turns
+    them back.
+    """
     turned = words[:, ::-1] if word_order == "little" else words
     big = np.ascontiguousarray(turned.astype(">u2"))
     return big.byteswap() if byte_order == "little" else big
@@ -133,11 +183,17 @@ def power_of_ten(register: int) -> float:
     (0.1, 100.0, nan)
     """
     power = register - (register >= _NO_POWER) * _ADDRESSES
-    return float("nan") if register == _NO_POWER or abs(power) > _LARGEST_POWER else float(f"1e{power}")
+    return (
+        float("nan")
+        if register == _NO_POWER or abs(power) > _LARGEST_POWER
+        else float(f"1e{power}")
+    )
 
 
 def _equal(raw: npt.NDArray[Any], sentinel: float) -> npt.NDArray[np.bool_]:
-    """Where raw numbers are a sentinel; whole ones by their bits: 0x8000 and -32768 are the same register."""
+    """Where raw numbers are a sentinel; whole ones by their bits: 0x8000 and -32768 are the same
+    register.
+    """
     if raw.dtype.kind == "f":
         return np.asarray(raw == raw.dtype.type(sentinel))
     if sentinel != int(sentinel):

@@ -1,4 +1,6 @@
-"""A Modbus device read once: the words on the wire beside what the map, and each other order of words, makes of them."""
+"""A Modbus device read once: the words on the wire beside what the map, and each other order of
+words, makes of them.
+"""
 
 from __future__ import annotations
 
@@ -12,8 +14,18 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.library.answers.plain import finite
-from residuum.service.fieldbus.modbus.channel_registers import NUMBERS, ChannelRegisters, Order, Registers, ordered
-from residuum.service.fieldbus.modbus.modbus_client import BadReply, CheckedModbusClient, DeviceRefused
+from residuum.service.fieldbus.modbus.channel_registers import (
+    NUMBERS,
+    ChannelRegisters,
+    Order,
+    Registers,
+    ordered,
+)
+from residuum.service.fieldbus.modbus.modbus_client import (
+    BadReply,
+    CheckedModbusClient,
+    DeviceRefused,
+)
 from residuum.service.fieldbus.modbus.register_map import (
     Pages,
     Place,
@@ -64,7 +76,10 @@ class StreamPages:
         begin = self._pages.address + self._pages.stride * (self.complete % self._pages.count)
         self._memory[begin : begin + len(page)] = page
         self.complete += 1
-        self._memory[self._pages.newest : self._pages.newest + 2] = (self.complete >> 16, self.complete & 0xFFFF)
+        self._memory[self._pages.newest : self._pages.newest + 2] = (
+            self.complete >> 16,
+            self.complete & 0xFFFF,
+        )
 
 
 class DeviceRegisters:
@@ -80,7 +95,11 @@ class DeviceRegisters:
     def __init__(self, registers: RegisterMap, on_fault: OnFault) -> None:
         self.memory: Registers = np.zeros(_ADDRESSES, np.uint16)
         self.unit_id = registers.unit_id
-        self.pages = {name: StreamPages(self.memory, stream) for name, stream in registers.streams.items() if stream.pages}
+        self.pages = {
+            name: StreamPages(self.memory, stream)
+            for name, stream in registers.streams.items()
+            if stream.pages
+        }
         self._faults, self._on_fault = registers.faults, on_fault
 
     def show_faults(self, sizes: Mapping[str, float]) -> None:
@@ -92,7 +111,10 @@ class DeviceRegisters:
 
     def takes_command(self, address: int, count: int) -> bool:
         """Whether these registers are those of the fault command."""
-        return self._faults is not None and (address, count) == (self._faults.command, _COMMAND_WORDS)
+        return self._faults is not None and (address, count) == (
+            self._faults.command,
+            _COMMAND_WORDS,
+        )
 
     def command(self, values: Sequence[int]) -> bool:
         """Switch a fault; whether there is one of this number."""
@@ -102,14 +124,21 @@ class DeviceRegisters:
         return True
 
 
-_ORDERS: tuple[tuple[Order, Order], ...] = (("big", "big"), ("little", "big"), ("big", "little"), ("little", "little"))
+_ORDERS: tuple[tuple[Order, Order], ...] = (
+    ("big", "big"),
+    ("little", "big"),
+    ("big", "little"),
+    ("little", "little"),
+)
 MISSING = "missing"
 """Remark on a reading that means, as the map says, that there is no value."""
 _USUAL = 2.0
 """Power of ten that measured values are mostly nearest to."""
 _FURTHEST = 9.0
 _RARE = 3.0
-"""Powers of ten by which an order that turns the bytes of words has to look better: it is met far less often."""
+"""Powers of ten by which an order that turns the bytes of words has to look better: it is met far
+less often.
+"""
 _SLIGHTLY_BELOW_ZERO = 2048
 """Numbers from the top of an unsigned register down that are taken for negative ones."""
 _NOT_THERE = {
@@ -127,8 +156,9 @@ _NOT_THERE = {
 class ChannelReading:
     """One channel as it was read.
 
-    `words` are as on the wire; `value` is what the map makes of them (None: missing); `orders` has what each order of words and
-    bytes makes of them, where there are several, and `plausible` the one that looks most like a measured value.
+    `words` are as on the wire; `value` is what the map makes of them (None: missing); `orders` has
+    what each order of words and bytes makes of them, where there are several, and `plausible` the
+    one that looks most like a measured value.
     """
 
     stream: str
@@ -143,7 +173,9 @@ class ChannelReading:
     remark: str = ""
 
 
-def read_device(host: str, port: int, registers: RegisterMap, timeout: float = 3.0) -> tuple[list[ChannelReading], list[str]]:
+def read_device(
+    host: str, port: int, registers: RegisterMap, timeout: float = 3.0
+) -> tuple[list[ChannelReading], list[str]]:
     """What a device gives of each channel, and what it refused, each in a line.
 
     Raises OSError when nobody answers there, TimeoutError when no fitting reply comes.
@@ -151,7 +183,9 @@ def read_device(host: str, port: int, registers: RegisterMap, timeout: float = 3
     return asyncio.run(_read(host, port, registers, timeout))
 
 
-async def _read(host: str, port: int, registers: RegisterMap, timeout: float) -> tuple[list[ChannelReading], list[str]]:
+async def _read(
+    host: str, port: int, registers: RegisterMap, timeout: float
+) -> tuple[list[ChannelReading], list[str]]:
     client = CheckedModbusClient(host, port, registers.unit_id, timeout, registers.address_base)
     readings: list[ChannelReading] = []
     refusals: list[str] = []
@@ -195,7 +229,14 @@ def readings_of(
 ) -> list[ChannelReading]:
     """Each channel of which every register was read."""
     return [
-        _reading(name, channel, where, places[0], tuple(read[place] for place in places), float(values[channel][0]))
+        _reading(
+            name,
+            channel,
+            where,
+            places[0],
+            tuple(read[place] for place in places),
+            float(values[channel][0]),
+        )
         for channel, where in stream.channels.items()
         for places in [polled.places(where)]
         if all(place in read for place in places)
@@ -203,7 +244,11 @@ def readings_of(
 
 
 async def _newest_sample(
-    client: CheckedModbusClient, name: str, stream: StreamRegisters, pages: Pages, refusals: list[str]
+    client: CheckedModbusClient,
+    name: str,
+    stream: StreamRegisters,
+    pages: Pages,
+    refusals: list[str],
 ) -> list[ChannelReading]:
     high, low = (await client.read(pages.newest, 2)).tolist()
     if not (number := high << 16 | low):
@@ -212,12 +257,22 @@ async def _newest_sample(
     begin = pages.address + pages.stride * ((number - 1) % pages.count)
     page = read_page(await client.read(begin, stream.page_registers))
     if page is None:
-        refusals.append(f"{name}: the newest page, at {begin}, has a wrong checksum: look at address, stride and count")
+        refusals.append(
+            f"{name}: the newest page, at {begin}, has a wrong checksum: look at address, stride"
+            " and count"
+        )
         return []
     sample = page.registers[-stream.words :]
     place = begin + stream.page_registers - stream.words
     return [
-        _reading(name, channel, where, ("holding", place + where.register_), _words(sample, where), _value(sample, where))
+        _reading(
+            name,
+            channel,
+            where,
+            ("holding", place + where.register_),
+            _words(sample, where),
+            _value(sample, where),
+        )
         for channel, where in stream.channels.items()
     ]
 
@@ -231,7 +286,12 @@ def _value(sample: Registers, where: ChannelRegisters) -> float:
 
 
 def _reading(
-    stream: str, channel: str, where: ChannelRegisters, place: tuple[str, int], words: tuple[int, ...], value: float
+    stream: str,
+    channel: str,
+    where: ChannelRegisters,
+    place: tuple[str, int],
+    words: tuple[int, ...],
+    value: float,
 ) -> ChannelReading:
     orders = _orders(where, words)
     mapped = order_name(where.word_order, where.byte_order, where.width)
@@ -266,16 +326,26 @@ def _orders(where: ChannelRegisters, words: tuple[int, ...]) -> dict[str, float]
     for order in _ORDERS:
         raw = ordered(table, *order).view(NUMBERS[where.type][0])[:, 0]
         with np.errstate(invalid="ignore"):
-            values[order_name(*order, where.width)] = float(raw.astype(float)[0]) * where.scale + where.offset
+            values[order_name(*order, where.width)] = (
+                float(raw.astype(float)[0]) * where.scale + where.offset
+            )
     return values
 
 
 def _plausible(orders: dict[str, float], mapped: str) -> str | None:
-    """The order whose value is nearest to what is mostly measured; the map's where others are no better; None when none is."""
+    """The order whose value is nearest to what is mostly measured; the map's where others are no
+    better; None when none is.
+    """
 
     def distance(name: str) -> float:
         value = abs(orders[name])
-        far = _USUAL if value == 0 else abs(math.log10(value) - _USUAL) if math.isfinite(value) else math.inf
+        far = (
+            _USUAL
+            if value == 0
+            else abs(math.log10(value) - _USUAL)
+            if math.isfinite(value)
+            else math.inf
+        )
         return far if name == mapped or "AB" in name else far + _RARE
 
     best = min(orders, key=lambda name: (distance(name), name != mapped))
@@ -285,17 +355,25 @@ def _plausible(orders: dict[str, float], mapped: str) -> str | None:
 
 def _remark(where: ChannelRegisters, words: tuple[int, ...], value: float) -> str:
     raw = 0
-    for word in ordered(np.array([words], np.uint16), where.word_order, where.byte_order)[0].tolist():
+    for word in ordered(np.array([words], np.uint16), where.word_order, where.byte_order)[
+        0
+    ].tolist():
         raw = raw << 16 | word
     if math.isnan(value):
         return MISSING
     if raw in _NOT_THERE.get(where.type, ()):
-        signed = raw - (1 << 16 * where.width) if where.type.startswith("int") and raw >> (16 * where.width - 1) else raw
+        signed = (
+            raw - (1 << 16 * where.width)
+            if where.type.startswith("int") and raw >> (16 * where.width - 1)
+            else raw
+        )
         return f"0x{raw:X} mostly means that there is no value: say missing: {signed}"
     bits = 16 * where.width
     if where.type in ("uint16", "uint32") and raw >= (1 << bits) - _SLIGHTLY_BELOW_ZERO:
         negative = (raw - (1 << bits)) * where.scale + where.offset
-        return f"0x{raw:X} looks more like {negative:.6g} than {value:.6g}: say type: {where.type[1:]}"
+        return (
+            f"0x{raw:X} looks more like {negative:.6g} than {value:.6g}: say type: {where.type[1:]}"
+        )
     return ""
 
 

@@ -1,12 +1,12 @@
 """CheckedModbusClient: pymodbus's client, and no reply believed that does not fit its request.
 
-pymodbus holds back replies of another transaction or unit; it lets through those of transaction 0, of another function, and
-with another number of registers than were asked for. After a reply that does not fit, the connection is to be given up.
+pymodbus holds back replies of another transaction or unit; it lets through those of transaction 0,
+of another function, and with another number of registers than were asked for. After a reply that
+does not fit, the connection is to be given up.
 """
 
 from __future__ import annotations
 
-import logging
 import random
 
 import numpy as np
@@ -14,51 +14,14 @@ from pymodbus.client import AsyncModbusTcpClient
 from pymodbus.exceptions import ConnectionException, ModbusIOException
 from pymodbus.pdu import ModbusPDU
 from pymodbus.pdu.bit_message import ReadCoilsRequest, ReadDiscreteInputsRequest
-from pymodbus.pdu.register_message import ReadHoldingRegistersRequest, ReadInputRegistersRequest, WriteMultipleRegistersRequest
+from pymodbus.pdu.register_message import (
+    ReadHoldingRegistersRequest,
+    ReadInputRegistersRequest,
+    WriteMultipleRegistersRequest,
+)
 
 from residuum.service.fieldbus.modbus.channel_registers import OF_BITS, Function, Registers
-
-# What a Modbus device means by an exception, and what to do about it.
-
-_MEANINGS = {
-    1: "the device does not know this function; take another table (function: holding, input, coils or discrete)",
-    2: "the device has no such register, or not all of these",
-    3: "the device takes no such request; read fewer registers at once",
-    4: "the device failed at it",
-    6: "the device is busy; poll it less often",
-    10: "the gateway has no way to this unit; look at unit_id",
-    11: "no answer from behind the gateway; look at unit_id",
-}
-_TABLES = {"holding": "holding registers", "input": "input registers", "coils": "coils", "discrete": "discrete inputs"}
-_HOLES = "holes: name registers that are there, gap: 0"
-_MANUAL = {"holding": ((400_001, 465_536), (40_001, 49_999)), "input": ((300_001, 365_536), (30_001, 39_999))}
-"""How manuals number a table: with a digit for the table before, and from 1."""
-
-
-def explained(code: int, function: str, address: int, count: int, address_base: int = 0) -> str:
-    """An exception in one line: the registers by their address on the wire (from 0), what it means, what to do.
-
-    `address_base` is what the map calls the first register, in which the advice is given.
-
-    >>> explained(2, "holding", 40001, 2)[:71]
-    'exception 2 for holding registers 40001 to 40002 (on the wire, from 0):'
-    """
-    span = f"{address}" if count == 1 else f"{address} to {address + count - 1}"
-    says = f"exception {code} for {_TABLES[function]} {span} (on the wire, from 0): {_MEANINGS.get(code, 'see its manual')}"
-    if code != 2:
-        return says
-    written = address + address_base
-    manual = next((first for first, last in _MANUAL.get(function, ()) if first <= written <= last), None)
-    if manual is not None:
-        meant = written - manual + address_base
-        off = f"take {manual - address_base} off the address" + " (address_base: 1)" * address_base
-        return f"{says}; a manual's {written} is address {meant} of this table: {off}"
-    if address_base:
-        return f"{says}; one off? where the manual counts from 0, leave address_base out; {_HOLES}"
-    return f"{says}; one off? where the manual counts from 1, say address_base: 1; {_HOLES}"
-
-
-logging.getLogger("pymodbus").setLevel(logging.CRITICAL)  # the counters say it
+from residuum.service.fieldbus.modbus.modbus_exceptions import explained
 
 _LAST_FIRST_TRANSACTION = 30_000
 _READS: dict[Function, type[ModbusPDU]] = {
@@ -70,7 +33,9 @@ _READS: dict[Function, type[ModbusPDU]] = {
 
 
 class BadReply(Exception):
-    """A reply that must not be believed, or none; `counter` names the loss counter it belongs to."""
+    """A reply that must not be believed, or none; `counter` names the loss counter it belongs
+    to.
+    """
 
     def __init__(self, counter: str, message: str) -> None:
         super().__init__(message)
@@ -87,12 +52,18 @@ class CheckedModbusClient:
     `timeout` is for connecting and for each reply [s]; advice counts registers from `address_base`.
     """
 
-    def __init__(self, host: str, port: int, unit_id: int, timeout: float, address_base: int = 0) -> None:
-        self._client = AsyncModbusTcpClient(host, port=port, timeout=timeout, retries=0, reconnect_delay=0)
+    def __init__(
+        self, host: str, port: int, unit_id: int, timeout: float, address_base: int = 0
+    ) -> None:
+        self._client = AsyncModbusTcpClient(
+            host, port=port, timeout=timeout, retries=0, reconnect_delay=0
+        )
         self._unit, self._base = unit_id, address_base
 
     async def connect(self) -> None:
-        """Connect once. Transactions begin anywhere: a reply to an earlier connection must not seem to be one to this."""
+        """Connect once. Transactions begin anywhere: a reply to an earlier connection must not seem
+        to be one to this.
+        """
         if not await self._client.connect():
             raise BadReply("bus_errors", "nobody answers at this address")
         self._client.ctx.next_tid = random.randint(1, _LAST_FIRST_TRANSACTION)
@@ -102,18 +73,32 @@ class CheckedModbusClient:
         self._client.close()
 
     async def read(self, address: int, count: int, function: Function = "holding") -> Registers:
-        """`count` registers, or coils as 0 and 1, from an address on the wire; BadReply, DeviceRefused."""
-        reply = await self._ask(_READS[function](address=address, count=count, dev_id=self._unit), function)
-        received, due = (reply.bits, -(-count // 8) * 8) if function in OF_BITS else (reply.registers, count)
+        """`count` registers, or coils as 0 and 1, from an address on the wire; BadReply,
+        DeviceRefused.
+        """
+        reply = await self._ask(
+            _READS[function](address=address, count=count, dev_id=self._unit), function
+        )
+        received, due = (
+            (reply.bits, -(-count // 8) * 8) if function in OF_BITS else (reply.registers, count)
+        )
         if len(received) != due:
-            raise BadReply("short_replies", f"{function} {address}…: {len(received)} came, {due} were due")
+            raise BadReply(
+                "short_replies", f"{function} {address}…: {len(received)} came, {due} were due"
+            )
         return np.array(received[:count], np.uint16)
 
     async def write(self, address: int, registers: list[int]) -> None:
         """Write holding registers; BadReply, DeviceRefused."""
-        reply = await self._ask(WriteMultipleRegistersRequest(address=address, registers=registers, dev_id=self._unit), "holding")
+        reply = await self._ask(
+            WriteMultipleRegistersRequest(address=address, registers=registers, dev_id=self._unit),
+            "holding",
+        )
         if (reply.address, reply.count) != (address, len(registers)):
-            raise BadReply("corrupt_replies", f"registers {address}…: the reply does not confirm what was written")
+            raise BadReply(
+                "corrupt_replies",
+                f"registers {address}…: the reply does not confirm what was written",
+            )
 
     async def _ask(self, request: ModbusPDU, function: Function) -> ModbusPDU:
         try:
@@ -125,7 +110,14 @@ class CheckedModbusClient:
         if reply.transaction_id != request.transaction_id or self._client.ctx.recv_buffer:
             raise BadReply("late_replies", "a reply that nobody awaited")
         if reply.isError():
-            raise DeviceRefused(explained(reply.exception_code, function, request.address, request.count, self._base))
+            raise DeviceRefused(
+                explained(
+                    reply.exception_code, function, request.address, request.count, self._base
+                )
+            )
         if reply.function_code != request.function_code:
-            raise BadReply("corrupt_replies", f"reply of function {reply.function_code}, not {request.function_code}")
+            raise BadReply(
+                "corrupt_replies",
+                f"reply of function {reply.function_code}, not {request.function_code}",
+            )
         return reply

@@ -1,4 +1,6 @@
-"""ModbusSource: streams of samples from the registers of a Modbus TCP device, after a register map."""
+"""ModbusSource: streams of samples from the registers of a Modbus TCP device, after a register
+map.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,11 @@ from pymodbus.exceptions import ModbusException
 
 from residuum.service.fieldbus.modbus.channel_registers import Registers
 from residuum.service.fieldbus.modbus.device_reading import MISSING, ChannelReading, readings_of
-from residuum.service.fieldbus.modbus.modbus_client import BadReply, CheckedModbusClient, DeviceRefused
+from residuum.service.fieldbus.modbus.modbus_client import (
+    BadReply,
+    CheckedModbusClient,
+    DeviceRefused,
+)
 from residuum.service.fieldbus.modbus.register_map import (
     MOST_REGISTERS,
     Pages,
@@ -26,7 +32,14 @@ from residuum.service.fieldbus.modbus.register_map import (
     registers_float,
 )
 from residuum.service.fieldbus.sequence import BREAK
-from residuum.service.fieldbus.source import Backoff, Block, FaultsUnavailable, Sink, Source, StreamFormat
+from residuum.service.fieldbus.source import (
+    Backoff,
+    Block,
+    FaultsUnavailable,
+    Sink,
+    Source,
+    StreamFormat,
+)
 
 _LEAST_PERIOD = 0.1
 _STATE_PERIOD = 1.0
@@ -48,11 +61,16 @@ class ModbusSource(Source):
         For each reply [s].
     """
 
-    def __init__(self, host: str, port: int, registers: RegisterMap, sink: Sink, timeout: float = 1.0) -> None:
+    def __init__(
+        self, host: str, port: int, registers: RegisterMap, sink: Sink, timeout: float = 1.0
+    ) -> None:
         super().__init__(f"modbus:{host}:{port}", sink)
         self._host, self._port, self._timeout = host, port, timeout
         self._map = registers
-        self._readers = [_stream_reader(name, stream, registers.address_base, self) for name, stream in registers.streams.items()]
+        self._readers = [
+            _stream_reader(name, stream, registers.address_base, self)
+            for name, stream in registers.streams.items()
+        ]
         self._sizes: dict[str, float] = {}
         self._backoff = Backoff(first=0.05)
         self._loop: asyncio.AbstractEventLoop | None = None
@@ -74,7 +92,9 @@ class ModbusSource(Source):
         return {fault: size for fault, size in self._sizes.items() if size}
 
     def switch_fault(self, fault: str, size: float) -> None:
-        """Write the command registers; tried again for some seconds, because the connection may be just coming back."""
+        """Write the command registers; tried again for some seconds, because the connection may be
+        just coming back.
+        """
         faults = self._map.faults
         if faults is None or fault not in faults.ids:
             raise FaultsUnavailable(f"{self.name}: cannot switch fault {fault!r}")
@@ -110,7 +130,9 @@ class ModbusSource(Source):
         self._loop.set_exception_handler(self._note)
         opened_before = False
         while not self._stopped.is_set():
-            client = CheckedModbusClient(self._host, self._port, self._map.unit_id, self._timeout, self._map.address_base)
+            client = CheckedModbusClient(
+                self._host, self._port, self._map.unit_id, self._timeout, self._map.address_base
+            )
             try:
                 await client.connect()
                 if opened_before:
@@ -127,7 +149,9 @@ class ModbusSource(Source):
             await self._pause(self._backoff.next())
 
     def _note(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-        """Count what pymodbus cannot decode: it lets that end the connection, and the reply does not come."""
+        """Count what pymodbus cannot decode: it lets that end the connection, and the reply does
+        not come.
+        """
         error = context.get("exception")
         if isinstance(error, ModbusException):
             self.health.count("undecodable", 1, str(error))
@@ -165,10 +189,14 @@ class ModbusSource(Source):
 class _PagedReader:
     """Reads the pages of one stream in turn, from the oldest that the ring holds."""
 
-    def __init__(self, name: str, stream: StreamRegisters, pages: Pages, source: ModbusSource) -> None:
+    def __init__(
+        self, name: str, stream: StreamRegisters, pages: Pages, source: ModbusSource
+    ) -> None:
         self.period = max(_LEAST_PERIOD, stream.sample_time * pages.samples)
         self._name, self._stream, self._pages, self._source = name, stream, pages, source
-        self._slots = max(1, MOST_REGISTERS // pages.stride) if pages.stride == stream.page_registers else 1
+        self._slots = (
+            max(1, MOST_REGISTERS // pages.stride) if pages.stride == stream.page_registers else 1
+        )
         self._next: int | None = None
         self._base = 0
 
@@ -181,7 +209,9 @@ class _PagedReader:
         if self._next is None:
             self._next = oldest
         elif self._next < oldest:
-            self._source.health.count("lost", oldest - self._next, f"{self._name}: the ring went round before it was read")
+            self._source.health.count(
+                "lost", oldest - self._next, f"{self._name}: the ring went round before it was read"
+            )
             self._next = oldest
         whole: list[Registers] = []
         try:
@@ -191,12 +221,22 @@ class _PagedReader:
                 self._deliver(self._next, whole)
 
     def _deliver(self, first: int, whole: list[Registers]) -> None:
-        number = self._base + first * self._stream.samples + np.arange(len(whole) * self._stream.samples, dtype=np.int64)
+        number = (
+            self._base
+            + first * self._stream.samples
+            + np.arange(len(whole) * self._stream.samples, dtype=np.int64)
+        )
         self._next = first + len(whole)
-        self._source.deliver(Block(self._name, number, self._stream.decode(np.concatenate(whole))), len(whole))
+        self._source.deliver(
+            Block(self._name, number, self._stream.decode(np.concatenate(whole))), len(whole)
+        )
 
-    async def _read_pages(self, client: CheckedModbusClient, first: int, end: int, whole: list[Registers]) -> None:
-        """Add the samples of pages `first` … `end` − 1 to those that are whole, until one of them has been written over."""
+    async def _read_pages(
+        self, client: CheckedModbusClient, first: int, end: int, whole: list[Registers]
+    ) -> None:
+        """Add the samples of pages `first` … `end` − 1 to those that are whole, until one of them
+        has been written over.
+        """
         for number, count in self._requests(first, end):
             reply = await client.read(*self._place(number, count))
             for k, registers in enumerate(reply.reshape(count, self._stream.page_registers)):
@@ -206,7 +246,9 @@ class _PagedReader:
                 whole.append(page)
 
     def _requests(self, first: int, end: int) -> Iterator[tuple[int, int]]:
-        """Each read as the first of its pages and how many: neighbours in the ring, as many as one read takes."""
+        """Each read as the first of its pages and how many: neighbours in the ring, as many as one
+        read takes.
+        """
         while first < end:
             count = min(self._slots, end - first, self._pages.count - first % self._pages.count)
             yield first, count
@@ -214,17 +256,24 @@ class _PagedReader:
 
     def _place(self, number: int, count: int) -> tuple[int, int]:
         """Address and registers of the pages from this one on."""
-        return self._pages.address + self._pages.stride * (number % self._pages.count), count * self._stream.page_registers
+        return (
+            self._pages.address + self._pages.stride * (number % self._pages.count),
+            count * self._stream.page_registers,
+        )
 
     def _checked(self, number: int, registers: Registers) -> Registers | None:
-        """The samples of a page; None when a later page stands in its place: the device was faster, and it is lost."""
+        """The samples of a page; None when a later page stands in its place: the device was faster,
+        and it is lost.
+        """
         page = read_page(registers)
         if page is None:
             raise BadReply("corrupt_replies", f"{self._name}, page {number}: the checksum is wrong")
         if page.number > number and (page.number - number) % self._pages.count == 0:
             return None
         if page.number != number:
-            raise BadReply("corrupt_replies", f"{self._name}: page {page.number} came, {number} was asked for")
+            raise BadReply(
+                "corrupt_replies", f"{self._name}: page {page.number} came, {number} was asked for"
+            )
         return page.registers
 
     async def _newest(self, client: CheckedModbusClient) -> int:
@@ -232,22 +281,33 @@ class _PagedReader:
         return int(high << 16 | low)
 
     async def _confirm_restart(self, client: CheckedModbusClient, newest: int) -> int:
-        """The device counts from 0 again; asked anew and anew, because this number alone has no checksum."""
+        """The device counts from 0 again; asked anew and anew, because this number alone has no
+        checksum.
+        """
         for _ in range(_CONFIRMATIONS):
             again = await self._newest(client)
             if self._next is None or not newest <= again < self._next:
-                raise BadReply("corrupt_replies", f"{self._name}: page numbers {newest} and {again} cannot both be right")
+                raise BadReply(
+                    "corrupt_replies",
+                    f"{self._name}: page numbers {newest} and {again} cannot both be right",
+                )
             newest = again
-        self._source.health.count("counter_jumps", 1, f"{self._name}: the device began to count anew")
+        self._source.health.count(
+            "counter_jumps", 1, f"{self._name}: the device began to count anew"
+        )
         self._base += BREAK
         self._next = None
         return newest
 
 
 class _PolledReader:
-    """Reads plain registers once a sample time, on the reader's clock; a read that is late leaves a hole."""
+    """Reads plain registers once a sample time, on the reader's clock; a read that is late leaves a
+    hole.
+    """
 
-    def __init__(self, name: str, stream: StreamRegisters, polled: PolledStream, source: ModbusSource) -> None:
+    def __init__(
+        self, name: str, stream: StreamRegisters, polled: PolledStream, source: ModbusSource
+    ) -> None:
         self.period = stream.sample_time
         self._name, self._polled, self._source = name, polled, source
         self._blocks = polled.blocks()
@@ -256,7 +316,9 @@ class _PolledReader:
         self._last = -1
 
     async def read(self, client: CheckedModbusClient) -> None:
-        """Deliver one sample when its time has come; what the device refuses is missing in it, and counted."""
+        """Deliver one sample when its time has come; what the device refuses is missing in it, and
+        counted.
+        """
         now = time.monotonic()
         if self._started is None:
             self._started = now
@@ -269,7 +331,9 @@ class _PolledReader:
         if not read:
             return
         if self._last >= 0 and number > self._last + 1:
-            self._source.health.count("lost", number - self._last - 1, f"{self._name}: the device was polled too late")
+            self._source.health.count(
+                "lost", number - self._last - 1, f"{self._name}: the device was polled too late"
+            )
         self._last = number
         values = self._polled.samples(read)
         self._doubtful.look(readings_of(self._name, self._stream, self._polled, read, values))
@@ -277,7 +341,9 @@ class _PolledReader:
         self._source.deliver(Block(self._name, np.array([number], np.int64), values), 1)
 
 
-def _stream_reader(name: str, stream: StreamRegisters, base: int, source: ModbusSource) -> _PagedReader | _PolledReader:
+def _stream_reader(
+    name: str, stream: StreamRegisters, base: int, source: ModbusSource
+) -> _PagedReader | _PolledReader:
     if stream.pages:
         return _PagedReader(name, stream, stream.pages, source)
     if stream.poll is None:
@@ -285,14 +351,17 @@ def _stream_reader(name: str, stream: StreamRegisters, base: int, source: Modbus
     return _PolledReader(name, stream, PolledStream(stream, stream.poll, base), source)
 
 
-# Which channels of a polled device look wrong: another order of words is far likelier, or what stands there means no value.
+# Which channels of a polled device look wrong: another order of words is far likelier, or what
+# stands there means no value.
 
 _JUDGED = 10
 """[samples] That are looked at before anything is said."""
 _OFTEN = 0.3
 """Part of them that has to look wrong: now and then a register may well hold such a number."""
 _OUTLASTS = 10
-"""Judgements that a doubt outlasts: a sensor that is there now and then must not turn its channel good in between."""
+"""Judgements that a doubt outlasts: a sensor that is there now and then must not turn its channel
+good in between.
+"""
 
 
 class DoubtfulChannels:
@@ -311,17 +380,23 @@ class DoubtfulChannels:
         for reading in readings:
             if reading.remark not in ("", MISSING):
                 self._wrong[reading.channel] += 1
-                self._remarks[reading.channel, f"{reading.stream}.{reading.channel}: {reading.remark}"] += 1
+                self._remarks[
+                    reading.channel, f"{reading.stream}.{reading.channel}: {reading.remark}"
+                ] += 1
         if self._samples % _JUDGED == 0:
             self._judge()
 
     def _judge(self) -> None:
-        """Say of each channel that often looks wrong what is most often said of it, and forget what has long been right."""
+        """Say of each channel that often looks wrong what is most often said of it, and forget what
+        has long been right.
+        """
         now: dict[str, tuple[str, int]] = {}
         for (channel, sentence), _ in self._remarks.most_common():
             if self._wrong[channel] >= _OFTEN * _JUDGED:
                 now.setdefault(channel, (sentence, self._samples + _OUTLASTS * _JUDGED))
-        lately = {channel: doubt for channel, doubt in self._says.items() if doubt[1] > self._samples}
+        lately = {
+            channel: doubt for channel, doubt in self._says.items() if doubt[1] > self._samples
+        }
         self._says = lately | now
         self.sentences = [sentence for sentence, _ in self._says.values()]
         self._wrong, self._remarks = Counter(), Counter()

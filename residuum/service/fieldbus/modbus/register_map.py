@@ -1,19 +1,21 @@
 """RegisterMap: what a Modbus device keeps in its registers, from a YAML file.
 
-A device of Residuum keeps each stream in a ring of *pages*, so that a reader that comes late loses nothing and can tell every
-wrong reply from a right one:
+A device of Residuum keeps each stream in a ring of *pages*, so that a reader that comes late loses
+nothing and can tell every wrong reply from a right one:
 
     page = [page number, high word][low word][checksum][sample 0][sample 1] …
 
-The page number p counts from 0 since the device started; page p lies at `address + stride · (p mod count)`. The checksum is
-the low 16 bits of the CRC-32 (zlib) over the other registers of the page, big-endian. A sample is one or more registers,
-described by `channels`. Two registers at `newest` hold the number of the newest complete page + 1 (0: none yet). Pages that lie
-side by side (`stride` is the length of a page) are read several at once.
+The page number p counts from 0 since the device started; page p lies at `address + stride · (p mod
+count)`. The checksum is the low 16 bits of the CRC-32 (zlib) over the other registers of the page,
+big-endian. A sample is one or more registers, described by `channels`. Two registers at `newest`
+hold the number of the newest complete page + 1 (0: none yet). Pages that lie side by side (`stride`
+is the length of a page) are read several at once.
 
-A stream of a device that has no such pages is polled: plain registers and coils are read every `sample_time` seconds, on the
-reader's clock. `register` counts from the stream's `address`, and `address` from 0 as on the wire, or from 1 where the map says
-`address_base: 1`, as many manuals do; which of them is meant is never guessed. `channel_registers.py` says what a channel may
-have: types, orders of words and bytes, bit fields, scales, and what stands there when there is no value.
+A stream of a device that has no such pages is polled: plain registers and coils are read every
+`sample_time` seconds, on the reader's clock. `register` counts from the stream's `address`, and
+`address` from 0 as on the wire, or from 1 where the map says `address_base: 1`, as many manuals do;
+which of them is meant is never guessed. `channel_registers.py` says what a channel may have: types,
+orders of words and bytes, bit fields, scales, and what stands there when there is no value.
 
 ```yaml
 streams:
@@ -50,7 +52,13 @@ from pydantic import Field, ValidationError, model_validator
 from residuum.nearest_names import known_names
 from residuum.service.fieldbus.can.frame_layout import BadBusDescription
 from residuum.service.fieldbus.map_text import read_map_text
-from residuum.service.fieldbus.modbus.channel_registers import OF_BITS, ChannelRegisters, Function, Registers, power_of_ten
+from residuum.service.fieldbus.modbus.channel_registers import (
+    OF_BITS,
+    ChannelRegisters,
+    Function,
+    Registers,
+    power_of_ten,
+)
 from residuum.service.fieldbus.modbus.modbus_client import CheckedModbusClient, DeviceRefused
 from residuum.service.fieldbus.source import Samples, StreamFormat
 from residuum.service.fieldbus.strict_model import StrictModel
@@ -73,9 +81,18 @@ class Pages(StrictModel):
 class Poll(StrictModel):
     """Plain registers, read at the reader's own pace."""
 
-    address: int = Field(ge=0, le=465_536, description="First register, as `address_base` counts them.")
-    function: Function = Field(default="holding", description="Table of the channels that name none of their own.")
-    gap: int = Field(default=0, ge=0, le=124, description="Holes of up to so many registers may be read with their neighbours.")
+    address: int = Field(
+        ge=0, le=465_536, description="First register, as `address_base` counts them."
+    )
+    function: Function = Field(
+        default="holding", description="Table of the channels that name none of their own."
+    )
+    gap: int = Field(
+        default=0,
+        ge=0,
+        le=124,
+        description="Holes of up to so many registers may be read with their neighbours.",
+    )
 
 
 class StreamRegisters(StrictModel):
@@ -96,13 +113,23 @@ class StreamRegisters(StrictModel):
                 channel.refuse_other_than_bits(channel.function or self.poll.function)
             return self
         if paged := [
-            name for name, spec in self.channels.items() if spec.function not in (None, "holding") or spec.scale_register
+            name
+            for name, spec in self.channels.items()
+            if spec.function not in (None, "holding") or spec.scale_register
         ]:
-            raise ValueError(f"channels.{paged[0]}: pages lie in holding registers, without scale registers; poll it instead")
+            raise ValueError(
+                f"channels.{paged[0]}: pages lie in holding registers, without scale registers;"
+                " poll it instead"
+            )
         if self.page_registers > MOST_REGISTERS:
-            raise ValueError(f"one read takes {self.page_registers} registers; Modbus allows {MOST_REGISTERS}")
+            raise ValueError(
+                f"one read takes {self.page_registers} registers; Modbus allows {MOST_REGISTERS}"
+            )
         if self.pages and self.page_registers > self.pages.stride:
-            raise ValueError(f"a page takes {self.page_registers} registers and the stride is {self.pages.stride}")
+            raise ValueError(
+                f"a page takes {self.page_registers} registers and the stride is"
+                f" {self.pages.stride}"
+            )
         if self.pages and self.pages.address + self.pages.stride * self.pages.count > 65536:
             raise ValueError("the pages go beyond register 65535")
         return self
@@ -124,10 +151,16 @@ class StreamRegisters(StrictModel):
 
     def format(self, name: str) -> StreamFormat:
         """The stream as windows are cut from it."""
-        return StreamFormat(name, self.sample_time, {channel: where.unit for channel, where in self.channels.items()})
+        return StreamFormat(
+            name,
+            self.sample_time,
+            {channel: where.unit for channel, where in self.channels.items()},
+        )
 
     def decode(self, registers: Registers) -> dict[str, Samples]:
-        """Samples of each channel, shape (n,), from their registers, shape (n · words,): those behind the heads of pages."""
+        """Samples of each channel, shape (n,), from their registers, shape (n · words,): those
+        behind the heads of pages.
+        """
         table = registers.reshape(-1, self.words)
         return {name: channel.decode(table) for name, channel in self.channels.items()}
 
@@ -148,22 +181,25 @@ def _refuse_shared(channels: Mapping[str, ChannelRegisters], default: Function) 
             for owner, its in owners.setdefault((channel.function or default, register), []):
                 if not _bits_apart(channel, its):
                     raise ValueError(
-                        f"channels.{name}: register {register} belongs to {owner} already ({its.type} at {its.register_}, "
-                        f"{its.width} registers); correct register or type of one of them"
+                        f"channels.{name}: register {register} belongs to {owner} already"
+                        f" ({its.type} at {its.register_}, {its.width} registers); correct register"
+                        " or type of one of them"
                     )
             owners[channel.function or default, register].append((name, channel))
 
 
 def _bits_apart(first: ChannelRegisters, second: ChannelRegisters) -> bool:
-    return first.type == second.type == "bit" and (first.bit + first.bits <= second.bit or second.bit + second.bits <= first.bit)
+    return first.type == second.type == "bit" and (
+        first.bit + first.bits <= second.bit or second.bit + second.bits <= first.bit
+    )
 
 
 class FaultRegisters(StrictModel):
     """Switching faults of a simulated device.
 
-    `command` is a block of three registers: number of the fault (from 1) and its size as float32 (0 clears it, negative:
-    default size).
-    `state` holds the size of each fault in turn as float32, 0 when it is off.
+    `command` is a block of three registers: number of the fault (from 1) and its size as float32 (0
+    clears it, negative: default size). `state` holds the size of each fault in turn as float32, 0
+    when it is off.
     """
 
     command: int = Field(ge=0, le=65532)
@@ -175,7 +211,9 @@ class RegisterMap(StrictModel):
     """The streams and faults of one device."""
 
     unit_id: int = Field(default=1, ge=0, le=247)
-    address_base: Literal[0, 1] = Field(default=0, description="What the map calls the first register of a polled table.")
+    address_base: Literal[0, 1] = Field(
+        default=0, description="What the map calls the first register of a polled table."
+    )
     streams: dict[str, StreamRegisters] = Field(min_length=1)
     faults: FaultRegisters | None = None
 
@@ -183,11 +221,18 @@ class RegisterMap(StrictModel):
     def _polled_from_the_base(self) -> RegisterMap:
         for name, stream in self.streams.items():
             if stream.poll and stream.poll.address < self.address_base:
-                raise ValueError(f"streams.{name}: address {stream.poll.address} lies before address_base {self.address_base}")
-            if stream.poll and (last := stream.poll.address - self.address_base + stream.words - 1) > 0xFFFF:
                 raise ValueError(
-                    f"streams.{name}: reaches register {last} on the wire; the last is 65535. Take off the digit by which the "
-                    "manual tells the table: 400001 is address 0 (address_base: 0), function holding"
+                    f"streams.{name}: address {stream.poll.address} lies before address_base"
+                    f" {self.address_base}"
+                )
+            if (
+                stream.poll
+                and (last := stream.poll.address - self.address_base + stream.words - 1) > 0xFFFF
+            ):
+                raise ValueError(
+                    f"streams.{name}: reaches register {last} on the wire; the last is 65535. Take"
+                    " off the digit by which the manual tells the table: 400001 is address 0"
+                    " (address_base: 0), function holding"
                 )
         return self
 
@@ -256,7 +301,9 @@ def _known(error: Any) -> str:
     """What could have been meant by a name that nothing has."""
     if error["type"] != "extra_forbidden":
         return ""
-    of = ChannelRegisters if "channels" in error["loc"] else Poll if "poll" in error["loc"] else None
+    of = (
+        ChannelRegisters if "channels" in error["loc"] else Poll if "poll" in error["loc"] else None
+    )
     names = [field.alias or name for name, field in of.model_fields.items()] if of else []
     return f"; {known_names(error['loc'][-1], names)}" if names else ""
 
@@ -280,8 +327,8 @@ class RegisterBlock:
 class PolledStream:
     """What is to be read of a polled stream, and what its channels make of it.
 
-    Registers that no channel names are never read, but for holes of up to `gap` registers: many devices refuse a read that
-    touches a register they do not have.
+    Registers that no channel names are never read, but for holes of up to `gap` registers: many
+    devices refuse a read that touches a register they do not have.
 
     Parameters
     ----------
@@ -308,14 +355,21 @@ class PolledStream:
     def blocks(self) -> list[RegisterBlock]:
         """The reads of one sample; a value is never parted between two of them."""
         values = {
-            tuple(places) for spec in self._channels.values() for places in (self.places(spec), self._scale_place(spec)) if places
+            tuple(places)
+            for spec in self._channels.values()
+            for places in (self.places(spec), self._scale_place(spec))
+            if places
         }
         blocks: list[RegisterBlock] = []
         for places in sorted(values):
             (function, first), end = places[0], places[-1][1] + 1
             last = blocks[-1] if blocks and blocks[-1].function == function else None
             most = _MOST_BITS if function in OF_BITS else MOST_REGISTERS
-            if last and first <= last.first + last.count + self._poll.gap and end - last.first <= most:
+            if (
+                last
+                and first <= last.first + last.count + self._poll.gap
+                and end - last.first <= most
+            ):
                 blocks[-1] = RegisterBlock(function, last.first, max(last.count, end - last.first))
             else:
                 blocks.append(RegisterBlock(function, first, end - first))
@@ -333,8 +387,12 @@ class PolledStream:
         return values * power_of_ten(read[scale[0]]) if scale else values
 
 
-async def read_blocks(client: CheckedModbusClient, blocks: Sequence[RegisterBlock]) -> tuple[dict[Place, int], list[str]]:
-    """The registers of all blocks that the device gives, and what it said of the others; BadReply when the connection fails."""
+async def read_blocks(
+    client: CheckedModbusClient, blocks: Sequence[RegisterBlock]
+) -> tuple[dict[Place, int], list[str]]:
+    """The registers of all blocks that the device gives, and what it said of the others; BadReply
+    when the connection fails.
+    """
     read: dict[Place, int] = {}
     refusals = []
     for block in blocks:
@@ -343,5 +401,7 @@ async def read_blocks(client: CheckedModbusClient, blocks: Sequence[RegisterBloc
         except DeviceRefused as error:
             refusals.append(str(error))
         else:
-            read.update({(block.function, block.first + k): word for k, word in enumerate(words.tolist())})
+            read.update(
+                {(block.function, block.first + k): word for k, word in enumerate(words.tolist())}
+            )
     return read, refusals

@@ -1,14 +1,16 @@
-"""Register traces: what a Modbus device published, page by page, as a text file that can be replayed.
+"""Register traces: what a Modbus device published, page by page, as a text file that can be
+replayed.
 
-UTF-8, one page a line, in the order of publication; lines that begin with `#` are notes, of which two are needed:
+UTF-8, one page a line, in the order of publication; lines that begin with `#` are notes, of which
+two are needed:
 
     # residuum register trace 1
     # map: process_plant.yaml
     0.100 process 0000 0000 3F80 0000
     0.200 process …
 
-A line holds the time since the first page [s], the stream of the register map, and the registers of the page's samples (without
-the page's head, which is made anew), each as four hexadecimal digits.
+A line holds the time since the first page [s], the stream of the register map, and the registers of
+the page's samples (without the page's head, which is made anew), each as four hexadecimal digits.
 """
 
 from __future__ import annotations
@@ -30,7 +32,9 @@ _MAP = "# map:"
 
 
 class TracedPage(NamedTuple):
-    """One page of a trace: when it was published [s], its stream, and the registers of its samples."""
+    """One page of a trace: when it was published [s], its stream, and the registers of its
+    samples.
+    """
 
     time: float
     stream: str
@@ -49,8 +53,8 @@ def write_trace(path: str | Path, map_name: str, pages: Iterable[TracedPage]) ->
 def read_trace(path: str | Path) -> tuple[RegisterMap, Iterator[TracedPage]]:
     """The register map of a trace, and its pages as they are asked for.
 
-    Raises BadBusDescription with file and line for a line that is no page, times that go back, or a stream that the map does
-    not have.
+    Raises BadBusDescription with file and line for a line that is no page, times that go back, or a
+    stream that the map does not have.
     """
     where = Path(path).name
     notes = []
@@ -64,7 +68,9 @@ def read_trace(path: str | Path) -> tuple[RegisterMap, Iterator[TracedPage]]:
         raise BadBusDescription(f"{where}: cannot be read: {error}") from None
     maps = [note.removeprefix(_MAP).strip() for note in notes if note.startswith(_MAP)]
     if not notes or notes[0] != _TITLE or len(maps) != 1:
-        raise BadBusDescription(f"{where}: is no register trace; it must begin with {_TITLE!r} and name its map")
+        raise BadBusDescription(
+            f"{where}: is no register trace; it must begin with {_TITLE!r} and name its map"
+        )
     registers = read_register_map(map_file(maps[0]))
     return registers, _pages(Path(path), registers)
 
@@ -77,7 +83,9 @@ def _pages(path: Path, registers: RegisterMap) -> Iterator[TracedPage]:
                 continue
             page = _page(line.split(), registers, f"{path.name}, line {number}")
             if page.time < last:
-                raise BadBusDescription(f"{path.name}, line {number}: time {page.time:g} s lies before {last:g} s")
+                raise BadBusDescription(
+                    f"{path.name}, line {number}: time {page.time:g} s lies before {last:g} s"
+                )
             last = page.time
             yield page
 
@@ -86,12 +94,19 @@ def _page(fields: list[str], registers: RegisterMap, where: str) -> TracedPage:
     try:
         time, stream, words = float(fields[0]), fields[1], [int(word, 16) for word in fields[2:]]
     except (ValueError, IndexError):
-        raise BadBusDescription(f"{where}: must be time, stream and hexadecimal registers") from None
+        raise BadBusDescription(
+            f"{where}: must be time, stream and hexadecimal registers"
+        ) from None
     layout = registers.streams.get(stream)
     if layout is None or layout.pages is None:
         raise BadBusDescription(f"{where}: the register map has no paged stream {stream!r}")
-    if len(words) != layout.words * layout.samples or not all(0 <= word <= 0xFFFF for word in words):
-        raise BadBusDescription(f"{where}: {len(words)} registers; a page of {stream!r} has {layout.words * layout.samples}")
+    if len(words) != layout.words * layout.samples or not all(
+        0 <= word <= 0xFFFF for word in words
+    ):
+        raise BadBusDescription(
+            f"{where}: {len(words)} registers; a page of {stream!r} has"
+            f" {layout.words * layout.samples}"
+        )
     if not math.isfinite(time):
         raise BadBusDescription(f"{where}: the time is not finite")
     return TracedPage(time, stream, np.array(words, np.uint16))

@@ -1,4 +1,5 @@
-"""NodeMap: which nodes of an OPC UA server carry which channels, from a YAML file that browsing writes.
+"""NodeMap: which nodes of an OPC UA server carry which channels, from a YAML file that browsing
+writes.
 
 ```yaml
 streams:
@@ -8,9 +9,8 @@ streams:
       u: {node: "ns=2;s=process-plant.process.u", unit: V}
       y: {node: "ns=2;s=process-plant.process.y", unit: m, scale: 0.001}
       setpoint: {node: "ns=2;s=process-plant.process.r", unit: m, held: true}      # reported when it changes
-security: {policy: Basic256Sha256, mode: SignAndEncrypt, certificate: own.der, key: own.pem, trusted: server.der}
-user: {name: residuum, password_file: password.txt}
-```
+security: {policy: Basic256Sha256, mode: SignAndEncrypt, certificate: own.der, key: own.pem,
+trusted: server.der} user: {name: residuum, password_file: password.txt} ```
 """
 
 from __future__ import annotations
@@ -37,7 +37,10 @@ class ChannelNode(StrictModel):
     offset: float = 0.0
     held: bool | None = Field(
         default=None,
-        description="Whether the last value holds until the next report; not said: where the channel reports by change only.",
+        description=(
+            "Whether the last value holds until the next report; not said: where the channel"
+            " reports by change only."
+        ),
     )
 
 
@@ -49,13 +52,19 @@ class StreamNodes(StrictModel):
 
     def format(self, name: str) -> StreamFormat:
         """What the stream carries."""
-        return StreamFormat(name, self.sample_time, {channel: spec.unit for channel, spec in self.channels.items()})
+        return StreamFormat(
+            name, self.sample_time, {channel: spec.unit for channel, spec in self.channels.items()}
+        )
 
 
 class Security(StrictModel):
-    """How a session is secured: our certificate and key, and the server's certificate, which we trust and no other."""
+    """How a session is secured: our certificate and key, and the server's certificate, which we
+    trust and no other.
+    """
 
-    policy: Literal["Basic256Sha256", "Aes128Sha256RsaOaep", "Aes256Sha256RsaPss"] = "Basic256Sha256"
+    policy: Literal["Basic256Sha256", "Aes128Sha256RsaOaep", "Aes256Sha256RsaPss"] = (
+        "Basic256Sha256"
+    )
     mode: Literal["Sign", "SignAndEncrypt"] = "SignAndEncrypt"
     certificate: Path
     key: Path
@@ -98,7 +107,11 @@ def read_node_map(path: Path) -> NodeMap:
 
 
 def _files(nodes: NodeMap) -> list[Path]:
-    secured = [nodes.security.certificate, nodes.security.key, nodes.security.trusted] if nodes.security else []
+    secured = (
+        [nodes.security.certificate, nodes.security.key, nodes.security.trusted]
+        if nodes.security
+        else []
+    )
     return [*secured, *([nodes.user.password_file] if nodes.user else [])]
 
 
@@ -107,7 +120,10 @@ def node_map_text(streams: Mapping[str, tuple[float, Mapping[str, ChannelNode]]]
     plain = {
         name: {
             "sample_time": every,
-            "channels": {c: {"unit": "", **spec.model_dump(exclude_unset=True)} for c, spec in channels.items()},
+            "channels": {
+                c: {"unit": "", **spec.model_dump(exclude_unset=True)}
+                for c, spec in channels.items()
+            },
         }
         for name, (every, channels) in streams.items()
     }

@@ -1,4 +1,6 @@
-"""NodeServer: an OPC UA server of values as nodes, with their own time stamps and status: a simulated machine's, or findings."""
+"""NodeServer: an OPC UA server of values as nodes, with their own time stamps and status: a
+simulated machine's, or findings.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,11 @@ from cryptography.x509.oid import ExtendedKeyUsageOID
 logging.getLogger("asyncua").setLevel(logging.CRITICAL)
 NAMESPACE = "urn:residuum:machines"
 _APPLICATION = "urn:residuum:findings"
-_SECURED = ("Basic256Sha256_SignAndEncrypt", "Aes128Sha256RsaOaep_SignAndEncrypt", "Aes256Sha256RsaPss_SignAndEncrypt")
+_SECURED = (
+    "Basic256Sha256_SignAndEncrypt",
+    "Aes128Sha256RsaOaep_SignAndEncrypt",
+    "Aes256Sha256RsaPss_SignAndEncrypt",
+)
 
 
 @dataclass(frozen=True)
@@ -29,7 +35,8 @@ class Entrance:
     Parameters
     ----------
     folder : Path
-        Has `server.der`, the server's certificate, and its key; made where they are missing or have ended.
+        Has `server.der`, the server's certificate, and its key; made where they are missing or have
+        ended.
     lets_in : callable
         Whether a name and password are those of a user.
     """
@@ -37,7 +44,13 @@ class Entrance:
     folder: Path
     lets_in: Callable[[str, str], bool]
 
-    def get_user(self, _server: Any, username: str | None = None, password: str | None = None, certificate: Any = None) -> Any:
+    def get_user(
+        self,
+        _server: Any,
+        username: str | None = None,
+        password: str | None = None,
+        certificate: Any = None,
+    ) -> Any:
         """A user who reads, or None (asyncua asks for this)."""
         known = username is not None and password is not None and self.lets_in(username, password)
         return User(role=UserRole.User, name=username) if known else None
@@ -47,7 +60,9 @@ class Entrance:
         self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         certificate, key = self.folder / "server.der", self.folder / "server.pem"
         names, use = {"organizationName": "Residuum"}, [ExtendedKeyUsageOID.SERVER_AUTH]
-        await setup_self_signed_certificate(key, certificate, _APPLICATION, platform.node(), use, names)
+        await setup_self_signed_certificate(
+            key, certificate, _APPLICATION, platform.node(), use, names
+        )
         key.chmod(0o600)
         return certificate, key
 
@@ -79,7 +94,9 @@ class NodeServer:
         self._space = 2
 
     async def start(self, declared: Mapping[str, Iterable[str]] | None = None) -> None:
-        """Begin to serve; `declared` are numbers (folder → names) that clients find at once, not good before they are written."""
+        """Begin to serve; `declared` are numbers (folder → names) that clients find at once, not
+        good before they are written.
+        """
         await self._server.init()
         self._server.set_endpoint(self._url)
         self._server.set_server_name("Residuum")
@@ -90,7 +107,9 @@ class NodeServer:
         self._space = await self._server.register_namespace(NAMESPACE)
         for folder, names in (declared or {}).items():
             for name in names:
-                await self.write(folder, name, 0.0, time.time(), ua.StatusCodes.BadWaitingForInitialData)
+                await self.write(
+                    folder, name, 0.0, time.time(), ua.StatusCodes.BadWaitingForInitialData
+                )
         await self._server.start()
 
     async def _secure(self, entrance: Entrance) -> None:
@@ -98,25 +117,36 @@ class NodeServer:
         await self._server.set_application_uri(_APPLICATION)
         await self._server.load_certificate(certificate)
         await self._server.load_private_key(key)
-        self._server.set_security_policy([getattr(ua.SecurityPolicyType, name) for name in _SECURED])
+        self._server.set_security_policy(
+            [getattr(ua.SecurityPolicyType, name) for name in _SECURED]
+        )
         self._server.set_identity_tokens([ua.UserNameIdentityToken])
 
     async def stop(self) -> None:
         """End all sessions."""
         await self._server.stop()
 
-    async def write(self, folder: str, name: str, value: Any, stamp: float, status: int = ua.StatusCodes.Good) -> None:
+    async def write(
+        self, folder: str, name: str, value: Any, stamp: float, status: int = ua.StatusCodes.Good
+    ) -> None:
         """A value of a node at a time [s since 1970]."""
         node = await self._node(folder, name, value)
         at = datetime.fromtimestamp(stamp, UTC)
-        datum = ua.DataValue(_variant(value), StatusCode=ua.StatusCode(status), SourceTimestamp=at, ServerTimestamp=at)
+        datum = ua.DataValue(
+            _variant(value),
+            StatusCode=ua.StatusCode(status),
+            SourceTimestamp=at,
+            ServerTimestamp=at,
+        )
         await node.write_value(datum)
 
     async def _node(self, folder: str, name: str, value: Any) -> Any:
         if (folder, name) not in self._nodes:
             if folder not in self._folders:
                 place = ua.NodeId(folder, self._space)
-                self._folders[folder] = await self._server.nodes.objects.add_folder(place, f"{self._space}:{folder}")
+                self._folders[folder] = await self._server.nodes.objects.add_folder(
+                    place, f"{self._space}:{folder}"
+                )
             identifier = ua.NodeId(f"{folder}.{name}", self._space)
             self._nodes[folder, name] = await self._folders[folder].add_variable(
                 identifier, f"{self._space}:{name}", _variant(value)

@@ -1,7 +1,8 @@
 """OpcuaSource: streams of samples from the nodes of an OPC UA server, after a node map.
 
-Nodes are subscribed to with every change of value, status or source time stamp. A value whose status is not good is missing. A
-lost session or subscription is opened again, and what did not come in the meantime is counted from the stamps.
+Nodes are subscribed to with every change of value, status or source time stamp. A value whose
+status is not good is missing. A lost session or subscription is opened again, and what did not come
+in the meantime is counted from the stamps.
 """
 
 from __future__ import annotations
@@ -40,7 +41,19 @@ _SILENT = 3.0
 _QUEUE = 1000
 _NUMERIC = {
     getattr(ua.VariantType, name)
-    for name in ("Boolean", "SByte", "Byte", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64", "Float", "Double")
+    for name in (
+        "Boolean",
+        "SByte",
+        "Byte",
+        "Int16",
+        "UInt16",
+        "Int32",
+        "UInt32",
+        "Int64",
+        "UInt64",
+        "Float",
+        "Double",
+    )
 }
 _WHOLE_UNTIL = 2**53
 """A double tells whole numbers apart up to here."""
@@ -71,7 +84,9 @@ class OpcuaSource(Source):
         self._url, self._map, self._timeout = url, nodes, timeout
         self._samples = {
             name: StampedSamples(
-                stream.format(name), self.health, held={channel: spec.held for channel, spec in stream.channels.items()}
+                stream.format(name),
+                self.health,
+                held={channel: spec.held for channel, spec in stream.channels.items()},
             )
             for name, stream in nodes.streams.items()
         }
@@ -94,7 +109,9 @@ class OpcuaSource(Source):
         while not self._stopped.is_set():
             client = make_client(self._url, self._map, self._timeout)
             try:
-                await asyncio.wait_for(enter(client, self._url, self._map, self._timeout), 4 * self._timeout)
+                await asyncio.wait_for(
+                    enter(client, self._url, self._map, self._timeout), 4 * self._timeout
+                )
                 if opened_before:
                     self.health.count("reconnects")
                     for samples in self._samples.values():
@@ -132,9 +149,13 @@ class OpcuaSource(Source):
                 await self._revive(client)
 
     async def _revive(self, client: Client) -> None:
-        """No value for long: a server that answers, and whose values change, has let the subscription go."""
+        """No value for long: a server that answers, and whose values change, has let the
+        subscription go.
+        """
         values = [client.get_node(spec.node) for _, _, spec, _ in self._channels()]
-        readings = await asyncio.wait_for(asyncio.gather(*(n.read_data_value(False) for n in values)), self._timeout)
+        readings = await asyncio.wait_for(
+            asyncio.gather(*(n.read_data_value(False) for n in values)), self._timeout
+        )
         newest = max((v.SourceTimestamp for v in readings if v.SourceTimestamp), default=None)
         before, self._asked = self._asked, newest
         if before is not None and newest is not None and newest != before:
@@ -153,7 +174,9 @@ class OpcuaSource(Source):
                 raise _Refused(await self._lacking(client, name, spec, result))
 
     async def _refuse_other_kinds(self, client: Client) -> None:
-        """What no number can be made of is refused before it is missing for ever; whole numbers beyond 2^53 are told."""
+        """What no number can be made of is refused before it is missing for ever; whole numbers
+        beyond 2^53 are told.
+        """
         channels = [(name, spec) for _, name, spec, _ in self._channels()]
         values = [client.get_node(spec.node).read_data_value(False) for _, spec in channels]
         readings = await asyncio.wait_for(asyncio.gather(*values), self._timeout)
@@ -163,24 +186,37 @@ class OpcuaSource(Source):
                 continue  # there is no value yet, or no such node
             kind, value = datum.Value.VariantType, datum.Value.Value
             if kind not in _NUMERIC or isinstance(value, list):
-                unfit.append(f"channel {name!r}, node {spec.node!r}: {kind.name}{'[]' * isinstance(value, list)}, no number")
+                unfit.append(
+                    f"channel {name!r}, node {spec.node!r}:"
+                    f" {kind.name}{'[]' * isinstance(value, list)}, no number"
+                )
             elif isinstance(value, int) and abs(value) >= _WHOLE_UNTIL:
-                large.append(f"channel {name!r}: whole numbers beyond 2^53 are rounded; neighbours look alike")
+                large.append(
+                    f"channel {name!r}: whole numbers beyond 2^53 are rounded; neighbours look"
+                    " alike"
+                )
         self.health.remarks = large
         if unfit:
-            raise _Refused(f"{'; '.join(unfit)}; take {'them' if len(unfit) > 1 else 'it'} out of the map")
+            raise _Refused(
+                f"{'; '.join(unfit)}; take {'them' if len(unfit) > 1 else 'it'} out of the map"
+            )
 
     def _channels(self) -> Iterable[tuple[str, str, ChannelNode, float]]:
         for stream, nodes in self._map.streams.items():
             for name, spec in nodes.channels.items():
                 yield stream, name, spec, nodes.sample_time
 
-    async def _lacking(self, client: Client, name: str, spec: ChannelNode, status: ua.StatusCode) -> str:
+    async def _lacking(
+        self, client: Client, name: str, spec: ChannelNode, status: ua.StatusCode
+    ) -> str:
         if status.value != ua.StatusCodes.BadNodeIdUnknown:
             return f"channel {name!r}, node {spec.node!r}: {status.name}"
         node_ids = [node async for node, _ in variables(client, _MOST_BROWSED)]
         near = nearest_names(spec.node, node_ids, 3, like=0.0)
-        return f"channel {name!r}: the server has no node {spec.node!r}; the nearest are {', '.join(near) or 'none'}"
+        return (
+            f"channel {name!r}: the server has no node {spec.node!r}; the nearest are"
+            f" {', '.join(near) or 'none'}"
+        )
 
     def datachange_notification(self, node: Any, value: Any, data: Any) -> None:
         """Take a value (called by the client)."""
@@ -192,12 +228,24 @@ class OpcuaSource(Source):
         self._heard = now
         stream, name, spec = place
         if datum.SourceTimestamp is None:
-            self.health.count("unstamped", 1, f"channel {name!r}: a value without a source time stamp")
+            self.health.count(
+                "unstamped", 1, f"channel {name!r}: a value without a source time stamp"
+            )
             return
-        number = _number(datum.Value.Value if datum.Value is not None else None) if datum.StatusCode.is_good() else math.nan
+        number = (
+            _number(datum.Value.Value if datum.Value is not None else None)
+            if datum.StatusCode.is_good()
+            else math.nan
+        )
         if math.isnan(number):
-            self.health.count("bad_status", 1, f"channel {name!r}: status {datum.StatusCode.name}, missing until it is good")
-        self._samples[stream].add(name, _seconds(datum.SourceTimestamp), number * spec.scale + spec.offset, now)
+            self.health.count(
+                "bad_status",
+                1,
+                f"channel {name!r}: status {datum.StatusCode.name}, missing until it is good",
+            )
+        self._samples[stream].add(
+            name, _seconds(datum.SourceTimestamp), number * spec.scale + spec.offset, now
+        )
 
     def status_change_notification(self, status: Any) -> None:
         """The server lets the subscription go."""
@@ -217,13 +265,19 @@ class OpcuaSource(Source):
 
 
 def _request(node: ua.NodeId, handle: int, every: float) -> ua.MonitoredItemCreateRequest:
-    """To be told every change of a node's value, status or source time stamp, looked at every so many milliseconds."""
+    """To be told every change of a node's value, status or source time stamp, looked at every so
+    many milliseconds.
+    """
     changes = ua.DataChangeFilter(Trigger=ua.DataChangeTrigger.StatusValueTimestamp)
     return ua.MonitoredItemCreateRequest(
         ItemToMonitor=ua.ReadValueId(NodeId=node, AttributeId=ua.AttributeIds.Value),
         MonitoringMode=ua.MonitoringMode.Reporting,
         RequestedParameters=ua.MonitoringParameters(
-            ClientHandle=handle, SamplingInterval=every, Filter=changes, QueueSize=_QUEUE, DiscardOldest=True
+            ClientHandle=handle,
+            SamplingInterval=every,
+            Filter=changes,
+            QueueSize=_QUEUE,
+            DiscardOldest=True,
         ),
     )
 
@@ -240,14 +294,16 @@ def make_client(url: str, nodes: NodeMap | None, timeout: float) -> Client:
 
 
 async def enter(client: Client, url: str, nodes: NodeMap | None, timeout: float) -> None:
-    """Open a session; a server that shows another certificate than the trusted one is not entered: it would not even answer."""
+    """Open a session; a server that shows another certificate than the trusted one is not entered:
+    it would not even answer.
+    """
     if nodes is not None and (s := nodes.security) is not None:
         shown, trusted = await server_certificate(url, timeout), s.trusted
         if _plain(shown) != _plain(trusted.read_bytes()):
             raise _Refused(
-                f"the certificate that the server shows is not the trusted one ({trusted}); if the server has a new one, "
-                f"`residuum opcua trust {with_hidden_password(url)} --out {trusted}` saves it: "
-                "compare the fingerprint at the server first"
+                f"the certificate that the server shows is not the trusted one ({trusted}); if the"
+                f" server has a new one, `residuum opcua trust {with_hidden_password(url)} --out"
+                f" {trusted}` saves it: compare the fingerprint at the server first"
             )
         await client.set_security_string(f"{s.policy},{s.mode},{s.certificate},{s.key},{s.trusted}")
     await client.connect()
@@ -264,11 +320,17 @@ def _application_uri(certificate: Path) -> str:
     """The name of an application in its certificate, by which a server knows it."""
     content = certificate.read_bytes()
     try:
-        read = x509.load_pem_x509_certificate if b"-----BEGIN" in content else x509.load_der_x509_certificate
+        read = (
+            x509.load_pem_x509_certificate
+            if b"-----BEGIN" in content
+            else x509.load_der_x509_certificate
+        )
         names = read(content).extensions.get_extension_for_class(x509.SubjectAlternativeName).value
         return str(names.get_values_for_type(x509.UniformResourceIdentifier)[0])
     except (ValueError, IndexError, x509.ExtensionNotFound):
-        raise BadBusDescription(f"{certificate}: is no certificate with the application's URI in it, as OPC UA needs") from None
+        raise BadBusDescription(
+            f"{certificate}: is no certificate with the application's URI in it, as OPC UA needs"
+        ) from None
 
 
 def _after(first: Any, then: Any) -> Any:
@@ -285,15 +347,22 @@ def said(error: Exception) -> str:
         return str(error)
     text = in_one_line(error)
     if "Certificate" in text or "SecurityChecks" in text:
-        return f"{text}; have our certificate put among the server's trusted ones, and its own at `security: trusted` of the map"
+        return (
+            f"{text}; have our certificate put among the server's trusted ones, and its own at"
+            " `security: trusted` of the map"
+        )
     return text if str(error) else f"{type(error).__name__}: nobody answers at this address"
 
 
 async def variables(client: Client, most: int) -> AsyncIterator[tuple[str, Any]]:
-    """(node id, node) of the variables below the server's objects, at most so many references looked at."""
+    """(node id, node) of the variables below the server's objects, at most so many references
+    looked at.
+    """
     waiting, looked_at, known = [client.nodes.objects], 0, set()
     while waiting and looked_at < most:
-        for reference in await waiting.pop().get_references(ua.ObjectIds.HierarchicalReferences, ua.BrowseDirection.Forward):
+        for reference in await waiting.pop().get_references(
+            ua.ObjectIds.HierarchicalReferences, ua.BrowseDirection.Forward
+        ):
             looked_at += 1
             if reference.NodeId.NamespaceIndex == 0 or reference.NodeId in known:
                 continue
@@ -305,7 +374,9 @@ async def variables(client: Client, most: int) -> AsyncIterator[tuple[str, Any]]
 
 
 class Variable(NamedTuple):
-    """A variable that holds a number: its node's id, its unit, and what it is: a number, a boolean, an enumeration with names."""
+    """A variable that holds a number: its node's id, its unit, and what it is: a number, a boolean,
+    an enumeration with names.
+    """
 
     node: str
     unit: str
@@ -314,19 +385,27 @@ class Variable(NamedTuple):
 
     @property
     def held(self) -> bool:
-        """Whether its value is one of few, which servers report when it changes, and which holds until then."""
+        """Whether its value is one of few, which servers report when it changes, and which holds
+        until then.
+        """
         return self.kind != _PLAIN
 
 
-async def numeric_variables(url: str, nodes: NodeMap | None, under: str, timeout: float) -> dict[str, Variable]:
-    """Channel → variable of a server's variables that hold numbers and whose id begins with `under`."""
+async def numeric_variables(
+    url: str, nodes: NodeMap | None, under: str, timeout: float
+) -> dict[str, Variable]:
+    """Channel → variable of a server's variables that hold numbers and whose id begins with
+    `under`.
+    """
     client = make_client(url, nodes, timeout)
     by_channel: dict[str, Variable] = {}
     await enter(client, url, nodes, timeout)
     try:
         async for node_id, node in variables(client, _MOST_BROWSED):
             if node_id.startswith(under) and await _is_numeric(node):
-                by_channel[_channel_name(node_id, by_channel)] = Variable(node_id, await _unit(node), *await _kind(node))
+                by_channel[_channel_name(node_id, by_channel)] = Variable(
+                    node_id, await _unit(node), *await _kind(node)
+                )
     finally:
         await client.disconnect()
     return by_channel
@@ -338,7 +417,9 @@ async def _is_numeric(node: Any) -> bool:
 
 
 async def _kind(node: Any) -> tuple[str, tuple[str, ...]]:
-    """What a variable of numbers is, and the names of an enumeration's values (Part 3, 5.8.3; MultiStateDiscrete of Part 8)."""
+    """What a variable of numbers is, and the names of an enumeration's values (Part 3, 5.8.3;
+    MultiStateDiscrete of Part 8).
+    """
     kind = Node(node.session, await node.read_data_type())
     base = (await get_base_data_type(kind)).nodeid.Identifier
     if base == ua.ObjectIds.Boolean:
@@ -352,7 +433,10 @@ async def _names(node: Any) -> tuple[str, ...]:
     for table in ("0:EnumStrings", "0:EnumValues"):
         try:
             rows = await (await node.get_child(table)).read_value()
-            return tuple(f"{getattr(row, 'Value', k)} {getattr(row, 'DisplayName', row).Text}" for k, row in enumerate(rows))
+            return tuple(
+                f"{getattr(row, 'Value', k)} {getattr(row, 'DisplayName', row).Text}"
+                for k, row in enumerate(rows)
+            )
         except (ua.UaError, AttributeError, TypeError):
             continue
     return ()

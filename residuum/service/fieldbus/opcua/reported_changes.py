@@ -1,7 +1,8 @@
 """ReportedChanges: samples of values that are reported when they change.
 
-A Sparkplug node reports by exception: what a message does not name has not changed. So each sample before a change has the
-values that held until then. It can be given only when the next message comes: before, nobody knows that nothing changed.
+A Sparkplug node reports by exception: what a message does not name has not changed. So each sample
+before a change has the values that held until then. It can be given only when the next message
+comes: before, nobody knows that nothing changed.
 """
 
 from __future__ import annotations
@@ -11,7 +12,9 @@ from collections.abc import Iterable, Iterator, Sequence
 _LONGEST = 3600.0
 """[s] A longer silence is a hole: what it would fill, windows are not made of."""
 _MOST_SAMPLES, _MOST_VALUES = 50_000, 1_000_000
-"""A silence of more samples, or of more values in them, is a hole, too: they wait in memory until they are handed on."""
+"""A silence of more samples, or of more values in them, is a hole, too: they wait in memory until
+they are handed on.
+"""
 
 Told = tuple[float, str, float]
 """Stamp [s], channel, value."""
@@ -20,8 +23,8 @@ Told = tuple[float, str, float]
 class ReportedChanges:
     """The channels of one stream.
 
-    After a hole the stream goes on with the change that ends it: what is missing shows in the stamps, and is counted where
-    samples are put together.
+    After a hole the stream goes on with the change that ends it: what is missing shows in the
+    stamps, and is counted where samples are put together.
 
     Parameters
     ----------
@@ -41,7 +44,9 @@ class ReportedChanges:
 
     def __init__(self, channels: Sequence[str], sample_time: float) -> None:
         self._channels, self._step = channels, sample_time
-        self._longest = min(_LONGEST, sample_time * min(_MOST_SAMPLES, _MOST_VALUES // len(channels)))
+        self._longest = min(
+            _LONGEST, sample_time * min(_MOST_SAMPLES, _MOST_VALUES // len(channels))
+        )
         self._holds: dict[str, float] = {}
         self._origin: float | None = None
         self._next = 0
@@ -51,11 +56,14 @@ class ReportedChanges:
         self._holds, self._origin = {}, None
 
     def stated(self, states: Iterable[Told]) -> None:
-        """A birth states what holds; it is no sample, since it says when it was sent, not when the value began to hold."""
+        """A birth states what holds; it is no sample, since it says when it was sent, not when the
+        value began to hold.
+        """
         self._holds |= {channel: value for _, channel, value in states}
 
     def samples(self, changes: Iterable[Told]) -> Iterator[Told]:
-        """The samples before these changes that were not given yet; `changes` in the order of stamps.
+        """The samples before these changes that were not given yet; `changes` in the order of
+        stamps.
 
         They come one by one, and the changes are noted as they do: take them all.
         """

@@ -1,4 +1,6 @@
-"""EdgeNode: a Sparkplug B edge node of our own: its births, its data and its death on an MQTT broker."""
+"""EdgeNode: a Sparkplug B edge node of our own: its births, its data and its death on an MQTT
+broker.
+"""
 
 from __future__ import annotations
 
@@ -30,8 +32,9 @@ _PATIENCE = 5.0
 class EdgeNode:
     """Publishes metrics of devices; safe to use from any thread.
 
-    Births name the metrics and give each an alias; data go by the alias. A host that asks (`Node Control/Rebirth`) gets the
-    births anew. The broker tells the death when the connection breaks; `stop` tells it itself.
+    Births name the metrics and give each an alias; data go by the alias. A host that asks (`Node
+    Control/Rebirth`) gets the births anew. The broker tells the death when the connection breaks;
+    `stop` tells it itself.
 
     Parameters
     ----------
@@ -85,7 +88,11 @@ class EdgeNode:
                 self._send("DBIRTH", list(known.values()), device)
             else:
                 changed = [known[name] for name in values]
-                self._send("DDATA", [Metric("", m.value, m.datatype, m.alias, m.stamp) for m in changed], device)
+                self._send(
+                    "DDATA",
+                    [Metric("", m.value, m.datatype, m.alias, m.stamp) for m in changed],
+                    device,
+                )
 
     def _send(self, kind: str, metrics: list[Metric], device: str = "") -> None:
         payload = Payload(metrics, _now(), self._seq)
@@ -96,12 +103,17 @@ class EdgeNode:
         with self._lock:
             self._seq, self._born = 0, True
             now = _now()
-            own = [Metric("bdSeq", self._birth_number, INT64, stamp=now), Metric(REBIRTH, False, BOOLEAN, stamp=now)]
+            own = [
+                Metric("bdSeq", self._birth_number, INT64, stamp=now),
+                Metric(REBIRTH, False, BOOLEAN, stamp=now),
+            ]
             self._send("NBIRTH", own)
             for device, known in self._devices.items():
                 self._send("DBIRTH", list(known.values()), device)
 
-    def _on_connect(self, client: Any, _data: Any, _flags: Any, reason: Any, _properties: Any) -> None:
+    def _on_connect(
+        self, client: Any, _data: Any, _flags: Any, reason: Any, _properties: Any
+    ) -> None:
         if not reason.is_failure:
             client.subscribe(self._topic("NCMD"), 1)
             self._be_born()
@@ -114,7 +126,10 @@ class EdgeNode:
 
     def _on_command(self, _client: Any, _data: Any, message: Any) -> None:
         with suppress(BadPayload):
-            if any(metric.name == REBIRTH and metric.value is True for metric in unpack(message.payload).metrics):
+            if any(
+                metric.name == REBIRTH and metric.value is True
+                for metric in unpack(message.payload).metrics
+            ):
                 self._be_born()
 
     def _write_will(self) -> None:
@@ -132,7 +147,13 @@ def _datatype(value: Any) -> int:
         return BOOLEAN
     if isinstance(value, str):
         return STRING
-    return UINT64 if isinstance(value, int) and value >= 0 else INT64 if isinstance(value, int) else DOUBLE
+    return (
+        UINT64
+        if isinstance(value, int) and value >= 0
+        else INT64
+        if isinstance(value, int)
+        else DOUBLE
+    )
 
 
 def _now() -> int:

@@ -1,4 +1,5 @@
-"""MetricMap: which metrics of a Sparkplug edge node carry which channels, from a YAML file that browsing writes.
+"""MetricMap: which metrics of a Sparkplug edge node carry which channels, from a YAML file that
+browsing writes.
 
 ```yaml
 node: Plant1/Press-7                # group/edge node
@@ -33,7 +34,9 @@ NAME = r"[^/+#]+"
 
 
 class ChannelMetric(StrictModel):
-    """The metric of a channel, and how its value becomes one in this unit: value · scale + offset."""
+    """The metric of a channel, and how its value becomes one in this unit: value · scale +
+    offset.
+    """
 
     metric: str = Field(min_length=1)
     unit: str = ""
@@ -42,7 +45,9 @@ class ChannelMetric(StrictModel):
 
 
 class StreamMetrics(StrictModel):
-    """One stream: its device, its clock, its channels, and whether a message has every value or those that changed."""
+    """One stream: its device, its clock, its channels, and whether a message has every value or
+    those that changed.
+    """
 
     device: str = Field("", pattern=rf"^({NAME})?$")
     sample_time: float = Field(gt=0, le=3600)
@@ -51,7 +56,9 @@ class StreamMetrics(StrictModel):
 
     def format(self, name: str) -> StreamFormat:
         """What the stream carries."""
-        return StreamFormat(name, self.sample_time, {channel: spec.unit for channel, spec in self.channels.items()})
+        return StreamFormat(
+            name, self.sample_time, {channel: spec.unit for channel, spec in self.channels.items()}
+        )
 
 
 class MetricMap(StrictModel):
@@ -87,14 +94,18 @@ def read_metric_map(path: Path) -> MetricMap:
     return read_map(path, MetricMap)
 
 
-def metric_map_text(node: str, every: float, devices: Mapping[str, Mapping[str, tuple[str, str]]]) -> str:
+def metric_map_text(
+    node: str, every: float, devices: Mapping[str, Mapping[str, tuple[str, str]]]
+) -> str:
     """The file of a node: device → channel → (metric, unit); a stream a device."""
     streams = {
         device or "node": {
             **({"device": device} if device else {}),
             "sample_time": every,
             "reports": "samples",
-            "channels": {name: {"metric": metric, "unit": unit} for name, (metric, unit) in channels.items()},
+            "channels": {
+                name: {"metric": metric, "unit": unit} for name, (metric, unit) in channels.items()
+            },
         }
         for device, channels in devices.items()
     }

@@ -1,4 +1,6 @@
-"""What the births of a Sparkplug edge node name: devices and their metrics that are numbers, with units where they say them."""
+"""What the births of a Sparkplug edge node name: devices and their metrics that are numbers, with
+units where they say them.
+"""
 
 from __future__ import annotations
 
@@ -9,15 +11,25 @@ from itertools import chain, count
 from typing import Any
 
 from residuum.service.broker import BrokerAddress
-from residuum.service.fieldbus.sparkplug.sparkplug_payload import BOOLEAN, BadPayload, Metric, Payload, pack, unpack
+from residuum.service.fieldbus.sparkplug.sparkplug_payload import (
+    BOOLEAN,
+    BadPayload,
+    Metric,
+    Payload,
+    pack,
+    unpack,
+)
 from residuum.service.fieldbus.sparkplug.sparkplug_source import NAMESPACE, REBIRTH, kind_and_device
 
 _QUIET = 1.0
 """[s] Without a further birth, all have been heard."""
 
 
-def numeric_metrics(address: BrokerAddress, node: str, timeout: float) -> dict[str, dict[str, tuple[str, str]]]:
-    """Device (empty: the node) → channel → (metric, unit), of a node that was asked to be born again; empty without an answer.
+def numeric_metrics(
+    address: BrokerAddress, node: str, timeout: float
+) -> dict[str, dict[str, tuple[str, str]]]:
+    """Device (empty: the node) → channel → (metric, unit), of a node that was asked to be born
+    again; empty without an answer.
 
     Raises OSError when the broker does not let us in.
     """
@@ -48,7 +60,9 @@ def numeric_metrics(address: BrokerAddress, node: str, timeout: float) -> dict[s
     return devices
 
 
-def _heard(heard: queue.Queue[Any], refused: list[str], timeout: float) -> dict[str, dict[str, tuple[str, str]]]:
+def _heard(
+    heard: queue.Queue[Any], refused: list[str], timeout: float
+) -> dict[str, dict[str, tuple[str, str]]]:
     devices: dict[str, dict[str, tuple[str, str]]] = {}
     end = time.monotonic() + timeout
     while time.monotonic() < end:
@@ -71,12 +85,17 @@ def _numbers(content: bytes) -> dict[str, tuple[str, str]]:
         metrics = unpack(content).metrics
     except BadPayload:
         return {}
-    numeric = [m for m in metrics if 1 <= m.datatype <= BOOLEAN and m.name != "bdSeq" and "Control/" not in m.name]
+    numeric = [
+        m
+        for m in metrics
+        if 1 <= m.datatype <= BOOLEAN and m.name != "bdSeq" and "Control/" not in m.name
+    ]
     return channels_of({m.name: m.unit for m in numeric})
 
 
 def channels_of(units: Mapping[str, str]) -> dict[str, tuple[str, str]]:
-    """Channel → (metric, unit) of metrics and their units; of metrics whose channels would be the same, later ones are numbered.
+    """Channel → (metric, unit) of metrics and their units; of metrics whose channels would be the
+    same, later ones are numbered.
 
     >>> channels_of({"Motor/Speed": "rpm", "Motor.Speed": "1/s"})
     {'Motor.Speed': ('Motor/Speed', 'rpm'), 'Motor.Speed-2': ('Motor.Speed', '1/s')}

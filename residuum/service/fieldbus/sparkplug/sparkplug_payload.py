@@ -1,7 +1,7 @@
 """Sparkplug B payloads: metrics of a node or device, as protobuf bytes and back.
 
-The message type is built here from field numbers of the Sparkplug specification 3.0 (section 6.4); Google's protobuf does the
-bytes.
+The message type is built here from field numbers of the Sparkplug specification 3.0 (section 6.4);
+Google's protobuf does the bytes.
 """
 
 from __future__ import annotations
@@ -15,8 +15,18 @@ from google.protobuf import descriptor_pb2, descriptor_pool, message, message_fa
 
 _Field = descriptor_pb2.FieldDescriptorProto
 _ONE, _MANY = _Field.LABEL_OPTIONAL, _Field.LABEL_REPEATED
-_U32, _U64, _TEXT, _BYTES = _Field.TYPE_UINT32, _Field.TYPE_UINT64, _Field.TYPE_STRING, _Field.TYPE_BYTES
-_FLOAT, _DOUBLE, _BOOL, _MESSAGE = _Field.TYPE_FLOAT, _Field.TYPE_DOUBLE, _Field.TYPE_BOOL, _Field.TYPE_MESSAGE
+_U32, _U64, _TEXT, _BYTES = (
+    _Field.TYPE_UINT32,
+    _Field.TYPE_UINT64,
+    _Field.TYPE_STRING,
+    _Field.TYPE_BYTES,
+)
+_FLOAT, _DOUBLE, _BOOL, _MESSAGE = (
+    _Field.TYPE_FLOAT,
+    _Field.TYPE_DOUBLE,
+    _Field.TYPE_BOOL,
+    _Field.TYPE_MESSAGE,
+)
 
 _VALUES = {
     "int_value": _U32,
@@ -73,7 +83,9 @@ class Metric:
 
 @dataclass(frozen=True)
 class Payload:
-    """Metrics with the time of sending [ms since 1970] and the sequence number, where the message has one."""
+    """Metrics with the time of sending [ms since 1970] and the sequence number, where the message
+    has one.
+    """
 
     metrics: Sequence[Metric]
     stamp: int = 0
@@ -81,7 +93,8 @@ class Payload:
 
 
 def number_of(metric: Metric, datatype: int = 0) -> float:
-    """The metric's value as a number of its data type (the birth's where it has none of its own); nan for anything else.
+    """The metric's value as a number of its data type (the birth's where it has none of its own);
+    nan for anything else.
 
     >>> number_of(Metric("a", 65535, datatype=2)), number_of(Metric("a", 65535, datatype=6)), number_of(Metric("a", "on"))
     (-1.0, 65535.0, nan)
@@ -163,17 +176,30 @@ def _metric(encoded: Any) -> Metric:
 
 
 def _payload_type() -> Any:
-    file = descriptor_pb2.FileDescriptorProto(name="residuum/sparkplug_b.proto", package="residuum.sparkplug", syntax="proto2")
+    file = descriptor_pb2.FileDescriptorProto(
+        name="residuum/sparkplug_b.proto", package="residuum.sparkplug", syntax="proto2"
+    )
     payload = file.message_type.add(name="Payload")
     _add(payload, "timestamp", 1, _U64)
     _add(payload, "metrics", 2, _MESSAGE, _MANY, ".residuum.sparkplug.Metric")
     _add(payload, "seq", 3, _U64)
     metric = file.message_type.add(name="Metric")
     plain = (("name", _TEXT), ("alias", _U64), ("timestamp", _U64), ("datatype", _U32))
-    for number, (name, kind) in enumerate((*plain, *((f"is_{n}", _BOOL) for n in ("historical", "transient", "null"))), 1):
+    for number, (name, kind) in enumerate(
+        (*plain, *((f"is_{n}", _BOOL) for n in ("historical", "transient", "null"))), 1
+    ):
         _add(metric, name, number, kind)
     _add(metric, "properties", 9, _MESSAGE, type_name=".residuum.sparkplug.PropertySet")
-    _one_of(metric, 10, (*_VALUES.items(), ("bytes_value", _BYTES), ("dataset_value", _BYTES), ("template_value", _BYTES)))
+    _one_of(
+        metric,
+        10,
+        (
+            *_VALUES.items(),
+            ("bytes_value", _BYTES),
+            ("dataset_value", _BYTES),
+            ("template_value", _BYTES),
+        ),
+    )
     properties = file.message_type.add(name="PropertySet")
     _add(properties, "keys", 1, _TEXT, _MANY)
     _add(properties, "values", 2, _MESSAGE, _MANY, ".residuum.sparkplug.PropertyValue")

@@ -1,8 +1,10 @@
-"""SparkplugSource: streams of samples from the metrics of a Sparkplug B edge node, read from an MQTT broker after a metric map.
+"""SparkplugSource: streams of samples from the metrics of a Sparkplug B edge node, read from an
+MQTT broker after a metric map.
 
-What a message says is believed while the node's sequence is whole (see `node_session`). After a gap, a lost connection, a
-death, or messages that came faster than they were read the node is asked to be born again, and nothing is taken before. Values
-that births and stores of the node repeat are no samples.
+What a message says is believed while the node's sequence is whole (see `node_session`). After a
+gap, a lost connection, a death, or messages that came faster than they were read the node is asked
+to be born again, and nothing is taken before. Values that births and stores of the node repeat are
+no samples.
 """
 
 from __future__ import annotations
@@ -25,7 +27,15 @@ from residuum.service.fieldbus.health import SourceHealth
 from residuum.service.fieldbus.opcua.reported_changes import ReportedChanges
 from residuum.service.fieldbus.source import Backoff, Sink, Source, StreamFormat
 from residuum.service.fieldbus.sparkplug.metric_map import MetricMap
-from residuum.service.fieldbus.sparkplug.sparkplug_payload import BOOLEAN, BadPayload, Metric, Payload, number_of, pack, unpack
+from residuum.service.fieldbus.sparkplug.sparkplug_payload import (
+    BOOLEAN,
+    BadPayload,
+    Metric,
+    Payload,
+    number_of,
+    pack,
+    unpack,
+)
 from residuum.service.fieldbus.stamped_samples import StampedSamples
 
 # NodeSession: messages of one Sparkplug edge node put in order; every gap is noticed, and nothing
@@ -53,7 +63,9 @@ _REMEMBERED = 1000
 
 @dataclass(frozen=True)
 class NodeMessage:
-    """One message: its kind (`NBIRTH`, `DDATA`, …), its device (empty: the node itself), what it says."""
+    """One message: its kind (`NBIRTH`, `DDATA`, …), its device (empty: the node itself), what it
+    says.
+    """
 
     kind: str
     device: str
@@ -62,12 +74,16 @@ class NodeMessage:
     @property
     def birth_number(self) -> object:
         """Its bdSeq; None where it has none."""
-        return next((metric.value for metric in self.payload.metrics if metric.name == "bdSeq"), None)
+        return next(
+            (metric.value for metric in self.payload.metrics if metric.name == "bdSeq"), None
+        )
 
 
 @dataclass
 class _Session:
-    """What is known of the node since its birth: the number that comes next, and number → time of sending of the last 128."""
+    """What is known of the node since its birth: the number that comes next, and number → time of
+    sending of the last 128.
+    """
 
     birth_number: object
     expected: int
@@ -87,8 +103,12 @@ class _Session:
         return (seq - self.expected) % _TURN >= _HALF
 
     def is_late(self, seq: int, stamp: int) -> bool:
-        """Whether a message was sent before all that are remembered, or before the latest and has a number that is over."""
-        return stamp < next(iter(self.taken.values())) or (self.is_behind(seq) and stamp <= self.latest)
+        """Whether a message was sent before all that are remembered, or before the latest and has a
+        number that is over.
+        """
+        return stamp < next(iter(self.taken.values())) or (
+            self.is_behind(seq) and stamp <= self.latest
+        )
 
 
 class NodeSession:
@@ -133,21 +153,31 @@ class NodeSession:
 
     def ready(self, now: float) -> Sequence[NodeMessage]:
         """The messages that can be believed now, in order."""
-        until = max((sent for sent, since, _ in self._arrived if now - since >= self._settle), default=None)
+        until = max(
+            (sent for sent, since, _ in self._arrived if now - since >= self._settle), default=None
+        )
         if until is None:
             return []
-        due = sorted((entry for entry in self._arrived if entry[0] <= until), key=lambda entry: entry[0])
+        due = sorted(
+            (entry for entry in self._arrived if entry[0] <= until), key=lambda entry: entry[0]
+        )
         self._arrived = [entry for entry in self._arrived if entry[0] > until]
         return [taken for _, _, message in due for taken in self._take(message, now)]
 
     def gap(self, now: float) -> bool:
         """Whether there is a gap by now that there was not before."""
-        waiting = [since for since, _ in self._held[:1]] + ([self._doubt] if self._doubt is not None else [])
+        waiting = [since for since, _ in self._held[:1]] + (
+            [self._doubt] if self._doubt is not None else []
+        )
         if self._session is None or not waiting:
             return False
         if now - min(waiting) < self._patience and len(self._held) < _HALF:
             return False
-        self._health.count("sequence_gaps", 1, f"message {self._session.expected} never came; the node is asked to be born again")
+        self._health.count(
+            "sequence_gaps",
+            1,
+            f"message {self._session.expected} never came; the node is asked to be born again",
+        )
         self.break_off()
         return True
 
@@ -166,8 +196,15 @@ class NodeSession:
         return [message]
 
     def _birth(self, message: NodeMessage) -> Sequence[NodeMessage]:
-        stamp, seq, birth = message.payload.stamp, message.payload.seq or 0, (message.payload.stamp, message.birth_number)
-        if birth in self._births or self._newest_birth - _LATEST_BIRTH < stamp <= self._newest_birth:
+        stamp, seq, birth = (
+            message.payload.stamp,
+            message.payload.seq or 0,
+            (message.payload.stamp, message.birth_number),
+        )
+        if (
+            birth in self._births
+            or self._newest_birth - _LATEST_BIRTH < stamp <= self._newest_birth
+        ):
             self._health.count("duplicated", 1)
             return []
         self._births[birth], self._newest_birth = None, stamp
@@ -182,7 +219,9 @@ class NodeSession:
         if session is None or seq is None:
             self._health.count("unborn", 1)
             return []
-        if session.taken.get(seq) == stamp or any(held.payload == message.payload for _, held in self._held):
+        if session.taken.get(seq) == stamp or any(
+            held.payload == message.payload for _, held in self._held
+        ):
             self._health.count("duplicated", 1)
             return []
         if session.is_late(seq, stamp):
@@ -207,7 +246,11 @@ class NodeSession:
             in_turn.append(first)
             self._held = [(since, held) for since, held in self._held if held is not first]
         before = len(self._held)
-        self._held = [(since, held) for since, held in self._held if not session.is_behind(held.payload.seq or 0)]
+        self._held = [
+            (since, held)
+            for since, held in self._held
+            if not session.is_behind(held.payload.seq or 0)
+        ]
         self._health.count("duplicated", before - len(self._held))
         return in_turn
 
@@ -239,10 +282,15 @@ class SparkplugSource(Source):
         How long a message waits for those before it [s].
     """
 
-    def __init__(self, address: BrokerAddress, metrics: MetricMap, sink: Sink, patience: float = 1.0) -> None:
+    def __init__(
+        self, address: BrokerAddress, metrics: MetricMap, sink: Sink, patience: float = 1.0
+    ) -> None:
         super().__init__(f"sparkplug:{address.host}:{address.port}/{metrics.node}", sink)
         self._address, self._map = address, metrics
-        self._samples = {name: StampedSamples(spec.format(name), self.health) for name, spec in metrics.streams.items()}
+        self._samples = {
+            name: StampedSamples(spec.format(name), self.health)
+            for name, spec in metrics.streams.items()
+        }
         self._changes = {
             name: ReportedChanges(list(spec.channels), spec.sample_time)
             for name, spec in metrics.streams.items()
@@ -281,12 +329,16 @@ class SparkplugSource(Source):
         client.reconnect_delay_set(1, 5)
         client.on_connect, client.on_connect_fail = self._on_connect, self._on_connect_fail
         client.on_subscribe, client.on_disconnect = self._on_subscribe, self._on_disconnect
-        client.on_message = lambda _client, _data, message: self._wait(message.topic, bytes(message.payload))
+        client.on_message = lambda _client, _data, message: self._wait(
+            message.topic, bytes(message.payload)
+        )
         client.connect_async(self._address.host, self._address.port, keepalive=_KEEP_ALIVE)
         client.loop_start()
         return client
 
-    def _on_connect(self, client: Any, _data: Any, _flags: Any, reason: Any, _properties: Any) -> None:
+    def _on_connect(
+        self, client: Any, _data: Any, _flags: Any, reason: Any, _properties: Any
+    ) -> None:
         if reason.is_failure:
             self.health.count("bus_errors", 1, f"the broker refuses the connection: {reason}")
             return
@@ -309,7 +361,9 @@ class SparkplugSource(Source):
         try:
             self._arrived.put_nowait((topic, content, time.monotonic()))
         except queue.Full:
-            self.health.count("overflow", 1, f"node {self._map.node}: messages come faster than they are read")
+            self.health.count(
+                "overflow", 1, f"node {self._map.node}: messages come faster than they are read"
+            )
             self._overflown.set()
 
     def _take_what_arrived(self) -> None:
@@ -378,16 +432,27 @@ class SparkplugSource(Source):
             for channel, wanted in spec.channels.items():
                 if wanted.metric not in known:
                     near = ", ".join(nearest_names(wanted.metric, names, 3, like=0.0)) or "none"
-                    lacks = f"channel {channel!r}: the birth has no metric {wanted.metric!r}; the nearest are {near}"
+                    lacks = (
+                        f"channel {channel!r}: the birth has no metric {wanted.metric!r}; the"
+                        f" nearest are {near}"
+                    )
                     self.health.count("undecodable", 1, lacks)
             if stream in self._changes:
                 self._changes[stream].stated(self._told(stream, message))
 
     def _values(self, message: NodeMessage, now: float) -> None:
         known = self._known.get(message.device, {})
-        unnamed = [m.alias for m in message.payload.metrics if not m.name and m.alias is not None and m.alias not in known]
+        unnamed = [
+            m.alias
+            for m in message.payload.metrics
+            if not m.name and m.alias is not None and m.alias not in known
+        ]
         if unnamed:
-            self.health.count("sequence_gaps", 1, f"device {message.device!r}: no birth that came gave the alias {unnamed[0]}")
+            self.health.count(
+                "sequence_gaps",
+                1,
+                f"device {message.device!r}: no birth that came gave the alias {unnamed[0]}",
+            )
             self._session.break_off()
             self._forget()
             return
@@ -395,18 +460,30 @@ class SparkplugSource(Source):
             if spec.device != message.device:
                 continue
             reports = self._told(stream, message)
-            for stamp, channel, value in self._changes[stream].samples(reports) if stream in self._changes else reports:
+            for stamp, channel, value in (
+                self._changes[stream].samples(reports) if stream in self._changes else reports
+            ):
                 self._samples[stream].add(channel, stamp, value, now)
 
     def _told(self, stream: str, message: NodeMessage) -> list[tuple[float, str, float]]:
-        """(stamp [s], channel, value) of what a message says of a stream, in the order of the stamps."""
+        """(stamp [s], channel, value) of what a message says of a stream, in the order of the
+        stamps.
+        """
         known = self._known.get(message.device, {})
-        channels = {wanted.metric: (name, wanted) for name, wanted in self._map.streams[stream].channels.items()}
+        channels = {
+            wanted.metric: (name, wanted)
+            for name, wanted in self._map.streams[stream].channels.items()
+        }
         reports = []
         for metric in message.payload.metrics:
-            name, datatype = known.get(metric.alias if not metric.name and metric.alias is not None else metric.name, ("", 0))
+            name, datatype = known.get(
+                metric.alias if not metric.name and metric.alias is not None else metric.name,
+                ("", 0),
+            )
             if not name:
-                self.health.count("unborn", 1, f"device {message.device!r}: a metric that its birth does not name")
+                self.health.count(
+                    "unborn", 1, f"device {message.device!r}: a metric that its birth does not name"
+                )
             if name not in channels:
                 continue
             if metric.historical:

@@ -1,4 +1,6 @@
-"""Trained diagnosers at hand: one instance a diagnoser and baseline, loaded once and shared by all requests."""
+"""Trained diagnosers at hand: one instance a diagnoser and baseline, loaded once and shared by all
+requests.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,8 @@ Baseline = Callable[[str], tuple[str, bytes]]
 class Judges:
     """Diagnosers by name, settings and baseline.
 
-    A baseline is a stored trained diagnoser (model of kind `baseline`). A new version of it is taken up by the next call.
+    A baseline is a stored trained diagnoser (model of kind `baseline`). A new version of it is
+    taken up by the next call.
     """
 
     def __init__(self, baseline: Baseline) -> None:
@@ -26,19 +29,29 @@ class Judges:
         self._kept = KeptDiagnosers()
 
     def untrained(self, diagnoser: str, settings: Mapping[str, Any] | None = None) -> Diagnoser:
-        """A diagnoser without baseline, which judges by absolute indicators and fault lines; BadInput for a setting it lacks."""
+        """A diagnoser without baseline, which judges by absolute indicators and fault lines;
+        BadInput for a setting it lacks.
+        """
         key = (diagnoser, repr(sorted((settings or {}).items())))
-        return self._kept.get(key, lambda: diagnoser_class(diagnoser)().with_settings(**(settings or {})))
+        return self._kept.get(
+            key, lambda: diagnoser_class(diagnoser)().with_settings(**(settings or {}))
+        )
 
     def trained(self, diagnoser: str, baseline: str) -> Diagnoser:
-        """A diagnoser with the newest version of a stored baseline; BadInput when it is one of another diagnoser."""
+        """A diagnoser with the newest version of a stored baseline; BadInput when it is one of
+        another diagnoser.
+        """
         version, content = self._baseline(baseline)
         key = (diagnoser, baseline, version)
-        return self._kept.get(key, lambda: diagnoser_of_content(diagnoser_class(diagnoser), content))
+        return self._kept.get(
+            key, lambda: diagnoser_of_content(diagnoser_class(diagnoser), content)
+        )
 
 
 def diagnoser_class(name: str) -> type[Diagnoser]:
     """The class of this name; NotFound lists the names there are."""
     if name not in DIAGNOSERS:
-        raise NotFound(f"diagnoser {name[:60]!r}: there is none of this name; {known_names(name, DIAGNOSERS)}")
+        raise NotFound(
+            f"diagnoser {name[:60]!r}: there is none of this name; {known_names(name, DIAGNOSERS)}"
+        )
     return DIAGNOSERS[name]

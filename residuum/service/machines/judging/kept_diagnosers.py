@@ -33,11 +33,15 @@ class KeptDiagnosers:
 
 
 IN_THIS_PROCESS = KeptDiagnosers()
-"""Those of a worker process, which is sent names of files and of stored baselines, never diagnosers."""
+"""Those of a worker process, which is sent names of files and of stored baselines, never
+diagnosers.
+"""
 
 
 def diagnoser_of_file(diagnoser: str, file: str | None) -> Diagnoser:
-    """The diagnoser that a file holds, anew where the file changed; without a file the untrained one."""
+    """The diagnoser that a file holds, anew where the file changed; without a file the untrained
+    one.
+    """
     kind = DIAGNOSERS[diagnoser]
     if not file:
         return IN_THIS_PROCESS.get(diagnoser, kind)

@@ -1,4 +1,6 @@
-"""Scoring in a worker process: a diagnoser is loaded once from its baseline file and judges the windows that are sent."""
+"""Scoring in a worker process: a diagnoser is loaded once from its baseline file and judges the
+windows that are sent.
+"""
 
 from __future__ import annotations
 
@@ -27,19 +29,25 @@ class PlainRecord(NamedTuple):
     @classmethod
     def of(cls, record: Record) -> PlainRecord:
         """The record's content."""
-        return cls(dict(record.channels), dict(record.units), record.sample_time, record.t0, record.source)
+        return cls(
+            dict(record.channels), dict(record.units), record.sample_time, record.t0, record.source
+        )
 
     def record(self) -> Record:
         """The record again."""
         return Record(self.channels, self.units, self.sample_time, t0=self.t0, source=self.source)
 
 
-def score_window(diagnoser: str, baseline: str, window: PlainRecord, method: str | None = None) -> Finding:
-    """Judge one window with the diagnoser stored in the file `baseline`; with none (an empty name) by absolute indicators.
+def score_window(
+    diagnoser: str, baseline: str, window: PlainRecord, method: str | None = None
+) -> Finding:
+    """Judge one window with the diagnoser stored in the file `baseline`; with none (an empty name)
+    by absolute indicators.
 
     `method` is what decides, where a diagnoser has two; None: what the baseline was trained with.
 
-    Runs in a worker process. A window that the diagnoser refuses (a channel missing, a wrong unit) is not assessable.
+    Runs in a worker process. A window that the diagnoser refuses (a channel missing, a wrong unit)
+    is not assessable.
     """
     judge = diagnoser_of_file(diagnoser, baseline)
     try:
@@ -53,6 +61,12 @@ def score_window(diagnoser: str, baseline: str, window: PlainRecord, method: str
 
 
 def conditions(record: Record) -> dict[str, Any]:
-    """Mean and unit of every signal of a window: what a value may be found to move with over many windows."""
-    means = {name: float(np.nanmean(values)) for name, values in record.channels.items() if not np.isnan(values).all()}
+    """Mean and unit of every signal of a window: what a value may be found to move with over many
+    windows.
+    """
+    means = {
+        name: float(np.nanmean(values))
+        for name, values in record.channels.items()
+        if not np.isnan(values).all()
+    }
     return {name: {"mean": mean, "unit": record.units[name]} for name, mean in means.items()}

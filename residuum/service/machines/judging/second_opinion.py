@@ -43,7 +43,11 @@ class Trained(NamedTuple):
 def what_is_trained(store: DiskStore, settings: MachineSettings, *, second: bool) -> Trained:
     """The machine's own diagnoser, or its second opinion; BadInput where it has none."""
     if not second:
-        return Trained(settings.diagnoser, baseline_name(store, settings.asset, settings.baseline), settings.model)
+        return Trained(
+            settings.diagnoser,
+            baseline_name(store, settings.asset, settings.baseline),
+            settings.model,
+        )
     if settings.second is None:
         raise BadInput(f"machine {settings.asset!r}: has no second opinion in its settings")
     name = second_name(store, settings.asset, settings.second.baseline)

@@ -1,4 +1,6 @@
-"""Runs migrations on the connection that `Database.migrate` hands over (Alembic loads this file)."""
+"""Runs migrations on the connection that `Database.migrate` hands over (Alembic loads this
+file).
+"""
 
 from alembic import context
 
@@ -7,7 +9,11 @@ from residuum.service.storage.tables import metadata
 
 def migrate() -> None:
     """Run the migrations that Alembic has chosen."""
-    context.configure(connection=context.config.attributes["connection"], target_metadata=metadata, render_as_batch=True)
+    context.configure(
+        connection=context.config.attributes["connection"],
+        target_metadata=metadata,
+        render_as_batch=True,
+    )
     context.run_migrations()
 
 

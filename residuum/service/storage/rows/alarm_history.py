@@ -14,7 +14,9 @@ from residuum.service.storage.rows import paging, row_checks
 from residuum.service.storage.tables import alarm_journal, alarms, findings
 from residuum.service.store import AlarmOccurrence, Page
 
-_RAISED = (alarm_journal.c.event == AlarmEvent.RAISE.value) | alarm_journal.c.event.not_in([event.value for event in AlarmEvent])
+_RAISED = (alarm_journal.c.event == AlarmEvent.RAISE.value) | alarm_journal.c.event.not_in(
+    [event.value for event in AlarmEvent]
+)
 """Entries of the journal that tell of an alarm, or may have done before they were damaged."""
 
 
@@ -45,7 +47,12 @@ def page(
         query = query.where(alarm_journal.c.id < paging.decode_number(cursor))
     raised = connection.execute(query).all()
     later, causes = _what_followed(connection, raised), _findings_that_raised(connection, raised)
-    return paging.page(raised, limit, "id", lambda row: _occurrence(row, later[row.id], causes.get((row.asset_id, row.at))))
+    return paging.page(
+        raised,
+        limit,
+        "id",
+        lambda row: _occurrence(row, later[row.id], causes.get((row.asset_id, row.at))),
+    )
 
 
 def _what_followed(connection: Connection, raised: Sequence[Row[Any]]) -> dict[int, list[Row[Any]]]:
@@ -55,7 +62,11 @@ def _what_followed(connection: Connection, raised: Sequence[Row[Any]]) -> dict[i
         return followed
     alarm_ids = {row.alarm_id for row in raised}
     since = alarm_journal.c.id >= raised[-1].id
-    entries = select(alarm_journal).where(alarm_journal.c.alarm_id.in_(alarm_ids), since).order_by(alarm_journal.c.id)
+    entries = (
+        select(alarm_journal)
+        .where(alarm_journal.c.alarm_id.in_(alarm_ids), since)
+        .order_by(alarm_journal.c.id)
+    )
     last: dict[int, int] = {}
     for entry in connection.execute(entries):
         if entry.event == AlarmEvent.RAISE.value:
@@ -65,19 +76,32 @@ def _what_followed(connection: Connection, raised: Sequence[Row[Any]]) -> dict[i
     return followed
 
 
-def _findings_that_raised(connection: Connection, raised: Sequence[Row[Any]]) -> dict[tuple[str, datetime], Row[Any]]:
+def _findings_that_raised(
+    connection: Connection, raised: Sequence[Row[Any]]
+) -> dict[tuple[str, datetime], Row[Any]]:
     """By asset and moment: a change of an alarm by a finding has its finding's moment."""
     if not raised:
         return {}
     c = findings.c
     where = c.asset_id.in_({row.asset_id for row in raised}) & c.at.in_({row.at for row in raised})
-    columns: tuple[Any, ...] = (*(c[name] for name in row_checks.SHORT_OF_FINDING), c.reason, c.checksum)
-    return {(row.asset_id, row.at): row for row in connection.execute(select(*columns).where(where))}
+    columns: tuple[Any, ...] = (
+        *(c[name] for name in row_checks.SHORT_OF_FINDING),
+        c.reason,
+        c.checksum,
+    )
+    return {
+        (row.asset_id, row.at): row for row in connection.execute(select(*columns).where(where))
+    }
 
 
-def _occurrence(row: Row[Any], entries: Sequence[Row[Any]], cause: Row[Any] | None) -> AlarmOccurrence:
+def _occurrence(
+    row: Row[Any], entries: Sequence[Row[Any]], cause: Row[Any] | None
+) -> AlarmOccurrence:
     damaged = any(row_checks.differs(alarm_journal, change._mapping) for change in (row, *entries))
-    first = {event: next((change for change in entries if change.event == event.value), None) for event in AlarmEvent}
+    first = {
+        event: next((change for change in entries if change.event == event.value), None)
+        for event in AlarmEvent
+    }
     cleared, acknowledged = first[AlarmEvent.CLEAR], first[AlarmEvent.ACKNOWLEDGE]
     return AlarmOccurrence(
         id=row.id,
@@ -89,8 +113,18 @@ def _occurrence(row: Row[Any], entries: Sequence[Row[Any]], cause: Row[Any] | No
         acknowledged_at=None if acknowledged is None else acknowledged.at,
         acknowledged_by=None if acknowledged is None else acknowledged.by,
         comments=[entry.comment for entry in entries if entry.comment],
-        message=f"alarm {row.alarm_id}, its journal: {row_checks.TELLS}" if damaged else None if cause is None else _says(cause),
-        times_threshold=None if cause is None or row_checks.differs(findings, cause._mapping) else _times_threshold(cause),
+        message=(
+            f"alarm {row.alarm_id}, its journal: {row_checks.TELLS}"
+            if damaged
+            else None
+            if cause is None
+            else _says(cause)
+        ),
+        times_threshold=(
+            None
+            if cause is None or row_checks.differs(findings, cause._mapping)
+            else _times_threshold(cause)
+        ),
         window=None if cause is None else cause.window_id,
     )
 
@@ -102,6 +136,13 @@ def _says(cause: Row[Any]) -> str:
 
 
 def _times_threshold(cause: Row[Any]) -> float | None:
-    """How far the indicator that is furthest above its threshold lies above it; None where none has a threshold."""
-    limits = {name: limit for name, limit in cause.thresholds.items() if limit is not None and limit > 0}
-    return max((cause.indicators[n] / limits[n] for n in limits if cause.indicators.get(n) is not None), default=None)
+    """How far the indicator that is furthest above its threshold lies above it; None where none has
+    a threshold.
+    """
+    limits = {
+        name: limit for name, limit in cause.thresholds.items() if limit is not None and limit > 0
+    }
+    return max(
+        (cause.indicators[n] / limits[n] for n in limits if cause.indicators.get(n) is not None),
+        default=None,
+    )

@@ -1,4 +1,6 @@
-"""Rows of alarms and of their journal. An asset has one alarm a kind: `machine` (a fault) and `signal` (cannot be judged)."""
+"""Rows of alarms and of their journal. An asset has one alarm a kind: `machine` (a fault) and
+`signal` (cannot be judged).
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,15 @@ from sqlalchemy import Connection, Row, insert, select, update
 
 from residuum.diagnosis.finding import Finding, Verdict
 from residuum.service.alarms import alarm_states
-from residuum.service.alarms.alarm_states import AlarmEvent, AlarmRule, AlarmState, AlarmStatus, beyond, in_deadband, severity
+from residuum.service.alarms.alarm_states import (
+    AlarmEvent,
+    AlarmRule,
+    AlarmState,
+    AlarmStatus,
+    beyond,
+    in_deadband,
+    severity,
+)
 from residuum.service.storage import audit, outbox
 from residuum.service.storage.rows import paging, row_checks
 from residuum.service.storage.tables import alarm_journal, alarms
@@ -20,7 +30,12 @@ from residuum.service.store import Alarm, AlarmEntry, NotFound, Page
 
 MACHINE, SIGNAL = "machine", "signal"
 
-_NEVER_RAISED = {"state": AlarmState.NORMAL.value, "condition": False, "message": "", "occurrences": 0}
+_NEVER_RAISED = {
+    "state": AlarmState.NORMAL.value,
+    "condition": False,
+    "message": "",
+    "occurrences": 0,
+}
 _SHOWN: dict[Verdict, tuple[tuple[str, bool], ...]] = {
     Verdict.FAULTY: ((MACHINE, True), (SIGNAL, False)),
     Verdict.HEALTHY: ((MACHINE, False), (SIGNAL, False)),
@@ -38,7 +53,8 @@ def follow(
     rule: AlarmRule,
     seen_at: datetime | None = None,
 ) -> list[Followed]:
-    """Let an asset's alarms follow a finding; returns the alarms that changed their state, or their text with a worse finding.
+    """Let an asset's alarms follow a finding; returns the alarms that changed their state, or their
+    text with a worse finding.
 
     `seen_at` is the window's own time, by which delays count; None: now.
     """
@@ -47,16 +63,33 @@ def follow(
     stored = connection.execute(select(alarms).where(alarms.c.asset_id == asset)).all()
     rows = {row.kind: _begun_anew(connection, row, now) if _differs(row) else row for row in stored}
     changed = []
-    # Without a baseline an absolute limit raised the alarm: where all of them hold again, nothing keeps it.
-    for kind, faulty in _SHOWN[Verdict.HEALTHY if finding.within_absolute_limits else finding.verdict]:
+    # Without a baseline an absolute limit raised the alarm: where all of them hold again, nothing
+    # keeps it.
+    for kind, faulty in _SHOWN[
+        Verdict.HEALTHY if finding.within_absolute_limits else finding.verdict
+    ]:
         row = rows.get(kind)
         if row is None and not faulty:
             continue
         row = row or _new(connection, asset, kind)
-        raised_by = json.loads(row.raised_by or "[]") or None  # none stood above a threshold of its own: any counts
-        held = kind == MACHINE and row.condition and in_deadband(rule, finding.indicators, finding.thresholds, raised_by)
+        raised_by = (
+            json.loads(row.raised_by or "[]") or None
+        )  # none stood above a threshold of its own: any counts
+        held = (
+            kind == MACHINE
+            and row.condition
+            and in_deadband(rule, finding.indicators, finding.thresholds, raised_by)
+        )
         status, event = alarm_states.follow(_status(row), faulty or held, rule, seen_at or now)
-        alarm = _follow_one(connection, row, status, event, window=window, finding=finding if faulty else None, now=now)
+        alarm = _follow_one(
+            connection,
+            row,
+            status,
+            event,
+            window=window,
+            finding=finding if faulty else None,
+            now=now,
+        )
         if alarm is not None:
             changed.append(alarm)
     says_nothing = finding.verdict is Verdict.NOT_ASSESSABLE and not finding.within_absolute_limits
@@ -92,7 +125,10 @@ def operate(
     if _differs(row):
         raise row_checks.refuse(f"alarm {alarm}, which begins anew with its machine's next window")
     state = alarm_states.operate(_status(row), event).state
-    changes: dict[str, Any] = {"state": state.value, "shelved_until": until if state is AlarmState.SHELVED else None}
+    changes: dict[str, Any] = {
+        "state": state.value,
+        "shelved_until": until if state is AlarmState.SHELVED else None,
+    }
     if comment is not None:
         changes["comment"] = comment
     if event is AlarmEvent.ACKNOWLEDGE:
@@ -102,9 +138,14 @@ def operate(
 
 def unshelve_expired(connection: Connection, now: datetime) -> list[Alarm]:
     """Put alarms back whose shelving has run out."""
-    query = select(alarms).where(alarms.c.state == AlarmState.SHELVED.value, alarms.c.shelved_until <= now)
+    query = select(alarms).where(
+        alarms.c.state == AlarmState.SHELVED.value, alarms.c.shelved_until <= now
+    )
     expired = [row.id for row in connection.execute(query) if not _differs(row)]
-    return [operate(connection, alarm, AlarmEvent.UNSHELVE, by=None, comment=None, until=None, now=now) for alarm in expired]
+    return [
+        operate(connection, alarm, AlarmEvent.UNSHELVE, by=None, comment=None, until=None, now=now)
+        for alarm in expired
+    ]
 
 
 def get(connection: Connection, alarm: int) -> Alarm:
@@ -121,7 +162,12 @@ def page(
     sites: Collection[str] | None = None,
 ) -> Page[Alarm]:
     """Alarms, the newest first."""
-    query = select(alarms).where(paging.of_sites(alarms.c.asset_id, sites)).order_by(alarms.c.id.desc()).limit(limit + 1)
+    query = (
+        select(alarms)
+        .where(paging.of_sites(alarms.c.asset_id, sites))
+        .order_by(alarms.c.id.desc())
+        .limit(limit + 1)
+    )
     if asset is not None:
         query = query.where(alarms.c.asset_id == asset)
     if active:
@@ -131,25 +177,40 @@ def page(
     return paging.page(connection.execute(query).all(), limit, "id", _alarm)
 
 
-def changed_at(connection: Connection, asset: str, moments: Collection[datetime]) -> Sequence[Alarm]:
-    """The alarms of an asset whose journal has an entry of one of these moments: a finding's change has its finding's."""
+def changed_at(
+    connection: Connection, asset: str, moments: Collection[datetime]
+) -> Sequence[Alarm]:
+    """The alarms of an asset whose journal has an entry of one of these moments: a finding's change
+    has its finding's.
+    """
     if not moments:
         return []
     changed = select(alarm_journal.c.alarm_id).where(alarm_journal.c.at.in_(moments))
-    query = select(alarms).where(alarms.c.asset_id == asset, alarms.c.id.in_(changed)).order_by(alarms.c.id)
+    query = (
+        select(alarms)
+        .where(alarms.c.asset_id == asset, alarms.c.id.in_(changed))
+        .order_by(alarms.c.id)
+    )
     return [_alarm(row) for row in connection.execute(query)]
 
 
 def journal(connection: Connection, alarm: int, limit: int = 100) -> Sequence[AlarmEntry]:
     """What happened to an alarm, newest first."""
     _row(connection, alarm)
-    query = select(alarm_journal).where(alarm_journal.c.alarm_id == alarm).order_by(alarm_journal.c.id.desc()).limit(limit)
+    query = (
+        select(alarm_journal)
+        .where(alarm_journal.c.alarm_id == alarm)
+        .order_by(alarm_journal.c.id.desc())
+        .limit(limit)
+    )
     return [_entry(row) for row in connection.execute(query)]
 
 
 def _new(connection: Connection, asset: str, kind: str) -> Row[Any]:
     values = {"asset_id": asset, "kind": kind, **_NEVER_RAISED}
-    return connection.execute(insert(alarms).values(row_checks.sealed(alarms, values)).returning(alarms)).one()
+    return connection.execute(
+        insert(alarms).values(row_checks.sealed(alarms, values)).returning(alarms)
+    ).one()
 
 
 def _differs(row: Row[Any]) -> bool:
@@ -161,13 +222,17 @@ def _put(connection: Connection, alarm: int, changes: dict[str, Any]) -> Row[Any
 
 
 def _begun_anew(connection: Connection, row: Row[Any], now: datetime) -> Row[Any]:
-    """An alarm whose row is damaged, as one that was never raised: what it stood for is raised by the next finding that shows it.
+    """An alarm whose row is damaged, as one that was never raised: what it stood for is raised by
+    the next finding that shows it.
 
-    Nobody can tell any more whether it was acknowledged or shelved, and a window must not be lost for that.
+    Nobody can tell any more whether it was acknowledged or shelved, and a window must not be lost
+    for that.
     """
     stays = ("id", "asset_id", "kind", "checksum")
     values = {column.name: None for column in alarms.c if column.name not in stays} | _NEVER_RAISED
-    values["checksum"] = row_checks.of_row(alarms, {"asset_id": row.asset_id, "kind": row.kind, **values})
+    values["checksum"] = row_checks.of_row(
+        alarms, {"asset_id": row.asset_id, "kind": row.kind, **values}
+    )
     connection.execute(update(alarms).where(alarms.c.id == row.id).values(values))
     comment = "its row differed from its checksum: it begins anew"
     _change(connection, row.id, {}, AlarmEvent.RESET, by=None, comment=comment, now=now)
@@ -187,12 +252,21 @@ def _follow_one(
     changes: dict[str, Any] = asdict(after) | {"state": after.state.value}
     worse = {}
     if after.condition and finding is not None and row.kind == MACHINE:
-        before = json.loads(row.raised_by) if row.raised_by and event is not AlarmEvent.RAISE else []
-        changes["raised_by"] = json.dumps(sorted({*before, *beyond(finding.indicators, finding.thresholds)}))
+        before = (
+            json.loads(row.raised_by) if row.raised_by and event is not AlarmEvent.RAISE else []
+        )
+        changes["raised_by"] = json.dumps(
+            sorted({*before, *beyond(finding.indicators, finding.thresholds)})
+        )
     if after.condition and finding is not None:
         worst = severity(finding.indicators, finding.thresholds)
         if event is AlarmEvent.RAISE or row.worst is None or worst >= row.worst:
-            worse = {"message": _message(finding), "window_id": window, "worst": worst, "worst_at": now}
+            worse = {
+                "message": _message(finding),
+                "window_id": window,
+                "worst": worst,
+                "worst_at": now,
+            }
     changes |= worse
     if event is AlarmEvent.RAISE:
         changes |= {"raised_at": now, "cleared_at": None, "occurrences": row.occurrences + 1}
@@ -203,12 +277,21 @@ def _follow_one(
     if event is not None:
         return Followed(_change(connection, row.id, changes, event, by=None, comment=None, now=now))
     changed = _put(connection, row.id, changes)
-    return Followed(_alarm(changed), text_alone=True) if worse and changed.message != row.message else None
+    return (
+        Followed(_alarm(changed), text_alone=True)
+        if worse and changed.message != row.message
+        else None
+    )
 
 
 def _status(row: Row[Any]) -> AlarmStatus:
     return AlarmStatus(
-        AlarmState(row.state), row.condition, row.pending_since, row.pending_seconds or 0.0, row.judged_at, row.judged_every
+        AlarmState(row.state),
+        row.condition,
+        row.pending_since,
+        row.pending_seconds or 0.0,
+        row.judged_at,
+        row.judged_every,
     )
 
 
@@ -223,17 +306,28 @@ def _change(
     now: datetime,
 ) -> Alarm:
     row = _put(connection, alarm, changes)
-    entry = {"alarm_id": alarm, "at": now, "event": event.value, "state": row.state, "by": by, "comment": comment}
+    entry = {
+        "alarm_id": alarm,
+        "at": now,
+        "event": event.value,
+        "state": row.state,
+        "by": by,
+        "comment": comment,
+    }
     connection.execute(insert(alarm_journal).values(row_checks.sealed(alarm_journal, entry)))
     detail = {"asset": row.asset_id, "kind": row.kind, "state": row.state, "comment": comment}
-    audit.append(connection, f"alarm {event.value}", f"alarm {alarm}", by=by, now=now, detail=detail)
+    audit.append(
+        connection, f"alarm {event.value}", f"alarm {alarm}", by=by, now=now, detail=detail
+    )
     changed = _alarm(row)
     outbox.add(connection, changed)
     return changed
 
 
 def _message(finding: Finding) -> str:
-    return finding.reason or (f"{finding.diagnoser}: {finding.fault_class or finding.verdict.value}")
+    return finding.reason or (
+        f"{finding.diagnoser}: {finding.fault_class or finding.verdict.value}"
+    )
 
 
 def _row(connection: Connection, alarm: int) -> Row[Any]:
@@ -248,7 +342,11 @@ def _with_times(row: Row[Any]) -> str:
     if row.raised_at is None:
         return str(row.message)
     since = f"{row.message}; since {row.raised_at:%Y-%m-%d %H:%M:%S} UTC"
-    return since if row.worst_at in (None, row.raised_at) else f"{since}, at its worst {row.worst_at:%Y-%m-%d %H:%M:%S} UTC"
+    return (
+        since
+        if row.worst_at in (None, row.raised_at)
+        else f"{since}, at its worst {row.worst_at:%Y-%m-%d %H:%M:%S} UTC"
+    )
 
 
 def _entry(row: Row[Any]) -> AlarmEntry:

@@ -13,32 +13,74 @@ from residuum.service.storage.rows import paging, row_checks
 from residuum.service.storage.tables import assets, findings, windows
 from residuum.service.store import Asset, IndicatorHistory, NotFound, Page, StoredFinding
 
-DOCUMENTS = (findings.c.indicators, findings.c.thresholds, findings.c.units, findings.c.evidence, findings.c.reason)
+DOCUMENTS = (
+    findings.c.indicators,
+    findings.c.thresholds,
+    findings.c.units,
+    findings.c.evidence,
+    findings.c.reason,
+)
 """What of a finding may be long."""
 _HISTORY = 3 * paging.PAGE_BYTES
 """Bytes of the indicators that are read for one history."""
 
 
-def ensure(connection: Connection, asset: str, title: str | None, diagnoser: str | None, now: datetime) -> None:
+def ensure(
+    connection: Connection, asset: str, title: str | None, diagnoser: str | None, now: datetime
+) -> None:
     """Insert the asset, or change its title and diagnoser where they are given."""
     known = connection.execute(select(assets.c.id).where(assets.c.id == asset)).first()
     if known is None:
-        row = {"id": asset, "title": title or asset, "diagnoser": diagnoser, "created_at": now, "windows": 0}
+        row = {
+            "id": asset,
+            "title": title or asset,
+            "diagnoser": diagnoser,
+            "created_at": now,
+            "windows": 0,
+        }
         connection.execute(insert(assets).values(row_checks.sealed(assets, row)))
         return
-    changes = {name: value for name, value in (("title", title), ("diagnoser", diagnoser)) if value is not None}
+    changes = {
+        name: value
+        for name, value in (("title", title), ("diagnoser", diagnoser))
+        if value is not None
+    }
     if changes:
         row_checks.change(connection, assets, asset, lambda _row: changes)
 
 
-def add_finding(connection: Connection, asset: str, window: int, finding: Finding, now: datetime) -> int:
+def add_finding(
+    connection: Connection, asset: str, window: int, finding: Finding, now: datetime
+) -> int:
     """Insert a finding and make it the asset's latest."""
     plain = finding.to_json()
-    row = {name: plain[name] for name in ("diagnoser", "verdict", "indicators", "thresholds", "units", "evidence", "reason")}
-    values = {"asset_id": asset, "window_id": window, "at": now, "fault_class": finding.fault_class, **row}
+    row = {
+        name: plain[name]
+        for name in (
+            "diagnoser",
+            "verdict",
+            "indicators",
+            "thresholds",
+            "units",
+            "evidence",
+            "reason",
+        )
+    }
+    values = {
+        "asset_id": asset,
+        "window_id": window,
+        "at": now,
+        "fault_class": finding.fault_class,
+        **row,
+    }
     query = insert(findings).values(row_checks.sealed(findings, values)).returning(findings.c.id)
     number: int = connection.execute(query).scalar_one()
-    row_checks.change(connection, assets, asset, lambda row: {"last_finding_id": number, "windows": row["windows"] + 1})
+    row_checks.change(
+        connection,
+        assets,
+        asset,
+        lambda row: {"last_finding_id": number, "windows": row["windows"] + 1},
+    )
     return number
 
 
@@ -57,17 +99,26 @@ def get(connection: Connection, asset: str) -> Asset:
 
 
 def page(
-    connection: Connection, cursor: str | None = None, limit: int = 100, sites: Collection[str] | None = None
+    connection: Connection,
+    cursor: str | None = None,
+    limit: int = 100,
+    sites: Collection[str] | None = None,
 ) -> Page[Asset]:
     """Assets by name."""
     query = _with_finding().where(paging.of_sites(assets.c.id, sites)).order_by(assets.c.id)
     if cursor:
         query = query.where(assets.c.id > paging.decode(cursor))
-    return paging.page_by_bytes(connection, query, assets.c.id, DOCUMENTS, limit, "assets_id", _asset)
+    return paging.page_by_bytes(
+        connection, query, assets.c.id, DOCUMENTS, limit, "assets_id", _asset
+    )
 
 
 def findings_page(
-    connection: Connection, asset: str, cursor: str | None = None, limit: int = 50, verdict: str | None = None
+    connection: Connection,
+    asset: str,
+    cursor: str | None = None,
+    limit: int = 50,
+    verdict: str | None = None,
 ) -> Page[StoredFinding]:
     """Findings of an asset, newest first."""
     require(connection, asset)
@@ -75,19 +126,34 @@ def findings_page(
     if cursor:
         query = query.where(findings.c.id < paging.decode_number(cursor))
     if verdict:  # one that is none was damaged, and is told of
-        query = query.where((findings.c.verdict == verdict) | findings.c.verdict.not_in([member.value for member in Verdict]))
-    return paging.page_by_bytes(connection, query, findings.c.id, DOCUMENTS, limit, "id", stored_finding)
+        query = query.where(
+            (findings.c.verdict == verdict)
+            | findings.c.verdict.not_in([member.value for member in Verdict])
+        )
+    return paging.page_by_bytes(
+        connection, query, findings.c.id, DOCUMENTS, limit, "id", stored_finding
+    )
 
 
 def recorded_windows(connection: Connection, asset: str, limit: int = 500) -> Sequence[int]:
     """Windows with their signals that were kept before there was a baseline, oldest first."""
-    query = select(findings.c.window_id).join_from(findings, windows, windows.c.id == findings.c.window_id)
-    query = query.where(findings.c.asset_id == asset, findings.c.verdict == Verdict.NOT_ASSESSABLE.value)
-    query = query.where(findings.c.evidence[RECORDED].as_boolean(), windows.c.signal_let_go_at.is_(None))
-    return connection.execute(query.order_by(findings.c.id.desc()).limit(limit)).scalars().all()[::-1]
+    query = select(findings.c.window_id).join_from(
+        findings, windows, windows.c.id == findings.c.window_id
+    )
+    query = query.where(
+        findings.c.asset_id == asset, findings.c.verdict == Verdict.NOT_ASSESSABLE.value
+    )
+    query = query.where(
+        findings.c.evidence[RECORDED].as_boolean(), windows.c.signal_let_go_at.is_(None)
+    )
+    return (
+        connection.execute(query.order_by(findings.c.id.desc()).limit(limit)).scalars().all()[::-1]
+    )
 
 
-def findings_after(connection: Connection, asset: str, number: int, limit: int = 100) -> Sequence[StoredFinding]:
+def findings_after(
+    connection: Connection, asset: str, number: int, limit: int = 100
+) -> Sequence[StoredFinding]:
     """The first findings of an asset with a larger number, oldest first."""
     after = (findings.c.asset_id == asset) & (findings.c.id > number)
     query = select(findings).where(after).order_by(findings.c.id)
@@ -102,7 +168,12 @@ def newest_finding(connection: Connection) -> int:
 
 def finding_of(connection: Connection, window: int) -> StoredFinding:
     """The latest finding on a window."""
-    query = select(findings).where(findings.c.window_id == window).order_by(findings.c.id.desc()).limit(1)
+    query = (
+        select(findings)
+        .where(findings.c.window_id == window)
+        .order_by(findings.c.id.desc())
+        .limit(1)
+    )
     row = connection.execute(query).first()
     if row is None:
         raise NotFound(f"window {window}: has no finding")
@@ -110,16 +181,27 @@ def finding_of(connection: Connection, window: int) -> StoredFinding:
 
 
 def indicators(
-    connection: Connection, asset: str, limit: int = 500, span: tuple[datetime | None, datetime | None] | None = None
+    connection: Connection,
+    asset: str,
+    limit: int = 500,
+    span: tuple[datetime | None, datetime | None] | None = None,
 ) -> IndicatorHistory:
-    """Indicators and thresholds of the newest findings, oldest first; with a span, of findings spread over all of it."""
+    """Indicators and thresholds of the newest findings, oldest first; with a span, of findings
+    spread over all of it.
+    """
     require(connection, asset)
     documents = (findings.c.indicators, findings.c.thresholds, findings.c.units)
     columns = (*(findings.c[name] for name in row_checks.SHORT_OF_FINDING), findings.c.checksum)
     newest = select(*columns).where(findings.c.asset_id == asset).order_by(findings.c.id.desc())
-    query = newest if span is None else newest.where(findings.c.id.in_(_spread(connection, asset, span, limit)))
+    query = (
+        newest
+        if span is None
+        else newest.where(findings.c.id.in_(_spread(connection, asset, span, limit)))
+    )
     stored = paging.by_bytes(connection, query, findings.c.id, documents, limit, _HISTORY)[0][::-1]
-    rows = [row for row in stored if not row_checks.differs(findings, row._mapping)]  # a list of findings tells of them
+    rows = [
+        row for row in stored if not row_checks.differs(findings, row._mapping)
+    ]  # a list of findings tells of them
     units: dict[str, str] = {}
     for row in rows:
         units |= row.units
@@ -136,8 +218,12 @@ def indicators(
 _WORST_FIRST = (Verdict.FAULTY.value, Verdict.NOT_ASSESSABLE.value)
 
 
-def _spread(connection: Connection, asset: str, span: tuple[datetime | None, datetime | None], most: int) -> Sequence[int]:
-    """Findings of [begin, end), at most so many: of each stretch the worst verdict's, so that no fault is thinned away."""
+def _spread(
+    connection: Connection, asset: str, span: tuple[datetime | None, datetime | None], most: int
+) -> Sequence[int]:
+    """Findings of [begin, end), at most so many: of each stretch the worst verdict's, so that no
+    fault is thinned away.
+    """
     c = findings.c
     query = select(c.id, c.verdict).where(c.asset_id == asset).order_by(c.id)
     begin, end = span
@@ -149,7 +235,9 @@ def _spread(connection: Connection, asset: str, span: tuple[datetime | None, dat
     stride = max(1, -(-len(rows) // most))
     stretches = (rows[first : first + stride] for first in range(0, len(rows), stride))
     rank = {verdict: place for place, verdict in enumerate(_WORST_FIRST)}
-    return [min(stretch, key=lambda row: rank.get(row.verdict, len(rank))).id for stretch in stretches]
+    return [
+        min(stretch, key=lambda row: rank.get(row.verdict, len(rank))).id for stretch in stretches
+    ]
 
 
 def _columns(rows: list[dict[str, Any]]) -> dict[str, list[float | None]]:
@@ -168,9 +256,18 @@ def _asset(row: Row[Any]) -> Asset:
     last = stored_finding(row) if row.id is not None else None
     known = row_checks.of_labelled(assets, row)
     if not row_checks.differs(assets, known):
-        return Asset(known["id"], known["title"], known["diagnoser"], known["created_at"], known["windows"], last)
+        return Asset(
+            known["id"],
+            known["title"],
+            known["diagnoser"],
+            known["created_at"],
+            known["windows"],
+            last,
+        )
     damaged = _damaged(f"asset {known['id']}", str(known["diagnoser"]))
-    stand_in = StoredFinding(known["last_finding_id"] or 0, known["id"], 0, known["created_at"], damaged)
+    stand_in = StoredFinding(
+        known["last_finding_id"] or 0, known["id"], 0, known["created_at"], damaged
+    )
     return Asset(known["id"], known["id"], None, known["created_at"], known["windows"], stand_in)
 
 
@@ -179,9 +276,17 @@ def _damaged(subject: str, diagnoser: str) -> Finding:
 
 
 def stored_finding(row: Row[Any]) -> StoredFinding:
-    """The finding in a row of its table; that it cannot be told, where the row differs from its checksum."""
+    """The finding in a row of its table; that it cannot be told, where the row differs from its
+    checksum.
+    """
     if row_checks.differs(findings, row._mapping):
-        return StoredFinding(row.id, row.asset_id, row.window_id, row.at, _damaged(f"finding {row.id}", str(row.diagnoser)))
+        return StoredFinding(
+            row.id,
+            row.asset_id,
+            row.window_id,
+            row.at,
+            _damaged(f"finding {row.id}", str(row.diagnoser)),
+        )
     finding = Finding(
         row.diagnoser,
         Verdict(row.verdict),

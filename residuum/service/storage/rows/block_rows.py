@@ -16,14 +16,19 @@ def newest(connection: Connection, most: int) -> list[BlockReference]:
 
 
 def references(connection: Connection) -> list[BlockReference]:
-    """Every block that a row points to: signals of windows that are kept, and uploaded records; oldest first."""
+    """Every block that a row points to: signals of windows that are kept, and uploaded records;
+    oldest first.
+    """
     return [block for query in _queries() for block in reversed(_blocks(connection, query))]
 
 
 def _queries() -> list[Select[Any]]:
     """The blocks of windows and of records, newest first."""
     queries = []
-    for table, has_block in ((windows, windows.c.signal_let_go_at.is_(None)), (records, records.c.id.is_not(None))):
+    for table, has_block in (
+        (windows, windows.c.signal_let_go_at.is_(None)),
+        (records, records.c.id.is_not(None)),
+    ):
         columns = select(table.c.block_path, table.c.block_checksum, table.c.size_bytes)
         queries.append(columns.where(has_block).order_by(table.c.id.desc()))
     return queries

@@ -1,4 +1,6 @@
-"""What is kept of findings whose rows are let go: a row an hour and asset, with counts, extremes and means of every indicator."""
+"""What is kept of findings whose rows are let go: a row an hour and asset, with counts, extremes
+and means of every indicator.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,9 @@ from residuum.service.store import FindingHour
 
 
 def add(connection: Connection, forgotten: Iterable[Row[Any]]) -> None:
-    """Fold findings whose rows go into their hours; what an hour holds already is counted with them."""
+    """Fold findings whose rows go into their hours; what an hour holds already is counted with
+    them.
+    """
     together: dict[tuple[str, datetime], list[Row[Any]]] = defaultdict(list)
     for row in forgotten:
         together[row.asset_id, row.at.replace(minute=0, second=0, microsecond=0)].append(row)
@@ -32,9 +36,20 @@ def add(connection: Connection, forgotten: Iterable[Row[Any]]) -> None:
             verdicts[verdict] = verdicts.get(verdict, 0) + 1
             for name, value in () if damaged else row.indicators.items():
                 if value is not None and math.isfinite(value):
-                    indicators[name] = _folded(indicators.get(name), value, row.units.get(name, ""), row.thresholds.get(name))
+                    indicators[name] = _folded(
+                        indicators.get(name),
+                        value,
+                        row.units.get(name, ""),
+                        row.thresholds.get(name),
+                    )
         count = (known.windows if known else 0) + len(rows)
-        values = {"asset_id": asset, "hour": hour, "windows": count, "verdicts": verdicts, "indicators": indicators}
+        values = {
+            "asset_id": asset,
+            "hour": hour,
+            "windows": count,
+            "verdicts": verdicts,
+            "indicators": indicators,
+        }
         if known is None or not row_checks.differs(finding_hours, known._mapping):
             values = row_checks.sealed(finding_hours, values)
         else:  # it goes on to differ
@@ -46,7 +61,12 @@ def add(connection: Connection, forgotten: Iterable[Row[Any]]) -> None:
 def newest(connection: Connection, asset: str, limit: int = 24 * 30) -> list[FindingHour]:
     """The newest hours of an asset, oldest first."""
     assets.require(connection, asset)
-    query = select(finding_hours).where(finding_hours.c.asset_id == asset).order_by(finding_hours.c.hour.desc()).limit(limit)
+    query = (
+        select(finding_hours)
+        .where(finding_hours.c.asset_id == asset)
+        .order_by(finding_hours.c.hour.desc())
+        .limit(limit)
+    )
     return [_hour(row) for row in connection.execute(query)][::-1]
 
 
@@ -56,9 +76,18 @@ def _hour(row: Row[Any]) -> FindingHour:
     return FindingHour(row.hour, row.windows, row.verdicts, row.indicators)
 
 
-def _folded(known: Mapping[str, Any] | None, value: float, unit: str, threshold: float | None) -> dict[str, Any]:
+def _folded(
+    known: Mapping[str, Any] | None, value: float, unit: str, threshold: float | None
+) -> dict[str, Any]:
     if known is None:
-        return {"unit": unit, "n": 1, "minimum": value, "maximum": value, "mean": value, "threshold": threshold}
+        return {
+            "unit": unit,
+            "n": 1,
+            "minimum": value,
+            "maximum": value,
+            "mean": value,
+            "threshold": threshold,
+        }
     n = known["n"] + 1
     return {
         "unit": unit,

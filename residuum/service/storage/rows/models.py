@@ -1,4 +1,6 @@
-"""Rows of models and their versions. A version's content is a file of ours (YAML, JSON, or a zip of JSON and arrays)."""
+"""Rows of models and their versions. A version's content is a file of ours (YAML, JSON, or a zip of
+JSON and arrays).
+"""
 
 from __future__ import annotations
 
@@ -14,15 +16,29 @@ from residuum.service.storage.tables import model_versions, models
 from residuum.service.store import Conflict, ModelVersion, NotFound, Page, StorageUnavailable
 
 MACHINE = "machine"
-"""Kind of the documents that hold a machine's settings; they are no models, and listed only when asked for."""
+"""Kind of the documents that hold a machine's settings; they are no models, and listed only when
+asked for.
+"""
 
-_DESCRIPTION = [*row_checks.labelled(models), *(column for column in model_versions.c if column.name != "content")]
+_DESCRIPTION = [
+    *row_checks.labelled(models),
+    *(column for column in model_versions.c if column.name != "content"),
+]
 
 
 def add_version(
-    connection: Connection, model: str, kind: str, content: bytes, *, note: str, by: str | None, now: datetime
+    connection: Connection,
+    model: str,
+    kind: str,
+    content: bytes,
+    *,
+    note: str,
+    by: str | None,
+    now: datetime,
 ) -> ModelVersion:
-    """Insert the next version; the first makes the model. Conflict when the model is of another kind."""
+    """Insert the next version; the first makes the model. Conflict when the model is of another
+    kind.
+    """
     known = connection.execute(select(models).where(models.c.id == model)).first()
     if known is None:
         new = {"id": model, "kind": kind, "created_at": now, "last_number": 0}
@@ -45,10 +61,19 @@ def add_version(
     return ModelVersion(model, kind, number, now, by, note, len(content), str(row["checksum"]))
 
 
-def page(connection: Connection, kind: str | None = None, cursor: str | None = None, limit: int = 100) -> Page[ModelVersion]:
+def page(
+    connection: Connection, kind: str | None = None, cursor: str | None = None, limit: int = 100
+) -> Page[ModelVersion]:
     """The newest version of every model, by name."""
-    newest = (model_versions.c.model_id == models.c.id) & (model_versions.c.number == models.c.last_number)
-    query = select(*_DESCRIPTION).join_from(models, model_versions, newest).order_by(models.c.id).limit(limit + 1)
+    newest = (model_versions.c.model_id == models.c.id) & (
+        model_versions.c.number == models.c.last_number
+    )
+    query = (
+        select(*_DESCRIPTION)
+        .join_from(models, model_versions, newest)
+        .order_by(models.c.id)
+        .limit(limit + 1)
+    )
     query = query.where(models.c.kind == kind if kind is not None else models.c.kind != MACHINE)
     if cursor:
         query = query.where(models.c.id > paging.decode(cursor))
@@ -66,20 +91,25 @@ def versions(connection: Connection, model: str) -> Sequence[ModelVersion]:
 
 def content(connection: Connection, model: str, number: int | None = None) -> bytes:
     """The content of one version (default: the newest)."""
-    query = select(model_versions.c.content, model_versions.c.number, model_versions.c.checksum).where(
-        model_versions.c.model_id == model
-    )
+    query = select(
+        model_versions.c.content, model_versions.c.number, model_versions.c.checksum
+    ).where(model_versions.c.model_id == model)
     if number is not None:
         query = query.where(model_versions.c.number == number)
     row = connection.execute(query.order_by(model_versions.c.number.desc()).limit(1)).first()
     if row is None:
         raise NotFound(
             f"model {model!r}: "
-            + ("there is none of this name; GET /models lists them" if number is None else f"has no version {number}")
+            + (
+                "there is none of this name; GET /models lists them"
+                if number is None
+                else f"has no version {number}"
+            )
         )
     if hashlib.sha256(row.content).hexdigest() != row.checksum:
         raise StorageUnavailable(
-            f"model {model!r}, version {row.number}: its content differs from its checksum; restore a backup"
+            f"model {model!r}, version {row.number}: its content differs from its checksum; restore"
+            " a backup"
         )
     return bytes(row.content)
 
@@ -90,5 +120,12 @@ def _version(row: Row[Any]) -> ModelVersion:
     if row_checks.differs(models, row_checks.of_labelled(models, row)):
         raise row_checks.refuse(f"model {row.model_id!r}")
     return ModelVersion(
-        row.model_id, row.models_kind, row.number, row.created_at, row.created_by, row.note, row.size_bytes, row.checksum
+        row.model_id,
+        row.models_kind,
+        row.number,
+        row.created_at,
+        row.created_by,
+        row.note,
+        row.size_bytes,
+        row.checksum,
     )

@@ -7,13 +7,27 @@ import binascii
 from collections.abc import Callable, Collection, Sequence
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, Row, Select, Text, cast, false, func, literal, or_, true
+from sqlalchemy import (
+    ColumnElement,
+    Connection,
+    Row,
+    Select,
+    Text,
+    cast,
+    false,
+    func,
+    literal,
+    or_,
+    true,
+)
 
 from residuum.identification.errors import BadInput
 from residuum.service.store import Page, T
 
 PAGE_BYTES = 2**20
-"""Bytes of the documents (evidence, units, notes, …) on one page of a list, unless its first row has more."""
+"""Bytes of the documents (evidence, units, notes, …) on one page of a list, unless its first row
+has more.
+"""
 
 
 def encode(position: str | int) -> str:
@@ -24,7 +38,9 @@ def encode(position: str | int) -> str:
 def decode(cursor: str) -> str:
     """The position of a cursor; BadInput when it is none of ours."""
     try:
-        return base64.b64decode(cursor + "=" * (-len(cursor) % 4), altchars=b"-_", validate=True).decode()
+        return base64.b64decode(
+            cursor + "=" * (-len(cursor) % 4), altchars=b"-_", validate=True
+        ).decode()
     except (binascii.Error, ValueError):
         raise BadInput(f"cursor {cursor[:40]!r}: is not one that this list gave") from None
 
@@ -38,10 +54,18 @@ def decode_number(cursor: str) -> int:
 
 
 def of_sites(asset: ColumnElement[str], sites: Collection[str] | None) -> ColumnElement[bool]:
-    """Whether an asset's name is that of a site, or begins with it and a dot (compared by characters, not by LIKE)."""
+    """Whether an asset's name is that of a site, or begins with it and a dot (compared by
+    characters, not by LIKE).
+    """
     if sites is None:
         return true()
-    return or_(false(), *((asset == site) | (func.substr(asset, 1, len(site) + 1) == f"{site}.") for site in sorted(sites)))
+    return or_(
+        false(),
+        *(
+            (asset == site) | (func.substr(asset, 1, len(site) + 1) == f"{site}.")
+            for site in sorted(sites)
+        ),
+    )
 
 
 def by_bytes(
@@ -52,12 +76,18 @@ def by_bytes(
     limit: int,
     most: int = PAGE_BYTES,
 ) -> tuple[Sequence[Row[Any]], bool]:
-    """The first rows of a query, at most so many, whose documents take at most `most` bytes, and whether there are more.
+    """The first rows of a query, at most so many, whose documents take at most `most` bytes, and
+    whether there are more.
 
-    The sizes are asked for first: a row's documents as values of Python take ten times their bytes. One row is always given.
+    The sizes are asked for first: a row's documents as values of Python take ten times their bytes.
+    One row is always given.
     """
-    size: ColumnElement[int] = sum((func.coalesce(func.length(cast(part, Text)), 0) for part in documents), literal(0))
-    sizes = connection.execute(query.with_only_columns(key, size, maintain_column_froms=True).limit(limit + 1)).all()
+    size: ColumnElement[int] = sum(
+        (func.coalesce(func.length(cast(part, Text)), 0) for part in documents), literal(0)
+    )
+    sizes = connection.execute(
+        query.with_only_columns(key, size, maintain_column_froms=True).limit(limit + 1)
+    ).all()
     keys: list[Any] = []
     held = 0
     for number, part in sizes[:limit]:
@@ -78,13 +108,19 @@ def page_by_bytes(
     position: str,
     make: Callable[[Row[Any]], T],
 ) -> Page[T]:
-    """A page of at most so many rows and bytes; `position` names the column the list is ordered by, as in `page`."""
+    """A page of at most so many rows and bytes; `position` names the column the list is ordered by,
+    as in `page`.
+    """
     rows, more = by_bytes(connection, query, key, documents, limit)
     return Page([make(row) for row in rows], encode(getattr(rows[-1], position)) if more else None)
 
 
-def page(rows: Sequence[Row[Any]], limit: int, position: str, make: Callable[[Row[Any]], T]) -> Page[T]:
-    """A page of rows of which one more than `limit` was asked for; `position` names the column the list is ordered by."""
+def page(
+    rows: Sequence[Row[Any]], limit: int, position: str, make: Callable[[Row[Any]], T]
+) -> Page[T]:
+    """A page of rows of which one more than `limit` was asked for; `position` names the column the
+    list is ordered by.
+    """
     shown = rows[:limit]
     more = encode(getattr(shown[-1], position)) if len(rows) > limit else None
     return Page([make(row) for row in shown], more)

@@ -1,4 +1,6 @@
-"""Rows of any schema revision as lines of JSON and back: the tables are read from the database, not from the code."""
+"""Rows of any schema revision as lines of JSON and back: the tables are read from the database, not
+from the code.
+"""
 
 from __future__ import annotations
 
@@ -15,14 +17,18 @@ _AT_ONCE = 500
 
 
 def tables_of(connection: Connection) -> list[Table]:
-    """The tables there are, those that others point to first; without the one that keeps the schema's revision."""
+    """The tables there are, those that others point to first; without the one that keeps the
+    schema's revision.
+    """
     metadata = MetaData()
     metadata.reflect(connection)
     return [table for table in metadata.sorted_tables if table.name != _VERSION_TABLE]
 
 
 def lines(connection: Connection, table: Table) -> Iterator[bytes]:
-    """Every row as a line of JSON, in order of the primary key; bytes in Base64, moments as in ISO 8601 (UTC)."""
+    """Every row as a line of JSON, in order of the primary key; bytes in Base64, moments as in ISO
+    8601 (UTC).
+    """
     query = select(table).order_by(*table.primary_key.columns)
     for row in connection.execute(query.execution_options(yield_per=_AT_ONCE)).mappings():
         yield orjson.dumps({str(name): _plain(value) for name, value in row.items()}) + b"\n"
@@ -33,7 +39,9 @@ def insert_lines(connection: Connection, table: Table, row_lines: Iterable[bytes
     kinds = {column.name: column.type.python_type for column in table.columns}
     batch = []
     for line in row_lines:
-        batch.append({name: _back(value, kinds[name]) for name, value in orjson.loads(line).items()})
+        batch.append(
+            {name: _back(value, kinds[name]) for name, value in orjson.loads(line).items()}
+        )
         if len(batch) == _AT_ONCE:
             connection.execute(insert(table), batch)
             batch = []
@@ -55,7 +63,9 @@ def _back(value: Any, kind: type) -> Any:
 
 
 def _count_on(connection: Connection, table: Table) -> None:
-    """PostgreSQL numbers rows by a sequence of its own, which rows with given numbers do not move."""
+    """PostgreSQL numbers rows by a sequence of its own, which rows with given numbers do not
+    move.
+    """
     if connection.dialect.name != "postgresql" or table.autoincrement_column is None:
         return
     column = table.autoincrement_column

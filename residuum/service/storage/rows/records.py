@@ -14,7 +14,9 @@ from residuum.service.storage.tables import records
 from residuum.service.store import NotFound, Page, StoredRecord
 
 
-def add(connection: Connection, name: str, record: Record, block: BlockReference, now: datetime) -> int:
+def add(
+    connection: Connection, name: str, record: Record, block: BlockReference, now: datetime
+) -> int:
     """Insert the row of a record whose block is on disk."""
     row = {
         "name": name,
@@ -29,7 +31,9 @@ def add(connection: Connection, name: str, record: Record, block: BlockReference
         "size_bytes": block.size_bytes,
     }
     sealed = row_checks.sealed(records, row)
-    number: int = connection.execute(insert(records).values(sealed).returning(records.c.id)).scalar_one()
+    number: int = connection.execute(
+        insert(records).values(sealed).returning(records.c.id)
+    ).scalar_one()
     return number
 
 
@@ -64,9 +68,21 @@ def page(connection: Connection, cursor: str | None = None, limit: int = 50) -> 
     query = select(records).order_by(records.c.id.desc())
     if cursor:
         query = query.where(records.c.id < paging.decode_number(cursor))
-    return paging.page_by_bytes(connection, query, records.c.id, (records.c.units, records.c.notes), limit, "id", _record)
+    return paging.page_by_bytes(
+        connection, query, records.c.id, (records.c.units, records.c.notes), limit, "id", _record
+    )
 
 
 def _record(row: Row[Any]) -> StoredRecord:
     row = _whole(row)
-    return StoredRecord(row.id, row.name, row.created_at, row.t0, row.sample_time, row.n, row.units, row.notes, row.size_bytes)
+    return StoredRecord(
+        row.id,
+        row.name,
+        row.created_at,
+        row.t0,
+        row.sample_time,
+        row.n,
+        row.units,
+        row.notes,
+        row.size_bytes,
+    )

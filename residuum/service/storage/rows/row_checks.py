@@ -1,4 +1,6 @@
-"""Whether the rows of a database agree with each other: what no constraint says, and a hand or a damaged disk may break."""
+"""Whether the rows of a database agree with each other: what no constraint says, and a hand or a
+damaged disk may break.
+"""
 
 from __future__ import annotations
 
@@ -47,9 +49,22 @@ from residuum.service.store import StorageUnavailable
 # A checksum in each row that is answered with: SQLite takes a bit that flipped in a value for
 # another value.
 
-TELLS = "its row differs from its checksum, so the database's file is damaged: `residuum doctor` names all"
+TELLS = (
+    "its row differs from its checksum, so the database's file is damaged: `residuum doctor`"
+    " names all"
+)
 """What is said of a row that cannot be answered with."""
-SHORT_OF_FINDING = ("asset_id", "window_id", "at", "diagnoser", "verdict", "fault_class", "indicators", "thresholds", "units")
+SHORT_OF_FINDING = (
+    "asset_id",
+    "window_id",
+    "at",
+    "diagnoser",
+    "verdict",
+    "fault_class",
+    "indicators",
+    "thresholds",
+    "units",
+)
 """Columns of a finding that the first part of its checksum is of: a history reads no others."""
 _PARTS_OF_FINDING = (SHORT_OF_FINDING, ("reason",), ("evidence",))
 SEALED: Mapping[Table, tuple[str, str]] = {
@@ -64,11 +79,15 @@ SEALED: Mapping[Table, tuple[str, str]] = {
     finding_hours: ("0010", "hour {hour} of {asset_id!r}"),
     alarm_notices: ("0011", "notice {number} of an alarm"),
 }
-"""The tables whose rows have a checksum: since which revision of the schema, and what a row of theirs is called."""
+"""The tables whose rows have a checksum: since which revision of the schema, and what a row of
+theirs is called.
+"""
 
 
 def of_row(table: Table, values: Mapping[Any, Any]) -> str:
-    """The checksum of a row: 8 hexadecimal digits of all columns that it is of; a finding has three of them, a part each."""
+    """The checksum of a row: 8 hexadecimal digits of all columns that it is of; a finding has three
+    of them, a part each.
+    """
     return "".join(_crc([values.get(name) for name in part]) for part in _parts(table))
 
 
@@ -79,7 +98,9 @@ def differs(table: Table, values: Mapping[Any, Any]) -> bool:
     """
     checksum = values[_own(table)] or ""
     read = ((k, part) for k, part in enumerate(_parts(table)) if part[0] in values)
-    return any(_crc([values[name] for name in part]) != checksum[8 * k : 8 * k + 8] for k, part in read)
+    return any(
+        _crc([values[name] for name in part]) != checksum[8 * k : 8 * k + 8] for k, part in read
+    )
 
 
 def sealed(table: Table, values: Mapping[str, Any]) -> dict[str, Any]:
@@ -87,10 +108,17 @@ def sealed(table: Table, values: Mapping[str, Any]) -> dict[str, Any]:
     return {**values, _own(table): of_row(table, values)}
 
 
-def change(connection: Connection, table: Table, key: Any, changes: Callable[[Mapping[Any, Any]], dict[str, Any]]) -> Row[Any]:
-    """Change the row of a key by what it was, and its checksum; one that differs from it goes on doing so. Gives the new row.
+def change(
+    connection: Connection,
+    table: Table,
+    key: Any,
+    changes: Callable[[Mapping[Any, Any]], dict[str, Any]],
+) -> Row[Any]:
+    """Change the row of a key by what it was, and its checksum; one that differs from it goes on
+    doing so. Gives the new row.
 
-    The row is held from before it is read until the transaction ends: nobody changes it between its values and their checksum.
+    The row is held from before it is read until the transaction ends: nobody changes it between its
+    values and their checksum.
     """
     of_key = table.c.id == key
     before = connection.execute(select(table).where(of_key).with_for_update()).one()._mapping
@@ -101,7 +129,9 @@ def change(connection: Connection, table: Table, key: Any, changes: Callable[[Ma
 
 
 def labelled(table: Table) -> list[Label[Any]]:
-    """All columns of a table that is joined to another, under names that are no other's: `of_labelled` takes them back."""
+    """All columns of a table that is joined to another, under names that are no other's:
+    `of_labelled` takes them back.
+    """
     return [column.label(f"{table.name}_{column.name}") for column in table.columns]
 
 
@@ -122,14 +152,24 @@ def _own(table: Table) -> str:
 @cache
 def _parts(table: Table) -> tuple[tuple[str, ...], ...]:
     """The columns that the parts of a row's checksum are of."""
-    return _PARTS_OF_FINDING if table is findings else (tuple(c.name for c in table.columns if _counts(table, c)),)
+    return (
+        _PARTS_OF_FINDING
+        if table is findings
+        else (tuple(c.name for c in table.columns if _counts(table, c)),)
+    )
 
 
 def _counts(table: Table, column: Column[Any]) -> bool:
-    """Not a number that the database gives, which an index of ours or a constraint holds; nor a file with a checksum of its own;
-    nor the moment at which signals are let go, many at once, by which a window is found."""
+    """Not a number that the database gives, which an index of ours or a constraint holds; nor a
+    file with a checksum of its own; nor the moment at which signals are let go, many at once, by
+    which a window is found.
+    """
     apart = (_own(table), windows.c.signal_let_go_at.name)
-    return column is not table.autoincrement_column and column.name not in apart and not isinstance(column.type, LargeBinary)
+    return (
+        column is not table.autoincrement_column
+        and column.name not in apart
+        and not isinstance(column.type, LargeBinary)
+    )
 
 
 def seal_rows_of_old(connection: Connection, revision: str) -> None:
@@ -139,11 +179,15 @@ def seal_rows_of_old(connection: Connection, revision: str) -> None:
         for key in connection.execute(select(*numbers).where(own.is_(None))).all():
             of_key = [column == value for column, value in zip(numbers, key, strict=True)]
             row = connection.execute(select(table).where(*of_key)).one()
-            connection.execute(update(table).where(*of_key).values({own: of_row(table, row._mapping)}))
+            connection.execute(
+                update(table).where(*of_key).values({own: of_row(table, row._mapping)})
+            )
 
 
 def plain(value: Any) -> Any:
-    """The value as either database gives it back: a document of PostgreSQL tells 1.0 and 1 alike, and 0.0 and −0.0."""
+    """The value as either database gives it back: a document of PostgreSQL tells 1.0 and 1 alike,
+    and 0.0 and −0.0.
+    """
     if isinstance(value, datetime):
         return value.astimezone(UTC).isoformat()
     if isinstance(value, int | float) and not isinstance(value, bool):
@@ -172,11 +216,13 @@ class RowCheck:
 
 
 def check_rows(connection: Connection, pause: float = 0.0) -> RowCheck:
-    """Look at every row that has a checksum; nothing is changed. `pause` [s] after every thousand of them.
+    """Look at every row that has a checksum; nothing is changed. `pause` [s] after every thousand
+    of them.
 
-    Beside the checksum only what holds for all of them at any moment is asked: each window has its finding and plausible numbers,
-    each finding can be read and is of its window's asset, each asset points to its newest finding, each alarm's state is that of
-    its newest entry in the journal, each model's versions are whole and counted.
+    Beside the checksum only what holds for all of them at any moment is asked: each window has its
+    finding and plausible numbers, each finding can be read and is of its window's asset, each asset
+    points to its newest finding, each alarm's state is that of its newest entry in the journal,
+    each model's versions are whole and counted.
 
     Raises ValueError for a row that the database's driver cannot read, which names no row.
     """
@@ -213,7 +259,9 @@ def _finding(row: Row[Any]) -> Says:
         yield f"its window {row.window_id} is of {row.of!r}"
     if row.verdict not in list(Verdict):
         yield f"its verdict is {row.verdict!r}"
-    if broken := next((name for name in _DOCUMENTS if not isinstance(getattr(row, name), dict)), None):
+    if broken := next(
+        (name for name in _DOCUMENTS if not isinstance(getattr(row, name), dict)), None
+    ):
         yield f"its {broken} are no object of names to values"
 
 
@@ -237,7 +285,10 @@ def _model(row: Row[Any]) -> Says:
 
 
 def _version(row: Row[Any]) -> Says:
-    if len(row.content) != row.size_bytes or hashlib.sha256(row.content).hexdigest() != row.checksum:
+    if (
+        len(row.content) != row.size_bytes
+        or hashlib.sha256(row.content).hexdigest() != row.checksum
+    ):
         yield "its content differs from its checksum"
 
 
@@ -249,13 +300,23 @@ def _of_each(row: Table, says: ColumnElement[Any], where: ColumnElement[bool]) -
 _judged = _of_each(windows, func.count(findings.c.id), findings.c.window_id == windows.c.id)
 _windows_held = _of_each(assets, func.count(windows.c.id), windows.c.asset_id == assets.c.id)
 _newest_finding = _of_each(assets, func.max(findings.c.id), findings.c.asset_id == assets.c.id)
-_newest_entry = _of_each(alarms, func.max(alarm_journal.c.id), alarm_journal.c.alarm_id == alarms.c.id)
-_versions_held = _of_each(models, func.count(model_versions.c.number), model_versions.c.model_id == models.c.id)
-_newest_version = _of_each(models, func.coalesce(func.max(model_versions.c.number), 0), model_versions.c.model_id == models.c.id)
+_newest_entry = _of_each(
+    alarms, func.max(alarm_journal.c.id), alarm_journal.c.alarm_id == alarms.c.id
+)
+_versions_held = _of_each(
+    models, func.count(model_versions.c.number), model_versions.c.model_id == models.c.id
+)
+_newest_version = _of_each(
+    models,
+    func.coalesce(func.max(model_versions.c.number), 0),
+    model_versions.c.model_id == models.c.id,
+)
 _MORE: Mapping[Table, tuple[Select[Any], Callable[[Row[Any]], Says]]] = {
     windows: (select(windows, _judged.label("judged")), _window),
     findings: (
-        select(findings, windows.c.asset_id.label("of")).join_from(findings, windows, windows.c.id == findings.c.window_id),
+        select(findings, windows.c.asset_id.label("of")).join_from(
+            findings, windows, windows.c.id == findings.c.window_id
+        ),
         _finding,
     ),
     assets: (select(assets, _newest_finding.label("newest"), _windows_held.label("held")), _asset),

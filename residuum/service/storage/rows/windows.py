@@ -49,8 +49,12 @@ def _refuse_broken(row: Row[Any]) -> None:
         raise row_checks.refuse(f"window {row.id}")
 
 
-def with_key(connection: Connection, asset: str, idempotency_key: str, digest: str | None) -> int | None:
-    """The window stored under a key, None when there is none; Conflict when it was another window."""
+def with_key(
+    connection: Connection, asset: str, idempotency_key: str, digest: str | None
+) -> int | None:
+    """The window stored under a key, None when there is none; Conflict when it was another
+    window.
+    """
     query = select(windows.c.id, windows.c.digest).where(
         windows.c.asset_id == asset, windows.c.idempotency_key == idempotency_key
     )
@@ -58,7 +62,10 @@ def with_key(connection: Connection, asset: str, idempotency_key: str, digest: s
     if row is None:
         return None
     if row.digest != digest:
-        raise Conflict(f"Idempotency-Key {idempotency_key[:60]!r}: was used for another window of asset {asset!r}")
+        raise Conflict(
+            f"Idempotency-Key {idempotency_key[:60]!r}: was used for another window of asset"
+            f" {asset!r}"
+        )
     return int(row.id)
 
 
@@ -77,13 +84,23 @@ def row_of(connection: Connection, asset: str, window: int) -> Row[Any]:
     return row
 
 
-def page(connection: Connection, asset: str, cursor: str | None = None, limit: int = 50) -> Page[StoredWindow]:
+def page(
+    connection: Connection, asset: str, cursor: str | None = None, limit: int = 50
+) -> Page[StoredWindow]:
     """Windows of an asset, newest first."""
     assets.require(connection, asset)
     query = select(windows).where(windows.c.asset_id == asset).order_by(windows.c.id.desc())
     if cursor:
         query = query.where(windows.c.id < paging.decode_number(cursor))
-    return paging.page_by_bytes(connection, query, windows.c.id, (windows.c.units, windows.c.source), limit, "id", stored_window)
+    return paging.page_by_bytes(
+        connection,
+        query,
+        windows.c.id,
+        (windows.c.units, windows.c.source),
+        limit,
+        "id",
+        stored_window,
+    )
 
 
 def stored_window(row: Row[Any]) -> StoredWindow:

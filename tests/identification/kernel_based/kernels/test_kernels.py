@@ -41,7 +41,8 @@ def test_long_fast_decays_stay_finite(name):
 
 
 @pytest.mark.parametrize(
-    ("name", "eta", "match"), [("tc", [1.0], "alpha: is 1"), ("dc", [0.5], "rho"), ("dc", [0.5, -1.2], "rho: is -1.2")]
+    ("name", "eta", "match"),
+    [("tc", [1.0], "alpha: is 1"), ("dc", [0.5], "rho"), ("dc", [0.5, -1.2], "rho: is -1.2")],
 )
 def test_impossible_hyper_parameters_are_refused(name, eta, match):
     with pytest.raises(BadInput, match=match):

@@ -18,7 +18,9 @@ from residuum.identification.record import Record
 
 
 def regression(u, y, **options):
-    return long_autoregression([Record({"u": u, "y": y}, {"u": "V", "y": "m"}, 0.1)], "u", "y", **options)
+    return long_autoregression(
+        [Record({"u": u, "y": y}, {"u": "V", "y": "m"}, 0.1)], "u", "y", **options
+    )
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -36,7 +38,9 @@ def test_integrating_plants_are_told_from_slow_ones(seed):
 def test_an_output_that_wanders_by_itself_is_no_integrator():
     rng = np.random.default_rng(2)
     u, e = rng.standard_normal((2, 2000))
-    found = integrator_test(regression(u, signal.lfilter([0.0, 0.3], [1.0, -0.7], u) + 0.1 * np.cumsum(e)))
+    found = integrator_test(
+        regression(u, signal.lfilter([0.0, 0.3], [1.0, -0.7], u) + 0.1 * np.cumsum(e))
+    )
     assert not found.integrates
     assert found.wanders
 
@@ -51,7 +55,9 @@ def test_feedback_is_told_from_open_loops(seed):
 def test_a_plant_that_answers_within_the_sample_is_no_feedback():
     u, e = np.random.default_rng(0).standard_normal((2, 2000))
     y = signal.lfilter([0.5, 0.2], [1.0, -0.6], u) + 0.2 * e
-    assert feedback_test(regression(u, y)).present  # taken for delayed, it looks like an answer to the noise
+    assert feedback_test(
+        regression(u, y)
+    ).present  # taken for delayed, it looks like an answer to the noise
     assert not feedback_test(regression(u, y, first_lag=0)).present
 
 
@@ -87,7 +93,9 @@ def _excited(kind, rng, n):
     pulse = (k >= 20) & (k < 23 + rng.integers(10))
     return {
         "sine": np.sin(2 * np.pi * k / rng.uniform(5, 40)).round(6),
-        "two sines": (np.sin(2 * np.pi * k / 20) + np.sin(2 * np.pi * k / rng.uniform(40, 70))).round(6),
+        "two sines": (
+            np.sin(2 * np.pi * k / 20) + np.sin(2 * np.pi * k / rng.uniform(40, 70))
+        ).round(6),
         "ramp": k / n,
         "step": (k >= 20) * 1.0,
         "pulse": pulse * 1.0,

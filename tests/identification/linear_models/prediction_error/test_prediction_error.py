@@ -42,7 +42,9 @@ def truth(structure):
 
 @pytest.mark.parametrize("structure", TRUE)
 def test_truth_is_within_its_own_uncertainty(structure):
-    model = identify(STRUCTURES[structure], [simulated(structure, 1)], "u", "y", orders=ORDERS[structure])
+    model = identify(
+        STRUCTURES[structure], [simulated(structure, 1)], "u", "y", orders=ORDERS[structure]
+    )
     error = np.r_[model.numerator, model.denominator[1:]] - truth(structure)
     std = np.sqrt(np.diag(model.parameter_covariance))
     assert np.all(np.abs(error) < 4 * std) and np.all(std < 0.05)
@@ -54,7 +56,13 @@ def test_ellipses_cover_the_truth_at_their_rate(structure):
     """The 95 % ellipsoid (1.107) over repetitions; 80 draws make 90 % … 99 % the range of chance."""
     inside = 0
     for seed in range(80):
-        model = identify(STRUCTURES[structure], [simulated(structure, seed, n=800)], "u", "y", orders=ORDERS[structure])
+        model = identify(
+            STRUCTURES[structure],
+            [simulated(structure, seed, n=800)],
+            "u",
+            "y",
+            orders=ORDERS[structure],
+        )
         error = np.r_[model.numerator, model.denominator[1:]] - truth(structure)
         inside += error @ np.linalg.solve(model.parameter_covariance, error) < 9.488
     assert 0.88 <= inside / 80 <= 1.0
@@ -62,13 +70,20 @@ def test_ellipses_cover_the_truth_at_their_rate(structure):
 
 @pytest.mark.parametrize("structure", ["armax", "oe", "bj"])
 def test_gradient_is_that_of_the_innovations(structure):
-    data = signals([simulated(structure, 2, n=60), simulated(structure, 3, n=50)], "u", "y", offset=True)
+    data = signals(
+        [simulated(structure, 2, n=60), simulated(structure, 3, n=50)], "u", "y", offset=True
+    )
     criterion = Criterion(data, Orders(1, 2, 2, 1, 1) if structure == "bj" else ORDERS[structure])
     rng = np.random.default_rng(0)
     x = 0.2 * rng.normal(size=criterion.size)
     normal = criterion.normal(x)
     e0 = np.concatenate(criterion.innovations(x))
-    numeric = np.array([-(np.concatenate(criterion.innovations(x + h)) - e0) / 1e-7 for h in 1e-7 * np.eye(criterion.size)])
+    numeric = np.array(
+        [
+            -(np.concatenate(criterion.innovations(x + h)) - e0) / 1e-7
+            for h in 1e-7 * np.eye(criterion.size)
+        ]
+    )
     np.testing.assert_allclose(normal.gradient, numeric @ e0, rtol=1e-4, atol=1e-4)
     np.testing.assert_allclose(normal.gram, numeric @ numeric.T, rtol=1e-3, atol=1e-3)
 
@@ -92,14 +107,18 @@ def test_output_error_order_is_found_and_is_the_maximum_likelihood():
 def test_records_are_experiments_of_their_own():
     parts = [simulated("oe", seed, n=700, level=5.0) for seed in range(3)]
     model = identify(STRUCTURES["oe"], parts, "u", "y", orders=ORDERS["oe"])
-    np.testing.assert_allclose(np.r_[model.numerator, model.denominator[1:]], truth("oe"), atol=0.05)
+    np.testing.assert_allclose(
+        np.r_[model.numerator, model.denominator[1:]], truth("oe"), atol=0.05
+    )
     assert model.offset == pytest.approx(5.0, abs=0.1)
 
 
 def test_units_scale_the_model():
     record = simulated("oe", 4)
     scaled = Record({"u": record["u"] * 1e-6, "y": record["y"] * 1e5}, {"u": "V", "y": "m"}, 0.1)
-    plain, big = (identify(STRUCTURES["oe"], [r], "u", "y", orders=ORDERS["oe"]) for r in (record, scaled))
+    plain, big = (
+        identify(STRUCTURES["oe"], [r], "u", "y", orders=ORDERS["oe"]) for r in (record, scaled)
+    )
     np.testing.assert_allclose(big.numerator, plain.numerator * 1e11, rtol=1e-6)
     np.testing.assert_allclose(big.denominator, plain.denominator, rtol=1e-6)
 
@@ -111,7 +130,9 @@ def test_a_model_that_cannot_be_simulated_says_so():
     for t in range(1, 600):
         y[t] = 1.1 * y[t - 1] + u[t - 1] + 0.3 * rng.normal()
         u[t] = rng.normal() - 0.5 * y[t]
-    model = identify(STRUCTURES["arx"], [Record({"u": u, "y": y}, {"u": "", "y": ""}, 1.0)], "u", "y", order=1)
+    model = identify(
+        STRUCTURES["arx"], [Record({"u": u, "y": y}, {"u": "", "y": ""}, 1.0)], "u", "y", order=1
+    )
     assert model.denominator[1] == pytest.approx(-1.1, abs=0.03)
     assert any("outside the unit circle" in text for text in model.warnings)
 
@@ -149,10 +170,20 @@ def a_gap(x):
     ("records", "order", "error", "rule"),
     [
         ([], 2, BadRecord, "no record"),
-        ([simulated("arx", 0, n=15)], 4, NotIdentifiable, "15 samples; 8 parameters need at least 40"),
+        (
+            [simulated("arx", 0, n=15)],
+            4,
+            NotIdentifiable,
+            "15 samples; 8 parameters need at least 40",
+        ),
         ([altered("y", a_gap)], 2, BadRecord, "channel 'y': sample 17 is missing"),
         ([altered("u", np.zeros_like)], 2, NotIdentifiable, "'u': does not move"),
-        ([altered("u", lambda u: np.sin(0.3 * np.arange(u.size)))], 4, NotIdentifiable, r"excites [23] parameters"),
+        (
+            [altered("u", lambda u: np.sin(0.3 * np.arange(u.size)))],
+            4,
+            NotIdentifiable,
+            r"excites [23] parameters",
+        ),
     ],
 )
 def test_refusals(records, order, error, rule):

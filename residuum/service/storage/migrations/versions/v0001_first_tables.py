@@ -79,7 +79,9 @@ def upgrade() -> None:
         sa.Column("digest", sa.String(length=64), nullable=True),
         sa.ForeignKeyConstraint(["asset_id"], ["assets.id"], name="fk_windows_asset_id"),
         sa.PrimaryKeyConstraint("id", name="pk_windows"),
-        sa.UniqueConstraint("asset_id", "idempotency_key", name="uq_windows_asset_id_idempotency_key"),
+        sa.UniqueConstraint(
+            "asset_id", "idempotency_key", name="uq_windows_asset_id_idempotency_key"
+        ),
         sa.UniqueConstraint("block_path", name="uq_windows_block_path"),
     )
     op.create_index("ix_windows_asset_id_id", "windows", ["asset_id", "id"])

@@ -11,14 +11,25 @@ depends_on: str | None = None
 
 def upgrade() -> None:
     """To this revision."""
-    op.add_column("receivers", sa.Column("findings", sa.Boolean(), server_default=sa.false(), nullable=False))
-    op.add_column("receivers", sa.Column("findings_lost", sa.BigInteger(), server_default=sa.text("0"), nullable=False))
+    op.add_column(
+        "receivers", sa.Column("findings", sa.Boolean(), server_default=sa.false(), nullable=False)
+    )
+    op.add_column(
+        "receivers",
+        sa.Column("findings_lost", sa.BigInteger(), server_default=sa.text("0"), nullable=False),
+    )
     op.create_table(
         "finding_notices",
         sa.Column("receiver_id", sa.String(length=64), nullable=False),
-        sa.Column("finding_id", sa.BigInteger().with_variant(sa.Integer(), "sqlite"), nullable=False),
-        sa.ForeignKeyConstraint(["receiver_id"], ["receivers.id"], name="fk_finding_notices_receiver_id"),
-        sa.ForeignKeyConstraint(["finding_id"], ["findings.id"], name="fk_finding_notices_finding_id"),
+        sa.Column(
+            "finding_id", sa.BigInteger().with_variant(sa.Integer(), "sqlite"), nullable=False
+        ),
+        sa.ForeignKeyConstraint(
+            ["receiver_id"], ["receivers.id"], name="fk_finding_notices_receiver_id"
+        ),
+        sa.ForeignKeyConstraint(
+            ["finding_id"], ["findings.id"], name="fk_finding_notices_finding_id"
+        ),
         sa.PrimaryKeyConstraint("receiver_id", "finding_id", name="pk_finding_notices"),
     )
     op.create_index("ix_finding_notices_finding_id", "finding_notices", ["finding_id"])

@@ -1,4 +1,6 @@
-"""For how long an alarm's opposite was seen, when its machine was last judged, and which indicators raised it."""
+"""For how long an alarm's opposite was seen, when its machine was last judged, and which indicators
+raised it.
+"""
 
 import sqlalchemy as sa
 from alembic import op
