@@ -23,7 +23,7 @@ from residuum.identification.kernel_based.impulse_response import identify_impul
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.identification.record import Record
-from residuum.library.answers.control_promise import promise_and_measurement
+from residuum.library.answers.control_design import promise_and_measurement
 from residuum.robust_control.control_problem import ControlProblem, Wishes
 from residuum.robust_control.synthesis.constrained_structure import PIDN
 

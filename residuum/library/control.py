@@ -14,8 +14,11 @@ import numpy as np
 
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.linear_models.transfer_function import TransferFunction
-from residuum.library.answers.control_design import design_json, design_text
-from residuum.library.answers.control_promise import promise_and_measurement
+from residuum.library.answers.control_design import (
+    design_json,
+    design_text,
+    promise_and_measurement,
+)
 from residuum.library.picture import Curve, Panel, Picture
 from residuum.library.plant import Plant, plant_of, to_control
 from residuum.library.questions import asks

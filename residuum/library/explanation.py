@@ -18,7 +18,7 @@ from residuum.identification.residual_analysis.places.term_curves import (
 )
 from residuum.identification.unseen_blocks.verdict import Candidate
 from residuum.library.answers.explanation import explanation_json, explanation_text
-from residuum.library.answers.quantities import sizes_text
+from residuum.library.answers.plain import sizes_text
 from residuum.library.comparison import Comparison
 from residuum.library.picture import Bars, Curve, Panel, Picture, axis
 from residuum.library.result import Result, Row

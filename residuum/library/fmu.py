@@ -5,9 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from residuum.identification.physics.fmu.description import describe
-from residuum.identification.physics.fmu.fmu_model import exchange_model, is_exchangeable
+from residuum.identification.physics.fmu.fmu_model import (
+    exchange_model,
+    is_exchangeable,
+    simulated_model,
+    with_simulation,
+)
 from residuum.identification.physics.fmu.loaded_library import load
-from residuum.identification.physics.fmu.simulated_outputs import simulated_model, with_simulation
 from residuum.identification.record import Record
 from residuum.library.model import Model
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from datetime import UTC
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,11 +15,229 @@ from residuum.identification.errors import BadRecord
 from residuum.identification.record import Record as MeasuredRecord
 from residuum.identification.record_formats import ReadOptions
 from residuum.identification.record_formats.even_time import even_columns
+from residuum.identification.record_formats.loggers.logger_head import (
+    is_unit,
+    unit_of_head,
+    unit_word,
+)
+from residuum.identification.record_formats.loggers.logger_time import seconds_of
 from residuum.identification.record_formats.read_apart import read_mapped
 from residuum.library.record import Record, shown
-from residuum.library.table_columns import as_frame, heads, numbers, units_of
-from residuum.library.table_time import refuse_disorder, seconds, unit_of_time
 from residuum.nearest_names import known_names
+
+# The columns of a DataFrame as channels: names, units and numbers, each refused with what a
+# DataFrame has for it.
+
+if TYPE_CHECKING:
+    import pandas
+
+
+def as_frame(table: Any, where: str) -> pandas.DataFrame:
+    """The DataFrame of a DataFrame, or of a Series with a name; BadRecord for anything else and for
+    columns of one name.
+    """
+    if hasattr(table, "to_frame") and not hasattr(table, "columns"):
+        if table.name is None:
+            raise BadRecord(
+                f"{where}: is a Series without a name; give it one: series.rename('speed')"
+            )
+        table = table.to_frame()
+    if not hasattr(table, "columns"):
+        raise BadRecord(
+            f"{where}: is {type(table).__name__}; must be a DataFrame, or make a record with"
+            " rs.from_arrays({…})"
+        )
+    if len(twice := table.columns[table.columns.duplicated()]):
+        raise BadRecord(
+            f"{where}: column {twice[0]!r} stands twice; rename one, or keep the first:"
+            " frame.loc[:, ~frame.columns.duplicated()]"
+        )
+    return table
+
+
+def heads(
+    frame: pandas.DataFrame, where: str, *, without: Any = None
+) -> dict[Any, tuple[str, str]]:
+    """Column → (name, unit) of every column but the one of time; several rows of heads are joined,
+    a row of units is one.
+    """
+    columns = [column for column in frame.columns if without is None or column != without]
+    if getattr(frame.columns, "nlevels", 1) > 1:
+        by_column = _of_levels(columns)
+    else:
+        by_column = {column: unit_of_head(str(column)) for column in columns}
+    names = [name for name, _ in by_column.values()]
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise BadRecord(f"{where}: columns share the name {twice[0]!r}; rename one")
+    return by_column
+
+
+def _of_levels(columns: list[Any]) -> dict[Any, tuple[str, str]]:
+    rows = {column: [str(part).strip() for part in column] for column in columns}
+    last = [parts[-1].strip("[]()") for parts in rows.values()]
+    filled = [unit for unit in last if unit and not unit.startswith("Unnamed")]
+    if filled and all(is_unit(unit_word(unit)) for unit in filled):
+        return {
+            column: (".".join(_named(parts[:-1])), unit_word(unit) if unit in filled else "")
+            for (column, parts), unit in zip(rows.items(), last, strict=True)
+        }
+    return {column: unit_of_head(".".join(_named(parts))) for column, parts in rows.items()}
+
+
+def _named(parts: list[str]) -> list[str]:
+    return [part for part in parts if part and not part.startswith("Unnamed")]
+
+
+def units_of(
+    by_column: Mapping[Any, tuple[str, str]],
+    attributes: Mapping[Any, str],
+    given: Mapping[Any, str],
+) -> dict[str, str]:
+    """Name → unit: what the caller tells goes over what the frame's attributes say, and that over
+    the heads.
+    """
+    units = dict(by_column.values())
+    for source in (attributes, given):
+        for key, unit in source.items():
+            name = by_column[key][0] if key in by_column else key
+            if name in units:
+                units[name] = unit
+            elif source is given:
+                raise BadRecord(
+                    f"units: there is no channel {key!r}; {known_names(key, units, 'there are')}"
+                )
+    return units
+
+
+def numbers(values: Any, where: str) -> npt.NDArray[np.float64]:
+    """The numbers of a column, NaN where it has none; BadRecord for instants, complex numbers and
+    text.
+    """
+    kind = getattr(getattr(values, "dtype", None), "kind", "")
+    if kind in "mM" and kind:
+        raise BadRecord(
+            f"{where}: holds instants, not numbers; take the time from it with time=…, or leave it"
+            " out with frame.drop(…)"
+        )
+    if kind == "c":
+        raise BadRecord(
+            f"{where}: holds complex numbers; keep one part of them, or leave it out with"
+            " frame.drop(…)"
+        )
+    try:
+        return np.asarray(values, dtype=float)
+    except (TypeError, ValueError):
+        raise BadRecord(
+            f"{where}: does not hold numbers; make numbers of it, or leave it out with"
+            " frame.drop(columns=…)"
+        ) from None
+
+
+# The time of a table (a DataFrame, a Dataset): instants, durations, seconds; never a count of its
+# rows.
+
+_EPOCH = 1e11
+"""Above this a number is no second of our days, since 1970 or since a start."""
+
+
+def seconds(
+    values: Any, where: str, *, unit: str = "", told: bool = False, near: str = "COLUMN"
+) -> npt.NDArray[np.float64]:
+    """Instants or durations as seconds, shape (n,); instants count from the first one.
+
+    `unit` is the unit of plain numbers (seconds where nothing is said). Whole numbers without one
+    count the rows as likely as they count seconds; they are taken where the caller has `told` that
+    they are the time. `near` is a column that may be it.
+
+    Raises BadRecord with what to do for anything that is no time.
+    """
+    if getattr(values, "nlevels", 1) > 1:
+        raise BadRecord(
+            f"{where}: the index has {values.nlevels} levels; take one series, frame.xs(…) or"
+            " frame.droplevel(…)"
+        )
+    if str(getattr(values, "dtype", "")).startswith("period"):
+        values = getattr(values, "dt", values).to_timestamp()
+    array = _without_zone(values)
+    if array.dtype.kind in "mM":
+        return np.asarray((array - array[0]) / np.timedelta64(1, "ns") * 1e-9, dtype=float)
+    if array.dtype.kind not in "iuf":
+        raise BadRecord(
+            f"{where}: the time does not hold numbers or instants ({str(array[0])[:30]!r}); make"
+            " instants of it with pandas.to_datetime(…), or say sample_time=…"
+        )
+    factor = seconds_of(unit) if unit else 1.0
+    if factor is None:
+        raise BadRecord(f"{where}: the time is in {unit!r}, which is no unit of time")
+    if array.dtype.kind in "iu" and not unit and not told:
+        raise BadRecord(
+            f"{where}: the index counts ({array[0]}, {array[min(1, len(array) - 1)]}, …), which may"
+            f" be rows and is not taken for seconds; say time={near!r}, sample_time=…, or make"
+            " instants of it: pandas.to_datetime(frame.index, unit=…)"
+        )
+    if not unit and np.nanmax(np.abs(array), initial=0.0) > _EPOCH:
+        how = "make instants of it with pandas.to_datetime(…, unit='ms')"
+        raise BadRecord(f"{where}: the time {array[0]:.0f} is too large for seconds; {how}")
+    return np.asarray(array, dtype=float) * factor
+
+
+def unit_of_time(head: Any) -> str:
+    """The unit of time in the head of a column or in the name of an index (`t [ms]`), or
+    nothing.
+    """
+    unit = unit_of_head(str(head or ""))[1]
+    return "" if seconds_of(unit) is None else unit
+
+
+def refuse_disorder(instants: npt.NDArray[np.float64], where: str) -> None:
+    """BadRecord for instants that stand twice or go back, with what a table has for it."""
+    steps = np.diff(instants)
+    if not (wrong := steps <= 0).any():
+        return
+    row = int(np.argmax(wrong)) + 1
+    if steps[row - 1] == 0:
+        how = (
+            "an instant stands twice: frame.groupby(level=0).mean() or"
+            " frame[~frame.index.duplicated()] keeps one"
+        )
+    else:
+        how = "rows must be in order of time: frame.sort_index() orders them"
+    raise BadRecord(f"{where}, row {row}: time does not increase; {how}")
+
+
+def _without_zone(values: Any) -> npt.NDArray[Any]:
+    """The array of values; instants with a zone become those of UTC, in which no hour stands
+    twice.
+    """
+    accessor = getattr(values, "dt", values)
+    if getattr(accessor, "tz", None) is not None:
+        return np.asarray(accessor.tz_convert(None))
+    array = np.asarray(values)
+    if (
+        array.dtype.kind == "O"
+        and len(array)
+        and all(hasattr(t, "isoformat") and hasattr(t, "hour") for t in array)
+    ):
+        return _of_datetimes(array)
+    return _plain(array) if array.dtype.kind == "O" else array
+
+
+def _plain(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Numbers that came as objects, or the objects as they are."""
+    if any(isinstance(entry, str) for entry in array):
+        return array
+    try:
+        return np.asarray(array, dtype=float)
+    except (TypeError, ValueError):
+        return array
+
+
+def _of_datetimes(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    return np.array(
+        [t.astimezone(UTC).replace(tzinfo=None) if t.tzinfo else t for t in array],
+        dtype="datetime64[ns]",
+    )
+
 
 if TYPE_CHECKING:
     import pandas

@@ -27,8 +27,8 @@ from residuum.identification.record_formats.loggers.logger_mapping import (
     read_logger_file,
     read_mapping,
 )
+from residuum.identification.record_formats.npz import keep_plain, load_plain
 from residuum.identification.record_formats.options import ReadOptions
-from residuum.identification.record_formats.plain_arrays import keep_plain, load_plain
 
 _REFUSED = 2
 _HERE = str(Path(__file__).resolve().parents[3])

@@ -9,7 +9,7 @@ from typing import Any
 from residuum.identification.physics.simulate.experiment import PART
 from residuum.identification.residual_analysis.compare import Comparison
 from residuum.identification.residual_analysis.places.locate import Region
-from residuum.library.answers.chance import chance
+from residuum.library.answers.plain import chance
 
 
 def comparison_json(model: str, records: list[str], comparison: Comparison) -> dict[str, Any]:

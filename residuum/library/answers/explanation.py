@@ -2,22 +2,125 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from math import isfinite
 from typing import Any
+
+import numpy as np
 
 from residuum.array_types import FloatArray
 from residuum.identification.discrepancy.estimated_values import EstimatedValue
 from residuum.identification.discrepancy.explanation import Explanation
 from residuum.identification.discrepancy.suggestion import nearest_formula
+from residuum.identification.physics.effects.base import Effect, Parameter
+from residuum.identification.physics.model import place_of, tied_to
 from residuum.identification.residual_analysis.policy import SLOW
 from residuum.identification.unseen_blocks.free_term import BlockTerm
 from residuum.identification.unseen_blocks.next_experiment import HeldValue
-from residuum.identification.unseen_blocks.verdict import BlockErrors, Candidate, Remaining
+from residuum.identification.unseen_blocks.verdict import (
+    BlockErrors,
+    Candidate,
+    Quantity,
+    Remaining,
+)
 from residuum.identification.work import Work
-from residuum.library.answers.quantities import quantities_json, sizes_text, value_text
-from residuum.library.answers.tied_effects import tied_json, tied_text
+from residuum.library.answers.plain import quantities_json, sizes_text, value_text
+
+# What is told of an effect that is tied to other signals: the channel of a forgotten input, the
+# curve that was learned.
+
+
+def tied_json(effect: str, target: str, parameters: Mapping[str, Quantity]) -> dict[str, Any]:
+    """Keys beside those that every effect has; none for an effect of the catalogue."""
+    tied = tied_to(target)
+    if effect == "forgotten-input":
+        gain = parameters["gain"]
+        return {
+            "channel": tied[0],
+            "gain": {"value": gain.value, "std": gain.std, "unit": gain.unit},
+        }
+    if effect == "coupling":
+        return {"between": [place_of(target), tied[0]]}
+    if effect == "learned":
+        return {
+            "signals": list(tied),
+            "curve": _curve(parameters),
+            "formula": _formula(tied[0], parameters),
+        }
+    return {}
+
+
+def tied_text(effect: str, target: str, parameters: Mapping[str, Quantity]) -> str | None:
+    """One sentence in the place of a list of parameters; None for an effect of the catalogue."""
+    place, tied = place_of(target), tied_to(target)
+    if effect == "forgotten-input":
+        gain = parameters["gain"]
+        return (
+            f"what {place} lacks follows {tied[0]} with {gain.value:.3g} ± {gain.std:.2g}"
+            f" {gain.unit}".rstrip()
+        )
+    if effect == "learned":
+        formula = _formula(tied[0], parameters) or "no formula comes near"
+        return f"a curve over {tied[0]}, {len(_curve(parameters)['at'])} values: {formula}"
+    return None
+
+
+def _curve(parameters: Mapping[str, Quantity]) -> dict[str, Any]:
+    count = sum(name.startswith("a") for name in parameters)
+    at, values = ([parameters[f"{letter}{k}"] for k in range(1, count + 1)] for letter in "av")
+    return {
+        "at": [q.value for q in at],
+        "value": [q.value for q in values],
+        "std": [q.std for q in values],
+        "unit": values[0].unit,
+        "at_unit": at[0].unit,
+    }
+
+
+def _formula(signal: str, parameters: Mapping[str, Quantity]) -> str | None:
+    curve = _curve(parameters)
+    nearest = nearest_formula(np.array(curve["at"]), np.array(curve["value"]))
+    return (
+        None
+        if nearest is None
+        else (
+            f"{nearest.formula} {curve['unit']}, z = {signal} / {nearest.largest:.3g}"
+            f" {curve['at_unit']}".rstrip()
+        )
+    )
+
+
+# An effect of the catalogue as an object and as a line.
+
+
+def effect_json(effect: Effect) -> dict[str, Any]:
+    """An effect of the catalogue as the command line and the HTTP interface show it."""
+    return {
+        "effect": effect.id,
+        "title": effect.title,
+        "equation": effect.equation,
+        "acts_on": list(effect.acts_on),
+        "needs": list(effect.needs),
+        "reference": effect.reference,
+    }
+
+
+def parameters_json(parameters: tuple[Parameter, ...]) -> dict[str, Any]:
+    """Unit, bounds and meaning of each parameter."""
+    return {
+        p.name: {"unit": p.unit, "lower": p.lower, "upper": p.upper, "meaning": p.meaning}
+        for p in parameters
+    }
+
+
+def effect_line(entry: dict[str, Any]) -> str:
+    """One line of the list."""
+    where = entry["balance"] if "balance" in entry else ", ".join(entry["acts_on"])
+    units = {name: p["unit"] for name, p in entry.get("parameters", {}).items()}
+    shown = "".join(f"  {name} [{unit}]" for name, unit in units.items())
+    return f"{entry['effect']:<22} {where:<16} {entry['equation']}{shown}"
+
 
 _WORTH_SAYING = 0.1
 """Power of an experiment below which it is no advice."""

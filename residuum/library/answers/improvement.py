@@ -7,9 +7,15 @@ from typing import Any
 
 from residuum.identification.discrepancy.improvement import Improvement, quantities_of
 from residuum.identification.physics import EffectUse
-from residuum.library.answers.explanation import held_text, remaining_json, work_json, work_text
-from residuum.library.answers.quantities import quantities_json, sizes_text
-from residuum.library.answers.tied_effects import tied_json, tied_text
+from residuum.library.answers.explanation import (
+    held_text,
+    remaining_json,
+    tied_json,
+    tied_text,
+    work_json,
+    work_text,
+)
+from residuum.library.answers.plain import quantities_json, sizes_text
 
 
 def improvement_json(improvement: Improvement, file: str | None) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from residuum.diagnosis.residuals.noise_model import NoiseModel
 from residuum.diagnosis.residuals.residual_design import ResidualDesign
 from residuum.diagnosis.residuals.residual_detection import Detection
 from residuum.identification.record import Record
-from residuum.library.answers.chance import chance
+from residuum.library.answers.plain import chance
 
 
 def design_json(

@@ -36,9 +36,14 @@ from residuum.service.machines.adding import (
     with_kept_passwords,
     with_map_files,
 )
-from residuum.service.machines.baselines import MOST, has_baseline, train_baseline, training_windows
-from residuum.service.machines.judging.judges import diagnoser_class
-from residuum.service.machines.judging.second_opinion import what_is_trained
+from residuum.service.machines.baselines import (
+    MOST,
+    has_baseline,
+    train_baseline,
+    training_windows,
+    what_is_trained,
+)
+from residuum.service.machines.judging.scoring import diagnoser_class
 from residuum.service.machines.windows import complete_windows, used_by
 from residuum.service.services import Running, Services, caller_of
 from residuum.service.views.model_view import model_of

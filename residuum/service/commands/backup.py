@@ -12,7 +12,7 @@ import typer
 
 from residuum.identification.errors import BadInput
 from residuum.service.commands.report import AsJson, report
-from residuum.service.commands.settings_file import DatabaseUrl, SettingsFile
+from residuum.service.commands.settings_template import DatabaseUrl, SettingsFile
 from residuum.service.settings import SETTINGS_FILE, Settings, load_settings
 from residuum.service.storage.backup import Contents, write_backup
 from residuum.service.storage.database import Database, sqlite_file

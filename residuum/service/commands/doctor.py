@@ -24,7 +24,7 @@ from residuum.service.broker import BrokerAddress
 from residuum.service.cli import ANSWER_IS_NO
 from residuum.service.commands.machine_checks import machine_check
 from residuum.service.commands.report import AsJson, report
-from residuum.service.commands.settings_file import DatabaseUrl, DataFolder, SettingsFile
+from residuum.service.commands.settings_template import DatabaseUrl, DataFolder, SettingsFile
 from residuum.service.fieldbus.can.can_bus import open_bus
 from residuum.service.fieldbus.can.can_source import streamed
 from residuum.service.fieldbus.can.frame_layout import read_dbc

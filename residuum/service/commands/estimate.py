@@ -10,10 +10,9 @@ from residuum.library.model import model as read
 from residuum.library.questions.estimate import Estimate
 from residuum.service.cli import ANSWER_IS_NO
 from residuum.service.commands.asked import asks
-from residuum.service.commands.model_source import ModelSource
 from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.own_catalogue import OwnCatalogue
-from residuum.service.commands.records import Reading, RecordFiles, reads
+from residuum.service.commands.records import ModelSource, Reading, RecordFiles, reads
 from residuum.service.commands.report import AsJson, report
 
 app = typer.Typer(add_completion=False)

@@ -5,10 +5,9 @@ import typer
 from residuum.library.questions.missing_effect import Explain
 from residuum.service.commands.asked import asks
 from residuum.service.commands.fmu_process import model_for
-from residuum.service.commands.model_source import ModelSource
 from residuum.service.commands.own_catalogue import OwnCatalogue
 from residuum.service.commands.plot_option import Plot, check_plot, drawn
-from residuum.service.commands.records import Reading, RecordFiles, reads
+from residuum.service.commands.records import ModelSource, Reading, RecordFiles, reads
 from residuum.service.commands.report import AsJson, report, told
 from residuum.service.work.worker_pool import keep_large_arrays
 

@@ -8,8 +8,8 @@ import typer
 from residuum.identification.errors import BadInput
 from residuum.library.whole_file import write_whole
 from residuum.nearest_names import known_names
-from residuum.service.commands.model_source import ModelSource
 from residuum.service.commands.output_file import check_output_file
+from residuum.service.commands.records import ModelSource
 from residuum.service.commands.report import AsJson, report
 
 app = typer.Typer(add_completion=False)

@@ -20,6 +20,13 @@ from residuum.identification.record_formats.time_bases import MEASURED_AT, NOT_R
 from residuum.service.commands.options_of import expanded, parameter_of
 from residuum.service.commands.report import progress
 
+# The argument that names a model of balances.
+
+ModelSource = Annotated[
+    str, typer.Argument(metavar="MODEL", help="A built-in model or a model file.")
+]
+
+
 RecordFiles = Annotated[
     list[Path],
     typer.Argument(metavar="RECORD…", help="Record files; each is a separate experiment."),

@@ -10,7 +10,7 @@ import typer
 from residuum.identification.errors import BadInput
 from residuum.service.commands.backup import described, in_words
 from residuum.service.commands.report import AsJson, report
-from residuum.service.commands.settings_file import DatabaseUrl
+from residuum.service.commands.settings_template import DatabaseUrl
 from residuum.service.settings import load_settings
 from residuum.service.storage.backup import restore_backup
 from residuum.service.storage.database import Database

@@ -13,7 +13,7 @@ from residuum.identification.errors import BadInput
 from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.report import AsJson
 from residuum.service.commands.report import report as tell
-from residuum.service.commands.settings_file import SettingsFile
+from residuum.service.commands.settings_template import SettingsFile
 from residuum.service.results.month_report import month_report
 from residuum.service.results.parquet_tables import span_of, write_findings, write_windows
 from residuum.service.results.report_page import report_page

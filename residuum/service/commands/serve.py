@@ -19,7 +19,7 @@ from fastapi import FastAPI
 from residuum.identification.errors import BadInput
 from residuum.service.app import create_app
 from residuum.service.cli import INTERRUPTED
-from residuum.service.commands.settings_file import DatabaseUrl, DataFolder, SettingsFile
+from residuum.service.commands.settings_template import DatabaseUrl, DataFolder, SettingsFile
 from residuum.service.security.http_connections import bounded_connections
 from residuum.service.settings import Settings, is_loopback, load_settings
 from residuum.service.settled_memory import settle_memory

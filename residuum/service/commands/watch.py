@@ -19,8 +19,7 @@ from residuum.service.commands.machine_checks import bus_signals
 from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.report import AsJson, progress, report
 from residuum.service.commands.running_service import HERE, ServiceUrl, answered, ask
-from residuum.service.commands.settings_file import SettingsFile
-from residuum.service.commands.settings_template import settings_template
+from residuum.service.commands.settings_template import SettingsFile, settings_template
 from residuum.service.fieldbus import SOURCES
 from residuum.service.fieldbus.modbus.register_map import read_register_map
 from residuum.service.fieldbus.modbus.register_table import register_map_of, register_map_text

@@ -8,7 +8,7 @@ import tempfile
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import orjson
@@ -23,9 +23,13 @@ from residuum.identification.physics import estimate, match
 from residuum.identification.record import Record
 from residuum.library.answers.plain import to_plain
 from residuum.nearest_names import did_you_mean
+from residuum.service.fieldbus.settings import MachineSettings
 from residuum.service.machines.adding import KIND, ModelText, document_name, kept_document, named
-from residuum.service.machines.judging.judges import diagnoser_class
-from residuum.service.machines.judging.kept_diagnosers import content_of, diagnoser_of_content
+from residuum.service.machines.judging.scoring import (
+    content_of,
+    diagnoser_class,
+    diagnoser_of_content,
+)
 from residuum.service.machines.windows import REMEDY, holed, kept_windows
 from residuum.service.storage.disk_store import DiskStore
 from residuum.service.store import Conflict, ModelVersion, NotFound
@@ -451,3 +455,48 @@ def training_windows(
         needed = f"at least {FEWEST_NEW_WINDOWS} are needed, 20 are good"
         raise Conflict(f"asset {asset!r}: {len(records)} windows are recorded; {needed}{lacking}")
     return records, holes
+
+
+# A second opinion on a window, beside the finding that decides.
+
+
+def with_second_opinion(finding: Finding, second: Finding) -> Finding:
+    """The first finding with the second as evidence: verdict and alarms are the first one's."""
+    opinion = {
+        "diagnoser": second.diagnoser,
+        "verdict": second.verdict.value,
+        "class": second.fault_class,
+        "reason": second.reason,
+        "indicators": dict(second.indicators),
+        "thresholds": dict(second.thresholds),
+        "causes": second.evidence.get("causes", []),
+        "agrees": second.verdict is finding.verdict,
+    }
+    return replace(finding, evidence={**finding.evidence, "second_opinion": opinion})
+
+
+def second_name(store: DiskStore, asset: str, wanted: str | None) -> str:
+    """The name under which the baseline of a machine's second opinion is stored."""
+    return baseline_name(store, f"{asset}.second", wanted)
+
+
+class Trained(NamedTuple):
+    """What is trained: which diagnoser, stored under which name, with which model."""
+
+    diagnoser: str
+    name: str
+    model: str | None
+
+
+def what_is_trained(store: DiskStore, settings: MachineSettings, *, second: bool) -> Trained:
+    """The machine's own diagnoser, or its second opinion; BadInput where it has none."""
+    if not second:
+        return Trained(
+            settings.diagnoser,
+            baseline_name(store, settings.asset, settings.baseline),
+            settings.model,
+        )
+    if settings.second is None:
+        raise BadInput(f"machine {settings.asset!r}: has no second opinion in its settings")
+    name = second_name(store, settings.asset, settings.second.baseline)
+    return Trained(settings.second.diagnoser, name, settings.second.model)

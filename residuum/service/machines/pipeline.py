@@ -20,9 +20,14 @@ from residuum.service.alarms.events import Events
 from residuum.service.fieldbus.settings import MachineSettings
 from residuum.service.fieldbus.source import FaultsUnavailable, Source
 from residuum.service.machines.adding import kept_machines
-from residuum.service.machines.baselines import baseline_file, deciding_method, newest_baseline
+from residuum.service.machines.baselines import (
+    baseline_file,
+    deciding_method,
+    newest_baseline,
+    second_name,
+    with_second_opinion,
+)
 from residuum.service.machines.judging.scoring import PlainRecord, score_window
-from residuum.service.machines.judging.second_opinion import second_name, with_second_opinion
 from residuum.service.machines.machine_line import MachineLine, unreadable
 from residuum.service.settings import Settings
 from residuum.service.simulated.demo import Demo

@@ -21,8 +21,8 @@ from residuum.diagnosis.finding import Finding
 from residuum.identification.errors import in_one_line
 from residuum.identification.record import Record
 from residuum.service.alarms.alarm_states import AlarmEvent, AlarmRule
-from residuum.service.storage import alarm_rates, retention, time_range
 from residuum.service.storage import audit as audit_trail
+from residuum.service.storage import retention, time_range
 from residuum.service.storage.blocks import BlockReference, Blocks, BrokenBlock
 from residuum.service.storage.database import Busy, Database, OutcomeUnknown, SamePlace, sqlite_file
 from residuum.service.storage.outbox import Outbox
@@ -386,7 +386,7 @@ class DiskStore:
     def alarm_rates(self) -> AlarmRates:
         """How many alarms were raised of late."""
         with self._database.read() as connection:
-            return alarm_rates.rates(connection, _now())
+            return retention.rates(connection, _now())
 
     def add_record(self, name: str, record: Record) -> int:
         """Keep an uploaded record; returns its id when it is on disk."""

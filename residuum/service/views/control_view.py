@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from residuum.array_types import FloatArray
 from residuum.identification.linear_models.transfer_function import TransferFunction
-from residuum.library.answers.control_promise import promise_and_measurement
+from residuum.library.answers.control_design import promise_and_measurement
 from residuum.library.answers.plain import finite
 from residuum.library.control import law, posed
 from residuum.library.questions.control_design import DesignController

@@ -18,7 +18,7 @@ import orjson
 from residuum.identification import errors
 from residuum.identification.errors import BadInput, BadRecord
 from residuum.identification.record import Record
-from residuum.identification.record_formats.plain_arrays import keep_plain, load_plain
+from residuum.identification.record_formats.npz import keep_plain, load_plain
 from residuum.service.problems import BadBody, TooLarge
 from residuum.service.work.limited_process import run_limited, within_limits
 

@@ -12,7 +12,7 @@ from residuum.identification.kernel_based.impulse_response import identify_impul
 from residuum.identification.linear_models.identified_model import load_identified, save_identified
 from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.identification.record import Record
-from residuum.library.answers.control_promise import says
+from residuum.library.answers.control_design import says
 from residuum.service.cli import run
 from residuum.service.commands.control import app
 

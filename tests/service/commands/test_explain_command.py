@@ -8,7 +8,7 @@ from residuum.identification.unseen_blocks.next_experiment import HeldValue
 from residuum.identification.unseen_blocks.verdict import Quantity
 from residuum.identification.work import Work
 from residuum.library.answers.explanation import explanation_text
-from residuum.library.answers.quantities import sizes_text
+from residuum.library.answers.plain import sizes_text
 
 
 def explanation(verdict, times, held=()):

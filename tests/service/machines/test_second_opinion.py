@@ -10,7 +10,7 @@ from residuum.service.fieldbus.settings import (
     SourceSettings,
     WindowSettings,
 )
-from residuum.service.machines.judging.second_opinion import what_is_trained, with_second_opinion
+from residuum.service.machines.baselines import what_is_trained, with_second_opinion
 
 CAUSE = {"kind": "sensor", "name": "offset", "place": "y", "probability": 0.9}
 

@@ -4,17 +4,126 @@ windows that are sent.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import tempfile
+import threading
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from residuum.diagnosis.diagnosers import DIAGNOSERS
+from residuum.diagnosis.diagnosers.base import Diagnoser
 from residuum.diagnosis.finding import Finding
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
-from residuum.service.machines.judging.kept_diagnosers import diagnoser_of_file
+from residuum.nearest_names import known_names
+from residuum.service.store import NotFound
+
+# Trained diagnosers at hand: read from what is stored once, and kept for the next window.
+
+_MOST_KEPT = 256
+
+
+class KeptDiagnosers:
+    """One instance a key, shared by all threads; the oldest goes where there are too many."""
+
+    def __init__(self) -> None:
+        self._kept: dict[Hashable, Diagnoser] = {}
+        self._lock = threading.Lock()
+
+    def get(self, key: Hashable, make: Callable[[], Diagnoser]) -> Diagnoser:
+        """The one that is kept under this key, or else the one that is made now."""
+        with self._lock:
+            if key in self._kept:
+                return self._kept[key]
+        judge = make()
+        with self._lock:
+            while len(self._kept) >= _MOST_KEPT:
+                self._kept.pop(next(iter(self._kept)))
+            return self._kept.setdefault(key, judge)
+
+
+IN_THIS_PROCESS = KeptDiagnosers()
+"""Those of a worker process, which is sent names of files and of stored baselines, never
+diagnosers.
+"""
+
+
+def diagnoser_of_file(diagnoser: str, file: str | None) -> Diagnoser:
+    """The diagnoser that a file holds, anew where the file changed; without a file the untrained
+    one.
+    """
+    kind = DIAGNOSERS[diagnoser]
+    if not file:
+        return IN_THIS_PROCESS.get(diagnoser, kind)
+    changed = Path(file).stat().st_mtime_ns
+    return IN_THIS_PROCESS.get((diagnoser, file, changed), lambda: kind.load(Path(file)))
+
+
+def diagnoser_of_content(kind: type[Diagnoser], content: bytes) -> Diagnoser:
+    """The trained diagnoser that a stored baseline holds."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "baseline"
+        file.write_bytes(content)
+        return kind.load(file)
+
+
+def content_of(trained: Diagnoser) -> bytes:
+    """A trained diagnoser as it is stored."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "baseline"
+        trained.save(file)
+        return file.read_bytes()
+
+
+# Trained diagnosers at hand: one instance a diagnoser and baseline, loaded once and shared by all
+# requests.
+
+Baseline = Callable[[str], tuple[str, bytes]]
+"""Gives (version tag, stored file) of a named baseline; NotFound when there is none."""
+
+
+class Judges:
+    """Diagnosers by name, settings and baseline.
+
+    A baseline is a stored trained diagnoser (model of kind `baseline`). A new version of it is
+    taken up by the next call.
+    """
+
+    def __init__(self, baseline: Baseline) -> None:
+        self._baseline = baseline
+        self._kept = KeptDiagnosers()
+
+    def untrained(self, diagnoser: str, settings: Mapping[str, Any] | None = None) -> Diagnoser:
+        """A diagnoser without baseline, which judges by absolute indicators and fault lines;
+        BadInput for a setting it lacks.
+        """
+        key = (diagnoser, repr(sorted((settings or {}).items())))
+        return self._kept.get(
+            key, lambda: diagnoser_class(diagnoser)().with_settings(**(settings or {}))
+        )
+
+    def trained(self, diagnoser: str, baseline: str) -> Diagnoser:
+        """A diagnoser with the newest version of a stored baseline; BadInput when it is one of
+        another diagnoser.
+        """
+        version, content = self._baseline(baseline)
+        key = (diagnoser, baseline, version)
+        return self._kept.get(
+            key, lambda: diagnoser_of_content(diagnoser_class(diagnoser), content)
+        )
+
+
+def diagnoser_class(name: str) -> type[Diagnoser]:
+    """The class of this name; NotFound lists the names there are."""
+    if name not in DIAGNOSERS:
+        raise NotFound(
+            f"diagnoser {name[:60]!r}: there is none of this name; {known_names(name, DIAGNOSERS)}"
+        )
+    return DIAGNOSERS[name]
 
 
 class PlainRecord(NamedTuple):
