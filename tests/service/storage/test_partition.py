@@ -36,8 +36,10 @@ def wait_for(condition, what):
 def proxy(request, new_postgresql_database, monkeypatch):
     """A proxy before a database; what is asked through it is given up after a second of silence, not after eight."""
     monkeypatch.setattr(database, "SILENCE", 1.0)
-    monkeypatch.setattr("residuum.service.storage.database.PatientConnection.patience", 1.0)
-    monkeypatch.setattr("residuum.service.storage.database.CONNECT_WITHIN", 2)
+    monkeypatch.setattr(
+        "residuum.service.storage.patient_connection.PatientConnection.patience", 1.0
+    )
+    monkeypatch.setattr("residuum.service.storage.patient_connection.CONNECT_WITHIN", 2)
     monkeypatch.setattr(pipeline, "_STORAGE_RETRY", 0.2)
     url = make_url(new_postgresql_database())
     proxy = SilentProxy((url.host, url.port), keeps=request.param)
