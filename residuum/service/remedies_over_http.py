@@ -39,11 +39,14 @@ def as_key(field: str, value: object = None) -> str:
     stored.
 
     >>> as_key("delay", 3), as_key("units", {"duty": "%"}), as_key("map", {"u": "COLUMN"})
-    ('"delay": 3', 'POST /records?unit=duty=%25', '"map": {"u": "COLUMN"}')
+    ('"delay": 3', 'POST /records?unit=duty=%25', '"map": {"u": "COLUMN"} in the body')
     """
     if field in _OF_FILES:
         return in_upload(field, value)
-    return f'"{field}"' if value is None else f'"{field}": {json.dumps(value, ensure_ascii=False)}'
+    if value is None:
+        return f'"{field}"'
+    said = f'"{field}": {json.dumps(value, ensure_ascii=False)}'
+    return f"{said} in the body" if field == "map" else said
 
 
 def in_upload(field: str, value: object = None) -> str:
