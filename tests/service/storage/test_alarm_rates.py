@@ -6,7 +6,7 @@ import pytest
 
 from residuum.diagnosis.finding import Finding
 from residuum.service.alarms.alarm_states import AlarmRule
-from residuum.service.storage import alarm_rates
+from residuum.service.storage import retention
 from residuum.service.storage.database import Database
 from residuum.service.storage.rows import alarms, assets, row_checks
 from residuum.service.storage.tables import alarms as rows
@@ -40,7 +40,7 @@ def test_a_flood_a_chattering_and_a_stale_alarm(database):
         for second in range(0, 40, 10):
             see(connection, "chatter", "faulty", 7000 - second)
             see(connection, "chatter", "healthy", 7000 - second - 5)
-        found = alarm_rates.rates(connection, NOW)
+        found = retention.rates(connection, NOW)
         assert (found.last_10_minutes, found.last_hour, found.last_day) == (12, 12, 16)
         assert (found.flood, found.highest_in_10_minutes) == (True, 12)
         assert found.flood_share == pytest.approx(1 / 144)
@@ -56,7 +56,7 @@ def test_a_flood_a_chattering_and_a_stale_alarm(database):
 
 def test_a_quiet_plant(database):
     with database.read() as connection:
-        found = alarm_rates.rates(connection, NOW)
+        found = retention.rates(connection, NOW)
     assert (found.last_day, found.highest_in_10_minutes, found.flood, found.flood_share) == (
         0,
         0,
