@@ -15,6 +15,7 @@ def nelder_mead(
     """The best point that SciPy finds in so many evaluations from the corners `simplex`, shape
     (variables + 1, variables).
 
+    >>> import numpy as np
     >>> nelder_mead(lambda x: float((x[0] - 1.0) ** 2 + x[1] ** 2), np.vstack([np.zeros(2), np.eye(2)]), 100).round(3).tolist()
     [1.0, 0.0]
 
