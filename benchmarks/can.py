@@ -90,9 +90,8 @@ class Bus:
             kind="can", channel=f"virtual:{uuid.uuid4()}", map="gate_actuator.dbc"
         )
         self.source = SOURCES["can"](settings, self._take)
-        self.source._clock = lambda: (
-            0.0
-        )  # frames come faster than they would be made; a pause here is no silent sender
+        # frames come faster than they would be made; a pause here is no silent sender
+        self.source._clock = lambda: 0.0
         self.source.start()
         self._bus = open_bus(settings.channel)
         self._wait(lambda: self.source._bus is not None)

@@ -114,9 +114,8 @@ def hundred(url: str | None, kills: int, per_kill: int, seed: int) -> dict[str, 
         for client in clients:
             client.start()
         for _ in range(kills):
-            process = context.Process(
-                target=serve, args=(name, url, port)
-            )  # no daemon: it has workers
+            # no daemon: it has workers
+            process = context.Process(target=serve, args=(name, url, port))
             process.start()
             try:
                 _wait(process, clients, moments, per_kill)

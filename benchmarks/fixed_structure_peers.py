@@ -14,9 +14,8 @@ import numpy.core.numeric
 from scipy.optimize import differential_evolution, minimize
 
 numpy.core.numeric.Inf = np.inf  # PyGRANSO 1.2.0 takes it from there, NumPy 2 has it no more
-sys.modules["gurobipy"] = types.ModuleType(
-    "gurobipy"
-)  # imported, but only used by another of its QP solvers
+# imported, but only used by another of its QP solvers
+sys.modules["gurobipy"] = types.ModuleType("gurobipy")
 sys.modules["gurobipy"].GRB = None
 
 import torch  # noqa: E402

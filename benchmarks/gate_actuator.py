@@ -70,9 +70,8 @@ def movements_of(
     machine = MACHINES["gate-actuator"](
         seed=seed, exemplar=exemplar, faults={fault: size} if fault else {}
     )
-    signals = machine.simulate(
-        (count - 1) * 19.5 + 19.0
-    )  # a movement with its pause takes at most 19.5 s, 1 s before the first
+    # a movement with its pause takes at most 19.5 s, 1 s before the first
+    signals = machine.simulate((count - 1) * 19.5 + 19.0)
     record = Record(signals.channels, signals.units, signals.sample_time)
     for movement in cut_movements(record)[:count]:
         yield record.window(movement.start, movement.start + movement.n)

@@ -214,9 +214,8 @@ def differences(old: Any, new: Any, place: str = "") -> Iterator[tuple[str, str]
     elif isinstance(old, list) and isinstance(new, list) and len(old) == len(new):
         for k, (one, other) in enumerate(zip(old, new, strict=True)):
             yield from differences(one, other, f"{place}[{k}]")
-    elif isinstance(old, bool) is not isinstance(
-        new, bool
-    ):  # true == 1 in Python, and in no answer
+    elif isinstance(old, bool) is not isinstance(new, bool):
+        # true == 1 in Python, and in no answer
         yield "other", place
     elif old != new and without_times(without_places(old)) != without_times(without_places(new)):
         yield ("rounding" if alike(old, new) else "other"), place

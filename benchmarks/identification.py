@@ -22,10 +22,8 @@ from residuum.identification.kernel_based.kernels import KERNELS
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.record import Record
 
-NUMERATOR, DENOMINATOR = (
-    [0, 0, 0, 0.28261, 0.50666],
-    [1, -1.41833, 1.58939, -1.31608, 0.88642],
-)  # (2.38) of the source
+# (2.38) of the source
+NUMERATOR, DENOMINATOR = ([0, 0, 0, 0.28261, 0.50666], [1, -1.41833, 1.58939, -1.31608, 0.88642])
 SYSTEMS = 500
 SCRATCH = Path("/tmp/residuum-benchmark-record.npz")
 

@@ -104,9 +104,8 @@ def campaign(faults: int, devices: int, seed: int = 0) -> dict[str, Any]:
             )
 
     faulty = [Device(faulty_modbus, draw(random.Random(seed + k))) for k in range(devices)]
-    sound = Device(
-        faulty_modbus, iter(()), IN_TIME
-    )  # it may be slow with this machine; it may lose nothing
+    # it may be slow with this machine; it may lose nothing
+    sound = Device(faulty_modbus, iter(()), IN_TIME)
     everyone = [*faulty, sound]
     for device in everyone:
         device.source.start()

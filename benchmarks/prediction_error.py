@@ -28,14 +28,11 @@ from residuum.identification.record import Record
 
 DATA = Path(__file__).parents[2] / "shared/data"
 SCRATCH = Path("/tmp/residuum-prediction-error.npz")
-NUMERATOR, DENOMINATOR = (
-    [0, 0, 0.28261, 0.50666],
-    [1, -1.41833, 1.58939, -1.31608, 0.88642],
-)  # (2.38) of the source
+# (2.38) of the source
+NUMERATOR, DENOMINATOR = ([0, 0, 0.28261, 0.50666], [1, -1.41833, 1.58939, -1.31608, 0.88642])
 SYSTEMS, DRAWS = 500, 20
-DELAYS = {
-    "Silverbox, small amplitude": 1
-}  # its estimate, 2, is wrong: the resonance is far below the sampling rate
+# its estimate, 2, is wrong: the resonance is far below the sampling rate
+DELAYS = {"Silverbox, small amplitude": 1}
 PATIENCE = 180  # seconds for all orders of one peer
 
 # The peers simulate the whole input with each of their models; every order is tried, the best on the held-out part counts.
@@ -197,9 +194,8 @@ def resonant_system() -> None:
         model = identify(STRUCTURES["oe"], [record], "u", "y")
         seconds = time.process_time() - started
         cost, numerator, denominator = maximum_likelihood(record)
-        ours = model.noise_variance * (
-            record.n - 4 - 9
-        )  # 8 coefficients, the level, 4 of the initial state
+        # 8 coefficients, the level, 4 of the initial state
+        ours = model.noise_variance * (record.n - 4 - 9)
         order = model.provenance["candidates"].index(model.provenance["orders"]) + 1
         stable = all(
             identify(STRUCTURES["oe"], [record], "u", "y", order=k).transfer_function().is_stable

@@ -11,17 +11,8 @@ import numpy.typing as npt
 from residuum.diagnosis.learning.diagnoser_validation import proportion_interval
 from residuum.identification.errors import BadInput
 
-EDGES = (
-    0.0,
-    0.02,
-    0.1,
-    0.3,
-    0.5,
-    0.7,
-    0.9,
-    0.98,
-    1.0,
-)  # narrow at the ends, where most movements lie
+# narrow at the ends, where most movements lie
+EDGES = (0.0, 0.02, 0.1, 0.3, 0.5, 0.7, 0.9, 0.98, 1.0)
 
 
 @dataclass(frozen=True)

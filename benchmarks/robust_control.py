@@ -45,9 +45,8 @@ from residuum.robust_control.weights.performance_weight import (
 from residuum.service.views.control_view import view_control_design
 
 TS = 0.01
-TRUE = TransferFunction(
-    [0.28261, 0.50666], [1, -1.41833, 1.58939, -1.31608, 0.88642], TS
-)  # (2.38) of the source
+# (2.38) of the source
+TRUE = TransferFunction([0.28261, 0.50666], [1, -1.41833, 1.58939, -1.31608, 0.88642], TS)
 OMEGA = np.geomspace(1e-3, np.pi / TS, 600)
 SYSTEMS, PLANTS = 1000, 20
 

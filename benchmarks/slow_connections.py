@@ -107,10 +107,8 @@ class Strangers:
 
 KINDS: dict[str, tuple[bytes, bytes | None]] = {
     "heads": (_HEAD, b"x"),
-    "uploads": (
-        _POST + b"200000000\r\n\r\n",
-        b"x",
-    ),  # longer than is taken: it is thrown away before it is refused
+    # longer than is taken: it is thrown away before it is refused
+    "uploads": (_POST + b"200000000\r\n\r\n", b"x"),
     "uploads that stop": (_POST + b"100000\r\n\r\n{", None),
     "answers not taken": (
         b"GET /vendor/plotly.min.js HTTP/1.1\r\nHost: plant.example\r\n\r\n",
@@ -232,9 +230,8 @@ def _counted(
 ) -> dict[str, Any]:
     context, source, times, other = get_context("spawn"), Source(source_asks), [], 0
     ended, told = context.Event(), context.Queue()
-    strangers = context.Process(
-        target=_be_strangers, args=(port, count, ended, told)
-    )  # apart: their work is not the service's
+    # apart: their work is not the service's
+    strangers = context.Process(target=_be_strangers, args=(port, count, ended, told))
     source.start()
     while not source.answered:
         time.sleep(0.05)

@@ -104,9 +104,8 @@ class Machine:
         if newest:
             end = newest[0]["t0"] + newest[0]["n"] * newest[0]["sample_time"]
             step = 0.0 if self.until is None else end - self.until
-            self.seconds += (
-                step if 0 < step < LONGEST_STEP else 0.0
-            )  # numbers leap where a device was lost sight of
+            # numbers leap where a device was lost sight of
+            self.seconds += step if 0 < step < LONGEST_STEP else 0.0
             self.until = end
 
     def _new_findings(self, service: Service) -> Iterator[dict[str, Any]]:
@@ -140,21 +139,18 @@ class Machine:
             try:
                 service.ask(f"demo/machines/{self.name}/fault", {"fault": fault or "none"})
                 break
-            except (
-                urllib.error.HTTPError
-            ) as error:  # the device did not take the order: it is given again
+            except urllib.error.HTTPError as error:
+                # the device did not take the order: it is given again
                 self.orders_again += 1
                 last = error
                 time.sleep(LOOK)
         else:
             raise last
         self.on, self.since = fault, 0
-        self.waiting = service.ask("status")["machines"][self.name][
-            "windows_waiting"
-        ]  # cut before, judged after
-        self.waiting += (
-            round(LAG * self.speed * self.windows / self.seconds) if self.seconds else 0
-        )  # and not even cut
+        # cut before, judged after
+        self.waiting = service.ask("status")["machines"][self.name]["windows_waiting"]
+        # and not even cut
+        self.waiting += round(LAG * self.speed * self.windows / self.seconds) if self.seconds else 0
         return True
 
 

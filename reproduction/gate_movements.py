@@ -19,10 +19,8 @@ GRADE_9 = 0.3
 """`tooth_errors` of gears that hold ISO 1328-1 grade 9, as moulded nylon and cut steel do (docstring of the simulator)."""
 CLASSES = (HEALTHY, PINION_OR_GEAR, RACK)
 CONSTANTS = ActuatorConstants()
-PERIOD, PAUSE = (
-    19.5,
-    8.0,
-)  # s: a movement with its pause, and what is added so that the last one ends
+# s: a movement with its pause, and what is added so that the last one ends
+PERIOD, PAUSE = (19.5, 8.0)
 
 
 @dataclass(frozen=True)

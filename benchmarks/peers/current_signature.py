@@ -81,9 +81,8 @@ def current_signature(
         harmonic_phasors(currents, sample_time, frequency, harmonics)
     )
     first = list(harmonics).index(1)
-    forward = (
-        1 if abs(sequences[first, 1]) >= abs(sequences[first, 2]) else 2
-    )  # the order of the phases may be a, c, b
+    # the order of the phases may be a, c, b
+    forward = 1 if abs(sequences[first, 1]) >= abs(sequences[first, 2]) else 2
     reference = sequences[first, forward]
     turned = (
         sequences

@@ -129,9 +129,8 @@ def parse_unit(text: str) -> Unit:
     except BadUnit as error:  # it shows the registry's spelling, or one word of it
         says = str(error)
         raise BadUnit(f"unit {text!r}: {says[says.rindex('not a known unit') :]}") from None
-    except (
-        Exception
-    ) as error:  # pint raises many unrelated types (tokenizer, attribute, definition errors)
+    except Exception as error:
+        # pint raises many unrelated types (tokenizer, attribute, definition errors)
         raise BadUnit(f"unit {text!r}: not a known unit") from error
     return unit
 

@@ -107,9 +107,7 @@ def equations_model(
     ('coulomb-friction@v',)
     """
     # SymPy, for these alone
-    from residuum.identification.physics.files.sympy_model import (  # noqa: PLC0415
-        model_table,
-    )
+    from residuum.identification.physics.files.sympy_model import model_table  # noqa: PLC0415
 
     by_name = {str(state): rate for state, rate in rates.items()}
     if unlike := set(by_name) ^ set(states):

@@ -380,9 +380,8 @@ def parts_kept_aside(
 
 
 def _part(model: IdentifiedModel, record: Record, cut: int) -> Part:
-    first = max(
-        0, cut - model.delay - max(model.order, _BEFORE)
-    )  # the rest of the past acts no more
+    # the rest of the past acts no more
+    first = max(0, cut - model.delay - max(model.order, _BEFORE))
     return Part(model, record.window(first, min(record.n, cut + _MOST_JUDGED)), cut - first)
 
 

@@ -115,9 +115,8 @@ class Monitor(OutlierMixin, BaseEstimator):
         self.diagnoser_: Diagnoser | PhysicalResidual = trained
         return self
 
-    def score(
-        self, window: MeasuredRecord | str | PathLike[str]
-    ) -> Finding:  # another meaning than scikit-learn's, as issued
+    # another meaning than scikit-learn's, as issued
+    def score(self, window: MeasuredRecord | str | PathLike[str]) -> Finding:
         """The finding of one window.
 
         Parameters

@@ -280,9 +280,8 @@ class ControlProblem:
             joined,
             weight or WeightChoice(),
         )
-        mean = average_plant(
-            [*models] if joined is None else [*models, joined]
-        )  # refuses unequal sample times
+        # refuses unequal sample times
+        mean = average_plant([*models] if joined is None else [*models, joined])
         self.plant = mean if joined is None else joined.transfer_function()
         omega = frequency_grid([self.plant], points=self.choice.points, lowest=self.choice.lowest)
         self.W_T, self.largest = self._uncertainty(self.plant, omega)

@@ -294,9 +294,8 @@ class Loop:
                 " rad/s"
             )
         self.z = np.exp(1j * self.omega * self.sample_time)
-        self.stabilising: dict[
-            object, list[tuple[FloatArray, FloatArray]]
-        ] = {}  # per structure, once found
+        # per structure, once found
+        self.stabilising: dict[object, list[tuple[FloatArray, FloatArray]]] = {}
         self.G = np.array([plant.frequency_response(self.omega) for plant in plants])
 
     def part_of_finer(self, points: npt.NDArray[np.intp]) -> Loop:

@@ -93,9 +93,8 @@ def create_app(settings: Settings, make_pipeline: MakePipeline = Pipeline) -> Fa
         redoc_url=None,
     )
     problems.install(app)
-    app.add_middleware(
-        KnownQueries, document=app.openapi
-    )  # behind the gate: a stranger is told of no keys
+    # behind the gate: a stranger is told of no keys
+    app.add_middleware(KnownQueries, document=app.openapi)
     app.add_middleware(
         Gate,
         settings=settings,
@@ -147,9 +146,8 @@ async def _running(
     def rule_of(asset: str) -> AlarmRule:
         return pipeline.alarm_rule(asset)
 
-    async with (
-        AsyncExitStack() as started
-    ):  # whatever fails at the start, what was started before it is ended
+    # whatever fails at the start, what was started before it is ended
+    async with AsyncExitStack() as started:
 
         def ends(stop: Callable[[], Any]) -> None:
             started.push_async_callback(asyncio.to_thread, stop)
@@ -185,9 +183,8 @@ async def _running(
                 " removes them",
                 blocks=orphans,
             )
-        await asyncio.to_thread(
-            shutil.rmtree, downloads(settings.data), ignore_errors=True
-        )  # left by a crash
+        # left by a crash
+        await asyncio.to_thread(shutil.rmtree, downloads(settings.data), ignore_errors=True)
         for watch in (
             _watch_shelved(store),
             _retain(store, settings),
@@ -201,9 +198,8 @@ async def _running(
             ).start()
         threading.Thread(target=read_registry, name="read units", daemon=True).start()
         await pipeline.start()
-        await asyncio.to_thread(
-            app.openapi
-        )  # routes are put together at first use, which would hold up whoever asks then
+        # routes are put together at first use, which would hold up whoever asks then
+        await asyncio.to_thread(app.openapi)
         if settings.mqtt:
             elsewhere = StoredWindows(settings.broker, store, shown, show, metrics.stored_message)
             elsewhere.start()

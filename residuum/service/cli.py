@@ -57,9 +57,8 @@ def run(arguments: list[str]) -> int:
         _refuse("interrupted")
         return INTERRUPTED
     except BrokenPipeError:
-        os.dup2(
-            os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno()
-        )  # the reader left; nothing more can be printed
+        # the reader left; nothing more can be printed
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
     except Exception as error:
         traceback.print_exc()

@@ -34,9 +34,8 @@ class Actuator(NamedTuple):
     L: float = 0.6e-3  # H
     J_M: float = 3.5e-5  # kg·m², rotor with worm
     m: float = 608.0  # kg
-    ratio: float = (
-        0.028 / GEAR_TEETH
-    )  # m/rad, pinion radius (14 teeth of module 4 mm) over the gear's teeth
+    # m/rad, pinion radius (14 teeth of module 4 mm) over the gear's teeth
+    ratio: float = 0.028 / GEAR_TEETH
     supply: float = 30.9  # V at the motor in steady motion: reaches 4100 rpm under load
     stiffness: float = 3.0  # N·m/rad of nylon gear, shaft and rack mounting
     damping: float = 3.0e-3  # N·m·s/rad of the same
@@ -421,9 +420,8 @@ def _live(out, state, a, teeth, rail, damage, noise, shaft_origin):  # type: ign
         heading = -1.0 if s.phase == CLOSING else 1.0
         bridge = max(s.command * (1.0 + s.mains) - (sag if s.command > 0 else 0.0), 0.0)
         V = heading * bridge + 2.0 * 4.0 * duty * (1.0 - duty) * triangle
-        V = min(
-            max(V, a.K * s.omega - 20.0 * a.R), a.K * s.omega + 20.0 * a.R
-        )  # the bridge limits the current to 20 A
+        # the bridge limits the current to 20 A
+        V = min(max(V, a.K * s.omega - 20.0 * a.R), a.K * s.omega + 20.0 * a.R)
         rolling = a.rolling * s.friction + _between(rail, (s.x + 0.5) / _RAIL_STEP)
         for _ in range(_SUBSTEPS):
             T = _mesh_torque(s, a, teeth, damage, shaft_origin + s.theta / GEAR_TEETH, dt)

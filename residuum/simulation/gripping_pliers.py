@@ -52,9 +52,8 @@ class Bench:
 
 
 LOAD = np.array([0.05, 0.05, 1.0, 1.0])  # spring load of a plier's bearing in Q1 … Q4
-NEARNESS = np.array(
-    [0.40, 0.40, 1.00, 0.55]
-)  # transmission from the cam in Q1 … Q4 to the accelerometer
+# transmission from the cam in Q1 … Q4 to the accelerometer
+NEARNESS = np.array([0.40, 0.40, 1.00, 0.55])
 
 
 class GrippingPliers(Machine):
@@ -290,9 +289,8 @@ class GrippingPliers(Machine):
         turns = rounds * self.bench.cam_radius / self.bench.roller_radius
         slipping = turns + 0.01 / (2 * np.pi) * np.sin(2 * np.pi * 0.37 * turns)
         at, count = _crossings(slipping)
-        quadrant = (
-            np.floor(rounds[1:][at] * PLIERS).astype(int) + 3 - self._damaged
-        ) % PLIERS  # P3's is the segment's own
+        # P3's is the segment's own
+        quadrant = (np.floor(rounds[1:][at] * PLIERS).astype(int) + 3 - self._damaged) % PLIERS
         strength = (
             self.bench.bearing * size * self._load(t[1:][at]) * LOAD[quadrant] * NEARNESS[quadrant]
         )

@@ -149,9 +149,8 @@ class LinearAxis(Machine):
         self.axis = Axis()._replace(**values)
         self._moves = own
         self._knots = [(0.0, 0.2, 0.0, 0.0)]  # start, end, from, to
-        self._x = np.array(
-            [0.02 * own.standard_normal(), 0.0, 0.0, 0.0, 0.0]
-        )  # q, v, ∫e, measured q, measured v
+        # q, v, ∫e, measured q, measured v
+        self._x = np.array([0.02 * own.standard_normal(), 0.0, 0.0, 0.0, 0.0])
         self._late = np.zeros(int(np.floor(self.axis.delay * rate)) + 2)
 
     def _run(self, n: int) -> dict[str, Array]:

@@ -195,9 +195,8 @@ class OvenMachine(Machine):
         draws = self._rng.standard_normal((n, 4))
         duty = self._duty(k, draws[:, 0], draws[:, 3])
         steps = int(np.ceil(self.sample_time / _STEP))
-        t = k[:, None] * self.sample_time + np.arange(steps) * (
-            self.sample_time / steps
-        )  # exact where the period divides
+        # exact where the period divides
+        t = k[:, None] * self.sample_time + np.arange(steps) * (self.sample_time / steps)
         ambient = self._ambient(k * self.sample_time)
         alive = 1.0 - self.active_faults.get("heater-failure", 0.0) / 6.0
         running = (t % 4200.0 < 2400.0).astype(float)

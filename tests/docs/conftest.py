@@ -194,9 +194,8 @@ class Reader:
             timeout=PATIENCE,
             check=False,
         )
-        answered = ended.returncode == 1 and typed.startswith(
-            "residuum "
-        )  # the answer is no: README, exit statuses
+        # the answer is no: README, exit statuses
+        answered = ended.returncode == 1 and typed.startswith("residuum ")
         if (ended.returncode and not answered) or "Warning: " in ended.stderr:
             self._fail(number, typed, f"status {ended.returncode}: {ended.stdout}{ended.stderr}")
         return ended.stdout.rstrip().splitlines()

@@ -148,9 +148,8 @@ def test_a_package_that_is_built_takes_the_pages_along(tmp_path):
     (clone / "residuum" / "service" / "web").mkdir(parents=True)
     for name in ("docs", "mkdocs.yml", "setup.py", "README.md"):
         (clone / name).symlink_to(ROOT / name)
-    project = (ROOT / "pyproject.toml").read_text(
-        encoding="utf-8"
-    )  # older setuptools know no licence expressions
+    # older setuptools know no licence expressions
+    project = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
     (clone / "pyproject.toml").write_text(
         re.sub("^license.*$", "", project, flags=re.MULTILINE), encoding="utf-8"
     )

@@ -57,9 +57,8 @@ def _install(folder):
 
 
 def _run(folder, *command):
-    alone = {
-        name: value for name, value in os.environ.items() if name != "PYTHONPATH"
-    }  # pip would take a checkout there for it
+    # pip would take a checkout there for it
+    alone = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     done = subprocess.run(
         [str(part) for part in command],
         cwd=folder,

@@ -90,9 +90,8 @@ def test_a_value_at_its_bound_is_none_that_the_data_tell(held):
         ["mgl sits at its bound: widen it, or fix the value"],
     )
     assert found.parameters["J"]["std"] is None
-    assert (
-        found.model.parameters["mgl"].value == 0.25
-    )  # the least error within what the model allows
+    # the least error within what the model allows
+    assert found.model.parameters["mgl"].value == 0.25
 
 
 def test_a_model_below_the_mean_says_so():

@@ -69,9 +69,8 @@ def test_feedback_forbids_methods_without_a_noise_model_alone():
     assert direct.unfit == ()
     assert any("as right as its noise model" in text for text in direct.warnings)
     assert any("delay 0 was left out" in text for text in direct.warnings)
-    assert (
-        direct.delay >= 1
-    )  # the kernel's likelihood would take the controller's answer for a plant without delay
+    # the kernel's likelihood would take the controller's answer for a plant without delay
+    assert direct.delay >= 1
     step = np.ones(60)
     truth = plant.response(step)
     assert np.max(np.abs(direct.simulate(step) - direct.offset - truth)) < 0.1 * np.max(

@@ -166,9 +166,8 @@ def test_the_picture_of_an_explanation_shows_errors_over_time_and_the_law_over_w
     pushed,
 ):
     why = rs.model("linear-axis").explain(pushed, effects=["viscous-friction", "linear-spring"])
-    traces = {
-        trace.name: trace for trace in reversed(why.plot().data) if trace.name
-    }  # the first of a name
+    # the first of a name
+    traces = {trace.name: trace for trace in reversed(why.plot().data) if trace.name}
     law, missing = (
         traces["viscous-friction"],
         next(t for name, t in traces.items() if name.startswith("missing")),
@@ -181,9 +180,8 @@ def test_the_picture_of_an_explanation_shows_errors_over_time_and_the_law_over_w
     before, after = (
         np.nansum(errors**2, axis=0) for errors in (blocks.before, blocks.candidates[why.best.key])
     )
-    assert np.mean(1.0 - after / before) == pytest.approx(
-        why.best.share.value, rel=5e-3
-    )  # blocks of nearly one length
+    # blocks of nearly one length
+    assert np.mean(1.0 - after / before) == pytest.approx(why.best.share.value, rel=5e-3)
     position = why.to_dict()["blocks"]["outputs"][0]
     np.testing.assert_allclose(traces["the model as it is"].y, position["before"])
     ends = [(block["from"], block["to"]) for block in why.to_dict()["blocks"]["blocks"]]

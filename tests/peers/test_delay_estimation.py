@@ -6,11 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.peers.delay_estimation import delay_by_likelihood, delay_by_simulation_error
-from residuum.diagnosis.gate.actuator_model import (
-    AdaptedModel,
-    delayed,
-    first_order_response,
-)
+from residuum.diagnosis.gate.actuator_model import AdaptedModel, delayed, first_order_response
 from residuum.diagnosis.gate.movements import Direction, Movement
 
 

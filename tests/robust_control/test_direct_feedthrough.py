@@ -54,9 +54,8 @@ def test_the_loop_of_the_true_plant_is_as_promised(plant, method):
 
 def test_a_plant_that_acts_a_sample_later_is_taken_as_it_is():
     plant = identified(np.r_[0.0, G["direct"]], "arx")
-    assert (
-        rs.control.design(plant, structure="pi").to_dict()["computation_samples"] == 1
-    )  # delay 0 was asked for
+    # delay 0 was asked for
+    assert rs.control.design(plant, structure="pi").to_dict()["computation_samples"] == 1
     rng = np.random.default_rng(1)
     u = rng.standard_normal(800)
     record = rs.Record(

@@ -55,9 +55,8 @@ def test_unstable_and_integrating_plants_are_counted_with_their_poles():
     double = TransferFunction([0.01], [1.0, -1.0], TS)
     gain = TransferFunction([1.5], [1.0], TS)
     assert Loop([measured(unstable, unstable_poles=1)], OMEGA).is_stable(gain)
-    assert not Loop([measured(unstable)], OMEGA).is_stable(
-        gain
-    )  # taken for stable, the turns do not fit
+    # taken for stable, the turns do not fit
+    assert not Loop([measured(unstable)], OMEGA).is_stable(gain)
     assert Loop([measured(double, integrators=1)], OMEGA).is_stable(
         PIDN(TS).transfer_function(np.array([5.0, 0.5, 0.0, 0.1]))
     )

@@ -26,9 +26,8 @@ from residuum.service.settings import load_settings
 from residuum.service.simulated.demo import train
 
 PATIENCE = 60.0
-_PROCESS = os.environ.get(
-    "PYTEST_XDIST_WORKER"
-)  # gw0, gw1, … when several processes run the tests, each its share
+# gw0, gw1, … when several processes run the tests, each its share
+_PROCESS = os.environ.get("PYTEST_XDIST_WORKER")
 _PORTS = range(20_000, 32_000, 1_500)  # below those of outgoing connections
 
 

@@ -195,9 +195,8 @@ def test_every_command_of_ours_starts_and_the_service_hears_every_machine(tmp_pa
     settings = settings.replace("host: gripping-pliers", "host: 127.0.0.1").replace(
         "host: process-plant", "host: 127.0.0.1"
     )
-    settings = re.sub(
-        "|".join(ports), lambda port: str(ports[port[0]]), settings
-    )  # in one go: ours may hold one of theirs
+    # in one go: ours may hold one of theirs
+    settings = re.sub("|".join(ports), lambda port: str(ports[port[0]]), settings)
     (tmp_path / "settings.yaml").write_text(settings)
     key = first_start(tmp_path / "keys")
     environment = {
@@ -273,9 +272,8 @@ def test_the_stack_finds_the_keys_where_they_are_made():
     )
     for reader in ("residuum", "prometheus", "mosquitto"):
         assert f"keys:{KEYS}:ro" in COMPOSE["services"][reader]["volumes"]
-    assert (
-        f"-o residuum /var/lib/residuum {KEYS}" in (ROOT / "Dockerfile").read_text()
-    )  # whose volume it is when it is new
+    # whose volume it is when it is new
+    assert f"-o residuum /var/lib/residuum {KEYS}" in (ROOT / "Dockerfile").read_text()
 
 
 def test_the_broker_lets_in_the_service_and_no_stranger(tmp_path, free_port, monkeypatch):
@@ -329,9 +327,8 @@ def scrape(service, keys):
 
 
 def wait_for_sources(url, key):
-    end = (
-        time.monotonic() + 300
-    )  # what each process compiles at its first start takes long on a busy machine
+    # what each process compiles at its first start takes long on a busy machine
+    end = time.monotonic() + 300
     request = urllib.request.Request(url, headers={"X-API-Key": key})
     while time.monotonic() < end:
         try:

@@ -93,9 +93,10 @@ def test_what_a_pod_names_is_there_and_it_has_no_more_rights_than_it_needs(given
         volumes = {volume["name"]: volume for volume in pod["volumes"]}
         mounts = {mount["name"]: mount["mountPath"] for mount in container["volumeMounts"]}
         assert set(mounts) == set(volumes)
+        # no mount in another
         assert not any(
             a != b and b.startswith(f"{a}/") for a in mounts.values() for b in mounts.values()
-        )  # no mount in another
+        )
         for volume in volumes.values():
             if "configMap" in volume:
                 assert ("ConfigMap", volume["configMap"]["name"]) in made
@@ -124,9 +125,8 @@ def test_compiled_code_is_kept_in_a_pod(tmp_path):
         volume.chmod(0o777)
         made = [each.replace(whole["mountPath"], str(volume)) for each in first["args"]]
         subprocess.run(made, check=True, umask=0)
-        mounted = (volume / mount["subPath"]).rename(
-            tmp_path / f"mounted-{number}"
-        )  # as the container sees it
+        # as the container sees it
+        mounted = (volume / mount["subPath"]).rename(tmp_path / f"mounted-{number}")
         places = {each["name"]: each["value"] for each in container["env"] if each["name"] in CODE}
         assert set(places) == set(CODE) and set(places.values()) == {mount["mountPath"]}
         asked = [f"print(why_not_kept({name!r}, {variable!r}))" for variable, name in CODE.items()]

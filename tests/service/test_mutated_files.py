@@ -25,7 +25,6 @@ def test_no_mutant_of_any_format_ends_its_reader_or_gets_more_than_one_line():
     rows = [line.split("|")[1:-1] for line in done.stdout.splitlines()[2:]]
     assert [row[0].strip() for row in rows] == FORMATS
     for _, read, refused, ended, memory, _, _ in rows:
-        assert (
-            int(ended) == 0 and int(read) + int(refused) == 12
-        )  # whoever takes more than the limits of an upload is ended
+        # whoever takes more than the limits of an upload is ended
+        assert int(ended) == 0 and int(read) + int(refused) == 12
         assert int(memory) <= 512

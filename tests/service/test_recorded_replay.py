@@ -108,11 +108,8 @@ def test_replays_agree_with_each_other_and_with_rest(
     assert found[: expected.count("healthy")] == ["healthy"] * expected.count("healthy")
     assert found[-1] == "faulty"
     for source in pipeline.status()["sources"].values():
-        about_the_connection = (
-            "bus_errors",
-            "reconnects",
-            "timeouts",
-        )  # a replayed device comes late and goes early
+        # a replayed device comes late and goes early
+        about_the_connection = ("bus_errors", "reconnects", "timeouts")
         assert {
             name: n
             for name, n in source["counters"].items()

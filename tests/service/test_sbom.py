@@ -28,9 +28,8 @@ def test_the_tool_of_make_sbom_lists_every_dependency_with_its_version(tmp_path)
         str(tmp_path / "bom.json"),
         sys.executable,
     ]
-    subprocess.run(
-        command, check=True, cwd=ROOT, capture_output=True, timeout=600
-    )  # it validates what it writes
+    # it validates what it writes
+    subprocess.run(command, check=True, cwd=ROOT, capture_output=True, timeout=600)
     bom = json.loads((tmp_path / "bom.json").read_text())
     assert (bom["bomFormat"], bom["metadata"]["component"]["name"]) == ("CycloneDX", "residuum")
     found = {re.sub(r"[-_.]+", "-", each["name"]).lower(): each for each in bom["components"]}

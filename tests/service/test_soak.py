@@ -54,10 +54,11 @@ def test_windows_judged_before_a_fault_was_switched_do_not_count_as_after_it():
 
 
 def test_windows_that_end_while_an_order_is_under_way_do_not_count_as_after_it():
+    # five windows a second
     machine, service = (
         soak.Machine("gate-actuator", ["notch"], speed=100.0),
         FakeService({"notch"}),
-    )  # five windows a second
+    )
     while machine.on is None:
         service.judge()
         machine.look(service)

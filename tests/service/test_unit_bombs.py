@@ -88,9 +88,8 @@ def test_a_scorer_sets_bombs_aside_and_goes_on(start_mosquitto, free_port, run_s
 
 def test_what_ends_the_scorer_again_and_again_is_begun_no_more(tmp_path):
     for attempt in range(1, ATTEMPTS + 2):
-        assert (
-            Attempts(tmp_path, "1-of-1").begin("poison") == attempt
-        )  # a scorer that ended, and its successor
+        # a scorer that ended, and its successor
+        assert Attempts(tmp_path, "1-of-1").begin("poison") == attempt
     last = Attempts(tmp_path, "1-of-1")
     last.finish("poison")
     assert Attempts(tmp_path, "1-of-1").begin("poison") == 1

@@ -72,17 +72,13 @@ _CAGE_LEADS_BY = 1.25
 # of the most prominent family: one fault's lines make another family stand out by half as much, on
 # real rigs too
 _RIVAL = 0.8
-_BALL_BESIDE_CAGE = (
-    3.5,
-    0.5,
-)  # deciles and share of the cage's: balls change their load once a turn of the cage
+# deciles and share of the cage's: balls change their load once a turn of the cage
+_BALL_BESIDE_CAGE = (3.5, 0.5)
 _WINDOW = 1.0  # s
 _SHORTEST = 1024
 _LEAST_CHANGE: AnyArray = np.array([1.6, 1.6, 1.6])
-_LEAST_CHANGE_OF_BAND = (
-    2.5,
-    2.0,
-)  # below and above 1 kHz: load moves rotor-related bands, bearing faults ring higher
+# below and above 1 kHz: load moves rotor-related bands, bearing faults ring higher
+_LEAST_CHANGE_OF_BAND = (2.5, 2.0)
 _FEWEST_WINDOWS = 4
 _VERSION = 1
 
@@ -516,9 +512,8 @@ class _Measured:
         if baseline is None:
             return cls(shape, {}, comparable=False)
         comparable = abs(rate / baseline.sampling_rate - 1) < 0.005
-        top = (
-            rate / 2 if comparable else 0.4 * min(rate, baseline.sampling_rate)
-        )  # below both recorders' own filters
+        # below both recorders' own filters
+        top = rate / 2 if comparable else 0.4 * min(rate, baseline.sampling_rate)
         bands = np.median([octave_rms(part, rate, baseline.edges) for part in parts], axis=0)
         usable = (
             baseline.edges[1:] <= top * (1 + 1e-6)

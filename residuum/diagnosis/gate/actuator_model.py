@@ -22,12 +22,8 @@ from residuum.identification.errors import BadInput, NotIdentifiable
 # of a healthy one.
 
 Signal = npt.NDArray[np.float64]
-_WIDTHS = (
-    0.6,
-    0.8,
-    1.0,
-    1.25,
-)  # standard deviations of the bump in pitches of the gear: about the two teeth that spread
+# standard deviations of the bump in pitches of the gear: about the two teeth that spread
+_WIDTHS = (0.6, 0.8, 1.0, 1.25)
 _SMOOTHING = 3  # orders; over more, the steep power of the lowest orders leaks into the next
 
 
@@ -289,9 +285,8 @@ class AdaptedModel:
         """
         V = delayed(movement.voltage, self.delay, movement.sample_time)
         load = _load_regressors(movement, len(self.load)) @ np.asarray(self.load)
-        drive = np.maximum(
-            self.gain * V - load, 0.0
-        )  # dry friction stops the gate, it never drives it back
+        # dry friction stops the gate, it never drives it back
+        drive = np.maximum(self.gain * V - load, 0.0)
         return first_order_response(
             drive, self.time_constant, movement.sample_time, movement.speed[0]
         )

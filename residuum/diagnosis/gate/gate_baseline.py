@@ -283,11 +283,8 @@ _OF_CONTACT_LOSS = _FIXED_IN_A_GEAR = ("high_crest", "periodic_pulse")
 # pass each of these limits, and 1 in 10 000 gears looks like a notch. The largest of the 1500 were
 # 5.0, 17.9 and 7.6; a missing pinion tooth has a periodic pulse of 50 and more, a missing rack
 # tooth a single one of 17 and more, so that strict limits cost nothing.
-FALSE_ALARM_RATES = {
-    "high_crest": 1e-6,
-    "periodic_pulse": 1e-6,
-    "single_pulse": 1e-6,
-}  # if the tails were normal
+# if the tails were normal
+FALSE_ALARM_RATES = {"high_crest": 1e-6, "periodic_pulse": 1e-6, "single_pulse": 1e-6}
 # Tooth errors are fixed in a gear: one whose errors look like a notch alarms at every movement. So
 # gears were drawn, and what few trained gears leave open raises a limit by √(1 + c/gears): c is the
 # first number for a notch's match, whose power spectrum all orders share, and the second for the
@@ -546,9 +543,8 @@ class GateBaseline:
             classifier,
             source,
             _stored_gears(arrays, len(arrays["notch_power"])),
-            int(
-                meta.get("exemplars", n)
-            ),  # a file of version 3 does not say; its limits stay nearly as they were
+            # a file of version 3 does not say; its limits stay nearly as they were
+            int(meta.get("exemplars", n)),
         )
         return loaded, str(meta.get("method", "default"))
 

@@ -24,9 +24,8 @@ from residuum.identification.npy_header import npy_header
 
 _FORMAT = "residuum-diagnoser"
 _HEADER = "header.json"
-_LARGEST = (
-    1 << 30
-)  # bytes unpacked; a stored diagnoser is kilobytes, so more is a damaged or hostile file
+# bytes unpacked; a stored diagnoser is kilobytes, so more is a damaged or hostile file
+_LARGEST = 1 << 30
 _READABLE = "fiub?"
 _UNREADABLE = (
     zipfile.BadZipFile, zlib.error, KeyError, ValueError, TypeError, EOFError, OSError, RuntimeError, NotImplementedError,

@@ -71,9 +71,8 @@ def detected(
     p_values.append(2.0 * len(t) * float(stats.t.sf(t, baseline.offsets.freedom).min(initial=1.0)))
     if k := len(mean):
         d, H = fit.others - mean, information(fit, k)
-        T = H - H @ np.linalg.solve(
-            H + np.linalg.inv(covariance), H
-        )  # (S + H⁻¹)⁻¹, where H may be singular
+        # (S + H⁻¹)⁻¹, where H may be singular
+        T = H - H @ np.linalg.solve(H + np.linalg.inv(covariance), H)
         t2 = max(float(d @ T @ d), 0.0)
         m = max(freedom - k + 1.0, 1.0)
         alone = (T @ d) ** 2 / np.maximum(np.diag(T), 1e-300)  # what one value alone explains of it
@@ -181,9 +180,8 @@ def seen_window(baseline: Baseline, record: Record) -> Seen:
     fit = alone(baseline.model, window, fitter.mean, baseline.whitening, usual)
     if fit is None:
         raise NotAssessable("the model diverges along the window")
-    loud = max(
-        1.0, float(fit.power.mean(axis=0).max())
-    )  # a large error weighs less in the information, however much moves
+    # a large error weighs less in the information, however much moves
+    loud = max(1.0, float(fit.power.mean(axis=0).max()))
     info = loud * np.diag(information(fit, len(baseline.free)))
     if info.size and np.all(info < LEAST_EXCITED * np.maximum(baseline.information, 1e-300)):
         raise NotAssessable(
@@ -290,9 +288,8 @@ def _told(baseline: Baseline, detection: Detected, record: Record, cause: Cause)
     onset = record.t0 + cause.onset * record.sample_time if cause.onset else None
     value = std = None
     healthy: tuple[float, float] | None = None
-    if (
-        h is not None and len(cause.size) and np.isfinite(cause.std[0])
-    ):  # a size of which nothing is known is not told
+    # a size of which nothing is known is not told
+    if h is not None and len(cause.size) and np.isfinite(cause.std[0]):
         times = record.sample_time if h.in_samples else 1.0
         value, std = float(cause.size[0]) * times, float(cause.std[0]) * times
         healthy = _usual_band(baseline, detection, h.label, times)

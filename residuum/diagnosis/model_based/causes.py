@@ -215,9 +215,8 @@ def _causes(baseline: Baseline, window: Experiment, features: FloatArray) -> lis
     best = _cheapest(baseline, fitter, trials.values())
     whole = list(trials.values())
     left = float(baseline.surprise(features, best.fit).max())
-    if best.hypothesis.seen is None and (
-        left > UNEXPLAINED or len(best.fit.own) > 2
-    ):  # many sizes may stand for a beginning
+    # many sizes may stand for a beginning
+    if best.hypothesis.seen is None and (left > UNEXPLAINED or len(best.fit.own) > 2):
         for label, beginning in begun(baseline, fitter, features).items():
             trials[label] = _cheapest(
                 baseline, fitter, [beginning, *([trials[label]] if label in trials else [])]
@@ -394,9 +393,8 @@ def _open(fitter: WindowFitter, fit: Fit) -> FloatArray:
     keep = [j for j, name in enumerate(fitter.free) if name not in own]
     H[:k, :k] += np.linalg.inv(fitter.covariance[np.ix_(keep, keep)])
     if not np.all(np.abs(H) < _LARGEST) or np.any(np.diag(H)[k:] < 1.0 / _LARGEST):
-        return np.full(
-            len(fit.own), np.nan
-        )  # at sizes where the slopes overflow or vanish nothing is known of them
+        # at sizes where the slopes overflow or vanish nothing is known of them
+        return np.full(len(fit.own), np.nan)
     scale = np.sqrt(np.maximum(np.diag(H), 1.0 / _LARGEST))
     values, vectors = np.linalg.eigh(H / np.outer(scale, scale))  # what nothing tells is wide open
     return np.asarray(

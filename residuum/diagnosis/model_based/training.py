@@ -312,9 +312,8 @@ def _chance(baseline: Baseline, label: str, sizes: Sequence[FloatArray]) -> floa
     if usual is None or len(usual.sizes) < _FEWEST or len(sizes) < _FEWEST:
         return 1.0
     new_sizes, usual_sizes = np.array([s[0] for s in sizes]), usual.sizes[:, 0]
-    least = (
-        1e-9 * float(np.max(np.abs([*new_sizes, *usual_sizes])))
-    ) ** 2 + 1e-300  # sizes that are alike to rounding
+    # sizes that are alike to rounding
+    least = (1e-9 * float(np.max(np.abs([*new_sizes, *usual_sizes])))) ** 2 + 1e-300
     a, b = (max(float(x.var(ddof=1)), least) / len(x) for x in (new_sizes, usual_sizes))
     t = float(new_sizes.mean() - usual_sizes.mean()) / np.sqrt(a + b)
     share = a / (a + b)
@@ -362,9 +361,8 @@ def train(
     while wide := [name for name in _open(fit) if name in asked.parameters]:
         if not fix_undetermined:
             raise _refusal(asked, data, wide)
-        data = data_of(
-            held(data.model, wide[:1]), data.experiments
-        )  # with the widest one held, others may be determined
+        # with the widest one held, others may be determined
+        data = data_of(held(data.model, wide[:1]), data.experiments)
         fit = climb(data).found
     better, experiments = mended(fit.model, data.experiments, _sized(fit.model, data.experiments))
     return _calibrated(
@@ -475,9 +473,8 @@ def _learned(
     mended = tuple(
         use.label for use in model.effects if use.label not in [own.label for own in asked.effects]
     )
-    unasked = np.zeros(
-        (len(window_info), len(model.outputs))
-    )  # offsets are, once the values' scatter is known
+    # offsets are, once the values' scatter is known
+    unasked = np.zeros((len(window_info), len(model.outputs)))
     input_spans, spans = (
         np.array([np.ptp(x(e), axis=0) for e in experiments]).min(axis=0)
         for x in (_inputs, _readings)

@@ -225,9 +225,8 @@ def _fitted(
             V = np.array([np.linalg.inv(P + h) for h in information])
             by_window = zip(V, F @ B, information, x, strict=True)
             post = np.array([v @ (P @ mean + h @ y) for v, mean, h, y in by_window]).reshape(n, p)
-    B, S, M = (
-        np.ascontiguousarray(x) for x in (B, S, M)
-    )  # as they are loaded: the order decides the last digit
+    # as they are loaded: the order decides the last digit
+    B, S, M = (np.ascontiguousarray(x) for x in (B, S, M))
     return Scatter(B, S, M, float(freedom.min(initial=float(n)))), post
 
 
@@ -429,9 +428,8 @@ class _Problem:
         if at_z is None:
             return None
         z = self.z
-        for _ in range(
-            1 if steps <= LOOK_STEPS else 2
-        ):  # twice: errors beyond the healthy size say less
+        # twice: errors beyond the healthy size say less
+        for _ in range(1 if steps <= LOOK_STEPS else 2):
             z, at_z = self._descended(z, at_z, self._weights(at_z[0]), steps)
         return self._told(z, at_z)
 

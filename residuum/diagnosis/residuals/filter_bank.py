@@ -23,9 +23,8 @@ from scipy.signal import firwin
 from residuum.array_types import AnyArray
 from residuum.kept_loops import njit
 
-Node = tuple[
-    AnyArray, AnyArray
-]  # real and imaginary part, apart: the inner loops then run over contiguous numbers
+# real and imaginary part, apart: the inner loops then run over contiguous numbers
+Node = tuple[AnyArray, AnyArray]
 
 TAPS = 17
 TAPS_OF_THIRDS = 25

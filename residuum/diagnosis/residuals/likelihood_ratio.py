@@ -354,9 +354,8 @@ def _of_steps(largest, square, model, memory, now, s):  # type: ignore[no-untype
             (1.0 + steps[side, 0]) * (up if side == 0 else np.exp(-1.0) / up), _LARGEST_RATIO
         )
         length = int(steps[side, 1]) + 1 if ratio > 1.0 else 0
-        if (
-            length >= memory.sums.shape[1]
-        ):  # as old as the longest window: what has not shown by now is no step of this size
+        # as old as the longest window: what has not shown by now is no step of this size
+        if length >= memory.sums.shape[1]:
             ratio, length = 0.0, 0
         steps[side, 0], steps[side, 1] = ratio, length
         if length > 0:
@@ -537,9 +536,8 @@ class LikelihoodRatioBank:
         """Empty all windows and forget the input."""
         self._sums: FloatArray = np.zeros((5, self._ring))  # running Σ s, Σ s p, Σ p², Σ s², Σ τ s
         self._past: FloatArray = np.zeros((2, self._memory))  # p and the whitened input
-        self._steps: FloatArray = np.zeros(
-            (2, 2)
-        )  # up, down: R of Shiryaev and Roberts, and the samples since it was below 1
+        # up, down: R of Shiryaev and Roberts, and the samples since it was below 1
+        self._steps: FloatArray = np.zeros((2, 2))
         self._counts = np.zeros(2, dtype=np.int64)  # samples in the windows, samples in the memory
 
     def process(self, signals: ResidualSignals) -> BankOutput:

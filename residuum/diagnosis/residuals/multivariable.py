@@ -801,7 +801,6 @@ def _lagged(running: FloatArray, delay: int, order: int) -> FloatArray:
     """
     n = len(running)
     padded = np.concatenate([np.zeros(delay + order), running])
-    view = np.lib.stride_tricks.sliding_window_view(
-        padded, order
-    )  # row t: running[t − delay − order … t − delay − 1]
+    # row t: running[t − delay − order … t − delay − 1]
+    view = np.lib.stride_tricks.sliding_window_view(padded, order)
     return np.asarray(view[: n + 1, ::-1])

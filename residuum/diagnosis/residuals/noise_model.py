@@ -29,10 +29,8 @@ _NODES = 60  # of the Gauss–Hermite rule; its outermost lies 14 standard devia
 _RAREST = -1e4  # ln of the smallest probability that is told apart, a score of 141
 _TABLE = np.arcsinh(np.logspace(-3, 9, 400))
 _LIGHT_TABLE = np.arcsinh(np.concatenate([np.linspace(0.01, 4.0, 400), np.logspace(0.61, 9, 200)]))
-_NATS, _APART = (
-    np.arange(0.025, 40.0, 0.05),
-    0.05,
-)  # ln of the probabilities at which a law is stood for by single values
+# ln of the probabilities at which a law is stood for by single values
+_NATS, _APART = (np.arange(0.025, 40.0, 0.05), 0.05)
 _SLIGHT = 1e-2  # σ, to take a slope over
 # of a hazard's growth times a change of variance, below which the tail is as good as exponential
 _STRAIGHT = 1e-6

@@ -115,13 +115,8 @@ class UpperTail:
 
 # The far tail of a noise, taken from healthy samples instead of from the form of a distribution.
 
-_SAMPLES = (
-    1000,
-    500,
-    250,
-    100,
-    50,
-)  # in a tail: fewer scatter, more reach to where the hazard bends
+# in a tail: fewer scatter, more reach to where the hazard bends
+_SAMPLES = (1000, 500, 250, 100, 50)
 _LARGEST_SHARE = 0.05
 _FITS = 0.1  # Cramér–von Mises probability above which a fitted tail is not doubted
 # samples that a fitted tail expects beyond a level: what it says of the far end is held against

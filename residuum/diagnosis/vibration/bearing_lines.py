@@ -145,17 +145,10 @@ _TONAL = 0.25  # of a band's power in one line: what beats with it is a modulati
 _STRONG = 20.0
 _FEWEST_CONTROLS = 50
 _SIDEBANDS = 5
-_RELATED = (
-    0.5,
-    1.0,
-    2.0,
-)  # where the harmonics of a fault's lines make a control frequency look alive
-_VARIANTS = {
-    "bpfi": (1.0,),
-    "bpfo": (1.0,),
-    "bsf": (2.0, 1.0),
-    "ftf": (1.0,),
-}  # a spot on a ball strikes both races
+# where the harmonics of a fault's lines make a control frequency look alive
+_RELATED = (0.5, 1.0, 2.0)
+# a spot on a ball strikes both races
+_VARIANTS = {"bpfi": (1.0,), "bpfo": (1.0,), "bsf": (2.0, 1.0), "ftf": (1.0,)}
 
 
 @dataclass(frozen=True)
@@ -226,10 +219,8 @@ def line_evidence(
     cage = {name: f for name, f in frequencies.lines.items() if name == "ftf"}
     non_cage = {name: f for name, f in frequencies.lines.items() if name != "ftf"}
     by_line: dict[str, LineEvidence] = {}
-    for lines, periods in (
-        (non_cage, _PERIODS),
-        (cage, _PERIODS_OF_CAGE),
-    ):  # the cage, ten times slower, needs a finer spectrum
+    # the cage, ten times slower, needs a finer spectrum
+    for lines, periods in ((non_cage, _PERIODS), (cage, _PERIODS_OF_CAGE)):
         resolved = {
             name: f
             for name, f in lines.items()
@@ -273,9 +264,8 @@ def _evidence(
             f"bearing: lines up to {fastest:.4g} Hz need a sampling rate above {8 * fastest:.4g}"
             f" Hz; it is {rate:g} Hz"
         )
-    length = fft.prev_fast_len(
-        min(x.shape[0], int(periods / slowest * rate)), real=True
-    )  # a prime length costs ten times more
+    # a prime length costs ten times more
+    length = fft.prev_fast_len(min(x.shape[0], int(periods / slowest * rate)), real=True)
     grid = np.exp(np.arange(np.log(slowest / 2), np.log(min(2 * fastest, rate / 8)), _GRID))
     control = _is_control(grid, frequencies)
     if control.sum() < _FEWEST_CONTROLS:

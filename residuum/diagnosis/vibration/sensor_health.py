@@ -275,9 +275,8 @@ def spike_places(x: AnyArray) -> npt.NDArray[np.intp]:
         return np.empty(0, dtype=np.intp)
     leap = x[1:-1] - (x[:-2] + x[2:]) / 2  # of sample k + 1
     sample = np.abs(leap[:: max(1, leap.shape[0] // _OF_SCALE)])
-    sigma = (
-        float(np.quantile(sample, 0.75)) / 1.1503
-    )  # of the louder half, where the other one is silent
+    # of the louder half, where the other one is silent
+    sigma = float(np.quantile(sample, 0.75)) / 1.1503
     places = np.flatnonzero(np.abs(leap) > max(_SPIKE * sigma, float(np.finfo(leap.dtype).tiny)))
     places = places[(places >= 3) & (places < leap.shape[0] - 3)]
     height = np.abs(leap[places])

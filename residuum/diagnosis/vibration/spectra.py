@@ -53,9 +53,8 @@ def amplitude_spectrum(signal: npt.NDArray[Any], sample_time: float) -> Amplitud
     """
     n = signal.shape[0]
     padded = fft.next_fast_len(n, real=True)
-    x = np.zeros(
-        padded
-    )  # all that is held of a long signal, beside its spectrum: the rest is done in place
+    # all that is held of a long signal, beside its spectrum: the rest is done in place
+    x = np.zeros(padded)
     x[:n] = signal
     missing = np.isnan(x)
     count = n - np.count_nonzero(missing)
@@ -70,9 +69,8 @@ def amplitude_spectrum(signal: npt.NDArray[Any], sample_time: float) -> Amplitud
         x[:n] *= window
         del window
     amplitude = np.abs(fft.rfft(x, overwrite_x=True))
-    amplitude *= 2 / (
-        n / 2 if n > 2 else n
-    )  # over Σw, which is n/2 for a Hann window over whole periods
+    # over Σw, which is n/2 for a Hann window over whole periods
+    amplitude *= 2 / (n / 2 if n > 2 else n)
     return AmplitudeSpectrum(1 / (padded * sample_time), amplitude, 1.44 / (n * sample_time))
 
 
@@ -562,9 +560,8 @@ def _by_fft(x: AnyArray, deepest: int, segments: int) -> list[Row]:
     rows: list[Row] = [(0.0, 0, n, _moments_of_signal(x, segments))]
     if n < LONG:
         return rows + [row for division in _divisions(deepest) for row in of_level(division)]
-    with ThreadPoolExecutor(
-        os.cpu_count()
-    ) as pool:  # transforms and moments leave the interpreter free
+    # transforms and moments leave the interpreter free
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
         return rows + [row for group in pool.map(of_level, _divisions(deepest)) for row in group]
 
 

@@ -306,9 +306,8 @@ def indicators(x: npt.ArrayLike) -> Indicators:
     mean, square, absolute, peak = _first_pass(x)
     second, fourth = _central_moments(x, mean)
     rms = float(np.sqrt(square))
-    constant = (
-        not second > 0 or float(np.ptp(x)) == 0
-    )  # rounding of the mean leaves a second moment in equal samples
+    # rounding of the mean leaves a second moment in equal samples
+    constant = not second > 0 or float(np.ptp(x)) == 0
     kurtosis = np.nan if constant else fourth / second**2
     return Indicators(
         rms, float(kurtosis), float(peak), _ratio(peak, rms), _ratio(peak, absolute), float(mean)

@@ -402,9 +402,8 @@ def _as_explained(
         before, training, how.mapping, how.wanted, how.seconds, part_of(tell, 0.0, 0.8)
     )
     search = explanation.found
-    if any(
-        key.effect == HELD for key in search.best.keys
-    ):  # what is found beside them as they are held
+    # what is found beside them as they are held
+    if any(key.effect == HELD for key in search.best.keys):
         held = replace(how.wanted, held=False)
         before = _with_inputs_of(before, search.court.data.model)
         search = searched(

@@ -44,9 +44,8 @@ def answer_on_blocks(
     best, stds, steps = search.best, doubts_of(search), steps_of(search)
     free = free_terms(search.base, search.court)
     left = _left(search)
-    slow = any(
-        times > SLOW for _, _, times in left.values()
-    )  # few answers to few steps look like a walk at random
+    # few answers to few steps look like a walk at random
+    slow = any(times > SLOW for _, _, times in left.values())
     adequate = not slow and not compare(best.model, records, mapping, refuse_unstable=False).present
     verdict = verdict_on(search, steps, free, stds, adequate=adequate)
     free_beside = free_terms(best, search.court) if best.keys else free

@@ -290,9 +290,8 @@ def multivariable_from(content: dict[str, Any], path: Path) -> MultivariableMode
                 f"{path}: covariance of {row[0].output_name!r} has shape {covariance.shape}; must"
                 f" be ({size}, {size})"
             )
-    longer = tuple(
-        _longer_from(encoded, path) for encoded in content.get("longer", [])
-    )  # files of older versions have none
+    # files of older versions have none
+    longer = tuple(_longer_from(encoded, path) for encoded in content.get("longer", []))
     if longer and len(longer) != len(models):
         raise BadModel(f"{path}: longer must have an entry an output")
     for row, model in zip(models, longer, strict=False):

@@ -300,9 +300,8 @@ class IdentifiedModel:
         """G(e^{jωTs}) at ω [rad/s], shape of `omega`."""
         omega = np.asarray(omega, dtype=float)
         if self.is_parametric:
-            with np.errstate(
-                divide="ignore", invalid="ignore"
-            ):  # a model that integrates has no static gain
+            # a model that integrates has no static gain
+            with np.errstate(divide="ignore", invalid="ignore"):
                 return self.transfer_function().frequency_response(omega)
         return np.asarray(self._lag_phasors(omega) @ self.impulse_response)
 

@@ -121,9 +121,8 @@ class StateSpace:
             return np.repeat(self.D[None].astype(complex), len(z), axis=0)
         T, U = linalg.schur(self.A, output="complex")
         B, C = U.conj().T @ self.B, self.C @ U
-        X = np.empty(
-            (self.order, len(z) * B.shape[1]), dtype=complex
-        )  # (z − T)⁻¹ B by back substitution, all ω at once
+        # (z − T)⁻¹ B by back substitution, all ω at once
+        X = np.empty((self.order, len(z) * B.shape[1]), dtype=complex)
         points = np.repeat(z, B.shape[1])
         for i in range(self.order - 1, -1, -1):
             X[i] = (np.tile(B[i], len(z)) + T[i, i + 1 :] @ X[i + 1 :]) / (points - T[i, i])

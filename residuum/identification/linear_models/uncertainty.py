@@ -121,9 +121,8 @@ def _line(
 def _above(rows: FloatArray, centre: FloatArray, half: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(bound from above, value at the centre) of |F|."""
     value, change, remainder = _line(rows, centre, half)
-    ends = np.maximum(
-        np.abs(value + change), np.abs(value - change)
-    )  # of a line the ends are furthest from zero
+    # of a line the ends are furthest from zero
+    ends = np.maximum(np.abs(value + change), np.abs(value - change))
     return ends + remainder, np.abs(value)
 
 

@@ -541,9 +541,8 @@ def residual_check(
     n = int(np.isfinite(e).sum())
     longest = max(2, n // _SAMPLES_A_LAG)
     lags = min(_LAGS, longest)
-    reached = (
-        model.delay + min(model.order, _MOST_OF_A_RESPONSE) + _BEYOND
-    )  # an input that a cut response leaves out acts behind it
+    # an input that a cut response leaves out acts behind it
+    reached = model.delay + min(model.order, _MOST_OF_A_RESPONSE) + _BEYOND
     white: ResidualTest | None
     free: ResidualTest | None
     wrong: ModelErrorModel | None

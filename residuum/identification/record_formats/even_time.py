@@ -204,9 +204,8 @@ def _near_grid(time: FloatArray) -> tuple[float, npt.NDArray[np.int64], FloatArr
     usual = float(np.median(steps))
     if not usual > 0 or (time[-1] - time[0]) / usual > _MOST:
         return None
-    step = float(
-        np.mean(steps[steps < 1.5 * usual])
-    )  # jitter cancels in a mean of neighbours, not in a median
+    # jitter cancels in a mean of neighbours, not in a median
+    step = float(np.mean(steps[steps < 1.5 * usual]))
     place = np.rint((time - time[0]) / step).astype(np.int64)
     step, begin = np.polyfit(place, time, 1)
     beside = time - begin - step * place

@@ -46,9 +46,8 @@ def _signals(path: str | Path) -> tuple[list[Any], list[str]]:
     try:
         with asammdf.MDF(path) as file:
             every = list(file.iter_channels(skip_master=True))
-    except (
-        Exception
-    ) as error:  # the reader raises its own, struct's, NumPy's and zlib's errors on damaged files
+    except Exception as error:
+        # the reader raises its own, struct's, NumPy's and zlib's errors on damaged files
         raise BadRecord(
             f"{path}: is not an MDF file: {' '.join(str(error).split())[:120]}"
         ) from None

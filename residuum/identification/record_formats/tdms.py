@@ -91,9 +91,8 @@ def _clock(channels: list[Any], source: str) -> Any:
 def _tells_time(channel: Any) -> bool:
     if channel.dtype.kind == "M":
         return True
-    if channel.properties.get(
-        "wf_increment"
-    ):  # sampled at times of its own: a signal, whatever it is called
+    # sampled at times of its own: a signal, whatever it is called
+    if channel.properties.get("wf_increment"):
         return False
     unit = _unit(channel)
     return (

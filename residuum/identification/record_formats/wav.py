@@ -17,9 +17,8 @@ def read_wav(path: str | Path, options: ReadOptions = ReadOptions()) -> Record:
     """Read a WAV file; integer samples are divided by full scale, 8-bit ones centred first."""
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter(
-                "ignore", scipy.io.wavfile.WavFileWarning
-            )  # chunks that are not audio
+            # chunks that are not audio
+            warnings.simplefilter("ignore", scipy.io.wavfile.WavFileWarning)
             rate, data = scipy.io.wavfile.read(path)
     except (OSError, ValueError, EOFError) as error:
         raise BadRecord(f"{path}: is not a WAV file: {error}") from None

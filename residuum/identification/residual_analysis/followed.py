@@ -83,9 +83,7 @@ def growth_over_second_half(model: PhysicalModel, experiment: Experiment) -> flo
     states; 0 where nothing filters.
     """
     # a fifth of a second, for the few models that a simulation leaves
-    from scipy.linalg import (  # noqa: PLC0415
-        expm,
-    )
+    from scipy.linalg import expm  # noqa: PLC0415
 
     simulator = Simulator(model)
     if not simulator.states:

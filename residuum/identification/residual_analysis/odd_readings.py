@@ -335,9 +335,8 @@ def far_beside(
     large = far & (off > apart) & ((lengths == 1) | out)
     read = Counter(np.repeat(values[large], lengths[large]).tolist())
     codes = tuple(sorted(value for value, count in read.items() if count > 1))
-    coded = np.isin(values, codes) & (
-        out | (far & (lengths == 1))
-    )  # one near what the sensor should show is one, too
+    # one near what the sensor should show is one, too
+    coded = np.isin(values, codes) & (out | (far & (lengths == 1)))
     unusual = (large | coded) & ~(coded & out)
     if lengths[unusual].sum() > _MOST * len(every) or lengths[coded].sum() > _MOST_CODED * len(
         every
@@ -371,9 +370,7 @@ def _jumps(
 def _beside_neighbours(values: FloatArray) -> FloatArray:
     """How far each value lies from the median of those about it."""
     # of a question alone: starting is for all
-    from scipy.ndimage import (  # noqa: PLC0415
-        median_filter,
-    )
+    from scipy.ndimage import median_filter  # noqa: PLC0415
 
     return np.abs(values - median_filter(values, _ABOUT, mode="mirror"))
 

@@ -133,9 +133,8 @@ def test_structured_error(
             ]
             draws = np.r_[draws, more]
             p_value = _tail(statistic, draws, designs[0].shape[1])
-        share *= max(statistic - float(draws.mean()), 0.0) / max(
-            statistic, 1e-300
-        )  # what pure noise would also have given
+        # what pure noise would also have given
+        share *= max(statistic - float(draws.mean()), 0.0) / max(statistic, 1e-300)
     return StructuredError(
         present=bool(p_value < level),
         p_value=p_value,
@@ -242,9 +241,8 @@ def _likelihood_ratio(
             after = sum(float(np.sum(noise.whiten(part) ** 2)) for part in residuals)
             if after < best[0]:
                 best = (after, coefficients, noise)
-            if (
-                beside.order == null.order
-            ):  # Burg's noise of the rest is not always likelier than that before it
+            # Burg's noise of the rest is not always likelier than that before it
+            if beside.order == null.order:
                 same = sum(float(np.sum(beside.whiten(part) ** 2)) for part in residuals)
                 least = min(least, (same, coefficients, beside), key=itemgetter(0))
     _, coefficients, noise = best if best[0] < before else least

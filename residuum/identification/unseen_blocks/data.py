@@ -182,10 +182,8 @@ def folds_of(count: int, shortest: int) -> tuple[int, Integers]:
     blocks = BLOCKS if count == 1 else FOLDS * -(-BLOCKS // (FOLDS * count))
     blocks = max(FOLDS, min(blocks, FOLDS * (shortest // (FOLDS * BLOCK_SAMPLES))))
     block = np.arange(blocks * count)
-    return (
-        blocks,
-        (block // blocks if count >= FOLDS - 1 else block) % FOLDS,
-    )  # whole records where there are several
+    # whole records where there are several
+    return (blocks, (block // blocks if count >= FOLDS - 1 else block) % FOLDS)
 
 
 def _rung(experiments: Sequence[Experiment], count: int, blocks: int) -> Rung:

@@ -173,9 +173,8 @@ def own_terms(model: PhysicalModel, balance: str, along: Track) -> FloatArray:
     ]
     if not terms or not np.all(np.isfinite(terms)):
         return np.zeros((len(along.X), 0))
-    scaled = [
-        z / np.abs(z).max() for z in terms
-    ]  # the squares of what is next to nothing would be nothing
+    # the squares of what is next to nothing would be nothing
+    scaled = [z / np.abs(z).max() for z in terms]
     u, s, _ = np.linalg.svd(
         np.column_stack([z / np.linalg.norm(z) for z in scaled]), full_matrices=False
     )

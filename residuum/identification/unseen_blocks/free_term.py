@@ -183,9 +183,8 @@ def _judged(
         summed(np.where(at.known, np.clip(e, -clip, clip), 0.0) ** 2, last, court.data.blocks)
         for e in errors
     )
-    power = (
-        parent.power * after / np.maximum(before, 1e-300)
-    )  # both by the equations alone, which know no fold's own simulation
+    # both by the equations alone, which know no fold's own simulation
+    power = parent.power * after / np.maximum(before, 1e-300)
     parameters = parent.parameters + len(knots)
     unit = parent.model.balances[balance].unit
     free_term = BlockTerm(

@@ -178,9 +178,8 @@ def look(view: Glance, court: Court) -> Judged | None:
     """
     candidates: list[Fit] = []
     for kind, fits in view.seen.items():
-        for fit in fits[
-            : FOLLOWED_STARTS if court.scale.nats else 1
-        ]:  # small effects of the wrong shape mislead
+        # small effects of the wrong shape mislead
+        for fit in fits[: FOLLOWED_STARTS if court.scale.nats else 1]:
             ends = (
                 [fit, descended(fit, steps=15, tolerance=1e-4)]
                 if court.scale.nats and kind == SHORT

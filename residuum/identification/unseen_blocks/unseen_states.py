@@ -9,9 +9,7 @@ import numpy as np
 from residuum.identification.physics import Simulator
 from residuum.identification.unseen_blocks.data import Rung
 from residuum.identification.unseen_blocks.following import Track
-from residuum.identification.unseen_blocks.looks import (
-    Court,
-)
+from residuum.identification.unseen_blocks.looks import Court
 from residuum.identification.unseen_blocks.structure import Structure
 
 

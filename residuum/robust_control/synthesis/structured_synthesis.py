@@ -72,9 +72,8 @@ def minimax_step(
     target[n + 1] = 1.0
     try:
         u, _ = nnls(E, target)
-    except (
-        RuntimeError
-    ):  # went round in circles between all but equal sets: no step, and the descent ends here
+    except RuntimeError:
+        # went round in circles between all but equal sets: no step, and the descent ends here
         u = np.zeros(m + 2 * n)
     residual = E @ u - target
     d = np.clip(-inverse.T @ residual[:n] / residual[n + 1], low, high)
@@ -198,9 +197,8 @@ class Descent:
             self.finished = True
             return
         trial, gained = self._try(d, predicted)
-        if (
-            gained < 0.5
-        ):  # bend the models to what was found at the end of the step, and solve again
+        # bend the models to what was found at the end of the step, and solve again
+        if gained < 0.5:
             bent = trial.log_cost[at] - slopes @ d - current.peak
             again, weights, _ = minimax_step(bent - bent.max(), slopes, self.curvature, low, high)
             second, improved = self._try(again, predicted)

@@ -184,9 +184,8 @@ def improve(request: Request, running: Running, model: ModelName, asked: Improve
 
     def keep(outcome: Mapping[str, Any]) -> Mapping[str, Any]:
         answer = {**outcome["result"], "model_file": None, "file": outcome["file"].decode()}
-        if asked.save_as is None or (
-            answer["refused"] and len(answer["history"]) == 1
-        ):  # nothing that would not make it worse
+        # nothing that would not make it worse
+        if asked.save_as is None or (answer["refused"] and len(answer["history"]) == 1):
             return answer
         added = [step["added"] for step in answer["history"] if step["added"]]
         note = (
@@ -303,14 +302,12 @@ def _keep(request: Request, running: Services, name: str | None, kind: str) -> K
 
 def _check_known(question: Explain, names: Sequence[str] | None, given: Asked) -> None:
     """Raise NotFound for an effect that neither the catalogue nor the model's file defines."""
-    if (
-        names is None or question.catalogue is not None
-    ):  # which effects its text defines is known where it is read: in the job
+    # which effects its text defines is known where it is read: in the job
+    if names is None or question.catalogue is not None:
         return
     if given.text is not None:
-        model_of(
-            given.model, given.text
-        )  # its own effects are in the catalogue of this request from now on
+        # its own effects are in the catalogue of this request from now on
+        model_of(given.model, given.text)
     if unknown := [
         id
         for id in (re.split("[@:]", name)[0] for name in names)

@@ -46,9 +46,8 @@ def cancel_job(running: Running, job: JobId) -> Response:
 @router.get("/{job}/events", response_class=StreamingResponse)
 async def stream_job(running: Running, job: JobId, last_event_id: LastEventId = None) -> Response:
     """A job's progress as server-sent events; the stream ends with the job."""
-    begin = (
-        last_event_id or running.events.now()
-    )  # before the look at the job: its end comes after one or the other
+    # before the look at the job: its end comes after one or the other
+    begin = last_event_id or running.events.now()
     state = running.jobs.get(job)
     if state.state in OVER:
         data = orjson.dumps(state.to_json(with_result=False))

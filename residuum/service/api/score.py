@@ -73,9 +73,8 @@ async def score(request: Request) -> Response:
     services: Services = request.app.state.services
     query_string = request.scope["query_string"]
     if len(query_string) <= _LONGEST_KEPT:
-        request._query_params = _query(
-            query_string
-        )  # a client asks with the same query again and again
+        # a client asks with the same query again and again
+        request._query_params = _query(query_string)
     judge = await _judge(services, request.path_params["diagnoser"], request.query_params)
     with remedies_in_query(kind_of(request)):
         record = await record_of(request, judge.channels)

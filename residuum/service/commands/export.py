@@ -31,9 +31,7 @@ def export_command(
         raise BadInput(f"--to {to!r}: there is no such target; {known_names(to, _TARGETS)}")
     check_output_file(out)
     # SymPy is imported for this command alone
-    from residuum.identification.physics import (  # noqa: PLC0415
-        load_model,
-    )
+    from residuum.identification.physics import load_model  # noqa: PLC0415
     from residuum.identification.physics.export import EXPORTS, explicit  # noqa: PLC0415
 
     explicit_model = explicit(load_model(model))

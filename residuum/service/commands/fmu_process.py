@@ -63,9 +63,7 @@ def model_for(
     """
     if is_fmu(name) and is_inside():
         # loads what compiles, for FMUs alone
-        from residuum.library.fmu import (  # noqa: PLC0415
-            fmu_model,
-        )
+        from residuum.library.fmu import fmu_model  # noqa: PLC0415
 
         return fmu_model(name, records, signals)
     return model(name), records

@@ -246,9 +246,8 @@ class MachineLine:
                 continue
             try:
                 windows = self._cutter.push(block)
-            except (
-                Exception
-            ):  # one block must never end the machine's thread; it is counted and logged
+            except Exception:
+                # one block must never end the machine's thread; it is counted and logged
                 self._errors += 1
                 log.exception("cutting windows", machine=self.settings.asset)
                 continue
@@ -282,9 +281,8 @@ class MachineLine:
     def _safely(self, step: Callable[[], None]) -> None:
         try:
             step()
-        except (
-            Exception
-        ) as error:  # one window must never end the machine's thread; it is counted and logged
+        except Exception as error:
+            # one window must never end the machine's thread; it is counted and logged
             self._errors += 1
             if not self._stopped.is_set():  # else its worker was ended with the service
                 log.exception("judging a window", machine=self.settings.asset, reason=str(error))

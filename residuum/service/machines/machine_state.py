@@ -138,9 +138,8 @@ def state_of_judging(
         return MachineState(
             "waiting", "waiting until windows are judged and stored", _WORKERS if late else ""
         )
-    lacking = (
-        late and cut == "sliding"
-    )  # a machine that stands still moves nothing and turns no round
+    # a machine that stands still moves nothing and turns no round
+    lacking = late and cut == "sliding"
     return MachineState("waiting", f"waiting for {_NEXT[cut]}", _LOSSES if lacking else "")
 
 

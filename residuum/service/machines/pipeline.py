@@ -75,10 +75,8 @@ class JudgeAndStore:
         judged = self._judged(machine, window, baseline)
 
         def store() -> Finding | None:
-            finding, key = (
-                judged(),
-                secrets.token_hex(16),
-            )  # tried again under one key: a first try may have been kept
+            # tried again under one key: a first try may have been kept
+            finding, key = (judged(), secrets.token_hex(16))
             while True:
                 try:
                     self._store.add_window(
@@ -100,9 +98,8 @@ class JudgeAndStore:
         """
         try:
             return deciding_method(self._store, machine.asset, machine.diagnoser, machine.method)
-        except (
-            StorageUnavailable
-        ):  # the window is judged all the same, and stored when the store is back
+        except StorageUnavailable:
+            # the window is judged all the same, and stored when the store is back
             return machine.method
 
     def _judged(
@@ -197,9 +194,8 @@ class Pipeline:
             [self._demo.stop] if self._demo else []
         )
         if stops:
-            threads = ThreadPoolExecutor(
-                len(stops)
-            )  # of their own: those of the loop may all wait for what is stopped here
+            # of their own: those of the loop may all wait for what is stopped here
+            threads = ThreadPoolExecutor(len(stops))
             await asyncio.gather(
                 *(asyncio.get_running_loop().run_in_executor(threads, stop) for stop in stops)
             )
@@ -436,11 +432,8 @@ class Pipeline:
                 self._store.model_content, version.model, version.number
             )
             file = await asyncio.to_thread(baseline_file, self._settings.data, content)
-        except (
-            NotFound,
-            OSError,
-            StorageUnavailable,
-        ):  # there is none yet, or the disk may come back: ask again
+        except (NotFound, OSError, StorageUnavailable):
+            # there is none yet, or the disk may come back: ask again
             return known
         self._handle.second_baselines[machine.asset] = file
         return version.checksum
@@ -472,23 +465,20 @@ class Pipeline:
     async def _stored_or_trained(
         self, demo: Demo, machine: MachineSettings, tell: Callable[[str, float, str], None]
     ) -> bytes:
-        note = await asyncio.to_thread(
-            demo.training_key, machine.asset
-        )  # reads the program's files
+        # reads the program's files
+        note = await asyncio.to_thread(demo.training_key, machine.asset)
         try:
             versions = await asyncio.to_thread(self._store.model_versions, machine.asset)
-            if any(
-                version.note == note for version in versions
-            ):  # what was stored since, somebody accepted
+            # what was stored since, somebody accepted
+            if any(version.note == note for version in versions):
                 return await asyncio.to_thread(
                     self._store.model_content, machine.asset, versions[0].number
                 )
         except NotFound:
             pass
         training = asyncio.create_task(asyncio.to_thread(demo.train, machine.asset))
-        training.add_done_callback(
-            lambda over: over.cancelled() or over.exception()
-        )  # also when nobody waits any more
+        # also when nobody waits any more
+        training.add_done_callback(lambda over: over.cancelled() or over.exception())
         while not (await asyncio.wait([training], timeout=0.5))[0]:
             tell("training", *demo.progress(machine.asset))
         content = training.result()

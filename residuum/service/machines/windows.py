@@ -234,9 +234,8 @@ class EdgeFinder:
         if end <= begin:
             return
         level = filled_forward(self._buffer.channel(self._channel, begin, end), self._level) > 0.5
-        before = (
-            bool(level[0]) if np.isnan(self._level) else self._level > 0.5
-        )  # a stream that begins high shows no edge
+        # a stream that begins high shows no edge
+        before = bool(level[0]) if np.isnan(self._level) else self._level > 0.5
         for step in np.flatnonzero(np.diff(np.concatenate([[before], level]))).tolist():
             self._edge(begin + step, bool(level[step]))
         self._level, self._looked_at = float(level[-1]), end

@@ -68,10 +68,8 @@ def month_of(text: str) -> Span:
             raise ValueError
         begin = datetime(int(text[:4]), int(text[5:]), 1, tzinfo=UTC)
         return Span(begin, (begin + timedelta(days=32)).replace(day=1))
-    except (
-        ValueError,
-        OverflowError,
-    ):  # no such year, or its last month: the calendar ends with it
+    except (ValueError, OverflowError):
+        # no such year, or its last month: the calendar ends with it
         raise BadInput(f"month {text[:40]!r}: must be YYYY-MM, for example 2026-11") from None
 
 
@@ -96,10 +94,8 @@ def _moment(name: str, text: str) -> datetime:
         read = datetime.fromisoformat(text)
         read = read if read.tzinfo else read.replace(tzinfo=UTC)
         read.astimezone(UTC)  # the database keeps UTC
-    except (
-        ValueError,
-        OverflowError,
-    ):  # no time, or one that lies before or after the calendar in UTC
+    except (ValueError, OverflowError):
+        # no time, or one that lies before or after the calendar in UTC
         raise BadInput(
             f"{name} {text[:40]!r}: must be a time like 2026-11-25 or 2026-11-25T08:00+01:00"
         ) from None

@@ -324,8 +324,7 @@ def _beside(file: Path, content: str) -> Path:
     with os.fdopen(
         os.open(part, os.O_CREAT | os.O_EXCL | os.O_WRONLY, _MODE), "w", encoding="utf-8"
     ) as opened:
-        os.fchmod(
-            opened.fileno(), _MODE
-        )  # whatever the umask takes away: another container reads it by the group
+        # whatever the umask takes away: another container reads it by the group
+        os.fchmod(opened.fileno(), _MODE)
         opened.write(content)
     return part

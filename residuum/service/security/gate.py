@@ -264,9 +264,8 @@ class Gate:
             for part in _in_parts(message):
                 await send(part)
                 if part.get("more_body"):
-                    await asyncio.sleep(
-                        0
-                    )  # others have their turn, and a connection that was lost is noticed
+                    # others have their turn, and a connection that was lost is noticed
+                    await asyncio.sleep(0)
 
         refusal, by = self._refusal(scope, headers), None
         if refusal is None:
@@ -589,9 +588,8 @@ def _of_sites(scope: Scope, caller: Caller) -> bool:
     """Whether a path is one that a caller of some sites may use: its own assets, their alarms, and
     what is nobody's.
     """
-    words = scope["path"].split("/")[
-        3:
-    ]  # after "", "api", "v1"; nothing is left of /metrics, which tells of the whole plant
+    # after "", "api", "v1"; nothing is left of /metrics, which tells of the whole plant
+    words = scope["path"].split("/")[3:]
     query = parse_qs(scope["query_string"].decode("latin-1"))
     if not all(caller.may_see(name) for name in query.get("baseline", [])):
         return False

@@ -195,10 +195,8 @@ class BoundedConnection(H11Protocol):
                 ssl_handshake_timeout=HANDSHAKE_WITHIN,
                 ssl_shutdown_timeout=HANDSHAKE_WITHIN,
             )
-        except (
-            OSError,
-            asyncio.CancelledError,
-        ):  # no client of TLS, or one that went or was sent away
+        except (OSError, asyncio.CancelledError):
+            # no client of TLS, or one that went or was sent away
             transport.abort()
             self._leave()
             return
@@ -243,9 +241,8 @@ class BoundedConnection(H11Protocol):
     def give_up(self) -> None:
         """Close it at once; its place is free."""
         self._leave()
-        if (
-            self.transport is not None and self._unsent()
-        ):  # else the system keeps it, and a name for it, for minutes
+        # else the system keeps it, and a name for it, for minutes
+        if self.transport is not None and self._unsent():
             self._raw.get_extra_info("socket").setsockopt(
                 socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0)
             )

@@ -372,9 +372,8 @@ def train(machine: str, folder: str) -> bytes:
     diagnoser = DIAGNOSER_OF[machine]
     records, labels = TRAINING_RECIPES[machine](lambda done, doing: tell(0.6 * done, doing))
     tell(0.6, f"fitting {diagnoser} to {len(records)} records")
-    with threadpool_limits(
-        1
-    ):  # small matrices: more threads than cores that are free cost a hundred times over
+    # small matrices: more threads than cores that are free cost a hundred times over
+    with threadpool_limits(1):
         trained = DIAGNOSERS[diagnoser]().fit(records, labels)
     file = Path(folder) / f"{machine}.zip"
     trained.save(file)

@@ -152,9 +152,8 @@ class _Seen:
     def verified(self, file: Path, described: Mapping[str, Any]) -> Contents:
         if described["rows"] != self.tables:
             raise BadBackup(f"{file}: the rows differ from their checksums")
-        if (
-            described.get("settings", {}) != self.settings
-        ):  # a backup of an earlier version has none
+        # a backup of an earlier version has none
+        if described.get("settings", {}) != self.settings:
             raise BadBackup(f"{file}: the settings differ from their checksums")
         for path, checksum in self.referred.items():
             if self.blocks.get(path) != checksum:
@@ -395,7 +394,6 @@ class _Restorer(BackupReader):
             {self._blocks, *(file.parent for file in self._written)} if self._written else ()
         ):
             sync_folder(folder)
-        self._connection.execute(
-            delete(self._tables[table])
-        )  # a migration may have begun a table with a row of its own
+        # a migration may have begun a table with a row of its own
+        self._connection.execute(delete(self._tables[table]))
         plain_rows.insert_lines(self._connection, self._tables[table], lines)

@@ -212,9 +212,8 @@ class Database:
         if self.url.get_backend_name() != "sqlite":
             return None
         with self.read() as connection:
-            says = str(
-                connection.exec_driver_sql("PRAGMA integrity_check(1)").scalar()
-            )  # with indexes, unlike quick_check
+            # with indexes, unlike quick_check
+            says = str(connection.exec_driver_sql("PRAGMA integrity_check(1)").scalar())
         return None if says == "ok" else " ".join(says.split())
 
     def refuse_other_revision(self) -> None:
@@ -312,9 +311,8 @@ def _server_engine(url: URL) -> Engine:
     """
     engine = create_engine(url, pool_pre_ping=True, pool_timeout=_POOL_PATIENCE)
     if url.get_driver_name() == "psycopg":
-        patient = importlib.import_module(
-            "residuum.service.storage.patient_connection"
-        )  # the extra `postgres`
+        # the extra `postgres`
+        patient = importlib.import_module("residuum.service.storage.patient_connection")
 
         @event.listens_for(engine, "do_connect")
         def _connect(_dialect: Any, _record: Any, arguments: Any, options: Any) -> Any:
@@ -351,16 +349,14 @@ def _storage_errors() -> Iterator[None]:
         raise StorageUnavailable(f"database: {says}", full="full" in says.lower()) from error
     except PoolTimeout:
         raise Busy("database: all connections are in use; try again in some seconds") from None
-    except (
-        DataError
-    ) as error:  # PostgreSQL's: NUL in a text, a text longer than its column, a number out of range
+    except DataError as error:
+        # PostgreSQL's: NUL in a text, a text longer than its column, a number out of range
         raise BadInput(
             f"database: cannot keep what it was given: {str(error.orig).splitlines()[0]}"
         ) from error
     except DBAPIError as error:
-        if (
-            type(error) is DatabaseError
-        ):  # the bare class: SQLite's word for a file that is damaged or no database
+        # the bare class: SQLite's word for a file that is damaged or no database
+        if type(error) is DatabaseError:
             raise StorageUnavailable(f"database: {error.orig}") from error
         if error.connection_invalidated:
             raise StorageUnavailable("database: the connection was lost") from error

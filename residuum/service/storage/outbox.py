@@ -165,9 +165,8 @@ class Outbox:
         before them.
         """
         with self._database.write() as connection:
-            less = {
-                "findings_lost": receivers.c.findings_lost - lost
-            }  # its row first, as where notices are let go
+            # its row first, as where notices are let go
+            less = {"findings_lost": receivers.c.findings_lost - lost}
             connection.execute(update(receivers).where(receivers.c.id == receiver).values(less))
             finding_notices.told(connection, receiver, finding_ids)
 

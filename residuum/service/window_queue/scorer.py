@@ -142,9 +142,8 @@ class Scorer:
             self._set_aside.put(key, gateway, message.payload, refused, message.topic)
             self._attempts.finish(key)
             log.error("window refused and set aside", gateway=gateway, reason=refused)
-        except (
-            Exception
-        ):  # one window must not end the scorer; it is not acknowledged, so it comes again
+        except Exception:
+            # one window must not end the scorer; it is not acknowledged, so it comes again
             log.exception("window not scored", gateway=gateway, attempt=attempt)
             self._stopped.wait(_STORAGE_RETRY)
             return

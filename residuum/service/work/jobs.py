@@ -248,9 +248,8 @@ class Jobs:
                 outcome = then(outcome)
             except BadInput as error:
                 state, outcome = JobState.REFUSED, error.told(as_key)
-            except (
-                Exception
-            ) as error:  # what was computed cannot be kept: the job has failed, and says why
+            except Exception as error:
+                # what was computed cannot be kept: the job has failed, and says why
                 state, outcome = JobState.FAILED, f"{type(error).__name__}: {error}"
         self._finish(job, state, outcome)
 
@@ -261,9 +260,8 @@ class Jobs:
         ended = self._update(
             job, state=state, doing=state.value, finished_at=datetime.now(UTC), **fields
         )
-        if (
-            ended.state is JobState.FAILED
-        ):  # said last: a log that cannot be written must not leave the job running
+        # said last: a log that cannot be written must not leave the job running
+        if ended.state is JobState.FAILED:
             log.error("job failed", job=job, reason=outcome)
 
     def _update(self, job: str, **fields: Any) -> Job:
@@ -271,9 +269,8 @@ class Jobs:
             if self._jobs[job].state in OVER:
                 return self._jobs[job]
             changed = self._jobs[job] = replace(self._jobs[job], **fields)
-            self._announce(
-                "job", changed.to_json(with_result=False)
-            )  # in the order of the changes: the last one is the end
+            # in the order of the changes: the last one is the end
+            self._announce("job", changed.to_json(with_result=False))
         return changed
 
     def _forget_oldest(self) -> None:

@@ -86,10 +86,7 @@ def _load(file: Path, name: str) -> Record:
 
 def _record(file: Path, how: Mapping[str, Any]) -> Record:
     # - within the limits
-    from residuum.identification.record_formats import (  # noqa: PLC0415
-        ReadOptions,
-        read_record,
-    )
+    from residuum.identification.record_formats import ReadOptions, read_record  # noqa: PLC0415
     from residuum.service.work.signal_formats import FORMATS, check_npz  # noqa: PLC0415
 
     if "kind" in how:

@@ -306,9 +306,8 @@ def test_a_harmonic_at_the_width_of_a_band_is_no_line():
         {"bpfi": 358.6, "bpfo": 260.2, "bsf": 157.0, "ftf": 21.7}, 51.6
     )
     noise = np.random.default_rng(0).standard_normal((12, 23_000))
-    found = [
-        line_evidence(x, 10_000, frequencies) for x in noise
-    ]  # bands of 1250 Hz, 4 · 2 · 157 Hz = 1256 Hz
+    # bands of 1250 Hz, 4 · 2 · 157 Hz = 1256 Hz
+    found = [line_evidence(x, 10_000, frequencies) for x in noise]
     assert max(line.prominence for evidence in found for line in evidence.values()) < 5.0
 
 

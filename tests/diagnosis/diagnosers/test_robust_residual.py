@@ -34,9 +34,8 @@ from residuum.simulation.process import Process
 
 TS = 0.1
 PROCESS = TransferFunction([47619.0], [1.0, 234.0136, 6857.1, 5442.2]).discretise(TS)
-STD = float(
-    np.sqrt(np.sum(PROCESS.simulate(np.eye(1, 2000)[0]) ** 2) / 9.0)
-)  # of the noise at a variance ratio of 9
+# of the noise at a variance ratio of 9
+STD = float(np.sqrt(np.sum(PROCESS.simulate(np.eye(1, 2000)[0]) ** 2) / 9.0))
 
 
 def record(seed, n, *, mean=0.0, noise=None):
@@ -255,9 +254,8 @@ def test_size_is_unbiased_and_its_band_covers():
         y += offset * (np.arange(600) >= 300)
         found = FaultEstimator(base.generator, model.covariance, model.delay).estimate(u, y, 310)
         errors.append(((found.value - offset) / found.std, found.kind))
-    z = np.array(
-        [error for error, kind in errors if kind == "sensor-offset"]
-    )  # another kind's size has another unit
+    # another kind's size has another unit
+    z = np.array([error for error, kind in errors if kind == "sensor-offset"])
     assert sum(kind == "sensor-offset" for _, kind in errors) >= 95
     assert abs(z.mean()) < 0.35
     assert 0.90 <= np.mean(np.abs(z) < 1.96) <= 0.99

@@ -65,9 +65,8 @@ def size_of(finding, name):
 def test_values_that_move_with_a_temperature_scatter_less_than_they_move(motor):
     b = motor.baseline
     at = b.free.index("R")
-    assert (
-        np.sqrt(b.values.S[at, at]) < 0.01 * b.model.values["R"]
-    )  # over all temperatures they move by a twelfth on either side
+    # over all temperatures they move by a twelfth on either side
+    assert np.sqrt(b.values.S[at, at]) < 0.01 * b.model.values["R"]
 
 
 def test_a_changed_resistance_lies_in_its_band_at_any_temperature(motor):
@@ -85,9 +84,8 @@ def test_values_far_from_the_usual_are_told_where_they_are(motor):
     for seed in (70, 71):
         record, R = warm_motor(seed, 1.3)
         told = motor.score(record).evidence["parameters"]["R"]
-        assert (
-            abs(told["value"] - R) < 2e-3 * R
-        )  # to first order a tenth of the change would be missing
+        # to first order a tenth of the change would be missing
+        assert abs(told["value"] - R) < 2e-3 * R
 
 
 CART = """

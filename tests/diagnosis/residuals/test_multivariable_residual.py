@@ -70,9 +70,8 @@ def blind(three_outputs):
 
 
 def test_healthy_records_alarm_no_more_often_than_asked(two_by_two):
-    a_day = (
-        1e-4 * 86400 / 0.5
-    )  # one alarm in 10 000 samples: 4 of 20 records of 2000 may alarm, 9 with a chance of a hundredth
+    # one alarm in 10 000 samples: 4 of 20 records of 2000 may alarm, 9 with a chance of a hundredth
+    a_day = 1e-4 * 86400 / 0.5
     found = [
         detect_multivariable(two_by_two, plant(100 + k), false_alarms_per_day=a_day)
         for k in range(20)
@@ -126,11 +125,8 @@ def test_an_unknown_input_is_decoupled_and_sensors_are_still_told_apart(blind, t
     )
     direct = np.linalg.norm(three_outputs.frequency_response(omega)[:, :, 1], axis=1)
     assert np.max(through / direct) < 0.01 and blind.Q.D.shape == (2, 3)
-    watched = {
-        "outputs": 3,
-        "sizes": (1.0, 3.0),
-        "without": ("heater",),
-    }  # it moves three times as much as in the healthy record
+    # it moves three times as much as in the healthy record
+    watched = {"outputs": 3, "sizes": (1.0, 3.0), "without": ("heater",)}
     a_day = 1e-4 * 86400 / 0.5
     assert (
         sum(

@@ -70,6 +70,5 @@ def test_a_record_beyond_the_longest_is_cut_by_the_diagnoser_itself():
     )
     finding = JUDGE.score(Record({"a": x}, {"a": "g"}, 1 / RATE))
     assert finding.evidence["blocks"] == 2 and all(np.isfinite(list(finding.indicators.values())))
-    assert (
-        finding.within_absolute_limits and finding.evidence["faulty_blocks"] == 0
-    )  # it has no baseline
+    # it has no baseline
+    assert finding.within_absolute_limits and finding.evidence["faulty_blocks"] == 0

@@ -129,9 +129,8 @@ def test_a_sensor_that_hears_less_than_it_did_calls_nothing_healthy():
     edges = [10, 100, 1000, 2000, 4000]
     assert "dead" in not_heard([1, 2, 3, 4], [0.01, 0.03, 0.001, 0.04], edges)
     assert "above 1000 Hz" in not_heard([1, 2, 3, 4], [1, 2, 0.1, 0.04], edges)
-    assert (
-        not_heard([1, 2, 3, 4], [1, 2, 3, 0.04], edges) is None
-    )  # one band may fall: a gear's line that moved
+    # one band may fall: a gear's line that moved
+    assert not_heard([1, 2, 3, 4], [1, 2, 3, 0.04], edges) is None
     assert not_heard([1, 2, 3, 4], [0.2, 0.4, 0.6, 0.8], edges) is None
 
 

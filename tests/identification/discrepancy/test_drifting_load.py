@@ -57,9 +57,8 @@ def test_friction_is_found_though_a_load_drifts():
     assert found.drifting
     friction = found.candidates[0]
     assert friction.effect == "coulomb-friction"
-    assert friction.parameters["tau_c"].value == pytest.approx(
-        12.0, rel=0.5
-    )  # which the load that drifts is taken for, too
+    # which the load that drifts is taken for, too
+    assert friction.parameters["tau_c"].value == pytest.approx(12.0, rel=0.5)
 
 
 def test_a_weight_needs_no_load_of_every_window():

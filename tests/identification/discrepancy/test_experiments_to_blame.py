@@ -150,9 +150,8 @@ def test_a_delay_of_half_a_sample_that_the_timing_of_the_inputs_feigned_goes_wit
     found = explain(read_model(WOOFER), [record], effects=effects)
     assert {id for id, _ in found.accepted} == {"coulomb-friction", "inductance"}
     assert not any(e.hold.any() for e in found.found.court.data.experiments)
-    assert (
-        abs(found.found.best.model.values["inductance@coil.L"] - 1.09e-3) < 7e-5
-    )  # a lag of 9 µs takes a part
+    # a lag of 9 µs takes a part
+    assert abs(found.found.best.model.values["inductance@coil.L"] - 1.09e-3) < 7e-5
 
 
 def test_two_bodies_on_a_spring_are_not_half_a_sample_late_because_the_timing_was_chosen_without_them():

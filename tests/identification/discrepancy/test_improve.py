@@ -96,9 +96,8 @@ def test_a_tank_that_runs_over_at_the_end_of_its_record_is_learnt_from_there():
     )
     found = improve(read_model(VESSEL), [record])
     assert [use.id for use in found.model.effects] == ["overflow"]
-    assert (
-        found.explanation.candidates == explain(read_model(VESSEL), [record]).candidates
-    )  # one answer at both doors
+    # one answer at both doors
+    assert found.explanation.candidates == explain(read_model(VESSEL), [record]).candidates
     (use,) = found.added
     rim = quantities_of(use)["h_max"]
     assert 0.0 < rim.std < 0.005 and abs(rim.value - 0.45) < 4.0 * rim.std

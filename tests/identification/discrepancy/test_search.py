@@ -139,9 +139,8 @@ def test_a_position_that_is_not_recorded_is_no_free_force_of_every_window():
     )
     assert [id for id, _ in found.accepted] == ["quadratic-drag"]
     shares = [share for share, _ in told]
-    assert (
-        shares == sorted(shares) and sum(0.2 <= share < 0.75 for share in shares) >= 2
-    )  # who waits sees the search go on
+    # who waits sees the search go on
+    assert shares == sorted(shares) and sum(0.2 <= share < 0.75 for share in shares) >= 2
     assert any("beside quadratic-drag" in doing for _, doing in told)
 
 

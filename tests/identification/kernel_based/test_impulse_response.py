@@ -19,10 +19,8 @@ from residuum.identification.kernel_based.marginal_likelihood import marginal_li
 from residuum.identification.linear_models.uncertainty import design_uncertainty_weight
 from residuum.identification.record import Record
 
-NUMERATOR, DENOMINATOR = (
-    [0, 0, 0, 0.28261, 0.50666],
-    [1, -1.41833, 1.58939, -1.31608, 0.88642],
-)  # (2.38)
+# (2.38)
+NUMERATOR, DENOMINATOR = ([0, 0, 0, 0.28261, 0.50666], [1, -1.41833, 1.58939, -1.31608, 0.88642])
 UNITS = {"u": "V", "y": "mm"}
 
 

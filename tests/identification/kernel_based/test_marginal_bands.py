@@ -54,9 +54,8 @@ def random_case(seed, ratio=10.0, n=500):
 
 @pytest.mark.parametrize("kernel", ["tc", "dc"])
 def test_ninety_five_per_cent_of_random_systems_is_ninety_five_per_cent(kernel):
-    marginal, conditional = held(
-        kernel, random_case, range(5000, 5080)
-    )  # none of those of benchmarks/results/identification.md
+    # none of those of benchmarks/results/identification.md
+    marginal, conditional = held(kernel, random_case, range(5000, 5080))
     assert 0.91 <= marginal <= 0.985  # 92 to 98, and what 80 systems scatter
     assert conditional < marginal - 0.04
 

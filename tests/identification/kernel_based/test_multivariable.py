@@ -52,9 +52,8 @@ def test_joint_samples_carry_the_correlation_between_paths():
     np.testing.assert_allclose(
         np.cov(drawn.T), model.covariances[0], atol=0.06 * np.abs(model.covariances[0]).max()
     )
-    assert (
-        np.corrcoef(drawn[:, 0], drawn[:, 15])[0, 1] < -0.3
-    )  # the inputs agree, so the paths trade off
+    # the inputs agree, so the paths trade off
+    assert np.corrcoef(drawn[:, 0], drawn[:, 15])[0, 1] < -0.3
 
 
 def test_simulation_adds_the_paths():
@@ -109,9 +108,8 @@ def test_random_models_hold_what_the_order_cuts_off(tmp_path):
     read = load_multivariable(file)
     np.testing.assert_array_equal(read.sample_longer(5, 2), model.sample_longer(5, 2))
     file.write_text(multivariable_text(model).replace('"longer": [{', '"later": [{'))
-    np.testing.assert_array_equal(
-        load_multivariable(file).sample_longer(5, 2), read.sample(5, 2)
-    )  # as older files
+    # as older files
+    np.testing.assert_array_equal(load_multivariable(file).sample_longer(5, 2), read.sample(5, 2))
 
 
 def test_nothing_is_added_where_all_paths_have_decayed():

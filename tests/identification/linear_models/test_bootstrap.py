@@ -87,10 +87,8 @@ def test_the_error_on_new_data_lies_where_it_says_and_beyond_the_apparent_one():
 def test_the_weight_grows_with_overfitting():
     assert weighed(0.1, 0.1, 0.5) == (pytest.approx(0.1), 0.0)  # none: nothing to weigh
     error, overfitting = weighed(0.0, 0.5, 0.5)
-    assert (error, overfitting) == (
-        pytest.approx(0.5),
-        1.0,
-    )  # complete: the apparent error counts for nothing
+    # complete: the apparent error counts for nothing
+    assert (error, overfitting) == (pytest.approx(0.5), 1.0)
     assert weighed(0.0, 0.2, 0.5)[0] == pytest.approx(0.2 * 0.632 / (1 - 0.368 * 0.4))
 
 

@@ -37,9 +37,8 @@ def test_a_right_model_is_spoken_against_at_the_level_alone():
     model = fitted(0)
     checks = [residual_check(model, arx_record(seed)[0]) for seed in range(100, 160)]
     for found in ([c.whiteness for c in checks], [c.input for c in checks]):
-        assert (
-            sum(not test.passed for test in found) <= 4
-        )  # 60 at 1 %: beyond with probability .0004
+        # 60 at 1 %: beyond with probability .0004
+        assert sum(not test.passed for test in found) <= 4
     assert sum(c.model_error.falsified for c in checks) <= 6
     assert sum(c.passed for c in checks) >= 50
 
@@ -55,9 +54,8 @@ def test_each_wrong_model_is_told_by_the_test_that_it_fails():
     assert cut.model_error.falsified
     oe = residual_check(fitted(0, "oe", Orders(nb=2, nf=2)), record, first=1000)
     assert oe.whiteness is None
-    assert (
-        oe.passed
-    )  # the plant is right, its coloured noise is no fault of a method that has no model of it
+    # the plant is right, its coloured noise is no fault of a method that has no model of it
+    assert oe.passed
 
 
 def test_a_part_too_short_for_a_test_says_nothing():

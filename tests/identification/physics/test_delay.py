@@ -48,9 +48,8 @@ def test_a_delay_of_parts_of_a_sample_is_simulated_and_has_exact_slopes():
         Experiment(np.column_stack([power, 0 * power]), y[:, None], np.zeros(2), STEP),
     )
     run = Simulator(model).run(e, slopes=("L",))
-    assert (
-        np.abs(run.Y[:, 0] - y).max() < 0.02
-    )  # of some 120 K; within a sample the mean of a held power acts
+    # of some 120 K; within a sample the mean of a held power acts
+    assert np.abs(run.Y[:, 0] - y).max() < 0.02
     up, down = (Simulator(model).run(e, values={"L": 2.6 + s * 1e-6}).Y for s in (1, -1))
     assert np.abs(run.dY[:, :, 0] - (up - down) / 2e-6).max() < 1e-4
     assert np.abs(run.dY).max() > 1.0

@@ -267,8 +267,7 @@ def test_curvature_that_underflows_is_scaled_without_overflow():
     np.testing.assert_allclose(
         solve_scaled(H, np.array([[8.0], [1e-320]]))[:, 0], [2.0, 1.0], rtol=1e-3
     )
-    alike = np.array(
-        [[4.0, 1e300], [1e300, 1e-320]]
-    )  # no Gram matrix has it; a sum that overflowed may
+    # no Gram matrix has it; a sum that overflowed may
+    alike = np.array([[4.0, 1e300], [1e300, 1e-320]])
     assert np.all(np.isinf(np.diag(covariance_of(alike, 1.0, ("a", "b"), np.ones(2))[0])))
     assert not solve_scaled(alike, np.ones((2, 1))).any()

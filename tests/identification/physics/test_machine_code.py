@@ -48,9 +48,8 @@ def test_structures_share_what_their_equations_do_not_change(empty_cache):
     alone = set(empty_cache.glob("code_*"))
     kernel_of(model.with_effect("constant-load", "axis"))
     assert len(alone) == 3
-    assert (
-        len(set(empty_cache.glob("code_*")) - alone) == 1
-    )  # its own equations; columns and observation are there
+    # its own equations; columns and observation are there
+    assert len(set(empty_cache.glob("code_*")) - alone) == 1
 
 
 def test_a_structure_that_many_threads_ask_for_is_compiled_once(empty_cache, monkeypatch):

@@ -108,12 +108,10 @@ def test_what_an_effect_remembers_goes_on_from_window_to_window():
         simulator.run_vectors(e, x, simulator.p(), substeps=2).X
         for e, x in zip(parts, starts, strict=True)
     ]
-    assert (
-        np.max(np.abs(np.concatenate(forgotten)[:, 2] - run.X[:, 2])) > 0.5
-    )  # each alone begins without strain
-    apart = [
-        replace(e, source=str(k)) for k, e in enumerate(parts)
-    ]  # records of their own remember nothing of each other
+    # each alone begins without strain
+    assert np.max(np.abs(np.concatenate(forgotten)[:, 2] - run.X[:, 2])) > 0.5
+    # records of their own remember nothing of each other
+    apart = [replace(e, source=str(k)) for k, e in enumerate(parts)]
     alone = simulator.run_each(apart, starts, simulator.p(), substeps=[2] * len(parts))
     np.testing.assert_array_equal(np.concatenate([a.X for a in alone]), np.concatenate(forgotten))
     x_0 = model.values[names[1]]

@@ -45,9 +45,8 @@ def test_round_trip(tmp_path, ending):
         np.testing.assert_allclose(found, true, rtol=0 if ending in EXACT else 1e-6, atol=1e-9)
 
 
-@pytest.mark.filterwarnings(
-    "ignore::pytest.PytestUnraisableExceptionWarning"
-)  # asammdf's own destructor, on half-read files
+# asammdf's own destructor, on half-read files
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 @pytest.mark.parametrize("ending", READERS)
 @pytest.mark.parametrize("damage", ["empty", "text", "cut", "flipped"])
 def test_damaged_files_are_refused(tmp_path, ending, damage):
@@ -65,11 +64,8 @@ def test_damaged_files_are_refused(tmp_path, ending, damage):
             "flipped": flipped,
         }[damage]
     )
-    if (ending, damage) in {
-        (".csv", "cut"),
-        (".tdms", "cut"),
-        (".wav", "cut"),
-    }:  # a shorter file may still be a valid one
+    # a shorter file may still be a valid one
+    if (ending, damage) in {(".csv", "cut"), (".tdms", "cut"), (".wav", "cut")}:
         return
     with pytest.raises(BadRecord) as refused:
         read_record(path)

@@ -107,6 +107,5 @@ def test_a_hole_is_left_missing_and_told(tmp_path, capsys):
     assert run(["compare", "linear-axis", str(file), "--resample"]) == DONE
     told = capsys.readouterr()
     assert "200 samples left missing" in told.err
-    assert (
-        "(part 1: 0 to 4.9 s)" in told.out and "(part 2: 25 to 29.9 s)" in told.out
-    )  # nothing is simulated across the hole
+    # nothing is simulated across the hole
+    assert "(part 1: 0 to 4.9 s)" in told.out and "(part 2: 25 to 29.9 s)" in told.out

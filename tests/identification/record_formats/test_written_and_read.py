@@ -39,9 +39,8 @@ def records(draw):
     return Record(channels, {name: draw(st.sampled_from(UNITS)) for name in names}, step)
 
 
-@pytest.mark.parametrize(
-    "ending", [ending for ending in WRITERS if ending != ".wav"]
-)  # sound keeps neither units nor names
+# sound keeps neither units nor names
+@pytest.mark.parametrize("ending", [ending for ending in WRITERS if ending != ".wav"])
 @given(record=records())
 @settings(
     max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]

@@ -67,9 +67,8 @@ def test_the_noise_under_a_drifting_error_is_a_size_within_a_fifth_or_a_bound(no
             floor.rms > 0.9 * sigma if floor.at_most else floor.rms == pytest.approx(sigma, rel=0.2)
         ), error
         told.append(not floor.at_most)
-    assert sum(told) >= (
-        4 if noise == "coloured" else 11
-    )  # slow noise and the tail of a walk are alike
+    # slow noise and the tail of a walk are alike
+    assert sum(told) >= (4 if noise == "coloured" else 11)
 
 
 def test_without_a_fast_part_the_noise_is_nought_and_of_few_samples_a_bound():

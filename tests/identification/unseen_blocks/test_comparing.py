@@ -85,9 +85,8 @@ def test_what_takes_away_nothing_is_not_real_and_what_takes_half_is():
     assert is_real(one(0.5 * EVEN), base, base, POWER, 30)
     assert not is_real(one(0.95 * EVEN), base, base, POWER, 30)  # under a tenth
     chance = np.where(np.arange(20) % 2, 0.45, 1.3)
-    assert not is_real(
-        one(chance), base, base, POWER, 30
-    )  # an eighth, that half of the blocks deny
+    # an eighth, that half of the blocks deny
+    assert not is_real(one(chance), base, base, POWER, 30)
     assert not is_real(one(2.0 * EVEN), base, base, POWER, 30)
 
 

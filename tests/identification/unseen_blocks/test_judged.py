@@ -46,10 +46,8 @@ def test_blocks_left_out_are_judged_as_by_a_fit_without_them(friction):
     data = matched(read_model(CART), [cart_record(n=2000, friction=friction)], None)
     climbed = climb(data)
     one = judged(climbed.structure, climbed.found, climbed.last, data, climbed.scale)
-    (part,), begins = (
-        climbed.last.parts,
-        {"v": climbed.found.initial[0][0]},
-    )  # where it began is not what is judged
+    # where it began is not what is judged
+    (part,), begins = (climbed.last.parts, {"v": climbed.found.initial[0][0]})
     left = np.zeros(data.blocks)
     for fold in np.unique(data.fold):
         out = data.fold[climbed.last.block] == fold

@@ -24,15 +24,13 @@ def seen(times, overshoot=0.01):
 
 
 def test_a_quantile_is_known_once_its_interval_is_narrow():
-    two_groups = np.r_[
-        np.full(189, 10.0), np.full(11, 25.0)
-    ]  # 5.5 % settle late: of 200 nobody knows on which side 95 % lies
+    # 5.5 % settle late: of 200 nobody knows on which side 95 % lies
+    two_groups = np.r_[np.full(189, 10.0), np.full(11, 25.0)]
     assert not seen(two_groups).is_sure_of(0.95, TS)
     assert seen(np.tile(two_groups, 64)).is_sure_of(0.95, TS)  # of 12 800 everybody does
     assert seen(np.tile(two_groups, 64)).reached_by(0.95)[1] == 25.0
-    assert seen(np.r_[np.full(100, 10.0), np.full(100, 11.0)]).is_sure_of(
-        0.95, TS
-    )  # a sample more or less is no matter
+    # a sample more or less is no matter
+    assert seen(np.r_[np.full(100, 10.0), np.full(100, 11.0)]).is_sure_of(0.95, TS)
     assert not seen([*np.full(189, 10.0), *np.full(11, np.inf)]).is_sure_of(0.95, TS)
 
 
@@ -68,6 +66,5 @@ def test_output_and_control_signal_of_a_step_are_those_of_the_loop_run_sample_by
         u[k] = (u[k - 1] - e[k - 1] if k else 0.0) + 1.2 * e[k]
     np.testing.assert_allclose(step_response(plant, controller, 60.0), y, atol=1e-9)
     np.testing.assert_allclose(control_response(plant, controller, 60.0), u, atol=1e-9)
-    assert u[-1] == pytest.approx(
-        1.0, abs=1e-2
-    )  # what holds the output at 1 when the plant's gain is 1
+    # what holds the output at 1 when the plant's gain is 1
+    assert u[-1] == pytest.approx(1.0, abs=1e-2)

@@ -147,9 +147,8 @@ def test_what_was_not_seen_does_not_count():
     assert events_of(on, [(0, True), *((s, None) for s in range(10, 80, 10)), (80, True)]) == []
     assert events_of(on, [(0, True), (50, True), (900, True)]) == []
     assert events_of(on, [(s, True) for s in range(0, 100, 10)]) == [(60, "raise")]
-    assert events_of(on, [(600 * k, True) for k in range(4)]) == [
-        (1200, "raise")
-    ]  # windows that come seldom
+    # windows that come seldom
+    assert events_of(on, [(600 * k, True) for k in range(4)]) == [(1200, "raise")]
     assert events_of(off, [(0, True), (10, False), (7210, False)]) == [(0, "raise")]
     back = events_of(
         on,
@@ -174,9 +173,8 @@ def test_only_what_raised_an_alarm_holds_it_and_by_its_own_sign(seed):
     taus = {"raised": tau, "other": 1.0}
     assert in_deadband(rule, {"raised": inside, "other": 0.0}, taus, {"raised"})
     assert not in_deadband(rule, {"raised": outside, "other": 0.95}, taus, {"raised"})
-    assert in_deadband(
-        rule, {"raised": outside, "other": 0.95}, taus
-    )  # nobody kept which one it was
+    # nobody kept which one it was
+    assert in_deadband(rule, {"raised": outside, "other": 0.95}, taus)
     assert not in_deadband(rule, {"raised": -0.01}, {"raised": 0.0}, {"raised"})
     assert beyond({"raised": tau + 1, "other": 0.5}, taus) == {"raised"}
 

@@ -161,9 +161,8 @@ def test_of_two_processes_one_tells_and_the_other_takes_over(store_urls, tmp_pat
         again = second.next(hook)
         assert again.number == 2 and first.next(hook) is None
         late = DiskStore(tmp_path / "data", url)
-        assert (
-            late.outbox.next(late.outbox.register("http://another/")) is None
-        )  # it is told what comes from now on
+        # it is told what comes from now on
+        assert late.outbox.next(late.outbox.register("http://another/")) is None
         for store in (*stores, late):
             store.close()
 
@@ -250,9 +249,8 @@ def test_findings_that_wait_are_bounded_and_what_was_let_go_is_counted_once(
         assert [finding.window for finding in batch.findings] == windows[-5:] and batch.lost == 7
         store.outbox.told_findings(broker, [batch.findings[0].id], batch.lost)
         assert store.outbox.findings(broker).lost == 0
-        store.retain(
-            Retention(0.0, 0, 0.0, 0)
-        )  # rows that go are told no more, and the newest stays
+        # rows that go are told no more, and the newest stays
+        store.retain(Retention(0.0, 0, 0.0, 0))
         batch = store.outbox.findings(broker)
         assert [finding.window for finding in batch.findings] == windows[-1:] and batch.lost == 3
         store.close()

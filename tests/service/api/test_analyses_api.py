@@ -120,9 +120,10 @@ def test_the_weight_lies_above_the_drawn_models_and_the_residual_shows_the_fault
             and len(forms[form]["sampled_frequency"]) == 80
         )
         assert np.mean(np.array(forms[form]["samples"]) <= np.array(forms[form]["weight"])) > 0.99
+    # the gain is below 1
     assert np.median(forms["additive"]["samples"]) < np.median(
         forms["inverse-multiplicative"]["samples"]
-    )  # the gain is below 1
+    )
     asked = {"healthy": [healthy], "record": faulty, "offset": 0.2}
     job = result(client, client.post("/api/v1/models/trusted/residual-views", json=asked))
     assert job["state"] == "done", job
@@ -388,13 +389,11 @@ def test_effects_that_a_model_file_defines_are_proposed_and_added(client, refuse
     )
     assert job["state"] == "done", job
     values = read_model(job["result"]["file"]).values
-    assert values["half-drain@tank.c"] == pytest.approx(
-        0.8e-3, rel=0.05
-    )  # [m**2/s]; the model is in litres
+    # [m**2/s]; the model is in litres
+    assert values["half-drain@tank.c"] == pytest.approx(0.8e-3, rel=0.05)
     assert values["half-drain@tank.m"] == pytest.approx(1.5, rel=0.05)
-    assert (
-        refused("POST", "/api/v1/models/linear-axis/explain", json=asked)[0] == 404
-    )  # another model's
+    # another model's
+    assert refused("POST", "/api/v1/models/linear-axis/explain", json=asked)[0] == 404
 
 
 def test_a_catalogue_that_is_none_is_the_jobs_one_line(client, leaking_tank):

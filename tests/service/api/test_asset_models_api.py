@@ -76,9 +76,8 @@ def test_a_model_is_proposed_with_its_thresholds_and_accepted(client, service):
     assert found["alarms"]["windows"] >= 2 and found["alarms"]["new"] == 0
     error = found["model_error"]["outputs"]["velocity"]
     assert error["unit"] == "m/s" and 0.02 < error["new"] < 0.05 and error["old"] > 3 * error["new"]
-    assert (
-        client.get(path).json()["active"]["note"] == "linear-axis: to begin with"
-    )  # nothing is active yet
+    # nothing is active yet
+    assert client.get(path).json()["active"]["note"] == "linear-axis: to begin with"
 
     accepted = client.post(
         path, json={"model": "damped", "version": 1, "proposal": found["proposal"]}

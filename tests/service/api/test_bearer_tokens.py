@@ -194,9 +194,8 @@ def test_a_new_key_of_the_issuer_is_taken_up_and_guesses_do_not_ask_it_again_and
     client, issuer, monkeypatch
 ):
     client.get("/assets", headers=shown(issuer.token()))
-    monkeypatch.setattr(
-        "residuum.service.security.bearer_tokens._KEYS_AGAIN", 3600.0
-    )  # however long this takes here
+    # however long this takes here
+    monkeypatch.setattr("residuum.service.security.bearer_tokens._KEYS_AGAIN", 3600.0)
     before = issuer.asked
     for number in range(20):
         client.get("/assets", headers=shown(issuer.token(key="first", sub=str(number))))

@@ -58,9 +58,8 @@ def test_every_point_of_the_front_behaves_as_it_is_drawn(client, stored):
         "unit": "m",
     }
     firsts, seconds = ([point[name] for point in found["points"]] for name in ("first", "second"))
-    assert firsts == sorted(firsts) and seconds == sorted(
-        seconds, reverse=True
-    )  # a front: more of the one, less of the other
+    # a front: more of the one, less of the other
+    assert firsts == sorted(firsts) and seconds == sorted(seconds, reverse=True)
     for point in found["points"]:
         steps = point["steps"]
         samples = np.round(np.array(steps["time"]) / 0.1).astype(int)

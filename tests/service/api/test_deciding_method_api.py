@@ -84,9 +84,8 @@ def test_the_chosen_method_decides_from_the_next_window_on_and_both_are_told(
     by_source = found(client, overlooked)
     assert by_source["verdict"] == "healthy" and by_source["evidence"]["method"] == "source"
     assert by_source["evidence"]["default_method"]["verdict"] == "faulty"
-    assert (
-        found(client, overlooked, method="default")["verdict"] == "faulty"
-    )  # a window's own wish stands before
+    # a window's own wish stands before
+    assert found(client, overlooked, method="default")["verdict"] == "faulty"
     service.stop()
     service.start()  # kept
     with httpx.Client(base_url=service.url, timeout=60) as anew:
@@ -149,9 +148,8 @@ def test_a_choice_for_another_diagnoser_decides_nothing(service):
 def test_a_model_that_is_called_like_a_machines_document_is_none(service, case):
     store, faulty = service.services.store, body(case.faulty[0])
     store.add_model_version("pump", "baseline", store.model_content("plant"))
-    store.add_model_version(
-        "pump.method", "baseline", store.model_content("plant")
-    )  # of a machine with this name
+    # of a machine with this name
+    store.add_model_version("pump.method", "baseline", store.model_content("plant"))
     store.add_model_version("pump.limits", "physical", b"name: pump")
     with httpx.Client(base_url=f"{service.url}/api/v1", timeout=60) as client:
         for asset in ("pump", "pump.method"):

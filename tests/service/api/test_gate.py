@@ -35,9 +35,8 @@ def test_a_chunked_body_is_cut_off_at_the_limit(run_service):
     with socket.create_connection(("127.0.0.1", service.port)) as connection:
         connection.settimeout(60)
         head = "POST /api/v1/records?filename=a.csv HTTP/1.1\r\nHost: localhost\r\nTransfer-Encoding: chunked\r\n\r\n"
-        with contextlib.suppress(
-            ConnectionError
-        ):  # the answer may come, and the connection end, before all is sent
+        # the answer may come, and the connection end, before all is sent
+        with contextlib.suppress(ConnectionError):
             connection.sendall(
                 head.encode() + b"".join(b"10000\r\n" + b"x" * 65536 + b"\r\n" for _ in range(3))
             )

@@ -129,9 +129,8 @@ def test_readers_that_take_long_hold_up_neither_the_loop_nor_other_routes(client
         assert busy.acquire(timeout=60) and busy.acquire(timeout=60)
         for path in ("/api/v1/health/live", "/api/v1/health/ready", "/api/v1/assets"):
             assert client.get(path).status_code == 200
-        short = client.post(
-            "/api/v1/models?name=short", content=b"name: short"
-        )  # needs no process, so it waits for none
+        # needs no process, so it waits for none
+        short = client.post("/api/v1/models?name=short", content=b"name: short")
         assert short.status_code == 422 and short.json()["detail"].startswith("model file")
         assert not busy.acquire(timeout=0.1), "two at once"
     finally:
@@ -152,9 +151,8 @@ def test_a_question_is_short(client, refused):
 
 
 def test_a_long_model_and_a_packed_one_are_checked_within_limits(client, refused):
-    model = client.get(
-        "/api/v1/models/gate-drive/description"
-    )  # the service has it; its own text is short
+    # the service has it; its own text is short
+    model = client.get("/api/v1/models/gate-drive/description")
     assert model.status_code == 200
     long = (
         "name: long\n"

@@ -54,9 +54,8 @@ def test_an_asset_that_is_called_like_a_verb_is_no_operator_s(plant, name):
         client.put(path, headers=keys["engineer"], json={"title": "theirs"}).json()["title"]
         == "theirs"
     )
-    assert (
-        client.post(f"/api/v1/alarms/1/{name}", headers=keys["operator"]).status_code == 404
-    )  # may, and there is none
+    # may, and there is none
+    assert client.post(f"/api/v1/alarms/1/{name}", headers=keys["operator"]).status_code == 404
 
 
 def test_health_of_an_asset_is_not_the_service_s(plant):

@@ -211,9 +211,8 @@ def test_the_spectrum_shows_a_sine_with_its_amplitude(client):
     stored = client.post(
         "/api/v1/assets/tone/windows", params={"diagnoser": "robust-residual"}, json=as_json(record)
     )
-    if (
-        stored.status_code == 422
-    ):  # the diagnoser wants its own channels; the view does not depend on it
+    # the diagnoser wants its own channels; the view does not depend on it
+    if stored.status_code == 422:
         record = Record(
             {"acceleration": record["u"], "speed": np.full(record.n, 1500.0)},
             {"acceleration": "m/s²", "speed": "rpm"},

@@ -114,9 +114,8 @@ def test_what_is_reported_in_time_is_what_the_loop_does(model, tmp_path, options
         drawn = nominal.sample(60, seed=77)  # plants that nobody has looked at
         each = [stepped(controller["numerator"], controller["denominator"], g, 15.0) for g in drawn]
         kept = [o <= promised["overshoot"] and s <= promised["settling_time_s"] for o, s in each]
-        assert (
-            np.mean(kept) >= 0.9
-        )  # of 95 % promised: fewer than 54 of 60 come by chance once in 20
+        # of 95 % promised: fewer than 54 of 60 come by chance once in 20
+        assert np.mean(kept) >= 0.9
         truth = 0.3 * 0.8 ** np.arange(150)
         overshoot, settling = stepped(
             controller["numerator"], controller["denominator"], truth, 15.0

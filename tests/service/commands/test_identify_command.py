@@ -115,9 +115,8 @@ def test_order_is_chosen_on_held_out_blocks_on_request(record_file, capsys):
             == DONE
         )
         orders[criterion] = len(json.loads(capsys.readouterr().out)["denominator"])
-    assert (
-        orders["k-fold"] > orders["bic"]
-    )  # white output noise is no ARX: held-out blocks pay for more lags than BIC grants
+    # white output noise is no ARX: held-out blocks pay for more lags than BIC grants
+    assert orders["k-fold"] > orders["bic"]
 
 
 def test_human_report_carries_units_and_uncertainty(record_file, tmp_path, capsys):

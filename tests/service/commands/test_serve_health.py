@@ -47,9 +47,8 @@ def test_what_is_not_judged_is_told_by_machine_with_its_reason_and_the_way_on(tm
     settings, log = tmp_path / "settings.yaml", tmp_path / "log"
     settings.write_text(yaml.safe_dump({"machines": [machine]}))
     with (
-        tempfile.TemporaryDirectory(
-            dir="/tmp"
-        ) as folder,  # processes meet at sockets in it, whose names may have 107 bytes
+        # processes meet at sockets in it, whose names may have 107 bytes
+        tempfile.TemporaryDirectory(dir="/tmp") as folder,
         log.open("w") as written,
         subprocess.Popen(
             [*COMMAND, "--data", str(tmp_path / "data"), "--settings", str(settings)],

@@ -57,10 +57,8 @@ class FaultyModbus:
             begin = pages.address + pages.stride * (self.complete % pages.count)
             self.memory[begin : begin + len(page)] = page
             self.complete += 1
-        self.memory[pages.newest : pages.newest + 2] = (
-            self.complete >> 16,
-            self.complete & 0xFFFF,
-        )  # all at once
+        # all at once
+        self.memory[pages.newest : pages.newest + 2] = (self.complete >> 16, self.complete & 0xFFFF)
 
     def stop(self):
         if self._thread.is_alive():

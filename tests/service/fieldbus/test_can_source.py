@@ -34,9 +34,8 @@ class Bench:
         self.blocks, self.room = [], True
         settings = SourceSettings(kind="can", channel=self.channel, map="gate_actuator.dbc")
         self.source = SOURCES["can"](settings, self.take)
-        self.source._clock = lambda: (
-            0.0
-        )  # a pause of this bench is a busy machine, not a silent sender
+        # a pause of this bench is a busy machine, not a silent sender
+        self.source._clock = lambda: 0.0
         self.source.start()
         self.bus = open_bus(self.channel)
         self.wait(lambda: self.source._bus is not None)

@@ -239,9 +239,8 @@ def test_multiplexed_signals_have_values_on_their_page_only(tmp_path):
     back = {name: values[:3] for name, values in channels.items()}
     assert np.array_equal(layout.encode(counter[:3], back), frames)
     everything = {name: np.nan_to_num(values, nan=7.0) for name, values in back.items()}
-    assert np.array_equal(
-        layout.encode(counter[:3], everything), frames
-    )  # what is on another page is not sent
+    # what is on another page is not sent
+    assert np.array_equal(layout.encode(counter[:3], everything), frames)
 
 
 def test_unsigned_numbers_of_64_bits_are_never_negative(tmp_path):

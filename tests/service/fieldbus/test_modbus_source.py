@@ -30,13 +30,14 @@ class Bench:
     def __init__(self, faults=()):
         self.server = FaultyModbus(iter(faults))
         self.blocks = []
+        # without faults nothing may be counted, however busy this machine is
         self.source = ModbusSource(
             "127.0.0.1",
             self.server.port,
             MAP,
             lambda block: self.blocks.append(block) or True,
             timeout=0.1 if faults else 5.0,
-        )  # without faults nothing may be counted, however busy this machine is
+        )
 
     def wait(self, condition, seconds=120.0):
         end = time.monotonic() + seconds
@@ -105,9 +106,8 @@ def test_one_wrong_reply_of_each_kind_costs_no_sample_and_is_counted(make_bench,
     bench.wait(lambda: len(bench.read()) == 60)
     assert np.array_equal(bench.read(), np.arange(60))
     bench.assert_all_values_are_true()
-    if (
-        kind != "old content"
-    ):  # what was in the registers before: a page that is not the one asked for, or no page at all
+    # what was in the registers before: a page that is not the one asked for, or no page at all
+    if kind != "old content":
         assert sum(bench.counted().values()) >= 1
     assert bench.server.done == 1
     assert (kind in faulty_modbus.NO_REPLY_AT_ALL) <= bench.counted().get("undecodable", 0)

@@ -137,9 +137,8 @@ def test_all_modbus_traffic_goes_through_the_transport_of_pymodbus(wire):
         "y": 398.0,
     }
     requests, replies = wire.frames("request"), wire.frames("reply")
-    assert (
-        len(requests) == len(replies) >= 8
-    )  # every request has its reply, and nothing else went over the wire
+    # every request has its reply, and nothing else went over the wire
+    assert len(requests) == len(replies) >= 8
     assert (
         {function for function, _ in requests} == {function for function, _ in replies} == {3, 16}
     )

@@ -117,9 +117,8 @@ def test_every_value_of_fifty_random_messages_is_that_of_cantools(random_dbc):
         for k, frame in enumerate(frames):
             try:
                 told = message.decode(frame.tobytes(), decode_choices=False)
-            except (
-                DecodeError
-            ):  # a page that the file does not know: cantools gives nothing of such a frame
+            except DecodeError:
+                # a page that the file does not know: cantools gives nothing of such a frame
                 continue
             for channel, values in channels.items():
                 right = float(told.get(channel, np.nan))

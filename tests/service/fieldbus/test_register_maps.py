@@ -136,10 +136,8 @@ def test_polled_values_that_look_wrong_are_doubtful_and_the_remark_says_what_to_
         _, health = first_block(
             device, write_map(channels), lambda health: health.snapshot()["samples"] > 25
         )
-    assert health.snapshot()["remarks"] == [] and health.snapshot()["quality"] in (
-        "good",
-        "losing",
-    )  # a busy machine polls late
+    # a busy machine polls late
+    assert health.snapshot()["remarks"] == [] and health.snapshot()["quality"] in ("good", "losing")
 
 
 def test_bit_fields_scale_registers_and_every_table(write_map):

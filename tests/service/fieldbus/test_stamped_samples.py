@@ -111,9 +111,8 @@ def drawn_changes(seed, n=300):
         for name, values in slow.items():
             before = values[k - 1] if k else None
             if k == 0 or not (values[k] == before or (np.isnan(values[k]) and np.isnan(before))):
-                told.append(
-                    (name, -400 if k == 0 else k, values[k])
-                )  # the first was written long ago
+                # the first was written long ago
+                told.append((name, -400 if k == 0 else k, values[k]))
     return told, slow, n
 
 

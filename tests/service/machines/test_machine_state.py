@@ -25,9 +25,8 @@ def test_only_a_machine_whose_windows_are_judged_now_is_running(cut, silent, wai
         assert state.doing.startswith("waiting ") and all(
             source in state.doing for source in silent
         )
-    rests = (
-        not silent and not waiting and cut != "sliding"
-    )  # a machine that stands still is in order
+    # a machine that stands still is in order
+    rests = not silent and not waiting and cut != "sliding"
     assert bool(state.way_on) == (late and not rests)
 
 

@@ -53,9 +53,8 @@ def wait_for(condition, seconds=120.0):
     assert condition()
 
 
-def watch(
-    asset, cut, *sources, length=15
-):  # seconds; the plant's diagnoser judges no shorter windows
+# seconds; the plant's diagnoser judges no shorter windows
+def watch(asset, cut, *sources, length=15):
     window = WindowSettings(cut=cut, length=length, step=5)
     return MachineSettings(
         asset=asset, diagnoser=DIAGNOSER_OF[asset], window=window, sources=list(sources)
@@ -141,9 +140,8 @@ def _on(service, machine):
 def test_a_dead_device_never_stops_the_others_and_comes_back(run_service, free_port, demo_baseline):
     dead, alive = free_port(), free_port()
     source = {"kind": "modbus", "map": "process_plant.yaml"}
-    machines = [
-        watch("process-plant", "sliding", SourceSettings(port=alive, **source), length=10)
-    ]  # whatever is found
+    # whatever is found
+    machines = [watch("process-plant", "sliding", SourceSettings(port=alive, **source), length=10)]
     machines.append(
         machines[0]
         | {

@@ -161,9 +161,8 @@ def test_the_page_writes_and_the_client_is_known_behind_a_proxy(
                 )
                 with client.stream("GET", "/api/v1/events", extensions=more) as events:
                     running.services.events.publish("job", {"id": "j"})
-                    assert next(
-                        line for line in events.iter_lines() if '"id":"j"' in line
-                    )  # as it comes
+                    # as it comes
+                    assert next(line for line in events.iter_lines() if '"id":"j"' in line)
         finally:
             process.kill()  # its way of ending waits for open streams
 
@@ -198,9 +197,8 @@ def test_limits_are_the_client_s_own_behind_a_trusted_proxy(service, run_service
         ]
 
     first, second = asked("192.0.2.1", 6), asked("192.0.2.2", 1)
-    assert (
-        429 in first or time.monotonic() - begun > 4
-    )  # a busy machine may take as long as it likes
+    # a busy machine may take as long as it likes
+    assert 429 in first or time.monotonic() - begun > 4
     assert second == [401]
     assert key
 

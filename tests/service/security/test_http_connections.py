@@ -87,9 +87,8 @@ def test_a_head_that_does_not_come_to_its_end_is_not_waited_for(connect):
         for byte in ASK[:-1]:
             slow.sendall(bytes([byte]))
             time.sleep(0.05)
-    assert (
-        said(slow) == said(silent) == b""
-    )  # who is not closed by the other side waits in vain, and fails
+    # who is not closed by the other side waits in vain, and fails
+    assert said(slow) == said(silent) == b""
 
 
 def test_a_request_under_way_may_take_its_time_and_the_next_one_too(connect):

@@ -12,9 +12,8 @@ def test_no_start_of_the_demo_counts_a_device_that_is_not_there_yet(run_service)
     end = time.monotonic() + 300
     while True:
         sources = service.services.pipeline.status()["sources"]
-        if all(
-            source["quality"] in ("good", "losing") for source in sources.values()
-        ):  # a busy machine polls late
+        # a busy machine polls late
+        if all(source["quality"] in ("good", "losing") for source in sources.values()):
             break
         assert time.monotonic() < end, {name: source["quality"] for name, source in sources.items()}
         time.sleep(0.2)

@@ -111,9 +111,8 @@ def test_whatever_bit_flips_what_comes_back_is_right_or_nothing(tmp_path, backup
         damaged[place] ^= 0x10
         backup.write_bytes(damaged)
         new = tmp_path / f"new-{number}"
-        if (
-            run(["restore", str(backup), "--data", str(new)]) == 0
-        ):  # padding, or a field of the tar header that says nothing
+        # padding, or a field of the tar header that says nothing
+        if run(["restore", str(backup), "--data", str(new)]) == 0:
             unharmed += 1
             assert everything(new, f"sqlite:///{new / 'residuum.db'}") == right
         else:

@@ -56,9 +56,8 @@ class LossyProxy:
                     if b"COMMIT" in said and self.lose and self.lose in said:
                         self.lose = None
                         self.lost += 1
-                        server.recv(
-                            65536
-                        )  # the answer: the transaction stands, and nobody hears of it
+                        # the answer: the transaction stands, and nobody hears of it
+                        server.recv(65536)
                         return
                     if b"COMMIT" in said or b"ROLLBACK" in said:
                         said = b""

@@ -47,9 +47,8 @@ def test_what_is_moved_takes_nothing_and_is_told_at_once(run_service, tmp_path, 
 def test_readiness_is_looked_at_once_a_second_at_most(run_service, monkeypatch):
     service = run_service()
     now, looks = [0.0], []
-    monkeypatch.setattr(
-        disk_store, "time", SimpleNamespace(monotonic=lambda: now[0])
-    )  # of the store alone
+    # of the store alone
+    monkeypatch.setattr(disk_store, "time", SimpleNamespace(monotonic=lambda: now[0]))
     store = service.services.store
     store._checked_at = -10.0
     probe = store._blocks.probe

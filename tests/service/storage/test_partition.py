@@ -118,9 +118,8 @@ def test_an_answer_that_is_lost_while_the_lock_is_taken_again_is_not_the_last(
 
     def lost_once(lock, connection):
         answer = free(lock, connection)
-        if (
-            not lost
-        ):  # granted, but the answer does not arrive, and the server believes in the session
+        # granted, but the answer does not arrive, and the server believes in the session
+        if not lost:
             lost.append(lock._held.pop_all())
             raise OperationalError("SELECT", {}, Exception("the connection is lost"))
         answers.append(answer)
@@ -145,9 +144,8 @@ def test_who_finds_the_folder_taken_is_told(new_postgresql_database, monkeypatch
     ours, theirs = Database(url), Database(url)
     with database_lock(ours, "folder", told.append):
         take = service_lock._AdvisoryLock.take
-        monkeypatch.setattr(
-            service_lock._AdvisoryLock, "take", lambda lock: False
-        )  # while another is faster
+        # while another is faster
+        monkeypatch.setattr(service_lock._AdvisoryLock, "take", lambda lock: False)
         with theirs.read() as connection:
             connection.execute(
                 text("SELECT pg_terminate_backend(pid) FROM pg_locks WHERE locktype = 'advisory'")
@@ -172,9 +170,8 @@ def locked(run_service, tmp_path, monkeypatch):
 
 def test_reads_do_not_wait_behind_writes_that_cannot_be_done(locked):
     service, let_go = locked
-    source = [
-        Source(service.port, f"press-{k}") for k in range(40)
-    ]  # as many as there are threads for requests
+    # as many as there are threads for requests
+    source = [Source(service.port, f"press-{k}") for k in range(40)]
     for each in source:
         each.start()
     wait_for(lambda: sum(each.refused for each in source) >= 40, "nobody was refused")

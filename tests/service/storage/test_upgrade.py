@@ -31,9 +31,8 @@ def left(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def client(left, run_service):
-    service = run_service(
-        data=left[0], keep_days=math.inf, keep_row_days=math.inf
-    )  # however old the folder is by now
+    # however old the folder is by now
+    service = run_service(data=left[0], keep_days=math.inf, keep_row_days=math.inf)
     with httpx.Client(base_url=f"{service.url}/api/v1/", timeout=60) as client:
         yield client
 

@@ -115,9 +115,8 @@ def legible(fits):
     return check
 
 
-@pytest.fixture(
-    scope="module"
-)  # not longer: while it lives, no other test in this process can run an event loop
+# not longer: while it lives, no other test in this process can run an event loop
+@pytest.fixture(scope="module")
 def chromium():
     if CHROMIUM is None:
         pytest.skip(
@@ -147,9 +146,8 @@ def open_page(chromium):
             stack.callback(opened.close)
             page = opened.new_page()
             page.set_default_timeout(PATIENCE)
-            stack.callback(
-                page.unroute_all, behavior="ignoreErrors"
-            )  # a route under way must not outlive its test
+            # a route under way must not outlive its test
+            stack.callback(page.unroute_all, behavior="ignoreErrors")
 
             def complain(text):
                 if not any(part in text for part in expected):

@@ -51,9 +51,8 @@ def worn_fan(run_service):
             reason="a test",
             evidence=evidence,
         )
-        with (
-            pytest.MonkeyPatch.context() as clock
-        ):  # windows come evenly, however busy this computer is
+        # windows come evenly, however busy this computer is
+        with pytest.MonkeyPatch.context() as clock:
             clock.setattr(
                 disk_store, "_now", lambda moment=begin + k * timedelta(minutes=1): moment
             )
@@ -93,9 +92,8 @@ def test_an_alarm_leads_to_its_window_and_on_to_the_workbench(worn_fan, open_pag
     ).to_be_visible()
     legible(page)
     page.locator("[data-key=window-20]").click()
-    expect(
-        page.get_by_text("Window 20 shows nothing that needs a cause.")
-    ).to_be_visible()  # the chosen one, not the last one
+    # the chosen one, not the last one
+    expect(page.get_by_text("Window 20 shows nothing that needs a cause.")).to_be_visible()
     page.locator("[data-key=explain-window]").click()
     expect(
         page.get_by_text("fan has no model yet: choose one under Watch a machine")

@@ -248,9 +248,8 @@ def test_a_press_is_not_lost_when_the_list_changes_before_the_release(service, o
     button.hover()
     page.mouse.down()
     store(service, "press", 2.5)
-    expect(page.locator(".machine", has_text="Press")).to_contain_text(
-        "2.5 m/s² above"
-    )  # the page has drawn what came
+    # the page has drawn what came
+    expect(page.locator(".machine", has_text="Press")).to_contain_text("2.5 m/s² above")
     page.mouse.up()
     expect(page.locator(".alarm")).to_contain_text("acknowledged by local")
     store(service, "press", 0.5)
@@ -282,9 +281,9 @@ def test_what_happens_while_the_state_is_read_is_not_forgotten(service, open_pag
         route.fulfill(response=answer)
 
     page.route(re.compile("/api/v1/alarms[?]"), late)
-    for k in range(
-        20
-    ):  # a machine that the page does not know: it reads all anew; again where it was not live just then
+    # a machine that the page does not know: it reads all anew; again where it was not live just
+    # then
+    for k in range(20):
         with page.expect_response(re.compile("/api/v1/alarms[?]")):
             store(service, f"new-{service.port}-{k}", 0.3)
         expect(page.locator(".machine", has_text=f"New {service.port} {k}")).to_contain_text(

@@ -51,9 +51,8 @@ def test_no_script_imports_itself_by_others():
 def test_lines_are_no_longer_than_pythons_and_no_diagnoser_is_known_by_name(file):
     text = file.read_text()
     assert max(map(len, text.splitlines())) <= 130
-    others = [
-        name for name in DIAGNOSERS if name != file.stem
-    ]  # but a page that is for one diagnoser, and named after it
+    # but a page that is for one diagnoser, and named after it
+    others = [name for name in DIAGNOSERS if name != file.stem]
     assert not [name for name in others if re.search(rf"[\"'`]{name}[\"'`]", text)]
 
 

@@ -135,9 +135,8 @@ def test_a_diagnoser_with_two_methods_is_trained_with_the_one_that_is_chosen(
     assert put.status_code == 200, put.text
     page = open_page(f"{service.url}/#/watch?machine=plant&step=train", expected=("409",))
     key(page, "method").select_option("source")
-    expect(page.get_by_label("false alarms a day that you accept")).to_have_count(
-        0
-    )  # it is not a setting of this diagnoser
+    # it is not a setting of this diagnoser
+    expect(page.get_by_label("false alarms a day that you accept")).to_have_count(0)
     expect(page.get_by_label("what decides")).to_have_value("source")
     legible(page)
     with page.expect_request(re.compile("/assets/plant/training$")) as sent:

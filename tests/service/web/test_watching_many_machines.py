@@ -227,9 +227,8 @@ def test_the_history_of_alarms_is_filtered_ordered_and_cut_to_a_period(
     legible(page)
     key(page, "order").select_option("urgent")
     expect(rows(page).first).to_contain_text("still there")
-    expect(rows(page).nth(1)).to_contain_text(
-        "RMS 1.5 of the press"
-    )  # gone again, and nobody has seen it
+    # gone again, and nobody has seen it
+    expect(rows(page).nth(1)).to_contain_text("RMS 1.5 of the press")
     key(page, "order").select_option("")
     key(page, "state").select_option("cleared")
     expect(rows(page)).to_have_count(2)

@@ -216,9 +216,8 @@ def test_a_model_file_is_edited_and_a_wrong_one_refused(service, open_page):
     expect(page.get_by_label("Name of the model")).to_have_value("axis-of-hall-3")
     page.get_by_role("button", name="Store", exact=True).click()
     expect(page.get_by_label("model", exact=True)).to_contain_text("axis-of-hall-3, version 1")
-    assert (
-        page.locator(".notice").count() == 0
-    )  # at once: the message goes with the success, not by its own time
+    # at once: the message goes with the success, not by its own time
+    assert page.locator(".notice").count() == 0
     expect(page.get_by_label("value of M")).to_have_value("80")
 
 
@@ -323,9 +322,8 @@ def test_a_model_is_added_to_automatically_and_accepted_for_a_machine(service, o
     page.get_by_role("button", name="Accept with the new thresholds").click()
     expect(page.get_by_text("it is version 1 of")).to_be_visible()
     page.get_by_role("link", name="this machine's model").click()
-    expect(
-        page.get_by_role("heading", name="Axis", exact=True)
-    ).to_be_visible()  # the machine's page, no longer the workbench
+    # the machine's page, no longer the workbench
+    expect(page.get_by_role("heading", name="Axis", exact=True)).to_be_visible()
     expect(page.locator("li", has_text="damped-axis, version 1")).to_contain_text("damping found")
     assert (
         store.model_versions("axis")[0].note == "accepted with damped-axis, version 1, proposal 1"

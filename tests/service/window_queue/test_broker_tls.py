@@ -138,10 +138,8 @@ def test_who_shows_nothing_or_is_shown_another_is_not_let_in(broker):
     url, files = broker
     let_in = partial(broker_address, url)
     Broker(let_in(BrokerTls(**named(files)))).try_connection()
-    for unknown in (
-        BrokerTls(**named(files, "another")),
-        None,
-    ):  # None: the authorities of the system
+    # None: the authorities of the system
+    for unknown in (BrokerTls(**named(files, "another")), None):
         with pytest.raises(OSError, match="certificate verify failed"):
             Broker(let_in(unknown)).try_connection()
     with pytest.raises(OSError):  # without a certificate of ours it ends the handshake

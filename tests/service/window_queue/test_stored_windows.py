@@ -146,9 +146,8 @@ def test_findings_and_alarms_of_a_scorer_are_told_once_and_in_order_also_after_t
         assert [payload["id"] for kind, payload in told if kind == "finding"] == list(
             range(last.id - 19, last.id + 1)
         )
-        own = see(
-            service.services.store, "press-2", "faulty"
-        )  # which is notified over the same broker, too
+        # which is notified over the same broker, too
+        own = see(service.services.store, "press-2", "faulty")
         told += listener.until(
             lambda kind, payload: kind == "alarm" and payload["asset"] == "press-2"
         )

@@ -97,9 +97,8 @@ def test_a_killed_scorer_and_a_killed_broker_lose_nothing_and_store_nothing_twic
     port = free_port()
     broker = start_mosquitto(port)
     mqtt, data = f"mqtt://127.0.0.1:{port}/plant-7", tmp_path / "data"
-    DiskStore(
-        data, f"sqlite:///{data / 'residuum.db'}"
-    ).close()  # so that the scorers need not make it at the same time
+    # so that the scorers need not make it at the same time
+    DiskStore(data, f"sqlite:///{data / 'residuum.db'}").close()
     spools = [Spool(tmp_path / f"spool-{k}", 2**30) for k in (1, 2)]
     gateways = [
         Gateway(f"hall-{k}", spool, broker_address(mqtt), resend_after=5.0)
@@ -120,12 +119,10 @@ def test_a_killed_scorer_and_a_killed_broker_lose_nothing_and_store_nothing_twic
             lambda: sum(gateway.stored for gateway in gateways) >= 8,
             lambda: [g.status() for g in gateways],
         )
-        hand_over(
-            range(AT_FIRST, PER_GATEWAY)
-        )  # only now: however late this test looks, there is work when they are killed
-        for (
-            process
-        ) in processes:  # all at once, so that whichever has work is killed in the midst of it
+        # only now: however late this test looks, there is work when they are killed
+        hand_over(range(AT_FIRST, PER_GATEWAY))
+        # all at once, so that whichever has work is killed in the midst of it
+        for process in processes:
             process.send_signal(signal.SIGKILL)
         broker.kill()
         broker.wait()
@@ -227,9 +224,8 @@ def test_a_window_that_cannot_be_judged_is_set_aside_holds_up_nothing_and_can_be
             "as if an update had mended it",
             refused.topic,
         )
-        again = json.loads(
-            command("--again", "--json").out.splitlines()[-1]
-        )  # the gateway logs there, too
+        # the gateway logs there, too
+        again = json.loads(command("--again", "--json").out.splitlines()[-1])
         assert again["stored"] == [
             each["name"] for each in again["messages"] if each["key"] == "good"
         ]

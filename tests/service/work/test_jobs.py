@@ -119,9 +119,8 @@ def test_a_job_that_is_cancelled_ends_without_a_word_in_the_log(jobs, work):
         for job in left:
             until(jobs, job, lambda job: job.doing.startswith("waiting in"))
             jobs.cancel(job.id)
-        for after in [
-            jobs.submit("count", work.count, 1) for _ in range(2)
-        ]:  # each has the place of one that was cancelled
+        # each has the place of one that was cancelled
+        for after in [jobs.submit("count", work.count, 1) for _ in range(2)]:
             assert until(jobs, after, over).state is JobState.DONE
         assert lines == []
         until(jobs, jobs.submit("fail", work.fail), over)

@@ -100,9 +100,8 @@ def test_a_reader_that_never_ends_is_ended(monkeypatch, tmp_path, body, says):
 def test_what_a_library_leaves_behind_goes_with_the_upload(tmp_path):
     write_record(Record({"y": np.arange(500.0)}, {"y": "V"}, 1e-3), tmp_path / "r.mf4")
     whole = (tmp_path / "r.mf4").read_bytes()
-    unfinished = (
-        whole[:60] + b"\x21" + whole[61:200]
-    )  # flags of a recording that was not ended: the library works on a copy
+    # flags of a recording that was not ended: the library works on a copy
+    unfinished = whole[:60] + b"\x21" + whole[61:200]
     with pytest.raises(BadRecord):
         read_upload(unfinished, ".mf4", "mine.mf4", **LIMITS)
     assert list(Path(tempfile.gettempdir()).glob("*_upload.mf4")) == []

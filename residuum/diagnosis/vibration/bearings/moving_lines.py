@@ -83,9 +83,8 @@ def without_knocks(
     for event in events:
         peak = np.abs(parts[event]).max(axis=1) / usual
         gain[event] = 1 / np.maximum(1.0, np.maximum(np.sqrt(energy[event]), peak / _USUAL_CREST))
-    gain = np.minimum(
-        gain, np.minimum(np.append(gain[1:], 1.0), np.append(1.0, gain[:-1]))
-    )  # edges fall between frames
+    # edges fall between frames
+    gain = np.minimum(gain, np.minimum(np.append(gain[1:], 1.0), np.append(1.0, gain[:-1])))
     at = sorted(
         (event.start + int(energy[event].argmax())) * length / sampling_rate for event in events
     )

@@ -105,21 +105,18 @@ def refined_grid(
     apart = np.append(True, np.diff(omega) > _NARROWEST * omega[1:])
     omega = omega[apart | np.isin(omega, given)]
     values = envelope(omega)
-    doubtful = np.append(
-        np.ones(len(omega) - 1, dtype=bool), False
-    )  # by the point that an interval begins at
+    # by the point that an interval begins at
+    doubtful = np.append(np.ones(len(omega) - 1, dtype=bool), False)
     for _ in range(_ROUNDS):
         left = np.flatnonzero(doubtful)
         left = left[omega[left + 1] > omega[left] * (1.0 + _NARROWEST)]
         if not len(left) or len(omega) + len(left) > _MOST:
             break
-        middle = np.sqrt(
-            np.maximum(omega[left], 0.1 * omega[left + 1]) * omega[left + 1]
-        )  # from ω = 0: a tenth
+        # from ω = 0: a tenth
+        middle = np.sqrt(np.maximum(omega[left], 0.1 * omega[left + 1]) * omega[left + 1])
         inner = envelope(middle)
-        line = np.sqrt(
-            values[left] * values[left + 1]
-        )  # the middle of a straight line in (ln ω, ln Ω)
+        # the middle of a straight line in (ln ω, ln Ω)
+        line = np.sqrt(values[left] * values[left + 1])
         doubtful[left] = above = inner > line * (1.0 + OFF_THE_LINE)
         order = np.argsort(np.concatenate([omega, middle]))
         omega, values, doubtful = (

@@ -317,9 +317,8 @@ def _in_conjugate_pairs(x: ComplexArray) -> ComplexArray:
     unmoved = x[(x.imag != 0.0) | (np.abs(x.real) >= 1.0)]
     first, second = dips[: len(dips) // 2 * 2 : 2], dips[1::2]
     middle, half = 0.5 * (first + second), np.maximum(0.5 * (second - first), np.finfo(float).tiny)
-    alone = np.where(
-        dips[len(second) * 2 :] < 0.0, -1.0, 1.0
-    )  # one without a partner lies at an end
+    # one without a partner lies at an end
+    alone = np.where(dips[len(second) * 2 :] < 0.0, -1.0, 1.0)
     return np.concatenate([unmoved, middle + 1j * half, middle - 1j * half, alone])
 
 

@@ -177,9 +177,8 @@ def _warnings(fit: Minimum, orders: Orders) -> tuple[str, ...]:
     says = []
     if not fit.converged:
         says.append("the search stopped before it converged; the covariance is not to be trusted")
-    if orders.nb and not is_schur(
-        Polynomials.from_vector(fit.x, orders).a
-    ):  # F is kept stable by the search, A is not
+    # F is kept stable by the search, A is not
+    if orders.nb and not is_schur(Polynomials.from_vector(fit.x, orders).a):
         pole = max(np.roots(Polynomials.from_vector(fit.x, orders).a), key=abs)
         says.append(
             f"the model has a pole of size {abs(pole):.4g}, on or outside the unit circle: it"

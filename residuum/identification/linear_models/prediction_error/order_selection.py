@@ -162,9 +162,8 @@ def _squared_error(
     shared = orders.count + int(offset)
     before = Criterion(replace(training, pairs=((u[:start], y[:start]),)), orders, level=offset)
     x = np.concatenate([fit.x[:shared], np.zeros(before.free)])
-    if (
-        before.free
-    ):  # e is linear in the free response: one Gauss–Newton step is its least-squares estimate
+    # e is linear in the free response: one Gauss–Newton step is its least-squares estimate
+    if before.free:
         normal = before.normal(x)
         x[shared:] = np.linalg.lstsq(
             normal.gram[shared:, shared:], normal.gradient[shared:], rcond=1e-12

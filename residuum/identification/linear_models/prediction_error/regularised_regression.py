@@ -184,9 +184,8 @@ def _splits(data: Signals, orders: Orders, count: int) -> list[tuple[IntArray, I
     held-out block.
     """
     reach = orders.memory
-    row = [
-        np.arange(reach, len(y)) for _, y in data.pairs
-    ]  # sample that each row explains, record by record
+    # sample that each row explains, record by record
+    row = [np.arange(reach, len(y)) for _, y in data.pairs]
     splits = []
     block_folds(data, count)  # refuses blocks that are too short
     for k in range(count):

@@ -136,9 +136,8 @@ class SupplySag(Effect):
         k, p, fed, u_ref = (scene.p[name] for name in ("k", "p", "fed", "u_ref"))
         u, i = scene["supply_terms"], scene["current"]
         z, way = sp.Abs(u) / u_ref, sp.sign(u)
-        share = (
-            (1 - p) * (2 - p) / 2 + p * (2 - p) * z + p * (p - 1) / 2 * z**2
-        )  # z^p where p is whole
+        # z^p where p is whole
+        share = (1 - p) * (2 - p) / 2 + p * (2 - p) * z + p * (p - 1) / 2 * z**2
         current = (1 - fed / 2) * sp.Abs(i) * way + fed / 2 * i * way**2
         return Contribution(term=-k * u_ref * share * current)
 

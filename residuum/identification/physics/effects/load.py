@@ -84,10 +84,8 @@ class PositionLoad(Effect):
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
         size, travel = 0.1 * conditions.magnitude, conditions.span("position")
-        waves = [
-            *(np.pi * periods / travel for periods in (1.0, 2.0, 4.0)),
-            1.0,
-        ]  # the last: once a turn, an arm's own weight
+        # the last: once a turn, an arm's own weight
+        waves = [*(np.pi * periods / travel for periods in (1.0, 2.0, 4.0)), 1.0]
         return [{"a": size, "b": size, "kappa": float(kappa)} for kappa in waves]
 
     def grown(self, special: Mapping[str, float], conditions: Conditions) -> list[dict[str, float]]:
@@ -205,9 +203,8 @@ class ToothRipple(Effect):
         else:
             orders = strongest_wave_numbers(conditions.variables["position"], conditions.missing)
             if len(orders) > 1 and abs(orders[0] - orders[1]) < 24.0 * np.pi / travel:
-                orders.append(
-                    0.5 * (orders[0] + orders[1])
-                )  # a response that lags differently both ways splits the peak
+                # a response that lags differently both ways splits the peak
+                orders.append(0.5 * (orders[0] + orders[1]))
         return [{"a": size, "b": size, "n": float(order)} for order in orders]
 
     def grown(self, special: Mapping[str, float], conditions: Conditions) -> list[dict[str, float]]:

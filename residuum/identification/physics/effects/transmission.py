@@ -59,9 +59,8 @@ class TwoBodies(Effect):
         """Whether the bodies swing against each other once at least, or come to rest as fast. A far
         body that begins anywhere on a softer spring, or creeps back, is a load and its slope.
         """
-        reduced = (
-            values["share"] * conditions.storage
-        )  # the storage is what stays on this side of the spring
+        # the storage is what stays on this side of the spring
+        reduced = values["share"] * conditions.storage
         frequency = np.sqrt(values["k"] / reduced)
         ratio = max(1.0, values["d"] / (2.0 * np.sqrt(values["k"] * reduced)))
         return bool(
@@ -248,9 +247,8 @@ def _bend(position: Array, force: Array) -> float:
         return end
     q = np.linspace(middle, end, 60, endpoint=False)
     beyond = [np.maximum(position - knee, 0.0) for knee in q]
-    explained = [
-        min(float(force @ b), 0.0) ** 2 / max(float(b @ b), 1e-300) for b in beyond
-    ]  # a travel of 1e-160 m squares to 0
+    # a travel of 1e-160 m squares to 0
+    explained = [min(float(force @ b), 0.0) ** 2 / max(float(b @ b), 1e-300) for b in beyond]
     return float(q[int(np.argmax(explained))])
 
 

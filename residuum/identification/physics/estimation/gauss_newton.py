@@ -322,10 +322,8 @@ class Fit:
                 1.0 + damping + ridge
             )
             move = bounded_step(H, g, self.theta, self.problem.lower, self.problem.upper)
-        except (
-            ValueError,
-            np.linalg.LinAlgError,
-        ):  # eigenvalues that are not found: next to an overflow
+        except (ValueError, np.linalg.LinAlgError):
+            # eigenvalues that are not found: next to an overflow
             return np.zeros(len(self.theta)), np.zeros(
                 (len(self.X0), self.M.shape[-1] - 1 - len(self.theta))
             )

@@ -134,9 +134,8 @@ def explicit(model: PhysicalModel) -> ExplicitModel:
     }
 
     def put(expression: Any) -> Any:
-        renamed = sp.sympify(expression).xreplace(
-            swap
-        )  # all at once: a model may call its own states x_1, x_2
+        # all at once: a model may call its own states x_1, x_2
+        renamed = sp.sympify(expression).xreplace(swap)
         return renamed.replace(SteppedRound, lambda a: sp.floor(a + sp.Rational(1, 2)))
 
     def turned(expression: Any) -> Any:

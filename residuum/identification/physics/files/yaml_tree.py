@@ -171,9 +171,8 @@ def _tree(node: yaml.Node, source: str) -> Tree:
             )
         before = entries.get(last)
         if isinstance(before, Scalar) and before.text.count("(") > before.text.count(")"):
-            entries[last] = Scalar(
-                f"{before.text}, {key.text}", before.place
-            )  # `{a: max(b, 0)}`: YAML split at the comma
+            # `{a: max(b, 0)}`: YAML split at the comma
+            entries[last] = Scalar(f"{before.text}, {key.text}", before.place)
             continue
         if key.text in entries:
             raise key.place.refuse(f"key {key.text!r} stands twice")

@@ -67,9 +67,8 @@ def features(axes: Sequence[Axis]) -> FloatArray:
     columns = [np.ones(n)]
     for axis in axes:
         largest = float(np.nanmax(np.abs(axis.values), initial=0.0))
-        scaled = np.nan_to_num(axis.values) / (
-            largest or 1.0
-        )  # what rests has columns too: it may move in another record
+        # what rests has columns too: it may move in another record
+        scaled = np.nan_to_num(axis.values) / (largest or 1.0)
         columns += [
             _lagged(shape(scaled), pole)
             for shape in _SHAPES.get(axis.kind, ())

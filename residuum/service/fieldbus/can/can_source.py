@@ -184,9 +184,8 @@ class CanSource(Source):
         self._last_seen[layout.bus_id] = now
         counter, channels = layout.decode(frames)
         rate = 1.0 / (layout.sample_time * layout.samples)
-        counted = (
-            layout.counter_bits > 0
-        )  # a reader that was held up is no silence where the counter tells how many came
+        # a reader that was held up is no silence where the counter tells how many came
+        counted = layout.counter_bits > 0
         placed = self._places[layout.bus_id].place(
             counter, since if self._was_empty or not counted else 0.0, rate
         )

@@ -219,9 +219,8 @@ def read_text(text: str) -> tuple[Database, dict[str, str]]:
                 text = usable = usable[:start] + _lines_of(usable[start:end]) + usable[end:]
             why |= messages
         else:
-            if first is not None and not (
-                database.messages or messages
-            ):  # what is left is no DBC file
+            # what is left is no DBC file
+            if first is not None and not (database.messages or messages):
                 raise first
             return database, left_out
 

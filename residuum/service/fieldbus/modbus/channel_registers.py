@@ -131,9 +131,8 @@ class ChannelRegisters(StrictModel):
             values = ((raw >> self.bit) & ((1 << self.bits) - 1)).astype(float)
         else:
             raw = ordered(words, self.word_order, self.byte_order).view(NUMBERS[self.type][0])[:, 0]
-            with np.errstate(
-                invalid="ignore"
-            ):  # words in another order than the map says may be a signalling NaN
+            # words in another order than the map says may be a signalling NaN
+            with np.errstate(invalid="ignore"):
                 values = raw.astype(float)
         for sentinel in self.missing:
             values[_equal(raw, sentinel)] = np.nan

@@ -72,9 +72,8 @@ def follow(
         if row is None and not faulty:
             continue
         row = row or _new(connection, asset, kind)
-        raised_by = (
-            json.loads(row.raised_by or "[]") or None
-        )  # none stood above a threshold of its own: any counts
+        # none stood above a threshold of its own: any counts
+        raised_by = json.loads(row.raised_by or "[]") or None
         held = (
             kind == MACHINE
             and row.condition

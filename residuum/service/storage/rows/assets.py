@@ -199,9 +199,8 @@ def indicators(
         else newest.where(findings.c.id.in_(_spread(connection, asset, span, limit)))
     )
     stored = paging.by_bytes(connection, query, findings.c.id, documents, limit, _HISTORY)[0][::-1]
-    rows = [
-        row for row in stored if not row_checks.differs(findings, row._mapping)
-    ]  # a list of findings tells of them
+    # a list of findings tells of them
+    rows = [row for row in stored if not row_checks.differs(findings, row._mapping)]
     units: dict[str, str] = {}
     for row in rows:
         units |= row.units

@@ -55,9 +55,8 @@ def test_feedback_is_told_from_open_loops(seed):
 def test_a_plant_that_answers_within_the_sample_is_no_feedback():
     u, e = np.random.default_rng(0).standard_normal((2, 2000))
     y = signal.lfilter([0.5, 0.2], [1.0, -0.6], u) + 0.2 * e
-    assert feedback_test(
-        regression(u, y)
-    ).present  # taken for delayed, it looks like an answer to the noise
+    # taken for delayed, it looks like an answer to the noise
+    assert feedback_test(regression(u, y)).present
     assert not feedback_test(regression(u, y, first_lag=0)).present
 
 

@@ -119,9 +119,8 @@ def test_known_order_of_output_error_is_found(criterion):
         assert model.provenance["orders"] == "nb = 2, nf = 2, nk = 1"
     else:  # a superfluous coefficient costs held-out data next to nothing, a missing one much
         assert scores[0] > 2 * scores[1] and scores[1] < 1.005 * min(scores)
-        assert scores[1] == pytest.approx(
-            0.25, rel=0.15
-        )  # the noise variance: no excess from state or level
+        # the noise variance: no excess from state or level
+        assert scores[1] == pytest.approx(0.25, rel=0.15)
 
 
 def test_record_wise_error_shows_an_odd_item_that_blocks_hide():
