@@ -15,9 +15,9 @@ import numpy as np
 from scipy.signal import lfilter
 
 from benchmarks.identification import random_system
-from residuum.diagnosis.residuals.multivariable import (
+from residuum.diagnosis.residuals.multivariable import design_multivariable_residual
+from residuum.diagnosis.residuals.multivariable_detection import (
     MultivariableDetection,
-    design_multivariable_residual,
     detect_multivariable,
 )
 from residuum.identification.errors import BadInput

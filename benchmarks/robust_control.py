@@ -16,7 +16,8 @@ from benchmarks.peers import FOLDER, run_peer
 from benchmarks.peers.full_order import full_order_design
 from residuum.identification.errors import BadInput
 from residuum.identification.kernel_based.impulse_response import identify_impulse_response
-from residuum.identification.linear_models.identified_model import IdentifiedModel, save_identified
+from residuum.identification.linear_models.identified_model import IdentifiedModel
+from residuum.identification.linear_models.identified_model_file import save_identified
 from residuum.identification.linear_models.schur import is_schur
 from residuum.identification.linear_models.state_space import StateSpace
 from residuum.identification.linear_models.transfer_function import TransferFunction

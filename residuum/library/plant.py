@@ -16,8 +16,8 @@ from residuum.identification.kernel_based.multivariable import (
     identify_multivariable,
     multivariable_text,
 )
-from residuum.identification.linear_models.identified_model import (
-    IdentifiedModel,
+from residuum.identification.linear_models.identified_model import IdentifiedModel
+from residuum.identification.linear_models.identified_model_file import (
     identified_text,
     load_identified,
 )

@@ -31,7 +31,8 @@ from residuum.service.machines.pipeline import Pipeline
 from residuum.service.metrics import Metrics
 from residuum.service.security.access import ApiKeys
 from residuum.service.security.bearer_tokens import BearerTokens
-from residuum.service.security.gate import Gate, Refusals
+from residuum.service.security.gate import Gate
+from residuum.service.security.refusals import Refusals
 from residuum.service.services import LivePipeline, Services
 from residuum.service.settings import BadSettings, Settings
 from residuum.service.storage.database import sqlite_file

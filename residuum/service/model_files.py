@@ -12,7 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from residuum.identification.errors import BadInput, BadModel
-from residuum.identification.linear_models.identified_model import load_identified
+from residuum.identification.linear_models.identified_model_file import load_identified
 from residuum.identification.physics.files.model_file import load_model
 from residuum.service.machines.judging.scoring import diagnoser_class
 from residuum.service.work.limited_process import run_limited, within_limits

@@ -26,8 +26,8 @@ from residuum.identification.kernel_based.impulse_response import (
 from residuum.identification.kernel_based.lagged_data import lagged_data
 from residuum.identification.kernel_based.marginal_bands import PointwiseBands
 from residuum.identification.kernel_based.outlasting import Longer, longer_response
-from residuum.identification.linear_models.identified_model import (
-    IdentifiedModel,
+from residuum.identification.linear_models.identified_model import IdentifiedModel
+from residuum.identification.linear_models.identified_model_file import (
     identified_from,
     identified_object,
     read_json,

@@ -6,11 +6,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from residuum.diagnosis.residuals.multivariable import (
+from residuum.diagnosis.residuals.multivariable import MultivariableResidual
+from residuum.diagnosis.residuals.multivariable_detection import (
     Hypothesis,
     IsolatedFault,
     MultivariableDetection,
-    MultivariableResidual,
 )
 from residuum.identification.record import Record
 

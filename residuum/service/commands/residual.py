@@ -12,12 +12,12 @@ from residuum.diagnosis.residuals.multivariable import (
     KIND,
     MultivariableResidual,
     design_multivariable_residual,
-    detect_multivariable,
 )
+from residuum.diagnosis.residuals.multivariable_detection import detect_multivariable
 from residuum.diagnosis.residuals.residual_design import ResidualDesign
 from residuum.identification.errors import BadInput
 from residuum.identification.kernel_based.multivariable import is_multivariable, load_multivariable
-from residuum.identification.linear_models.identified_model import load_identified
+from residuum.identification.linear_models.identified_model_file import load_identified
 from residuum.identification.record import Record
 from residuum.library.answers import multivariable_residual as several
 from residuum.library.answers.residual import design_json, design_text

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from residuum.identification.linear_models.identified_model import load_identified
+from residuum.identification.linear_models.identified_model_file import load_identified
 from residuum.library.questions.uncertainty import Uncertainty
 from residuum.library.uncertainty import bounded
 from residuum.service.commands.asked import asks

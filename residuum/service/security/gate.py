@@ -8,9 +8,8 @@ import asyncio
 import contextlib
 import math
 import re
-import threading
 import time
-from collections import Counter, OrderedDict
+from collections import OrderedDict
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -27,6 +26,7 @@ from residuum.service.security.access import ANYBODY, ApiKeys, Caller, Role
 from residuum.service.security.bearer_tokens import BearerTokens
 from residuum.service.security.forwarded import TrustedProxies, origin_of
 from residuum.service.security.http_connections import KNOWN
+from residuum.service.security.refusals import Refusals
 from residuum.service.settings import Settings, is_loopback
 
 # Token buckets: how many requests a client may make, in the long run and at once.
@@ -90,66 +90,7 @@ def retry_after(seconds: float) -> dict[str, str]:
     return {"Retry-After": str(max(1, math.ceil(seconds)))}
 
 
-# Refusals: who was turned away, from where and what for, in the log at once, and counted together
-# for the audit trail.
-# Whoever can reach the port can be refused a thousand times a second. So the trail gets an entry
-# for all equal refusals of some seconds, and of more different ones than are kept their number
-# alone.
-
 log = structlog.get_logger()
-
-_MOST = 20
-"""Different refusals that are kept until they are taken."""
-_LONGEST = 100
-
-
-@dataclass(frozen=True)
-class Refusal:
-    """One kind of refusal; `by` is the name of the key, None for one that nobody knows."""
-
-    address: str
-    by: str | None
-    method: str
-    path: str
-    status: int
-
-
-OTHERS = Refusal("many", None, "-", "-", 0)
-"""Stands for all refusals that are more than are kept apart."""
-
-
-class Refusals:
-    """Refusals since they were last taken; safe to use from any thread."""
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._counted: Counter[Refusal] = Counter()
-
-    def note(
-        self, address: str, by: str | None, method: str, path: str, status: int, reason: str
-    ) -> None:
-        """Log a refusal, and count it for the trail."""
-        shown = "".join(char if char.isprintable() else "?" for char in path[:_LONGEST])
-        refusal = Refusal(address[:64], by, method[:10], shown, status)
-        log.warning(
-            "refused",
-            address=refusal.address,
-            key=by,
-            method=refusal.method,
-            path=refusal.path,
-            status=status,
-            reason=reason,
-        )
-        with self._lock:
-            known = refusal in self._counted or len(self._counted) < _MOST
-            self._counted[refusal if known else OTHERS] += 1
-
-    def take(self) -> list[tuple[Refusal, int]]:
-        """All, with how often each was; from now on it is counted anew."""
-        with self._lock:
-            taken, self._counted = self._counted, Counter()
-        return list(taken.items())
-
 
 Measure = Callable[[str, str, int, float], None]
 """Told of every answer: (method, route, status, seconds)."""

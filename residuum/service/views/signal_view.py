@@ -18,7 +18,8 @@ import numpy.typing as npt
 from residuum.array_types import FloatArray
 from residuum.diagnosis.residuals.residual_design import ResidualDesign
 from residuum.diagnosis.residuals.residual_detection import Detection, detect
-from residuum.identification.linear_models.identified_model import IdentifiedModel, load_identified
+from residuum.identification.linear_models.identified_model import IdentifiedModel
+from residuum.identification.linear_models.identified_model_file import load_identified
 from residuum.identification.record import Record
 from residuum.library.questions.residual import DesignResidual, RunResidual, residual_for
 from residuum.service.work.jobs import Progress

@@ -7,11 +7,10 @@ from scipy import signal
 from residuum.diagnosis.residuals.multivariable import (
     MultivariableResidual,
     design_multivariable_residual,
-    detect_multivariable,
     fit_whitener,
-    threshold_of,
     unknown_input_decoupling,
 )
+from residuum.diagnosis.residuals.multivariable_detection import detect_multivariable, threshold_of
 from residuum.identification.errors import BadInput, BadModel, BadRecord
 from residuum.identification.kernel_based.multivariable import identify_multivariable
 from residuum.identification.record import Record

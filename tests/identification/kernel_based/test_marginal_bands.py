@@ -10,7 +10,10 @@ from benchmarks.identification import random_system
 from residuum.identification.kernel_based.impulse_response import identify_impulse_response
 from residuum.identification.kernel_based.marginal_bands import band_says
 from residuum.identification.kernel_based.multivariable import identify_multivariable
-from residuum.identification.linear_models.identified_model import load_identified, save_identified
+from residuum.identification.linear_models.identified_model_file import (
+    load_identified,
+    save_identified,
+)
 from residuum.identification.record import Record
 
 

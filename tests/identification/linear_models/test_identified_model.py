@@ -5,8 +5,8 @@ import pytest
 from scipy import signal
 
 from residuum.identification.errors import BadInput, BadModel
-from residuum.identification.linear_models.identified_model import (
-    IdentifiedModel,
+from residuum.identification.linear_models.identified_model import IdentifiedModel
+from residuum.identification.linear_models.identified_model_file import (
     load_identified,
     save_identified,
 )

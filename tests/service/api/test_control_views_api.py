@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import lfilter
 
 from residuum.identification.kernel_based.impulse_response import identify_impulse_response
-from residuum.identification.linear_models.identified_model import save_identified
+from residuum.identification.linear_models.identified_model_file import save_identified
 from residuum.identification.record import Record
 
 A, B = 0.7, 0.3  # y(k) = A y(k−1) + B u(k−1)

@@ -9,7 +9,10 @@ from typer.testing import CliRunner
 
 from residuum.identification.errors import BadInput
 from residuum.identification.kernel_based.impulse_response import identify_impulse_response
-from residuum.identification.linear_models.identified_model import load_identified, save_identified
+from residuum.identification.linear_models.identified_model_file import (
+    load_identified,
+    save_identified,
+)
 from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.identification.record import Record
 from residuum.library.answers.control_design import says

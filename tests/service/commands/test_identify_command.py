@@ -6,7 +6,7 @@ from scipy import signal
 
 from residuum.identification.errors import BadModel
 from residuum.identification.kernel_based.multivariable import load_multivariable
-from residuum.identification.linear_models.identified_model import load_identified
+from residuum.identification.linear_models.identified_model_file import load_identified
 from residuum.identification.record import Record
 from residuum.identification.record_formats import write_record
 from residuum.service.cli import BAD_INPUT, DONE, run

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from residuum.identification.kernel_based.impulse_response import identify_impulse_response
-from residuum.identification.linear_models.identified_model import save_identified
+from residuum.identification.linear_models.identified_model_file import save_identified
 from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.identification.record import Record
 from residuum.service.cli import run

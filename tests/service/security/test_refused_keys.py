@@ -12,9 +12,9 @@ import pytest
 
 from residuum.identification.record import Record
 from residuum.service import app
-from residuum.service.security import access, gate
+from residuum.service.security import access, refusals
 from residuum.service.security.access import ApiKeys, new_key
-from residuum.service.security.gate import OTHERS, Refusals
+from residuum.service.security.refusals import OTHERS, Refusals
 from residuum.service.settings import BadSettings
 
 PATIENCE = 120.0
@@ -50,7 +50,7 @@ def test_what_is_refused_and_deleted_is_in_log_and_trail(keys, run_service, monk
     service = run_service(host="0.0.0.0", api_keys=file)
     logged = []
     monkeypatch.setattr(
-        gate, "log", Mock(warning=lambda event, **told: logged.append(told | {"event": event}))
+        refusals, "log", Mock(warning=lambda event, **told: logged.append(told | {"event": event}))
     )
     with httpx.Client(base_url=service.url, timeout=60) as client:
         for _ in range(3):

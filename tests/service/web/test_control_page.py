@@ -9,7 +9,7 @@ from playwright.sync_api import expect
 from scipy.signal import lfilter
 
 from residuum.identification.kernel_based.impulse_response import identify_impulse_response
-from residuum.identification.linear_models.identified_model import save_identified
+from residuum.identification.linear_models.identified_model_file import save_identified
 from residuum.identification.record import Record
 
 LONG_WORK = 120_000  # milliseconds: a design on a busy machine

@@ -7,7 +7,7 @@ from scipy.signal import lfilter
 
 from residuum.diagnosis.diagnosers import DIAGNOSERS
 from residuum.identification.kernel_based.impulse_response import identify_impulse_response
-from residuum.identification.linear_models.identified_model import save_identified
+from residuum.identification.linear_models.identified_model_file import save_identified
 from residuum.identification.record import Record
 from residuum.library.questions import field
 from residuum.library.questions.compare import Compare

@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import lfilter
 
 from residuum.identification.errors import BadInput
-from residuum.identification.linear_models.identified_model import identified_text
+from residuum.identification.linear_models.identified_model_file import identified_text
 from residuum.identification.record import Record
 from residuum.library.model import model
 from residuum.library.plant import identified

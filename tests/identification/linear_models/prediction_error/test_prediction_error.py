@@ -5,7 +5,10 @@ import pytest
 from scipy.signal import lfilter
 
 from residuum.identification.errors import BadRecord, NotIdentifiable
-from residuum.identification.linear_models.identified_model import load_identified, save_identified
+from residuum.identification.linear_models.identified_model_file import (
+    load_identified,
+    save_identified,
+)
 from residuum.identification.linear_models.prediction_error import STRUCTURES, Orders, identify
 from residuum.identification.linear_models.prediction_error.criterion import Criterion, reflected
 from residuum.identification.linear_models.prediction_error.data import signals
