@@ -11,7 +11,7 @@ from residuum.identification.physics.effects import EFFECTS
 from residuum.identification.physics.effects.base import Effect
 from residuum.identification.physics.files.effect_file import read_effects
 from residuum.identification.physics.model import find_effect
-from residuum.library.answers.explanation import effect_json, effect_line
+from residuum.library.answers.effect import effect_json, effect_line
 from residuum.library.result import data_frame, html_table
 
 if TYPE_CHECKING:

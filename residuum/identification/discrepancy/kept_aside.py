@@ -11,9 +11,16 @@ from pathlib import Path
 import numpy as np
 
 from residuum.array_types import FloatArray
-from residuum.identification.discrepancy.policy import STATES_ALONE
+from residuum.identification.discrepancy.policy import STATES_ITERATIONS, STATES_TOLERANCE
 from residuum.identification.errors import NotIdentifiable
-from residuum.identification.physics import Experiment, PhysicalModel, Simulator, estimate, match
+from residuum.identification.physics import (
+    Experiment,
+    PhysicalModel,
+    Settings,
+    Simulator,
+    estimate,
+    match,
+)
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.policy import STANDS_STILL, TRAINING_SHARE
 
@@ -116,8 +123,9 @@ def rmse_aside(model: PhysicalModel, testing: Sequence[tuple[Experiment, int]]) 
         replace(e, Y=np.where(np.arange(e.n)[:, None] < first, e.Y, np.nan)) if first else e
         for e, first in testing
     ]
+    states_alone = Settings(iterations=STATES_ITERATIONS, tolerance=STATES_TOLERANCE)
     try:
-        start = estimate(model, beginnings, free=(), settings=STATES_ALONE)
+        start = estimate(model, beginnings, free=(), settings=states_alone)
     except NotIdentifiable:
         return np.full(len(model.outputs), np.inf)
     runs = simulator.run_each(experiments, start.initial, simulator.p(), substeps=start.substeps)

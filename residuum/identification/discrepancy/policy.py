@@ -2,8 +2,6 @@
 or a count), its meaning, and what set it.
 """
 
-from residuum.identification.physics import Settings
-
 OTHER_VALUE = 2.0
 """[standard errors] From which on a value is another than the file's. Chosen."""
 FORMULA_TERMS = 3
@@ -14,5 +12,7 @@ EXPLAINING_TIME = 0.5
 """Part of the seconds that a user gives an improvement which the search gets; the rest is for what
 it names. Chosen.
 """
-STATES_ALONE = Settings(iterations=20, tolerance=1e-4)
-"""How first states are estimated on data kept aside. Chosen."""
+STATES_ITERATIONS = 20
+"""Steps at most in which first states are estimated on data kept aside. Chosen."""
+STATES_TOLERANCE = 1e-4
+"""Relative fall of the cost at which their estimate ends. Chosen."""

@@ -13,7 +13,6 @@ from residuum.array_types import FloatArray
 from residuum.identification.discrepancy.estimated_values import EstimatedValue
 from residuum.identification.discrepancy.explanation import Explanation
 from residuum.identification.discrepancy.suggestion import nearest_formula
-from residuum.identification.physics.effects.base import Effect, Parameter
 from residuum.identification.physics.model import place_of, tied_to
 from residuum.identification.residual_analysis.policy import SLOW
 from residuum.identification.unseen_blocks.free_term import BlockTerm
@@ -89,37 +88,6 @@ def _formula(signal: str, parameters: Mapping[str, Quantity]) -> str | None:
             f" {curve['at_unit']}".rstrip()
         )
     )
-
-
-# An effect of the catalogue as an object and as a line.
-
-
-def effect_json(effect: Effect) -> dict[str, Any]:
-    """An effect of the catalogue as the command line and the HTTP interface show it."""
-    return {
-        "effect": effect.id,
-        "title": effect.title,
-        "equation": effect.equation,
-        "acts_on": list(effect.acts_on),
-        "needs": list(effect.needs),
-        "reference": effect.reference,
-    }
-
-
-def parameters_json(parameters: tuple[Parameter, ...]) -> dict[str, Any]:
-    """Unit, bounds and meaning of each parameter."""
-    return {
-        p.name: {"unit": p.unit, "lower": p.lower, "upper": p.upper, "meaning": p.meaning}
-        for p in parameters
-    }
-
-
-def effect_line(entry: dict[str, Any]) -> str:
-    """One line of the list."""
-    where = entry["balance"] if "balance" in entry else ", ".join(entry["acts_on"])
-    units = {name: p["unit"] for name, p in entry.get("parameters", {}).items()}
-    shown = "".join(f"  {name} [{unit}]" for name, unit in units.items())
-    return f"{entry['effect']:<22} {where:<16} {entry['equation']}{shown}"
 
 
 _WORTH_SAYING = 0.1

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from residuum.identification.unseen_blocks.verdict import Quantity
+if TYPE_CHECKING:  # the search is compiled, and every command writes its answer through here
+    from residuum.identification.unseen_blocks.verdict import Quantity
 
 # A test's p-value in words.
 

@@ -14,7 +14,7 @@ from pydantic import BaseModel, BeforeValidator, Field, model_validator
 from residuum.identification.errors import BadInput
 from residuum.identification.physics import BUILT_IN
 from residuum.identification.physics.effects import EFFECTS, STRUCTURAL
-from residuum.library.answers.explanation import effect_json
+from residuum.library.answers.effect import effect_json
 from residuum.library.questions import field, part_of
 from residuum.library.questions.compare import Compare
 from residuum.library.questions.control_design import DesignController

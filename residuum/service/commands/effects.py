@@ -8,7 +8,7 @@ import typer
 
 from residuum.identification.physics import candidates, load_model
 from residuum.identification.physics.effects import EFFECTS
-from residuum.library.answers.explanation import effect_json, effect_line, parameters_json
+from residuum.library.answers.effect import effect_json, effect_line, parameters_json
 from residuum.service.commands.own_catalogue import OwnCatalogue
 from residuum.service.commands.report import AsJson, report
 
