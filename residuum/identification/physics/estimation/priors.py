@@ -49,7 +49,8 @@ class Priors:
 
     def cost(self, theta: Array) -> float:
         """Their squares at these values."""
-        return float(self.precisions @ (theta - self.means) ** 2)
+        known = self.precisions > 0  # what no prior holds back may have run off, and has no square
+        return float(self.precisions[known] @ (theta - self.means)[known] ** 2)
 
     def pull(self, theta: Array) -> Array:
         """How they draw the values back: what they add to the gradient Jᵀr of the data, shape
