@@ -20,7 +20,9 @@ CURRENT = np.round(-1.25 + 0.0625 * (np.arange(N) % 9), 4)
 
 @dataclass(frozen=True)
 class Written:
-    """A file: `content`; `channels` it truly holds by name, `units`; `step` and `t0` [s]; or why it must be refused."""
+    """A file: `content`; `channels` it truly holds by name, `units`; `step` and `t0` [s]; `notes` that tell
+    what was left out; or why it must be refused.
+    """
 
     name: str
     content: bytes
@@ -29,6 +31,7 @@ class Written:
     step: float = STEP
     t0: float = START.timestamp()
     refused: str = ""
+    notes: str = ""
     resample: bool = False
     ending: str = ".csv"
 
@@ -380,7 +383,12 @@ def controller_trace() -> list[Written]:
             t0=0.0,
         ),
         Written(
-            "footer", lines(head, [*rows, ("End", "of", "trace")], ";").encode(), refused="row 46"
+            "footer",
+            lines(head, [*rows, ("End", "of", "trace")], ";").encode(),
+            BOTH,
+            own,
+            t0=0.0,
+            notes="'End of trace'; it is no sample",
         ),
     ]
 

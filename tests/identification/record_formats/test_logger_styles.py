@@ -39,6 +39,7 @@ def test_a_file_is_read_right_or_refused(tmp_path, name):
         assert "\n" not in str(refused.value)
         return
     record = read_record(file, options)
+    assert written.notes in " ".join(record.notes)
     assert set(record.names) == set(written.channels)
     for channel, values in written.channels.items():
         np.testing.assert_allclose(record[channel], values, atol=1e-9)

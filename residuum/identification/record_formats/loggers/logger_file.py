@@ -37,6 +37,7 @@ from residuum.identification.record_formats.loggers.logger_text import (
     is_value,
     number,
     with_unit,
+    without_footer,
 )
 from residuum.identification.record_formats.loggers.logger_time import (
     CLOCKS,
@@ -108,7 +109,7 @@ def understand(
     guesses = {"encoding": (encoding, why)}
     delimiter, why = find_delimiter(text, source, {cell.strip().lower() for cell in missing})
     guesses["delimiter"] = (delimiter, why)
-    rows, suffixes = _without_units(cells_of(text, delimiter))
+    rows, suffixes = _without_units(without_footer(cells_of(text, delimiter))[0])
     first, width = _first_row(rows, source)
     guesses["first row"] = (str(first), f"from here on rows have {width} cells, values among them")
     body = rows[first - 1 :]
@@ -531,7 +532,8 @@ def _or_zero(cell: str, decimal: str) -> float:
 def _with_samples(
     text: str, mapping: LoggerMapping, guesses: dict[str, tuple[str, str]], source: str
 ) -> LoggerFile:
-    stamps, values, rows = table(text, mapping, source)
+    notes: list[str] = []
+    stamps, values, rows = table(text, mapping, source, notes)
     steps = np.diff(stamps)
     back = steps < 0
     if (
@@ -607,7 +609,7 @@ def _with_samples(
         "reordered": int(back.sum()),
         "duplicates": len(pairs),
         "signals": dict(zip(mapping.names.values(), values, strict=True)),
-        "notes": [note for _, notes in cleaned for note in notes],
+        "notes": notes + [note for _, of_column in cleaned for note in of_column],
         "first_rows": first_rows(stamps / 1e9, values),
         "missing": {
             name: int(np.isnan(column).sum())

@@ -25,6 +25,7 @@ from residuum.identification.record_formats.loggers.logger_text import (
     cells_of,
     decoded,
     number,
+    without_footer,
 )
 from residuum.identification.record_formats.loggers.logger_time import (
     FORMS,
@@ -226,16 +227,17 @@ def read_mapping(path: Path) -> LoggerMapping:
 
 
 def table(
-    text: str, mapping: LoggerMapping, source: str
+    text: str, mapping: LoggerMapping, source: str, notes: list[str]
 ) -> tuple[npt.NDArray[np.int64], FloatArray, list[int]]:
     """(times [ns] shape (n,), channels shape (c, n), file rows) as the file has them, holes as
-    NaN.
+    NaN. `notes` tell what stands below the samples.
     """
     stamps: list[int] = []
     values, rows = [], []
-    for row, cells in enumerate(
-        cells_of(text, mapping.delimiter)[mapping.first_row - 1 :], start=mapping.first_row
-    ):
+    body, footer = without_footer(cells_of(text, mapping.delimiter)[mapping.first_row - 1 :])
+    if footer:
+        notes.append(f"below the last row of values stands {footer[:60]!r}; it is no sample")
+    for row, cells in enumerate(body, start=mapping.first_row):
         if not any(cells):
             continue
         if len(cells) != mapping.width:
@@ -335,8 +337,9 @@ def parse_logger(
 ) -> Record:
     """Read the bytes of a logger's file (see `read_logger_file`); `source` names it in messages."""
     mapping = mapping.with_told(options)
-    stamps, values, rows = table(decoded(content, source, mapping.encoding)[0], mapping, source)
     notes: list[str] = []
+    text = decoded(content, source, mapping.encoding)[0]
+    stamps, values, rows = table(text, mapping, source, notes)
     stamps, values = _ordered(stamps, values, rows, mapping, notes, source)
     time = (stamps - stamps[0]) / 1e9
     names = [*mapping.names.values()]

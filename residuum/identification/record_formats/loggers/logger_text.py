@@ -130,6 +130,17 @@ def cells_of(text: str, delimiter: str) -> list[list[str]]:
     return rows
 
 
+def without_footer(rows: list[list[str]]) -> tuple[list[list[str]], str]:
+    """The rows to the last that holds a value, and what is written below it ("" for nothing): a
+    logger may close its file with a line of words.
+    """
+    last = next((row for row in reversed(range(len(rows))) if any(map(is_value, rows[row]))), -1)
+    if last < 0:
+        return rows, ""
+    below = (cell for row in rows[last + 1 :] for cell in row if cell)
+    return rows[: last + 1], " ".join(below)
+
+
 def is_value(cell: str) -> bool:
     """Whether a cell could be a number or a time stamp."""
     return bool(_NUMBER.fullmatch(ungrouped(cell)) or _STAMP.fullmatch(cell))
