@@ -11,6 +11,7 @@ mutants go the service's whole way, to see that both agree.
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import random
 import resource
@@ -201,7 +202,9 @@ def campaign(
 
 
 def _is_no_line(said: Path) -> bool:
-    text = said.read_text().partition("\n")[2]  # after the kind of refusal
+    """Whether a refusal, [kind, parts], is told in no line, in more than one, or in a very long one."""
+    _, parts = json.loads(said.read_text())
+    text = str(BadInput(**parts))
     return not text.strip() or "\n" in text.strip() or len(text) > 2000
 
 

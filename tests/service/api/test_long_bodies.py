@@ -188,7 +188,7 @@ def test_what_is_wrong_is_of_the_same_kind_in_a_long_body_and_in_a_short_one(cli
             content=json.dumps(wrong).encode(),
             headers={"Content-Type": "application/json"},
         )
-        assert answer.json()["detail"].endswith("unit 'm//s(': not a known unit")
+        assert "unit 'm//s(': not a known unit" in answer.json()["detail"]
         told.append((answer.status_code, answer.json()["type"]))
     assert told == [(422, "urn:residuum:problem:bad-unit")] * 2
 
