@@ -71,7 +71,7 @@ KEYS = (
     "initial",
 )
 INPUT_KEYS, STATE_KEYS, OUTPUT_KEYS = ("unit", "default"), ("unit", "rate"), ("value", "unit")
-PARAMETER_KEYS = ("value", "unit", "lower", "upper", "fixed", "meaning", "prior", "std")
+PARAMETER_KEYS = ("value", "unit", "lower", "upper", "fixed", "meaning", "prior", "std", "per")
 EFFECT_KEYS = ("id", "balance", "input", "output", "parameters", "provenance")
 """What each entry of a section may hold; balances also name the variables of their kind."""
 TIME = "time"
@@ -239,6 +239,10 @@ def _own_sections(
         name: _output(name, tree.table("outputs", "model file", required=True))
         for name in _names(tree, "outputs")
     }
+    of_record = {
+        name: parameters.pop(name) for name in _of_records(tree.table("parameters", "model file"))
+    }
+    states |= {name: State(name, p.unit, of_record=p) for name, p in of_record.items()}
     let_section = tree.table("let", "model file")
     let = {name: _expression(let_section.scalar(name, "let")) for name in _names(tree, "let")}
     name = tree.scalar("name", "model file").text
@@ -275,8 +279,14 @@ def write_model(model: PhysicalModel) -> str:
         "states": {
             s.name: {"unit": s.unit} | ({"rate": s.rate} if s.rate else {})
             for s in model.states.values()
+            if s.of_record is None
         },
-        "parameters": {name: _written(parameter) for name, parameter in model.parameters.items()},
+        "parameters": {name: _written(parameter) for name, parameter in model.parameters.items()}
+        | {
+            s.name: _written(s.of_record) | {"per": "record"}
+            for s in model.states.values()
+            if s.of_record
+        },
         "balances": {
             balance.name: _written_balance(balance) for balance in model.balances.values()
         },
@@ -404,6 +414,32 @@ def _parameter(name: str, section: Table, of_part: Parameter | None) -> Paramete
         meaning=meaning.text if meaning else before.meaning,
         prior=prior,
     )
+
+
+def _of_records(section: Table) -> list[str]:
+    """The parameters that have a value for each record (`per: record`)."""
+    of_records = []
+    for name, entry in section.entries.items():
+        if not isinstance(entry, Table) or "per" not in entry.entries:
+            continue
+        label = f"parameter {name!r}"
+        per = entry.scalar("per", label)
+        if per.text != "record":
+            raise per.place.refuse(f"{label}: per is {per.text!r}; must be 'record'")
+        for key in ("lower", "upper", "fixed", "prior"):
+            if key in entry.entries:
+                raise entry.keys[key].refuse(
+                    f"{label}: has a value for each record, which neither bounds nor a prior hold;"
+                    f" leave out {key!r} or 'per'"
+                )
+        value = entry.optional("value", label)
+        if value is not None and _UNCERTAIN.fullmatch(value.text.strip()):
+            raise value.place.refuse(
+                f"{label}: has a value for each record, which no prior holds; leave out the ± or"
+                " 'per'"
+            )
+        of_records.append(name)
+    return of_records
 
 
 def _alone(key: str, entry: Scalar) -> Table:

@@ -163,7 +163,12 @@ def prefixed(model: PhysicalModel, prefix: str) -> PhysicalModel:
             for name, signal in model.inputs.items()
         },
         states={
-            names[name]: replace(state, name=names[name], rate=renamed(state.rate))
+            names[name]: replace(
+                state,
+                name=names[name],
+                rate=renamed(state.rate),
+                of_record=state.of_record and replace(state.of_record, name=names[name]),
+            )
             for name, state in model.states.items()
         },
         parameters={
@@ -206,7 +211,8 @@ def rewritten(balance: Balance, definitions: Definitions) -> Balance:
 
 def _beside(model: PhysicalModel, part: PhysicalModel, place: Place) -> PhysicalModel:
     """Both in one; what the model declares itself stands for the part's declaration."""
-    declared = {**model.states, **model.balances}
+    declared = {**model.states, **model.parameters, **model.balances}
+    own_of_record = {name for name, state in model.states.items() if state.of_record}
     for name in (*part.states, *part.balances):
         if name in declared:
             raise place.refuse(f"use: {name!r} of the part is declared in the model already")
@@ -214,7 +220,11 @@ def _beside(model: PhysicalModel, part: PhysicalModel, place: Place) -> Physical
         model,
         inputs={**model.inputs, **part.inputs, **model.inputs},
         states={**model.states, **part.states},
-        parameters={**model.parameters, **part.parameters, **model.parameters},
+        parameters={
+            name: parameter
+            for name, parameter in {**part.parameters, **model.parameters}.items()
+            if name not in own_of_record
+        },
         balances={**model.balances, **part.balances},
         initial={**part.initial, **model.initial},
     )
@@ -438,19 +448,16 @@ def with_places_of_parts(model: PhysicalModel, tree: Table) -> Table:
     if not origins:
         return tree
     entries = dict(tree.entries)
-    for section, names in {
-        "inputs": model.inputs,
-        "states": model.states,
-        "parameters": model.parameters,
-        "balances": model.balances,
-    }.items():
+    own = tree.table("parameters", "model file").keys
+    sections = {"inputs": model.inputs, "states": model.states, "balances": model.balances}
+    for section, names in sections.items():
         table = tree.table(section, "model file")
         keys = {
             name: next((at for origin, at in origins.items() if name.startswith(origin)), use.place)
             for name in names
+            if name not in own
         }
-        if section != "parameters":  # constants are parameters of the model, but stand elsewhere
-            entries[section] = Table(table.entries, keys | dict(table.keys), table.place)
+        entries[section] = Table(table.entries, keys | dict(table.keys), table.place)
     return Table(entries, tree.keys, tree.place)
 
 
