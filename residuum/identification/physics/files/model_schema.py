@@ -49,7 +49,12 @@ def model_schema() -> dict[str, Any]:
         "notes": {},
         "use": _named(_TEXT),
         "connect": _named(
-            {"anyOf": [{"type": "array", "minItems": 2, "items": _TEXT}, _named(_EXPRESSION)]}
+            {
+                "anyOf": [
+                    {"type": "array", "minItems": 2, "items": _TEXT},
+                    {"type": "object", "additionalProperties": _EXPRESSION},
+                ]
+            }
         ),
         "inputs": _named({"anyOf": [_TEXT, _object(INPUT_KEYS, ["unit"])]}),
         "states": _named(_object(STATE_KEYS, ["unit"])),
