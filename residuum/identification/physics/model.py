@@ -69,12 +69,14 @@ class Input:
 @dataclass(frozen=True)
 class State:
     """A state; `rate` names the state that is its derivative (None: a balance gives the
-    derivative).
+    derivative). A parameter with a value for each record is one that stands still: `of_record`
+    holds its declaration, at whose value it begins.
     """
 
     name: str
     unit: str
     rate: str | None = None
+    of_record: Parameter | None = None
 
 
 @dataclass(frozen=True)

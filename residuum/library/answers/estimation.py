@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 from residuum.identification.physics import Estimate
 from residuum.identification.physics.estimation.unsettled import at_bounds
 from residuum.library.answers.comparison import warning_lines
+from residuum.library.answers.plain import value_text
 
 
 def estimate_json(
@@ -40,6 +42,7 @@ def estimate_json(
             }
             for name, value, std in values
         },
+        **_of_records(result, settled=not reasons),
         "outputs": {
             name: {"unit": output.unit, "rmse": result.rmse[k], "fit_percent": fit[k]}
             for k, (name, output) in enumerate(result.model.outputs.items())
@@ -53,6 +56,19 @@ def estimate_json(
         "unsettled": reasons,
         "iterations": result.iterations,
     }
+
+
+def _of_records(result: Estimate, settled: bool) -> dict[str, Any]:
+    """`per_record`, where the model has parameters with a value for each record."""
+    of_records = {
+        name: {
+            "values": values.tolist(),
+            "std": std.tolist() if settled else [None] * len(std),
+            "unit": result.model.states[name].unit,
+        }
+        for name, (values, std) in result.of_records.items()
+    }
+    return {"per_record": of_records} if of_records else {}
 
 
 def _fit_percent(result: Estimate) -> list[float]:
@@ -93,6 +109,11 @@ def estimate_text(estimate: dict[str, Any]) -> str:
     lines = [
         *warning_lines(estimate["warnings"]),
         *(_parameter_text(name, p, settled) for name, p in estimate["parameters"].items()),
+    ]
+    lines += [
+        f"{name} of {record} = {value_text(value, math.nan if std is None else std, of['unit'])}"
+        for name, of in estimate.get("per_record", {}).items()
+        for record, value, std in zip(estimate["records"], of["values"], of["std"], strict=True)
     ]
     lines += [
         f"{name}: RMS error {o['rmse']:.4g} {o['unit']}, fit {_percent(o['fit_percent'])}"

@@ -137,7 +137,9 @@ class _Composer:
             name: self._recorded_or_default(name) for name in model.inputs
         }
         self.rates: dict[str, sp.Expr] = {
-            s.name: self.x[s.rate] for s in model.states.values() if s.rate
+            s.name: self.x[s.rate] if s.rate else sp.S.Zero
+            for s in model.states.values()
+            if s.rate or s.of_record
         }
         self.initial: dict[str, sp.Expr] = {}
         self.deviating: list[str] = []

@@ -17,8 +17,8 @@ direction*: the data cannot tell its members apart. A parameter's prior is one m
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -82,6 +82,9 @@ class Estimate:
         Integration steps a sample that were used.
     priors : Priors
         Of the parameters.
+    of_records : mapping of name to (array, array)
+        Parameters with a value for each record: their values and standard deviations, shape
+        (experiments,) each.
     promised : float
         Part of the cost that a whole Gauss–Newton step from here promises: next to nothing in a
         minimum.
@@ -103,6 +106,7 @@ class Estimate:
     iterations: int
     substeps: tuple[int, ...]
     priors: Priors
+    of_records: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
     promised: float = 0.0
 
     @property
@@ -519,6 +523,31 @@ class _Problem:
         filtered[~known] = 0.0
         return filtered
 
+    def _of_records(
+        self, point: _Point, covariance: Array, variance: float
+    ) -> dict[str, tuple[Array, Array]]:
+        """Values and standard deviations of the parameters that each record has for itself.
+
+        With H_xx the curvature of an experiment's own values and H_θx that between, the covariance
+        of the former is σ² H_xx⁻¹ + E cov(θ) Eᵀ, E = H_xx⁻¹ H_xθ: what the experiment tells, and
+        what it takes over from the common parameters.
+        """
+        states = self.simulator.model.states
+        numbers = {
+            name: k
+            for k, name in enumerate(self.states)
+            if name in states and states[name].of_record is not None
+        }
+        if not numbers:
+            return {}
+        own, cross = np.array(point.own), np.array(point.cross).swapaxes(1, 2)
+        identity = np.broadcast_to(np.eye(len(self.states)), own.shape)
+        E = solve_scaled(own, cross)
+        spread = variance * solve_scaled(own, identity) + E @ covariance @ E.swapaxes(1, 2)
+        stds = np.sqrt(np.diagonal(spread, axis1=1, axis2=2))
+        values = np.array(point.initial)[:, self.state_index]
+        return {name: (values[:, k], stds[:, k]) for name, k in numbers.items()}
+
     def _result(self, point: _Point, iterations: int, converged: bool) -> Estimate:
         cross = np.array(point.cross)
         reduced = point.hessian - np.einsum(
@@ -553,5 +582,6 @@ class _Problem:
             iterations=iterations,
             substeps=tuple(self.substeps),
             priors=self.priors,
+            of_records=self._of_records(point, covariance, variance),
             promised=self._promised(point) / max(point.cost, 1e-300) if self.slopes else 0.0,
         )

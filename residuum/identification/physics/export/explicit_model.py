@@ -103,8 +103,15 @@ def explicit(model: PhysicalModel) -> ExplicitModel:
     Raises
     ------
     BadModel
-        An input that is delayed: no text here has a memory of its inputs.
+        An input that is delayed: no text here has a memory of its inputs. A parameter with a value
+        for each record, of which none is that of the model.
     """
+    of_records = [name for name, state in model.states.items() if state.of_record]
+    if of_records:
+        raise BadModel(
+            f"model {model.name!r}: {of_records[0]!r} has a value for each record, which no export"
+            " holds; write the one to export as its 'value' and leave out 'per'"
+        )
     equations = _undelayed(model)
     unknown = {missing_name(balance) for balance in model.balances}
     taken: set[str] = {"time", "t", "x", "u", "p", "y", "s", "dx"}

@@ -184,7 +184,8 @@ def _is_number(text: str) -> bool:
 
 
 def _states_have_rates(model: PhysicalModel, tree: Table) -> None:
-    places = tree.table("states", "model file").keys
+    declared = [tree.table(section, "model file").keys for section in ("parameters", "states")]
+    places = dict(declared[0]) | dict(declared[1])  # of a value for each record: its parameter's
     owners: dict[str, str] = {}
     for balance in model.balances.values():
         for node in _derivatives(balance.storage):
@@ -208,7 +209,7 @@ def _check_rate(
 ) -> None:
     name, rate = state.name, state.rate
     if rate is None:
-        if name not in owners:
+        if name not in owners and state.of_record is None:
             raise place.refuse(
                 f"state without a balance: no storage has der({name}) and it has no 'rate'"
             )

@@ -196,19 +196,17 @@ def parse(text: str | float, place: Place | None = None) -> Expression:
 
 
 def with_definitions(expression: Expression, definitions: Mapping[str, Expression]) -> Expression:
-    """The expression with each name that is defined replaced by what it stands for, in brackets.
+    """The expression with each name that is defined replaced by what it stands for, in brackets
+    where that is more than a name.
 
-    >>> with_definitions(parse("2 * Re"), {"Re": parse("rho*v + 1")}).text
-    '2 * (rho*v + 1)'
+    >>> with_definitions(parse("2 * Re + T"), {"Re": parse("rho*v + 1"), "T": parse("T_1")}).text
+    '2 * (rho*v + 1) + T_1'
     """
     used = expression.names & definitions.keys()
     if not used:
         return expression
-    text = re.sub(
-        r"[A-Za-z_]\w*",
-        lambda name: f"({definitions[name[0]].text})" if name[0] in used else name[0],
-        expression.text,
-    )
+    texts = {name: _in_brackets(definitions[name]) for name in used}
+    text = _NAMES.sub(lambda name: texts.get(name[0], name[0]), expression.text)
     if len(text) > LONGEST_EXPRESSION:
         raise expression.place.refuse(
             f"with its definitions it has {len(text)} characters; at most {LONGEST_EXPRESSION} are"
@@ -217,6 +215,14 @@ def with_definitions(expression: Expression, definitions: Mapping[str, Expressio
     return Expression(
         text, _replaced(expression.tree, {name: definitions[name].tree for name in used})
     )
+
+
+_NAMES = re.compile(r"(?<![\w.])[A-Za-z_]\w*")
+"""Names in a text; the e of 1e5 is none."""
+
+
+def _in_brackets(expression: Expression) -> str:
+    return expression.text if isinstance(expression.tree, Name) else f"({expression.text})"
 
 
 def _replaced(tree: Node, trees: Mapping[str, Node]) -> Node:

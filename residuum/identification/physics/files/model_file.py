@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, TypeVar
 
 import yaml
 
@@ -19,6 +19,15 @@ from residuum.identification.physics.effects.base import Parameter, Prior
 from residuum.identification.physics.files.consistency import check, expressions_of
 from residuum.identification.physics.files.effect_file import WrittenEffect, effects_of
 from residuum.identification.physics.files.expression import Expression, parse, with_definitions
+from residuum.identification.physics.files.parts import (
+    MOST_PARTS,
+    assembled,
+    check_unit,
+    parts_of,
+    resolved,
+    rewritten,
+    with_places_of_parts,
+)
 from residuum.identification.physics.files.table_file import with_table_files
 from residuum.identification.physics.files.yaml_tree import (
     MOST_CHARACTERS,
@@ -40,12 +49,16 @@ from residuum.identification.physics.model import (
 from residuum.identification.units import parse_unit
 from residuum.nearest_names import known_names
 
+T = TypeVar("T")
+
 BUILT_IN = ("gate-drive", "oven", "linear-axis", "oscillator", "two-tanks", "process")
 LINEAR = (".json", ".mat")
 """Endings of files that hold a transfer function or a state space."""
 KEYS = (
     "name",
     "notes",
+    "use",
+    "connect",
     "inputs",
     "states",
     "parameters",
@@ -58,7 +71,7 @@ KEYS = (
     "initial",
 )
 INPUT_KEYS, STATE_KEYS, OUTPUT_KEYS = ("unit", "default"), ("unit", "rate"), ("value", "unit")
-PARAMETER_KEYS = ("value", "unit", "lower", "upper", "fixed", "meaning", "prior", "std")
+PARAMETER_KEYS = ("value", "unit", "lower", "upper", "fixed", "meaning", "prior", "std", "per")
 EFFECT_KEYS = ("id", "balance", "input", "output", "parameters", "provenance")
 """What each entry of a section may hold; balances also name the variables of their kind."""
 TIME = "time"
@@ -137,11 +150,73 @@ def read_model(text: str, source: str = "model", folder: Path | None = None) -> 
     """The model that a YAML text describes (docs/reference/model-files.md says the format);
     `source` names it in refusals, the files of its tables stand in `folder`.
     """
+    model, tree = _composed(text, source, folder, iter(range(MOST_PARTS)))
+    if not model.balances:
+        raise tree.keys["balances"].refuse("balances: is empty; a model has at least one")
+    model = check(_with_clock(model), with_places_of_parts(model, tree))
+    model = replace(model, initial=dict(model.initial) | dict(_initial(tree, model)))
+    return _with_effects(model, tree)
+
+
+def _composed(
+    text: str, source: str, folder: Path | None, more: Iterator[int]
+) -> tuple[PhysicalModel, Table]:
+    """The model that a text describes, its parts joined, before anything is checked of it as a
+    whole; and its tree. `more` counts the parts that there still may be.
+    """
     tree = with_table_files(read_tree(text, source), folder)
     tree.only(KEYS, "model file")
-    for section in ("balances", "outputs"):
+    use, connect = tree.table("use", "model file"), tree.table("connect", "model file")
+    for section in ("outputs",) if list(use) else ("balances", "outputs"):
         if not list(tree.table(section, "model file", required=True)):
             raise tree.keys[section].refuse(f"{section}: is empty; a model has at least one")
+
+    def read(text: str, source: str, folder: Path | None) -> PhysicalModel:
+        if next(more, None) is None:
+            raise use.place.refuse(
+                f"use: more than {MOST_PARTS} parts, those of parts included; does one use itself?"
+            )
+        return _composed(text, source, folder, more)[0]
+
+    parts = parts_of(use, folder, read)
+    own, let = _own_sections(tree, parts)
+    assembly = assembled(parts, use, connect, own)
+    definitions = resolved({**assembly.definitions, **let})
+    model = assembly.model
+    for name in let:
+        for declared in (model.inputs, model.parameters):
+            if name in declared:
+                check_unit(name, declared[name].unit, definitions[name], model)
+    return (
+        replace(
+            model,
+            inputs=_but(model.inputs, let),
+            parameters=_but(model.parameters, let),
+            states=MappingProxyType(model.states),
+            balances=MappingProxyType(
+                {name: rewritten(b, definitions) for name, b in model.balances.items()}
+            ),
+            outputs=MappingProxyType(
+                {
+                    name: replace(output, value=with_definitions(output.value, definitions))
+                    for name, output in own.outputs.items()
+                }
+            ),
+        ),
+        tree,
+    )
+
+
+def _but(declared: Mapping[str, T], defined: Collection[str]) -> Mapping[str, T]:
+    """What a part declares, but for what the model that uses it defines."""
+    return MappingProxyType({name: it for name, it in declared.items() if name not in defined})
+
+
+def _own_sections(
+    tree: Table, parts: Mapping[str, PhysicalModel]
+) -> tuple[PhysicalModel, Mapping[str, Expression]]:
+    """What the file itself declares, and what it defines under `let`."""
+    of_parts = {name: it for part in parts.values() for name, it in part.parameters.items()}
     inputs = {
         name: _input(name, tree.table("inputs", "model file")) for name in _names(tree, "inputs")
     }
@@ -149,34 +224,29 @@ def read_model(text: str, source: str = "model", folder: Path | None = None) -> 
         name: _state(name, tree.table("states", "model file")) for name in _names(tree, "states")
     }
     parameters = {
-        name: _parameter(name, tree.table("parameters", "model file"))
+        name: _parameter(name, tree.table("parameters", "model file"), of_parts.get(name))
         for name in _names(tree, "parameters")
     }
     parameters |= {
         name: _constant(name, tree.table("constants", "model file"))
         for name in _names(tree, "constants")
     }
-    let = _definitions(tree)
     balances = {
-        name: _balance(name, tree.table("balances", "model file", required=True), let)
+        name: _balance(name, tree.table("balances", "model file"))
         for name in _names(tree, "balances")
     }
     outputs = {
-        name: _output(name, tree.table("outputs", "model file", required=True), let)
+        name: _output(name, tree.table("outputs", "model file", required=True))
         for name in _names(tree, "outputs")
     }
+    of_record = {
+        name: parameters.pop(name) for name in _of_records(tree.table("parameters", "model file"))
+    }
+    states |= {name: State(name, p.unit, of_record=p) for name, p in of_record.items()}
+    let_section = tree.table("let", "model file")
+    let = {name: _expression(let_section.scalar(name, "let")) for name in _names(tree, "let")}
     name = tree.scalar("name", "model file").text
-    model = PhysicalModel(
-        name,
-        MappingProxyType(inputs),
-        MappingProxyType(states),
-        MappingProxyType(parameters),
-        MappingProxyType(balances),
-        MappingProxyType(outputs),
-    )
-    model = check(_with_clock(model), tree)
-    model = replace(model, initial=_initial(tree, model))
-    return _with_effects(model, tree)
+    return PhysicalModel(name, inputs, states, parameters, balances, outputs), let
 
 
 def _with_clock(model: PhysicalModel) -> PhysicalModel:
@@ -209,8 +279,14 @@ def write_model(model: PhysicalModel) -> str:
         "states": {
             s.name: {"unit": s.unit} | ({"rate": s.rate} if s.rate else {})
             for s in model.states.values()
+            if s.of_record is None
         },
-        "parameters": {name: _written(parameter) for name, parameter in model.parameters.items()},
+        "parameters": {name: _written(parameter) for name, parameter in model.parameters.items()}
+        | {
+            s.name: _written(s.of_record) | {"per": "record"}
+            for s in model.states.values()
+            if s.of_record
+        },
         "balances": {
             balance.name: _written_balance(balance) for balance in model.balances.values()
         },
@@ -304,34 +380,74 @@ def _state(name: str, section: Table) -> State:
     return State(name, _unit(table.scalar("unit", f"state {name!r}")), rate.text if rate else None)
 
 
-def _parameter(name: str, section: Table) -> Parameter:
+def _parameter(name: str, section: Table, of_part: Parameter | None) -> Parameter:
+    """A parameter as declared; one of a part keeps what is not said of it here."""
     label = f"parameter {name!r}"
+    entry = section.entries[name]
+    if of_part is not None and isinstance(entry, Scalar):
+        section = Table({name: _alone("value", entry)}, section.keys, section.place)
     table = section.table(name, "parameters")
     table.only(PARAMETER_KEYS, label)
+    before = of_part or Parameter(name, 0.0, "")
     unit = table.optional("unit", label)
     fixed, meaning = table.optional("fixed", label), table.optional("meaning", label)
-    lower = _bound(table.optional("lower", label), f"{label}: lower", -1)
-    upper = _bound(table.optional("upper", label), f"{label}: upper", 1)
-    value = table.scalar("value", label)
-    number, prior = _value_and_prior(table, label)
+    lower = _number(table.optional("lower", label), f"{label}: lower", before.lower)
+    upper = _number(table.optional("upper", label), f"{label}: upper", before.upper)
+    if of_part is not None and "value" not in table.entries:
+        number, prior, place = of_part.value, of_part.prior, table.place
+    else:
+        number, prior = _value_and_prior(table, label)
+        place = table.scalar("value", label).place
     if lower >= upper:
         raise table.place.refuse(
             f"{label}: lower is {lower:g} and upper is {upper:g}; lower must be below upper"
         )
     if not lower <= number <= upper:
-        raise value.place.refuse(
-            f"{label}: value is {number:g}; must be within {lower:g} to {upper:g}"
-        )
+        raise place.refuse(f"{label}: value is {number:g}; must be within {lower:g} to {upper:g}")
     return Parameter(
         name,
         number,
-        _unit(unit) if unit else "",
+        _unit(unit) if unit else before.unit,
         lower,
         upper,
-        fixed=fixed.truth(f"{label}: fixed") if fixed else False,
-        meaning=meaning.text if meaning else "",
+        fixed=fixed.truth(f"{label}: fixed") if fixed else before.fixed,
+        meaning=meaning.text if meaning else before.meaning,
         prior=prior,
     )
+
+
+def _of_records(section: Table) -> list[str]:
+    """The parameters that have a value for each record (`per: record`)."""
+    of_records = []
+    for name, entry in section.entries.items():
+        if not isinstance(entry, Table) or "per" not in entry.entries:
+            continue
+        label = f"parameter {name!r}"
+        per = entry.scalar("per", label)
+        if per.text != "record":
+            raise per.place.refuse(f"{label}: per is {per.text!r}; must be 'record'")
+        for key in ("lower", "upper", "fixed", "prior"):
+            if key in entry.entries:
+                raise entry.keys[key].refuse(
+                    f"{label}: has a value for each record, which neither bounds nor a prior hold;"
+                    f" leave out {key!r} or 'per'"
+                )
+        value = entry.optional("value", label)
+        if value is not None and _UNCERTAIN.fullmatch(value.text.strip()):
+            raise value.place.refuse(
+                f"{label}: has a value for each record, which no prior holds; leave out the ± or"
+                " 'per'"
+            )
+        of_records.append(name)
+    return of_records
+
+
+def _alone(key: str, entry: Scalar) -> Table:
+    return Table({key: entry}, {key: entry.place}, entry.place)
+
+
+def _number(text: Scalar | None, label: str, default: float) -> float:
+    return default if text is None else text.number(label)
 
 
 def _value_and_prior(table: Table, what: str) -> tuple[float, Prior | None]:
@@ -370,10 +486,6 @@ def _uncertain(text: Scalar, what: str) -> tuple[float, Prior | None]:
     return mean, Prior(mean, std)
 
 
-def _bound(text: Scalar | None, label: str, infinite: int) -> float:
-    return infinite * math.inf if text is None else text.number(label)
-
-
 def _constant(name: str, section: Table) -> Parameter:
     """`g: 9.81 m/s**2`: a number with its unit, which nothing estimates."""
     text = section.scalar(name, "constants")
@@ -387,22 +499,11 @@ def _constant(name: str, section: Table) -> Parameter:
     )
 
 
-def _definitions(tree: Table) -> Mapping[str, Expression]:
-    """The names under `let`, each with those before it put in."""
-    table, definitions = tree.table("let", "model file"), dict[str, Expression]()
-    for name in _names(tree, "let"):
-        defined = _expression(table.scalar(name, "let"), definitions)
-        if name in defined.names:
-            raise defined.place.refuse(f"let: {name!r} is defined by itself")
-        definitions[name] = defined
-    return definitions
+def _expression(text: Scalar) -> Expression:
+    return parse(text.text, text.place)
 
 
-def _expression(text: Scalar, let: Mapping[str, Expression]) -> Expression:
-    return with_definitions(parse(text.text, text.place), let)
-
-
-def _balance(name: str, section: Table, let: Mapping[str, Expression]) -> Balance:
+def _balance(name: str, section: Table) -> Balance:
     label = f"balance {name!r}"
     table = section.table(name, "balances")
     kind = table.scalar("kind", label)
@@ -418,9 +519,9 @@ def _balance(name: str, section: Table, let: Mapping[str, Expression]) -> Balanc
     return Balance(
         name,
         kind.text,
-        _expression(table.scalar("storage", label), let),
+        _expression(table.scalar("storage", label)),
         MappingProxyType(
-            {term: _expression(terms.scalar(term, f"{label}, terms"), let) for term in terms}
+            {term: _expression(terms.scalar(term, f"{label}, terms")) for term in terms}
         ),
         MappingProxyType(
             {role: table.scalar(role, label).text for role in roles if role in table.entries}
@@ -430,14 +531,14 @@ def _balance(name: str, section: Table, let: Mapping[str, Expression]) -> Balanc
     )
 
 
-def _output(name: str, section: Table, let: Mapping[str, Expression]) -> Output:
+def _output(name: str, section: Table) -> Output:
     table = section.table(name, "outputs")
     table.only(OUTPUT_KEYS, f"output {name!r}")
     value, unit = (
         table.scalar("value", f"output {name!r}"),
         table.optional("unit", f"output {name!r}"),
     )
-    return Output(name, _expression(value, let), _unit(unit) if unit else "")
+    return Output(name, _expression(value), _unit(unit) if unit else "")
 
 
 def _initial(tree: Table, model: PhysicalModel) -> Mapping[str, float]:

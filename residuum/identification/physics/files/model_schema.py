@@ -32,6 +32,7 @@ _EXPRESSION = {"type": ["string", "number"]}
 _TYPES: dict[str, dict[str, Any]] = {
     "unit": _TEXT, "rate": _TEXT, "default": {"type": ["string", "number"]}, "value": {"anyOf": [_NUMBER, _UNCERTAIN]},
     "lower": _NUMBER, "upper": _NUMBER, "fixed": {"type": "boolean"}, "meaning": _TEXT, "prior": _UNCERTAIN, "std": _NUMBER,
+    "per": {"const": "record"},
 }  # fmt: skip
 
 
@@ -39,16 +40,25 @@ def model_schema() -> dict[str, Any]:
     """The schema (JSON Schema 2020-12). It says what a file may hold; names, units and equations
     are checked when it is read.
 
-    >>> sorted(model_schema()["required"])
-    ['balances', 'name', 'outputs']
+    >>> sorted(model_schema()["required"]), model_schema()["then"]["required"]
+    (['name', 'outputs'], ['balances'])
     """
-    parameter = _object(PARAMETER_KEYS, ["value"])
+    parameter, of_part = _object(PARAMETER_KEYS, ["value"]), _object(PARAMETER_KEYS, [])
     sections = {
         "name": _TEXT,
         "notes": {},
+        "use": _named(_TEXT),
+        "connect": _named(
+            {
+                "anyOf": [
+                    {"type": "array", "minItems": 2, "items": _TEXT},
+                    {"type": "object", "additionalProperties": _EXPRESSION},
+                ]
+            }
+        ),
         "inputs": _named({"anyOf": [_TEXT, _object(INPUT_KEYS, ["unit"])]}),
         "states": _named(_object(STATE_KEYS, ["unit"])),
-        "parameters": _named(parameter),
+        "parameters": _named({"anyOf": [of_part, _NUMBER, _UNCERTAIN]}),
         "constants": _named({"type": ["number", "string"]}),
         "let": _named(_EXPRESSION),
         "balances": {
@@ -69,7 +79,10 @@ def model_schema() -> dict[str, Any]:
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "Residuum model file",
         "type": "object",
-        "required": ["name", "balances", "outputs"],
+        "required": ["name", "outputs"],
+        # without parts, the balances stand in the file and its parameters have values there
+        "if": {"not": {"required": ["use"]}},
+        "then": {"required": ["balances"], "properties": {"parameters": _named(parameter)}},
         "additionalProperties": False,
         "properties": {key: sections[key] for key in KEYS},
     }

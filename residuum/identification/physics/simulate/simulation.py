@@ -246,9 +246,12 @@ class Simulator:
         return p
 
     def x0(self, initial: Mapping[str, float] | None = None) -> Array:
-        """Initial state vector: the model's `initial`, then `initial`, zero elsewhere."""
+        """Initial state vector: the model's `initial`, then `initial`, zero elsewhere; a parameter
+        of each record begins at its declared value.
+        """
         x0 = np.zeros(len(self._state))
-        for name, value in {**self.model.initial, **(initial or {})}.items():
+        declared = {s.name: s.of_record.value for s in self.model.states.values() if s.of_record}
+        for name, value in {**declared, **self.model.initial, **(initial or {})}.items():
             x0[self._state[name]] = value
         return x0
 
