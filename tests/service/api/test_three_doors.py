@@ -264,12 +264,18 @@ def printed(capsys, *arguments, status=DONE):
 def answered(client, path, asked):
     """What a job of the service found."""
     place = client.post(f"/api/v1/{path}", json=asked).raise_for_status().headers["location"]
+    job = ended(client, place)
+    assert job["state"] == "done", job
+    return job["result"]
+
+
+def ended(client, place):
+    """A job at its end."""
     end = time.monotonic() + 300
     while (job := client.get(place).json())["state"] in ("queued", "running"):
         assert time.monotonic() < end, job
         time.sleep(0.02)
-    assert job["state"] == "done", job
-    return job["result"]
+    return job
 
 
 def shared(answer):
@@ -376,6 +382,71 @@ def test_what_is_asked_of_a_model_is_refused_alike(case, axis, refused_alike, tm
     )
     ask = partial(getattr(rs.model("linear-axis"), verb), path, **asked)
     refused_alike(field, says, ask, words, f"models/linear-axis/{verb}", body)
+
+
+OPTION = re.compile(r"(?<![-\w])--[a-z]")
+SAID = {
+    "error codes": (
+        "compare",
+        {},
+        (
+            "; `residuum inspect FILE --missing -127 --out FILE.mapping.yaml` leaves",
+            "; POST /records?missing=-127 leaves",
+            "; missing=['-127'] leaves",
+        ),
+    ),
+    "error codes, estimated": (
+        "estimate",
+        {},
+        ("--missing -127", "POST /records?missing=-127", "missing=['-127']"),
+    ),
+    "an output that is not recorded": (
+        "compare",
+        {},
+        ("(map one: --map velocity=COLUMN)", "", "(map one: map={'velocity': 'COLUMN'})"),
+    ),
+    "a hole": (
+        "identify",
+        AXIS | {"output": "position", "method": "arx"},
+        ("--method kernel", '"method": "kernel"', "method='kernel'"),
+    ),
+}
+"""What is asked of a record with error codes and a hole, and the way on in the words of each door:
+command, HTTP, Python.
+"""
+
+
+@pytest.mark.parametrize("case", SAID)
+def test_a_way_on_is_said_in_the_words_of_each_door(case, axis, client, capsys, tmp_path):
+    verb, asked, (option, key, keyword) = SAID[case]
+    record = rs.read(axis["position"][0])
+    position = record["position"].copy()
+    position[[200, 500, 800]], position[1000] = -127.0, np.nan
+    path = tmp_path / "codes.npz"
+    channels = {**record.channels, "position": position}
+    if "not recorded" in case:
+        del channels["velocity"]
+    units = {name: record.units[name] for name in channels}
+    rs.from_arrays(channels, units=units, sample_time=record.sample_time).save(path)
+    number = sent(client, path)
+    ask = rs.identify if verb == "identify" else getattr(rs.model("linear-axis"), verb)
+    words = [verb, *["linear-axis"] * (verb != "identify"), path, *options(asked)]
+    route = verb if verb == "identify" else f"models/linear-axis/{verb}"
+    told = []
+    for as_json in ([], ["--json"]):
+        capsys.readouterr()
+        run([*map(str, words), *map(str, out_of(verb, tmp_path)), *as_json])
+        told.append("".join(capsys.readouterr()))
+    place = client.post(f"/api/v1/{route}", json=asked | {"records": [number]}).headers["location"]
+    http = json.dumps(ended(client, place), ensure_ascii=False)
+    try:
+        answer = ask(path, **asked)
+        python = [str(answer), json.dumps(answer.to_dict(), ensure_ascii=False)]
+    except rs.BadInput as refused:
+        python = [str(refused)]
+    assert option in told[0] and OPTION.search(told[1])
+    assert json.dumps(key)[1:-1] in http and any(keyword in text for text in python)
+    assert not any(map(OPTION.search, [http, *python]))
 
 
 @pytest.fixture(scope="module")
