@@ -5,6 +5,7 @@ the command line and the HTTP interface print it unchanged.
 """
 
 from collections.abc import Callable, Iterable, Mapping
+from contextvars import ContextVar
 from typing import Any
 
 _LONGEST = 200
@@ -49,12 +50,36 @@ def as_text(value: object) -> str:
     return ",".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
 
 
+SAID_IN: ContextVar[Named] = ContextVar("how a field is said", default=as_keyword)
+"""The words in which a question was asked here; a door other than Python's sets its own."""
+
+
+def said(field: str, value: object = None) -> str:
+    """A field as a sentence of an answer names it, in the words in which was asked.
+
+    >>> said("missing", ["85"])
+    "missing=['85']"
+    """
+    return SAID_IN.get()(field, value)
+
+
+def as_texts(field: str, value: object) -> list[str]:
+    """A field's value as it is said outside of Python, in one text or, where an item may hold a
+    comma, in one an item.
+
+    >>> as_texts("missing", ["OL", "1,5"]), as_texts("names", ["n", "m"])
+    (['OL', '1,5'], ['n,m'])
+    """
+    apart = field == "missing" and isinstance(value, list | tuple)
+    return list(map(str, value)) if apart else [as_text(value)]  # type: ignore[call-overload]
+
+
 class BadInput(ValueError):
     """Something a caller handed over cannot be used; the message names what, where and the rule.
 
     Where the input is a field of a question, `what` is its value, `where` its name, and `way_on`
-    may name fields and values with which it would do; a door says them in its own words by `told`.
-    Python's are those of `str(error)`. A text that names a way on of its own ends in `, or`.
+    may name fields and values with which it would do; `str(error)` says them in the words of
+    `SAID_IN`, `told` in those of a door. A text that names a way on of its own ends in `, or`.
 
     >>> import residuum as rs
     >>> rs.simulate("gate-drive", duration=2.0, colour="red")  # doctest: +ELLIPSIS
@@ -78,7 +103,7 @@ class BadInput(ValueError):
         super().__init__(what, where, rule)
 
     def __str__(self) -> str:
-        return self.told(as_keyword)
+        return self.told(SAID_IN.get())
 
     def told(self, named: Named) -> str:
         """The refusal in the words of a door."""

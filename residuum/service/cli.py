@@ -11,7 +11,7 @@ from typing import Any
 
 import typer
 
-from residuum.identification.errors import BadInput
+from residuum.identification.errors import SAID_IN, BadInput
 from residuum.nearest_names import known_names
 from residuum.service.commands import COMMANDS, as_option
 from residuum.service.entry import end_at_once
@@ -38,6 +38,7 @@ def run(arguments: list[str]) -> int:
         return _refuse(
             f"command {name!r}: there is none of this name; {known_names(name, COMMANDS)}"
         )
+    words_before = SAID_IN.set(as_option)
     try:
         if fmus := [argument for argument in words if argument.lower().endswith(".fmu")]:
             apart = import_module("residuum.service.commands.fmu_process")
@@ -52,7 +53,7 @@ def run(arguments: list[str]) -> int:
     except _UsageError as error:
         return _refuse(f"{name}: {_usage(error)}")
     except BadInput as error:
-        return _refuse(error.told(as_option))
+        return _refuse(str(error))
     except (typer.Abort, KeyboardInterrupt):
         _refuse("interrupted")
         return INTERRUPTED
@@ -64,6 +65,8 @@ def run(arguments: list[str]) -> int:
         traceback.print_exc()
         sys.stderr.write(f"residuum: internal error: {type(error).__name__}: {error}\n")
         return OUR_FAULT
+    finally:
+        SAID_IN.reset(words_before)
     return status if isinstance(status, int) else DONE
 
 

@@ -20,7 +20,7 @@ from residuum.library.questions import refusal
 from residuum.service.alarms.alarm_states import IllegalTransition
 from residuum.service.logs import HEADER, request_id
 from residuum.service.memory_budget import TooBusy
-from residuum.service.remedies_over_http import as_key
+from residuum.service.remedies_over_http import SaidToClients
 from residuum.service.store import Conflict, NotFound, SignalLetGo, StorageUnavailable
 from residuum.service.work.jobs import TooManyJobs
 
@@ -86,13 +86,14 @@ def problem(
 
 def install(app: FastAPI) -> None:
     """Answer every exception of this app with a problem document."""
+    app.add_middleware(SaidToClients)
 
     @app.exception_handler(BadInput)
     async def _bad_input(_request: Request, error: BadInput) -> Response:
         status = next(_STATUS[kind] for kind in type(error).__mro__ if kind in _STATUS)
         return problem(
             status,
-            error.told(as_key),
+            str(error),
             _kebab(type(error).__name__),
             {"Retry-After": "5"} if status in (429, 503) else None,
         )
@@ -104,7 +105,7 @@ def install(app: FastAPI) -> None:
             return problem(
                 400, f"body.{first['loc'][1]}: {first['msg']}: {first['ctx']['error']}", "bad-body"
             )
-        return problem(422, refusal(first).told(as_key), "bad-request")
+        return problem(422, str(refusal(first)), "bad-request")
 
     @app.exception_handler(HTTPException)
     async def _http(_request: Request, error: HTTPException) -> Response:

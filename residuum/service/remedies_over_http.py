@@ -7,7 +7,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from urllib.parse import quote
 
-from residuum.identification.errors import BadInput, Named, as_text
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from residuum.identification.errors import SAID_IN, BadInput, Named, as_texts
 
 _OF_FILES = (
     "resample",
@@ -22,6 +24,18 @@ _OF_FILES = (
 )
 _KEYS = {"units": "unit", "time": "time_form"}
 """How a file is read, in Python → key of the query, where these differ."""
+
+
+class SaidToClients:
+    """Lets what answers a request name fields as its client gives them."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self.app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer a request."""
+        SAID_IN.set(as_key)
+        await self.app(scope, receive, send)
 
 
 @contextmanager
@@ -59,15 +73,18 @@ def as_query(field: str, value: object = None) -> str:
 
     >>> as_query("time", "day first"), as_query("map", {"time": "COLUMN"}), as_query("units", {"duty": "%"})
     ('?time_form=day%20first', '?time=COLUMN', '?unit=duty=%25')
+    >>> as_query("missing", ["85", "-127"])
+    '?missing=85&missing=-127'
     """
     if field not in (*_OF_FILES, "map"):
         return as_key(field, value)
     of_times = field == "map" and isinstance(value, dict) and "time" in value
-    key = "?" if of_times else f"?{_KEYS.get(field, field)}"
+    key = "" if of_times else _KEYS.get(field, field)
     if value is None:
-        return key
-    said = quote("true" if value is True else as_text(value), safe="=/*,:[]")
-    return key + said if of_times else f"{key}={said}"
+        return f"?{key}"
+    texts = as_texts(field, "true" if value is True else value)
+    said = [quote(text, safe="=/*,:[]") for text in texts]
+    return f"?{said[0] if of_times else '&'.join(f'{key}={text}' for text in said)}"
 
 
 def in_json(field: str, value: object = None) -> str:

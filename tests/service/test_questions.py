@@ -132,7 +132,7 @@ def test_a_question_reads_and_refuses_alike_for_every_door():
         BadInput, match=r"^scale 'gram': there is none of this name; did you mean 'grams'\?"
     ):
         weigh("salt", scale="gram")
-    with pytest.raises(BadInput, match=r"^times '10': must be ≤ 9"):
+    with pytest.raises(BadInput, match=r"^times 10: must be ≤ 9"):
         command(thing="salt", scale="grams", times="10")
     with pytest.raises(
         BadInput, match=r"^'scalee': there is none of this name; did you mean 'scale'\?"

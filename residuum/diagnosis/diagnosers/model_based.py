@@ -229,8 +229,9 @@ def built_in_model(records: Sequence[Record]) -> PhysicalModel:
         if all(set(needed) <= set(r.names) and set(model.outputs) & set(r.names) for r in records):
             return model
     raise BadInput(
-        "model-based: needs a model (--model FILE); no built-in one has the channels"
-        f" {', '.join(records[0].names)}"
+        "model-based: needs a model; no built-in one has the channels"
+        f" {', '.join(records[0].names)}",
+        way_on=[("model", "FILE")],
     )
 
 

@@ -40,7 +40,7 @@ from residuum.diagnosis.model_based.window_fit import (
     log_power,
 )
 from residuum.identification.blas_threads import one_thread
-from residuum.identification.errors import BadInput, BadRecord, NotIdentifiable
+from residuum.identification.errors import BadInput, BadRecord, NotIdentifiable, said
 from residuum.identification.physics import (
     EffectUse,
     Experiment,
@@ -429,7 +429,7 @@ def _refusal(model: PhysicalModel, data: Data, wide: Sequence[str]) -> Undetermi
     return Undetermined(
         f"model {model.name!r}: healthy windows do not determine {', '.join(wide)}: record windows"
         f" in which {driving} moves faster and over a wider range{more}, or keep"
-        f" {'them' if len(wide) > 1 else 'it'} at the file's value: --fix-undetermined",
+        f" {'them' if len(wide) > 1 else 'it'} at the file's value: {said('fix_undetermined', True)}",
         wide,
     )
 

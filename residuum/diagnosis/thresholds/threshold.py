@@ -175,8 +175,8 @@ def calibrated(design: ResidualDesign, rate: float, evaluation: EvaluationName) 
     """
     if not design.peaks:
         raise BadInput(
-            "calibrated threshold: the design has no healthy records; design it with --healthy"
-            " RECORD"
+            "calibrated threshold: the design has no healthy records",
+            way_on=[("healthy", "RECORD", "in its design")],
         )
     learnt = calibrated_threshold(design.peaks[evaluation], rate, design.model.sample_time)
     unit = design.model.output_unit if evaluation == "point" else "σ"

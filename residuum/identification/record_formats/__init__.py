@@ -64,9 +64,7 @@ def read_record(path: str | Path, options: ReadOptions = ReadOptions()) -> Recor
     ending = path.suffix.lower()
     reader = (READERS | LOGGERS | OLDER).get(ending)
     if ending in CAN_LOGS:
-        raise BadRecord(
-            f"{path}: is a CAN log, read by the commands with the DBC file of its bus (--dbc FILE)"
-        )
+        raise BadRecord(f"{path}: is a CAN log; the commands read it, with the DBC file of its bus")
     if reader is None:
         raise BadRecord(
             f"{path}: ending {ending!r} is not a record format;"

@@ -20,7 +20,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from residuum.array_types import FloatArray
-from residuum.identification.errors import MAY_DIVERGE, NotIdentifiable
+from residuum.identification.errors import MAY_DIVERGE, NotIdentifiable, said
 from residuum.identification.physics import Estimate, Experiment, PhysicalModel, estimate
 from residuum.identification.physics.simulate.kalman import Filter, first_noise
 from residuum.identification.physics.simulate.simulation import Simulator
@@ -57,8 +57,9 @@ def check_followed(
             raise NotIdentifiable(
                 f"model {model.name!r}: is unstable along record {e.source!r} ({times}), so that no"
                 " simulation stays with it, however right the model is, and nothing tells what it"
-                " lacks; where a controller holds the plant, `estimate --method prediction` begins"
-                " anew every few samples and tells its values; where the plant is stable,"
+                " lacks; where a controller holds the plant, estimate with"
+                f" {said('method', 'prediction')} begins anew every few samples and tells its"
+                " values; where the plant is stable,"
                 f" {MAY_DIVERGE}"
             )
 

@@ -28,7 +28,7 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.array_types import FloatArray
-from residuum.identification.errors import NotIdentifiable
+from residuum.identification.errors import NotIdentifiable, said
 from residuum.identification.physics import Experiment, PhysicalModel, estimate, match
 from residuum.identification.record import Record
 from residuum.identification.units import compatible, convert
@@ -108,7 +108,7 @@ class OddReadings:
         texts = []
         where = f"{self.source}, {self.output}"
         if self.coded.size:
-            values, leave_out = _values_and_command(self.codes)
+            values, leave_out = _values_and_way_on(self.codes)
             texts.append(
                 f"{where}: {_told_rows(self.coded, '')} read {values} {self.unit}, an error code"
                 f" beside their neighbours; they are left out here; {leave_out} leaves them out"
@@ -125,8 +125,8 @@ class OddReadings:
                 texts.append(f"{text}, where the model does not jump; they are left out here")
             else:
                 texts.append(
-                    f"{text} and may make much of the error; where they mean no value, "
-                    "`residuum inspect FILE --missing VALUE --out FILE.mapping.yaml` says so"
+                    f"{text} and may make much of the error; where they mean no value,"
+                    f" {said('missing', ['VALUE'])} says so"
                 )
         if self.held:
             texts.append(
@@ -150,11 +150,10 @@ def _told_rows(rows: npt.NDArray[np.intp], kind: str) -> str:
     return f"{len(rows)} {kind}sample{many} (number{many} {shown})"
 
 
-def _values_and_command(codes: Sequence[float]) -> tuple[str, str]:
-    """Error codes in words, and the command that says of them that they mean no value."""
+def _values_and_way_on(codes: Sequence[float]) -> tuple[str, str]:
+    """Error codes in words, and how is said of them that they mean no value."""
     values = [f"{code:.10g}" for code in codes]
-    marks = " ".join(f"--missing {value}" for value in values)
-    return " or ".join(values), f"`residuum inspect FILE {marks} --out FILE.mapping.yaml`"
+    return " or ".join(values), said("missing", values)
 
 
 def _rows_of(spans: Sequence[tuple[int, int]]) -> list[int]:
@@ -281,7 +280,7 @@ def codes_of_inputs(
                 marked & ((u < unmarked.min() - apart) | (u > unmarked.max() + apart))
             )
             if rows.size:
-                values, leave_out = _values_and_command(sorted(set(u[rows].tolist())))
+                values, leave_out = _values_and_way_on(sorted(set(u[rows].tolist())))
                 says.append(
                     f"{record.source}, {column}: {_told_rows(rows, '')} read {values}"
                     f" {record.units.get(column, '')}, an error code beside all other values, and"

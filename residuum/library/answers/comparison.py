@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+from residuum.identification.errors import said
 from residuum.identification.physics.simulate.experiment import PART
 from residuum.identification.residual_analysis.compare import Comparison
 from residuum.identification.residual_analysis.places.locate import Region
@@ -120,7 +121,8 @@ def _lacking(comparison: Comparison, name: str) -> str:
     """Which output is not compared, in which records."""
     records = comparison.not_recorded[name]
     where = f" in {', '.join(records)}" if len(records) < len(comparison.records) else ""
-    return f"{name}: not compared{where}, for no column holds it (map one: --map {name}=COLUMN)"
+    one = said("map", {name: "COLUMN"})
+    return f"{name}: not compared{where}, for no column holds it (map one: {one})"
 
 
 def _structured(comparison: Comparison) -> str:

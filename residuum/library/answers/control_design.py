@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from residuum.identification.errors import said
 from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.library.answers.plain import finite
 from residuum.robust_control.certificates import (
@@ -76,8 +77,8 @@ def says(result: Mapping[str, Any]) -> list[str]:
     verdict = "kept" if measured["kept"] else "NOT kept"
     if not measured["kept"] and not promised["in_time"]:
         verdict += (
-            " (the weight promises this of its reference model alone; --in-time holds the loop"
-            " to it)"
+            " (the weight promises this of its reference model alone;"
+            f" {said('in_time', True)} holds the loop to it)"
         )
     reached = measured["random_plants"]["reached_by_95_percent"]
     return [

@@ -13,6 +13,7 @@ from residuum.array_types import FloatArray
 from residuum.identification.discrepancy.estimated_values import EstimatedValue
 from residuum.identification.discrepancy.explanation import Explanation
 from residuum.identification.discrepancy.suggestion import nearest_formula
+from residuum.identification.errors import said
 from residuum.identification.physics.model import place_of, tied_to
 from residuum.identification.residual_analysis.policy import SLOW
 from residuum.identification.unseen_blocks.free_term import BlockTerm
@@ -206,7 +207,7 @@ def work_text(work: Work) -> list[str]:
     shown, more = work.not_tried[:_TOLD], len(work.not_tried) - _TOLD
     return [
         f"  not tried, for {why}: {', '.join(shown)}"
-        + (f" and {more} more (--json names them)" if more > 0 else "")
+        + (f" and {more} more (the JSON object names them)" if more > 0 else "")
     ]
 
 
@@ -306,7 +307,8 @@ def held_text(held: HeldValue) -> str:
     asked = value_text(held.value, held.std, held.unit)
     return (
         f"  {held.name} is fixed at {held.held:.4g} {held.unit}; the records ask for {asked}, which"
-        f" explains more than an effect would{alike}: `improve --free {held.name}` takes it up"
+        f" explains more than an effect would{alike}: improve with {said('free', [held.name])} takes"
+        " it up"
     )
 
 

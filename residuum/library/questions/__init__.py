@@ -11,6 +11,7 @@ import inspect
 import re
 import warnings
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from contextlib import suppress
 from contextvars import ContextVar
 from dataclasses import dataclass
 from textwrap import TextWrapper
@@ -214,14 +215,27 @@ def refusal(error: Mapping[str, Any], known: Iterable[str] = ()) -> BadInput:
     context = error.get("ctx", {})
     if isinstance(own := context.get("error"), BadInput):
         return own
-    where = ".".join(str(part) for part in error["loc"] if part != "body")
+    where = ".".join(str(part) for part in error["loc"] if part not in ("body", "query"))
     if error["type"] == "extra_forbidden":
         return BadInput(repr(where), "", f"there is none of this name; {known_names(where, known)}")
     ours = _RULES.get(error["type"])
     rule = error["msg"] if ours is None else ours.format_map(context)
-    return BadInput(
-        "" if error["type"] == "missing" else repr(error["input"])[:_LONGEST], where, rule
-    )
+    return BadInput("" if error["type"] == "missing" else _as_given(error["input"]), where, rule)
+
+
+def _as_given(value: object) -> str:
+    """A value as a refusal shows it: of a number the same, whether it came as a number or as a
+    text.
+
+    >>> _as_given("soon"), _as_given(-3), _as_given("-3")
+    ("'soon'", '-3', '-3')
+    """
+    shown = repr(value)
+    if isinstance(value, str):
+        with suppress(ValueError):
+            float(value)
+            shown = value
+    return shown[:_LONGEST]
 
 
 def part_of(asked: BaseModel, question: type[Asked]) -> Asked:

@@ -21,7 +21,7 @@ _PLACED = re.compile(r"[^,@:]+([@:][^,@]+)?")
 
 def _named(given: Any, info: ValidationInfo) -> Any:
     """One name as a list of one; an empty list, which says nothing, as it is written now."""
-    if isinstance(given, Collection) and len(given) == 0:
+    if isinstance(given, Collection) and not isinstance(given, str) and len(given) == 0:
         OLD_SPELLINGS.get()(
             f"{info.field_name} {given!r}: will not be read much longer; leave it out"
         )

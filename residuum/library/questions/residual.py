@@ -81,7 +81,7 @@ def residual_for(
         raise BadInput(
             setting,
             where,
-            "needs a model with several outputs, by `residuum identify` with --output repeated",
+            "needs a model with several outputs, as identify makes of several",
         )
     chosen = asked.model_dump(include={"fault", "gamma", "method"})
     return design_residual(model, weight_for(model, asked).weight, healthy, **chosen)

@@ -6,7 +6,7 @@ through `residuum.service.commands.report`.
 
 import shlex
 
-from residuum.identification.errors import as_text
+from residuum.identification.errors import as_texts
 
 _OF_INSPECT = ("decimal", "time", "missing", "names")
 _OF_MAPPINGS = ("duplicates", "reordered")
@@ -20,19 +20,19 @@ def as_option(field: str, value: object = None) -> str:
 
     >>> as_option("units", {"torque": "N*m"})
     "--unit 'torque=N*m'"
-    >>> as_option("missing", ["OL"])
-    '`residuum inspect FILE --missing OL --out FILE.mapping.yaml`'
+    >>> as_option("missing", ["OL", "-127"])
+    '`residuum inspect FILE --missing OL --missing -127 --out FILE.mapping.yaml`'
     """
     if field in _OF_MAPPINGS and value is not None:
         return (
             f"`{field}: {value}` in the mapping that `residuum inspect FILE --out"
             " FILE.mapping.yaml` writes"
         )
-    name, *parts = field.split(".")
-    option = " ".join([f"--{'unit' if name == 'units' else name.replace('_', '-')}", *parts])
+    name, *inside = field.split(".")
+    option = " ".join([f"--{'unit' if name == 'units' else name.replace('_', '-')}", *inside])
     if value is None or value is True:
         return option
-    said = f"{option} {shlex.quote(as_text(value))}"
+    said = " ".join(f"{option} {shlex.quote(text)}" for text in as_texts(field, value))
     return (
         f"`residuum inspect FILE {said} --out FILE.mapping.yaml`" if field in _OF_INSPECT else said
     )

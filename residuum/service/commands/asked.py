@@ -81,6 +81,8 @@ def _read(question: type[Question], name: str, value: Any) -> Any:
     taken = _taken(question, name)
     if taken == _NAMES:
         return [part.strip() for text in value for part in text.split(",")]
+    if taken == list[str] and len(value) == 1 and str in kinds(get_type_hints(question)[name]):
+        return value[0]
     if get_origin(taken) is not dict:
         return value
     form, read = _METAVARS[taken] or "", {}

@@ -22,7 +22,7 @@ from typing import Any
 import structlog
 
 from residuum.identification.discrepancy import compile_ahead
-from residuum.identification.errors import BadInput
+from residuum.identification.errors import SAID_IN, BadInput
 from residuum.service.remedies_over_http import as_key
 from residuum.service.store import NotFound
 
@@ -299,6 +299,7 @@ class _Worker:
 def _work_on(channel: Connection[Any, Any]) -> None:
     """The worker process: take jobs until the service closes the channel."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the service decides when a job ends
+    SAID_IN.set(as_key)
 
     def progress(share: float, doing: str) -> None:
         channel.send(("progress", share, doing))
@@ -313,6 +314,6 @@ def _work_on(channel: Connection[Any, Any]) -> None:
                     (JobState.DONE.value, dict(copy_context().run(work, progress, *arguments)))
                 )
             except BadInput as error:
-                channel.send((JobState.REFUSED.value, " ".join(error.told(as_key).split())))
+                channel.send((JobState.REFUSED.value, " ".join(str(error).split())))
             except Exception:
                 channel.send((JobState.FAILED.value, traceback.format_exc()))

@@ -174,12 +174,12 @@ def test_values_that_the_windows_leave_open_are_refused_by_name_or_held():
     resting = [changed(r, force=np.zeros(r.n), velocity=1e-3 * np.random.default_rng(k).standard_normal(r.n),
                        position=1e-4 * np.random.default_rng(k + 99).standard_normal(r.n))
                for k, r in enumerate(axis_windows(6)[0][:8])]  # fmt: skip
-    with pytest.raises(Undetermined, match=r"M: record.*--fix-undetermined"):
+    with pytest.raises(Undetermined, match=r"M: record.*fix_undetermined=True"):
         ModelBased(model=text).fit(resting)
 
 
 def test_without_a_model_that_fits_it_asks_for_one():
-    with pytest.raises(BadInput, match="--model"):
+    with pytest.raises(BadInput, match="say model=FILE"):
         ModelBased().fit([Record({"a": np.arange(100.0)}, {"a": "V"}, 0.01)])
 
 

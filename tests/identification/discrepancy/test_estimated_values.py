@@ -60,4 +60,4 @@ def test_what_was_not_tried_is_counted_where_it_is_much():
     few.not_tried[:] = ["a", "b"]
     many.not_tried[:] = [str(k) for k in range(40)]
     assert work_text(few)[0].endswith("done: a, b")
-    assert work_text(many)[0].endswith("0, 1, 2, 3, 4, 5 and 34 more (--json names them)")
+    assert work_text(many)[0].endswith("0, 1, 2, 3, 4, 5 and 34 more (the JSON object names them)")

@@ -186,7 +186,7 @@ def test_rows_without_times_are_as_far_apart_as_is_said(tmp_path):
     found = understand(content, "log.txt", sample_time=0.025)
     assert found.guesses["time"] == (
         "rows of 0.025 s",
-        "said with --sample-time; no column is a time",
+        "said with sample_time; no column is a time",
     )
     (tmp_path / "log.txt").write_bytes(content)
     (tmp_path / "log.mapping.yaml").write_text(found.mapping.to_yaml(), encoding="utf-8")

@@ -59,7 +59,7 @@ def with_values(model: PhysicalModel, **values: float) -> PhysicalModel:
 @pytest.mark.parametrize("asked", [compare, explain, improve])
 def test_refuses_what_runs_away_from_any_record_and_names_the_way(held, asked) -> None:
     with pytest.raises(
-        NotIdentifiable, match=r"unstable along record .* e-fold in 0\.1\d+ s.*--method prediction"
+        NotIdentifiable, match=r"unstable along record .* e-fold in 0\.1\d+ s.*method='prediction'"
     ):
         asked(read_model(PENDULUM), [held])
 

@@ -2,7 +2,6 @@
 
 import json
 import re
-import time
 from contextvars import copy_context
 from functools import partial
 
@@ -13,19 +12,18 @@ import residuum as rs
 from residuum.library.questions.residual import DesignResidual
 from residuum.service.cli import ANSWER_IS_NO, BAD_INPUT, DONE, run
 from residuum.service.commands import as_option
-
-OWN_TO_A_DOOR = (
-    "file",
-    "model_file",
-    "identified",
-    "stored",
-    "record",
-    "records",
-    "models",
-    "seconds",
+from tests.service.api.doors import (
+    AXIS,
+    OWN,
+    answered,
+    ended,
+    options,
+    out_of,
+    printed,
+    sent,
+    shared,
 )
-"""Where each door puts files, what it calls records and models, and how long it took."""
-AXIS = {"input": "force", "output": "velocity"}
+
 IDENTIFIED = {
     "kernel": {"order": 30, "delay": 1},
     "kernel of stable splines": {"kernel": "ss", "order": 30, "delay": 1},
@@ -159,13 +157,6 @@ NOT_WATCHED = {
     ),
     "an unknown evaluation": ({"evaluation": "rm"}, "evaluation", "did you mean 'rms'"),
 }
-OWN = """
-effects:
-  - id: own-drag
-    acts_on: [force]
-    term: -c * velocity
-    parameters: {c: {value: 0, unit: N*s/m, lower: 0, size: true}}
-"""
 ASKED_OF_MODEL = {
     "compare": ("compare", {}),
     "compare by other draws": ("compare", {"level": 0.05, "seed": 3}),
@@ -222,89 +213,6 @@ NOT_ASKED_OF_MODEL = {
     ),
     "no time": ("explain", {"seconds": 0}, "seconds", "must be > 0"),
 }
-
-
-@pytest.fixture(scope="module")
-def axis(tmp_path_factory, client):
-    """Two files of an axis with friction, the second with a column in German, and their numbers at the service."""
-    force = 60.0 * np.sign(np.sin(2.0 * np.pi * 0.4 * 0.01 * np.arange(1200)))
-    truth = (
-        rs.model("linear-axis").with_values(M=95.0).with_effect("viscous-friction", "axis", d=40.0)
-    )
-    out = truth.simulate(rs.from_arrays({"force": force}, units={"force": "N"}, sample_time=0.01))
-    rng = np.random.default_rng(1)
-    position, velocity = (
-        out[name] + 1e-3 * rng.standard_normal(1200) for name in ("position", "velocity")
-    )
-    found = {}
-    for name in ("position", "weg"):
-        path = tmp_path_factory.mktemp("axis") / f"{name}.npz"
-        channels, units = (
-            {"force": force, name: position, "velocity": velocity},
-            {"force": "N", name: "m", "velocity": "m/s"},
-        )
-        rs.from_arrays(channels, units=units, sample_time=0.01).save(path)
-        found[name] = path, sent(client, path)
-    return found
-
-
-def sent(client, path):
-    answer = client.post(
-        "/api/v1/records", params={"filename": path.name}, content=path.read_bytes()
-    )
-    return answer.raise_for_status().json()["id"]
-
-
-def printed(capsys, *arguments, status=DONE):
-    capsys.readouterr()
-    assert run([*map(str, arguments), "--json"]) == status
-    return json.loads(capsys.readouterr().out)
-
-
-def answered(client, path, asked):
-    """What a job of the service found."""
-    place = client.post(f"/api/v1/{path}", json=asked).raise_for_status().headers["location"]
-    end = time.monotonic() + 300
-    while (job := client.get(place).json())["state"] in ("queued", "running"):
-        assert time.monotonic() < end, job
-        time.sleep(0.02)
-    assert job["state"] == "done", job
-    return job["result"]
-
-
-def shared(answer):
-    """The part of an answer that is every door's, as JSON; a record is called differently by each."""
-    text = re.sub(
-        r"(record-\d+|position|weg)\.npz", "the record", json.dumps(answer, ensure_ascii=False)
-    )
-    return {name: value for name, value in json.loads(text).items() if name not in OWN_TO_A_DOOR}
-
-
-def out_of(verb, folder):
-    """The option by which a command is told where to write a model, of those that make one."""
-    return ["--out", folder / "out.yaml"] if verb in ("estimate", "improve") else []
-
-
-def options(asked):
-    for name, value in asked.items():
-        if value is True:
-            yield f"--{name.replace('_', '-')}"
-        elif value is False:
-            yield f"--no-{name}"
-        elif name in ("input", "output"):
-            yield from (word for channel in np.ravel(value) for word in (f"--{name}", channel))
-        elif isinstance(value, dict):
-            texts = {key: ":".join(map(str, np.ravel(part))) for key, part in value.items()}
-            yield from (
-                word for pair in texts.items() for word in (as_option(name), "=".join(pair))
-            )
-        elif name == "limits":
-            yield from (as_option(name), *value)
-        else:
-            yield from (
-                f"--{name.replace('_', '-')}",
-                ",".join(value) if isinstance(value, list) else value,
-            )
 
 
 @pytest.mark.parametrize("case", IDENTIFIED)
@@ -378,26 +286,69 @@ def test_what_is_asked_of_a_model_is_refused_alike(case, axis, refused_alike, tm
     refused_alike(field, says, ask, words, f"models/linear-axis/{verb}", body)
 
 
-@pytest.fixture(scope="module")
-def plant_file(axis, client, tmp_path_factory):
-    """The axis as an output-error model: its file, and at the service `axis`."""
-    path, number = axis["position"]
-    asked = AXIS | {"method": "oe", "order": 1, "delay": 1}
-    file = tmp_path_factory.mktemp("plant") / "axis.json"
-    rs.identify(path, **asked).save(file)
-    answered(client, "identify", asked | {"records": [number], "save_as": "axis"})
-    return file
+OPTION = re.compile(r"(?<![-\w])--[a-z]")
+SAID = {
+    "error codes": (
+        "compare",
+        {},
+        (
+            "; `residuum inspect FILE --missing -127 --out FILE.mapping.yaml` leaves",
+            "; POST /records?missing=-127 leaves",
+            "; missing=['-127'] leaves",
+        ),
+    ),
+    "error codes, estimated": (
+        "estimate",
+        {},
+        ("--missing -127", "POST /records?missing=-127", "missing=['-127']"),
+    ),
+    "an output that is not recorded": (
+        "compare",
+        {},
+        ("(map one: --map velocity=COLUMN)", "", "(map one: map={'velocity': 'COLUMN'})"),
+    ),
+    "a hole": (
+        "identify",
+        AXIS | {"output": "position", "method": "arx"},
+        ("--method kernel", '"method": "kernel"', "method='kernel'"),
+    ),
+}
+"""What is asked of a record with error codes and a hole, and the way on in the words of each door:
+command, HTTP, Python.
+"""
 
 
-@pytest.fixture(scope="module")
-def short_plant(axis, client, tmp_path_factory):
-    """The axis as an impulse response of 20 samples: its file, and at the service `short`."""
-    path, number = axis["position"]
-    asked = AXIS | {"order": 20, "delay": 1}
-    file = tmp_path_factory.mktemp("short") / "axis.json"
-    rs.identify(path, **asked).save(file)
-    answered(client, "identify", asked | {"records": [number], "save_as": "short"})
-    return file
+@pytest.mark.parametrize("case", SAID)
+def test_a_way_on_is_said_in_the_words_of_each_door(case, axis, client, capsys, tmp_path):
+    verb, asked, (option, key, keyword) = SAID[case]
+    record = rs.read(axis["position"][0])
+    position = record["position"].copy()
+    position[[200, 500, 800]], position[1000] = -127.0, np.nan
+    path = tmp_path / "codes.npz"
+    channels = {**record.channels, "position": position}
+    if "not recorded" in case:
+        del channels["velocity"]
+    units = {name: record.units[name] for name in channels}
+    rs.from_arrays(channels, units=units, sample_time=record.sample_time).save(path)
+    number = sent(client, path)
+    ask = rs.identify if verb == "identify" else getattr(rs.model("linear-axis"), verb)
+    words = [verb, *["linear-axis"] * (verb != "identify"), path, *options(asked)]
+    route = verb if verb == "identify" else f"models/linear-axis/{verb}"
+    told = []
+    for as_json in ([], ["--json"]):
+        capsys.readouterr()
+        run([*map(str, words), *map(str, out_of(verb, tmp_path)), *as_json])
+        told.append("".join(capsys.readouterr()))
+    place = client.post(f"/api/v1/{route}", json=asked | {"records": [number]}).headers["location"]
+    http = json.dumps(ended(client, place), ensure_ascii=False)
+    try:
+        answer = ask(path, **asked)
+        python = [str(answer), json.dumps(answer.to_dict(), ensure_ascii=False)]
+    except rs.BadInput as refused:
+        python = [str(refused)]
+    assert option in told[0] and OPTION.search(told[1])
+    assert json.dumps(key)[1:-1] in http and any(keyword in text for text in python)
+    assert not any(map(OPTION.search, [http, *python]))
 
 
 @pytest.mark.parametrize("case", DESIGNED)

@@ -136,7 +136,7 @@ def test_human_report_carries_units_and_uncertainty(record_file, tmp_path, capsy
         (["--method", "oe", "--criterion", "cv"], "known are bic, aic, k-fold, record-wise"),
         (["--method", "oe", "--criterion", "record-wise"], "record-wise: has one record"),
         (["--order", "5000"], "samples in a row"),
-        (["--delay", "-3"], "--delay '-3': must be ≥ 0"),
+        (["--delay", "-3"], "--delay -3: must be ≥ 0"),
         (["--delay", "soon"], "--delay 'soon': must be a whole number"),
         (["--noise-variance", "guess"], "must be a number or one of"),
         (["--out", "/nowhere/m.json"], "folder '/nowhere' does not exist"),

@@ -143,7 +143,7 @@ def test_bad_input_is_exit_status_two_with_one_line(folder, capsys):
         "not a stored": ["run", folder / "nonsense", folder / "good.csv"],
         "no such file": ["design", folder / "absent.json", "--out", folder / "x"],
         "gamma": ["design", folder / "model.json", "--out", folder / "x", "--gamma", "-1"],
-        "false-alarms-per-day '0': must be > 0": [
+        "false-alarms-per-day 0: must be > 0": [
             "run",
             folder / "d",
             folder / "good.csv",

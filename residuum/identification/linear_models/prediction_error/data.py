@@ -88,7 +88,8 @@ def _complete(record: Record, name: str) -> FloatArray:
     if missing.size:
         raise BadRecord(
             f"{where}, channel {name!r}: sample {int(missing[0])} is missing; prediction error"
-            " methods need every sample cut the record there, or take --method kernel"
+            " methods need every sample; cut the record there, or",
+            way_on=[("method", "kernel")],
         )
     return signal
 

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from types import MappingProxyType
 
-from residuum.identification.errors import NoExplicitEquations
+from residuum.identification.errors import NoExplicitEquations, said
 from residuum.identification.physics.files.dimension import (
     Dimension,
     dimension_of,
@@ -139,8 +139,8 @@ def _delays(model: PhysicalModel) -> None:
             if node.name in model.inputs and len(used[node.name]) > 1:
                 raise node.place.refuse(
                     f"input {node.name!r} stands in the model with more than one delay; declare a"
-                    " second input and map it to the same column: --map"
-                    f" {node.name}_late={node.name}"
+                    " second input and map it to the same column:"
+                    f" {said('map', {f'{node.name}_late': node.name})}"
                 )
         for call in walk(expression.tree):
             if isinstance(call, Call) and call.function == "delay":

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from residuum.identification.errors import BadRecord
+from residuum.identification.errors import BadRecord, said
 from residuum.identification.record_formats.even_time import an_hour_ahead, on_grid, usual_step
 from residuum.identification.record_formats.loggers.first_rows import first_rows
 from residuum.identification.record_formats.loggers.logger_head import (
@@ -114,7 +114,7 @@ def understand(
     guesses["first row"] = (str(first), f"from here on rows have {width} cells, values among them")
     body = rows[first - 1 :]
     sign, why = (
-        (decimal, "said with --decimal")
+        (decimal, f"said with {said('decimal')}")
         if decimal
         else find_decimal(rows[first - 1 :], source, first)
     )
@@ -130,7 +130,7 @@ def understand(
     if sample_time is not None and time_column is None and not _has_time(body, names, units):
         guesses["time"] = (
             f"rows of {sample_time:g} s",
-            "said with --sample-time; no column is a time",
+            f"said with {said('sample_time')}; no column is a time",
         )
     else:
         time, form = _time(body, names, units, sign, (time_form, time_column), guesses, source)
@@ -161,7 +161,7 @@ def understand(
         mapping = replace(
             mapping, missing=(*mapping.missing, *(cell.strip().lower() for cell in missing))
         )
-        guesses["missing"] = (", ".join(missing), "said with --missing")
+        guesses["missing"] = (", ".join(missing), f"said with {said('missing')}")
     return _with_samples(text, mapping, guesses, source)
 
 
@@ -220,7 +220,7 @@ def _said_heads(
     if len(heads) != width:
         raise BadRecord(f"of {len(heads)} columns", "names", f"{source} has {width}")
     named = [unit_of_head(head.strip()) for head in heads]
-    guesses["header"] = (", ".join(heads), "said with --names")
+    guesses["header"] = (", ".join(heads), f"said with {said('names')}")
     return _distinct(
         [name or f"column {k}" for k, (name, _) in enumerate(named, start=1)], "names"
     ), [u for _, u in named]
@@ -327,7 +327,7 @@ def _time(
         chosen = (0,)
         guesses["time column"] = (
             repr(names[0]),
-            "an axis that rises evenly; its form is said with --time",
+            f"an axis that rises evenly; its form is said with {said('time')}",
         )
     else:
         chosen = _time_columns(names, units, stamped, source)
@@ -342,7 +342,7 @@ def _time(
         )
     )
     if given_form:
-        guess = (given_form, "said with --time")
+        guess = (given_form, f"said with {said('time')}")
     if guess is None:
         raise BadRecord(
             f"{source}: time column {where} has no unit; write it into the head, or",
@@ -515,7 +515,7 @@ def _channels(
         ):
             guesses[f"column {name!r}"] = (
                 "kept as numbers",
-                f"{sentinels[0]} may mean no value; if so, say --missing {sentinels[0]}",
+                f"{sentinels[0]} may mean no value; if so, say {said('missing', sentinels[:1])}",
             )
     if not channels:
         raise BadRecord(f"{source}: no column of numbers beside the time")
