@@ -63,6 +63,10 @@ EFFECT_KEYS = ("id", "balance", "input", "output", "parameters", "provenance")
 """What each entry of a section may hold; balances also name the variables of their kind."""
 TIME = "time"
 """Name of the time since the record's begin, which need not be declared."""
+_TAKES_FMUS = (
+    "the commands compare, explain, improve and estimate take it, in a process of its own, and"
+    " `rs.fmu` in Python"
+)
 _NAME = re.compile(r"[A-Za-z_][A-Za-z_0-9]*")
 _UNCERTAIN = re.compile(r"(\S+?)\s*(?:±|\+-|\+/-)\s*(\S+)")
 """A number and its standard deviation."""
@@ -107,10 +111,7 @@ def load_model(name_or_path: str | Path) -> PhysicalModel:
         return read_model(resource.read_text(encoding="utf-8"), str(name_or_path))
     path = Path(name_or_path)
     if path.suffix.lower() == ".fmu":
-        raise BadModel(
-            f"model {str(path)!r}: is an FMU; `residuum compare` and `residuum explain` take it, in"
-            " a process of its own"
-        )
+        raise BadModel(f"model {str(path)!r}: is an FMU; {_TAKES_FMUS}")
     if not path.is_file():
         raise BadModel(
             f"model {str(name_or_path)!r}: no such file;"
@@ -138,6 +139,8 @@ def read_model(text: str, source: str = "model", folder: Path | None = None) -> 
     `source` names it in refusals, the files of its tables stand in `folder`.
     """
     tree = with_table_files(read_tree(text, source), folder)
+    if "fmu" in tree.entries:
+        raise tree.keys["fmu"].refuse(f"fmu: the model is an FMU; {_TAKES_FMUS}")
     tree.only(KEYS, "model file")
     for section in ("balances", "outputs"):
         if not list(tree.table(section, "model file", required=True)):
@@ -149,7 +152,7 @@ def read_model(text: str, source: str = "model", folder: Path | None = None) -> 
         name: _state(name, tree.table("states", "model file")) for name in _names(tree, "states")
     }
     parameters = {
-        name: _parameter(name, tree.table("parameters", "model file"))
+        name: read_parameter(name, tree.table("parameters", "model file"))
         for name in _names(tree, "parameters")
     }
     parameters |= {
@@ -176,7 +179,7 @@ def read_model(text: str, source: str = "model", folder: Path | None = None) -> 
     )
     model = check(_with_clock(model), tree)
     model = replace(model, initial=_initial(tree, model))
-    return _with_effects(model, tree)
+    return with_effects(model, tree)
 
 
 def _with_clock(model: PhysicalModel) -> PhysicalModel:
@@ -210,7 +213,9 @@ def write_model(model: PhysicalModel) -> str:
             s.name: {"unit": s.unit} | ({"rate": s.rate} if s.rate else {})
             for s in model.states.values()
         },
-        "parameters": {name: _written(parameter) for name, parameter in model.parameters.items()},
+        "parameters": {
+            name: written_parameter(parameter) for name, parameter in model.parameters.items()
+        },
         "balances": {
             balance.name: _written_balance(balance) for balance in model.balances.values()
         },
@@ -220,14 +225,25 @@ def write_model(model: PhysicalModel) -> str:
     }
     if model.initial:
         document["initial"] = dict(model.initial)
+    return dumped(document | written_effects(model))
+
+
+def written_effects(model: PhysicalModel) -> dict[str, Any]:
+    """The sections of a model file that hold a model's effects; `with_effects` reads them."""
+    sections: dict[str, Any] = {}
     if own := {
         use.id: use.effect.definition
         for use in model.effects
         if isinstance(use.effect, WrittenEffect)
     }:
-        document["own_effects"] = list(own.values())
+        sections["own_effects"] = list(own.values())
     if model.effects:
-        document["effects"] = [_written_use(use) for use in model.effects]
+        sections["effects"] = [_written_use(use) for use in model.effects]
+    return sections
+
+
+def dumped(document: dict[str, Any]) -> str:
+    """The text of a model file, in the order that its keys have."""
     return str(
         yaml.dump(
             document,
@@ -253,7 +269,7 @@ def _written_balance(balance: Balance) -> dict[str, Any]:
 
 
 def _written_use(use: EffectUse) -> dict[str, Any]:
-    parameters = {name: _written(parameter) for name, parameter in use.parameters.items()}
+    parameters = {name: written_parameter(parameter) for name, parameter in use.parameters.items()}
     provenance = {"provenance": dict(use.provenance)} if use.provenance else {}
     return {"id": use.id, use.effect.place: use.target, "parameters": parameters, **provenance}
 
@@ -304,7 +320,8 @@ def _state(name: str, section: Table) -> State:
     return State(name, _unit(table.scalar("unit", f"state {name!r}")), rate.text if rate else None)
 
 
-def _parameter(name: str, section: Table) -> Parameter:
+def read_parameter(name: str, section: Table) -> Parameter:
+    """An entry of the section `parameters`."""
     label = f"parameter {name!r}"
     table = section.table(name, "parameters")
     table.only(PARAMETER_KEYS, label)
@@ -450,7 +467,8 @@ def _initial(tree: Table, model: PhysicalModel) -> Mapping[str, float]:
     return {name: table.scalar(name, "initial").number(f"initial: {name}") for name in table}
 
 
-def _with_effects(model: PhysicalModel, tree: Table) -> PhysicalModel:
+def with_effects(model: PhysicalModel, tree: Table) -> PhysicalModel:
+    """The model with the effects that a file names."""
     if "own_effects" in tree.entries:
         EFFECTS.use_here(*effects_of(tree.entries["own_effects"], tree))
     listing = tree.entries.get("effects")
@@ -513,7 +531,8 @@ def _plain(tree: Scalar | Listing | Table) -> Any:
     return {key: _plain(value) for key, value in tree.entries.items()}
 
 
-def _written(parameter: Parameter) -> dict[str, Any]:
+def written_parameter(parameter: Parameter) -> dict[str, Any]:
+    """A parameter as `read_parameter` reads it."""
     written: dict[str, Any] = {"value": float(parameter.value), "unit": parameter.unit}
     if parameter.prior is not None:
         written["prior"] = str(parameter.prior)
