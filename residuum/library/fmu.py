@@ -11,8 +11,12 @@ from os import PathLike
 from pathlib import Path
 from typing import Any, Self
 
+import numpy as np
+import numpy.typing as npt
+
 from residuum.identification.errors import BadInput
-from residuum.identification.physics import PhysicalModel, match
+from residuum.identification.physics import Estimate as Estimated
+from residuum.identification.physics import Experiment, PhysicalModel, estimate, match
 from residuum.identification.physics.effects.base import Parameter
 from residuum.identification.physics.fmu.co_simulation import OwnSimulation
 from residuum.identification.physics.fmu.description import Description
@@ -35,8 +39,10 @@ from residuum.identification.physics.fmu.simulated_model import (
     inputs_of,
     simulated_model,
     with_simulation,
+    without_rows,
 )
 from residuum.identification.record import Record as MeasuredRecord
+from residuum.identification.residual_analysis.feedback import at_likelier_timing
 from residuum.library.improvement import Estimation, Improvement
 from residuum.library.model import Mapped, Model, Records
 from residuum.library.progress import Progress
@@ -165,16 +171,35 @@ class FmuModel(Model):
     def _changed(self, physical: PhysicalModel) -> Self:
         return self._copy(self._values, physical)
 
-    def _simulated(
-        self, records: Sequence[MeasuredRecord], map: Mapped, *, rows: bool = False
-    ) -> list[MeasuredRecord]:
+    def _simulated(self, records: Sequence[MeasuredRecord], map: Mapped) -> list[MeasuredRecord]:
         """The records with what an FMU that simulates itself computes along them."""
         if self._library is not None:
             self._library.call()
             self._library.settle(self._set)
         if self._own is None:
             return list(records)
-        return with_simulation(self._own, records, map or {}, self._set, rows=rows)
+        simulated = with_simulation(
+            self._own, records, map or {}, self._set, self._likelier(records, map)
+        )
+        return [without_rows(record) for record in simulated]
+
+    def _likelier(
+        self, records: Sequence[MeasuredRecord], map: Mapped
+    ) -> list[npt.NDArray[np.float64]] | None:
+        """How the inputs of each record move between samples, as its outputs speak for it."""
+        columns = [(map or {}).get(name, name) for name in self.outputs]
+        if not self._described.inputs or not all(
+            any(column in record.names for column in columns) for record in records
+        ):
+            return None
+        model, lent = self._lent(dict(self._values), records, map)
+        matched, experiments = match(model.physical, lent, map)
+
+        def fitted(turned: list[Experiment]) -> Estimated:
+            return estimate(matched, turned, free=())
+
+        timed, _ = at_likelier_timing(experiments, fitted)
+        return [e.hold[: len(self._described.inputs)] for e in timed]
 
     def _measured(self, records: Records, map: Mapped) -> list[MeasuredRecord]:
         return super()._measured(self._simulated(as_records(records), map), map)
@@ -295,7 +320,7 @@ class FmuModel(Model):
             foreign, physical = ExchangedParameters(library), exchange_model(library, parameters)
             lent = list(records)
         else:
-            lent = self._simulated(records, map, rows=True)
+            lent = with_simulation(self._own, records, map or {}, self._set)
             signals = [(inputs_of(self._described, r, map or {}), r.sample_time) for r in records]
             foreign = SimulatedParameters(self._own, signals)
             physical = simulated_model(self._described, parameters)

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.errors import NotIdentifiable
+from residuum.identification.physics.estimation.estimation import estimate
 from residuum.identification.physics.fmu.co_simulation import OwnSimulation
 from residuum.identification.physics.fmu.loaded_library import LoadedLibrary
 from residuum.identification.physics.model import PhysicalModel
@@ -70,7 +71,12 @@ class SimulatedParameters:
         record = int(np.searchsorted(self._first, rows[0], side="right")) - 1
         Y = self._run(record, experiment.hold[self._own], values)
         U, at = experiment.U.copy(), rows - self._first[record]
-        U[:, self._made] = np.stack([np.interp(at, np.arange(len(Y)), y) for y in Y.T], axis=1)
+        begin, whole = int(at[0]), at[-1] - at[0] == len(at) - 1
+        U[:, self._made] = (
+            Y[begin : begin + len(at)]
+            if whole
+            else np.stack([np.interp(at, np.arange(len(Y)), y) for y in Y.T], axis=1)
+        )
         return replace(experiment, U=U)
 
     def _run(self, record: int, hold: Array, values: Mapping[str, float]) -> Array:
@@ -87,10 +93,11 @@ def with_steps(
     model: PhysicalModel, experiments: Sequence[Experiment], names: Sequence[str]
 ) -> Mapping[str, Step]:
     """The steps of differences for the parameters of these names, tried along experiments."""
+    if not names:
+        return {}
     simulator = Simulator(model)
-    starts = [simulator.measured_start(e) for e in experiments]
-    p = simulator.p()
-    substeps = simulator.substeps_each(experiments, starts, p)
+    begun = estimate(model, experiments, free=())
+    starts, substeps, p = begun.initial, begun.substeps, simulator.p()
 
     def step(name: str) -> Step:
         parameter = model.parameters[name]

@@ -8,6 +8,7 @@ first state is its own.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
@@ -34,10 +35,10 @@ of a record is found again in the simulation of the whole.
 
 
 def simulated_model(
-    described: Description, parameters: Mapping[str, Parameter] = MappingProxyType({})
+    described: Description, parameters: Mapping[str, Parameter] | None = None
 ) -> PhysicalModel:
-    """The model whose outputs are the FMU's, as `with_simulation` writes them into records; with
-    parameters of it also the rows of `SAMPLE`.
+    """The model whose outputs are the FMU's, as `with_simulation` writes them into records; one in
+    which parameters of it can be moved has the rows of `SAMPLE`, too.
     """
     _, inputs, outputs = names_of(described)
     units = [unit_of(v) for v in described.outputs]
@@ -45,12 +46,12 @@ def simulated_model(
     simulated = {
         MADE + name: Input(MADE + name, unit) for name, unit in zip(outputs, units, strict=True)
     }
-    rows = {SAMPLE: Input(SAMPLE, "")} if parameters else {}
+    rows = {} if parameters is None else {SAMPLE: Input(SAMPLE, "")}
     return PhysicalModel(
         described.name,
         MappingProxyType(idle | simulated | rows),
         states=MappingProxyType({}),
-        parameters=MappingProxyType(dict(parameters)),
+        parameters=MappingProxyType(dict(parameters or {})),
         balances=MappingProxyType({}),
         outputs=MappingProxyType(
             {n: Output(n, parse(MADE + n), unit) for n, unit in zip(outputs, units, strict=True)}
@@ -63,11 +64,16 @@ def with_simulation(
     records: Sequence[Record],
     mapping: Mapping[str, str],
     values: Mapping[str, float],
-    *,
-    rows: bool = False,
+    holds: Sequence[Array] | None = None,
 ) -> list[Record]:
     """The records with what the FMU's outputs would have been by these parameters, from its own
-    start; with `rows` also those of `SAMPLE`.
+    start, and the rows of `SAMPLE` (`without_rows` takes them off again).
+
+    Parameters
+    ----------
+    holds : sequence of array
+        For each record, 1 of an input that moves evenly between samples and 0 of one that is held;
+        default: as `match` takes them.
 
     Raises
     ------
@@ -78,9 +84,13 @@ def with_simulation(
     """
     described, first, simulated = own.instance.description, 0, []
     _, _, names = names_of(described)
-    for record in records:
+    for number, record in enumerate(records):
         U = inputs_of(described, record, mapping)
-        hold = np.array([float(moves_evenly("auto", u)) for u in U.T])
+        hold = (
+            np.array([float(moves_evenly("auto", u)) for u in U.T])
+            if holds is None
+            else holds[number]
+        )
         Y = own.along(U, hold, record.sample_time, values)
         if own.says:
             raise BadModel(
@@ -89,8 +99,7 @@ def with_simulation(
             )
         made = {MADE + name: Y[:, k] for k, name in enumerate(names)}
         units = {MADE + name: unit_of(v) for name, v in zip(names, described.outputs, strict=True)}
-        if rows:
-            made[SAMPLE], units[SAMPLE] = first + np.arange(record.n, dtype=float), ""
+        made[SAMPLE], units[SAMPLE] = first + np.arange(record.n, dtype=float), ""
         first += record.n
         simulated.append(
             Record(
@@ -103,6 +112,15 @@ def with_simulation(
             )
         )
     return simulated
+
+
+def without_rows(record: Record) -> Record:
+    """The record without `SAMPLE`, which is no signal of the machine."""
+    return replace(
+        record,
+        channels={n: v for n, v in record.channels.items() if n != SAMPLE},
+        units={n: v for n, v in record.units.items() if n != SAMPLE},
+    )
 
 
 def inputs_of(described: Description, record: Record, mapping: Mapping[str, str]) -> Array:
