@@ -81,10 +81,14 @@ def named(path: str | Path) -> Named:
     parameters = {}
     for name in table:
         try:
-            offered = settable(described, name)
+            parameters[name] = _within(
+                settable(described, name, "parameters"), read_parameter(name, table)
+            )
         except BadInput as error:
-            raise table.keys[name].refuse(str(error)) from None
-        parameters[name] = _within(offered, read_parameter(name, table))
+            says = str(error)
+            raise (
+                error if says.startswith(path.name) else table.keys[name].refuse(says)
+            ) from None
     return Named(described, parameters, tree)
 
 
@@ -113,8 +117,8 @@ def parameter_of(offered: Settable, *, fixed: bool = False) -> Parameter:
     )
 
 
-def settable(described: Description, name: str) -> Settable:
-    """The parameter of this name.
+def settable(described: Description, name: str, where: str = "free") -> Settable:
+    """The parameter of this name, which stands at a place that a refusal names.
 
     Raises
     ------
@@ -129,11 +133,11 @@ def settable(described: Description, name: str) -> Settable:
         kind = described.unsettable[name]
         raise BadInput(
             repr(name),
-            "free",
+            where,
             f"is of the kind {kind!r} in the FMU; fixed and tunable parameters can be estimated,"
             f" {known}",
         )
-    raise BadInput(repr(name), "free", f"the FMU has no parameter of this name; {known}")
+    raise BadInput(repr(name), where, f"the FMU has no parameter of this name; {known}")
 
 
 def _listed(name: str, offered: Iterable[str]) -> str:
