@@ -84,7 +84,7 @@ def fmu(path: str | PathLike[str]) -> FmuModel:
         ...
     residuum.identification.errors.BadModel: model 'drive.fmu': no such file
     """
-    read = named(path)
+    read = named(Path(path))
     plain = FmuModel(read.described, read.parameters, given=str(path))
     return plain._changed(read.with_effects(plain.physical))
 

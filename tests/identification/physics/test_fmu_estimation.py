@@ -281,7 +281,7 @@ def test_a_file_that_names_an_fmu_is_held_to_what_the_fmu_says(axis, rail, tmp_p
         assert says in capfd.readouterr().err
     file.write_text(f"fmu: {axis}\nparameters: {{M: {{value: 110, unit: kg}}}}\n")
     assert run(["export", str(file), "--to", "c", "--out", str(tmp_path / "x.c")]) == BAD_INPUT
-    assert "named.yaml:1" in capfd.readouterr().err
+    assert "named.yaml, line 1, column 1: fmu: the model is an FMU" in capfd.readouterr().err
 
 
 def test_only_named_parameters_of_our_own_models_are_estimated(sliding, rail):

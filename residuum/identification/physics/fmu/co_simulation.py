@@ -33,7 +33,8 @@ class OwnSimulation:
     def __init__(self, instance: Instance) -> None:
         self.instance, self.says = instance, ""
         described = instance.description
-        self._steps: Any = None if instance.exchanged else _compiled(instance)
+        # what compiled code points to is freed with what calls it
+        self._steps, self._pointed_to = (None, ()) if instance.exchanged else _compiled(instance)
         self._read: Any = (
             fmpy().read_model_description(described.path, validate=False)
             if instance.exchanged
@@ -90,8 +91,10 @@ class OwnSimulation:
         return np.stack([np.asarray(trajectory[v.name])[at] for v in described.outputs], axis=1)
 
 
-def _compiled(instance: Instance) -> Any:
-    """Steps through a record; gives the number of samples that were reached."""
+def _compiled(instance: Instance) -> tuple[Any, tuple[Any, ...]]:
+    """What steps through a record and gives the number of samples that were reached; and what it
+    points to.
+    """
     described = instance.description
     two, component = described.version == 2, instance.component
     nu, ny = len(described.inputs), len(described.outputs)
@@ -109,7 +112,6 @@ def _compiled(instance: Instance) -> Any:
         [v.reference for v in (*described.inputs, *described.outputs)], dtype=np.uint32
     )
     told = np.zeros(4)
-    instance.kept = (references, told, functions, do_step)
     ins, flags = references.ctypes.data, told.ctypes.data
     put, take = by_reference(functions, component, (ins, nu), (ins + 4 * nu, ny))
     if two:
@@ -136,4 +138,4 @@ def _compiled(instance: Instance) -> Any:
                 return k + 1
         return n
 
-    return steps
+    return steps, (references, told, functions, do_step)

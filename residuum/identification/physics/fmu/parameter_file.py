@@ -86,9 +86,7 @@ def named(path: str | Path) -> Named:
             )
         except BadInput as error:
             says = str(error)
-            raise (
-                error if says.startswith(path.name) else table.keys[name].refuse(says)
-            ) from None
+            raise (error if says.startswith(path.name) else table.keys[name].refuse(says)) from None
     return Named(described, parameters, tree)
 
 
