@@ -6,14 +6,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from threading import RLock
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol, TypeVar
 
-if TYPE_CHECKING:
-    from residuum.identification.physics.simulate.differences import Step
-    from residuum.identification.physics.simulate.experiment import Experiment
+from residuum.identification.physics.simulate.differences import Step
+
+E = TypeVar("E")
+"""An experiment, which knows of models."""
 
 
-class Foreign(Protocol):
+class Foreign(Protocol[E]):
     """A library with parameters and a state of its own: one simulation uses it at a time, under
     `lock`.
     """
@@ -31,7 +32,5 @@ class Foreign(Protocol):
     def settle(self, values: Mapping[str, float]) -> bool:
         """Take these parameter values for what is computed from now on; whether it can."""
 
-    def along(
-        self, experiments: Sequence[Experiment], values: Mapping[str, float]
-    ) -> Sequence[Experiment]:
+    def along(self, experiments: Sequence[E], values: Mapping[str, float]) -> Sequence[E]:
         """The experiments with what it computes along them by these values as inputs."""

@@ -191,7 +191,7 @@ class PhysicalModel:
     outputs: Mapping[str, Output]
     effects: tuple[EffectUse, ...] = ()
     initial: Mapping[str, float] = field(default_factory=dict)
-    foreign: Foreign | None = field(default=None, compare=False, repr=False)
+    foreign: Foreign[Any] | None = field(default=None, compare=False, repr=False)
 
     @property
     def all_parameters(self) -> dict[str, Parameter]:

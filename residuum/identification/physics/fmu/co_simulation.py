@@ -34,7 +34,10 @@ class OwnSimulation:
         self.instance, self.says = instance, ""
         described = instance.description
         # what compiled code points to is freed with what calls it
-        self._steps, self._pointed_to = (None, ()) if instance.exchanged else _compiled(instance)
+        self._steps: Any = None
+        self._pointed_to: tuple[Any, ...] = ()
+        if not instance.exchanged:
+            self._steps, self._pointed_to = _compiled(instance)
         self._read: Any = (
             fmpy().read_model_description(described.path, validate=False)
             if instance.exchanged

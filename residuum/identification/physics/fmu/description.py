@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import platform
+import re
 import zipfile
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field
@@ -236,3 +237,15 @@ def _variable(variable: Any) -> Variable:
     declared = getattr(variable, "declaredType", None)
     unit = variable.unit or (declared.unit if declared is not None else None) or ""
     return Variable(variable.name, int(variable.valueReference), unit)
+
+
+def unit_of(variable: Variable) -> str:
+    """A unit as we write it from one as Modelica writes it: `N.m`, `m/s2`.
+
+    >>> unit_of(Variable("a", 1, "m/s2")), unit_of(Variable("a", 1, "N.m")), unit_of(Variable("a", 1, "1"))
+    ('m/s**2', 'N*m', '')
+    """
+    unit = re.sub(
+        r"(?<=[A-Za-z])(-?\d+)", r"**\1", variable.unit.strip().replace(".", "*").replace("·", "*")
+    )
+    return {"1": "", "-": ""}.get(unit, unit)

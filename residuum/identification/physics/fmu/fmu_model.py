@@ -28,7 +28,7 @@ from residuum.identification.physics.files.expression import (
     Place,
     parse,
 )
-from residuum.identification.physics.fmu.description import Description, Variable
+from residuum.identification.physics.fmu.description import Description, Variable, unit_of
 from residuum.identification.physics.fmu.loaded_library import LoadedLibrary
 from residuum.identification.physics.model import Balance, Input, Output, PhysicalModel, State
 from residuum.identification.units import parse_unit
@@ -139,18 +139,6 @@ def _like(unit: str, reference: str) -> bool:
         return bool(unit) and parse_unit(unit).base == parse_unit(reference).base
     except BadUnit:
         return False
-
-
-def unit_of(variable: Variable) -> str:
-    """A unit as we write it from one as Modelica writes it: `N.m`, `m/s2`.
-
-    >>> unit_of(Variable("a", 1, "m/s2")), unit_of(Variable("a", 1, "N.m")), unit_of(Variable("a", 1, "1"))
-    ('m/s**2', 'N*m', '')
-    """
-    unit = re.sub(
-        r"(?<=[A-Za-z])(-?\d+)", r"**\1", variable.unit.strip().replace(".", "*").replace("·", "*")
-    )
-    return {"1": "", "-": ""}.get(unit, unit)
 
 
 def names_of(described: Description) -> tuple[list[str], list[str], list[str]]:

@@ -34,8 +34,8 @@ from residuum.identification.physics.fmu.description import (
     Variable,
     describe,
     is_fmu,
+    unit_of,
 )
-from residuum.identification.physics.fmu.fmu_model import unit_of
 from residuum.identification.physics.model import PhysicalModel
 from residuum.nearest_names import known_names, nearest_names
 

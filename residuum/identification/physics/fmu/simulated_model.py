@@ -18,8 +18,8 @@ from residuum.identification.errors import BadModel, BadRecord
 from residuum.identification.physics.effects.base import Parameter
 from residuum.identification.physics.files.expression import parse
 from residuum.identification.physics.fmu.co_simulation import OwnSimulation
-from residuum.identification.physics.fmu.description import Description
-from residuum.identification.physics.fmu.fmu_model import names_of, unit_of
+from residuum.identification.physics.fmu.description import Description, unit_of
+from residuum.identification.physics.fmu.fmu_model import names_of
 from residuum.identification.physics.model import Input, Output, PhysicalModel
 from residuum.identification.physics.simulate.experiment import moves_evenly
 from residuum.identification.record import Record
