@@ -20,7 +20,7 @@ from residuum.identification.physics import (
 )
 from residuum.identification.physics.estimation.unsettled import unsettled
 from residuum.identification.record import Record
-from residuum.identification.residual_analysis.feedback import at_likelier_timing, innovations_of
+from residuum.identification.residual_analysis.feedback import at_likelier_timing
 from residuum.nearest_names import known_names
 
 Method = Callable[[PhysicalModel, Sequence[Experiment], Sequence[str] | None], Estimate]
@@ -110,8 +110,7 @@ def estimated(
 
     try:
         if hold == "auto":
-            timed = at_likelier_timing if start.foreign is None else _at_timing_of_first
-            parts, result = timed(parts, tried)
+            parts, result = at_likelier_timing(parts, tried)
             experiments = [
                 replace(e, hold=part.hold) for e, part in zip(experiments, parts, strict=True)
             ]
@@ -127,21 +126,6 @@ def estimated(
     if says and method != "prediction":
         says = (*says, _IN_PIECES)
     return Estimated(result, parts, held_out, says)
-
-
-def _at_timing_of_first(
-    parts: Sequence[Experiment], tried: Callable[[list[Experiment]], Estimate]
-) -> tuple[list[Experiment], Estimate]:
-    """`at_likelier_timing` for a model that takes long to simulate: other timings are looked at
-    where the first fit ended, and fitted only where they are likelier there.
-    """
-    first = tried(list(parts))
-    timed, _ = at_likelier_timing(parts, lambda turned: estimate(first.model, turned, free=()))
-    if all(np.array_equal(a.hold, b.hold) for a, b in zip(parts, timed, strict=True)):
-        return list(parts), first
-    again = tried(timed)
-    likelier = innovations_of(again.residuals) < innovations_of(first.residuals)
-    return (timed, again) if likelier else (list(parts), first)
 
 
 def _pieces(experiments: Sequence[Experiment], method: str, steps: int) -> Sequence[Experiment]:

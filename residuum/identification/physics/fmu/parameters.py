@@ -19,8 +19,10 @@ from residuum.identification.physics.simulate.experiment import Experiment
 from residuum.identification.physics.simulate.simulation import Simulator
 
 Array = npt.NDArray[np.float64]
-_KEPT = 4
-"""Simulations of whole records that are remembered: parts of one record ask for the same."""
+_KEPT = 16
+"""Simulations of whole records that are remembered: parts of one record ask for the same, and fits
+side by side each for theirs.
+"""
 
 
 class ExchangedParameters:
