@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from residuum.library.control import Controller
     from residuum.library.explanation import Explanation
     from residuum.library.finding import Finding
+    from residuum.library.fmu import fmu
     from residuum.library.foreign_models import equations_model, linear_model
     from residuum.library.improvement import Estimation, Improvement
     from residuum.library.model import Model, model
@@ -63,6 +64,7 @@ __all__ = [
     "control",
     "effects",
     "equations_model",
+    "fmu",
     "from_arrays",
     "from_pandas",
     "from_xarray",
@@ -85,6 +87,7 @@ _PLACES = {
     "library.control": ("Controller",),
     "library.explanation": ("Explanation",),
     "library.finding": ("Finding",),
+    "library.fmu": ("fmu",),
     "library.foreign_models": ("equations_model", "linear_model"),
     "library.improvement": ("Estimation", "Improvement"),
     "library.model": ("Model", "model"),

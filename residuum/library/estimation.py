@@ -23,17 +23,25 @@ from residuum.identification.record import Record
 from residuum.identification.residual_analysis.feedback import at_likelier_timing
 from residuum.nearest_names import known_names
 
-Method = Callable[[PhysicalModel, Sequence[Experiment]], Estimate]
+Method = Callable[[PhysicalModel, Sequence[Experiment], Sequence[str] | None], Estimate]
 
 
-def _with_honest_band(model: PhysicalModel, experiments: Sequence[Experiment]) -> Estimate:
-    return with_coloured_noise(estimate(model, experiments), experiments)
+def _with_honest_band(
+    model: PhysicalModel, experiments: Sequence[Experiment], free: Sequence[str] | None
+) -> Estimate:
+    return with_coloured_noise(estimate(model, experiments, free=free), experiments)
+
+
+def _by_likelihood(
+    model: PhysicalModel, experiments: Sequence[Experiment], free: Sequence[str] | None
+) -> Estimate:
+    return estimate_by_likelihood(model, experiments, free=free)
 
 
 METHODS: dict[str, Method] = {
     "simulation": _with_honest_band,
     "prediction": _with_honest_band,
-    "kalman": estimate_by_likelihood,
+    "kalman": _by_likelihood,
 }
 
 _IN_PIECES = "method prediction begins anew in each piece, which an unstable plant needs"
@@ -58,6 +66,7 @@ def estimated(
     records: Sequence[Record],
     mapping: Mapping[str, str] | None = None,
     *,
+    free: Sequence[str] | None = None,
     method: str = "simulation",
     steps: int = 50,
     hold: str = "auto",
@@ -66,6 +75,8 @@ def estimated(
 
     Parameters
     ----------
+    free : sequence of str
+        Full names of what is estimated; default: what the model does not hold fixed.
     method : str
         The error that is minimised: `simulation`, `prediction` (`steps` samples ahead) or `kalman`
         (innovations).
@@ -75,7 +86,7 @@ def estimated(
     Raises
     ------
     BadInput
-        An unknown method; records that do not fit the model.
+        An unknown method or parameter; records that do not fit the model.
     NotIdentifiable
         The model diverges on a record.
     """
@@ -83,11 +94,19 @@ def estimated(
         raise BadInput(
             f"method {method!r}: there is none of this name; {known_names(method, METHODS)}"
         )
+    for name in free or ():
+        if name not in model.all_parameters:
+            raise BadInput(
+                repr(name),
+                "free",
+                f"is no parameter of model {model.name!r};"
+                f" {known_names(name, model.all_parameters, 'there are')}",
+            )
     start, experiments = match(model, records, mapping, hold)
     parts = [_estimation_part(e, record) for e, record in zip(experiments, records, strict=True)]
 
     def tried(parts: Sequence[Experiment]) -> Estimate:
-        return METHODS[method](start, _pieces(parts, method, steps))
+        return METHODS[method](start, _pieces(parts, method, steps), free)
 
     try:
         if hold == "auto":

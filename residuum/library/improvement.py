@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -127,6 +127,9 @@ class Estimation(Result, Generic[M]):
         The full numbers: values, covariance, flat directions, residuals.
     experiments : list of Experiment
         What the values were estimated from.
+    slopes : mapping of parameter to mapping
+        Of an FMU's parameters: `by` what their slopes were had, and the `step` of differences with
+        the `error` that it leaves.
 
     Examples
     --------
@@ -146,6 +149,7 @@ class Estimation(Result, Generic[M]):
     unsettled: tuple[str, ...] = ()
     anyway: bool = False
     left_out: tuple[str, ...] = ()
+    slopes: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     @property
     def model(self) -> M:
@@ -180,11 +184,15 @@ class Estimation(Result, Generic[M]):
             *self.left_out,
             *against,
         )
-        return answer | {
-            "method": self.method,
-            "held_out_rmse": self.held_out_rmse,
-            "model_file": None,
-        }
+        return (
+            answer
+            | {
+                "method": self.method,
+                "held_out_rmse": self.held_out_rmse,
+                "model_file": None,
+            }
+            | ({"slopes": self.slopes} if self.slopes else {})
+        )
 
     def __str__(self) -> str:
         return estimate_text(self._answer())

@@ -137,7 +137,7 @@ class DescribedModel:
         >>> rs.model("linear-axis").with_values(M=90.0).parameters["M"].value
         90.0
         """
-        return type(self)(self.physical.with_values(values))
+        return self._changed(self.physical.with_values(values))
 
     def with_effect(self, effect: str, place: str, **values: float) -> Self:
         """The model with one more effect at a balance, input or output.
@@ -167,7 +167,7 @@ class DescribedModel:
         >>> axis.effects
         ('coulomb-friction@axis',)
         """
-        return type(self)(self.physical.with_effect(effect, place, values))
+        return self._changed(self.physical.with_effect(effect, place, values))
 
     def without_effect(self, label: str) -> Self:
         """The model without one of its effects.
@@ -193,7 +193,10 @@ class DescribedModel:
         >>> axis.without_effect("coulomb-friction").effects
         ()
         """
-        return type(self)(self.physical.without_effect(label))
+        return self._changed(self.physical.without_effect(label))
+
+    def _changed(self, physical: PhysicalModel) -> Self:
+        return type(self)(physical)
 
     def __str__(self) -> str:
         return self.text
@@ -459,7 +462,7 @@ class Model(DescribedModel):
         Raises
         ------
         BadInput
-            An unknown method; channels that do not fit the model.
+            An unknown method or parameter; channels that do not fit the model.
         NotIdentifiable
             The model diverges on a record.
 
@@ -478,7 +481,13 @@ class Model(DescribedModel):
         asked = Estimate.of(given)
         measured, left_out = self._sensed(self._measured(records, map), map)
         estimation = estimated(
-            self.physical, measured, map, method=asked.method, steps=asked.steps, hold=asked.hold
+            self.physical,
+            measured,
+            map,
+            free=asked.free,
+            method=asked.method,
+            steps=asked.steps,
+            hold=asked.hold,
         )
         result, fitted = estimation.estimate, Model(estimation.estimate.model)
         answer = (

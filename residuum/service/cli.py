@@ -7,6 +7,7 @@ import sys
 import traceback
 from importlib import import_module
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
 import typer
@@ -19,6 +20,8 @@ from residuum.service.work.loaded_modules import loading_modules
 
 DONE, ANSWER_IS_NO, BAD_INPUT, OUR_FAULT, INTERRUPTED = 0, 1, 2, 3, 130
 
+_HEAD = 10_000
+"""Bytes of a model file that are looked at for the FMU that it names."""
 # The base of typer's usage errors, which typer itself does not export by name.
 _UsageError: type[Exception] = typer.BadParameter.__mro__[2]
 
@@ -40,7 +43,7 @@ def run(arguments: list[str]) -> int:
         )
     words_before = SAID_IN.set(as_option)
     try:
-        if fmus := [argument for argument in words if argument.lower().endswith(".fmu")]:
+        if fmus := [word for word in words if names_fmu(word)]:
             apart = import_module("residuum.service.commands.fmu_process")
             if apart.is_wanted(name):
                 return int(apart.run_apart(arguments, fmus[0]))
@@ -68,6 +71,17 @@ def run(arguments: list[str]) -> int:
     finally:
         SAID_IN.reset(words_before)
     return status if isinstance(status, int) else DONE
+
+
+def names_fmu(word: str) -> bool:
+    """Whether a word of a command is an FMU, or a model file that names one."""
+    path = Path(word)
+    if path.suffix.lower() == ".fmu":
+        return True
+    if path.suffix.lower() not in (".yaml", ".yml") or not path.is_file():
+        return False
+    with path.open("rb") as file:
+        return re.search(rb"^fmu\s*:", file.read(_HEAD), re.MULTILINE) is not None
 
 
 def _overview() -> str:

@@ -15,6 +15,7 @@ from residuum.identification.errors import BadModel
 from residuum.identification.physics.effects import EFFECTS, STRUCTURAL
 from residuum.identification.physics.effects.base import Effect, Parameter, Prior, Site
 from residuum.identification.physics.files.expression import Expression
+from residuum.identification.physics.foreign import Foreign
 from residuum.nearest_names import did_you_mean, known_names
 
 BALANCE_KINDS: Mapping[str, tuple[str, tuple[str, ...]]] = MappingProxyType(
@@ -180,6 +181,8 @@ class PhysicalModel:
     effects : tuple of EffectUse
     initial : mapping of state to value
         States whose initial value is known; all others are estimated for each record.
+    foreign : Foreign or None
+        What computes a part of it outside of its equations, by parameters that no term names.
     """
 
     name: str
@@ -190,6 +193,7 @@ class PhysicalModel:
     outputs: Mapping[str, Output]
     effects: tuple[EffectUse, ...] = ()
     initial: Mapping[str, float] = field(default_factory=dict)
+    foreign: Foreign[Any] | None = field(default=None, compare=False, repr=False)
 
     @property
     def all_parameters(self) -> dict[str, Parameter]:

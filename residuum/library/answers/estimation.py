@@ -97,6 +97,14 @@ def _parameter_text(name: str, p: dict[str, Any], settled: bool) -> str:
     )
 
 
+def _slope_text(name: str, how: dict[str, Any]) -> str:
+    """By what the slopes of an FMU's parameter were had."""
+    if how["step"] is None:
+        return f"slopes by {name}: {how['by']}"
+    step = f"{how['step']:.2g} {how['unit']}".rstrip()
+    return f"slopes by {name}: {how['by']}, {step} to each side, good to {how['error']:.1g} of them"
+
+
 def _percent(fit: float | None) -> str:
     return (
         "unknown" if fit is None or np.isnan(fit) else f"{fit:.2f} %" if fit >= 0 else "below 0 %"
@@ -123,6 +131,7 @@ def estimate_text(estimate: dict[str, Any]) -> str:
         f"the data cannot tell apart: {', '.join(flat['parameters'])}"
         for flat in estimate["flat_directions"]
     ]
+    lines += [_slope_text(name, how) for name, how in estimate.get("slopes", {}).items()]
     if not settled:
         lines.append(f"the estimation has not converged: {'; '.join(estimate['unsettled'])}")
     return "\n".join(

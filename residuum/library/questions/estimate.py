@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 from residuum.library.questions import Question, field
+from residuum.library.questions.names import Names
 
 
 class Estimate(Question):
     """The free parameters of a model from records, its structure as it is."""
 
+    free: Names = field(
+        None,
+        "Estimate these parameters, and hold all others. Default: those that the model does not"
+        " hold fixed; of an FMU they have to be named.",
+    )
     method: str = field(
         "simulation",
         "The error that is minimised: of simulation, of prediction (so many `steps` ahead), or"

@@ -32,7 +32,7 @@ def compare_command(
     check_plot(plot)
     loaded = reading.for_model(records)
     keep_large_arrays()
-    given, loaded = model_for(model, loaded, reading.signals)
+    given = model_for(model)
     comparison = given.compare(loaded, map=reading.signals, **asked.model_dump())
     report(
         comparison.to_dict() | drawn(plot, [comparison], f"{model} compared"),

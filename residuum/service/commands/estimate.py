@@ -6,10 +6,10 @@ from typing import Annotated
 import typer
 
 from residuum.library.answers.estimation import estimate_text
-from residuum.library.model import model as read
 from residuum.library.questions.estimate import Estimate
 from residuum.service.cli import ANSWER_IS_NO
 from residuum.service.commands.asked import asks
+from residuum.service.commands.fmu_process import model_for
 from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.own_catalogue import OwnCatalogue
 from residuum.service.commands.records import ModelSource, Reading, RecordFiles, reads
@@ -39,7 +39,7 @@ def estimate_command(
     """
     check_output_file(out)
     loaded = reading.for_model(records)
-    estimation = read(model).estimate(loaded, map=reading.signals, **asked.model_dump())
+    estimation = model_for(model).estimate(loaded, map=reading.signals, **asked.model_dump())
     written = asked.anyway or not estimation.unsettled
     if written:
         estimation.model.save(out)

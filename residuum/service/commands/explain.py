@@ -30,7 +30,7 @@ def explain_command(
     check_plot(plot)
     loaded = reading.for_model(records)
     channels = reading.signals
-    given, loaded = model_for(model, loaded, channels)
+    given = model_for(model)
     keep_large_arrays()
     explanation = given.explain(loaded, map=channels, progress=told, **asked.model_dump())
     told_of = drawn(plot, [explanation], f"What {model} lacks")

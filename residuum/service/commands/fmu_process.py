@@ -8,16 +8,15 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Mapping
 
 from residuum.identification.errors import BadModel
-from residuum.identification.physics.fmu.description import describe, is_fmu
-from residuum.identification.record import Record
+from residuum.identification.physics.fmu.parameter_file import named
 from residuum.library.model import Model, model
+from residuum.service.cli import names_fmu
 
 INSIDE = "RESIDUUM_FMU_PROCESS"
 """Set in the process that may load an FMU."""
-_COMMANDS = ("compare", "explain")
+_COMMANDS = ("compare", "explain", "improve", "estimate")
 
 
 def is_wanted(command: str) -> bool:
@@ -39,7 +38,7 @@ def run_apart(arguments: list[str], fmu: str) -> int:
         The FMU cannot run on this platform (said before anything of it is loaded), or it ended the
         process.
     """
-    describe(fmu)
+    named(fmu)
     done = subprocess.run(
         [sys.executable, "-m", "residuum", *arguments],
         env=os.environ | {INSIDE: "1"},
@@ -55,15 +54,11 @@ def run_apart(arguments: list[str], fmu: str) -> int:
     return done.returncode
 
 
-def model_for(
-    name: str, records: list[Record], signals: Mapping[str, str]
-) -> tuple[Model, list[Record]]:
-    """The model of a command, and the records with what it needs beside them: an FMU may have to be
-    simulated along each.
-    """
-    if is_fmu(name) and is_inside():
+def model_for(name: str) -> Model:
+    """The model of a command; in this process that of an FMU, too."""
+    if is_inside() and names_fmu(name):
         # loads what compiles, for FMUs alone
-        from residuum.library.fmu import fmu_model  # noqa: PLC0415
+        from residuum.library.fmu import fmu  # noqa: PLC0415
 
-        return fmu_model(name, records, signals)
-    return model(name), records
+        return fmu(name)
+    return model(name)

@@ -8,9 +8,9 @@ import typer
 from residuum.identification.errors import BadInput
 from residuum.library.answers.comparison import warning_lines
 from residuum.library.answers.improvement import improvement_text
-from residuum.library.model import model as read
 from residuum.library.questions.missing_effect import Improve
 from residuum.service.commands.asked import asks
+from residuum.service.commands.fmu_process import model_for
 from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.own_catalogue import OwnCatalogue
 from residuum.service.commands.plot_option import Plot, check_plot, drawn
@@ -46,7 +46,7 @@ def improve_command(
     check_plot(plot)
     loaded = reading.for_model(records)
     keep_large_arrays()
-    improvement = read(model).improve(
+    improvement = model_for(model).improve(
         loaded, map=reading.signals, progress=told, **asked.model_dump()
     )
     file = str(out) if improvement.found.helps else None

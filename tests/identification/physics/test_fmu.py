@@ -1,21 +1,22 @@
 """FMUs as models: held against records as the model they were made of, refused before they are loaded, and run apart."""
 
-import io
 import json
-import subprocess
-import zipfile
 
 import numpy as np
 import pytest
 
 from residuum.identification.errors import BadModel
 from residuum.identification.physics import Experiment, Simulator, load_model
-from residuum.identification.physics.export import explicit
-from residuum.identification.physics.export.fmu_file import fmu
 from residuum.identification.physics.fmu.description import describe
 from residuum.identification.record import Record
 from residuum.identification.record_formats import write_record
 from residuum.service.cli import BAD_INPUT, DONE, run
+from tests.identification.physics.fmu_files import (
+    exported,
+    recompiled,
+    rewritten,
+    without_exchange,
+)
 
 pytest.importorskip("fmpy")
 DT, N = 0.01, 800
@@ -40,22 +41,7 @@ def rubbing(tmp_path_factory):
 @pytest.fixture(scope="module")
 def axis(tmp_path_factory):
     """The axis without friction, as an FMU."""
-    file = tmp_path_factory.mktemp("fmu") / "axis.fmu"
-    file.write_bytes(fmu(explicit(load_model("linear-axis"))).content)
-    return file
-
-
-def rewritten(file, to, rename=lambda name: name, **replaced):
-    """A copy of an FMU with files renamed or their text replaced."""
-    held = io.BytesIO()
-    with zipfile.ZipFile(file) as old, zipfile.ZipFile(held, "w") as new:
-        for name in old.namelist():
-            key = name.rsplit(".", 1)[-1]
-            new.writestr(
-                rename(name), replaced[key](old.read(name)) if key in replaced else old.read(name)
-            )
-    to.write_bytes(held.getvalue())
-    return str(to)
+    return exported(load_model("linear-axis"), tmp_path_factory.mktemp("fmu") / "axis.fmu")
 
 
 def answer(capfd, *arguments):
@@ -91,11 +77,7 @@ def test_the_friction_that_an_fmu_lacks_is_named(axis, rubbing, capfd):
 def test_one_that_can_only_simulate_itself_is_compared_by_its_outputs(
     axis, rubbing, tmp_path, capfd
 ):
-    def alone(text):
-        head, _, rest = text.partition(b"<ModelExchange")
-        return head + rest.partition(b"</ModelExchange>")[2]
-
-    file = rewritten(axis, tmp_path / "alone.fmu", xml=alone)
+    file = rewritten(axis, tmp_path / "alone.fmu", xml=without_exchange)
     told = answer(capfd, "compare", file, rubbing)
     assert told["outputs"]["velocity"]["rmse"] > 0.01 and not told["balances"]
 
@@ -107,15 +89,11 @@ def test_another_platforms_is_refused_before_it_is_loaded(axis, rubbing, tmp_pat
 
 
 def test_one_that_breaks_down_ends_its_own_process_alone(axis, rubbing, tmp_path, capfd):
-    with zipfile.ZipFile(axis) as archive:
-        archive.extractall(tmp_path)
-    source = tmp_path / "sources" / "fmi2.c"
-    source.write_text(source.read_text().replace("if (m) reset(m);", "abort();"))
-    subprocess.run(
-        ["gcc", "-shared", "-fPIC", "-o", tmp_path / "break.so", source, "-lm"], check=True
-    )
-    file = rewritten(
-        axis, tmp_path / "break.fmu", so=lambda _: (tmp_path / "break.so").read_bytes()
+    file = recompiled(
+        axis,
+        tmp_path / "break.fmu",
+        tmp_path,
+        lambda source: source.replace("if (m) reset(m);", "abort();"),
     )
     assert run(["compare", file, rubbing]) == BAD_INPUT
     assert "the FMU ended the process that ran it (SIGABRT)" in capfd.readouterr().err
@@ -133,5 +111,5 @@ def test_what_is_no_fmu_is_refused(tmp_path, content, says):
 
 
 def test_other_commands_say_who_takes_an_fmu(axis, rubbing, capfd):
-    assert run(["estimate", str(axis), rubbing, "--out", "/tmp/x.yaml"]) == BAD_INPUT
-    assert "`residuum explain` take it" in capfd.readouterr().err
+    assert run(["export", str(axis), "--to", "c", "--out", "/tmp/x.c"]) == BAD_INPUT
+    assert "compare, explain, improve and estimate take it" in capfd.readouterr().err

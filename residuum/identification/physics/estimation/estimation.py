@@ -239,6 +239,7 @@ class _Problem:
         self.slopes = [*names, *(f"initial:{name}" for name in self.states)]
         self.measured = np.any([e.measured for e in experiments], axis=0)
         self.substeps = [0] * len(experiments)
+        self._kept: tuple[object, Runs] | None = None
         self.weights = np.where(self.measured, 1.0, 0.0)
 
     def _all_known(self, states: Sequence[str]) -> bool:
@@ -254,15 +255,21 @@ class _Problem:
         )
 
     def _runs(self, initial: list[Array], p: Array, slopes: Sequence[str] = ()) -> Runs:
-        """Simulations of the experiments that are summed over."""
+        """Simulations of the experiments that are summed over.
+
+        The last ones are kept where they take long: weights change more often than values.
+        """
+        key = (p.tobytes(), *(x.tobytes() for x in initial), *slopes, *self.substeps)
+        if self._kept is not None and self._kept[0] == key:
+            return self._kept[1]
         runs = self.simulator.run_each(
             self.experiments, initial, p, slopes=slopes, substeps=self.substeps
         )
-        return (
-            runs
-            if self.summed is self.experiments
-            else replace(runs, experiments=self.summed, starts=runs.starts[[0, -1]])
-        )
+        if self.summed is not self.experiments:
+            runs = replace(runs, experiments=self.summed, starts=runs.starts[[0, -1]])
+        if self.simulator.model.foreign is not None:
+            self._kept = (key, runs)
+        return runs
 
     def first_states(self) -> list[Array]:
         """Initial states at zero (or as the model fixes them), then fitted to the beginning of each

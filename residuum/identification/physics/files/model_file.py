@@ -76,6 +76,10 @@ EFFECT_KEYS = ("id", "balance", "input", "output", "parameters", "provenance")
 """What each entry of a section may hold; balances also name the variables of their kind."""
 TIME = "time"
 """Name of the time since the record's begin, which need not be declared."""
+_TAKES_FMUS = (
+    "the commands compare, explain, improve and estimate take it, in a process of its own, and"
+    " `rs.fmu` in Python"
+)
 _NAME = re.compile(r"[A-Za-z_][A-Za-z_0-9]*")
 _UNCERTAIN = re.compile(r"(\S+?)\s*(?:±|\+-|\+/-)\s*(\S+)")
 """A number and its standard deviation."""
@@ -120,10 +124,7 @@ def load_model(name_or_path: str | Path) -> PhysicalModel:
         return read_model(resource.read_text(encoding="utf-8"), str(name_or_path))
     path = Path(name_or_path)
     if path.suffix.lower() == ".fmu":
-        raise BadModel(
-            f"model {str(path)!r}: is an FMU; `residuum compare` and `residuum explain` take it, in"
-            " a process of its own"
-        )
+        raise BadModel(f"model {str(path)!r}: is an FMU; {_TAKES_FMUS}")
     if not path.is_file():
         raise BadModel(
             f"model {str(name_or_path)!r}: no such file;"
@@ -154,8 +155,7 @@ def read_model(text: str, source: str = "model", folder: Path | None = None) -> 
     if not model.balances:
         raise tree.keys["balances"].refuse("balances: is empty; a model has at least one")
     model = check(_with_clock(model), with_places_of_parts(model, tree))
-    model = replace(model, initial=dict(model.initial) | dict(_initial(tree, model)))
-    return _with_effects(model, tree)
+    return with_effects(model, tree)
 
 
 def _composed(
@@ -165,6 +165,8 @@ def _composed(
     whole; and its tree. `more` counts the parts that there still may be.
     """
     tree = with_table_files(read_tree(text, source), folder)
+    if "fmu" in tree.entries:
+        raise tree.keys["fmu"].refuse(f"fmu: the model is an FMU; {_TAKES_FMUS}")
     tree.only(KEYS, "model file")
     use, connect = tree.table("use", "model file"), tree.table("connect", "model file")
     for section in ("outputs",) if list(use) else ("balances", "outputs"):
@@ -193,6 +195,7 @@ def _composed(
             inputs=_but(model.inputs, let),
             parameters=_but(model.parameters, let),
             states=MappingProxyType(model.states),
+            initial={**model.initial, **_initial(tree, model)},
             balances=MappingProxyType(
                 {name: rewritten(b, definitions) for name, b in model.balances.items()}
             ),
@@ -224,7 +227,7 @@ def _own_sections(
         name: _state(name, tree.table("states", "model file")) for name in _names(tree, "states")
     }
     parameters = {
-        name: _parameter(name, tree.table("parameters", "model file"), of_parts.get(name))
+        name: read_parameter(name, tree.table("parameters", "model file"), of_parts.get(name))
         for name in _names(tree, "parameters")
     }
     parameters |= {
@@ -281,9 +284,11 @@ def write_model(model: PhysicalModel) -> str:
             for s in model.states.values()
             if s.of_record is None
         },
-        "parameters": {name: _written(parameter) for name, parameter in model.parameters.items()}
+        "parameters": {
+            name: written_parameter(parameter) for name, parameter in model.parameters.items()
+        }
         | {
-            s.name: _written(s.of_record) | {"per": "record"}
+            s.name: written_parameter(s.of_record) | {"per": "record"}
             for s in model.states.values()
             if s.of_record
         },
@@ -296,14 +301,25 @@ def write_model(model: PhysicalModel) -> str:
     }
     if model.initial:
         document["initial"] = dict(model.initial)
+    return dumped(document | written_effects(model))
+
+
+def written_effects(model: PhysicalModel) -> dict[str, Any]:
+    """The sections of a model file that hold a model's effects; `with_effects` reads them."""
+    sections: dict[str, Any] = {}
     if own := {
         use.id: use.effect.definition
         for use in model.effects
         if isinstance(use.effect, WrittenEffect)
     }:
-        document["own_effects"] = list(own.values())
+        sections["own_effects"] = list(own.values())
     if model.effects:
-        document["effects"] = [_written_use(use) for use in model.effects]
+        sections["effects"] = [_written_use(use) for use in model.effects]
+    return sections
+
+
+def dumped(document: dict[str, Any]) -> str:
+    """The text of a model file, in the order that its keys have."""
     return str(
         yaml.dump(
             document,
@@ -329,7 +345,7 @@ def _written_balance(balance: Balance) -> dict[str, Any]:
 
 
 def _written_use(use: EffectUse) -> dict[str, Any]:
-    parameters = {name: _written(parameter) for name, parameter in use.parameters.items()}
+    parameters = {name: written_parameter(parameter) for name, parameter in use.parameters.items()}
     provenance = {"provenance": dict(use.provenance)} if use.provenance else {}
     return {"id": use.id, use.effect.place: use.target, "parameters": parameters, **provenance}
 
@@ -380,8 +396,8 @@ def _state(name: str, section: Table) -> State:
     return State(name, _unit(table.scalar("unit", f"state {name!r}")), rate.text if rate else None)
 
 
-def _parameter(name: str, section: Table, of_part: Parameter | None) -> Parameter:
-    """A parameter as declared; one of a part keeps what is not said of it here."""
+def read_parameter(name: str, section: Table, of_part: Parameter | None = None) -> Parameter:
+    """An entry of the section `parameters`; one of a part keeps what is not said of it here."""
     label = f"parameter {name!r}"
     entry = section.entries[name]
     if of_part is not None and isinstance(entry, Scalar):
@@ -551,7 +567,8 @@ def _initial(tree: Table, model: PhysicalModel) -> Mapping[str, float]:
     return {name: table.scalar(name, "initial").number(f"initial: {name}") for name in table}
 
 
-def _with_effects(model: PhysicalModel, tree: Table) -> PhysicalModel:
+def with_effects(model: PhysicalModel, tree: Table) -> PhysicalModel:
+    """The model with the effects that a file names."""
     if "own_effects" in tree.entries:
         EFFECTS.use_here(*effects_of(tree.entries["own_effects"], tree))
     listing = tree.entries.get("effects")
@@ -614,7 +631,8 @@ def _plain(tree: Scalar | Listing | Table) -> Any:
     return {key: _plain(value) for key, value in tree.entries.items()}
 
 
-def _written(parameter: Parameter) -> dict[str, Any]:
+def written_parameter(parameter: Parameter) -> dict[str, Any]:
+    """A parameter as `read_parameter` reads it."""
     written: dict[str, Any] = {"value": float(parameter.value), "unit": parameter.unit}
     if parameter.prior is not None:
         written["prior"] = str(parameter.prior)

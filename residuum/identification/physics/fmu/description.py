@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import platform
+import re
 import zipfile
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -32,13 +34,36 @@ class Variable:
 
 
 @dataclass(frozen=True)
+class Settable(Variable):
+    """A parameter that may be set before a simulation: what the FMU says of it."""
+
+    start: float
+    lower: float
+    upper: float
+    nominal: float | None
+    meaning: str
+
+
+@dataclass(frozen=True)
+class Way:
+    """A way of running an FMU: the `identifier` of its library, whether an instance's state can be
+    kept and brought back, and whether it gives directional derivatives.
+    """
+
+    identifier: str
+    keeps_state: bool
+    differentiates: bool
+
+
+@dataclass(frozen=True)
 class Description:
     """An FMU's description: real variables by what they are for, and the ways in which it can be
     run.
 
     `states` and `derivatives` are in one order; `events` counts event indicators. `exchange` and
-    `simulation` are the identifiers of its library for model exchange and co-simulation, None where
-    it has no such way.
+    `simulation` are its ways of model exchange and co-simulation, None where it has no such way.
+    `parameters` are those that may be set, fixed and tunable; `unsettable` says of each other
+    variable what it is.
     """
 
     path: str
@@ -50,8 +75,15 @@ class Description:
     states: tuple[Variable, ...]
     derivatives: tuple[Variable, ...]
     events: int
-    exchange: str | None
-    simulation: str | None
+    exchange: Way | None
+    simulation: Way | None
+    parameters: Mapping[str, Settable] = field(default_factory=dict)
+    unsettable: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def runs_itself(self) -> bool:
+        """Whether it is simulated by co-simulation rather than by model exchange."""
+        return self.simulation is not None
 
 
 def is_fmu(name: str | Path) -> bool:
@@ -149,12 +181,71 @@ def _description(path: str, version: int, read: Any) -> Description:
             if version == 2
             else len(getattr(read, "eventIndicators", ()))
         ),
-        exchange.modelIdentifier if exchange is not None else None,
-        simulation.modelIdentifier if simulation is not None else None,
+        _way(exchange),
+        _way(simulation),
+        {p.name: p for v in reals if (p := _settable(v)) is not None},
+        {v.name: _kind(v) for v in read.modelVariables if _settable(v) is None},
     )
+
+
+def _way(kind: Any) -> Way | None:
+    return kind and Way(
+        kind.modelIdentifier,
+        bool(kind.canGetAndSetFMUstate),
+        bool(kind.providesDirectionalDerivative),
+    )
+
+
+def _settable(variable: Any) -> Settable | None:
+    """A real parameter with a start value that is fixed or tunable; None for any other variable."""
+    if (
+        variable.type not in ("Real", "Float64")
+        or getattr(variable, "dimensions", None)
+        or variable.causality != "parameter"
+        or variable.variability not in ("fixed", "tunable")
+        or variable.start is None
+    ):
+        return None
+    of_type = getattr(variable, "declaredType", None)
+
+    def number(key: str, otherwise: float | None) -> Any:
+        text = getattr(variable, key, None) or getattr(of_type, key, None)
+        return otherwise if text is None else float(text)
+
+    return Settable(
+        **asdict(_variable(variable)),
+        start=float(variable.start),
+        lower=number("min", -math.inf),
+        upper=number("max", math.inf),
+        nominal=number("nominal", None),
+        meaning=variable.description or "",
+    )
+
+
+def _kind(variable: Any) -> str:
+    """What a variable is in FMI's words: `output`, `constant local`, `fixed Integer parameter`."""
+    kind = [
+        "" if variable.variability in (None, "continuous", "discrete") else variable.variability,
+        "" if variable.type in ("Real", "Float64") else variable.type,
+        "array" if getattr(variable, "dimensions", None) else "",
+        variable.causality or "local",
+    ]
+    return " ".join(word for word in kind if word)
 
 
 def _variable(variable: Any) -> Variable:
     declared = getattr(variable, "declaredType", None)
     unit = variable.unit or (declared.unit if declared is not None else None) or ""
     return Variable(variable.name, int(variable.valueReference), unit)
+
+
+def unit_of(variable: Variable) -> str:
+    """A unit as we write it from one as Modelica writes it: `N.m`, `m/s2`.
+
+    >>> unit_of(Variable("a", 1, "m/s2")), unit_of(Variable("a", 1, "N.m")), unit_of(Variable("a", 1, "1"))
+    ('m/s**2', 'N*m', '')
+    """
+    unit = re.sub(
+        r"(?<=[A-Za-z])(-?\d+)", r"**\1", variable.unit.strip().replace(".", "*").replace("·", "*")
+    )
+    return {"1": "", "-": ""}.get(unit, unit)

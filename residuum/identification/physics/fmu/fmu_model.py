@@ -2,8 +2,8 @@
 effects can be added to it.
 
 With model exchange and without events every state has its own balance: a state whose derivative is
-another state needs none. Any other FMU is simulated by itself beforehand (`simulated`): then only
-what happens on its outputs can be judged.
+another state needs none. Any other FMU is simulated by itself (`simulated_model`): then only what
+happens on its outputs can be judged.
 """
 
 from __future__ import annotations
@@ -17,8 +17,9 @@ from typing import Any
 
 import numpy as np
 
-from residuum.identification.errors import BadModel, BadRecord, BadUnit, in_one_line
+from residuum.identification.errors import BadUnit
 from residuum.identification.physics.compile.expression_meaning import EXTERNAL
+from residuum.identification.physics.effects.base import Parameter
 from residuum.identification.physics.files.expression import (
     Call,
     Expression,
@@ -27,10 +28,9 @@ from residuum.identification.physics.files.expression import (
     Place,
     parse,
 )
-from residuum.identification.physics.fmu.description import Description, Variable, fmpy
+from residuum.identification.physics.fmu.description import Description, Variable, unit_of
 from residuum.identification.physics.fmu.loaded_library import LoadedLibrary
 from residuum.identification.physics.model import Balance, Input, Output, PhysicalModel, State
-from residuum.identification.record import Record
 from residuum.identification.units import parse_unit
 
 _POINTS = 8
@@ -44,8 +44,10 @@ def is_exchangeable(described: Description) -> bool:
     return described.exchange is not None and bool(described.states) and not described.events
 
 
-def exchange_model(library: LoadedLibrary) -> PhysicalModel:
-    """The model of an FMU whose library is loaded for model exchange.
+def exchange_model(
+    library: LoadedLibrary, parameters: Mapping[str, Parameter] = MappingProxyType({})
+) -> PhysicalModel:
+    """The model of an FMU whose library is loaded for model exchange, with parameters of it.
 
     Examples
     --------
@@ -55,13 +57,14 @@ def exchange_model(library: LoadedLibrary) -> PhysicalModel:
     states, inputs, outputs = names_of(described)
     units = [unit_of(v) for v in described.states]
     rates = _rates(library)
-    arguments = (*states, *inputs)
+    arguments = (*states, *inputs, *library.parameters)
     digest = hashlib.sha256(Path(described.path).read_bytes()).hexdigest()[:12]
 
     def external(k: int) -> Expression:
         place = Place(described.name)
         names = tuple(Name(name, place) for name in arguments)
         tree = Call(EXTERNAL, (Number(float(k), place), *names), place)
+        # the text is a part of the key under which compiled code is kept
         return Expression(f"{EXTERNAL}_{digest}_{k}({', '.join(arguments)})", tree)
 
     balances = {}
@@ -87,7 +90,7 @@ def exchange_model(library: LoadedLibrary) -> PhysicalModel:
         },
     }
     held: dict[str, Any] = {key: MappingProxyType(value) for key, value in sections.items()}
-    return PhysicalModel(described.name, parameters=MappingProxyType({}), **held)
+    return PhysicalModel(described.name, parameters=MappingProxyType(dict(parameters)), **held)
 
 
 def _rates(library: LoadedLibrary) -> dict[int, int]:
@@ -138,18 +141,6 @@ def _like(unit: str, reference: str) -> bool:
         return False
 
 
-def unit_of(variable: Variable) -> str:
-    """A unit as we write it from one as Modelica writes it: `N.m`, `m/s2`.
-
-    >>> unit_of(Variable("a", 1, "m/s2")), unit_of(Variable("a", 1, "N.m")), unit_of(Variable("a", 1, "1"))
-    ('m/s**2', 'N*m', '')
-    """
-    unit = re.sub(
-        r"(?<=[A-Za-z])(-?\d+)", r"**\1", variable.unit.strip().replace(".", "*").replace("·", "*")
-    )
-    return {"1": "", "-": ""}.get(unit, unit)
-
-
 def names_of(described: Description) -> tuple[list[str], list[str], list[str]]:
     """Names of states, inputs and outputs as expressions take them, none twice; an output may be
     called as a state is.
@@ -174,106 +165,3 @@ def _given(variables: tuple[Variable, ...], taken: set[str]) -> list[str]:
 def _without_prefix(variable: Variable) -> Variable:
     """`y.speed` as `speed`: our own exports write an output so where a state has its name."""
     return Variable(variable.name.removeprefix("y."), variable.reference, variable.unit)
-
-
-# An FMU that is simulated along a record: its outputs become recorded signals, which the model
-# that is compared passes on.
-# Nothing is known of its inside, so effects can be judged on the paths of its outputs alone, and
-# its first state is its own.
-
-_MADE = "fmu_"
-_TOLERANCE = 1e-8
-
-
-def simulated_model(described: Description) -> PhysicalModel:
-    """The model whose outputs are the FMU's, as `with_simulation` writes them into records."""
-    _, inputs, outputs = names_of(described)
-    units = [unit_of(v) for v in described.outputs]
-    idle = {name: Input(name, unit_of(v)) for name, v in zip(inputs, described.inputs, strict=True)}
-    simulated = {
-        _MADE + name: Input(_MADE + name, unit) for name, unit in zip(outputs, units, strict=True)
-    }
-    empty: Mapping[str, object] = MappingProxyType({})
-    return PhysicalModel(
-        described.name,
-        MappingProxyType(idle | simulated),
-        empty,  # type: ignore[arg-type]
-        empty,  # type: ignore[arg-type]
-        empty,  # type: ignore[arg-type]
-        MappingProxyType(
-            {n: Output(n, parse(_MADE + n), unit) for n, unit in zip(outputs, units, strict=True)}
-        ),
-    )
-
-
-def with_simulation(
-    described: Description, model: PhysicalModel, record: Record, mapping: Mapping[str, str]
-) -> Record:
-    """The record with what the FMU's outputs would have been, from its own start, inputs held over
-    each sample.
-
-    Raises
-    ------
-    BadRecord
-        An input of the FMU that the record lacks, or that has missing samples.
-    BadModel
-        Its simulation fails.
-    """
-    _, inputs, outputs = names_of(described)
-    signals = [
-        _input(record, mapping.get(name, name), unit_of(v))
-        for name, v in zip(inputs, described.inputs, strict=True)
-    ]
-    time = record.sample_time * np.arange(record.n)
-    held = np.zeros(
-        max(2 * record.n - 1, 1),
-        dtype=[("time", float), *((v.name, float) for v in described.inputs)],
-    )
-    held["time"][::2], held["time"][1::2] = time, time[1:]
-    for variable, values in zip(described.inputs, signals, strict=True):
-        held[variable.name][::2], held[variable.name][1::2] = values, values[:-1]
-    try:
-        trajectory = fmpy().simulate_fmu(
-            described.path,
-            fmi_type="CoSimulation" if described.simulation else "ModelExchange",
-            start_time=0.0,
-            stop_time=float(time[-1]),
-            output_interval=record.sample_time,
-            relative_tolerance=_TOLERANCE,
-            input=held if described.inputs else None,
-            output=[v.name for v in described.outputs],
-        )
-    except Exception as error:
-        raise BadModel(
-            f"model {described.path!r}: its simulation along {record.source!r} fails"
-            f" ({in_one_line(error)})"
-        ) from None
-    at = np.clip(np.searchsorted(trajectory["time"], time + 1e-3 * record.sample_time) - 1, 0, None)
-    simulated = {
-        _MADE + name: np.asarray(trajectory[v.name])[at]
-        for name, v in zip(outputs, described.outputs, strict=True)
-    }
-    units = {name: model.inputs[name].unit for name in simulated}
-    return Record(
-        {**record.channels, **simulated},
-        {**record.units, **units},
-        record.sample_time,
-        t0=record.t0,
-        notes=record.notes,
-        source=record.source,
-    )
-
-
-def _input(record: Record, column: str, unit: str) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-    if column not in record.names:
-        raise BadRecord(
-            f"record {record.source!r}: input {column!r} is missing; the columns are"
-            f" {', '.join(record.names)}"
-        )
-    values = record.in_unit(column, unit)
-    if np.isnan(values).any():
-        at = int(np.argmax(np.isnan(values)))
-        raise BadRecord(
-            f"record {record.source!r}: input {column!r} lacks sample {at}; cut the record there"
-        )
-    return values

@@ -1,7 +1,8 @@
 """An FMU's library in this process: its rates and outputs as a function of time, states and inputs,
 for compiled code.
 
-Its slopes are central differences. The FMU is one object with a state of its own, so what calls it
+Its slopes are directional derivatives where the FMU gives them, and they agree with differences;
+else they are central differences. The FMU is one object with a state of its own, so what calls it
 holds a lock, and the last point is remembered: a step asks for each rate at the same point.
 """
 
@@ -10,7 +11,7 @@ holds a lock, and the last point is remembered: a step asks for each rate at the
 from __future__ import annotations
 
 import ctypes
-import tempfile
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,10 +20,11 @@ import numpy.typing as npt
 from numba import carray, cfunc, njit, types
 from numba.extending import intrinsic
 
-from residuum.identification.errors import BadModel, in_one_line
 from residuum.identification.physics.compile.external import SYMBOLS
 from residuum.identification.physics.compile.machine_code import ADDRESSES
-from residuum.identification.physics.fmu.description import Description, fmpy
+from residuum.identification.physics.fmu.description import Description
+from residuum.identification.physics.fmu.directional import differentiated
+from residuum.identification.physics.fmu.instance import Instance
 
 Array = npt.NDArray[np.float64]
 _STEP = 1e-6
@@ -32,13 +34,31 @@ _KEPT: list[Any] = []
 
 @dataclass(frozen=True, eq=False)
 class LoadedLibrary:
-    """`value(point)` gives rates, then outputs, at a point (time, states, inputs); `start` has the
-    first states and inputs.
+    """`value(point)` gives rates, then outputs, at a point (time, states, inputs, parameters);
+    `start` has the first states and inputs.
+
+    `parameters` are those that the FMU gives directional derivatives by: arguments like any other,
+    whose values `settle` sets.
     """
 
     description: Description
+    instance: Instance
     value: Any
     start: Array
+    parameters: tuple[str, ...]
+    addresses: tuple[int, int]
+    memory: Array
+
+    def call(self) -> None:
+        """Let the code that is linked from now on call this library."""
+        ADDRESSES.update(zip(SYMBOLS, self.addresses, strict=True))
+
+    def settle(self, values: Mapping[str, float]) -> bool:
+        """Begin anew where the parameters change; False where the FMU refuses them."""
+        if self.instance.begun != (self, values):
+            self.memory[:] = np.nan  # what was remembered is that of other parameters
+            self.instance.begun = (self, dict(values)) if self.instance.begin(values) else None
+        return self.instance.begun is not None
 
 
 @intrinsic
@@ -51,127 +71,88 @@ def _doubles(typingctx, address):
     return types.CPointer(types.float64)(types.intp), made
 
 
-def load(description: Description) -> LoadedLibrary:
-    """Load an FMU for model exchange, once a process, and let generated code call it.
+def load(instance: Instance, asked: Sequence[str] = ()) -> LoadedLibrary:
+    """An FMU's instance for model exchange as what generated code can call.
 
-    Raises
-    ------
-    BadModel
-        It refuses to be set up.
+    Parameters
+    ----------
+    asked : sequence of str
+        Parameters by which slopes are wanted.
     """
-    instance, functions = _instance(description)
-    nx, nu, ny = len(description.states), len(description.inputs), len(description.outputs)
-    n, m = 1 + nx + nu, nx + ny
-    memory = np.full(n + m + n + m * n + 2 * m + n, np.nan)
-    references = np.array(
-        [v.reference for v in (*description.inputs, *description.outputs)], dtype=np.uint32
+    description = instance.description
+    start = np.asarray(
+        instance.reals([v.reference for v in (*description.states, *description.inputs)])
     )
+    given = differentiated(instance, start, asked)
+    own = tuple(name for name in asked if name in given)
+    nx, nu, ny = len(description.states), len(description.inputs), len(description.outputs)
+    n, m = 1 + nx + nu + len(own), nx + ny
+    memory = np.full(3 * n + 4 * m + m * n + n, np.nan)
+    variables = (
+        *description.inputs,
+        *description.outputs,
+        *description.derivatives,
+        *description.outputs,
+        *description.states,
+        *description.inputs,
+        *(description.parameters[name] for name in own),
+    )
+    references = np.array([v.reference for v in variables], dtype=np.uint32)
+    known = [v.name in given for v in (*description.states, *description.inputs)]
+    by_derivative = np.array([False, *known, *(True for _ in own)], dtype=np.bool_)
     mutex = np.zeros(16, dtype=np.int64)
+    functions = _functions(instance)
     _KEPT.extend([instance, functions, memory, references, mutex])
     value, slope = _compiled(
-        functions, int(instance.component), (nx, nu, ny), memory, references, mutex
+        functions,
+        instance.component,
+        (nx, nu, ny, len(own)),
+        memory,
+        references,
+        mutex,
+        by_derivative,
     )
     _KEPT.extend([value, slope])
-    ADDRESSES.update(zip(SYMBOLS, (value.address, slope.address), strict=True))
-    start = _reals(instance, description)
     call = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_int64, ctypes.c_void_p)(value.address)
 
     def at(point: Array) -> Array:
-        point = np.ascontiguousarray(point, dtype=np.float64)
-        return np.array([call(k, point.ctypes.data) for k in range(m)])
+        whole = np.zeros(n)
+        whole[: len(point)] = point
+        return np.array([call(k, whole.ctypes.data) for k in range(m)])
 
-    return LoadedLibrary(description, at, np.asarray(start, dtype=float))
-
-
-def _reals(instance: Any, description: Description) -> list[float]:
-    references = [v.reference for v in (*description.states, *description.inputs)]
-    if not references:
-        return []
-    return list(
-        instance.getReal(references)
-        if description.version == 2
-        else instance.getFloat64(references)
+    loaded = LoadedLibrary(
+        description, instance, at, start, own, (value.address, slope.address), memory
     )
+    loaded.call()
+    return loaded
 
 
-def _instance(description: Description) -> tuple[Any, dict[str, Any]]:
-    """The FMU, ready for continuous time, and its functions by what they do."""
-    library = fmpy()
-    folder = library.extract(description.path, tempfile.mkdtemp(prefix="residuum-fmu-"))
-    arguments = {
-        "guid": description.guid,
-        "unzipDirectory": folder,
-        "modelIdentifier": description.exchange,
-        "instanceName": "residuum",
-    }
-    try:
-        if description.version == 2:
-            model = _import("fmpy.fmi2").FMU2Model(**arguments)
-            model.instantiate()
-            model.setupExperiment(startTime=0.0)
-            model.enterInitializationMode()
-            model.exitInitializationMode()
-            _settle_two(model)
-        else:
-            model = _import("fmpy.fmi3").FMU3Model(**arguments)
-            model.instantiate()
-            model.enterInitializationMode()
-            model.exitInitializationMode()
-            _settle_three(model)
-            model.component = model.component if hasattr(model, "component") else model._instance
-    except Exception as error:
-        raise BadModel(
-            f"model {description.path!r}: the FMU cannot be set up ({in_one_line(error)})"
-        ) from None
-    return model, _functions(model.dll, description.version)
-
-
-def _import(name: str) -> Any:
-    return __import__(name, fromlist=["_"])
-
-
-def _settle_two(model: Any) -> None:
-    for _ in range(10):
-        needed, *_ = model.newDiscreteStates()
-        if not needed:
-            break
-    model.enterContinuousTimeMode()
-
-
-def _settle_three(model: Any) -> None:
-    for _ in range(10):
-        needed, *_ = model.updateDiscreteStates()
-        if not needed:
-            break
-    model.enterContinuousTimeMode()
-
-
-def _functions(dll: Any, version: int) -> dict[str, Any]:
-    pointer, size, double, status = ctypes.c_void_p, ctypes.c_size_t, ctypes.c_double, ctypes.c_int
+def _functions(instance: Instance) -> dict[str, Any]:
+    pointer, size, double = ctypes.c_void_p, ctypes.c_size_t, ctypes.c_double
+    two = instance.description.version == 2
     arrays = (pointer, pointer, size)
-    by_reference = (
-        (pointer, pointer, size, pointer)
-        if version == 2
-        else (pointer, pointer, size, pointer, size)
+    by_reference = (pointer, pointer, size, pointer) + (() if two else (size,))
+    by_direction = (pointer, pointer, size, pointer, size, pointer) + (
+        (pointer,) if two else (size, pointer, size)
     )
     names = {
         "time": ("SetTime", (pointer, double)),
         "states": ("SetContinuousStates", arrays),
-        "rates": ("GetDerivatives" if version == 2 else "GetContinuousStateDerivatives", arrays),
-        "set": ("SetReal" if version == 2 else "SetFloat64", by_reference),
-        "get": ("GetReal" if version == 2 else "GetFloat64", by_reference),
+        "rates": ("GetDerivatives" if two else "GetContinuousStateDerivatives", arrays),
+        "set": ("SetReal" if two else "SetFloat64", by_reference),
+        "get": ("GetReal" if two else "GetFloat64", by_reference),
+        "derivative": ("GetDirectionalDerivative", by_direction),
     }
-    functions = {
-        key: ctypes.CFUNCTYPE(status, *types_)((f"fmi{version}{name}", dll))
-        for key, (name, types_) in names.items()
-    }
+    functions = {key: instance.function(name, *types_) for key, (name, types_) in names.items()}
     process = ctypes.CDLL(None)
     for name in ("lock", "unlock"):
-        functions[name] = ctypes.CFUNCTYPE(status, pointer)((f"pthread_mutex_{name}", process))
-    return functions | {"version": version}
+        functions[name] = ctypes.CFUNCTYPE(ctypes.c_int, pointer)(
+            (f"pthread_mutex_{name}", process)
+        )
+    return functions | {"version": instance.description.version}
 
 
-def _by_reference(
+def by_reference(
     f: dict[str, Any], component: int, inputs: tuple[int, int], outputs: tuple[int, int]
 ) -> tuple[Any, Any]:
     """What sets the inputs from an address, and what writes the outputs to one: FMI 3 asks for the
@@ -187,21 +168,39 @@ def _by_reference(
     return put, njit(lambda address: get_reals(component, outs, ny, address, ny), nogil=True)
 
 
-def _compiled(  # noqa: C901  compiled functions that share what they close over
+def _by_direction(f: dict[str, Any], component: int, unknown: int, m: int) -> Any:
+    """What writes to an address the derivatives of m unknowns by the variable whose reference
+    stands at another one, for a seed.
+    """
+    derivative = f["derivative"]
+    if f["version"] == 2:
+        return njit(
+            lambda known, seed, to: derivative(component, unknown, m, known, 1, seed, to),
+            nogil=True,
+        )
+    return njit(
+        lambda known, seed, to: derivative(component, unknown, m, known, 1, seed, 1, to, m),
+        nogil=True,
+    )
+
+
+def _compiled(  # noqa: C901, PLR0915  compiled functions that share what they close over
     f: dict[str, Any],
     component: int,
-    sizes: tuple[int, int, int],
+    sizes: tuple[int, int, int, int],
     memory: Array,
     references: Any,
     mutex: Any,
+    by_derivative: npt.NDArray[np.bool_],
 ) -> Any:
     """The two functions that generated code calls.
 
-    `memory` has the last point and its values, the point of the slopes and them, two rows of
-    values, and a point to move.
+    `memory` has the last point and its values, the point of the slopes, which of their columns are
+    known, and they themselves, two rows of values, a point to move, and a seed. `references` are
+    those of inputs, outputs, then of what directional derivatives are of and by.
     """
-    nx, nu, ny = sizes
-    n, m = 1 + nx + nu, nx + ny
+    nx, nu, ny, _ = sizes
+    n, m = 1 + nx + nu + sizes[3], nx + ny
     set_time, set_states, rates, lock, unlock = (
         f["time"],
         f["states"],
@@ -210,20 +209,28 @@ def _compiled(  # noqa: C901  compiled functions that share what they close over
         f["unlock"],
     )
     at, guard, ins = memory.ctypes.data, mutex.ctypes.data, references.ctypes.data
-    outs = ins + 4 * nu
+    outs, unknowns = ins + 4 * nu, ins + 4 * (nu + ny)
+    knowns = unknowns + 4 * m
     room = memory.size
+    exact = tuple(map(bool, by_derivative))
 
-    put, take = _by_reference(f, component, (ins, nu), (outs, ny))
+    put, take = by_reference(f, component, (ins, nu), (outs, ny))
+    differentiate = _by_direction(f, component, unknowns, m)
 
     @njit(nogil=True)
-    def ask(point, values):
-        """The FMU's rates and outputs at a point, both of them addresses; nan where it refuses."""
-        a, v = carray(_doubles(point), n), carray(_doubles(values), m)
-        bad = set_time(component, a[0])
+    def place(point):
+        bad = set_time(component, _value_at(point))
         if nx > 0:
             bad += set_states(component, point + 8, nx)
         if nu > 0:
             bad += put(point + 8 * (1 + nx))
+        return bad
+
+    @njit(nogil=True)
+    def ask(point, values):
+        """The FMU's rates and outputs at a point, both of them addresses; nan where it refuses."""
+        v = carray(_doubles(values), m)
+        bad = place(point)
         if nx > 0:
             bad += rates(component, values, nx)
         bad += take(values + 8 * nx)
@@ -250,28 +257,48 @@ def _compiled(  # noqa: C901  compiled functions that share what they close over
         unlock(guard)
         return entry
 
+    @njit(nogil=True)
+    def column(j, cache):
+        """Slopes by argument j at the point of the slopes."""
+        point, table = n + m, 3 * n + m
+        high, low = table + m * n, table + m * n + m
+        seed = low + m
+        if exact[j]:
+            cache[seed] = 1.0
+            bad = place(at + 8 * point)
+            bad += differentiate(knowns + 4 * (j - 1), at + 8 * seed, at + 8 * high)
+            for r in range(m):
+                cache[table + j * m + r] = cache[high + r] if bad <= 1 else np.nan
+            return
+        middle = cache[point + j]
+        h = _STEP * (1.0 + abs(middle))
+        cache[point + j] = middle + h
+        ask(at + 8 * point, at + 8 * high)
+        cache[point + j] = middle - h
+        ask(at + 8 * point, at + 8 * low)
+        cache[point + j] = middle
+        for r in range(m):
+            cache[table + j * m + r] = (cache[high + r] - cache[low + r]) / (2.0 * h)
+
     @cfunc("float64(int64, int64, CPointer(float64))", nopython=True)
     def slope(k, j, given):
         a, cache = carray(given, n), carray(_doubles(at), room)
-        first, table = n + m, n + m + n
-        high, low = table + m * n, table + m * n + m
-        moved = low + m
+        point, known, table = n + m, 2 * n + m, 3 * n + m
         lock(guard)
-        if not same(a, cache[first:]):
+        if not same(a, cache[point:]):
             for i in range(n):
-                cache[first + i] = a[i]
-                cache[moved + i] = a[i]
-            for i in range(n):
-                h = _STEP * (1.0 + abs(a[i]))
-                cache[moved + i] = a[i] + h
-                ask(at + 8 * moved, at + 8 * high)
-                cache[moved + i] = a[i] - h
-                ask(at + 8 * moved, at + 8 * low)
-                cache[moved + i] = a[i]
-                for r in range(m):
-                    cache[table + r * n + i] = (cache[high + r] - cache[low + r]) / (2.0 * h)
-        entry = cache[table + k * n + j]
+                cache[point + i] = a[i]
+                cache[known + i] = 0.0
+        if cache[known + j] != 1.0:
+            column(j, cache)
+            cache[known + j] = 1.0
+        entry = cache[table + j * m + k]
         unlock(guard)
         return entry
 
     return value, slope
+
+
+@njit(nogil=True)
+def _value_at(address):
+    return carray(_doubles(address), 1)[0]

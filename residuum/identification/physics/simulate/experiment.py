@@ -230,7 +230,7 @@ def _experiment(
         )
     wanted = [hold if isinstance(hold, str) else hold.get(name, "auto") for name in model.inputs]
     linear = np.array(
-        [clocks[k] or _is_linear(how, U[:, k]) for k, how in enumerate(wanted)], dtype=float
+        [clocks[k] or moves_evenly(how, U[:, k]) for k, how in enumerate(wanted)], dtype=float
     )
     spare = _spare(record, set(columns.values()))
     return Experiment(
@@ -295,7 +295,8 @@ def _named(record: Record) -> str:
     return f"record {record.source!r}" if record.source else "record"
 
 
-def _is_linear(how: str, u: Array) -> bool:
+def moves_evenly(how: str, u: Array) -> bool:
+    """Whether an input moves from sample to sample rather than being held, as `match` takes it."""
     if how in ("linear", "zero-order"):
         return how == "linear"
     if how != "auto":

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -18,6 +19,7 @@ from residuum.identification.physics.files.expression import Expression, evaluat
 from residuum.identification.physics.model import PhysicalModel
 from residuum.identification.physics.simulate import integration
 from residuum.identification.physics.simulate.block_means import means_in_blocks
+from residuum.identification.physics.simulate.differences import central
 from residuum.identification.physics.simulate.experiment import Experiment
 from residuum.identification.work import count_samples
 
@@ -324,10 +326,14 @@ class Simulator:
         Parameters that no machine has (`Possible`) give NaN as a model that diverges does: no
         estimation goes there.
         """
-        joined = Joined.of(experiments)
-        X, Y, dY = self._simulated(
-            joined, np.array(initial), p, np.array(substeps), self.columns(slopes)
-        )
+        x0, steps, none = np.array(initial), np.array(substeps), self.columns(())
+        joined = self._joined(experiments, p)
+        X, Y, dY = self._simulated(joined, x0, p, steps, self.columns(slopes))
+
+        def outputs(at: Array) -> Array:
+            return self._simulated(self._joined(experiments, at), x0, at, steps, none)[1]
+
+        self._difference(dY, slopes, p, outputs)
         if not self.possible(p):
             X, Y, dY = (np.full_like(values, np.nan) for values in (X, Y, dY))
         for k, e in enumerate(experiments):
@@ -336,14 +342,68 @@ class Simulator:
                 dY[joined.starts[k] : joined.starts[k + 1], :, of_known] = 0.0
         return Runs(experiments, X, Y, dY if slopes else None, tuple(slopes), joined.starts)
 
+    def _joined(self, experiments: Sequence[Experiment], p: Array) -> Joined:
+        """The experiments end to end, what is foreign simulated along them first."""
+        if foreign := self.model.foreign:
+            with foreign.lock:
+                experiments = foreign.along(experiments, self._foreign_values(p))
+        return Joined.of(experiments)
+
+    def _difference(
+        self, dY: Array, slopes: Sequence[str], p: Array, outputs: Callable[[Array], Array]
+    ) -> None:
+        """Write the slopes by parameters that no equation names: differences of whole
+        simulations.
+        """
+        steps = self.model.foreign.steps if self.model.foreign else {}
+        for column, name in enumerate(slopes):
+            if name not in steps:
+                continue
+            k, bounds = self._index[name], self.model.parameters[name]
+
+            def run(value: float, k: int = k) -> Array:
+                return outputs(np.where(np.arange(len(p)) == k, value, p))
+
+            value = float(p[k])
+            dY[:, :, column] = central(
+                run, value, steps[name].of(value), (bounds.lower, bounds.upper)
+            )
+
     def _simulated(
         self, joined: Joined, initial: Array, p: Array, substeps: Integers, columns: Integers
     ) -> tuple[Array, Array, Array]:
         q, at = self.kernel.system, joined
         count_samples(int(np.diff(at.starts) @ substeps) * (1 + len(columns)))
-        return integration.simulate(
-            q, at.U, at.starts, p, initial, at.sample_times, substeps, at.holds, at.follows, columns
-        )
+        with self._settled(p) as settled:
+            X, Y, dY = integration.simulate(
+                q,
+                at.U,
+                at.starts,
+                p,
+                initial,
+                at.sample_times,
+                substeps,
+                at.holds,
+                at.follows,
+                columns,
+            )
+        if not settled:
+            X, Y, dY = (np.full_like(values, np.nan) for values in (X, Y, dY))
+        return X, Y, dY
+
+    @contextmanager
+    def _settled(self, p: Array) -> Iterator[bool]:
+        """While what is foreign has these parameters, and nobody else uses it; whether it took
+        them.
+        """
+        if (foreign := self.model.foreign) is None:
+            yield True
+            return
+        with foreign.lock:
+            yield foreign.settle(self._foreign_values(p))
+
+    def _foreign_values(self, p: Array) -> dict[str, float]:
+        return {name: float(p[self._index[name]]) for name in self.model.parameters}
 
     def look(
         self, experiment: Experiment, X: Array, values: Mapping[str, float] | None = None
@@ -351,23 +411,27 @@ class Simulator:
         """Every signal (defined variables, `balance.term`, `storage:balance`, `drive:balance`)
         along the states X.
         """
-        Z = integration.evaluate_signals(*self._along(experiment, X, values))
+        with self._settled(self.p(values)):
+            Z = integration.evaluate_signals(*self._along(experiment, X, values))
         return {name: Z[:, k] for k, name in enumerate(self.kernel.signals)}
 
     def look_outputs(
         self, experiment: Experiment, X: Array, values: Mapping[str, float] | None = None
     ) -> Array:
         """Outputs along the states X, shape (n, outputs)."""
-        return np.asarray(integration.evaluate_outputs(*self._along(experiment, X, values)))
+        with self._settled(self.p(values)):
+            return np.asarray(integration.evaluate_outputs(*self._along(experiment, X, values)))
 
     def rate_slopes(self, experiment: Experiment, X: Array, samples: Integers) -> Array:
         """∂f/∂x along the states X at these samples, shape (samples, states, states)."""
         joined, p = Joined.of([experiment]), self.p()
         system, X = self.kernel.system, np.ascontiguousarray(X)
         times = (joined.sample_times, joined.holds)
-        return np.asarray(
-            integration.rate_slopes(system, joined.U, joined.starts, X, p, *times, samples[None])[0]
-        )
+        with self._settled(p):
+            A = integration.rate_slopes(
+                system, joined.U, joined.starts, X, p, *times, samples[None]
+            )
+        return np.asarray(A[0])
 
     def _along(
         self, experiment: Experiment, X: Array, values: Mapping[str, float] | None
@@ -489,16 +553,17 @@ class Simulator:
         infinite where none is finite.
         """
         finite = np.all(np.isfinite(X[joined.starts[:-1, None] + samples]), axis=2)
-        A = integration.rate_slopes(
-            self.kernel.system,
-            joined.U,
-            joined.starts,
-            X,
-            p,
-            joined.sample_times,
-            joined.holds,
-            np.where(finite, samples, 0),
-        )
+        with self._settled(p):
+            A = integration.rate_slopes(
+                self.kernel.system,
+                joined.U,
+                joined.starts,
+                X,
+                p,
+                joined.sample_times,
+                joined.holds,
+                np.where(finite, samples, 0),
+            )
         finite &= np.all(np.isfinite(A), axis=(2, 3))
         A[~finite] = 0.0
         steps = np.max(_steps_for(A) * joined.sample_times[:, None], axis=1, initial=1.0)

@@ -1,0 +1,161 @@
+"""One instance of an FMU, which begins a simulation as often as it is wanted and is never loaded
+again.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import shutil
+import tempfile
+import weakref
+from collections.abc import Mapping, Sequence
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from residuum.identification.errors import BadModel, in_one_line
+from residuum.identification.physics.fmu.description import Description, fmpy
+
+Array = npt.NDArray[np.float64]
+TOLERANCE = 1e-8
+"""Relative tolerance that a solver of its own is asked for."""
+_SETTLINGS = 10
+
+
+class Instance:
+    """An FMU in this process, for model exchange or co-simulation.
+
+    A simulation begins at the instance as it was made: by its state, kept then, where the FMU can
+    bring one back, else by its reset. Both cost microseconds; loading costs as much as thousands of
+    steps.
+
+    Raises
+    ------
+    BadModel
+        It cannot be set up with the start values of its description.
+    """
+
+    def __init__(self, description: Description, *, exchanged: bool) -> None:
+        self.description, self.exchanged = description, exchanged
+        self.begun: object = None
+        """Who began it last, and with what."""
+        way = description.exchange if exchanged else description.simulation
+        assert way is not None
+        self.folder = fmpy().extract(description.path, tempfile.mkdtemp(prefix="residuum-fmu-"))
+        weakref.finalize(self, shutil.rmtree, self.folder, ignore_errors=True)
+        kind = f"FMU{description.version}{'Model' if exchanged else 'Slave'}"
+        try:
+            made = getattr(import_module(f"fmpy.fmi{description.version}"), kind)
+            self.fmu: Any = made(
+                guid=description.guid,
+                unzipDirectory=self.folder,
+                modelIdentifier=way.identifier,
+                instanceName="residuum",
+            )
+            self.fmu.instantiate()
+            self._first: Any = self._kept() if way.keeps_state else None
+            self._begin({}, ())
+        except Exception as error:
+            raise BadModel(
+                f"model {description.path!r}: the FMU cannot be set up ({in_one_line(error)})"
+            ) from None
+
+    @property
+    def component(self) -> int:
+        """Its address."""
+        component = self.fmu.component
+        return int(getattr(component, "value", component) or 0)
+
+    def begin(self, values: Mapping[str, float], inputs: Sequence[float] = ()) -> bool:
+        """Begin a simulation at time 0 with these parameters and first inputs; False where the FMU
+        refuses them.
+        """
+        try:
+            self.afresh()
+            self._begin(values, inputs)
+        except Exception:
+            # fmpy raises for any status that is an error: no machine has these parameters
+            return False
+        return True
+
+    def _kept(self) -> Any:
+        """Its state now; None where it cannot be had after all."""
+        try:
+            return self.fmu.getFMUState()
+        except Exception:
+            return None
+
+    def afresh(self) -> None:
+        """As it was made, for who begins a simulation himself."""
+        if self._first is None:
+            self.fmu.reset()
+        else:
+            self.fmu.setFMUState(self._first)
+
+    def reals(self, references: Sequence[int]) -> list[float]:
+        """Values of real variables."""
+        if not references:
+            return []
+        two = self.description.version == 2
+        return list(self.fmu.getReal(references) if two else self.fmu.getFloat64(references))
+
+    def _set(self, references: Sequence[int], values: Sequence[float]) -> None:
+        if references:
+            two = self.description.version == 2
+            (self.fmu.setReal if two else self.fmu.setFloat64)(references, values)
+
+    def _begin(self, values: Mapping[str, float], inputs: Sequence[float]) -> None:
+        fmu, parameters = self.fmu, self.description.parameters
+        self._set([parameters[name].reference for name in values], list(values.values()))
+        tolerance = None if self.exchanged else TOLERANCE
+        if self.description.version == 2:
+            fmu.setupExperiment(tolerance=tolerance, startTime=0.0)
+            fmu.enterInitializationMode()
+        else:
+            fmu.enterInitializationMode(tolerance=tolerance, startTime=0.0)
+        self._set([v.reference for v in self.description.inputs[: len(inputs)]], list(inputs))
+        fmu.exitInitializationMode()
+        if self.exchanged:
+            self._settle()
+
+    def _settle(self) -> None:
+        two = self.description.version == 2
+        for _ in range(_SETTLINGS):
+            needed, *_ = self.fmu.newDiscreteStates() if two else self.fmu.updateDiscreteStates()
+            if not needed:
+                break
+        self.fmu.enterContinuousTimeMode()
+
+    def place(self, point: Array) -> None:
+        """Bring it to these states and inputs, of model exchange."""
+        nx = len(self.description.states)
+        x = np.ascontiguousarray(point[:nx], dtype=np.float64)
+        self.fmu.setTime(0.0)
+        if nx:
+            self.fmu.setContinuousStates(x.ctypes.data_as(ctypes.POINTER(ctypes.c_double)), nx)
+        self._set([v.reference for v in self.description.inputs], point[nx:].tolist())
+
+    def answer(self) -> Array:
+        """Rates, then outputs, where it is."""
+        nx = len(self.description.states)
+        rates = np.zeros(nx)
+        pointer = rates.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
+        if nx and self.description.version == 2:
+            self.fmu.getDerivatives(pointer, nx)
+        elif nx:
+            self.fmu.getContinuousStateDerivatives(pointer, nx)
+        outputs = self.reals([v.reference for v in self.description.outputs])
+        return np.concatenate([rates, outputs])
+
+    def derivative(self, reference: int) -> Array:
+        """Directional derivative of rates and outputs by one variable, where it is."""
+        described = self.description
+        unknown = [v.reference for v in (*described.derivatives, *described.outputs)]
+        return np.array(self.fmu.getDirectionalDerivative(unknown, [reference], [1.0]))
+
+    def function(self, name: str, *types: Any) -> Any:
+        """One of the library's functions, `SetTime`, for compiled code."""
+        full = f"fmi{self.description.version}{name}"
+        return ctypes.CFUNCTYPE(ctypes.c_int, *types)((full, self.fmu.dll))

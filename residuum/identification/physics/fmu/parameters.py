@@ -1,0 +1,128 @@
+"""An FMU's parameters in a simulation: what `Foreign` asks for, of both ways of running it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from threading import RLock
+
+import numpy as np
+import numpy.typing as npt
+
+from residuum.identification.errors import NotIdentifiable
+from residuum.identification.physics.estimation.estimation import estimate
+from residuum.identification.physics.fmu.co_simulation import OwnSimulation
+from residuum.identification.physics.fmu.loaded_library import LoadedLibrary
+from residuum.identification.physics.model import PhysicalModel
+from residuum.identification.physics.simulate.differences import Step, chosen_step
+from residuum.identification.physics.simulate.experiment import Experiment
+from residuum.identification.physics.simulate.simulation import Simulator
+
+Array = npt.NDArray[np.float64]
+_KEPT = 16
+"""Simulations of whole records that are remembered: parts of one record ask for the same, and fits
+side by side each for theirs.
+"""
+
+
+class ExchangedParameters:
+    """Parameters of an FMU whose rates the model's equations call."""
+
+    def __init__(self, library: LoadedLibrary) -> None:
+        self.library, self.lock = library, RLock()
+        self.steps: Mapping[str, Step] = {}
+
+    def settle(self, values: Mapping[str, float]) -> bool:
+        """Begin the FMU anew where its parameters change."""
+        return self.library.settle(values)
+
+    def along(
+        self, experiments: Sequence[Experiment], values: Mapping[str, float]
+    ) -> Sequence[Experiment]:
+        """As they are."""
+        return experiments
+
+
+class SimulatedParameters:
+    """Parameters of an FMU that simulates itself along whole records, by their inputs U and sample
+    times; experiments are parts of them, their rows told by `SAMPLE`.
+    """
+
+    def __init__(self, own: OwnSimulation, records: Sequence[tuple[Array, float]]) -> None:
+        self.own, self.records, self.lock = own, list(records), RLock()
+        self.steps: Mapping[str, Step] = {}
+        self._first = np.concatenate([[0], np.cumsum([len(U) for U, _ in records])])
+        described = own.instance.description
+        # the order of inputs in `simulated_model`
+        nu, ny = len(described.inputs), len(described.outputs)
+        self._own, self._made, self._sample = slice(0, nu), slice(nu, nu + ny), nu + ny
+        self._runs: dict[tuple[object, ...], Array] = {}
+
+    def settle(self, values: Mapping[str, float]) -> bool:
+        """Nothing: it was simulated before."""
+        return True
+
+    def along(
+        self, experiments: Sequence[Experiment], values: Mapping[str, float]
+    ) -> Sequence[Experiment]:
+        """The experiments with its outputs by these values."""
+        return [self._with_outputs(e, values) for e in experiments]
+
+    def _with_outputs(self, experiment: Experiment, values: Mapping[str, float]) -> Experiment:
+        rows = experiment.U[:, self._sample]
+        record = int(np.searchsorted(self._first, rows[0], side="right")) - 1
+        Y = self._run(record, experiment.hold[self._own], values)
+        U, at = experiment.U.copy(), rows - self._first[record]
+        begin, whole = int(at[0]), at[-1] - at[0] == len(at) - 1
+        U[:, self._made] = (
+            Y[begin : begin + len(at)]
+            if whole
+            else np.stack([np.interp(at, np.arange(len(Y)), y) for y in Y.T], axis=1)
+        )
+        return replace(experiment, U=U)
+
+    def _run(self, record: int, hold: Array, values: Mapping[str, float]) -> Array:
+        key = (record, hold.tobytes(), *values.values())
+        if key not in self._runs:
+            U, dt = self.records[record]
+            while len(self._runs) >= _KEPT:
+                self._runs.pop(next(iter(self._runs)))
+            self._runs[key] = self.own.along(U, hold, dt, values)
+        return self._runs[key]
+
+
+def with_steps(
+    model: PhysicalModel, experiments: Sequence[Experiment], names: Sequence[str]
+) -> Mapping[str, Step]:
+    """The steps of differences for the parameters of these names, tried along experiments."""
+    if not names:
+        return {}
+    simulator = Simulator(model)
+    begun = estimate(model, experiments, free=())
+    starts, substeps, p = begun.initial, begun.substeps, simulator.p()
+
+    def step(name: str) -> Step:
+        parameter = model.parameters[name]
+        k = int(simulator.columns([name])[0])
+
+        def run(value: float) -> Array:
+            at = np.where(np.arange(len(p)) == k, value, p)
+            return simulator.run_each(experiments, starts, at, substeps=substeps).Y
+
+        size = abs(parameter.value) or _of_bounds(parameter.lower, parameter.upper)
+        chosen = chosen_step(run, parameter.value, size, (parameter.lower, parameter.upper))
+        if not chosen.error < 1.0:
+            raise NotIdentifiable(
+                f"parameter {name!r}: its slope is another one at every step that was tried; the"
+                " FMU's solver is too rough, or it does not begin anew after its reset: export it"
+                " with a smaller tolerance, or with canGetAndSetFMUstate"
+            )
+        return chosen
+
+    return {name: step(name) for name in names}
+
+
+def _of_bounds(lower: float, upper: float) -> float:
+    """Usual size of a parameter that starts at 0: that of its range, else 1."""
+    span = upper - lower
+    return span if np.isfinite(span) else 1.0

@@ -1,0 +1,112 @@
+"""Slopes of simulations by a parameter that no equation names, as central differences, and the step
+that they are taken with.
+
+∂y/∂θ ≈ (y(θ + h) − y(θ − h)) / 2h, h = ρ·max(|θ|, s) with s the parameter's usual size. Too large a
+ρ errs by the curvature (∝ h²), too small a one by the noise of the solver, whose own steps change
+with θ (∝ 1/h). Where two neighbours of a ladder of ρ agree best both are small: their difference is
+told as the slopes' error. At a bound the difference is taken on the side that is left.
+
+Reference: J. Nocedal, S. J. Wright, *Numerical Optimization*, 2006, 8.1; J. J. Moré, S. M. Wild,
+*Estimating derivatives of noisy simulations*, ACM Trans. Math. Softw. 38 (2012).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+Run = Callable[[float], Array]
+"""Outputs at a value of the parameter, shape (n, outputs)."""
+
+_FIRST = (1e-3, 1e-4)
+_LADDER = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
+_ENOUGH = 1e-4
+"""Error of slopes at which no other step is tried: steps of a descent do not feel it."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """How far a parameter is moved: `relative` times its value, or times its usual `size` where
+    that is larger; `error` is the part by which slopes at two such steps differed.
+    """
+
+    relative: float
+    size: float
+    error: float = np.nan
+
+    def of(self, value: float) -> float:
+        """The step from a value, in its unit."""
+        return self.relative * max(abs(value), self.size)
+
+
+def central(run: Run, value: float, step: float, bounds: tuple[float, float]) -> Array:
+    """The slope of a run at a value, between bounds; NaN where neither side can be simulated.
+
+    Parameters
+    ----------
+    step : float
+        To each side [the parameter's unit].
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> central(lambda v: np.array([[v**2]]), 3.0, 1e-3, (0.0, 9.0)).round(9)
+    array([[6.]])
+    """
+    low, high = max(value - step, bounds[0]), min(value + step, bounds[1])
+    below, above = run(low), run(high)
+    if not np.isfinite(below).all():
+        low, below = value, run(value)
+    elif not np.isfinite(above).all():
+        high, above = value, run(value)
+    return (above - below) / (high - low)
+
+
+def chosen_step(run: Run, value: float, size: float, bounds: tuple[float, float]) -> Step:
+    """The step at which slopes differ least from those at a tenth of it.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> rough = lambda v: np.array([[np.sin(v) + 1e-7 * np.sin(1e9 * v)]])
+    >>> step = chosen_step(rough, 1.0, 1.0, (-9.0, 9.0))
+    >>> step.relative > 1e-4, step.error < 1e-3
+    (True, True)
+    """
+    scale = _spread(run(value))
+    slopes: dict[float, Array] = {}
+
+    def error(relative: float, finer: float) -> float:
+        for ratio in (relative, finer):
+            if ratio not in slopes:
+                h = Step(ratio, size).of(value)
+                slopes[ratio] = central(run, value, h, bounds) / scale
+        return _apart(slopes[relative], slopes[finer])
+
+    first = error(*_FIRST)
+    if first <= _ENOUGH:
+        return Step(_FIRST[0], size, first)
+    errors = {relative: error(relative, finer) for relative, finer in pairwise(_LADDER)}
+    best = min(errors, key=lambda relative: np.nan_to_num(errors[relative], nan=np.inf))
+    return Step(best, size, errors[best])
+
+
+def _spread(Y: Array) -> Array:
+    """What changes of each output are measured by: its standard deviation, or its size where it
+    does not move.
+    """
+    spread = np.std(Y, axis=0)
+    spread = np.where(spread > 0.0, spread, np.max(np.abs(Y), axis=0))
+    return np.where(spread > 0.0, spread, 1.0)
+
+
+def _apart(a: Array, b: Array) -> float:
+    """Part by which two slopes differ; 0 where both are nothing."""
+    size = float(np.linalg.norm(a))
+    apart = float(np.linalg.norm(a - b))
+    return apart / size if size > 0.0 else apart
