@@ -18,7 +18,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from residuum.identification.errors import BadInput, BadModel
+from residuum.identification.errors import BadInput, BadModel, as_keyword
 from residuum.identification.physics.effects.base import Parameter
 from residuum.identification.physics.files.model_file import (
     dumped,
@@ -85,7 +85,7 @@ def named(path: str | Path) -> Named:
                 settable(described, name, "parameters"), read_parameter(name, table)
             )
         except BadInput as error:
-            says = str(error)
+            says = error.told(as_keyword)  # a section of the file, and no option
             raise (error if says.startswith(path.name) else table.keys[name].refuse(says)) from None
     return Named(described, parameters, tree)
 
