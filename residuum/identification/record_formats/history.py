@@ -16,6 +16,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from importlib import import_module
+from itertools import islice
 from typing import Any
 from urllib.parse import parse_qsl, unquote, urlsplit
 
@@ -44,7 +45,7 @@ _USUAL = {
 """Names by which a column is known for what it holds, where several could be."""
 _EPOCH = 946_684_800.0
 """Seconds from 1970 to 2000, from which PostgreSQL counts microseconds."""
-_HEADER, _BLOCK = 19, 1 << 16
+_HEADER, _BLOCK = 19, 1 << 10
 """Bytes before the first row of a binary COPY; rows that are turned into numbers at a time."""
 _LISTED = 12
 _PATIENCE = 10
@@ -346,34 +347,28 @@ def _copied(
     for k in range(len(columns)):
         fields += [(f"long{k}", ">i4"), (f"value{k}", ">f8")]
     layout = np.dtype(fields)
-    blocks = [
-        np.stack(
-            [
-                _EPOCH + 1e-6 * rows["time"].astype(np.float64),
-                *(rows[f"value{k}"].astype(np.float64) for k in range(len(columns))),
-            ]
-        )
-        for rows in _rows(connection, query, layout)
-    ]
+    blocks = [_numbers(rows, len(columns)) for rows in _rows(connection, query, layout)]
     table = np.concatenate(blocks, axis=1) if blocks else np.empty((1 + len(columns), 0))
     return table[0], table[1:]
 
 
+def _numbers(rows: npt.NDArray[Any], columns: int) -> FloatArray:
+    """Instants [s] and values of rows, shape (1 + columns, n)."""
+    table = np.empty((1 + columns, len(rows)))
+    table[0] = _EPOCH + 1e-6 * rows["time"]
+    for k in range(columns):
+        table[1 + k] = rows[f"value{k}"]
+    return table
+
+
 def _rows(connection: Any, query: Any, layout: np.dtype[Any]) -> Iterator[npt.NDArray[Any]]:
-    """The rows of a binary COPY, so many at a time, as they arrive."""
-    waiting = bytearray()
+    """The rows of a binary COPY, so many at a time, as they arrive; two bytes end them."""
+    waiting, begins = b"", _HEADER
     with connection.cursor() as cursor, cursor.copy(query) as copy:
-        begun = False
-        for message in copy:
-            waiting += message
-            if not begun and len(waiting) >= _HEADER:
-                del waiting[:_HEADER]
-                begun = True
-            if begun and len(waiting) >= _BLOCK * layout.itemsize:
-                whole = len(waiting) // layout.itemsize
-                yield np.frombuffer(bytes(waiting[: whole * layout.itemsize]), layout)
-                del waiting[: whole * layout.itemsize]
-    # two bytes of −1 end the rows
-    whole = len(waiting) // layout.itemsize
-    if whole:
-        yield np.frombuffer(bytes(waiting[: whole * layout.itemsize]), layout)
+        messages = iter(copy)
+        while block := b"".join(islice(messages, _BLOCK)):
+            waiting += block
+            rows = max(len(waiting) - begins, 0) // layout.itemsize
+            if rows:
+                yield np.frombuffer(waiting, layout, rows, begins)
+                waiting, begins = waiting[begins + rows * layout.itemsize :], 0
