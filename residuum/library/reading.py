@@ -263,7 +263,12 @@ def read(
     reordered: str | None = None,
 ) -> Record:
     """Read a record file; its ending says the format (CSV, NPZ, MAT, WAV; Parquet, TDMS, MDF 4, UFF
-    58 with the extra `formats`).
+    58 with the extra `formats`), or rows of a plant's history.
+
+    A history is a table of PostgreSQL or TimescaleDB (extra `postgres`), named by its address:
+    `timescale://user@host/database/table?tags=speed,torque&start=2026-03-01&end=2026-03-08`. Where
+    columns have no usual names, `time`, `tag` and `value` say them; any other key chooses rows by
+    what a column holds.
 
     A logger's text file is read by its mapping, which `residuum inspect --out` writes, or by what
     is understood of it.
@@ -271,6 +276,7 @@ def read(
     Parameters
     ----------
     path : str or path
+        A file, or the address of a table.
     units : mapping of channel to unit
         For files that do not say them.
     sample_time : float

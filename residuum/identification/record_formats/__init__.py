@@ -1,4 +1,6 @@
-"""The record file formats that Residuum reads and writes, by file name ending."""
+"""What Residuum reads records from: files, by the ending of their names, and tables of a history,
+by their address; and what it writes.
+"""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -6,6 +8,7 @@ from pathlib import Path
 from residuum.identification.errors import BadInput, BadRecord, in_one_line
 from residuum.identification.record import Record
 from residuum.identification.record_formats.csv import parse_csv, read_csv, write_csv
+from residuum.identification.record_formats.history import is_history, read_history
 from residuum.identification.record_formats.loggers.no_value import without_marks, without_overloads
 from residuum.identification.record_formats.lvm import read_lvm
 from residuum.identification.record_formats.mat import read_mat, write_mat
@@ -54,12 +57,15 @@ _LONGEST = 1000
 
 
 def read_record(path: str | Path, options: ReadOptions = ReadOptions()) -> Record:
-    """Read a record file; its ending says the format.
+    """Read a record file, whose ending says the format, or a table of a history
+    (`timescale://host/database/table?tags=a,b`).
 
     Raises BadRecord for an ending that is not listed, a file that is not there, and a file that the
     format's reader refuses or breaks on: what a library raises for a damaged file is of any kind,
     and only sometimes one line.
     """
+    if is_history(path):
+        return without_overloads(without_marks(read_history(str(path), options), options.missing))
     path = Path(path)
     ending = path.suffix.lower()
     reader = (READERS | LOGGERS | OLDER).get(ending)

@@ -62,15 +62,21 @@ def on_one_base(
     Raises BadRecord that lists the channels where they do not lie on one base, and that of
     `even_columns` for an uneven one.
     """
+    # channels of one table share one array of instants
+    bases: dict[int, TimedChannel] = {}
     for channel in channels:
+        bases.setdefault(id(channel.time), channel)
+    for channel in bases.values():
         _check(channel, source)
     finest = min(
-        channels, key=lambda channel: (float(np.median(np.diff(channel.time))), -len(channel.time))
+        bases.values(),
+        key=lambda channel: (float(np.median(np.diff(channel.time))), -len(channel.time)),
     )
     step = _step(finest, source, options)
     begin, n = _span(channels, finest, step, source)
     even: FloatArray = begin + step * np.arange(n, dtype=np.float64)
-    places = [_places(channel.time, begin, step) for channel in channels]
+    by_base = {base: _places(channel.time, begin, step) for base, channel in bases.items()}
+    places = [by_base[id(channel.time)] for channel in channels]
     if not options.resample and any(place is None for place in places):
         listed = "; ".join(channel.says for channel in channels[:_LISTED])
         raise BadRecord(

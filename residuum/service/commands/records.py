@@ -29,7 +29,13 @@ ModelSource = Annotated[
 
 RecordFiles = Annotated[
     list[Path],
-    typer.Argument(metavar="RECORD…", help="Record files; each is a separate experiment."),
+    typer.Argument(
+        metavar="RECORD…",
+        help=(
+            "Record files, or tables of a history (timescale://host/database/table?tags=a,b);"
+            " each is a separate experiment."
+        ),
+    ),
 ]
 Resample = Annotated[
     bool,
@@ -200,5 +206,6 @@ def _read(file: Path, options: ReadOptions, mapping: Path | None, dbc: Path | No
         else ()
     )
     for note in done or [note for note in record.notes if any(word in note for word in _TOLD)]:
-        progress(f"{file}: {note}")
+        # the source is an address without its password
+        progress(f"{record.source}: {note}")
     return record

@@ -1,0 +1,145 @@
+"""Records from tables of a real PostgreSQL server, as a plant's history has them: wide and long, with gaps, and refused."""
+
+import numpy as np
+import psycopg
+import pytest
+from sqlalchemy import make_url
+
+import residuum as rs
+from residuum.identification.errors import BadRecord
+from residuum.service.cli import BAD_INPUT, DONE, run
+
+N, START = 400, 1_772_323_200.0  # 2026-03-01 00:00 UTC
+SPEED = np.round(100.0 + np.random.default_rng(0).normal(size=N), 6)
+TORQUE = np.round(np.random.default_rng(1).normal(size=N), 6)
+
+
+@pytest.fixture(scope="module")
+def plant(new_postgresql_database):
+    """A database with the same signals in a wide and in a long table; gives its address without a table."""
+    url = make_url(new_postgresql_database())
+    address = f"timescale://{url.username}@{url.host}:{url.port}/{url.database}"
+    connect = {"host": url.host, "port": url.port, "user": url.username, "dbname": url.database}
+    with psycopg.connect(**connect) as connection:
+        connection.execute(
+            'CREATE TABLE wide (time timestamptz, site text, "speed [rpm]" real, torque numeric, on_ bool)'
+        )
+        connection.execute("COMMENT ON COLUMN wide.torque IS 'N*m'")
+        connection.execute(
+            "CREATE TABLE long (ts timestamp, tag text, value double precision, unit text)"
+        )
+        wide, long = [], []
+        for k in range(N):
+            at = f"2026-03-01 {k // 3600:02d}:{k // 60 % 60:02d}:{k % 60:02d}"
+            wide.append(
+                (
+                    at + "+00",
+                    "north",
+                    float(SPEED[k]),
+                    None if k == 7 else float(TORQUE[k]),
+                    k % 2 == 0,
+                )
+            )
+            long.append((at, "speed", float(SPEED[k]), "rpm"))
+            if k % 10 == 0:
+                long.append((at, "oil temperature", 40.0 + k, "degC"))
+        with connection.cursor() as cursor:
+            cursor.executemany("INSERT INTO wide VALUES (%s, %s, %s, %s, %s)", wide[::-1])
+            cursor.executemany("INSERT INTO long VALUES (%s, %s, %s, %s)", long)
+            cursor.execute(
+                "INSERT INTO wide VALUES ('infinity', 'north', 1, 1, true), ('2026-03-01', 'south', 1, 1, true)"
+            )
+    return address
+
+
+def test_a_wide_table_is_a_record_in_order_of_time(plant):
+    record = rs.read(f"{plant}/wide?site=north")
+    assert record.names == ("speed", "torque", "on_") or list(record.names) == [
+        "speed",
+        "torque",
+        "on_",
+    ]
+    assert (record.n, record.sample_time, record.t0) == (N, 1.0, START)
+    assert (record.units["speed"], record.units["torque"]) == ("rpm", "N*m")
+    np.testing.assert_allclose(record["speed"], SPEED, rtol=1e-6)
+    assert np.isnan(record["torque"][7])
+    np.testing.assert_array_equal(np.delete(record["torque"], 7), np.delete(TORQUE, 7))
+    np.testing.assert_array_equal(record["on_"][:4], [1, 0, 1, 0])
+
+
+def test_a_span_holds_its_start_and_not_its_end(plant):
+    record = rs.read(
+        f"{plant}/wide?site=north&tags=torque&start=2026-03-01T01:01:00%2B01:00&end=2026-03-01T00:02"
+    )
+    assert (list(record.names), record.n, record.t0) == (["torque"], 60, START + 60)
+    np.testing.assert_array_equal(record["torque"], TORQUE[60:120])
+
+
+def test_a_long_table_gives_each_tag_at_its_own_instants(plant):
+    record = rs.read(f"{plant}/long?tags=speed,oil temperature")
+    assert (record.n, record.sample_time, record.t0) == (N, 1.0, START)
+    np.testing.assert_array_equal(record["speed"], SPEED)
+    assert record.units["speed"] == "rpm"
+    oil = record["oil temperature"]
+    np.testing.assert_array_equal(np.flatnonzero(np.isfinite(oil)), np.arange(0, N, 10))
+    assert any("oil temperature: measured at 40 of 400" in note for note in record.notes)
+
+
+def test_commands_take_an_address_as_a_record(plant, tmp_path, capsys):
+    model = tmp_path / "flywheel.yaml"
+    model.write_text(
+        "name: flywheel\ninputs: {torque: N*m}\nstates: {w: {unit: rad/s}}\n"
+        "parameters: {J: {value: 0.07, unit: kg*m**2}, d: {value: 0.01, unit: N*m*s/rad}}\n"
+        "balances: {shaft: {kind: torque, storage: J * der(w), terms: {drive: torque, drag: -d * w}}}\n"
+        "outputs: {speed: {value: w, unit: rad/s}}\n"
+    )
+    address = f"{plant}/wide?site=north&start=2026-03-01T00:01"
+    assert run(["compare", str(model), address, "--json"]) == DONE
+    assert '"speed"' in capsys.readouterr().out
+    assert run(["compare", str(model), f"{plant}/wides"]) == BAD_INPUT
+    assert "no table 'wides'; did you mean 'wide'?" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("table", "says"),
+    [
+        ("wide?site=north&tags=sped", "no column of numbers 'sped'; did you mean 'speed'?"),
+        ("wide?sight=north", "no column 'sight' to choose rows by; did you mean 'site'?"),
+        (
+            "wide",
+            r"rows are told apart by 'site'; name the tags, \?tags=a,b: there are north, south",
+        ),
+        ("wide?site=west", "no rows in that time"),
+        ("wide?site=north&start=soon", "start is 'soon'; must be a date or an instant"),
+        ("long?tags=sped", "no rows of tag 'sped' in that time; did you mean 'speed'?"),
+        ("long", "name the tags, .*: there are oil temperature, speed"),
+        ("", "must name a database and a table"),
+        ("wide?site=north&time=when", "no column 'when' for the time"),
+    ],
+)
+def test_a_refusal_is_one_line_with_a_way_on(plant, table, says):
+    with pytest.raises(BadRecord, match=says) as refused:
+        rs.read(f"{plant}/{table}")
+    assert "\n" not in str(refused.value)
+
+
+def test_no_message_repeats_a_password(plant):
+    scheme, rest = plant.split("://")
+    user, place = rest.split("@")
+    with pytest.raises(BadRecord, match=f"{scheme}://{user}@.*no table 'none'") as refused:
+        rs.read(f"{scheme}://{user}:hush-hush@{place}/none")
+    assert "hush-hush" not in str(refused.value)
+    nobody = f"{scheme}://{user}:hush-hush@127.0.0.1:1/plant/wide"
+    with pytest.raises(BadRecord, match="onnect") as refused:
+        rs.read(nobody)
+    assert "hush-hush" not in str(refused.value) and "\n" not in str(refused.value)
+
+
+def test_the_connection_cannot_write_and_a_name_is_no_statement(plant):
+    with pytest.raises(BadRecord, match="no table"):
+        rs.read(f"{plant}/wide;DROP TABLE wide")
+    with pytest.raises(BadRecord, match="no column of numbers"):
+        rs.read(f"{plant}/wide?site=north&tags=speed%22;DROP")
+    with pytest.raises(BadRecord, match="no rows in that time"):
+        rs.read(f"{plant}/wide?site=north' OR true --")
+    assert rs.read(f"{plant}/wide?site=north").n == N
