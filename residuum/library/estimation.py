@@ -61,6 +61,20 @@ class Estimated:
     unsettled: tuple[str, ...] = ()
 
 
+def _check_of_records(model: PhysicalModel, method: str) -> None:
+    """Windows of a prediction would each have a value of their own, and innovations give values of
+    records no band that was counted.
+    """
+    of_records = [name for name, state in model.states.items() if state.of_record is not None]
+    if of_records and method != "simulation":
+        raise BadInput(
+            repr(method),
+            "method",
+            f"finds no values of records, and {of_records[0]!r} has one for each",
+            way_on=[("method", "simulation")],
+        )
+
+
 def estimated(
     model: PhysicalModel,
     records: Sequence[Record],
@@ -102,6 +116,7 @@ def estimated(
                 f"is no parameter of model {model.name!r};"
                 f" {known_names(name, model.all_parameters, 'there are')}",
             )
+    _check_of_records(model, method)
     start, experiments = match(model, records, mapping, hold)
     parts = [_estimation_part(e, record) for e, record in zip(experiments, records, strict=True)]
 

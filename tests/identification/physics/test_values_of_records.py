@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import residuum as rs
-from residuum.identification.errors import BadModel
+from residuum.identification.errors import BadInput, BadModel
 from residuum.identification.physics import Experiment, estimate, read_model
 from residuum.identification.physics.export import explicit
 from residuum.identification.physics.files.model_file import write_model
@@ -81,6 +81,16 @@ def test_the_answer_tells_each_record(tmp_path):
     told = answer.to_dict()["per_record"]["load"]
     assert told["values"] == pytest.approx([0.5, -0.5], abs=0.1) and told["unit"] == "N"
     assert str(answer).count("load of record = ") == 2
+
+
+@pytest.mark.parametrize("method", ["prediction", "kalman"])
+def test_other_methods_say_that_they_find_none(method):
+    (one,) = experiments([0.5], 2)
+    record = rs.from_arrays(
+        {"u": one.U[:, 0], "v": one.Y[:, 0]}, sample_time=0.05, units={"u": "N", "v": "m/s"}
+    )
+    with pytest.raises(BadInput, match="'load' has one for each; say method='simulation'"):
+        rs.model(AXIS).estimate(record, method=method)
 
 
 def test_what_is_written_keeps_it_and_no_export_hides_it():
