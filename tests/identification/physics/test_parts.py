@@ -326,6 +326,21 @@ def test_a_cell_drives_a_motor_in_its_loop():
     np.testing.assert_allclose(Y[:, 1], i, rtol=1e-5)
 
 
+def test_effects_of_a_part_are_not_left_out_without_a_word(tmp_path):
+    text = (
+        library()["inertia"]
+        + "effects: [{id: coulomb-friction, balance: shaft, parameters: {tau_c: 1}}]\n"
+    )
+    (tmp_path / "wheel.yaml").write_text(text)
+    (tmp_path / "two.yaml").write_text(
+        "name: two\nuse: {wheel: wheel.yaml}\noutputs: {w: {value: wheel_speed, unit: rad/s}}\n"
+    )
+    with pytest.raises(
+        BadModel, match=r"wheel\.yaml, line 13, .*effects: a part has none; put them into"
+    ):
+        load_model(tmp_path / "two.yaml")
+
+
 def test_degrees_and_kelvins_are_not_joined():
     text = """
 name: room

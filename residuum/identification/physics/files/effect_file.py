@@ -44,10 +44,10 @@ from residuum.identification.physics.effects.base import (
 from residuum.identification.physics.files.dimension import dimension_of, dimension_of_unit
 from residuum.identification.physics.files.expression import Expression, parse
 from residuum.identification.physics.files.yaml_tree import (
-    MOST_CHARACTERS,
     Listing,
     Scalar,
     Table,
+    read_text,
     read_tree,
 )
 from residuum.identification.physics.model import BALANCE_KINDS, ROLE_UNITS
@@ -170,14 +170,7 @@ def read_effects(path: str | Path) -> list[WrittenEffect]:
     file = Path(path)
     if not file.is_file():
         raise BadModel(f"catalogue {str(path)!r}: no such file")
-    try:
-        with file.open(encoding="utf-8") as opened:
-            text = opened.read(MOST_CHARACTERS + 1)
-    except (OSError, UnicodeDecodeError) as error:
-        raise BadModel(
-            f"catalogue {str(path)!r}: cannot be read as UTF-8 text ({error.__class__.__name__})"
-        ) from None
-    return effects_in(text, file.name)
+    return effects_in(read_text(file, "catalogue"), file.name)
 
 
 def effects_in(text: str, source: str = "catalogue") -> list[WrittenEffect]:

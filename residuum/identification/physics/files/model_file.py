@@ -30,10 +30,10 @@ from residuum.identification.physics.files.parts import (
 )
 from residuum.identification.physics.files.table_file import with_table_files
 from residuum.identification.physics.files.yaml_tree import (
-    MOST_CHARACTERS,
     Listing,
     Scalar,
     Table,
+    read_text,
     read_tree,
 )
 from residuum.identification.physics.model import (
@@ -137,14 +137,7 @@ def load_model(name_or_path: str | Path) -> PhysicalModel:
         )
 
         return read_model(read_linear_file(path), path.name)
-    try:
-        with path.open(encoding="utf-8") as file:
-            text = file.read(MOST_CHARACTERS + 1)
-    except (OSError, UnicodeDecodeError) as error:
-        raise BadModel(
-            f"model {str(path)!r}: cannot be read as UTF-8 text ({error.__class__.__name__})"
-        ) from None
-    return read_model(text, path.name, path.parent)
+    return read_model(read_text(path), path.name, path.parent)
 
 
 def read_model(text: str, source: str = "model", folder: Path | None = None) -> PhysicalModel:
@@ -178,7 +171,13 @@ def _composed(
             raise use.place.refuse(
                 f"use: more than {MOST_PARTS} parts, those of parts included; does one use itself?"
             )
-        return _composed(text, source, folder, more)[0]
+        part, of_part = _composed(text, source, folder, more)
+        for key in ("own_effects", "effects"):
+            if key in of_part.entries:
+                raise of_part.keys[key].refuse(
+                    f"{key}: a part has none; put them into the model that uses it"
+                )
+        return part
 
     parts = parts_of(use, folder, read)
     own, let = _own_sections(tree, parts)

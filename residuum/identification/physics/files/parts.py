@@ -19,6 +19,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from importlib.resources import files
 from pathlib import Path
 from types import MappingProxyType
@@ -39,20 +40,22 @@ from residuum.identification.physics.files.yaml_tree import (
     Scalar,
     Table,
 )
-from residuum.identification.physics.model import Balance, PhysicalModel, State
+from residuum.identification.physics.model import ROLE_UNITS, Balance, PhysicalModel, State
 from residuum.identification.units import parse_unit
 from residuum.nearest_names import known_names
 
-MOST_PARTS = 200
-"""Of a model, those of its parts included. Chosen: the largest plant model met has 40."""
+MOST_PARTS = 100
+"""Of a model, those of its parts included. Chosen: so many within each other, five calls each, are
+half of what Python allows.
+"""
 _FILE = re.compile(r"[A-Za-z_][\w-]{0,60}\.ya?ml")
-_POSITION_UNITS = {"torque": "rad", "force": "m"}
 
 Definitions = Mapping[str, Expression]
 Read = Callable[[str, str, Path | None], PhysicalModel]
 
 
-def library() -> dict[str, str]:
+@cache
+def library() -> Mapping[str, str]:
     """The parts that come with the product: name → text of the model file."""
     folder = files("residuum.identification.physics") / "parts"
     return {
@@ -80,17 +83,12 @@ def parts_of(use: Table, folder: Path | None, read: Read) -> dict[str, PhysicalM
     Raises
     ------
     BadModel
-        With line and column: no such part or file, a part with effects, anything wrong in a part.
+        With line and column: no such part or file, anything wrong in a part.
     """
-    parts = {}
-    for name, place in use.keys.items():
-        part = _part(use.scalar(name, "use"), folder, read)
-        if part.effects:
-            raise place.refuse(
-                f"use: {part.name!r} has effects; put them into the model that uses it"
-            )
-        parts[name] = prefixed(part, f"{name}_")
-    return parts
+    return {
+        name: prefixed(_part(use.scalar(name, "use"), folder, read), f"{name}_")
+        for name in use.entries
+    }
 
 
 def assembled(
@@ -294,7 +292,7 @@ def _joined(
     kept = next((x for m, x in positions if m is first), None)
     if kept is None and positions:
         kept = f"{node}_position"
-        states[kept] = State(kept, _POSITION_UNITS.get(first.balance.kind, ""), v)
+        states[kept] = State(kept, ROLE_UNITS["position"].get(first.balance.kind, ""), v)
     for member in members:
         r = _relative(member, first, place)
         variable = _variable(member.balance, model, place)

@@ -10,9 +10,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import yaml
 
+from residuum.identification.errors import BadModel
 from residuum.identification.physics.files.expression import Place
 from residuum.nearest_names import known_names
 
@@ -110,6 +112,17 @@ class Table:
 
 
 Tree = Scalar | Listing | Table
+
+
+def read_text(path: Path, label: str = "model") -> str:
+    """The text of a model file, or of another of this label, as far as it may be long."""
+    try:
+        with path.open(encoding="utf-8") as file:
+            return file.read(MOST_CHARACTERS + 1)
+    except (OSError, UnicodeDecodeError) as error:
+        raise BadModel(
+            f"{label} {str(path)!r}: cannot be read as UTF-8 text ({type(error).__name__})"
+        ) from None
 
 
 def read_tree(

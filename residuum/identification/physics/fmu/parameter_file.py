@@ -27,7 +27,7 @@ from residuum.identification.physics.files.model_file import (
     written_effects,
     written_parameter,
 )
-from residuum.identification.physics.files.yaml_tree import MOST_CHARACTERS, Table, read_tree
+from residuum.identification.physics.files.yaml_tree import Table, read_text, read_tree
 from residuum.identification.physics.fmu.description import (
     Description,
     Settable,
@@ -68,13 +68,7 @@ def named(path: str | Path) -> Named:
     path = Path(path)
     if is_fmu(path):
         return Named(describe(path))
-    try:
-        with path.open(encoding="utf-8") as file:
-            tree = read_tree(file.read(MOST_CHARACTERS + 1), path.name)
-    except (OSError, UnicodeDecodeError) as error:
-        raise BadModel(
-            f"model {str(path)!r}: cannot be read as UTF-8 text ({type(error).__name__})"
-        ) from None
+    tree = read_tree(read_text(path), path.name)
     tree.only(KEYS, "model file of an FMU")
     described = describe(path.parent / tree.scalar("fmu", "model file of an FMU").text)
     table = tree.table("parameters", "model file of an FMU")
