@@ -23,14 +23,15 @@ from urllib.parse import parse_qsl, unquote, urlsplit
 import numpy as np
 import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.errors import BadRecord, in_one_line
 from residuum.identification.record import Record
 from residuum.identification.record_formats.loggers.logger_head import is_unit, unit_of_head
+from residuum.identification.record_formats.optional_package import need
 from residuum.identification.record_formats.options import ReadOptions
 from residuum.identification.record_formats.time_bases import TimedChannel, on_one_base
 from residuum.nearest_names import known_names
 
-FloatArray = npt.NDArray[np.float64]
 _SCHEMES = ("timescale", "postgresql", "postgres")
 _ADDRESS = re.compile(rf"(?i)({'|'.join(_SCHEMES)}):/+(.+)", re.DOTALL)
 """A path, which some have made of the address before, keeps one of its two slashes."""
@@ -144,7 +145,7 @@ def read_history(address: str, options: ReadOptions = ReadOptions()) -> Record:
         `on_one_base` for times that do not lie on one base.
     """
     at = parse_address(address)
-    psycopg = _psycopg(at.shown)
+    psycopg = need("psycopg", at.shown, "postgres")
     try:
         with psycopg.connect(
             **{key: value for key, value in at.server.items() if value is not None},
@@ -157,15 +158,6 @@ def read_history(address: str, options: ReadOptions = ReadOptions()) -> Record:
     if not len(channels[0].time):
         raise BadRecord(f"{at.shown}: no rows in that time")
     return on_one_base(channels, at.shown, options)
-
-
-def _psycopg(shown: str) -> Any:
-    try:
-        return import_module("psycopg")
-    except ImportError:
-        raise BadRecord(
-            f"{shown}: a history needs 'psycopg': pip install 'residuum[postgres]'"
-        ) from None
 
 
 def _without_secret(text: str, at: Address) -> str:
@@ -214,15 +206,18 @@ def _channels(connection: Any, at: Address, columns: Mapping[str, _Column]) -> l
     numbers = [c.name for c in columns.values() if c.kind in _OF_NUMBERS and c.name not in at.where]
     texts = [c.name for c in columns.values() if c.kind in _OF_TEXT and c.name not in at.where]
     by_name = {unit_of_head(name)[0]: name for name in numbers} | {name: name for name in numbers}
-    if "tag" in at.columns or (at.tags and texts and not set(at.tags) & by_name.keys()):
+    told_apart = bool(texts) or "tag" in at.columns
+    if at.tags and told_apart and ("tag" in at.columns or not set(at.tags) & by_name.keys()):
         return _of_rows(connection, at, columns, time)
-    if not at.tags and texts and "tag" not in at.columns:
+    if not at.tags and told_apart:
         tag = _column(at, columns, "tag", _OF_TEXT)
         raise BadRecord(
             f"{at.shown}: its rows are told apart by {tag!r}; name the tags, ?tags=a,b: there are"
             f" {', '.join(_tags(connection, at, tag))}"
         )
     wanted = at.tags or tuple(dict.fromkeys(unit_of_head(name)[0] for name in numbers))
+    if not wanted:
+        raise BadRecord(f"{at.shown}: has no column of numbers; there are {', '.join(columns)}")
     for tag in wanted:
         if tag not in by_name:
             raise BadRecord(
@@ -273,7 +268,7 @@ def _of_rows(
                 f"{at.shown}: no rows of tag {name!r} in that time;"
                 f" {known_names(name, known, 'there are')}"
             )
-        of_tag = "" if unit is None else _said_unit(connection, at, unit, {tag: name})
+        of_tag = "" if unit is None else _said_unit(connection, at, unit, time, {tag: name})
         channels.append(TimedChannel(name, of_tag, instants, values))
     return channels
 
@@ -291,30 +286,35 @@ def _tags(connection: Any, at: Address, tag: str) -> list[str]:
     return sorted(str(name) for (name,) in connection.execute(query) if name is not None)
 
 
-def _said_unit(connection: Any, at: Address, unit: str, where: Mapping[str, str]) -> str:
+def _said_unit(connection: Any, at: Address, unit: str, time: str, where: Mapping[str, str]) -> str:
+    """What stands in the column of units in all these rows."""
     sql = import_module("psycopg.sql")
-    query = sql.SQL("SELECT {} FROM {} WHERE {} LIMIT 1").format(
-        sql.Identifier(unit), sql.Identifier(*at.table), _conditions(at, None, where)
-    )
-    row = connection.execute(query).fetchone()
-    return str(row[0]) if row and row[0] else ""
+    query = sql.SQL("SELECT DISTINCT {unit} FROM {table} WHERE {rows} AND {unit} <> '' LIMIT 2")
+    named = {"unit": sql.Identifier(unit), "table": sql.Identifier(*at.table)}
+    units = connection.execute(query.format(**named, rows=_conditions(at, time, where))).fetchall()
+    if len(units) > 1:
+        (tag,) = where.values()
+        raise BadRecord(
+            f"{at.shown}: tag {tag!r} is in {units[0][0]!r} and in {units[1][0]!r} within that"
+            " time; read it in parts, by start and end"
+        )
+    return str(units[0][0]) if units else ""
 
 
-def _conditions(at: Address, time: str | None, where: Mapping[str, str]) -> Any:
+def _conditions(at: Address, time: str, where: Mapping[str, str]) -> Any:
     sql = import_module("psycopg.sql")
     parts = [
         sql.SQL("{}::text = {}").format(sql.Identifier(name), sql.Literal(value))
         for name, value in {**at.where, **where}.items()
     ]
-    if time is not None:
-        column = sql.Identifier(time)
-        parts.append(sql.SQL("isfinite({})").format(column))
-        parts += [
-            sql.SQL("{}::timestamptz {} {}").format(column, sql.SQL(sign), sql.Literal(instant))
-            for sign, instant in ((">=", at.start), ("<", at.end))
-            if instant is not None
-        ]
-    return sql.SQL(" AND ").join(parts) if parts else sql.SQL("true")
+    column = sql.Identifier(time)
+    parts.append(sql.SQL("isfinite({})").format(column))
+    parts += [
+        sql.SQL("{}::timestamptz {} {}").format(column, sql.SQL(sign), sql.Literal(instant))
+        for sign, instant in ((">=", at.start), ("<", at.end))
+        if instant is not None
+    ]
+    return sql.SQL(" AND ").join(parts)
 
 
 def _copied(

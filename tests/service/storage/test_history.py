@@ -46,6 +46,12 @@ def plant(new_postgresql_database):
         with connection.cursor() as cursor:
             cursor.executemany("INSERT INTO wide VALUES (%s, %s, %s, %s, %s)", wide[::-1])
             cursor.executemany("INSERT INTO long VALUES (%s, %s, %s, %s)", long)
+            cursor.execute("CREATE TABLE words (ts timestamp, note jsonb)")
+            for k, unit in enumerate(("bar", "kPa")):
+                cursor.execute(
+                    "INSERT INTO long VALUES (%s, 'pressure', 1, %s)",
+                    (f"2026-03-02 00:00:0{k}", unit),
+                )
             cursor.execute(
                 "INSERT INTO wide VALUES ('infinity', 'north', 1, 1, true), ('2026-03-01', 'south', 1, 1, true)"
             )
@@ -112,8 +118,11 @@ def test_commands_take_an_address_as_a_record(plant, tmp_path, capsys):
         ("wide?site=west", "no rows in that time"),
         ("wide?site=north&start=soon", "start is 'soon'; must be a date or an instant"),
         ("long?tags=sped", "no rows of tag 'sped' in that time; did you mean 'speed'?"),
-        ("long", "name the tags, .*: there are oil temperature, speed"),
+        ("long", "name the tags, .*: there are oil temperature, pressure, speed"),
         ("", "must name a database and a table"),
+        ("long?tag=tag", "name the tags, .*: there are oil temperature, pressure, speed"),
+        ("long?tags=pressure", r"tag 'pressure' is in 'bar' and in 'kPa'|'kPa' and in 'bar'"),
+        ("words", "has no column of numbers; there are ts, note"),
         ("wide?site=north&time=when", "no column 'when' for the time"),
     ],
 )
