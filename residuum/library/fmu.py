@@ -43,12 +43,10 @@ from residuum.identification.physics.fmu.simulated_model import (
 )
 from residuum.identification.record import Record as MeasuredRecord
 from residuum.identification.residual_analysis.feedback import at_likelier_timing
-from residuum.library.improvement import Estimation, Improvement
+from residuum.library.improvement import Estimation
 from residuum.library.model import Mapped, Model, Records
-from residuum.library.progress import Progress
 from residuum.library.questions import asks
 from residuum.library.questions.estimate import Estimate
-from residuum.library.questions.missing_effect import Improve
 from residuum.library.reading import as_records
 from residuum.library.record import Record
 from residuum.library.whole_file import write_whole
@@ -91,7 +89,7 @@ def fmu(path: str | PathLike[str]) -> FmuModel:
 
 class FmuModel(Model):
     """An FMU, the values that its parameters were given, and effects added to it. Immutable, as a
-    `Model` is.
+    `Model` is. `improve` leaves the FMU's own parameters as they are.
 
     Made by `rs.fmu`.
 
@@ -214,27 +212,6 @@ class FmuModel(Model):
         """The outputs as the FMU computes them from the record's inputs."""
         (simulated,) = self._simulated([record], map)
         return super().simulate(simulated, map=map, initial=initial)
-
-    @asks(Improve)
-    def improve(
-        self, records: Records, *, map: Mapped = None, progress: Progress = None, **given: Any
-    ) -> Improvement[Any]:
-        """Add effects, estimate them, and count the error on data not used for that; the FMU's own
-        parameters stay.
-
-        Parameters
-        ----------
-        records : Record, file, or a list of these
-        map : mapping of model name to column
-        progress : callable or bool
-            As in `explain`.
-
-        Returns
-        -------
-        Improvement
-        """
-        improvement = super().improve(records, map=map, progress=progress, **given)
-        return replace(improvement, model=self._changed(improvement.model.physical))
 
     @asks(Estimate)
     def estimate(self, records: Records, *, map: Mapped = None, **given: Any) -> Estimation[Any]:

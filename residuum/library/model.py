@@ -439,7 +439,7 @@ class Model(DescribedModel):
             improved = asked.handed_to(partial(improve, self.physical, measured, map, tell=tell))
         matched = match(self.physical, measured, map)
         return Improvement(
-            Model(improved.model),
+            self._changed(improved.model),
             improved,
             (*begins_elsewhere(*matched), *leaves_tables(*matched), *left_out),
         )

@@ -78,10 +78,13 @@ def names_fmu(word: str) -> bool:
     path = Path(word)
     if path.suffix.lower() == ".fmu":
         return True
-    if path.suffix.lower() not in (".yaml", ".yml") or not path.is_file():
+    if path.suffix.lower() not in (".yaml", ".yml"):
         return False
-    with path.open("rb") as file:
-        return re.search(rb"^fmu\s*:", file.read(_HEAD), re.MULTILINE) is not None
+    try:
+        with path.open("rb") as file:
+            return re.search(rb"^fmu\s*:", file.read(_HEAD), re.MULTILINE) is not None
+    except OSError:
+        return False  # who reads it refuses it
 
 
 def _overview() -> str:

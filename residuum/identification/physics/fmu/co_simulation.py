@@ -9,15 +9,14 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
+from residuum.array_types import FloatArray
 from residuum.identification.errors import in_one_line
 from residuum.identification.physics.fmu.description import fmpy
 from residuum.identification.physics.fmu.instance import TOLERANCE, Instance
 from residuum.identification.physics.fmu.loaded_library import by_reference
 
-Array = npt.NDArray[np.float64]
 _ACCEPTED = 1
 """The last status of a step that went well: a warning."""
 
@@ -44,7 +43,9 @@ class OwnSimulation:
             else None
         )
 
-    def along(self, U: Array, hold: Array, dt: float, values: Mapping[str, float]) -> Array:
+    def along(
+        self, U: FloatArray, hold: FloatArray, dt: float, values: Mapping[str, float]
+    ) -> FloatArray:
         """Outputs (n, outputs) by inputs U (n, inputs) dt seconds apart, `hold` 1 where one moves
         evenly and 0 where it is held; NaN from where the FMU gives up, of which `says` tells.
         """
@@ -63,7 +64,7 @@ class OwnSimulation:
             self.says = f"its step from {dt * (reached - 1):.6g} s fails"
         return Y
 
-    def _by_exchange(self, U: Array, dt: float, values: Mapping[str, float]) -> Array:
+    def _by_exchange(self, U: FloatArray, dt: float, values: Mapping[str, float]) -> FloatArray:
         described = self.instance.description
         time = dt * np.arange(len(U))
         held = np.zeros(

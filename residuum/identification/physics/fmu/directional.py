@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.physics.fmu.instance import Instance
 
-Array = npt.NDArray[np.float64]
-Move = Callable[[Array, float], None]
+Move = Callable[[FloatArray, float], None]
 """Bring the FMU to a point, one variable moved by so much."""
 
 _STEP = 1e-6
@@ -19,7 +18,7 @@ _AGREES = 1e-3
 """Points at which a derivative is held against a difference, and the part by which it may differ."""
 
 
-def differentiated(instance: Instance, start: Array, asked: Sequence[str]) -> set[str]:
+def differentiated(instance: Instance, start: FloatArray, asked: Sequence[str]) -> set[str]:
     """Of states, inputs and the parameters asked for, those whose derivatives agree with
     differences of rates and outputs.
 
@@ -50,7 +49,7 @@ def _moves(
         return lambda point, by: instance.place(point + by * (np.arange(size) == k))
 
     def of_parameter(name: str) -> Move:
-        def move(point: Array, by: float) -> None:
+        def move(point: FloatArray, by: float) -> None:
             instance.begin({name: described.parameters[name].start + by})
             instance.place(point)
 
@@ -65,7 +64,7 @@ def _moves(
 
 
 def _is_right(
-    instance: Instance, reference: int, step: float, move: Move, points: Sequence[Array]
+    instance: Instance, reference: int, step: float, move: Move, points: Sequence[FloatArray]
 ) -> bool:
     moved = False
     for point in points:

@@ -13,12 +13,11 @@ from importlib import import_module
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.errors import BadModel, in_one_line
 from residuum.identification.physics.fmu.description import Description, fmpy
 
-Array = npt.NDArray[np.float64]
 TOLERANCE = 1e-8
 """Relative tolerance that a solver of its own is asked for."""
 _SETTLINGS = 10
@@ -128,7 +127,7 @@ class Instance:
                 break
         self.fmu.enterContinuousTimeMode()
 
-    def place(self, point: Array) -> None:
+    def place(self, point: FloatArray) -> None:
         """Bring it to these states and inputs, of model exchange."""
         nx = len(self.description.states)
         x = np.ascontiguousarray(point[:nx], dtype=np.float64)
@@ -137,7 +136,7 @@ class Instance:
             self.fmu.setContinuousStates(x.ctypes.data_as(ctypes.POINTER(ctypes.c_double)), nx)
         self._set([v.reference for v in self.description.inputs], point[nx:].tolist())
 
-    def answer(self) -> Array:
+    def answer(self) -> FloatArray:
         """Rates, then outputs, where it is."""
         nx = len(self.description.states)
         rates = np.zeros(nx)
@@ -149,7 +148,7 @@ class Instance:
         outputs = self.reals([v.reference for v in self.description.outputs])
         return np.concatenate([rates, outputs])
 
-    def derivative(self, reference: int) -> Array:
+    def derivative(self, reference: int) -> FloatArray:
         """Directional derivative of rates and outputs by one variable, where it is."""
         described = self.description
         unknown = [v.reference for v in (*described.derivatives, *described.outputs)]

@@ -7,8 +7,8 @@ from dataclasses import replace
 from threading import RLock
 
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.errors import NotIdentifiable
 from residuum.identification.physics.estimation.estimation import estimate
 from residuum.identification.physics.fmu.co_simulation import OwnSimulation
@@ -18,7 +18,6 @@ from residuum.identification.physics.simulate.differences import Step, chosen_st
 from residuum.identification.physics.simulate.experiment import Experiment
 from residuum.identification.physics.simulate.simulation import Simulator
 
-Array = npt.NDArray[np.float64]
 _KEPT = 16
 """Simulations of whole records that are remembered: parts of one record ask for the same, and fits
 side by side each for theirs.
@@ -48,7 +47,7 @@ class SimulatedParameters:
     times; experiments are parts of them, their rows told by `SAMPLE`.
     """
 
-    def __init__(self, own: OwnSimulation, records: Sequence[tuple[Array, float]]) -> None:
+    def __init__(self, own: OwnSimulation, records: Sequence[tuple[FloatArray, float]]) -> None:
         self.own, self.records, self.lock = own, list(records), RLock()
         self.steps: Mapping[str, Step] = {}
         self._first = np.concatenate([[0], np.cumsum([len(U) for U, _ in records])])
@@ -56,7 +55,7 @@ class SimulatedParameters:
         # the order of inputs in `simulated_model`
         nu, ny = len(described.inputs), len(described.outputs)
         self._own, self._made, self._sample = slice(0, nu), slice(nu, nu + ny), nu + ny
-        self._runs: dict[tuple[object, ...], Array] = {}
+        self._runs: dict[tuple[object, ...], FloatArray] = {}
 
     def settle(self, values: Mapping[str, float]) -> bool:
         """Nothing: it was simulated before."""
@@ -81,7 +80,7 @@ class SimulatedParameters:
         )
         return replace(experiment, U=U)
 
-    def _run(self, record: int, hold: Array, values: Mapping[str, float]) -> Array:
+    def _run(self, record: int, hold: FloatArray, values: Mapping[str, float]) -> FloatArray:
         key = (record, hold.tobytes(), *values.values())
         if key not in self._runs:
             U, dt = self.records[record]
@@ -105,7 +104,7 @@ def with_steps(
         parameter = model.parameters[name]
         k = int(simulator.columns([name])[0])
 
-        def run(value: float) -> Array:
+        def run(value: float) -> FloatArray:
             at = np.where(np.arange(len(p)) == k, value, p)
             return simulator.run_each(experiments, starts, at, substeps=substeps).Y
 

@@ -12,8 +12,8 @@ from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.errors import BadModel, BadRecord
 from residuum.identification.physics.effects.base import Parameter
 from residuum.identification.physics.files.expression import parse
@@ -25,7 +25,6 @@ from residuum.identification.physics.simulate.experiment import moves_evenly
 from residuum.identification.record import Record
 from residuum.nearest_names import known_names
 
-Array = npt.NDArray[np.float64]
 MADE = "fmu_"
 """How names of signals begin that the FMU computed."""
 SAMPLE = "fmu_sample"
@@ -64,7 +63,7 @@ def with_simulation(
     records: Sequence[Record],
     mapping: Mapping[str, str],
     values: Mapping[str, float],
-    holds: Sequence[Array] | None = None,
+    holds: Sequence[FloatArray] | None = None,
 ) -> list[Record]:
     """The records with what the FMU's outputs would have been by these parameters, from its own
     start, and the rows of `SAMPLE` (`without_rows` takes them off again).
@@ -123,7 +122,7 @@ def without_rows(record: Record) -> Record:
     )
 
 
-def inputs_of(described: Description, record: Record, mapping: Mapping[str, str]) -> Array:
+def inputs_of(described: Description, record: Record, mapping: Mapping[str, str]) -> FloatArray:
     """The FMU's inputs along a record, shape (n, inputs), in its units."""
     _, inputs, _ = names_of(described)
     columns = [
@@ -133,7 +132,7 @@ def inputs_of(described: Description, record: Record, mapping: Mapping[str, str]
     return np.stack(columns, axis=1) if columns else np.zeros((record.n, 0))
 
 
-def _input(record: Record, column: str, unit: str) -> Array:
+def _input(record: Record, column: str, unit: str) -> FloatArray:
     if column not in record.names:
         raise BadRecord(
             f"record {record.source!r}: input {column!r} is missing;"

@@ -17,10 +17,10 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
-Run = Callable[[float], Array]
+from residuum.array_types import FloatArray
+
+Run = Callable[[float], FloatArray]
 """Outputs at a value of the parameter, shape (n, outputs)."""
 
 _FIRST = (1e-3, 1e-4)
@@ -44,7 +44,7 @@ class Step:
         return self.relative * max(abs(value), self.size)
 
 
-def central(run: Run, value: float, step: float, bounds: tuple[float, float]) -> Array:
+def central(run: Run, value: float, step: float, bounds: tuple[float, float]) -> FloatArray:
     """The slope of a run at a value, between bounds; NaN where neither side can be simulated.
 
     Parameters
@@ -79,7 +79,7 @@ def chosen_step(run: Run, value: float, size: float, bounds: tuple[float, float]
     (True, True)
     """
     scale = _spread(run(value))
-    slopes: dict[float, Array] = {}
+    slopes: dict[float, FloatArray] = {}
 
     def error(relative: float, finer: float) -> float:
         for ratio in (relative, finer):
@@ -96,7 +96,7 @@ def chosen_step(run: Run, value: float, size: float, bounds: tuple[float, float]
     return Step(best, size, errors[best])
 
 
-def _spread(Y: Array) -> Array:
+def _spread(Y: FloatArray) -> FloatArray:
     """What changes of each output are measured by: its standard deviation, or its size where it
     does not move.
     """
@@ -105,7 +105,7 @@ def _spread(Y: Array) -> Array:
     return np.where(spread > 0.0, spread, 1.0)
 
 
-def _apart(a: Array, b: Array) -> float:
+def _apart(a: FloatArray, b: FloatArray) -> float:
     """Part by which two slopes differ; 0 where both are nothing."""
     size = float(np.linalg.norm(a))
     apart = float(np.linalg.norm(a - b))
