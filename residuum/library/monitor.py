@@ -13,7 +13,7 @@ import numpy.typing as npt
 from sklearn.base import BaseEstimator, OutlierMixin
 from sklearn.exceptions import NotFittedError
 
-from residuum.diagnosis.diagnosers import DIAGNOSERS, diagnoser_class
+from residuum.diagnosis.diagnosers import DIAGNOSERS, diagnoser_class, untrained
 from residuum.diagnosis.diagnosers.base import Diagnoser
 from residuum.diagnosis.finding import Finding as Judged
 from residuum.diagnosis.finding import Verdict
@@ -312,9 +312,9 @@ class Monitor(OutlierMixin, BaseEstimator):
         if isinstance(self.source, Model):
             name = self.diagnoser or (MODEL_BASED if MODEL_BASED in DIAGNOSERS else "")
             if name:
-                return _made(name, {"model": self.source.physical, **settings})
+                return untrained(diagnoser_class(name), model=self.source.physical, **settings)
             return PhysicalResidual(self.source.physical, **settings)
-        return _made(self.diagnoser or self.source, settings)
+        return untrained(diagnoser_class(self.diagnoser or self.source), **settings)
 
     def _records(self, X: Records) -> list[MeasuredRecord]:
         """The windows, their columns named as the model names them."""
@@ -396,15 +396,6 @@ def load_monitor(diagnoser: str, path: str | PathLike[str]) -> Monitor:
     loaded = Monitor(diagnoser)
     loaded.diagnoser_ = diagnoser_class(diagnoser).load(Path(path))
     return loaded
-
-
-def _made(name: str, settings: Mapping[str, Any]) -> Diagnoser:
-    kind: Any = diagnoser_class(name)
-    try:
-        diagnoser: Diagnoser = kind(**settings)
-    except TypeError as error:
-        raise BadInput(f"diagnoser {name!r}: {str(error).split('()')[-1].strip()}") from None
-    return diagnoser
 
 
 def _largest(finding: Judged) -> float:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import inspect
 import json
-from collections.abc import Mapping
 from typing import Any
 
 from residuum.identification.errors import BadInput
 from residuum.library.answers.plain import to_plain
+from residuum.library.questions import asks
+from residuum.library.questions.simulate import Simulate
 from residuum.library.record import Record
 from residuum.nearest_names import known_names
 from residuum.simulation import MACHINES, BadSetting, Machine, Signals
@@ -17,37 +18,17 @@ _MOST_SAMPLES = 50_000_000
 _COMMON = ("self", "seed", "effects", "faults", "exemplar")
 
 
-def simulate(
-    machine: str,
-    *,
-    effects: Mapping[str, Mapping[str, float] | str] | list[str] | None = None,
-    faults: Mapping[str, float | None] | list[str] | None = None,
-    events: Mapping[str, float | None] | None = None,
-    duration: float | None = None,
-    seed: int = 0,
-    exemplar: int = 0,
-    reveal: bool = False,
-    **settings: Any,
-) -> Record:
+@asks(Simulate)
+def simulate(machine: str, **given: Any) -> Record:
     """A record of a virtual machine: something to try the library on, with a truth that is known.
+
+    Settings of the machine that are no field of the question may be given by their names, too.
 
     Parameters
     ----------
     machine : str
         `gate-drive`, `oven`, `linear-axis`, `oscillator`, `two-tanks`, `process-plant`,
         `gate-actuator` or `gripping-pliers`.
-    effects : mapping of effect id to parameters, or to `small`, `medium`, `large`; or a list of ids
-        Physics that the built-in model of the machine does not have.
-    faults, events : mapping of id to size (None: the usual one)
-        Damage from the start; an operating event at the next occasion.
-    duration : float
-        Length of the record [s]; each machine has its own default.
-    seed, exemplar : int
-        Of noise, disturbances and start values; which specimen (0: the nominal one).
-    reveal : bool
-        Write the truth into the record's notes.
-    settings
-        Of the machine: `profile`, `rate` [Hz], `noise_color` (0 … 1), …
 
     Returns
     -------
@@ -65,22 +46,14 @@ def simulate(
     >>> record.names, record.units["speed"]
     (('voltage', 'speed', 'current'), 'rad/s')
     """
-    return simulated(machine, effects, faults, events, duration, seed, exemplar, reveal, settings)[
-        0
-    ]
+    own = {name: given.pop(name) for name in list(given) if name not in Simulate.model_fields}
+    if own:
+        given["settings"] = {**(given.get("settings") or {}), **own}
+    record, _ = simulated(machine, Simulate.of(given))
+    return record
 
 
-def simulated(
-    machine: str,
-    effects: Mapping[str, Mapping[str, float] | str] | list[str] | None,
-    faults: Mapping[str, float | None] | list[str] | None,
-    events: Mapping[str, float | None] | None,
-    duration: float | None,
-    seed: int,
-    exemplar: int,
-    reveal: bool,
-    settings: Mapping[str, Any],
-) -> tuple[Record, dict[str, Any]]:
+def simulated(machine: str, asked: Simulate) -> tuple[Record, dict[str, Any]]:
     """The record, and the truth that is hidden in it (effects, faults and constants as plain JSON
     values).
     """
@@ -88,18 +61,18 @@ def simulated(
         raise BadInput(
             f"machine {machine!r}: there is none of this name; {known_names(machine, MACHINES)}"
         )
-    given = _settings(MACHINES[machine], dict(settings))
-    hidden = {id: {} for id in effects} if isinstance(effects, list) else dict(effects or {})
-    damage = dict.fromkeys(faults) if isinstance(faults, list) else dict(faults or {})
+    settings = _settings(MACHINES[machine], asked.of_the_machine)
     try:
-        built = MACHINES[machine](seed, hidden, damage, exemplar, **given)
-        for id, size in (events or {}).items():
+        built = MACHINES[machine](
+            asked.seed, asked.effects, asked.faults, asked.exemplar, **settings
+        )
+        for id, size in asked.events.items():
             built.trigger(id, size)
-        signals = built.simulate(_length(built, duration))
+        signals = built.simulate(_length(built, asked.duration))
     except BadSetting as refused:
         raise BadInput(str(refused)) from None
     truth: dict[str, Any] = to_plain(built.truth)
-    return _record(machine, signals, seed, truth if reveal else None), truth
+    return _record(machine, signals, asked.seed, truth if asked.reveal else None), truth
 
 
 def _length(machine: Machine, duration: float | None) -> float:

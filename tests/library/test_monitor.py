@@ -76,7 +76,7 @@ def test_every_diagnoser_can_be_a_monitor_by_its_id():
         assert monitor.score(example.faulty[0]).to_dict()["diagnoser"] == name
     with pytest.raises(rs.BadInput, match="diagnoser 'nobody': there is none of this name"):
         rs.monitor("nobody").fit(rs.simulate("process-plant", seed=1))
-    with pytest.raises(rs.BadInput, match="unexpected keyword argument 'colour'"):
+    with pytest.raises(rs.BadInput, match="colour 'red': not a setting of bearing"):
         rs.monitor("bearing", colour="red").fit(rs.simulate("process-plant", seed=1))
 
 

@@ -16,7 +16,17 @@ from contextvars import ContextVar
 from dataclasses import dataclass
 from textwrap import TextWrapper
 from types import NoneType, UnionType
-from typing import Any, ClassVar, Self, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import (
+    Any,
+    ClassVar,
+    Literal,
+    Self,
+    TypeVar,
+    Union,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 from pydantic import (
     BaseModel,
@@ -52,7 +62,13 @@ _RULES = {
     **dict.fromkeys(("bool_type", "bool_parsing"), "must be true or false"),
 }
 """pydantic's kinds of errors → rules of ours."""
-_SHOWN = {NoneType: "None", tuple[str, ...]: "str | tuple[str, ...]"}
+_SHOWN = {
+    NoneType: "None",
+    tuple[str, ...]: "str | tuple[str, ...]",
+    dict[str, Literal["small", "medium", "large"] | dict[str, float]]: (
+        "dict[str, str | dict[str, float]]"
+    ),
+}
 """How a type is shown; of several names one may stand alone."""
 _BOUNDS = {"ge": "≥", "gt": ">", "le": "≤", "lt": "<"}
 _LONGEST = 60
@@ -81,6 +97,8 @@ class Question(BaseModel):
     """Field → how a value was written before → how it is written now."""
     renamed: ClassVar[Mapping[str, str]] = {}
     """How a field was called before → how it is called now."""
+    singular: ClassVar[Mapping[str, str]] = {}
+    """Field of several → how a command calls one of them, which it takes beside the field's name."""
 
     @classmethod
     def of(cls, given: Mapping[str, Any]) -> Self:
@@ -160,19 +178,23 @@ def field(
     choices_with: Mapping[str, Mapping[str, Collection[Any]]] | None = None,
     only_with: Iterable[Mapping[str, Collection[Any]]] = (),
     example: Any = None,
+    written: str | None = None,
     **bounds: Any,
 ) -> Any:
     """A field of a question; `...` as default makes it needed, `bounds` are pydantic's.
 
     `choices` are the names that it takes. `only_with` says with which values of other fields it
     counts, `{field: values}`, in one way or another, and `choices_with` the same of a name that it
-    takes. A form does not show what does not count.
+    takes. A form does not show what does not count. `written` is the form of a text that says one
+    item of several, which the question reads itself.
     """
     extra: dict[str, Any] = {"enum": list(choices)} if choices else {}
     if choices_with:
         extra["x-choices-only-with"] = {name: [_listed(way)] for name, way in choices_with.items()}
     if ways := [_listed(way) for way in only_with]:
         extra["x-only-with"] = ways
+    if written:
+        extra["x-written"] = written
     examples = None if example is None else [example]
     return Field(
         default, description=help, examples=examples, json_schema_extra=extra or None, **bounds
@@ -187,6 +209,13 @@ def choices(field: FieldInfo) -> list[str]:
     """The names that a field takes; empty where it takes others."""
     extra: Any = field.json_schema_extra or {}
     return list(extra.get("enum", ()))
+
+
+def written(field: FieldInfo) -> str | None:
+    """The form of a text that says one item of a field, where the question reads it itself."""
+    extra: Any = field.json_schema_extra or {}
+    form: str | None = extra.get("x-written")
+    return form
 
 
 def help_of(field: FieldInfo) -> str:
@@ -215,7 +244,7 @@ def refusal(error: Mapping[str, Any], known: Iterable[str] = ()) -> BadInput:
     context = error.get("ctx", {})
     if isinstance(own := context.get("error"), BadInput):
         return own
-    where = ".".join(str(part) for part in error["loc"] if part not in ("body", "query"))
+    where = ".".join(str(part) for part in error["loc"] if part not in ("body", "query", "[key]"))
     if error["type"] == "extra_forbidden":
         return BadInput(repr(where), "", f"there is none of this name; {known_names(where, known)}")
     ours = _RULES.get(error["type"])
@@ -269,12 +298,17 @@ def asks(question: type[Question]) -> Callable[[Function], Function]:
     return told
 
 
+def _shown(question: type[Question], name: str) -> str:
+    """The type of a field as a signature shows it; what texts may say may come as texts."""
+    kind = _kind(get_type_hints(question)[name])
+    return f"{kind} | list[str]" if written(question.model_fields[name]) else kind
+
+
 def _keywords(question: type[Question]) -> Iterator[inspect.Parameter]:
-    hints = get_type_hints(question)
     for name, field in question.model_fields.items():
         default = inspect.Parameter.empty if field.is_required() else field.default
         yield inspect.Parameter(
-            name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=_kind(hints[name])
+            name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=_shown(question, name)
         )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from functools import lru_cache
+from typing import get_type_hints
 
 from fastapi import APIRouter, Request, Response
 from starlette.concurrency import run_in_threadpool
@@ -11,6 +12,8 @@ from starlette.datastructures import QueryParams
 
 from residuum.diagnosis.diagnosers.base import Diagnoser
 from residuum.identification.errors import BadInput
+from residuum.library.questions import help_of, kinds, written
+from residuum.library.questions.score import Score
 from residuum.service.api.answers import PROBLEMS, ScoreAnswer
 from residuum.service.api.json_response import BareRoute, finding_json
 from residuum.service.api.parameters import NAME
@@ -22,7 +25,6 @@ from residuum.service.api.signal_body import (
     query_parameter,
     record_of,
 )
-from residuum.service.commands.diagnoser_options import diagnoser_settings
 from residuum.service.services import Services
 from residuum.service.store import NotFound
 
@@ -51,13 +53,14 @@ _OF_DIAGNOSERS = [
     query_parameter(
         "baseline", "string", "A stored baseline, or the name of an asset that has one."
     ),
-    query_parameter("speed_rpm", "number", "bearing: shaft speed [rpm]."),
-    query_parameter("orders", "string", "bearing: bpfi=5.4,… in multiples of shaft speed."),
-    query_parameter("hertz", "string", "bearing: bpfi=118.9,… [Hz]."),
-    query_parameter(
-        "method",
-        "string",
-        "gate-actuator, robust-residual: source or default decides; both are shown.",
+    *(
+        query_parameter(
+            name,
+            "number" if float in kinds(hint) else "string",
+            f"{help_of(Score.model_fields[name])} {written(Score.model_fields[name]) or ''}".strip(),
+        )
+        for name, hint in get_type_hints(Score).items()
+        if name in Score.model_fields
     ),
 ]
 _DESCRIBED = SIGNAL_BODY | {"parameters": [_DIAGNOSER, *SIGNAL_QUERY, *_OF_DIAGNOSERS]}
@@ -109,10 +112,8 @@ def _query(query_string: bytes) -> QueryParams:
 
 
 async def _judge(services: Services, diagnoser: str, query: QueryParams) -> Diagnoser:
-    speed = _speed(query.get("speed_rpm"))
-    settings = diagnoser_settings(
-        speed, query.get("orders"), query.get("hertz"), query.get("method")
-    )
+    given = {name: query[name] for name in Score.model_fields if name in query}
+    settings = Score.of(given).settings if given else {}
     baseline = query.get("baseline")
     if baseline is None:
         return services.judges.untrained(diagnoser, settings)
@@ -122,12 +123,3 @@ async def _judge(services: Services, diagnoser: str, query: QueryParams) -> Diag
         )
     judge = await run_in_threadpool(services.judges.trained, diagnoser, baseline)
     return judge.with_settings(**settings) if settings else judge
-
-
-def _speed(text: str | None) -> float | None:
-    if text is None:
-        return None
-    try:
-        return float(text)
-    except ValueError:
-        raise BadInput(f"query, speed_rpm: {text[:40]!r} is not a number") from None

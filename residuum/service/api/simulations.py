@@ -5,13 +5,14 @@ with a truth that is known.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Response
-from pydantic import BaseModel, Field
+from pydantic import Field
 
 from residuum.identification.record import Record
-from residuum.library.questions import Either
+from residuum.library.questions import part_of
+from residuum.library.questions.simulate import Simulate
 from residuum.service.api.answers import PROBLEMS, JobAnswer
 from residuum.service.api.jobs import accepted
 from residuum.service.api.json_response import StrictRoute
@@ -20,27 +21,13 @@ from residuum.service.work.analyses import simulate
 
 router = APIRouter(prefix="/records", tags=["records"], route_class=StrictRoute, responses=PROBLEMS)
 
-Text = Annotated[str, Field(min_length=1, max_length=64)]
-Size = Literal["small", "medium", "large"]
-Parameters = Annotated[dict[Text, float], Field(max_length=20)]
-Hidden = Annotated[
-    Size | Parameters, Either("must be small, medium or large, or names of parameters with numbers")
-]
 
-
-class Simulation(BaseModel, extra="forbid"):
+class Simulation(Simulate):
     """Which virtual machine runs, for how long, and what is hidden in it."""
 
-    machine: Text = Field(description="Name of the virtual machine, such as gate-drive.")
-    effects: dict[Text, Hidden] = Field(
-        default={},
-        max_length=20,
-        description="Hidden physics: effect → its parameters, or small, medium, large.",
+    machine: Annotated[str, Field(min_length=1, max_length=64)] = Field(
+        description="Name of the virtual machine, such as gate-drive."
     )
-    duration: float | None = Field(
-        None, gt=0, le=120, description="Length [s]; null: the machine's own."
-    )
-    seed: int = Field(0, ge=0, le=2**32 - 1, description="Of noise, disturbances and start values.")
 
 
 @router.post("/simulations", status_code=202, response_model=JobAnswer)
@@ -53,5 +40,5 @@ def add_simulated_record(running: Running, asked: Simulation) -> Response:
         number = running.store.add_record(f"simulated {asked.machine}", Record(*outcome["record"]))
         return running.store.record(number).to_json()
 
-    work = (asked.machine, asked.effects, asked.duration, asked.seed)
+    work = (asked.machine, part_of(asked, Simulate))
     return accepted(running.jobs.submit("simulate", simulate, *work, then=keep))

@@ -11,7 +11,7 @@ from typing import Annotated, Any, get_origin, get_type_hints
 import typer
 
 from residuum.identification.errors import BadInput
-from residuum.library.questions import Question, help_of, kinds
+from residuum.library.questions import Question, help_of, kinds, written
 from residuum.service.commands import as_option
 from residuum.service.commands.options_of import expanded, parameter_of
 from residuum.service.commands.report import progress
@@ -23,6 +23,7 @@ _METAVARS: dict[Any, str | None] = {
     list[str]: "NAME",
     _NAMES: "NAME,…",
     dict[str, float]: "NAME=VALUE",
+    dict[str, bool | float | str]: "NAME=VALUE",
     dict[str, tuple[float, float]]: "NAME=LOW:HIGH",
     tuple[float | None, float | None]: "LOW HIGH",
     str: "TEXT",
@@ -78,6 +79,8 @@ def _read(question: type[Question], name: str, value: Any) -> Any:
     """A value as the question reads it: of texts with commas a list, of `NAME=VALUE` or
     `NAME=LOW:HIGH` a mapping.
     """
+    if written(question.model_fields[name]):
+        return value
     taken = _taken(question, name)
     if taken == _NAMES:
         return [part.strip() for text in value for part in text.split(",")]
@@ -102,8 +105,12 @@ def _taken(question: type[Question], name: str) -> Any:
 
 def _option(question: type[Question], name: str) -> inspect.Parameter:
     """One option: a flag, or a text; several texts where the field takes a list."""
-    field, taken, option = question.model_fields[name], _taken(question, name), as_option(name)
-    default: Any = None if field.is_required() or field.default is None else str(field.default)
+    field, option = question.model_fields[name], as_option(name)
+    metavar = written(field)
+    taken = list[str] if metavar else _taken(question, name)
+    default: Any = (
+        None if field.is_required() or field.default in (None, {}) else str(field.default)
+    )
     form: Any = _FORMS.get(taken, _FORMS.get(get_origin(taken), str))
     if taken is bool:
         option, default, form = (
@@ -114,7 +121,11 @@ def _option(question: type[Question], name: str) -> inspect.Parameter:
     text = help_of(field).replace("[", "\\[") + (
         " Repeat it for several." if form == list[str] else ""
     )
-    annotation = Annotated[form | None, typer.Option(option, help=text, metavar=_METAVARS[taken])]
+    names = [as_option(question.singular[name])] if name in question.singular else []
+    annotation = Annotated[
+        form | None,
+        typer.Option(*names, option, help=text, metavar=metavar or _METAVARS[taken]),
+    ]
     return inspect.Parameter(
         name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation
     )

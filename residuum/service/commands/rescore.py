@@ -6,7 +6,6 @@ import typer
 
 from residuum.diagnosis.diagnosers import DIAGNOSERS, diagnoser_class
 from residuum.identification.errors import BadInput
-from residuum.service.commands.diagnoser_options import Baseline
 from residuum.service.commands.fleet_options import (
     Data,
     Results,
@@ -16,6 +15,7 @@ from residuum.service.commands.fleet_options import (
     run_over_fleet,
 )
 from residuum.service.commands.report import AsJson
+from residuum.service.commands.score import Baseline
 from residuum.service.work.fleet import Rescore, StoredWindows, fleet_source
 from residuum.service.work.own_judges import OWN, rescore_own
 

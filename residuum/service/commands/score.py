@@ -1,49 +1,40 @@
 """`residuum score`: what a diagnoser says of records."""
 
 from pathlib import Path
-from typing import Any
+from typing import Annotated
 
 import typer
 
-from residuum.diagnosis.diagnosers import diagnoser_class
+from residuum.diagnosis.diagnosers import DIAGNOSERS, diagnoser_class, untrained
 from residuum.diagnosis.diagnosers.base import Diagnoser
 from residuum.diagnosis.finding import Verdict
 from residuum.identification.errors import BadInput
 from residuum.library.answers.finding import finding_text
 from residuum.library.finding import Finding
+from residuum.library.questions.score import Score
 from residuum.service.cli import ANSWER_IS_NO
-from residuum.service.commands.diagnoser_options import (
-    Baseline,
-    DiagnoserName,
-    FalseAlarms,
-    Hertz,
-    Method,
-    Orders,
-    SpeedRpm,
-    diagnoser_settings,
-    model_settings,
-    new_diagnoser,
-)
+from residuum.service.commands.asked import asks
 from residuum.service.commands.plot_option import Plot, check_plot, drawn
 from residuum.service.commands.records import Reading, RecordFiles, reads
 from residuum.service.commands.report import AsJson, report
 
+DiagnoserName = Annotated[
+    str, typer.Argument(metavar="DIAGNOSER", help=f"One of {', '.join(DIAGNOSERS)}.")
+]
+Baseline = Annotated[Path | None, typer.Option(help="A trained diagnoser, as `train` writes it.")]
 app = typer.Typer(add_completion=False)
 _WORST_FIRST = (Verdict.FAULTY, Verdict.NOT_ASSESSABLE, Verdict.HEALTHY)
 
 
 @app.command()
+@asks()
 @reads()
 def score(
     diagnoser: DiagnoserName,
     records: RecordFiles,
     reading: Reading,
+    asked: Score,
     baseline: Baseline = None,
-    speed_rpm: SpeedRpm = None,
-    orders: Orders = None,
-    hertz: Hertz = None,
-    method: Method = None,
-    false_alarms_per_day: FalseAlarms = None,
     plot: Plot = None,
     as_json: AsJson = False,
 ) -> None:
@@ -51,11 +42,8 @@ def score(
 
     One record gives its finding; several give the worst one and all of them under `findings`.
     """
-    settings = diagnoser_settings(speed_rpm, orders, hertz, method) | model_settings(
-        None, False, false_alarms_per_day
-    )
     check_plot(plot)
-    judge = _judge(diagnoser, baseline, settings)
+    judge = _judge(diagnoser, baseline, asked)
     loaded = reading.named(records)
     judged = [judge.score(record) for record in loaded]
     findings = [
@@ -74,10 +62,10 @@ def score(
         raise typer.Exit(ANSWER_IS_NO)
 
 
-def _judge(name: str, baseline: Path | None, settings: dict[str, Any]) -> Diagnoser:
+def _judge(name: str, baseline: Path | None, asked: Score) -> Diagnoser:
     if baseline is None:
-        return new_diagnoser(name, settings)
+        return untrained(diagnoser_class(name), **asked.settings)
     if not baseline.is_file():
         raise BadInput(f"{baseline}: no such baseline file")
     judge = diagnoser_class(name).load(baseline)
-    return judge.with_settings(**settings) if settings else judge
+    return judge.with_settings(**asked.settings) if asked.settings else judge

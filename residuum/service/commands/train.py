@@ -6,27 +6,18 @@ from typing import Annotated, Literal
 
 import typer
 
+from residuum.diagnosis.diagnosers import diagnoser_class, untrained
 from residuum.diagnosis.diagnosers.base import Diagnoser
 from residuum.diagnosis.diagnosers.gate_actuator import GateActuator
 from residuum.diagnosis.learning.labels_file import read_labels
 from residuum.identification.errors import BadInput
 from residuum.library.answers.validation import validated, validation_says
-from residuum.service.commands.diagnoser_options import (
-    DiagnoserName,
-    FalseAlarms,
-    FixUndetermined,
-    Hertz,
-    Method,
-    ModelName,
-    Orders,
-    SpeedRpm,
-    diagnoser_settings,
-    model_settings,
-    new_diagnoser,
-)
+from residuum.library.questions.score import Train
+from residuum.service.commands.asked import asks
 from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.records import Reading, RecordFiles, reads
 from residuum.service.commands.report import AsJson, report
+from residuum.service.commands.score import DiagnoserName
 
 app = typer.Typer(add_completion=False)
 _LABELS = (
@@ -36,20 +27,15 @@ _LABELS = (
 
 
 @app.command()
+@asks()
 @reads()
 def train(
     diagnoser: DiagnoserName,
     records: RecordFiles,
     out: Annotated[Path, typer.Option(help="File for the trained diagnoser.")],
     reading: Reading,
+    asked: Train,
     labels: Annotated[Path | None, typer.Option(help=_LABELS)] = None,
-    speed_rpm: SpeedRpm = None,
-    orders: Orders = None,
-    hertz: Hertz = None,
-    method: Method = None,
-    model: ModelName = None,
-    fix_undetermined: FixUndetermined = False,
-    false_alarms_per_day: FalseAlarms = None,
     validate: Annotated[
         Literal["object-wise", "bootstrap"] | None,
         typer.Option(
@@ -62,35 +48,32 @@ def train(
     as_json: AsJson = False,
 ) -> None:
     """Train a diagnoser on records and store it for `score --baseline`."""
-    of_model = model_settings(model, fix_undetermined, false_alarms_per_day)
-    untrained = new_diagnoser(
-        diagnoser, diagnoser_settings(speed_rpm, orders, hertz, method) | of_model
-    )
+    kind = diagnoser_class(diagnoser)
+    judge = untrained(kind, **asked.settings)
     check_output_file(out)
     names, exemplars = read_labels(labels, records) if labels else (None, None)
     loaded = reading.named(records)
-    if exemplars is not None and validate is None and not isinstance(untrained, GateActuator):
+    if exemplars is not None and validate is None and not isinstance(judge, GateActuator):
         raise BadInput(
             f"{labels}: only the gate-actuator diagnoser knows exemplars, not {diagnoser!r}; give"
             " record,label, or --validate"
         )
-    settings = diagnoser_settings(speed_rpm, orders, hertz, method) | of_model
 
-    def fit(judge: Diagnoser, indices: Sequence[int]) -> Diagnoser:
+    def fit(unfitted: Diagnoser, indices: Sequence[int]) -> Diagnoser:
         chosen = [loaded[k] for k in indices]
         named = None if names is None else [names[k] for k in indices]
-        if isinstance(judge, GateActuator) and exemplars is not None:
-            return judge.fit(chosen, named, [exemplars[k] for k in indices])
-        return judge.fit(chosen, named)
+        if isinstance(unfitted, GateActuator) and exemplars is not None:
+            return unfitted.fit(chosen, named, [exemplars[k] for k in indices])
+        return unfitted.fit(chosen, named)
 
-    fit(untrained, range(len(loaded))).save(out)
+    fit(judge, range(len(loaded))).save(out)
     validation = None
     if validate is not None:
         truth = names or ["healthy"] * len(loaded)
         objects = exemplars or [str(k) for k in range(len(loaded))]
         validation = validated(
             validate,
-            lambda indices: fit(new_diagnoser(diagnoser, settings), indices),
+            lambda indices: fit(untrained(kind, **asked.settings), indices),
             loaded,
             truth,
             objects,
@@ -105,7 +88,7 @@ def train(
         "validation": validation,
     }
     count = "1 record" if len(loaded) == 1 else f"{len(loaded)} records"
-    learned = untrained.learned()
+    learned = judge.learned()
     human = "\n".join(
         [
             f"{diagnoser}: trained on {count}, {seconds:.4g} s of data → {out}",

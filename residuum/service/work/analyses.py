@@ -22,6 +22,7 @@ from residuum.library.questions.estimate import Estimate
 from residuum.library.questions.identify import Identify
 from residuum.library.questions.missing_effect import Explain, Improve
 from residuum.library.questions.residual import DesignResidual, RunResidual, residual_for
+from residuum.library.questions.simulate import Simulate
 from residuum.library.residual import Residual
 from residuum.library.residual import judged as run_of
 from residuum.library.virtual_machine import simulated
@@ -35,16 +36,10 @@ from residuum.service.work.worker_pool import RecordParts, keep_large_arrays, pa
 # Running a virtual machine as the work of a job.
 
 
-def simulate(
-    progress: Progress,
-    machine: str,
-    effects: Mapping[str, Mapping[str, float] | str],
-    duration: float | None,
-    seed: int,
-) -> Mapping[str, Any]:
-    """`record`: the parts of the machine's record, without a word of what is hidden in it."""
+def simulate(progress: Progress, machine: str, asked: Simulate) -> Mapping[str, Any]:
+    """`record`: the parts of the machine's record."""
     progress(0.0, "running the virtual machine")
-    record, _ = simulated(machine, effects, None, None, duration, seed, 0, False, {})
+    record, _ = simulated(machine, asked)
     return {"record": parts_of(record)}
 
 

@@ -90,6 +90,8 @@ def options(asked):
             yield from (
                 word for pair in texts.items() for word in (as_option(name), "=".join(pair))
             )
+        elif name in ("effects", "faults", "events") and ":" in "".join(value):
+            yield from (word for text in value for word in (as_option(name), text))
         elif name == "limits":
             yield from (as_option(name), *value)
         else:

@@ -2,9 +2,14 @@
 
 import io
 import json
+import re
 
 import numpy as np
 import pytest
+
+from residuum.service.cli import BAD_INPUT, run
+from residuum.service.commands import as_option
+from tests.service.api.doors import options
 
 SCORE = "/api/v1/score/bearing"
 WINDOWS = "/api/v1/assets/press/windows?diagnoser=bearing"
@@ -161,7 +166,6 @@ def test_bad_npy_bodies(refused, body, status, says):
     ],
 )
 def test_bad_queries_of_an_npy_body(refused, query, says):
-    import re
 
     body = npy(np.zeros(4))
     _, detail = refused(
@@ -177,10 +181,10 @@ def test_bad_queries_of_an_npy_body(refused, query, says):
 @pytest.mark.parametrize(
     ("diagnoser", "query", "says"),
     [
-        ("robust-residual", {"speed_rpm": "1500"}, "has no setting 'speed_rpm'"),
-        ("gripping-pliers", {"orders": "bpfi=5.4"}, "has no setting 'orders'"),
-        ("bearing", {"speed_rpm": "-1"}, "speed_rpm is -1.0; must be a positive number"),
-        ("bearing", {"hertz": "bpfi=much"}, "must be name=number"),
+        ("robust-residual", {"speed_rpm": "1500"}, "only the bearing diagnoser has it"),
+        ("gripping-pliers", {"orders": "bpfi=5.4"}, "not a setting of gripping-pliers"),
+        ("bearing", {"speed_rpm": "-1"}, '"speed_rpm" -1: must be > 0'),
+        ("bearing", {"hertz": "bpfi=much"}, "must be a number"),
     ],
 )
 def test_settings_that_a_diagnoser_does_not_have(refused, diagnoser, query, says):
@@ -295,3 +299,25 @@ def test_bodies_of_other_types_and_strict_json_everywhere(refused):
 def test_texts_that_no_database_keeps(refused, method, path, body):
     status, says = refused(method, path, content=body, headers={"Content-Type": "application/json"})
     assert status == 422 and "match pattern" in says
+
+
+@pytest.mark.parametrize(
+    ("diagnoser", "asked"),
+    [
+        ("bearing", {"speed_rpm": -1}),
+        ("bearing", {"orders": "bpfi"}),
+        ("bearing", {"hertz": "bpfi=much"}),
+        ("bearing", {"false_alarms_per_day": 2}),
+        ("gripping-pliers", {"speed_rpm": 1500}),
+        ("gate-actuator", {"method": "sorce"}),
+    ],
+)
+def test_a_setting_is_refused_alike_by_command_and_service(
+    refused, tmp_path, capsys, diagnoser, asked
+):
+    (tmp_path / "record.csv").write_text("time [s],acceleration [m/s²]\n0,0\n0.001,1\n")
+    words = ["score", diagnoser, str(tmp_path / "record.csv"), *map(str, options(asked))]
+    assert run(words) == BAD_INPUT
+    by_command = capsys.readouterr().err.removeprefix("residuum: ").strip()
+    _, detail = refused("POST", f"/api/v1/score/{diagnoser}", params=asked, content=text())
+    assert by_command == re.sub(r'"([^"]+)"', lambda field: as_option(field[1]), detail)

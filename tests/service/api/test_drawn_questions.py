@@ -20,16 +20,17 @@ from typer.main import get_command
 import residuum as rs
 from residuum.identification.errors import SAID_IN
 from residuum.library.answers.plain import to_plain
-from residuum.library.questions import choices, kinds, part_of
+from residuum.library.questions import choices, kinds, part_of, written
 from residuum.library.questions.compare import Compare
 from residuum.library.questions.control_design import DesignController
 from residuum.library.questions.estimate import Estimate
 from residuum.library.questions.identify import Identify
 from residuum.library.questions.missing_effect import Explain, Improve
 from residuum.library.questions.residual import DesignResidual, RunResidual
+from residuum.library.questions.simulate import Simulate
 from residuum.library.questions.uncertainty import Uncertainty
 from residuum.service import problems
-from residuum.service.api import analyses
+from residuum.service.api import analyses, simulations
 from residuum.service.api.json_response import Json, StrictRoute
 from residuum.service.api.uncertainties import StoredUncertainty
 from residuum.service.commands import as_option
@@ -48,6 +49,7 @@ QUESTIONS = (
     RunResidual,
     Uncertainty,
     DesignController,
+    Simulate,
 )
 WEIGHT = {"epsilon": [0.1, 0.2], "zeta": [0.1, 0.2], "points": [60, 80], "lowest": [0.05, 0.2]}
 EFFECTS = [
@@ -86,11 +88,20 @@ GOOD = WEIGHT | {
 """Values of fields that no bounds and names draw; a few break a rule that no declaration says."""
 
 
+SIMULATED = {
+    "effects": [["coulomb-friction:large"], ["a:b=2,c=3", "d"], ["a:huge"], ["a:b=x"]],
+    "faults": [["worn:2", "dry"], ["worn:much"]],
+    "events": [["start"], ["stop:0.5"]],
+    "settings": [{"rate": 250}, {"pwm": "true", "profile": "rich"}],
+    "profile": ["rich", "duty-cycle"],
+}
+"""Of a virtual machine, whose effects are other ones; several are said in texts."""
 OTHER_KINDS = {
     "fix": {"k_d": "none"},
     "within": {"k_i": ["low", 3]},
     "limits": [1.5, "soon"],
     "unknown_input": [""],
+    "settings": {"pwm": "sometimes"},
 }
 """Bad values of fields that take several; an empty text is one of the others."""
 
@@ -105,6 +116,7 @@ BODIES = {
     RunResidual: (analyses.Residuals, "POST"),
     Uncertainty: (StoredUncertainty, "GET"),
     DesignController: (analyses.ControlDesign, "POST"),
+    Simulate: (simulations.Simulation, "POST"),
 }
 OF_RECORDS = {"records": [1]}
 OF_DESIGNS = {"model": "short", "healthy": [1], "records": [1]}
@@ -112,6 +124,7 @@ NEEDED = dict.fromkeys(QUESTIONS, OF_RECORDS) | {
     DesignResidual: OF_DESIGNS,
     RunResidual: OF_DESIGNS,
     DesignController: {"models": ["short"]},
+    Simulate: {"machine": "oven"},
 }
 
 
@@ -131,8 +144,9 @@ def drawn(rng, question):
 def good(rng, name, field, hint):
     if names := choices(field):
         return str(rng.choice(names))
-    if name in GOOD:
-        return GOOD[name][int(rng.integers(len(GOOD[name])))]
+    named = SIMULATED if written(field) or name in ("settings", "profile") else GOOD
+    if name in named:
+        return named[name][int(rng.integers(len(named[name])))]
     if bool in kinds_of(hint):
         return bool(rng.integers(2))
     low, high = bounds(field)

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from residuum.diagnosis.diagnosers import DIAGNOSERS
+from residuum.diagnosis.diagnosers import DIAGNOSERS, untrained
 from residuum.diagnosis.diagnosers.base import Diagnoser
 from residuum.diagnosis.finding import Finding
 from residuum.identification.errors import BadInput
@@ -103,7 +103,7 @@ class Judges:
         """
         key = (diagnoser, repr(sorted((settings or {}).items())))
         return self._kept.get(
-            key, lambda: diagnoser_class(diagnoser)().with_settings(**(settings or {}))
+            key, lambda: untrained(diagnoser_class(diagnoser), **(settings or {}))
         )
 
     def trained(self, diagnoser: str, baseline: str) -> Diagnoser:
