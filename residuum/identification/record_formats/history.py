@@ -2,7 +2,9 @@
 
 `timescale://user@host/database/table?tags=speed,torque&start=2026-03-01&end=2026-03-08` names rows of
 times and values. A *wide* table has a column for each tag, a *long* one a row for each value with
-the tag's name in a column of texts. Rows come by COPY in binary form, in which every row of times
+the tag's name in a column of texts. `&window=600` are the windows of so many seconds in that time,
+and `&each=pump` those of each value of a column, which `rescore` and `reidentify` take one by one.
+Rows come by COPY in binary form, in which every row of times
 and numbers has the same length, so that a block of them is an array as it stands.
 
 The connection only reads. A password stands in the address, in PGPASSWORD or in a password file;
@@ -13,12 +15,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from datetime import UTC, datetime
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime, timedelta
 from importlib import import_module
 from itertools import islice
 from typing import Any
-from urllib.parse import parse_qsl, unquote, urlsplit
+from urllib.parse import parse_qsl, unquote, urlencode, urlsplit
 
 import numpy as np
 import numpy.typing as npt
@@ -49,6 +52,7 @@ _EPOCH = 946_684_800.0
 _HEADER, _BLOCK = 19, 1 << 10
 """Bytes before the first row of a binary COPY; rows that are turned into numbers at a time."""
 _LISTED = 12
+_MOST_WINDOWS = 10_000_000
 _PATIENCE = 10
 """Seconds until a server that does not answer is given up."""
 
@@ -57,8 +61,8 @@ _PATIENCE = 10
 class Address:
     """A table, what of it is asked for, and where columns have no usual names, these.
 
-    `shown` is the address as messages repeat it. `where` holds other columns with the value that
-    rows must have there.
+    `shown` is the table's address as messages repeat it. `where` holds other columns with the value
+    that rows must have there; `window` and `each` ask for several records in place of one.
     """
 
     shown: str
@@ -69,6 +73,17 @@ class Address:
     end: datetime | None = None
     columns: Mapping[str, str] = field(default_factory=dict)
     where: Mapping[str, str] = field(default_factory=dict)
+    window: timedelta | None = None
+    each: str | None = None
+
+    @property
+    def without_secret(self) -> str:
+        """The whole address, but for the password."""
+        asked = {"tags": ",".join(self.tags)} if self.tags else {}
+        asked |= {**self.columns, **self.where}
+        ends = {"start": self.start, "end": self.end}
+        asked |= {key: _written(instant) for key, instant in ends.items() if instant is not None}
+        return f"{self.shown}?{urlencode(asked, safe=',:')}" if asked else self.shown
 
 
 def is_history(path: object) -> bool:
@@ -117,7 +132,24 @@ def parse_address(text: str) -> Address:
     start, end = (_instant(asked.pop(key, ""), key, shown) for key in ("start", "end"))
     columns = {role: asked.pop(role) for role in _USUAL if role in asked}
     table = tuple(names[1].split("."))
-    return Address(shown, server, table, tags, start, end, columns, asked)
+    window, each = _length(asked.pop("window", ""), shown), asked.pop("each", None)
+    return Address(shown, server, table, tags, start, end, columns, asked, window, each)
+
+
+def _length(text: str, shown: str) -> timedelta | None:
+    if not text:
+        return None
+    try:
+        window = timedelta(seconds=float(text))
+    except (ValueError, OverflowError):
+        window = timedelta(0)
+    if window <= timedelta(0):
+        raise BadRecord(f"{shown}: window is {text!r}; must be a number of seconds above 0")
+    return window
+
+
+def _written(instant: datetime) -> str:
+    return instant.astimezone(UTC).isoformat().replace("+00:00", "Z")
 
 
 def _instant(text: str, key: str, shown: str) -> datetime | None:
@@ -142,22 +174,172 @@ def read_history(address: str, options: ReadOptions = ReadOptions()) -> Record:
     ------
     BadRecord
         A server that does not answer or refuses, no such table, column or tag, no rows; as
-        `on_one_base` for times that do not lie on one base.
+        `on_one_base` for times that do not lie on one base; windows, which are several records.
     """
     at = parse_address(address)
+    if at.window or at.each:
+        asked = "window" if at.window else "each"
+        raise BadRecord(
+            f"{at.shown}: {asked} asks for several records; leave it out, or give the address to"
+            " `residuum rescore` or `residuum reidentify`"
+        )
+    with _connected(at) as connection:
+        return _record(connection, at, options)
+
+
+@contextmanager
+def _connected(at: Address) -> Iterator[Any]:
+    """A connection that only reads; the server's errors are told without the password."""
     psycopg = need("psycopg", at.shown, "postgres")
     try:
-        with psycopg.connect(
-            **{key: value for key, value in at.server.items() if value is not None},
-            connect_timeout=_PATIENCE,
-            options="-c default_transaction_read_only=on -c timezone=UTC",
-        ) as connection:
-            channels = _channels(connection, at, _table_of(connection, at))
+        with _connection(psycopg, at) as connection:
+            yield connection
     except psycopg.Error as error:
         raise BadRecord(f"{at.shown}: {_without_secret(in_one_line(error), at)}") from None
+
+
+def _connection(psycopg: Any, at: Address) -> Any:
+    return psycopg.connect(
+        **{key: value for key, value in at.server.items() if value is not None},
+        connect_timeout=_PATIENCE,
+        options="-c default_transaction_read_only=on -c timezone=UTC",
+    )
+
+
+def _record(connection: Any, at: Address, options: ReadOptions) -> Record:
+    channels = _channels(connection, at, _table_of(connection, at))
     if not len(channels[0].time):
         raise BadRecord(f"{at.shown}: no rows in that time")
     return on_one_base(channels, at.shown, options)
+
+
+def windows_of(address: str) -> list[str]:
+    """The addresses of the windows in `start` … `end`, or in all that the table holds, for each
+    value of the column `each` where one is named; without a password. The last window may be
+    shorter.
+
+    Raises
+    ------
+    BadRecord
+        As `read_history`; no window's length; more than ten million windows.
+    """
+    at = parse_address(address)
+    if at.window is None:
+        raise BadRecord(f"{at.shown}: say how long a window is, in seconds: &window=600")
+    with _connected(at) as connection:
+        columns = _table_of(connection, at)
+        time = _column(at, columns, "time", _OF_TIME)
+        start, end = _span(connection, at, time)
+        machines: list[Mapping[str, str]] = [{}]
+        if at.each is not None:
+            if at.each not in columns:
+                raise BadRecord(
+                    f"{at.shown}: no column {at.each!r} to part rows by;"
+                    f" {known_names(at.each, columns, 'there are')}"
+                )
+            machines = [{at.each: value} for value in _values_of(connection, at, time, at.each)]
+    count = -((start - end) // at.window)
+    if count * len(machines) > _MOST_WINDOWS:
+        raise BadRecord(
+            f"{at.shown}: holds {count * len(machines)} windows; at most {_MOST_WINDOWS}. Say a"
+            " longer window, or a shorter time by start and end"
+        )
+    starts = [start + k * at.window for k in range(count)]
+    return [
+        replace(
+            at,
+            where={**at.where, **machine},
+            start=begin,
+            end=min(begin + at.window, end),
+            window=None,
+            each=None,
+        ).without_secret
+        for machine in machines
+        for begin in starts
+    ]
+
+
+def _span(connection: Any, at: Address, time: str) -> tuple[datetime, datetime]:
+    """From when to when windows are cut: as asked, else from the first to the last row."""
+    if at.start is not None and at.end is not None:
+        return at.start, at.end
+    sql = import_module("psycopg.sql")
+    query = sql.SQL(
+        "SELECT min({time}::timestamptz), max({time}::timestamptz) FROM {table} WHERE {rows}"
+    ).format(
+        time=sql.Identifier(time),
+        table=sql.Identifier(*at.table),
+        rows=_conditions(at, time, {}),
+    )
+    first, last = connection.execute(query).fetchone()
+    if first is None:
+        raise BadRecord(f"{at.shown}: no rows in that time")
+    return at.start or first, at.end or last + timedelta(microseconds=1)
+
+
+def _values_of(connection: Any, at: Address, time: str, column: str) -> list[str]:
+    sql = import_module("psycopg.sql")
+    query = sql.SQL("SELECT DISTINCT {}::text FROM {} WHERE {} ORDER BY 1").format(
+        sql.Identifier(column), sql.Identifier(*at.table), _conditions(at, time, {})
+    )
+    return [value for (value,) in connection.execute(query) if value is not None]
+
+
+class HistoryReader:
+    """Windows of one history, read one by one over a connection that stays open.
+
+    Parameters
+    ----------
+    address : str
+        Of the history, with its password where it needs one.
+    """
+
+    def __init__(self, address: str) -> None:
+        self._server = parse_address(address).server
+        self._connection: Any = None
+
+    def read(self, window: str) -> Record:
+        """The record of a window's address, as `windows_of` gives it.
+
+        Raises
+        ------
+        BadRecord
+            As `read_history`.
+        HistoryAway
+            The server does not answer, now and when it is asked anew.
+        """
+        at = replace(parse_address(window), server=self._server)
+        psycopg = need("psycopg", at.shown, "postgres")
+        try:
+            return self._read(psycopg, at)
+        except psycopg.OperationalError:
+            self.close()  # the server closed the connection, or began anew
+        try:
+            return self._read(psycopg, at)
+        except psycopg.OperationalError as error:
+            raise HistoryAway(f"{at.shown}: {_without_secret(in_one_line(error), at)}") from None
+
+    def close(self) -> None:
+        """Let go of the connection; the next read opens another."""
+        if self._connection is not None:
+            self._connection.close()
+        self._connection = None
+
+    def _read(self, psycopg: Any, at: Address) -> Record:
+        if self._connection is None:
+            self._connection = _connection(psycopg, at)
+        try:
+            with self._connection.transaction():
+                record = _record(self._connection, at, ReadOptions())
+        except psycopg.OperationalError:
+            raise
+        except psycopg.Error as error:
+            raise BadRecord(f"{at.shown}: {_without_secret(in_one_line(error), at)}") from None
+        return replace(record, source=at.without_secret)
+
+
+class HistoryAway(Exception):
+    """The server of a history does not answer, which says nothing of its records."""
 
 
 def _without_secret(text: str, at: Address) -> str:

@@ -18,8 +18,8 @@ Source = Annotated[
     typer.Argument(
         metavar="FOLDER|URL",
         help=(
-            "Record files in a folder or a bucket (s3://…, file://…), or a service's database"
-            " (sqlite:///…)."
+            "Record files in a folder or a bucket (s3://…, file://…), a service's database"
+            " (sqlite:///…), or windows of a history (timescale://host/database/table?window=600)."
         ),
     ),
 ]

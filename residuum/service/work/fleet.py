@@ -29,6 +29,13 @@ from sqlalchemy import select
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
 from residuum.identification.record_formats import OLDER, READERS
+from residuum.identification.record_formats.history import (
+    HistoryAway,
+    HistoryReader,
+    is_history,
+    parse_address,
+    windows_of,
+)
 from residuum.identification.record_formats.read_apart import read_safely
 from residuum.library.answers.plain import to_plain
 from residuum.library.identification_methods import identified_by
@@ -39,8 +46,8 @@ from residuum.service.storage.database import Database, sqlite_file
 from residuum.service.storage.tables import windows
 from residuum.service.work.worker_pool import WorkerPool
 
-# Where a fleet's records are: a folder, a bucket or archive by its URL, or the windows that a
-# service has stored.
+# Where a fleet's records are: a folder, a bucket or archive by its URL, the windows that a service
+# has stored, or those of a plant's history.
 
 _ENDINGS = READERS | OLDER
 _DATABASES = ("sqlite", "postgresql")
@@ -181,11 +188,40 @@ class StoredWindows:
             raise BadInput(f"window {item}: {error}") from None
 
 
+@dataclass(frozen=True)
+class HistoryWindows:
+    """Windows of a plant's history; a name is the window's address, without a password.
+
+    Parameters
+    ----------
+    address : str
+        Of a table, with `window` and perhaps `each`: `timescale://plant/pumps/values?window=600`.
+    """
+
+    address: str
+
+    def __str__(self) -> str:
+        return parse_address(self.address).shown
+
+    def items(self) -> list[str]:
+        """Addresses of the windows, by machine, oldest first."""
+        return windows_of(self.address)
+
+    def read(self, item: str) -> Record:
+        """The record of a window."""
+        try:
+            return _history(self.address).read(item)
+        except HistoryAway as error:
+            raise Unreachable(str(error)) from None
+
+
 def fleet_source(text: str, data: Path | None) -> FleetSource:
     """What a command's argument names; BadInput for a folder that is none and a database without
     its data folder.
     """
     scheme = text.split("://", maxsplit=1)[0].split("+", maxsplit=1)[0] if "://" in text else ""
+    if is_history(text) and (scheme not in _DATABASES or "?" in text):
+        return HistoryWindows(text)
     if scheme in _DATABASES:
         if data is None or not data.is_dir():
             raise BadInput(
@@ -208,6 +244,12 @@ def _file_system(url: str) -> tuple[Any, str]:
         raise BadInput(f"{url}: needs the extra `fleet`: pip install 'residuum[fleet]'") from None
     files, root = fsspec.url_to_fs(url)
     return files, root
+
+
+@lru_cache(maxsize=4)
+def _history(address: str) -> HistoryReader:
+    """The open connection of a process."""
+    return HistoryReader(address)
 
 
 @lru_cache(maxsize=4)

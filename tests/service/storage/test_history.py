@@ -1,5 +1,7 @@
 """Records from tables of a real PostgreSQL server, as a plant's history has them: wide and long, with gaps, and refused."""
 
+from contextlib import closing
+
 import numpy as np
 import psycopg
 import pytest
@@ -7,6 +9,7 @@ from sqlalchemy import make_url
 
 import residuum as rs
 from residuum.identification.errors import BadRecord
+from residuum.identification.record_formats.history import HistoryAway, HistoryReader, windows_of
 from residuum.service.cli import BAD_INPUT, DONE, run
 
 N, START = 400, 1_772_323_200.0  # 2026-03-01 00:00 UTC
@@ -152,3 +155,83 @@ def test_the_connection_cannot_write_and_a_name_is_no_statement(plant):
     with pytest.raises(BadRecord, match="no rows in that time"):
         rs.read(f"{plant}/wide?site=north' OR true --")
     assert rs.read(f"{plant}/wide?site=north").n == N
+
+
+def test_windows_of_a_history_are_scored_as_the_same_record_cut(plant, tmp_path):
+    address = f"{plant}/wide?site=north&tags=torque&start=2026-03-01&end=2026-03-01T00:06&window=90"
+    names = windows_of(address)
+    assert len(names) == 4 and all("window" not in name for name in names)
+    whole = rs.read(address.removesuffix("&window=90"))
+    with closing(HistoryReader(address)) as reader:
+        parts = [reader.read(name) for name in names]
+    for k, (name, part) in enumerate(zip(names, parts, strict=True)):
+        assert part.t0 == START + 90 * k and part.source == name
+        np.testing.assert_array_equal(part["torque"], whole["torque"][90 * k : 90 * (k + 1)])
+
+
+def test_each_value_of_a_column_has_windows_of_its_own(plant):
+    names = windows_of(f"{plant}/wide?each=site&tags=torque&window=300")
+    assert [name.partition("site=")[2][:5] for name in names] == [
+        "north",
+        "north",
+        "south",
+        "south",
+    ]
+    assert "end=2026-03-01T00%3A06%3A39.000001Z" in names[1].replace(":", "%3A")
+
+
+def _end_connections(plant):
+    """What a server that begins anew does to those that are connected."""
+    with psycopg.connect(plant.replace("timescale", "postgresql"), autocommit=True) as admin:
+        admin.execute(
+            "SELECT pg_terminate_backend(pid) FROM pg_stat_activity"
+            " WHERE datname = current_database() AND pid <> pg_backend_pid()"
+        )
+
+
+def test_a_server_that_closed_the_connection_is_asked_anew(plant):
+    (name, *_) = windows_of(f"{plant}/wide?site=north&window=300")
+    with closing(HistoryReader(plant + "/wide")) as reader:
+        first = reader.read(name)
+        _end_connections(plant)
+        np.testing.assert_array_equal(reader.read(name)["torque"], first["torque"])
+
+
+def test_a_history_that_is_away_refuses_no_window(plant):
+    (name, *_) = windows_of(f"{plant}/wide?site=north&window=300")
+    away = HistoryReader("timescale://me:secret@127.0.0.1:9/nowhere/wide")
+    with pytest.raises(HistoryAway, match=r"wide: (?!.*secret)"):
+        away.read(name)
+
+
+@pytest.mark.parametrize(
+    ("asked", "says"),
+    [
+        ("window=no", "window is 'no'; must be a number of seconds above 0"),
+        ("site=north", "say how long a window is, in seconds: &window=600"),
+        ("window=1e-6", "windows; at most 10000000"),
+        ("window=60&each=place", "no column 'place' to part rows by; there are"),
+    ],
+)
+def test_windows_that_cannot_be_cut_are_refused(plant, asked, says):
+    with pytest.raises(BadRecord, match=says):
+        windows_of(f"{plant}/wide?{asked}")
+
+
+def test_windows_are_not_one_record(plant):
+    with pytest.raises(BadRecord, match="asks for several records; leave it out, or give"):
+        rs.read(f"{plant}/wide?window=60")
+
+
+def test_a_history_is_scored_and_gone_on_with(plant, tmp_path, capsys):
+    """By two workers; what an interrupted run left is not done again."""
+    address = f"{plant}/wide?site=north&tags=torque&window=50"
+    out = tmp_path / "scored.jsonl"
+    words = ["reidentify", address, "--output", "torque", "--method", "ar", "--order", "2"]
+    words += ["--out", str(out), "--workers", "2"]
+    assert run(words) == DONE
+    lines = out.read_bytes().splitlines(keepends=True)
+    assert len(lines) == 8
+    out.write_bytes(b"".join(lines[3:5]) + lines[6][:30])
+    assert run(words) == DONE
+    assert out.read_bytes().splitlines(keepends=True) == lines
