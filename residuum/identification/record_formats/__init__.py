@@ -14,6 +14,10 @@ from residuum.identification.record_formats.lvm import read_lvm
 from residuum.identification.record_formats.mat import read_mat, write_mat
 from residuum.identification.record_formats.mdf import read_mdf, write_mdf
 from residuum.identification.record_formats.npz import read_npz, write_npz
+from residuum.identification.record_formats.opcua_history import (
+    is_opcua_history,
+    read_opcua_history,
+)
 from residuum.identification.record_formats.options import ReadOptions
 from residuum.identification.record_formats.parquet import read_parquet, write_parquet
 from residuum.identification.record_formats.tdms import read_tdms, write_tdms
@@ -57,15 +61,17 @@ _LONGEST = 1000
 
 
 def read_record(path: str | Path, options: ReadOptions = ReadOptions()) -> Record:
-    """Read a record file, whose ending says the format, or a table of a history
-    (`timescale://host/database/table?tags=a,b`).
+    """Read a record file, whose ending says the format, a table of a history
+    (`timescale://host/database/table?tags=a,b`), or nodes of an OPC UA server that keeps their
+    history (`opc.tcp://host:4840?nodes=ns=2;s=Speed&start=2026-03-01&end=2026-03-08`).
 
     Raises BadRecord for an ending that is not listed, a file that is not there, and a file that the
     format's reader refuses or breaks on: what a library raises for a damaged file is of any kind,
     and only sometimes one line.
     """
-    if is_history(path):
-        return without_overloads(without_marks(read_history(str(path), options), options.missing))
+    for is_address, read in ((is_history, read_history), (is_opcua_history, read_opcua_history)):
+        if is_address(path):
+            return without_overloads(without_marks(read(str(path), options), options.missing))
     path = Path(path)
     ending = path.suffix.lower()
     reader = (READERS | LOGGERS | OLDER).get(ending)

@@ -129,7 +129,7 @@ def parse_address(text: str) -> Address:
     }
     asked = dict(parse_qsl(parts.query, keep_blank_values=True))
     tags = tuple(tag.strip() for tag in asked.pop("tags", "").split(",") if tag.strip())
-    start, end = (_instant(asked.pop(key, ""), key, shown) for key in ("start", "end"))
+    start, end = (instant_of(asked.pop(key, ""), key, shown) for key in ("start", "end"))
     columns = {role: asked.pop(role) for role in _USUAL if role in asked}
     table = tuple(names[1].split("."))
     window, each = _length(asked.pop("window", ""), shown), asked.pop("each", None)
@@ -152,7 +152,8 @@ def _written(instant: datetime) -> str:
     return instant.astimezone(UTC).isoformat().replace("+00:00", "Z")
 
 
-def _instant(text: str, key: str, shown: str) -> datetime | None:
+def instant_of(text: str, key: str, shown: str) -> datetime | None:
+    """An instant of an address, of UTC where no zone is said; None where none is."""
     if not text:
         return None
     try:
