@@ -17,6 +17,7 @@ from urllib.parse import parse_qsl, unquote, urlsplit
 
 import numpy as np
 
+from residuum.array_types import FloatArray
 from residuum.identification.errors import BadRecord, in_one_line
 from residuum.identification.record import Record
 from residuum.identification.record_formats.history import instant_of
@@ -29,6 +30,9 @@ from residuum.nearest_names import known_names
 _ADDRESS = re.compile(r"(?i)opc\.tcp:/+(.+)", re.DOTALL)
 """A path, which some have made of the address before, keeps one of its two slashes."""
 _KEYS = ("nodes", "start", "end")
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+_EPOCH_IN_UTC = datetime(1970, 1, 1)
+"""For stamps that do not say it."""
 _PATIENCE = 10
 """Seconds until a server that does not answer is given up."""
 
@@ -130,20 +134,21 @@ def _channel(node: Any, name: str, at: Address, ua: Any) -> TimedChannel:
 
 def _seconds(stamp: datetime) -> float:
     """Seconds since 1970; stamps without a zone are UTC, as the standard has them."""
-    return (stamp if stamp.tzinfo else stamp.replace(tzinfo=UTC)).timestamp()
+    return (stamp - _EPOCH if stamp.tzinfo else stamp - _EPOCH_IN_UTC).total_seconds()
 
 
-def _numbers(stamped: Sequence[Any], name: str, at: Address) -> Any:
+def _numbers(stamped: Sequence[Any], name: str, at: Address) -> FloatArray:
     """Values as numbers, NaN where the status is not good."""
-    values = np.full(len(stamped), np.nan)
-    for k, value in enumerate(stamped):
-        if not value.StatusCode.is_good() or value.Value is None or value.Value.Value is None:
-            continue
-        if not isinstance(value.Value.Value, bool | int | float):
-            kind = type(value.Value.Value).__name__
-            raise BadRecord(f"{at.shown}: {name!r} holds no numbers but {kind}; leave it out")
-        values[k] = float(value.Value.Value)
-    return values
+    good = [value.Value.Value if _is_good(value) else None for value in stamped]
+    others = {type(number).__name__ for number in good} - {"bool", "int", "float", "NoneType"}
+    if others:
+        raise BadRecord(f"{at.shown}: {name!r} holds no numbers but {min(others)}; leave it out")
+    return np.array(good, dtype=np.float64)
+
+
+def _is_good(value: Any) -> bool:
+    """A status that is not said is good (OPC 10000-6)."""
+    return value.Value is not None and (value.StatusCode is None or value.StatusCode.is_good())
 
 
 def _unit(node: Any, ua: Any) -> str:
