@@ -1,6 +1,7 @@
 """FMUs as models: held against records as the model they were made of, refused before they are loaded, and run apart."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -72,6 +73,16 @@ def test_the_friction_that_an_fmu_lacks_is_named(axis, rubbing, capfd):
     first = told["candidates"][0]
     assert (first["effect"], first["balance"]) == ("coulomb-friction", "v")
     assert first["parameters"]["tau_c"]["value"] == pytest.approx(20.0 / 95.0, rel=0.03)
+
+
+def test_warnings_are_no_failure_however_many(axis, rubbing, tmp_path, capfd):
+    def warns(source):
+        body = re.compile(r"(fmi2Status fmi2(?:Set|Get)\w+\(.*?\n?\{.*?return )fmi2OK;", re.DOTALL)
+        return body.sub(r"\1fmi2Warning;", source)
+
+    warning = recompiled(axis, tmp_path / "warning.fmu", tmp_path / "made", warns)
+    told = [answer(capfd, "compare", str(fmu), rubbing)["outputs"] for fmu in (axis, warning)]
+    assert told[0] == told[1]
 
 
 def test_one_that_can_only_simulate_itself_is_compared_by_its_outputs(

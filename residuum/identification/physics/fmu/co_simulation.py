@@ -15,10 +15,7 @@ from residuum.array_types import FloatArray
 from residuum.identification.errors import in_one_line
 from residuum.identification.physics.fmu.description import fmpy
 from residuum.identification.physics.fmu.instance import TOLERANCE, Instance
-from residuum.identification.physics.fmu.loaded_library import by_reference
-
-_ACCEPTED = 1
-"""The last status of a step that went well: a warning."""
+from residuum.identification.physics.fmu.loaded_library import ACCEPTED, by_reference
 
 
 class OwnSimulation:
@@ -131,14 +128,14 @@ def _compiled(instance: Instance) -> tuple[Any, tuple[Any, ...]]:
         for k in range(n):
             if nu > 0:
                 put(U.ctypes.data + 8 * nu * k)
-            if take(Y.ctypes.data + 8 * ny * k) > _ACCEPTED:
+            if take(Y.ctypes.data + 8 * ny * k) > ACCEPTED:
                 Y[k:] = np.nan
                 return k
             if k + 1 == n:
                 return n
             if nu > 0:
                 put(between.ctypes.data + 8 * nu * k)
-            if step(k * dt, dt) > _ACCEPTED:
+            if step(k * dt, dt) > ACCEPTED:
                 return k + 1
         return n
 

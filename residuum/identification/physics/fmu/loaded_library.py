@@ -27,6 +27,8 @@ from residuum.identification.physics.fmu.directional import differentiated
 from residuum.identification.physics.fmu.instance import Instance
 
 Array = npt.NDArray[np.float64]
+ACCEPTED = 1
+"""The last status of a call that went well: a warning."""
 _STEP = 1e-6
 _KEPT: list[Any] = []
 """What compiled code points to, and must not be freed."""
@@ -219,22 +221,23 @@ def _compiled(  # noqa: C901, PLR0915  compiled functions that share what they c
 
     @njit(nogil=True)
     def place(point):
-        bad = set_time(component, _value_at(point))
+        """The worst status: several warnings are no failure."""
+        status = set_time(component, _value_at(point))
         if nx > 0:
-            bad += set_states(component, point + 8, nx)
+            status = max(status, set_states(component, point + 8, nx))
         if nu > 0:
-            bad += put(point + 8 * (1 + nx))
-        return bad
+            status = max(status, put(point + 8 * (1 + nx)))
+        return status
 
     @njit(nogil=True)
     def ask(point, values):
         """The FMU's rates and outputs at a point, both of them addresses; nan where it refuses."""
         v = carray(_doubles(values), m)
-        bad = place(point)
+        status = place(point)
         if nx > 0:
-            bad += rates(component, values, nx)
-        bad += take(values + 8 * nx)
-        if bad > 1:
+            status = max(status, rates(component, values, nx))
+        status = max(status, take(values + 8 * nx))
+        if status > ACCEPTED:
             for k in range(m):
                 v[k] = np.nan
 
@@ -265,10 +268,11 @@ def _compiled(  # noqa: C901, PLR0915  compiled functions that share what they c
         seed = low + m
         if exact[j]:
             cache[seed] = 1.0
-            bad = place(at + 8 * point)
-            bad += differentiate(knowns + 4 * (j - 1), at + 8 * seed, at + 8 * high)
+            status = place(at + 8 * point)
+            by_one = differentiate(knowns + 4 * (j - 1), at + 8 * seed, at + 8 * high)
+            accepted = max(status, by_one) <= ACCEPTED
             for r in range(m):
-                cache[table + j * m + r] = cache[high + r] if bad <= 1 else np.nan
+                cache[table + j * m + r] = cache[high + r] if accepted else np.nan
             return
         middle = cache[point + j]
         h = _STEP * (1.0 + abs(middle))
