@@ -379,26 +379,35 @@ def _table_of(connection: Any, at: Address) -> dict[str, _Column]:
 
 
 def _channels(connection: Any, at: Address, columns: Mapping[str, _Column]) -> list[TimedChannel]:
-    time = _column(at, columns, "time", _OF_TIME)
     for name in at.where:
         if name not in columns:
             raise BadRecord(
                 f"{at.shown}: no column {name!r} to choose rows by;"
                 f" {known_names(name, columns, 'there are')}"
             )
-    numbers = [c.name for c in columns.values() if c.kind in _OF_NUMBERS and c.name not in at.where]
-    texts = [c.name for c in columns.values() if c.kind in _OF_TEXT and c.name not in at.where]
+    time = _column(at, columns, "time", _OF_TIME)
+    free = [column for column in columns.values() if column.name not in at.where]
+    numbers = [column.name for column in free if column.kind in _OF_NUMBERS]
     by_name = {unit_of_head(name)[0]: name for name in numbers} | {name: name for name in numbers}
-    told_apart = bool(texts) or "tag" in at.columns
-    if at.tags and told_apart and ("tag" in at.columns or not set(at.tags) & by_name.keys()):
-        return _of_rows(connection, at, columns, time)
-    if not at.tags and told_apart:
-        tag = _column(at, columns, "tag", _OF_TEXT)
-        raise BadRecord(
-            f"{at.shown}: its rows are told apart by {tag!r}; name the tags, ?tags=a,b: there are"
-            f" {', '.join(_tags(connection, at, tag))}"
-        )
-    wanted = at.tags or tuple(dict.fromkeys(unit_of_head(name)[0] for name in numbers))
+    # rows of a long table are told apart by a column of texts; a wide one may have such, too
+    if "tag" in at.columns or any(column.kind in _OF_TEXT for column in free):
+        if not at.tags:
+            tag = _column(at, columns, "tag", _OF_TEXT)
+            raise BadRecord(
+                f"{at.shown}: its rows are told apart by {tag!r}; name the tags, ?tags=a,b: there"
+                f" are {', '.join(_tags(connection, at, tag))}"
+            )
+        if "tag" in at.columns or not set(at.tags) & by_name.keys():
+            return _of_rows(connection, at, columns, time)
+    return _of_columns(connection, at, columns, by_name)
+
+
+def _of_columns(
+    connection: Any, at: Address, columns: Mapping[str, _Column], by_name: Mapping[str, str]
+) -> list[TimedChannel]:
+    """The tags of a wide table: those that are named, else all columns of numbers."""
+    all_of_them = dict.fromkeys(unit_of_head(name)[0] for name in by_name.values())
+    wanted = at.tags or tuple(all_of_them)
     if not wanted:
         raise BadRecord(f"{at.shown}: has no column of numbers; there are {', '.join(columns)}")
     for tag in wanted:
@@ -406,11 +415,12 @@ def _channels(connection: Any, at: Address, columns: Mapping[str, _Column]) -> l
             raise BadRecord(
                 f"{at.shown}: no column of numbers {tag!r}; {known_names(tag, by_name, 'there are')}"
             )
-    chosen = [by_name[tag] for tag in wanted]
-    instants, values = _copied(connection, at, time, [columns[name] for name in chosen], {})
+    chosen = [columns[by_name[tag]] for tag in wanted]
+    time = _column(at, columns, "time", _OF_TIME)
+    instants, values = _copied(connection, at, time, chosen, {})
     return [
-        TimedChannel(tag, _unit(columns[name]), instants, row)
-        for tag, name, row in zip(wanted, chosen, values, strict=True)
+        TimedChannel(tag, _unit(column), instants, row)
+        for tag, column, row in zip(wanted, chosen, values, strict=True)
     ]
 
 

@@ -1,6 +1,7 @@
 """`residuum train`: records → a stored, trained diagnoser."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -11,6 +12,7 @@ from residuum.diagnosis.diagnosers.base import Diagnoser
 from residuum.diagnosis.diagnosers.gate_actuator import GateActuator
 from residuum.diagnosis.learning.labels_file import read_labels
 from residuum.identification.errors import BadInput
+from residuum.identification.record import Record
 from residuum.library.answers.validation import validated, validation_says
 from residuum.library.questions.score import Train
 from residuum.service.commands.asked import asks
@@ -52,33 +54,23 @@ def train(
     judge = untrained(kind, **asked.settings)
     check_output_file(out)
     names, exemplars = read_labels(labels, records) if labels else (None, None)
-    loaded = reading.named(records)
+    lessons = _Lessons(reading.named(records), names, exemplars)
     if exemplars is not None and validate is None and not isinstance(judge, GateActuator):
         raise BadInput(
             f"{labels}: only the gate-actuator diagnoser knows exemplars, not {diagnoser!r}; give"
             " record,label, or --validate"
         )
-
-    def fit(unfitted: Diagnoser, indices: Sequence[int]) -> Diagnoser:
-        chosen = [loaded[k] for k in indices]
-        named = None if names is None else [names[k] for k in indices]
-        if isinstance(unfitted, GateActuator) and exemplars is not None:
-            return unfitted.fit(chosen, named, [exemplars[k] for k in indices])
-        return unfitted.fit(chosen, named)
-
-    fit(judge, range(len(loaded))).save(out)
+    lessons.teach(judge, range(len(records))).save(out)
     validation = None
     if validate is not None:
-        truth = names or ["healthy"] * len(loaded)
-        objects = exemplars or [str(k) for k in range(len(loaded))]
         validation = validated(
             validate,
-            lambda indices: fit(untrained(kind, **asked.settings), indices),
-            loaded,
-            truth,
-            objects,
+            lambda indices: lessons.teach(untrained(kind, **asked.settings), indices),
+            lessons.records,
+            lessons.truth,
+            lessons.objects,
         )
-    seconds = sum(record.duration for record in loaded)
+    seconds = sum(record.duration for record in lessons.records)
     result = {
         "diagnoser": diagnoser,
         "records": [str(file) for file in records],
@@ -87,7 +79,7 @@ def train(
         "file": str(out),
         "validation": validation,
     }
-    count = "1 record" if len(loaded) == 1 else f"{len(loaded)} records"
+    count = "1 record" if len(records) == 1 else f"{len(records)} records"
     learned = judge.learned()
     human = "\n".join(
         [
@@ -97,3 +89,32 @@ def train(
         ]
     )
     report(result | learned, human, as_json=as_json)
+
+
+@dataclass(frozen=True)
+class _Lessons:
+    """What is learned from: records, a label each or None where all are healthy, and the exemplar
+    that each comes from where that is known.
+    """
+
+    records: Sequence[Record]
+    labels: Sequence[str] | None
+    exemplars: Sequence[str] | None
+
+    @property
+    def truth(self) -> Sequence[str]:
+        """A label a record."""
+        return self.labels or ["healthy"] * len(self.records)
+
+    @property
+    def objects(self) -> Sequence[str]:
+        """What is left out of the training together: exemplars, else records."""
+        return self.exemplars or [str(k) for k in range(len(self.records))]
+
+    def teach(self, judge: Diagnoser, indices: Sequence[int]) -> Diagnoser:
+        """The diagnoser, fitted to these records."""
+        chosen = [self.records[k] for k in indices]
+        labels = None if self.labels is None else [self.labels[k] for k in indices]
+        if isinstance(judge, GateActuator) and self.exemplars is not None:
+            return judge.fit(chosen, labels, [self.exemplars[k] for k in indices])
+        return judge.fit(chosen, labels)
