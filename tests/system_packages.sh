@@ -1,5 +1,5 @@
 #!/bin/sh
-# Debian packages that tests use: a browser for the pages, a database server, a message broker, proxies
+# Debian packages that tests use: a browser for the pages, database servers, a message broker, proxies
 # that end TLS and a tracer of programs. Installed
 # only as root and only where absent; the tests start servers of their own, so none of the system has to run.
 set -u
@@ -11,6 +11,7 @@ have strace || missing="$missing strace"
 have nginx || missing="$missing nginx-light"
 have caddy || missing="$missing caddy"
 have mosquitto || missing="$missing mosquitto"
+have influxd || missing="$missing influxdb"
 [ -z "$missing" ] && exit 0
 if [ "$(id -u)" -eq 0 ] && command -v apt-get >/dev/null 2>&1; then
     echo "installing for the tests (once):$missing"

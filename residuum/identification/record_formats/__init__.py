@@ -9,6 +9,10 @@ from residuum.identification.errors import BadInput, BadRecord, in_one_line
 from residuum.identification.record import Record
 from residuum.identification.record_formats.csv import parse_csv, read_csv, write_csv
 from residuum.identification.record_formats.history import is_history, read_history
+from residuum.identification.record_formats.influx_history import (
+    is_influx_history,
+    read_influx_history,
+)
 from residuum.identification.record_formats.loggers.no_value import without_marks, without_overloads
 from residuum.identification.record_formats.lvm import read_lvm
 from residuum.identification.record_formats.mat import read_mat, write_mat
@@ -56,20 +60,26 @@ WRITERS: dict[str, Callable[[Record, str | Path], None]] = {
     ".uff": write_uff,
 }
 
+HISTORIES = (
+    (is_history, read_history),
+    (is_influx_history, read_influx_history),
+    (is_opcua_history, read_opcua_history),
+)
+"""Addresses that a plant's history is read by: whether it is one, and the reader of its record."""
 _LONGEST = 1000
 """Characters of a refusal: some libraries repeat the file in it."""
 
 
 def read_record(path: str | Path, options: ReadOptions = ReadOptions()) -> Record:
-    """Read a record file, whose ending says the format, a table of a history
-    (`timescale://host/database/table?tags=a,b`), or nodes of an OPC UA server that keeps their
+    """Read a record file, whose ending says the format, a table of a history (`timescale://` or
+    `influx://host/database/table?tags=a,b`), or nodes of an OPC UA server that keeps their
     history (`opc.tcp://host:4840?nodes=ns=2;s=Speed&start=2026-03-01&end=2026-03-08`).
 
     Raises BadRecord for an ending that is not listed, a file that is not there, and a file that the
     format's reader refuses or breaks on: what a library raises for a damaged file is of any kind,
     and only sometimes one line.
     """
-    for is_address, read in ((is_history, read_history), (is_opcua_history, read_opcua_history)):
+    for is_address, read in HISTORIES:
         if is_address(path):
             return without_overloads(without_marks(read(str(path), options), options.missing))
     path = Path(path)

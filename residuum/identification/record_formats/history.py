@@ -36,7 +36,7 @@ from residuum.identification.record_formats.time_bases import TimedChannel, on_o
 from residuum.nearest_names import known_names
 
 _SCHEMES = ("timescale", "postgresql", "postgres")
-_ADDRESS = re.compile(rf"(?i)({'|'.join(_SCHEMES)}):/+(.+)", re.DOTALL)
+_ADDRESS = re.compile(r"(\w+):/+(.+)", re.DOTALL)
 """A path, which some have made of the address before, keeps one of its two slashes."""
 _OF_TIME = ("timestamptz", "timestamp", "date")
 _OF_NUMBERS = ("float4", "float8", "int2", "int4", "int8", "numeric", "bool")
@@ -65,6 +65,7 @@ class Address:
     that rows must have there; `window` and `each` ask for several records in place of one.
     """
 
+    scheme: str
     shown: str
     server: Mapping[str, Any]
     table: tuple[str, ...]
@@ -88,11 +89,17 @@ class Address:
 
 def is_history(path: object) -> bool:
     """Whether this names a table of a history rather than a file."""
-    return _ADDRESS.fullmatch(str(path)) is not None
+    return is_address_of(path, _SCHEMES)
 
 
-def parse_address(text: str) -> Address:
-    """The table that an address names.
+def is_address_of(path: object, schemes: Sequence[str]) -> bool:
+    """Whether this is an address of one of these schemes."""
+    matched = _ADDRESS.fullmatch(str(path))
+    return matched is not None and matched[1].lower() in schemes
+
+
+def parse_address(text: str, schemes: Sequence[str] = _SCHEMES) -> Address:
+    """The table that an address of one of these schemes names.
 
     >>> at = parse_address("timescale://me:secret@plant/pumps/public.readings?tags=q,p&start=2026-03-01&site=north")
     >>> at.shown, at.table, at.tags, at.where
@@ -104,7 +111,7 @@ def parse_address(text: str) -> Address:
         No database and table in it; a start or end that is no date.
     """
     matched = _ADDRESS.fullmatch(text)
-    if matched is None:
+    if matched is None or matched[1].lower() not in schemes:
         raise BadRecord(f"{text}: is no address of a history")
     scheme, rest = matched[1].lower(), matched[2]
     parts = urlsplit(f"{scheme}://{rest}")
@@ -133,7 +140,7 @@ def parse_address(text: str) -> Address:
     columns = {role: asked.pop(role) for role in _USUAL if role in asked}
     table = tuple(names[1].split("."))
     window, each = _length(asked.pop("window", ""), shown), asked.pop("each", None)
-    return Address(shown, server, table, tags, start, end, columns, asked, window, each)
+    return Address(scheme, shown, server, table, tags, start, end, columns, asked, window, each)
 
 
 def _length(text: str, shown: str) -> timedelta | None:

@@ -32,7 +32,8 @@ RecordFiles = Annotated[
     typer.Argument(
         metavar="RECORD…",
         help=(
-            "Record files, tables of a history (timescale://host/database/table?tags=a,b), or"
+            "Record files, tables of a history (timescale:// or"
+            " influx://host/database/table?tags=a,b), or"
             " nodes of an OPC UA server that keeps their history"
             " (opc.tcp://host:4840?nodes=ns=2;s=Speed&start=…&end=…); each is a separate"
             " experiment."

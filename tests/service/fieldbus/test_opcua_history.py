@@ -115,6 +115,7 @@ def test_a_time_without_values_and_an_address_without_a_time_are_refused(histori
 
 
 def test_a_server_that_does_not_answer_is_told_without_the_password(free_port):
-    address = asked(f"opc.tcp://me:secret@127.0.0.1:{free_port}", "i=85")
-    with pytest.raises(BadRecord, match=rf"opc.tcp://127.0.0.1:{free_port}: (?!.*secret)"):
+    port = free_port()
+    address = asked(f"opc.tcp://me:secret@127.0.0.1:{port}", "i=85")
+    with pytest.raises(BadRecord, match=rf"opc.tcp://127.0.0.1:{port}: (?!.*secret)"):
         rs.read(address)

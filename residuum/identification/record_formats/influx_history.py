@@ -1,0 +1,194 @@
+"""Records from InfluxDB, by the address of a measurement.
+
+`influx://user@host:8086/database/measurement?tags=speed,torque&start=2026-03-01&end=2026-03-08&site=north`
+names fields of a measurement; other keys are Influx's own tags, with the values that rows must
+have. Rows are asked for by InfluxQL over HTTP, which the versions 1, 2 and 3 answer; `influxs` asks
+by HTTPS. A token stands in INFLUX_TOKEN, a password in the address or in INFLUX_PASSWORD; no
+message repeats either.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+from collections.abc import Iterator, Mapping
+from typing import Any
+from urllib.error import HTTPError, URLError
+from urllib.parse import urlencode
+from urllib.request import Request, urlopen
+
+import numpy as np
+import orjson
+
+from residuum.array_types import FloatArray
+from residuum.identification.errors import BadRecord, in_one_line
+from residuum.identification.record import Record
+from residuum.identification.record_formats.history import Address, is_address_of, parse_address
+from residuum.identification.record_formats.loggers.logger_head import unit_of_head
+from residuum.identification.record_formats.options import ReadOptions
+from residuum.identification.record_formats.time_bases import TimedChannel, on_one_base
+from residuum.nearest_names import known_names
+
+_SCHEMES = ("influx", "influxs")
+_PORT = 8086
+_CHUNK = 10_000
+"""Rows that the server sends at a time."""
+_PATIENCE = 60
+"""Seconds until a server that does not answer is given up."""
+_LISTED = 6
+_NUMBERS = ("float", "integer", "unsigned", "boolean")
+
+
+def is_influx_history(path: object) -> bool:
+    """Whether this names a measurement of InfluxDB rather than a file."""
+    return is_address_of(path, _SCHEMES)
+
+
+def read_influx_history(address: str, options: ReadOptions = ReadOptions()) -> Record:
+    """The record of an address: its fields on one even time base, from `start` to before `end`.
+
+    The unit of a field is that of its name, `speed [rpm]`.
+
+    Raises
+    ------
+    BadRecord
+        A server that does not answer or refuses, no such database, measurement or field, rows that
+        other tags tell apart, no rows; as `on_one_base` for times that do not lie on one base.
+    """
+    at = parse_address(address, _SCHEMES)
+    if at.window or at.each:
+        raise BadRecord(f"{at.shown}: is read as one record; leave window and each out")
+    fields = _fields(at)
+    rows, instants, values = _rows(at, [fields[tag] for tag in at.tags or fields])
+    if len(rows) > 1:
+        told = "; ".join(_said(tags) for tags in rows[:_LISTED])
+        example = next(iter(rows[0].items()))
+        raise BadRecord(
+            f"{at.shown}: holds rows of several sources ({told}); say which, as"
+            f" &{urlencode([example])}"
+        )
+    if not len(instants):
+        raise BadRecord(f"{at.shown}: no rows in that time")
+    channels = [
+        TimedChannel(tag, unit_of_head(fields[tag])[1], instants, row)
+        for tag, row in zip(at.tags or fields, values, strict=True)
+    ]
+    return on_one_base(channels, at.shown, options)
+
+
+def _said(tags: Mapping[str, str]) -> str:
+    return ", ".join(f"{name}={value}" for name, value in tags.items())
+
+
+def _fields(at: Address) -> dict[str, str]:
+    """Names of the measurement's fields of numbers, without their units → as the server has them."""
+    kinds: dict[str, str] = {}
+    for series in _answers(at, f"SHOW FIELD KEYS FROM {_name(at.table[-1])}"):
+        kinds |= {str(name): str(kind) for name, kind in series["values"]}
+    if not kinds:
+        known = [
+            str(name)
+            for series in _answers(at, "SHOW MEASUREMENTS")
+            for (name,) in series["values"]
+        ]
+        measurement = at.table[-1]
+        raise BadRecord(
+            f"{at.shown}: no measurement {measurement!r};"
+            f" {known_names(measurement, known, 'there are')}"
+        )
+    numbers = [name for name, kind in kinds.items() if kind in _NUMBERS]
+    by_name = {unit_of_head(name)[0]: name for name in numbers}
+    wanted = by_name | {name: name for name in numbers if name in at.tags}
+    for tag in at.tags:
+        if tag not in wanted:
+            raise BadRecord(
+                f"{at.shown}: no field of numbers {tag!r}; {known_names(tag, by_name, 'there are')}"
+            )
+    if not wanted:
+        raise BadRecord(f"{at.shown}: has no field of numbers; there are {', '.join(kinds)}")
+    return wanted
+
+
+def _rows(at: Address, fields: list[str]) -> tuple[list[dict[str, str]], FloatArray, FloatArray]:
+    """The tags that tell rows apart, instants [s since 1970], values (fields, n); NaN where there
+    is no value.
+    """
+    ends = [("time", ">=", at.start), ("time", "<", at.end)]
+    conditions = [
+        f"{name} {sign} '{instant.isoformat().replace('+00:00', 'Z')}'"
+        for name, sign, instant in ends
+        if instant is not None
+    ]
+    conditions += [f"{_name(name)} = {_text(value)}" for name, value in at.where.items()]
+    where = f" WHERE {' AND '.join(conditions)}" if conditions else ""
+    query = (
+        f"SELECT {', '.join(map(_name, fields))} FROM {'.'.join(map(_name, at.table))}{where}"
+        " GROUP BY *"
+    )
+    apart: list[dict[str, str]] = []
+    blocks = []
+    for series in _answers(at, query):
+        tags = {name: value for name, value in series.get("tags", {}).items() if value}
+        if tags not in apart:
+            apart.append(tags)
+        blocks.append(np.array(series["values"], dtype=np.float64))
+    table = np.concatenate(blocks) if blocks else np.empty((0, 1 + len(fields)))
+    return apart, 1e-6 * table[:, 0], np.ascontiguousarray(table[:, 1:].T)
+
+
+def _name(name: str) -> str:
+    escaped = name.replace("\\", "\\\\").replace('"', '\\"')
+    return f'"{escaped}"'
+
+
+def _text(value: str) -> str:
+    escaped = value.replace("\\", "\\\\").replace("'", "\\'")
+    return f"'{escaped}'"
+
+
+def _answers(at: Address, query: str) -> Iterator[dict[str, Any]]:
+    """The series of a query's answer, as the server sends them."""
+    asked = {
+        "db": at.server["dbname"],
+        "q": query,
+        "epoch": "u",
+        "chunked": "true",
+        "chunk_size": _CHUNK,
+    }
+    scheme = "https" if at.scheme == "influxs" else "http"
+    host = f"{at.server['host']}:{at.server['port'] or _PORT}"
+    url = f"{scheme}://{host}/query?{urlencode(asked)}"
+    try:
+        with urlopen(Request(url, headers=_credentials(at)), timeout=_PATIENCE) as answer:
+            for line in answer:
+                yield from _series(at, orjson.loads(line))
+    except HTTPError as error:
+        raise BadRecord(f"{at.shown}: {error.code} {_refusal(error)}") from None
+    except (URLError, OSError, orjson.JSONDecodeError) as error:
+        raise BadRecord(f"{at.shown}: {in_one_line(error)}") from None
+
+
+def _series(at: Address, answer: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+    for result in answer.get("results", [answer]):
+        if "error" in result:
+            raise BadRecord(f"{at.shown}: {result['error']}")
+        yield from result.get("series", [])
+
+
+def _credentials(at: Address) -> dict[str, str]:
+    password = at.server.get("password") or os.environ.get("INFLUX_PASSWORD")
+    if at.server.get("user") and password:
+        both = f"{at.server['user']}:{password}".encode()
+        return {"Authorization": f"Basic {base64.b64encode(both).decode()}"}
+    token = os.environ.get("INFLUX_TOKEN")
+    return {"Authorization": f"Token {token}"} if token else {}
+
+
+def _refusal(error: HTTPError) -> str:
+    """What a server says in its body, else the reason of its status."""
+    try:
+        said = json.loads(error.read(_CHUNK))
+        return str(said.get("error") or said.get("message") or error.reason)
+    except (ValueError, AttributeError):
+        return str(error.reason)
