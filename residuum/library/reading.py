@@ -268,7 +268,9 @@ def read(
     A history is a table of PostgreSQL or TimescaleDB (extra `postgres`), named by its address:
     `timescale://user@host/database/table?tags=speed,torque&start=2026-03-01&end=2026-03-08`. Where
     columns have no usual names, `time`, `tag` and `value` say them; any other key chooses rows by
-    what a column holds.
+    what a column holds. `influx://host/database/measurement?tags=…` is one of InfluxDB, and
+    `opc.tcp://host:4840?nodes=ns=2;s=Speed&start=…&end=…` the nodes of an OPC UA server that keeps
+    their history (extra `opcua`).
 
     A logger's text file is read by its mapping, which `residuum inspect --out` writes, or by what
     is understood of it.
