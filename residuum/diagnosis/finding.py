@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -29,6 +29,15 @@ LIMITS_HOLD = "absolute_limits_hold"
 """Evidence of a window that passes no absolute limit, and has no baseline by which it could be
 called healthy.
 """
+
+
+class Statement(NamedTuple):
+    """What a finding names, in a few words, and how probable it calls that (None: it does not
+    say).
+    """
+
+    says: str
+    probability: float | None
 
 
 @dataclass(frozen=True)
@@ -121,6 +130,25 @@ class Finding:
         baseline.
         """
         return bool(self.evidence.get(LIMITS_HOLD))
+
+    @property
+    def statement(self) -> Statement:
+        """What can be confirmed or refuted at the machine: of a faulty finding its likeliest cause,
+        else its fault class, else that it is faulty; of any other the verdict.
+
+        >>> cause = {"name": "coulomb-friction", "place": "shaft", "probability": 0.8}
+        >>> Finding("model-based", "faulty", evidence={"causes": [cause]}).statement
+        Statement(says='coulomb-friction of shaft', probability=0.8)
+        """
+        if self.verdict is not Verdict.FAULTY:
+            return Statement(self.verdict.value, None)
+        causes = self.evidence.get("causes") or []
+        if causes:
+            name, place = causes[0]["name"], causes[0]["place"]
+            says = f"{name} of {place}" if place else str(name)
+            return Statement(says, causes[0].get("probability"))
+        classes = self.evidence.get("probabilities") or {}
+        return Statement(self.fault_class or self.verdict.value, classes.get(self.fault_class))
 
     @property
     def only_recorded(self) -> bool:

@@ -112,6 +112,34 @@ findings = Table(
     Index(None, "asset_id", "id"),
 )
 
+confirmations = Table(
+    "confirmations",
+    metadata,
+    Column("id", Identity, primary_key=True, autoincrement=True),
+    Column("asset_id", ForeignKey("assets.id"), nullable=False),
+    # No keys of other tables: what was found at a machine outlives the rows of what was said.
+    Column("finding_id", BigInteger, nullable=False),
+    Column("window_id", BigInteger, nullable=False),
+    Column("finding_at", UtcDateTime, nullable=False),
+    Column("diagnoser", String(64), nullable=False),
+    Column("verdict", String(20), nullable=False),
+    Column("said", Text, nullable=False),
+    Column("probability", Float),
+    Column("outcome", String(12), nullable=False),
+    Column("cause", Text),
+    Column("part", Text),
+    Column("order_number", Text),
+    Column("who", Text, nullable=False),
+    Column("found_at", UtcDateTime, nullable=False),
+    Column("note", Text),
+    Column("healthy", Boolean, nullable=False),
+    Column("at", UtcDateTime, nullable=False),
+    Column("by", String(64)),
+    Column("checksum", String(8)),
+    Index(None, "finding_id"),
+    Index(None, "asset_id", "finding_at"),
+)
+
 finding_hours = Table(
     "finding_hours",
     metadata,

@@ -37,6 +37,7 @@ from residuum.service.storage.tables import (
     alarm_notices,
     alarms,
     assets,
+    confirmations,
     finding_hours,
     findings,
     model_versions,
@@ -78,6 +79,7 @@ SEALED: Mapping[Table, tuple[str, str]] = {
     records: ("0010", "record {id}"),
     finding_hours: ("0010", "hour {hour} of {asset_id!r}"),
     alarm_notices: ("0011", "notice {number} of an alarm"),
+    confirmations: ("0012", "confirmation {id} of {asset_id!r}"),
 }
 """The tables whose rows have a checksum: since which revision of the schema, and what a row of
 theirs is called.
