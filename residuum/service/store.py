@@ -243,6 +243,8 @@ class Alarm(_Plain):
     shelved_until: datetime | None
     comment: str | None
     window: int | None
+    priority: str | None = None
+    suppressed_by: str | None = None
 
 
 @dataclass(frozen=True)
@@ -277,6 +279,7 @@ class AlarmOccurrence(_Plain):
     message: str | None
     times_threshold: float | None
     window: int | None
+    priority: str | None = None
 
 
 @dataclass(frozen=True)

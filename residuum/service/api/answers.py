@@ -187,6 +187,12 @@ class AlarmAnswer(BaseModel):
     shelved_until: datetime | None
     comment: str | None
     window: int | None
+    priority: str | None = Field(
+        description="`high`, `medium` or `low` by its rule when it was raised; null: no rule says."
+    )
+    suppressed_by: str | None = Field(
+        description="State of the machine that suppresses it; null: none, or somebody did."
+    )
 
 
 class AlarmOccurrenceAnswer(BaseModel):
@@ -210,6 +216,7 @@ class AlarmOccurrenceAnswer(BaseModel):
         description="The largest indicator over its threshold when it was raised."
     )
     window: int | None
+    priority: str | None = Field(description="Of the alarm, when it was raised last.")
 
 
 class AlarmRatesAnswer(BaseModel):

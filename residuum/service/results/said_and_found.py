@@ -62,9 +62,12 @@ def said_and_found(confirmations: Sequence[Confirmation]) -> SaidAndFound:
     """Counts of confirmations, one a finding. Found so is what was confirmed: what was corrected
     was something else.
     """
-    with_probability = [each for each in confirmations if each.probability is not None]
-    said = [each.probability for each in with_probability]
-    true = [each.outcome == Outcome.CONFIRMED for each in with_probability]
+    pairs = [
+        (each.probability, each.outcome == Outcome.CONFIRMED)
+        for each in confirmations
+        if each.probability is not None
+    ]
+    said, true = [probability for probability, _ in pairs], [found for _, found in pairs]
     return SaidAndFound(
         answered=len(confirmations),
         without_probability=len(confirmations) - len(said),

@@ -21,6 +21,7 @@ from residuum.diagnosis.finding import Finding
 from residuum.identification.errors import in_one_line
 from residuum.identification.record import Record
 from residuum.service.alarms.alarm_states import AlarmEvent, AlarmRule
+from residuum.service.alarms.machine_states import suppressing_state
 from residuum.service.storage import audit as audit_trail
 from residuum.service.storage import retention, time_range
 from residuum.service.storage.blocks import BlockReference, Blocks, BrokenBlock
@@ -309,8 +310,10 @@ class DiskStore:
             )
             number = asset_rows.add_finding(connection, asset, window, finding, now)
             finding_notices.add(connection, number)
+            rule, seen_at = self._rule_of(asset), _seen_at(record, now)
+            aside = suppressing_state(rule, record)
             changed = alarm_rows.follow(
-                connection, asset, window, finding, now, self._rule_of(asset), _seen_at(record, now)
+                connection, asset, window, finding, now, rule, seen_at, aside
             )
         self._refuse_moved()
         self._announce("finding", StoredFinding(number, asset, window, now, finding).to_json())

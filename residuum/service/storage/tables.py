@@ -175,6 +175,8 @@ alarms = Table(
     Column("shelved_until", UtcDateTime),
     Column("comment", Text),
     Column("window_id", ForeignKey("windows.id")),
+    Column("priority", String(10)),
+    Column("suppressed_by", Text),
     Column("checksum", String(8)),
     UniqueConstraint("asset_id", "kind"),
 )

@@ -15,10 +15,14 @@ from sqlalchemy import Connection, Row, insert, select, update
 from residuum.diagnosis.finding import Finding, Verdict
 from residuum.service.alarms import alarm_states
 from residuum.service.alarms.alarm_states import (
+    ACTIVE,
+    MACHINE,
+    SIGNAL,
     AlarmEvent,
     AlarmRule,
     AlarmState,
     AlarmStatus,
+    Priority,
     beyond,
     in_deadband,
     severity,
@@ -27,8 +31,6 @@ from residuum.service.storage import audit, outbox
 from residuum.service.storage.rows import paging, row_checks
 from residuum.service.storage.tables import alarm_journal, alarms
 from residuum.service.store import Alarm, AlarmEntry, NotFound, Page
-
-MACHINE, SIGNAL = "machine", "signal"
 
 _NEVER_RAISED = {
     "state": AlarmState.NORMAL.value,
@@ -52,11 +54,18 @@ def follow(
     now: datetime,
     rule: AlarmRule,
     seen_at: datetime | None = None,
+    aside: str | None = "",
 ) -> list[Followed]:
     """Let an asset's alarms follow a finding; returns the alarms that changed their state, or their
     text with a worse finding.
 
-    `seen_at` is the window's own time, by which delays count; None: now.
+    Parameters
+    ----------
+    seen_at : datetime or None
+        The window's own time, by which delays count; None: now.
+    aside : str or None
+        The state of the machine that suppresses its alarms; empty for none, None where the window
+        does not tell: then what is suppressed stays so, and nothing else becomes it.
     """
     if finding.only_recorded:
         return []
@@ -72,6 +81,10 @@ def follow(
         if row is None and not faulty:
             continue
         row = row or _new(connection, asset, kind)
+        if aside and (row.state in _LISTED or (faulty and row.state == AlarmState.NORMAL)):
+            hidden = _suppressed(connection, row, aside, now)
+            changed.append(hidden)
+            row = _row(connection, row.id)
         # none stood above a threshold of its own: any counts
         raised_by = json.loads(row.raised_by or "[]") or None
         held = (
@@ -87,6 +100,7 @@ def follow(
             event,
             window=window,
             finding=finding if faulty else None,
+            priority=rule.priority(kind),
             now=now,
         )
         if alarm is not None:
@@ -94,7 +108,44 @@ def follow(
     says_nothing = finding.verdict is Verdict.NOT_ASSESSABLE and not finding.within_absolute_limits
     if says_nothing and (row := rows.get(MACHINE)) is not None:
         _put(connection, row.id, {"judged_at": alarm_states.unjudged(_status(row)).judged_at})
-    return changed
+    return changed if aside != "" else [*changed, *_released(connection, asset, now)]
+
+
+_LISTED = tuple(state.value for state in ACTIVE)
+
+
+def _suppressed(connection: Connection, row: Row[Any], aside: str, now: datetime) -> Followed:
+    """An alarm that means nothing in the state that its machine is in: off the list by itself."""
+    changes = {"state": AlarmState.SUPPRESSED.value, "suppressed_by": aside}
+    event = AlarmEvent.SUPPRESS
+    return Followed(_change(connection, row.id, changes, event, by=None, comment=aside, now=now))
+
+
+def _released(connection: Connection, asset: str, now: datetime) -> list[Followed]:
+    """The alarms of a machine that has left the state that suppressed them, as their conditions
+    are.
+    """
+    hidden = (
+        (alarms.c.asset_id == asset)
+        & (alarms.c.state == AlarmState.SUPPRESSED.value)
+        & alarms.c.suppressed_by.is_not(None)
+    )
+    rows = connection.execute(select(alarms).where(hidden).order_by(alarms.c.id)).all()
+    return [
+        Followed(
+            operate(
+                connection,
+                row.id,
+                AlarmEvent.RELEASE,
+                by=None,
+                comment=None,
+                until=None,
+                now=now,
+            )
+        )
+        for row in rows
+        if not _differs(row)
+    ]
 
 
 @dataclass(frozen=True)
@@ -127,6 +178,7 @@ def operate(
     changes: dict[str, Any] = {
         "state": state.value,
         "shelved_until": until if state is AlarmState.SHELVED else None,
+        "suppressed_by": None,
     }
     if comment is not None:
         changes["comment"] = comment
@@ -246,6 +298,7 @@ def _follow_one(
     *,
     window: int,
     finding: Finding | None,
+    priority: Priority | None,
     now: datetime,
 ) -> Followed | None:
     changes: dict[str, Any] = asdict(after) | {"state": after.state.value}
@@ -268,6 +321,7 @@ def _follow_one(
             }
     changes |= worse
     if event is AlarmEvent.RAISE:
+        changes["priority"] = None if priority is None else priority.value
         changes |= {"raised_at": now, "cleared_at": None, "occurrences": row.occurrences + 1}
         if after.state is AlarmState.UNACKNOWLEDGED:
             changes |= {"acknowledged_at": None, "acknowledged_by": None, "comment": None}
@@ -373,6 +427,8 @@ def _alarm(row: Row[Any]) -> Alarm:
         row.shelved_until,
         row.comment,
         row.window_id,
+        row.priority,
+        row.suppressed_by,
     )
 
 
@@ -394,4 +450,6 @@ def _damaged(row: Row[Any]) -> Alarm:
         shelved_until=None,
         comment=None,
         window=None,
+        priority=None,
+        suppressed_by=None,
     )
