@@ -149,6 +149,15 @@ class AlarmRule(BaseModel):
         le=7 * 24 * 60,
         description="Minutes that shelving lasts at most.",
     )
+    flood: int = Field(
+        default=0,
+        ge=0,
+        le=10_000,
+        description=(
+            "More alarms of the plant than this in ten minutes are a flood, which receivers are told"
+            " as one when it begins and when it is over; 0: each change is told."
+        ),
+    )
     suppress: tuple[MachineState, ...] = Field(
         default=(),
         max_length=10,

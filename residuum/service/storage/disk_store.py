@@ -28,10 +28,10 @@ from residuum.service.storage.blocks import BlockReference, Blocks, BrokenBlock
 from residuum.service.storage.database import Busy, Database, OutcomeUnknown, SamePlace, sqlite_file
 from residuum.service.storage.outbox import Outbox
 from residuum.service.storage.retention import Clock, Retention
+from residuum.service.storage.rows import alarm_floods, block_rows, finding_notices
 from residuum.service.storage.rows import alarm_history as alarm_occurrences
 from residuum.service.storage.rows import alarms as alarm_rows
 from residuum.service.storage.rows import assets as asset_rows
-from residuum.service.storage.rows import block_rows, finding_notices
 from residuum.service.storage.rows import confirmations as confirmation_rows
 from residuum.service.storage.rows import finding_hours as finding_hour_rows
 from residuum.service.storage.rows import models as model_rows
@@ -203,9 +203,10 @@ class DiskStore:
         return None
 
     def unshelve_expired(self) -> None:
-        """Put alarms back whose shelving has run out."""
+        """Put alarms back whose shelving has run out, and tell of a flood that is over."""
         with self._database.write() as connection:
             expired = alarm_rows.unshelve_expired(connection, _now())
+            alarm_floods.end(connection, _now())
         for alarm in expired:
             self._announce("alarm", alarm.to_json())
 

@@ -223,6 +223,18 @@ alarm_notices = Table(
     Column("checksum", String(8)),
 )
 
+alarm_floods = Table(
+    "alarm_floods",
+    metadata,
+    Column("id", Identity, primary_key=True, autoincrement=True),
+    Column("began_at", UtcDateTime, nullable=False),
+    Column("ended_at", UtcDateTime),
+    Column("more_than", Integer, nullable=False),
+    Column("raised", Integer, nullable=False),
+    Column("checksum", String(8)),
+    Index(None, "ended_at"),
+)
+
 receivers = Table(
     "receivers",
     metadata,

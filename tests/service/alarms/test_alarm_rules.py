@@ -11,7 +11,7 @@ from pydantic import ValidationError
 
 from residuum.diagnosis.finding import Finding
 from residuum.identification.record import Record
-from residuum.service.alarms.alarm_states import AlarmRule, Consequence, priority_of
+from residuum.service.alarms.alarm_states import AlarmEvent, AlarmRule, Consequence, priority_of
 from residuum.service.alarms.machine_states import suppressing_state
 from residuum.service.results.rationalisation import rationalisation_table
 from residuum.service.storage import DiskStore
@@ -127,7 +127,7 @@ def test_an_alarm_is_suppressed_while_its_machine_stands_and_comes_back_as_its_f
 def test_what_an_operator_suppressed_is_not_released_by_the_machine(open_store):
     store = open_store(suppress=[STANDS])
     store.add_window("press", record(), finding("faulty"))
-    store.operate_alarm(1, "suppress", "eva")
+    store.operate_alarm(1, AlarmEvent.SUPPRESS, "eva")
     store.add_window("press", record(0), finding("faulty"))
     store.add_window("press", record(), finding("faulty"))
     assert store.alarm(1).state == "suppressed"

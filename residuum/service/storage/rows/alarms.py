@@ -22,13 +22,12 @@ from residuum.service.alarms.alarm_states import (
     AlarmRule,
     AlarmState,
     AlarmStatus,
-    Priority,
     beyond,
     in_deadband,
     severity,
 )
 from residuum.service.storage import audit, outbox
-from residuum.service.storage.rows import paging, row_checks
+from residuum.service.storage.rows import alarm_floods, paging, row_checks
 from residuum.service.storage.tables import alarm_journal, alarms
 from residuum.service.store import Alarm, AlarmEntry, NotFound, Page
 
@@ -100,7 +99,7 @@ def follow(
             event,
             window=window,
             finding=finding if faulty else None,
-            priority=rule.priority(kind),
+            rule=rule,
             now=now,
         )
         if alarm is not None:
@@ -298,7 +297,7 @@ def _follow_one(
     *,
     window: int,
     finding: Finding | None,
-    priority: Priority | None,
+    rule: AlarmRule,
     now: datetime,
 ) -> Followed | None:
     changes: dict[str, Any] = asdict(after) | {"state": after.state.value}
@@ -321,6 +320,7 @@ def _follow_one(
             }
     changes |= worse
     if event is AlarmEvent.RAISE:
+        priority = rule.priority(row.kind)
         changes["priority"] = None if priority is None else priority.value
         changes |= {"raised_at": now, "cleared_at": None, "occurrences": row.occurrences + 1}
         if after.state is AlarmState.UNACKNOWLEDGED:
@@ -328,7 +328,11 @@ def _follow_one(
     if event is AlarmEvent.CLEAR:
         changes["cleared_at"] = now
     if event is not None:
-        return Followed(_change(connection, row.id, changes, event, by=None, comment=None, now=now))
+        return Followed(
+            _change(
+                connection, row.id, changes, event, by=None, comment=None, now=now, flood=rule.flood
+            )
+        )
     changed = _put(connection, row.id, changes)
     return (
         Followed(_alarm(changed), text_alone=True)
@@ -357,6 +361,7 @@ def _change(
     by: str | None,
     comment: str | None,
     now: datetime,
+    flood: int = 0,
 ) -> Alarm:
     row = _put(connection, alarm, changes)
     entry = {
@@ -373,7 +378,8 @@ def _change(
         connection, f"alarm {event.value}", f"alarm {alarm}", by=by, now=now, detail=detail
     )
     changed = _alarm(row)
-    outbox.add(connection, changed)
+    if not alarm_floods.takes(connection, event, flood, now):
+        outbox.add(connection, changed)
     return changed
 
 

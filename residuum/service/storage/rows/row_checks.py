@@ -33,6 +33,7 @@ from sqlalchemy import (
 from residuum.diagnosis.finding import Verdict
 from residuum.service.alarms.alarm_states import AlarmState
 from residuum.service.storage.tables import (
+    alarm_floods,
     alarm_journal,
     alarm_notices,
     alarms,
@@ -79,6 +80,7 @@ SEALED: Mapping[Table, tuple[str, str]] = {
     records: ("0010", "record {id}"),
     finding_hours: ("0010", "hour {hour} of {asset_id!r}"),
     alarm_notices: ("0011", "notice {number} of an alarm"),
+    alarm_floods: ("0014", "flood {id} of alarms"),
     confirmations: ("0012", "confirmation {id} of {asset_id!r}"),
 }
 """The tables whose rows have a checksum: since which revision of the schema, and what a row of
