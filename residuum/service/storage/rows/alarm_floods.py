@@ -81,9 +81,7 @@ def _tell(connection: Connection, flood: Row[Any], phase: str, now: datetime) ->
     minutes before.
     """
     changed = select(alarm_journal.c.alarm_id).where(alarm_journal.c.at > flood.began_at - _WITHIN)
-    columns = (alarms.c.id, alarms.c.asset_id, alarms.c.kind, alarms.c.state)
-    columns += (alarms.c.condition, alarms.c.priority, alarms.c.message)
-    query = select(*columns).where(alarms.c.id.in_(changed)).order_by(alarms.c.id)
+    query = select(alarms).where(alarms.c.id.in_(changed)).order_by(alarms.c.id)
     told = {
         "kind": FLOOD,
         "phase": phase,
@@ -91,12 +89,22 @@ def _tell(connection: Connection, flood: Row[Any], phase: str, now: datetime) ->
         "began_at": flood.began_at,
         "ended_at": flood.ended_at,
         "raised": flood.raised,
-        "alarms": [
-            {"asset": row.asset_id, **{k: v for k, v in row._mapping.items() if k != "asset_id"}}
-            for row in connection.execute(query)
-        ],
+        "alarms": [_short(row) for row in connection.execute(query)],
     }
     detail = {"raised": flood.raised, "began_at": flood.began_at}
     subject = f"flood {flood.id}"
     audit.append(connection, f"alarm flood {phase}", subject, by=None, now=now, detail=detail)
     outbox.add_notice(connection, told)
+
+
+def _short(row: Row[Any]) -> dict[str, Any]:
+    """An alarm in a notice of a flood; of a damaged row only which one it is."""
+    named = {"id": row.id, "asset": row.asset_id, "kind": row.kind}
+    if row_checks.differs(alarms, row._mapping):
+        return named | {"state": "damaged", "message": row_checks.TELLS}
+    return named | {
+        "state": row.state,
+        "condition": row.condition,
+        "priority": row.priority,
+        "message": row.message,
+    }
