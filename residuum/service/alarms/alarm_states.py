@@ -13,6 +13,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from datetime import datetime
 from enum import StrEnum
+from typing import Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
@@ -25,12 +26,8 @@ MACHINE, SIGNAL = "machine", "signal"
 # AlarmRule: when what a machine shows becomes an alarm, and when it no longer is one.
 
 
-class Consequence(StrEnum):
-    """What happens where nobody answers an alarm in time."""
-
-    MINOR = "minor"
-    MAJOR = "major"
-    SEVERE = "severe"
+Consequence = Literal["minor", "major", "severe"]
+"""What happens where nobody answers an alarm in time."""
 
 
 class Priority(StrEnum):
@@ -53,11 +50,11 @@ def priority_of(consequence: Consequence, time_to_respond: float) -> Priority:
     Ranks are added: minor 0, major 1, severe 2; later 0, within half an hour 1, within five minutes
     2. A sum of 3 or more is high, 2 medium, less low.
 
-    >>> priority_of(Consequence.SEVERE, 1200.0).value, priority_of(Consequence.MINOR, 60.0).value
+    >>> priority_of("severe", 1200.0).value, priority_of("minor", 60.0).value
     ('high', 'medium')
     """
     urgency = 2 if time_to_respond <= _PROMPT else 1 if time_to_respond <= _SOON else 0
-    return _PRIORITIES[list(Consequence).index(consequence) + urgency]
+    return _PRIORITIES[get_args(Consequence).index(consequence) + urgency]
 
 
 class MachineState(BaseModel):

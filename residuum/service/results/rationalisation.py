@@ -62,7 +62,7 @@ def _row(asset: Asset | None, kind: str, rule: AlarmRule) -> dict[str, Any]:
         "on_delay": rule.on_delay,
         "off_delay": rule.off_delay,
         "latch": rule.latch,
-        "consequence": "" if rule.consequence is None else rule.consequence.value,
+        "consequence": rule.consequence or "",
         "time_to_respond": "" if rule.time_to_respond is None else rule.time_to_respond,
         "priority": "" if priority is None else priority.value,
         "action": rule.action,
