@@ -7,11 +7,15 @@ import { moment, percent } from "../lib/format.js";
 
 const OUTCOMES = { confirmed: "It was so", corrected: "It was something else", refuted: "There was no such thing" };
 
-// Draws what is known of a finding into a place; what is told there is known at once.
+// Draws what is known of a finding into a place; what is told there is known at once. What is drawn already stays: somebody may
+// be writing.
 export function drawFound(place, asset, finding) {
-  if (!finding || finding.verdict === "not-assessable") return show(place);
+  const says = finding && finding.verdict !== "not-assessable" ? `${finding.id} ${finding.confirmation?.id ?? ""}` : "";
+  if (place.dataset.says === says) return;
+  place.dataset.says = says;
   const told = (confirmation) => drawFound(place, asset, { ...finding, confirmation });
-  return show(place, known(finding.confirmation), form(asset, finding, told));
+  if (says) show(place, known(finding.confirmation), form(asset, finding, told));
+  else show(place);
 }
 
 function known(found) {
