@@ -31,6 +31,24 @@ called healthy.
 """
 
 
+class Ne107(StrEnum):
+    """Categories of NAMUR recommendation NE 107: what somebody is to do about a device."""
+
+    GOOD = "good"
+    FUNCTION_CHECK = "function-check"
+    OUT_OF_SPECIFICATION = "out-of-specification"
+    MAINTENANCE_REQUIRED = "maintenance-required"
+    FAILURE = "failure"
+
+
+_CATEGORY_OF_CAUSE = {
+    "sensor": Ne107.FAILURE,
+    "actuator": Ne107.FAILURE,
+    "disturbance": Ne107.OUT_OF_SPECIFICATION,
+    "unknown": Ne107.OUT_OF_SPECIFICATION,
+}
+
+
 class Statement(NamedTuple):
     """What a finding names, in a few words, and how probable it calls that (None: it does not
     say).
@@ -151,6 +169,26 @@ class Finding:
         return Statement(self.fault_class or self.verdict.value, classes.get(self.fault_class))
 
     @property
+    def ne107(self) -> Ne107:
+        """The category of NE 107, as this package reads it.
+
+        Healthy is good. What could not be judged asks for a function check. Of a faulty finding the
+        kind of the likeliest cause decides: a signal that cannot be trusted, or an actuator that does
+        not follow, is a failure; a disturbance, or what no known cause explains, is out of
+        specification; anything else that changed asks for maintenance.
+
+        >>> Finding("bearing", "faulty", "ball").ne107.value
+        'maintenance-required'
+        """
+        if self.verdict is Verdict.HEALTHY:
+            return Ne107.GOOD
+        if self.verdict is Verdict.NOT_ASSESSABLE:
+            return Ne107.FUNCTION_CHECK
+        causes = self.evidence.get("causes") or [{}]
+        kind = str(causes[0].get("kind", ""))
+        return _CATEGORY_OF_CAUSE.get(kind, Ne107.MAINTENANCE_REQUIRED)
+
+    @property
     def only_recorded(self) -> bool:
         """Whether nothing was judged, because there was no baseline."""
         return bool(self.evidence.get(RECORDED))
@@ -164,6 +202,7 @@ class Finding:
             "diagnoser": self.diagnoser,
             "verdict": self.verdict.value,
             "class": self.fault_class,
+            "ne107": self.ne107.value,
             "indicators": _plain(self.indicators),
             "thresholds": _plain(self.thresholds),
             "units": dict(self.units),

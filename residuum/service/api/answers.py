@@ -49,6 +49,12 @@ class ScoreAnswer(BaseModel):
         description="`healthy`, `faulty` or `not-assessable` (then `reason` says why)."
     )
     fault_class: str | None = Field(alias="class")
+    ne107: str = Field(
+        description=(
+            "Category of NAMUR NE 107: `good`, `function-check`, `out-of-specification`,"
+            " `maintenance-required` or `failure`."
+        )
+    )
     indicators: dict[str, float | None]
     thresholds: dict[str, float | None]
     units: dict[str, str]
