@@ -118,6 +118,8 @@ def test_an_alarm_is_suppressed_while_its_machine_stands_and_comes_back_as_its_f
     assert see("healthy", 0) == stands and see("faulty", 0) == stands
     assert see("faulty", 0, "V") == stands, "a window that cannot tell changes nothing"
     assert see("faulty", 1500) == ("unacknowledged", None)
+    assert see("not-assessable", 0) == stands, "most windows of a machine that stands"
+    assert see("faulty", 1500) == ("unacknowledged", None)
     assert see("healthy", 0)[0] == "suppressed" and see("healthy", 1500) == ("normal", None)
     assert see("healthy", 0) == ("normal", None), "what is not on the list needs no suppression"
     before = len(store.alarm_journal(1))

@@ -70,7 +70,12 @@ def follow(
         return []
     stored = connection.execute(select(alarms).where(alarms.c.asset_id == asset)).all()
     rows = {row.kind: _begun_anew(connection, row, now) if _differs(row) else row for row in stored}
+    was_hidden = any(row.suppressed_by for row in rows.values())
     changed = []
+    if aside:  # whatever the window says: most windows of a machine that stands cannot be judged
+        for kind in [kind for kind, row in rows.items() if row.state in _LISTED]:
+            changed.append(_suppressed(connection, rows[kind], aside, now))
+            rows[kind] = _row(connection, rows[kind].id)
     # Without a baseline an absolute limit raised the alarm: where all of them hold again, nothing
     # keeps it.
     for kind, faulty in _SHOWN[
@@ -80,9 +85,8 @@ def follow(
         if row is None and not faulty:
             continue
         row = row or _new(connection, asset, kind)
-        if aside and (row.state in _LISTED or (faulty and row.state == AlarmState.NORMAL)):
-            hidden = _suppressed(connection, row, aside, now)
-            changed.append(hidden)
+        if aside and faulty and row.state == AlarmState.NORMAL.value:
+            changed.append(_suppressed(connection, row, aside, now))
             row = _row(connection, row.id)
         # none stood above a threshold of its own: any counts
         raised_by = json.loads(row.raised_by or "[]") or None
@@ -107,7 +111,8 @@ def follow(
     says_nothing = finding.verdict is Verdict.NOT_ASSESSABLE and not finding.within_absolute_limits
     if says_nothing and (row := rows.get(MACHINE)) is not None:
         _put(connection, row.id, {"judged_at": alarm_states.unjudged(_status(row)).judged_at})
-    return changed if aside != "" else [*changed, *_released(connection, asset, now)]
+    leaves = was_hidden and aside == ""
+    return [*changed, *_released(connection, asset, now)] if leaves else changed
 
 
 _LISTED = tuple(state.value for state in ACTIVE)
