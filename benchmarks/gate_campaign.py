@@ -28,7 +28,6 @@ from benchmarks.gate_actuator import (
     percent,
     trained,
 )
-from benchmarks.reliability import expected_calibration_error, reliability_table
 from residuum.diagnosis.gate.actuator_model import (
     ActuatorConstants,
     AdaptedModel,
@@ -44,6 +43,7 @@ from residuum.diagnosis.learning.diagnoser_validation import (
     object_wise,
     proportion_interval,
 )
+from residuum.diagnosis.learning.reliability import expected_calibration_error, reliability_table
 from residuum.diagnosis.residuals.fault_isolation import (
     HEALTHY,
     PINION_OR_GEAR,

@@ -21,7 +21,6 @@ from typing import Any
 import numpy as np
 import orjson
 
-from benchmarks.reliability_picture import reliability_svg
 from benchmarks.said_probabilities import KINDS, Statement, lines_of, real_names, statements, told
 from residuum.identification.discrepancy.explain import explain
 from residuum.identification.discrepancy.explanation import Explanation
@@ -29,6 +28,7 @@ from residuum.identification.discrepancy.improve import improve
 from residuum.identification.discrepancy.improvement import Improvement
 from residuum.identification.physics import PhysicalModel, candidates, estimate, load_model, match
 from residuum.identification.record import Record
+from residuum.service.results.reliability_picture import reliability_svg
 from residuum.simulation import MACHINES
 
 SEEDS = int(os.environ.get("HIDDEN_SEEDS", "1"))
@@ -399,7 +399,10 @@ def _report_said(made: list[Statement]) -> None:
         PICTURE.parent.mkdir(parents=True, exist_ok=True)
         series = {what: lines_of([s for s in made if s.what == what]) for what in KINDS}
         PICTURE.write_text(
-            reliability_svg(series, [(s.said, s.true) for s in real_names()]), encoding="utf-8"
+            reliability_svg(
+                series, [(s.said, s.true) for s in real_names()], "real machines, first group"
+            ),
+            encoding="utf-8",
         )
 
 

@@ -32,7 +32,9 @@ ROLES = ("monitor", "viewer", "operator", "engineer", "admin")
 VERBS = ("acknowledge", "reset", "shelve", "unshelve")
 NAMES = (*VERBS, "live", "ready", "health", "metrics", "alarms", "1")
 _MONITOR = {f"{API}/metrics", f"{API}/health/live", f"{API}/health/ready"}
-_OPERATOR = {f"{API}/alarms/{{alarm}}/{verb}" for verb in VERBS}
+_OPERATOR = {f"{API}/alarms/{{alarm}}/{verb}" for verb in VERBS} | {
+    f"{API}/assets/{{asset}}/findings/{{finding}}/confirmations"
+}
 
 
 def needed(method: str, path: str) -> str:

@@ -15,9 +15,13 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.reliability import ReliabilityLine, expected_calibration_error, reliability_table
+from residuum.diagnosis.learning.reliability import (
+    TENTHS,
+    ReliabilityLine,
+    expected_calibration_error,
+    reliability_table,
+)
 
-TENTHS = tuple(np.linspace(0.0, 1.0, 11).tolist())
 NAMED, UNKNOWN, NONE = "the first group", "something unknown", "nothing that the record shows"
 SHOWS = 4.0
 """Twice the log-likelihood that the hidden effect has to gain over the refitted model to be more than chance."""

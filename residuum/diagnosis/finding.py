@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -29,6 +29,33 @@ LIMITS_HOLD = "absolute_limits_hold"
 """Evidence of a window that passes no absolute limit, and has no baseline by which it could be
 called healthy.
 """
+
+
+class Ne107(StrEnum):
+    """Categories of NAMUR recommendation NE 107: what somebody is to do about a device."""
+
+    GOOD = "good"
+    FUNCTION_CHECK = "function-check"
+    OUT_OF_SPECIFICATION = "out-of-specification"
+    MAINTENANCE_REQUIRED = "maintenance-required"
+    FAILURE = "failure"
+
+
+_CATEGORY_OF_CAUSE = {
+    "sensor": Ne107.FAILURE,
+    "actuator": Ne107.FAILURE,
+    "disturbance": Ne107.OUT_OF_SPECIFICATION,
+    "unknown": Ne107.OUT_OF_SPECIFICATION,
+}
+
+
+class Statement(NamedTuple):
+    """What a finding names, in a few words, and how probable it calls that (None: it does not
+    say).
+    """
+
+    says: str
+    probability: float | None
 
 
 @dataclass(frozen=True)
@@ -123,6 +150,45 @@ class Finding:
         return bool(self.evidence.get(LIMITS_HOLD))
 
     @property
+    def statement(self) -> Statement:
+        """What can be confirmed or refuted at the machine: of a faulty finding its likeliest cause,
+        else its fault class, else that it is faulty; of any other the verdict.
+
+        >>> cause = {"name": "coulomb-friction", "place": "shaft", "probability": 0.8}
+        >>> Finding("model-based", "faulty", evidence={"causes": [cause]}).statement
+        Statement(says='coulomb-friction of shaft', probability=0.8)
+        """
+        if self.verdict is not Verdict.FAULTY:
+            return Statement(self.verdict.value, None)
+        causes = self.evidence.get("causes") or []
+        if causes:
+            name, place = causes[0]["name"], causes[0]["place"]
+            says = f"{name} of {place}" if place else str(name)
+            return Statement(says, causes[0].get("probability"))
+        classes = self.evidence.get("probabilities") or {}
+        return Statement(self.fault_class or self.verdict.value, classes.get(self.fault_class))
+
+    @property
+    def ne107(self) -> Ne107:
+        """The category of NE 107, as this package reads it.
+
+        Healthy is good. What could not be judged asks for a function check. Of a faulty finding the
+        kind of the likeliest cause decides: a signal that cannot be trusted, or an actuator that does
+        not follow, is a failure; a disturbance, or what no known cause explains, is out of
+        specification; anything else that changed asks for maintenance.
+
+        >>> Finding("bearing", "faulty", "ball").ne107.value
+        'maintenance-required'
+        """
+        if self.verdict is Verdict.HEALTHY:
+            return Ne107.GOOD
+        if self.verdict is Verdict.NOT_ASSESSABLE:
+            return Ne107.FUNCTION_CHECK
+        causes = self.evidence.get("causes") or [{}]
+        kind = str(causes[0].get("kind", ""))
+        return _CATEGORY_OF_CAUSE.get(kind, Ne107.MAINTENANCE_REQUIRED)
+
+    @property
     def only_recorded(self) -> bool:
         """Whether nothing was judged, because there was no baseline."""
         return bool(self.evidence.get(RECORDED))
@@ -136,6 +202,7 @@ class Finding:
             "diagnoser": self.diagnoser,
             "verdict": self.verdict.value,
             "class": self.fault_class,
+            "ne107": self.ne107.value,
             "indicators": _plain(self.indicators),
             "thresholds": _plain(self.thresholds),
             "units": dict(self.units),

@@ -196,7 +196,10 @@ class Settings(BaseSettings):
     )
     alarms: AlarmRule = Field(
         AlarmRule(),
-        description="Deadband, delays and latch of alarms: deadband, on_delay, off_delay, latch.",
+        description=(
+            "Rule of alarms: deadband, delays, latch, priority, shelving, suppression by a state of"
+            " the machine."
+        ),
     )
     body_limit: int = Field(64 * 2**20, ge=1024, description="Largest request body [bytes].")
     rate_limit: float | None = Field(

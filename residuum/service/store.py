@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import datetime
+from enum import StrEnum
 from typing import Any, Generic, TypeVar
 
 import numpy.typing as npt
@@ -60,24 +61,90 @@ class Page(Generic[T]):
     next_cursor: str | None
 
 
+class Outcome(StrEnum):
+    """What was found at a machine of what a finding said: it was so, there was no such thing, or it
+    was something else.
+    """
+
+    CONFIRMED = "confirmed"
+    REFUTED = "refuted"
+    CORRECTED = "corrected"
+
+
+@dataclass(frozen=True)
+class FoundAtMachine:
+    """What somebody found at a machine, as it is told.
+
+    `cause` is what it was where it was corrected, `who` looked (None: whoever tells it) and
+    `found_at` when (None: now). `healthy` says of a refuted fault that its window may be learned
+    from as a healthy one.
+    """
+
+    outcome: Outcome
+    cause: str | None = None
+    part: str | None = None
+    order: str | None = None
+    who: str | None = None
+    found_at: datetime | None = None
+    note: str | None = None
+    healthy: bool = False
+
+
+@dataclass(frozen=True)
+class Confirmation(_Plain):
+    """What was found at a machine beside what a finding said; of several on one finding the newest
+    counts.
+
+    `said` and `probability` are the finding's statement, kept here because a finding's row may be
+    let go. `outcome` is `damaged` where the row differs from its checksum.
+    """
+
+    id: int
+    asset: str
+    finding: int
+    window: int
+    finding_at: datetime
+    diagnoser: str
+    verdict: str
+    said: str
+    probability: float | None
+    outcome: str
+    cause: str | None
+    part: str | None
+    order: str | None
+    who: str
+    found_at: datetime
+    note: str | None
+    healthy: bool
+    at: datetime
+    by: str | None
+
+
 @dataclass(frozen=True)
 class StoredFinding:
-    """A finding with its place and time (UTC)."""
+    """A finding with its place and time (UTC), and what was found at the machine, None where nobody
+    has told.
+    """
 
     id: int
     asset: str
     window: int
     at: datetime
     finding: Finding
+    confirmation: Confirmation | None = None
 
     def to_json(self) -> dict[str, Any]:
-        """The `score` object with where and when."""
+        """The `score` object with where and when, and what was found at the machine where it is
+        known.
+        """
+        found = {} if self.confirmation is None else {"confirmation": self.confirmation.to_json()}
         return {
             "id": self.id,
             "asset": self.asset,
             "window": self.window,
             "at": self.at,
             **self.finding.to_json(),
+            **found,
         }
 
 
@@ -176,6 +243,8 @@ class Alarm(_Plain):
     shelved_until: datetime | None
     comment: str | None
     window: int | None
+    priority: str | None = None
+    suppressed_by: str | None = None
 
 
 @dataclass(frozen=True)
@@ -210,6 +279,7 @@ class AlarmOccurrence(_Plain):
     message: str | None
     times_threshold: float | None
     window: int | None
+    priority: str | None = None
 
 
 @dataclass(frozen=True)

@@ -13,16 +13,86 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from datetime import datetime
 from enum import StrEnum
+from typing import Literal, get_args
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from residuum.identification.errors import BadInput
+from residuum.identification.units import parse_unit
+
+MACHINE, SIGNAL = "machine", "signal"
+"""Kinds of alarms: a fault was found, windows cannot be judged."""
 
 # AlarmRule: when what a machine shows becomes an alarm, and when it no longer is one.
 
 
+Consequence = Literal["minor", "major", "severe"]
+"""What happens where nobody answers an alarm in time."""
+
+
+class Priority(StrEnum):
+    """Which alarm an operator answers first."""
+
+    HIGH = "high"
+    MEDIUM = "medium"
+    LOW = "low"
+
+
+_PROMPT, _SOON = 300.0, 1800.0
+"""Times to respond [s] up to which an alarm asks for an answer at once, or soon."""
+_PRIORITIES = (Priority.LOW, Priority.LOW, Priority.MEDIUM, Priority.HIGH, Priority.HIGH)
+
+
+def priority_of(consequence: Consequence, time_to_respond: float) -> Priority:
+    """The priority of an alarm from what happens where nobody answers it, and the time [s] in which
+    an answer helps (ANSI/ISA-18.2-2016, clause 9, asks for both; the ranks are ours).
+
+    Ranks are added: minor 0, major 1, severe 2; later 0, within half an hour 1, within five minutes
+    2. A sum of 3 or more is high, 2 medium, less low.
+
+    >>> priority_of("severe", 1200.0).value, priority_of("minor", 60.0).value
+    ('high', 'medium')
+    """
+    urgency = 2 if time_to_respond <= _PROMPT else 1 if time_to_respond <= _SOON else 0
+    return _PRIORITIES[get_args(Consequence).index(consequence) + urgency]
+
+
+class MachineState(BaseModel):
+    """A state of the machine in which its alarms mean nothing: the median of a signal of the window
+    lies below, or above, a limit.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    signal: str = Field(min_length=1, max_length=200, description="Its name on the bus.")
+    unit: str = Field(max_length=60, description="Unit of the limit.")
+    below: float | None = Field(default=None, allow_inf_nan=False)
+    above: float | None = Field(default=None, allow_inf_nan=False)
+
+    @field_validator("unit")
+    @classmethod
+    def _known(cls, value: str) -> str:
+        try:
+            parse_unit(value)
+        except BadInput as error:
+            raise ValueError(f"suppress, unit: {error}") from None
+        return value
+
+    @model_validator(mode="after")
+    def _one_limit(self) -> MachineState:
+        if (self.below is None) == (self.above is None):
+            raise ValueError("suppress: a state has one limit; write below: or above:")
+        return self
+
+    def __str__(self) -> str:
+        side = f"below {self.below:g}" if self.above is None else f"above {self.above:g}"
+        return f"{self.signal} {side} {self.unit}".rstrip()
+
+
 class AlarmRule(BaseModel):
-    """Deadband, delays and latch of the alarms of a machine (ANSI/ISA-18.2, clause 10)."""
+    """Deadband, delays, latch, priority, shelving and suppression of the alarms of a machine
+    (ANSI/ISA-18.2, clauses 9 to 11).
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -55,6 +125,74 @@ class AlarmRule(BaseModel):
         default=False,
         description="The alarm stays when its condition goes, until it is acknowledged and reset.",
     )
+    consequence: Consequence | None = Field(
+        default=None, description="What happens where nobody answers in time; with time_to_respond."
+    )
+    time_to_respond: float | None = Field(
+        default=None,
+        gt=0,
+        le=30 * 86_400,
+        description="Seconds in which an answer helps. Both give the priority.",
+    )
+    action: str = Field(
+        default="", max_length=500, description="What an operator does about it, in words."
+    )
+    shelving_reason: bool = Field(
+        default=False, description="Whether an alarm is shelved only with a comment that says why."
+    )
+    longest_shelving: float = Field(
+        default=7 * 24 * 60,
+        gt=0,
+        le=7 * 24 * 60,
+        description="Minutes that shelving lasts at most.",
+    )
+    flood: int = Field(
+        default=0,
+        ge=0,
+        le=10_000,
+        description=(
+            "More alarms of the plant than this in ten minutes are a flood, which receivers are told"
+            " as one when it begins and when it is over; 0: each change is told."
+        ),
+    )
+    suppress: tuple[MachineState, ...] = Field(
+        default=(),
+        max_length=10,
+        description=(
+            "States of the machine in any of which its alarms are suppressed: signal, unit, below or"
+            " above."
+        ),
+    )
+
+    @model_validator(mode="after")
+    def _priority_of_both(self) -> AlarmRule:
+        if (self.consequence is None) != (self.time_to_respond is None):
+            raise ValueError(
+                "consequence and time_to_respond: the priority follows from both; write both"
+            )
+        return self
+
+    def priority(self, kind: str) -> Priority | None:
+        """Of an alarm of this kind, None where the rule says none. That windows cannot be judged is
+        no consequence of the machine's: low.
+        """
+        if self.consequence is None or self.time_to_respond is None:
+            return None
+        of_machine = priority_of(self.consequence, self.time_to_respond)
+        return of_machine if kind == MACHINE else Priority.LOW
+
+    def refuse_shelving(self, minutes: float, reason: str | None) -> None:
+        """BadInput where an alarm may not be shelved for so long, or without a reason."""
+        if minutes > self.longest_shelving:
+            raise BadInput(
+                f"body, minutes {minutes:g}: an alarm of this machine is shelved for at most"
+                f" {self.longest_shelving:g} minutes (setting longest_shelving)"
+            )
+        if self.shelving_reason and not (reason or "").strip():
+            raise BadInput(
+                "body, comment: is missing; an alarm of this machine is shelved with a reason"
+                " (setting shelving_reason)"
+            )
 
 
 def severity(

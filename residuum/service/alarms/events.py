@@ -17,7 +17,12 @@ import orjson
 EVENTS_KEPT = 4096
 """Events kept for listeners that come back."""
 
-_ASSET_OF = {"finding": "asset", "alarm": "asset", "pipeline": "machine"}
+_ASSET_OF = {
+    "finding": "asset",
+    "confirmation": "asset",
+    "alarm": "asset",
+    "pipeline": "machine",
+}
 """The part of an event's payload that names its machine, of the kinds that have one."""
 
 
@@ -44,7 +49,7 @@ class Events:
     first gets an event `reset`, which means: read the state anew. No listener can hold up the
     others or the publisher, and memory is bounded by `kept`.
 
-    Event kinds: `finding`, `alarm`, `pipeline`, `job`, `model`, `reset`.
+    Event kinds: `finding`, `confirmation`, `alarm`, `pipeline`, `job`, `model`, `reset`.
     """
 
     def __init__(self, kept: int = EVENTS_KEPT) -> None:

@@ -1,10 +1,11 @@
 """Notifications: changes of alarms and findings, told to webhooks and an MQTT broker; nobody waits
 for them.
 
-Alarms go to both, findings to the broker alone (QoS 1, topics `PREFIX/assets/ASSET/alarm` and
-`…/finding`). A receiver that is away is tried again with growing pauses. Both come from the store's
-outbox, in their order and at least once, also after a crash, and also those of other processes on
-the same database. What waits is bounded: the oldest go, and the log says how many.
+Alarms and floods of them go to both, findings to the broker alone (QoS 1, topics
+`PREFIX/assets/ASSET/alarm`, `…/finding`, and `PREFIX/flood`). A receiver that is away is tried again
+with growing pauses. Both come from the store's outbox, in their order and at least once, also after
+a crash, and also those of other processes on the same database. What waits is bounded: the oldest
+go, and the log says how many.
 """
 
 from __future__ import annotations
@@ -104,7 +105,7 @@ class Receiver:
                     "a change of an alarm is damaged and told to nobody: see the alarms",
                     receiver=self.name,
                 )
-            elif not self._attempt("alarm", notice.alarm):
+            elif not self._attempt(_kind_of(notice.alarm), notice.alarm):
                 continue
             self._lost("alarm", notice.passed_over)
             self._outbox.told(self._id, notice)
@@ -159,6 +160,11 @@ class Receiver:
             self._backoff.reset()
             return True
         return False
+
+
+def _kind_of(notice: Mapping[str, Any]) -> str:
+    """`flood` of a notice of one, else `alarm`."""
+    return "flood" if notice["kind"] == "flood" else "alarm"
 
 
 class Notifications:
@@ -231,7 +237,8 @@ class Broker:
 
     def __call__(self, kind: str, payload: Mapping[str, Any]) -> None:
         """Publish and wait for the broker's receipt; OSError without one."""
-        topic = f"{self._address.prefix}/assets/{payload['asset']}/{kind}"
+        of = f"assets/{payload['asset']}/{kind}" if "asset" in payload else kind
+        topic = f"{self._address.prefix}/{of}"
         try:
             if self._client is None or not self._client.is_connected():
                 self._connect()

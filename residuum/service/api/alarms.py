@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from datetime import UTC, datetime, timedelta
-from typing import Annotated
+from typing import Annotated, Literal
 
 from fastapi import APIRouter, Query, Request, Response
 from pydantic import BaseModel, Field
 
-from residuum.service.alarms.alarm_states import AlarmEvent
+from residuum.service.alarms.alarm_states import AlarmEvent, Priority
 from residuum.service.api.answers import (
     PROBLEMS,
     AlarmAnswer,
@@ -19,6 +19,7 @@ from residuum.service.api.answers import (
 from residuum.service.api.json_response import Json, StrictRoute, page_answer
 from residuum.service.api.parameters import NAME, TEXT, AlarmId, Begin, Cursor, End, Limit
 from residuum.service.results.parquet_tables import open_span
+from residuum.service.results.rationalisation import rationalisation_table
 from residuum.service.services import Running, Services, caller_of
 from residuum.service.store import Alarm, NotFound
 
@@ -71,16 +72,34 @@ async def alarm_history(
     asset: Annotated[str | None, Query(description="Only this asset's.", pattern=NAME)] = None,
     begin: Begin = None,
     end: End = None,
+    kind: Annotated[Literal["machine", "signal"] | None, Query(description="Only these.")] = None,
+    priority: Annotated[Priority | None, Query(description="Only of alarms of this one.")] = None,
     cursor: Cursor = None,
     limit: Limit = 100,
 ) -> Response:
     """Every time that an alarm was raised (of the caller's sites) in a span of time, newest first,
     and what became of it.
     """
-    span = open_span(begin, end)
+    span, sites = open_span(begin, end), caller_of(request).sites
+    filters = (sites, kind, None if priority is None else priority.value)
     return await page_answer(
-        running, running.store.alarm_history, span, asset, cursor, limit, caller_of(request).sites
+        running, running.store.alarm_history, span, asset, cursor, limit, *filters
     )
+
+
+@router.get("/rationalisation.csv", response_class=Response)
+async def rationalisation(request: Request, running: Running) -> Response:
+    """The alarms of every machine (of the caller's sites) with their limits, delays, consequence, time
+    to respond, priority and action, as a CSV file (ANSI/ISA-18.2, clause 9).
+    """
+    sites = caller_of(request).sites
+
+    def made() -> Response:
+        table = rationalisation_table(running.store, running.pipeline.alarm_rule, sites)
+        headers = {"Content-Disposition": 'attachment; filename="alarms.csv"'}
+        return Response(table, media_type="text/csv; charset=utf-8", headers=headers)
+
+    return await running.listing(made)
 
 
 @router.get("/{alarm}", response_model=AlarmAnswer)
@@ -104,8 +123,12 @@ def acknowledge(
 def shelve(
     request: Request, running: Running, alarm: AlarmId, shelving: Shelving | None = None
 ) -> Response:
-    """Put the alarm aside for a while; it comes back by itself."""
+    """Put the alarm aside for a while; it comes back by itself. The machine's alarm rule may ask for a
+    reason (`comment`), and bound the while.
+    """
     shelving = shelving or Shelving(minutes=60.0, comment=None)
+    rule = running.pipeline.alarm_rule(_visible(request, running, alarm).asset)
+    rule.refuse_shelving(shelving.minutes, shelving.comment)
     until = datetime.now(UTC) + timedelta(minutes=shelving.minutes)
     return _operate(request, running, alarm, AlarmEvent.SHELVE, shelving, until)
 

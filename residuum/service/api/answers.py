@@ -49,6 +49,12 @@ class ScoreAnswer(BaseModel):
         description="`healthy`, `faulty` or `not-assessable` (then `reason` says why)."
     )
     fault_class: str | None = Field(alias="class")
+    ne107: str = Field(
+        description=(
+            "Category of NAMUR NE 107: `good`, `function-check`, `out-of-specification`,"
+            " `maintenance-required` or `failure`."
+        )
+    )
     indicators: dict[str, float | None]
     thresholds: dict[str, float | None]
     units: dict[str, str]
@@ -65,6 +71,58 @@ class ScoreAnswer(BaseModel):
     )
 
 
+class ConfirmationAnswer(BaseModel):
+    """What was found at a machine of what a finding said; of several on one finding the newest
+    counts.
+    """
+
+    id: int
+    asset: str
+    finding: int
+    window: int
+    finding_at: datetime
+    diagnoser: str
+    verdict: str
+    said: str = Field(description="The finding's likeliest cause, its fault class or its verdict.")
+    probability: float | None = Field(description="Of what was said; null: it did not say.")
+    outcome: str = Field(description="`confirmed`, `refuted`, `corrected`, or `damaged` rows.")
+    cause: str | None = Field(description="What it was, where it was corrected.")
+    part: str | None
+    order: str | None
+    who: str
+    found_at: datetime
+    note: str | None
+    healthy: bool = Field(description="Whether its window may be learned from as a healthy one.")
+    at: datetime
+    by: str | None
+
+
+class ReliabilityBin(BaseModel):
+    """One tenth of said probabilities [low, high)."""
+
+    low: float
+    high: float
+    n: int = Field(description="Findings that were said with it and answered.")
+    found: int = Field(description="Of these, how many were found so.")
+    said: float = Field(description="Mean probability that was said.")
+    share: float = Field(description="Share that was found so.")
+    low_95: float = Field(description="Clopper–Pearson, 95 %.")
+    high_95: float
+    agrees: bool = Field(description="Whether the mean that was said lies in the interval.")
+
+
+class ReliabilityAnswer(BaseModel):
+    """What was said with which probability, and how often it was found so."""
+
+    answered: int = Field(description="Findings of which somebody told what was found.")
+    without_probability: int = Field(description="Of these, said without one: in no bin.")
+    outcomes: dict[str, int]
+    bins: list[ReliabilityBin]
+    calibration_error: float | None = Field(
+        description="Mean over the findings of |said − share| of their bin; null without any."
+    )
+
+
 class FindingAnswer(ScoreAnswer):
     """A stored finding."""
 
@@ -72,6 +130,9 @@ class FindingAnswer(ScoreAnswer):
     asset: str
     window: int
     at: datetime
+    confirmation: ConfirmationAnswer | None = Field(
+        default=None, description="What was found at the machine; absent: nobody told."
+    )
 
 
 class WindowAnswer(BaseModel):
@@ -132,6 +193,12 @@ class AlarmAnswer(BaseModel):
     shelved_until: datetime | None
     comment: str | None
     window: int | None
+    priority: str | None = Field(
+        description="`high`, `medium` or `low` by its rule when it was raised; null: no rule says."
+    )
+    suppressed_by: str | None = Field(
+        description="State of the machine that suppresses it; null: none, or somebody did."
+    )
 
 
 class AlarmOccurrenceAnswer(BaseModel):
@@ -155,6 +222,7 @@ class AlarmOccurrenceAnswer(BaseModel):
         description="The largest indicator over its threshold when it was raised."
     )
     window: int | None
+    priority: str | None = Field(description="Of the alarm, when it was raised last.")
 
 
 class AlarmRatesAnswer(BaseModel):

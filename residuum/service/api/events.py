@@ -25,8 +25,8 @@ async def stream_events(
         list[str] | None, Query(alias="kind", description="Only these kinds.", max_length=16)
     ] = None,
 ) -> Response:
-    """Events `finding`, `alarm`, `pipeline`, `job`, `model`; `reset` when some were missed: then
-    read the state anew.
+    """Events `finding`, `confirmation`, `alarm`, `pipeline`, `job`, `model`; `reset` when some were
+    missed: then read the state anew.
 
     A key of some sites gets the events of its machines, and none that is of the whole plant (`job`,
     `model`).

@@ -44,6 +44,7 @@ def finding_json(finding: Finding) -> Response:
         "diagnoser": finding.diagnoser,
         "verdict": finding.verdict.value,
         "class": finding.fault_class,
+        "ne107": finding.ne107.value,
         "indicators": finding.indicators,
         "thresholds": finding.thresholds,
         "units": finding.units,

@@ -39,6 +39,7 @@ AssetName = Annotated[str, Path(description="Name of the asset.", pattern=NAME)]
 ModelName = Annotated[str, Path(description="Name of the model.", pattern=NAME)]
 WindowId = Annotated[int, Path(description="Number of the window.", ge=1, le=_LARGEST_ID)]
 RecordId = Annotated[int, Path(description="Number of the record.", ge=1, le=_LARGEST_ID)]
+FindingId = Annotated[int, Path(description="Number of the finding.", ge=1, le=_LARGEST_ID)]
 AlarmId = Annotated[int, Path(description="Number of the alarm.", ge=1, le=_LARGEST_ID)]
 Cursor = Annotated[
     str | None, Query(description="`next_cursor` of the page before.", max_length=200)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
-from fastapi import APIRouter, Query, Response
+from fastapi import APIRouter, Query, Request, Response
 from starlette.background import BackgroundTask
 from starlette.responses import FileResponse
 
@@ -22,7 +22,7 @@ from residuum.service.results.parquet_tables import (
     write_windows,
 )
 from residuum.service.results.report_page import POLICY, report_page
-from residuum.service.services import Running, Services
+from residuum.service.services import Running, Services, caller_of
 
 router = APIRouter(
     prefix="/assets/{asset}", tags=["results"], route_class=StrictRoute, responses=PROBLEMS
@@ -63,12 +63,16 @@ async def get_windows_file(running: Running, asset: AssetName, begin: Begin, end
 
 @router.get("/report", response_class=Response)
 async def get_report(
+    request: Request,
     running: Running,
     asset: AssetName,
     month: Annotated[str, Query(max_length=20, description="YYYY-MM, in UTC.")],
 ) -> Response:
     """What happened at a machine in a month, as one HTML page that opens offline."""
-    page = await running.writing(lambda: report_page(month_report(running.store, asset, month)))
+    sites = caller_of(request).sites
+    page = await running.writing(
+        lambda: report_page(month_report(running.store, asset, month, sites))
+    )
     headers = {
         "Content-Security-Policy": POLICY,
         "Content-Disposition": f'inline; filename="{asset}-{month}.html"',

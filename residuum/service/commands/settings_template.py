@@ -139,4 +139,5 @@ def _alarms() -> list[str]:
     return [
         "    # When a finding becomes an alarm.",
         "    # alarms: {on_delay: 0, off_delay: 0, deadband: 0, latch: false}",
+        "    #   # and, where they are known: consequence: major, time_to_respond: 1800, action: …",
     ]

@@ -132,7 +132,7 @@ class MachineSettings(StrictModel):
     )
     alarms: AlarmRule | None = Field(
         default=None,
-        description="Deadband, delays and latch of its alarms; None: those of the service.",
+        description="Rule of its alarms; None: that of the service.",
     )
 
     @model_validator(mode="after")

@@ -32,7 +32,7 @@ from residuum.service.machines.judging.scoring import (
 )
 from residuum.service.machines.windows import REMEDY, holed, kept_windows
 from residuum.service.storage.disk_store import DiskStore
-from residuum.service.store import Conflict, ModelVersion, NotFound
+from residuum.service.store import Conflict, ModelVersion, NotFound, Outcome
 from residuum.service.views.model_view import model_of
 from residuum.service.work.jobs import Progress
 from residuum.service.work.worker_pool import RecordParts
@@ -316,11 +316,20 @@ def healthy_windows(store: DiskStore, asset: str) -> list[Record]:
     """The newest windows judged healthy whose signals are kept and alike (channels, units, rate),
     oldest first.
 
-    Conflict when there are fewer than 8.
+    A window whose fault somebody refuted is one of them where he said so; one that was judged
+    healthy, and in which somebody found a fault, is none. Conflict when there are fewer than 8.
     """
     records: list[Record] = []
-    judged = store.findings(asset, limit=_MOST, verdict="healthy").items
-    for _, record in kept_windows(store, asset, (finding.window for finding in judged)):
+    judged = {each.window for each in store.findings(asset, limit=_MOST, verdict="healthy").items}
+    told = store.standing_confirmations(asset=asset)
+    judged -= {
+        each.window
+        for each in told
+        if each.verdict == Verdict.HEALTHY and each.outcome != Outcome.CONFIRMED
+    }
+    refuted = sorted((each.window for each in told if each.healthy), reverse=True)[:_MOST]
+    newest = sorted(judged, reverse=True)[: _MOST - len(refuted)]
+    for _, record in kept_windows(store, asset, sorted([*newest, *refuted], reverse=True)):
         if not records or _alike(records[0], record):
             records.append(record)
     if len(records) < FEWEST_HEALTHY_WINDOWS:

@@ -8,14 +8,14 @@ hour's mean and last limit.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from typing import Any
 
 from residuum.service.results.parquet_tables import Span, findings_in, month_of
 from residuum.service.storage.disk_store import DiskStore
-from residuum.service.store import Alarm, AlarmEntry, Asset, StoredFinding
+from residuum.service.store import Alarm, AlarmEntry, Asset, Confirmation, StoredFinding
 
 _HOURS = 24 * 366 * 10
 _JOURNAL = 10_000
@@ -55,7 +55,8 @@ class MonthReport:
     """The facts of a report.
 
     `days` has a count of every verdict for each day of the month; `reasons` why windows could not
-    be judged, with their number.
+    be judged, with their number. `found` is what was found at the machine of the month's findings,
+    `plant` the same of all machines until the month's end.
     """
 
     asset: Asset
@@ -67,6 +68,8 @@ class MonthReport:
     alarms: Sequence[tuple[Alarm, Sequence[AlarmEntry]]]
     indicators: Mapping[str, Followed]
     parameters: Mapping[str, Followed]
+    found: Sequence[Confirmation] = ()
+    plant: Sequence[Confirmation] = ()
 
     @property
     def verdicts(self) -> Mapping[str, int]:
@@ -74,9 +77,18 @@ class MonthReport:
         return sum((Counter(day) for day in self.days), Counter())
 
 
-def month_report(store: DiskStore, asset: str, month: str) -> MonthReport:
-    """The report of a month `YYYY-MM` (UTC). NotFound for an asset that is not there, BadInput for
-    what is no month.
+def month_report(
+    store: DiskStore, asset: str, month: str, sites: Collection[str] | None = None
+) -> MonthReport:
+    """The report of a month `YYYY-MM` (UTC); of other machines it counts those of the sites (None:
+    all).
+
+    Raises
+    ------
+    NotFound
+        An asset that is not there.
+    BadInput
+        What is no month.
     """
     span = month_of(month)
     known = store.asset(asset)
@@ -99,7 +111,17 @@ def month_report(store: DiskStore, asset: str, month: str) -> MonthReport:
             reasons[stored.finding.reason or "no reason given"] += 1
     alarms = list(_alarms_in(store, asset, span))
     return MonthReport(
-        known, month, span, days, faults, reasons.most_common(5), alarms, indicators, parameters
+        known,
+        month,
+        span,
+        days,
+        faults,
+        reasons.most_common(5),
+        alarms,
+        indicators,
+        parameters,
+        store.standing_confirmations(span, asset),
+        store.standing_confirmations((None, span.end), None, sites),
     )
 
 
@@ -131,11 +153,7 @@ def _add_finding(
 
 def _add_fault(faults: dict[str, Fault], stored: StoredFinding) -> None:
     causes = stored.finding.evidence.get("causes") or []
-    name = (
-        f"{causes[0]['name']} of {causes[0]['place']}"
-        if causes
-        else stored.finding.fault_class or "faulty"
-    )
+    name = stored.finding.statement.says
     says = str(causes[0]["says"]) if causes else stored.finding.reason or ""
     before = faults.get(name)
     faults[name] = Fault(

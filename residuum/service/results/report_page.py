@@ -19,6 +19,8 @@ from residuum.library.record import Record
 from residuum.library.result import Result
 from residuum.library.svg import svg
 from residuum.service.results.month_report import Followed, MonthReport
+from residuum.service.results.reliability_picture import reliability_svg
+from residuum.service.results.said_and_found import SaidAndFound, said_and_found
 
 _STYLES = ("tokens", "base", "parts")
 _OWN = (
@@ -38,6 +40,7 @@ def report_page(report: MonthReport, written_at: datetime | None = None) -> str:
         f"<h1>{escape(title)}: {escape(report.month)}</h1>",
         _summary(report),
         section("Faults", _faults(report)),
+        section("Said and found", _said_and_found(report)),
         section("Alarms", _alarms(report)),
         section("Windows by day (UTC)", _days(report)),
         section("Windows that could not be judged", _reasons(report)),
@@ -93,6 +96,64 @@ def _faults(report: MonthReport) -> str:
     ranked = sorted(report.faults.items(), key=lambda entry: -entry[1].windows)
     rows = [(name, str(f.windows), _moment(f.first), _moment(f.last), f.says) for name, f in ranked]
     return _table(("What", "Windows", "First", "Last", "The last one said"), rows, numbers=(1,))
+
+
+def _said_and_found(report: MonthReport) -> str:
+    """What was found of the month's findings, and how often what was said with which probability
+    came true, at this machine in the month and at all machines until its end.
+    """
+    faulty = report.verdicts.get("faulty", 0)
+    answered = sum(each.verdict == "faulty" for each in report.found)
+    parts = [
+        f"<p>Of {faulty} faulty windows of this month {answered} were answered by who looked at the"
+        " machine.</p>"
+    ]
+    rows = [
+        (
+            _moment(each.finding_at),
+            each.said,
+            "" if each.probability is None else f"{100 * each.probability:.0f} %",
+            each.outcome,
+            each.cause or "",
+            each.part or "",
+            each.order or "",
+            f"{each.who}, {_moment(each.found_at)}",
+            each.note or "",
+        )
+        for each in report.found
+    ]
+    head = ("Finding", "Said", "With", "Found", "Cause", "Part", "Order", "By", "Note")
+    parts += [_table(head, rows, numbers=(2,))] if rows else []
+    of_machine, of_plant = said_and_found(report.found), said_and_found(report.plant)
+    if not of_plant.lines:
+        return "".join([*parts, "<p>No finding that said a probability was answered yet.</p>"])
+    series = {"this machine, this month": of_machine.lines, "the plant until then": of_plant.lines}
+    drawn = {name: lines for name, lines in series.items() if lines}
+    parts += [reliability_svg(drawn), _bins(of_plant)]
+    return "".join(parts)
+
+
+def _bins(counted: SaidAndFound) -> str:
+    rows = [
+        (
+            f"{100 * line.low:.0f}–{100 * line.high:.0f} %",
+            str(line.n),
+            str(line.events),
+            f"{100 * line.predicted:.1f} %",
+            f"{100 * line.observed:.1f} %",
+            f"{100 * line.interval[0]:.1f}–{100 * line.interval[1]:.1f} %",
+            "yes" if line.agrees else "no",
+        )
+        for line in counted.lines
+    ]
+    head = ("Plant: said", "Answered", "Found so", "Mean said", "Share", "95 %", "Agrees")
+    without = counted.without_probability
+    more = f" {without} more were said without a probability." if without else ""
+    return _table(head, rows, numbers=range(1, 6)) + (
+        '<p class="muted small">Intervals after Clopper and Pearson, for findings that were answered'
+        " independently of each other: several windows of one repair count too often. Only answered"
+        f" findings are counted.{more}</p>"
+    )
 
 
 def _alarms(report: MonthReport) -> str:

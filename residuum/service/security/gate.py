@@ -111,9 +111,12 @@ _HEALTH = frozenset(
 )
 _SAFE = ("GET", "HEAD", "OPTIONS")
 _METRICS = ("/metrics", "/api/v1/metrics")
-_OPERATORS = re.compile(r"/api/v1/alarms/[^/]+/(acknowledge|reset|shelve|unshelve)/?")
-"""Paths of what an operator does with an alarm: the whole path, for an asset may be called
-`acknowledge`, too.
+_OPERATORS = re.compile(
+    r"/api/v1/(alarms/[^/]+/(acknowledge|reset|shelve|unshelve)"
+    r"|assets/[^/]+/findings/[^/]+/confirmations)/?"
+)
+"""Paths of what an operator does with an alarm or tells of a finding: the whole path, for an asset
+may be called `acknowledge`, too.
 """
 # The hash is that of an empty style element, which Plotly fills rule by rule through the style
 # sheet interface.
@@ -502,8 +505,8 @@ def _bearer(headers: dict[bytes, bytes]) -> str | None:
 
 
 def _role_for(method: str, path: str) -> Role:
-    """Metrics and health ask for a monitor, reading for a viewer, handling an alarm for an
-    operator, all else for an engineer.
+    """Metrics and health ask for a monitor, reading for a viewer, handling an alarm or telling
+    what was found for an operator, all else for an engineer.
     """
     if method in _SAFE:
         return Role.MONITOR if path in _METRICS or path in _HEALTH else Role.VIEWER
@@ -515,6 +518,7 @@ _FOR_EVERY_SITE = (
     "diagnosers",
     "effects",
     "alarms",
+    "confirmations",
     "health",
     "events",
     "status",

@@ -21,16 +21,18 @@ from residuum.diagnosis.finding import Finding
 from residuum.identification.errors import in_one_line
 from residuum.identification.record import Record
 from residuum.service.alarms.alarm_states import AlarmEvent, AlarmRule
+from residuum.service.alarms.machine_states import suppressing_state
 from residuum.service.storage import audit as audit_trail
 from residuum.service.storage import retention, time_range
 from residuum.service.storage.blocks import BlockReference, Blocks, BrokenBlock
 from residuum.service.storage.database import Busy, Database, OutcomeUnknown, SamePlace, sqlite_file
 from residuum.service.storage.outbox import Outbox
 from residuum.service.storage.retention import Clock, Retention
+from residuum.service.storage.rows import alarm_floods, block_rows, finding_notices
 from residuum.service.storage.rows import alarm_history as alarm_occurrences
 from residuum.service.storage.rows import alarms as alarm_rows
 from residuum.service.storage.rows import assets as asset_rows
-from residuum.service.storage.rows import block_rows, finding_notices
+from residuum.service.storage.rows import confirmations as confirmation_rows
 from residuum.service.storage.rows import finding_hours as finding_hour_rows
 from residuum.service.storage.rows import models as model_rows
 from residuum.service.storage.rows import records as record_rows
@@ -39,6 +41,8 @@ from residuum.service.storage.rows.row_checks import check_rows
 from residuum.service.store import (
     Alarm,
     AlarmRates,
+    Confirmation,
+    FoundAtMachine,
     ModelVersion,
     ReadInPieces,
     SignalLetGo,
@@ -138,14 +142,16 @@ class DiskStore:
         self._checking, self._checked_at = threading.Lock(), -math.inf
         self._refusal: StorageUnavailable | None = None
 
-    assets = _asked(asset_rows.page)
-    asset = _asked(asset_rows.get)
-    findings = _asked(asset_rows.findings_page)
+    assets = _asked(confirmation_rows.assets_page)
+    asset = _asked(confirmation_rows.asset_of)
+    findings = _asked(confirmation_rows.findings_page)
     findings_after = _asked(asset_rows.findings_after)
     findings_between = _asked(time_range.findings_between)
     windows_between = _asked(time_range.windows_between)
     newest_finding = _asked(asset_rows.newest_finding)
-    finding_of = _asked(asset_rows.finding_of)
+    finding_of = _asked(confirmation_rows.finding_of)
+    confirmations = _asked(confirmation_rows.page)
+    standing_confirmations = _asked(confirmation_rows.standing)
     indicators = _asked(asset_rows.indicators)
     finding_hours = _asked(finding_hour_rows.newest)
     recorded_windows = _asked(asset_rows.recorded_windows)
@@ -197,9 +203,10 @@ class DiskStore:
         return None
 
     def unshelve_expired(self) -> None:
-        """Put alarms back whose shelving has run out."""
+        """Put alarms back whose shelving has run out, and tell of a flood that is over."""
         with self._database.write() as connection:
             expired = alarm_rows.unshelve_expired(connection, _now())
+            alarm_floods.end(connection, _now())
         for alarm in expired:
             self._announce("alarm", alarm.to_json())
 
@@ -304,8 +311,10 @@ class DiskStore:
             )
             number = asset_rows.add_finding(connection, asset, window, finding, now)
             finding_notices.add(connection, number)
+            rule, seen_at = self._rule_of(asset), _seen_at(record, now)
+            aside = suppressing_state(rule, record)
             changed = alarm_rows.follow(
-                connection, asset, window, finding, now, self._rule_of(asset), _seen_at(record, now)
+                connection, asset, window, finding, now, rule, seen_at, aside
             )
         self._refuse_moved()
         self._announce("finding", StoredFinding(number, asset, window, now, finding).to_json())
@@ -382,6 +391,17 @@ class DiskStore:
             )
         self._announce("alarm", changed.to_json())
         return changed
+
+    def confirm(
+        self, asset: str, finding: int, found: FoundAtMachine, by: str | None = None
+    ) -> Confirmation:
+        """Keep what was found at the machine of what a finding said; BadInput where it contradicts
+        itself.
+        """
+        with self._database.write() as connection:
+            told = confirmation_rows.add(connection, asset, finding, found, by=by, now=_now())
+        self._announce("confirmation", told.to_json())
+        return told
 
     def alarm_rates(self) -> AlarmRates:
         """How many alarms were raised of late."""

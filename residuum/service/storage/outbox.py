@@ -53,9 +53,14 @@ class WaitingFindings:
 
 
 def add(connection: Connection, alarm: Alarm) -> None:
-    """Write a notice, after the entry of the audit trail in the same transaction."""
+    """Write a notice of an alarm, after the entry of the audit trail in the same transaction."""
+    add_notice(connection, alarm.to_json())
+
+
+def add_notice(connection: Connection, told: Mapping[str, Any]) -> None:
+    """Write a notice of anything, after an entry of the audit trail in the same transaction."""
     number = (connection.scalar(select(func.max(alarm_notices.c.number))) or 0) + 1
-    row = {"number": number, "alarm": orjson.loads(orjson.dumps(alarm.to_json()))}
+    row = {"number": number, "alarm": orjson.loads(orjson.dumps(told))}
     connection.execute(insert(alarm_notices).values(row_checks.sealed(alarm_notices, row)))
     connection.execute(delete(alarm_notices).where(alarm_notices.c.number <= number - MOST_NOTICES))
 

@@ -112,6 +112,34 @@ findings = Table(
     Index(None, "asset_id", "id"),
 )
 
+confirmations = Table(
+    "confirmations",
+    metadata,
+    Column("id", Identity, primary_key=True, autoincrement=True),
+    Column("asset_id", ForeignKey("assets.id"), nullable=False),
+    # No keys of other tables: what was found at a machine outlives the rows of what was said.
+    Column("finding_id", BigInteger, nullable=False),
+    Column("window_id", BigInteger, nullable=False),
+    Column("finding_at", UtcDateTime, nullable=False),
+    Column("diagnoser", String(64), nullable=False),
+    Column("verdict", String(20), nullable=False),
+    Column("said", Text, nullable=False),
+    Column("probability", Float),
+    Column("outcome", String(12), nullable=False),
+    Column("cause", Text),
+    Column("part", Text),
+    Column("order_number", Text),
+    Column("who", Text, nullable=False),
+    Column("found_at", UtcDateTime, nullable=False),
+    Column("note", Text),
+    Column("healthy", Boolean, nullable=False),
+    Column("at", UtcDateTime, nullable=False),
+    Column("by", String(64)),
+    Column("checksum", String(8)),
+    Index(None, "finding_id"),
+    Index(None, "asset_id", "finding_at"),
+)
+
 finding_hours = Table(
     "finding_hours",
     metadata,
@@ -147,6 +175,8 @@ alarms = Table(
     Column("shelved_until", UtcDateTime),
     Column("comment", Text),
     Column("window_id", ForeignKey("windows.id")),
+    Column("priority", String(10)),
+    Column("suppressed_by", Text),
     Column("checksum", String(8)),
     UniqueConstraint("asset_id", "kind"),
 )
@@ -191,6 +221,18 @@ alarm_notices = Table(
     Column("number", BigInteger, primary_key=True, autoincrement=False),
     Column("alarm", Document, nullable=False),
     Column("checksum", String(8)),
+)
+
+alarm_floods = Table(
+    "alarm_floods",
+    metadata,
+    Column("id", Identity, primary_key=True, autoincrement=True),
+    Column("began_at", UtcDateTime, nullable=False),
+    Column("ended_at", UtcDateTime),
+    Column("more_than", Integer, nullable=False),
+    Column("raised", Integer, nullable=False),
+    Column("checksum", String(8)),
+    Index(None, "ended_at"),
 )
 
 receivers = Table(

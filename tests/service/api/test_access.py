@@ -14,13 +14,14 @@ ROLES = ("monitor", "viewer", "operator", "engineer", "admin")
 # Written out, apart from the code: what each route asks for. Reading asks for a viewer; all other routes for an engineer.
 OPERATOR = {
     f"/api/v1/alarms/{{alarm}}/{verb}" for verb in ("acknowledge", "reset", "shelve", "unshelve")
-}
+} | {"/api/v1/assets/{asset}/findings/{finding}/confirmations"}
 OPEN = {"/api/v1/health/live", "/api/v1/health/ready"}
 OF_A_SITE = tuple(
     f"/api/v1/{noun}"
     for noun in (
         "assets",
         "alarms",
+        "confirmations",
         "score",
         "diagnosers",
         "effects",

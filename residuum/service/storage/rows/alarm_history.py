@@ -27,18 +27,28 @@ def page(
     cursor: str | None = None,
     limit: int = 100,
     sites: Collection[str] | None = None,
+    kind: str | None = None,
+    priority: str | None = None,
 ) -> Page[AlarmOccurrence]:
-    """Alarms that were raised in [begin, end), None for an open end, the newest first."""
+    """Alarms that were raised in [begin, end), None for an open end, the newest first.
+
+    `priority` is the one that the alarm had when it was raised last.
+    """
     begin, end = span
     query: Select[Any] = (
-        select(alarm_journal, alarms.c.asset_id, alarms.c.kind)
+        select(alarm_journal, alarms.c.asset_id, alarms.c.kind, alarms.c.priority)
         .join_from(alarm_journal, alarms)
         .where(_RAISED, paging.of_sites(alarms.c.asset_id, sites))
         .order_by(alarm_journal.c.id.desc())
         .limit(limit + 1)
     )
-    if asset is not None:
-        query = query.where(alarms.c.asset_id == asset)
+    for column, wanted in (
+        (alarms.c.asset_id, asset),
+        (alarms.c.kind, kind),
+        (alarms.c.priority, priority),
+    ):
+        if wanted is not None:
+            query = query.where(column == wanted)
     if begin is not None:
         query = query.where(alarm_journal.c.at >= begin)
     if end is not None:
@@ -126,6 +136,7 @@ def _occurrence(
             else _times_threshold(cause)
         ),
         window=None if cause is None else cause.window_id,
+        priority=row.priority,
     )
 
 

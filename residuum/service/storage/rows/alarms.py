@@ -15,6 +15,9 @@ from sqlalchemy import Connection, Row, insert, select, update
 from residuum.diagnosis.finding import Finding, Verdict
 from residuum.service.alarms import alarm_states
 from residuum.service.alarms.alarm_states import (
+    ACTIVE,
+    MACHINE,
+    SIGNAL,
     AlarmEvent,
     AlarmRule,
     AlarmState,
@@ -24,11 +27,9 @@ from residuum.service.alarms.alarm_states import (
     severity,
 )
 from residuum.service.storage import audit, outbox
-from residuum.service.storage.rows import paging, row_checks
+from residuum.service.storage.rows import alarm_floods, paging, row_checks
 from residuum.service.storage.tables import alarm_journal, alarms
 from residuum.service.store import Alarm, AlarmEntry, NotFound, Page
-
-MACHINE, SIGNAL = "machine", "signal"
 
 _NEVER_RAISED = {
     "state": AlarmState.NORMAL.value,
@@ -52,17 +53,29 @@ def follow(
     now: datetime,
     rule: AlarmRule,
     seen_at: datetime | None = None,
+    aside: str | None = "",
 ) -> list[Followed]:
     """Let an asset's alarms follow a finding; returns the alarms that changed their state, or their
     text with a worse finding.
 
-    `seen_at` is the window's own time, by which delays count; None: now.
+    Parameters
+    ----------
+    seen_at : datetime or None
+        The window's own time, by which delays count; None: now.
+    aside : str or None
+        The state of the machine that suppresses its alarms; empty for none, None where the window
+        does not tell: then what is suppressed stays so, and nothing else becomes it.
     """
     if finding.only_recorded:
         return []
     stored = connection.execute(select(alarms).where(alarms.c.asset_id == asset)).all()
     rows = {row.kind: _begun_anew(connection, row, now) if _differs(row) else row for row in stored}
+    was_hidden = any(row.suppressed_by for row in rows.values())
     changed = []
+    if aside:  # whatever the window says: most windows of a machine that stands cannot be judged
+        for kind in [kind for kind, row in rows.items() if row.state in _LISTED]:
+            changed.append(_suppressed(connection, rows[kind], aside, now))
+            rows[kind] = _row(connection, rows[kind].id)
     # Without a baseline an absolute limit raised the alarm: where all of them hold again, nothing
     # keeps it.
     for kind, faulty in _SHOWN[
@@ -72,6 +85,9 @@ def follow(
         if row is None and not faulty:
             continue
         row = row or _new(connection, asset, kind)
+        if aside and faulty and row.state == AlarmState.NORMAL.value:
+            changed.append(_suppressed(connection, row, aside, now))
+            row = _row(connection, row.id)
         # none stood above a threshold of its own: any counts
         raised_by = json.loads(row.raised_by or "[]") or None
         held = (
@@ -87,6 +103,7 @@ def follow(
             event,
             window=window,
             finding=finding if faulty else None,
+            rule=rule,
             now=now,
         )
         if alarm is not None:
@@ -94,7 +111,45 @@ def follow(
     says_nothing = finding.verdict is Verdict.NOT_ASSESSABLE and not finding.within_absolute_limits
     if says_nothing and (row := rows.get(MACHINE)) is not None:
         _put(connection, row.id, {"judged_at": alarm_states.unjudged(_status(row)).judged_at})
-    return changed
+    leaves = was_hidden and aside == ""
+    return [*changed, *_released(connection, asset, now)] if leaves else changed
+
+
+_LISTED = tuple(state.value for state in ACTIVE)
+
+
+def _suppressed(connection: Connection, row: Row[Any], aside: str, now: datetime) -> Followed:
+    """An alarm that means nothing in the state that its machine is in: off the list by itself."""
+    changes = {"state": AlarmState.SUPPRESSED.value, "suppressed_by": aside}
+    event = AlarmEvent.SUPPRESS
+    return Followed(_change(connection, row.id, changes, event, by=None, comment=aside, now=now))
+
+
+def _released(connection: Connection, asset: str, now: datetime) -> list[Followed]:
+    """The alarms of a machine that has left the state that suppressed them, as their conditions
+    are.
+    """
+    hidden = (
+        (alarms.c.asset_id == asset)
+        & (alarms.c.state == AlarmState.SUPPRESSED.value)
+        & alarms.c.suppressed_by.is_not(None)
+    )
+    rows = connection.execute(select(alarms).where(hidden).order_by(alarms.c.id)).all()
+    return [
+        Followed(
+            operate(
+                connection,
+                row.id,
+                AlarmEvent.RELEASE,
+                by=None,
+                comment=None,
+                until=None,
+                now=now,
+            )
+        )
+        for row in rows
+        if not _differs(row)
+    ]
 
 
 @dataclass(frozen=True)
@@ -127,6 +182,7 @@ def operate(
     changes: dict[str, Any] = {
         "state": state.value,
         "shelved_until": until if state is AlarmState.SHELVED else None,
+        "suppressed_by": None,
     }
     if comment is not None:
         changes["comment"] = comment
@@ -246,6 +302,7 @@ def _follow_one(
     *,
     window: int,
     finding: Finding | None,
+    rule: AlarmRule,
     now: datetime,
 ) -> Followed | None:
     changes: dict[str, Any] = asdict(after) | {"state": after.state.value}
@@ -268,13 +325,19 @@ def _follow_one(
             }
     changes |= worse
     if event is AlarmEvent.RAISE:
+        priority = rule.priority(row.kind)
+        changes["priority"] = None if priority is None else priority.value
         changes |= {"raised_at": now, "cleared_at": None, "occurrences": row.occurrences + 1}
         if after.state is AlarmState.UNACKNOWLEDGED:
             changes |= {"acknowledged_at": None, "acknowledged_by": None, "comment": None}
     if event is AlarmEvent.CLEAR:
         changes["cleared_at"] = now
     if event is not None:
-        return Followed(_change(connection, row.id, changes, event, by=None, comment=None, now=now))
+        return Followed(
+            _change(
+                connection, row.id, changes, event, by=None, comment=None, now=now, flood=rule.flood
+            )
+        )
     changed = _put(connection, row.id, changes)
     return (
         Followed(_alarm(changed), text_alone=True)
@@ -303,6 +366,7 @@ def _change(
     by: str | None,
     comment: str | None,
     now: datetime,
+    flood: int = 0,
 ) -> Alarm:
     row = _put(connection, alarm, changes)
     entry = {
@@ -319,7 +383,8 @@ def _change(
         connection, f"alarm {event.value}", f"alarm {alarm}", by=by, now=now, detail=detail
     )
     changed = _alarm(row)
-    outbox.add(connection, changed)
+    if not alarm_floods.takes(connection, event, flood, now):
+        outbox.add(connection, changed)
     return changed
 
 
@@ -373,6 +438,8 @@ def _alarm(row: Row[Any]) -> Alarm:
         row.shelved_until,
         row.comment,
         row.window_id,
+        row.priority,
+        row.suppressed_by,
     )
 
 
@@ -394,4 +461,6 @@ def _damaged(row: Row[Any]) -> Alarm:
         shelved_until=None,
         comment=None,
         window=None,
+        priority=None,
+        suppressed_by=None,
     )

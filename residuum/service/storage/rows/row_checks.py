@@ -33,10 +33,12 @@ from sqlalchemy import (
 from residuum.diagnosis.finding import Verdict
 from residuum.service.alarms.alarm_states import AlarmState
 from residuum.service.storage.tables import (
+    alarm_floods,
     alarm_journal,
     alarm_notices,
     alarms,
     assets,
+    confirmations,
     finding_hours,
     findings,
     model_versions,
@@ -78,9 +80,17 @@ SEALED: Mapping[Table, tuple[str, str]] = {
     records: ("0010", "record {id}"),
     finding_hours: ("0010", "hour {hour} of {asset_id!r}"),
     alarm_notices: ("0011", "notice {number} of an alarm"),
+    alarm_floods: ("0014", "flood {id} of alarms"),
+    confirmations: ("0012", "confirmation {id} of {asset_id!r}"),
 }
 """The tables whose rows have a checksum: since which revision of the schema, and what a row of
 theirs is called.
+"""
+
+
+_LATER = frozenset({alarms.c.priority.name, alarms.c.suppressed_by.name})
+"""Columns that rows were sealed without before there were any: they count where they say something,
+so that those rows go on to be told whole or damaged.
 """
 
 
@@ -88,7 +98,14 @@ def of_row(table: Table, values: Mapping[Any, Any]) -> str:
     """The checksum of a row: 8 hexadecimal digits of all columns that it is of; a finding has three
     of them, a part each.
     """
-    return "".join(_crc([values.get(name) for name in part]) for part in _parts(table))
+    return "".join(_crc(_counted(values, part)) for part in _parts(table))
+
+
+def _counted(values: Mapping[Any, Any], part: Sequence[str]) -> list[Any]:
+    """What a part of a row's checksum is of."""
+    first = [values.get(name) for name in part if name not in _LATER]
+    later = [[name, values.get(name)] for name in part if name in _LATER]
+    return first + [each for each in later if each[1] is not None]
 
 
 def differs(table: Table, values: Mapping[Any, Any]) -> bool:
@@ -98,9 +115,7 @@ def differs(table: Table, values: Mapping[Any, Any]) -> bool:
     """
     checksum = values[_own(table)] or ""
     read = ((k, part) for k, part in enumerate(_parts(table)) if part[0] in values)
-    return any(
-        _crc([values[name] for name in part]) != checksum[8 * k : 8 * k + 8] for k, part in read
-    )
+    return any(_crc(_counted(values, part)) != checksum[8 * k : 8 * k + 8] for k, part in read)
 
 
 def sealed(table: Table, values: Mapping[str, Any]) -> dict[str, Any]:

@@ -18,6 +18,7 @@ const STATES = {
   acknowledged: ["unsure", "Acknowledged"],
   "returned-unacknowledged": ["unsure", "Returned, unacknowledged"],
   shelved: ["idle", "Shelved"],
+  suppressed: ["idle", "Suppressed"],
   normal: ["healthy", "Normal"],
   good: ["healthy", "Good"],
   uncounted: ["unsure", "No counter: losses cannot be seen"],

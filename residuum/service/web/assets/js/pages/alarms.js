@@ -20,10 +20,12 @@ async function operate(alarm, verb, body) {
   }
 }
 
-// What nobody has seen first, a machine's fault before a signal's, then the newest.
+// What nobody has seen first, then by priority, a machine's fault before a signal's, then the newest.
+const PRIORITIES = ["high", "medium", "low"];
+const urgent = ({ priority }) => (PRIORITIES.indexOf(priority) + PRIORITIES.length + 1) % (PRIORITIES.length + 1);
 const UNSEEN_FIRST = ["unacknowledged", "returned-unacknowledged", "acknowledged"];
 const rank = ({ state }) => (UNSEEN_FIRST.indexOf(state) + UNSEEN_FIRST.length + 1) % (UNSEEN_FIRST.length + 1);
-const byUrgency = (a, b) => rank(a) - rank(b) || a.kind.localeCompare(b.kind) || b.id - a.id;
+const byUrgency = (a, b) => rank(a) - rank(b) || urgent(a) - urgent(b) || a.kind.localeCompare(b.kind) || b.id - a.id;
 
 export function alarmList(alarms, { withAsset = true } = {}) {
   if (!alarms.length) return h("p", { class: "empty" }, "No alarms.");
@@ -43,6 +45,7 @@ function item(alarm, withAsset) {
       "div",
       { class: "what" },
       badge(alarm.state),
+      alarm.priority ? h("b", {}, `${alarm.priority} priority`) : null,
       withAsset
         ? h("a", { href: `#/machines/${encodeURIComponent(alarm.asset)}`, "data-key": `alarm-asset-${alarm.id}` }, alarm.asset)
         : null,
@@ -77,6 +80,7 @@ function remarks(alarm) {
   const says = alarm.comment ? `: ${alarm.comment}` : "";
   const acknowledged = alarm.acknowledged_by ? `acknowledged by ${alarm.acknowledged_by}${says}` : null;
   const lines = [
+    alarm.suppressed_by ? `suppressed while ${alarm.suppressed_by}` : null,
     alarm.state === "shelved" ? `shelved until ${moment(alarm.shelved_until)}${acknowledged ? "" : says}` : null,
     acknowledged,
   ];
@@ -96,6 +100,7 @@ function actions(alarm) {
       },
       text,
     );
+  if (["suppressed", "out-of-service"].includes(alarm.state)) return null;
   if (alarm.state === "shelved") return button("unshelve", "Unshelve", () => undefined);
   const remark = () => (drafts.get(alarm.id) ? { comment: drafts.get(alarm.id) } : {}); // what was typed goes with either button
   const shelve = button("shelve", "Shelve 1 h", () => ({ minutes: 60, ...remark() }));

@@ -147,6 +147,7 @@ function head(name, asset, machine) {
       { class: "facts" },
       fact("Diagnoser", asset?.diagnoser ?? machine?.diagnoser ?? "–"),
       ...methods(finding),
+      finding?.ne107 ? fact("NE 107", title(finding.ne107), "What somebody is to do, in the categories of NAMUR NE 107") : null,
       fact("Judged last", finding ? freshness(asset, machine) : "none yet"),
       fact("Windows kept", count(asset?.windows ?? 0)),
     ),

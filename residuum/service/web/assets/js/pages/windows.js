@@ -7,6 +7,7 @@ import { h, notify, refresh, show } from "../lib/dom.js";
 import { inBrackets, moment, span, time } from "../lib/format.js";
 import { icon, methodsLine, sentence, stateName, stateOf, tone } from "../lib/parts.js";
 import { hasView, plant } from "../lib/plant_state.js";
+import { drawFound } from "./found.js";
 import { whyAddress } from "./why_address.js";
 
 const LISTED = 50;
@@ -33,6 +34,7 @@ export function windowsPanel(asset, asked = null, looked = () => {}) {
   );
   const caption = h("p", { class: "muted" });
   const said = h("div");
+  const found = h("div");
   const why = hasView(asset, "tracks")
     ? h(
         "p",
@@ -60,7 +62,7 @@ export function windowsPanel(asset, asked = null, looked = () => {}) {
       "div",
       { class: "body columns" },
       h("div", { class: "span-4" }, list),
-      h("div", { class: "span-8" }, caption, said, why, signalChart, pictures),
+      h("div", { class: "span-8" }, caption, said, found, why, signalChart, pictures),
     ),
   );
   let findings = [];
@@ -136,6 +138,7 @@ export function windowsPanel(asset, asked = null, looked = () => {}) {
     try {
       const { window, finding } = await call(address, { signal: stopped });
       looked(follow.checked ? null : finding);
+      if (!range) drawFound(found, asset, finding);
       chooseChannel(window);
       caption.textContent =
         `Window ${window.id}: ${window.n.toLocaleString()} samples at ` +

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks.reliability import expected_calibration_error, reliability_table
+from residuum.diagnosis.learning.reliability import expected_calibration_error, reliability_table
 from residuum.identification.errors import BadInput
 
 

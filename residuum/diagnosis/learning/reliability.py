@@ -13,6 +13,7 @@ from residuum.identification.errors import BadInput
 
 # narrow at the ends, where most movements lie
 EDGES = (0.0, 0.02, 0.1, 0.3, 0.5, 0.7, 0.9, 0.98, 1.0)
+TENTHS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
 
 
 @dataclass(frozen=True)
@@ -28,6 +29,11 @@ class ReliabilityLine:
     predicted: float
     observed: float
     interval: tuple[float, float]
+
+    @property
+    def events(self) -> int:
+        """How many came true."""
+        return round(self.n * self.observed)
 
     @property
     def agrees(self) -> bool:

@@ -1,10 +1,13 @@
-"""A reliability diagram as a small SVG: what came true over what was said, with 95 % intervals; both agree on the diagonal."""
+"""A reliability diagram as a small SVG: what came true over what was said, with 95 % intervals; both
+agree on the diagonal.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from html import escape
 
-from benchmarks.reliability import ReliabilityLine
+from residuum.diagnosis.learning.reliability import ReliabilityLine
 
 SIDE, LEFT, TOP, BELOW = 320, 56, 12, 96
 COLOURS = ("#00695c", "#c05600", "#5b4b8a")
@@ -13,9 +16,13 @@ APART = 5
 
 
 def reliability_svg(
-    series: Mapping[str, Sequence[ReliabilityLine]], single: Sequence[tuple[float, bool]] = ()
+    series: Mapping[str, Sequence[ReliabilityLine]],
+    single: Sequence[tuple[float, bool]] = (),
+    single_name: str = "single statements",
 ) -> str:
-    """The picture of several series of bins, by name, and of `single` statements, (said, whether true)."""
+    """The picture of several series of bins, by name, and of `single` statements, (said, whether
+    true).
+    """
     parts = [_axes(), *(_diamond(said, true) for said, true in single)]
     for k, (name, lines) in enumerate(series.items()):
         colour, aside = COLOURS[k % len(COLOURS)], APART * (k - (len(series) - 1) / 2)
@@ -23,12 +30,12 @@ def reliability_svg(
         y = TOP + SIDE + 58 + 16 * k
         count = sum(line.n for line in lines)
         parts.append(f'<circle cx="{LEFT + 6}" cy="{y - 4}" r="4" fill="{colour}"/>')
-        parts.append(f'<text x="{LEFT + 18}" y="{y}">{name} ({count})</text>')
+        parts.append(f'<text x="{LEFT + 18}" y="{y}">{escape(name)} ({count})</text>')
     if single:
         y = TOP + SIDE + 58 + 16 * len(series)
         parts += [
             _diamond_at(LEFT + 6, y - 4),
-            f'<text x="{LEFT + 18}" y="{y}">real machines, first group ({len(single)})</text>',
+            f'<text x="{LEFT + 18}" y="{y}">{escape(single_name)} ({len(single)})</text>',
         ]
     width, height = LEFT + SIDE + 20, TOP + SIDE + BELOW + 20
     head = f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" width="{width}" height="{height}"'

@@ -1,0 +1,77 @@
+"""What findings said beside what was found at the machines: counts, and shares of what came true by
+the probability that was said.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from residuum.diagnosis.learning.reliability import (
+    TENTHS,
+    ReliabilityLine,
+    expected_calibration_error,
+    reliability_table,
+)
+from residuum.service.store import Confirmation, Outcome
+
+
+@dataclass(frozen=True)
+class SaidAndFound:
+    """Counts of answered findings.
+
+    `lines` are tenths of said probabilities with the share found so and its 95 % Clopper–Pearson
+    interval, which takes the findings as answered independently of each other.
+    `calibration_error` is Σ n |said − share| / Σ n over them, None without any.
+    """
+
+    answered: int
+    without_probability: int
+    outcomes: Mapping[str, int]
+    lines: Sequence[ReliabilityLine]
+    calibration_error: float | None
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values."""
+        bins = [
+            {
+                "low": line.low,
+                "high": line.high,
+                "n": line.n,
+                "found": line.events,
+                "said": line.predicted,
+                "share": line.observed,
+                "low_95": line.interval[0],
+                "high_95": line.interval[1],
+                "agrees": line.agrees,
+            }
+            for line in self.lines
+        ]
+        return {
+            "answered": self.answered,
+            "without_probability": self.without_probability,
+            "outcomes": dict(self.outcomes),
+            "bins": bins,
+            "calibration_error": self.calibration_error,
+        }
+
+
+def said_and_found(confirmations: Sequence[Confirmation]) -> SaidAndFound:
+    """Counts of confirmations, one a finding. Found so is what was confirmed: what was corrected
+    was something else.
+    """
+    pairs = [
+        (each.probability, each.outcome == Outcome.CONFIRMED)
+        for each in confirmations
+        if each.probability is not None
+    ]
+    said, true = [probability for probability, _ in pairs], [found for _, found in pairs]
+    return SaidAndFound(
+        answered=len(confirmations),
+        without_probability=len(confirmations) - len(said),
+        outcomes=Counter(each.outcome for each in confirmations),
+        lines=reliability_table(said, true, TENTHS) if said else [],
+        calibration_error=expected_calibration_error(said, true, TENTHS) if said else None,
+    )
