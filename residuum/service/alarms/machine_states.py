@@ -21,11 +21,11 @@ def suppressing_state(rule: AlarmRule, record: Record) -> str | None:
     >>> suppressing_state(rule, Record({"speed": [0.1, 0.2, 9.0]}, {"speed": "rev/s"}, 1.0))
     'speed below 60 rpm'
     """
-    told = [(state, _holds(state, record)) for state in rule.suppress]
-    standing = next((str(state) for state, holds in told if holds), None)
+    states = [(state, _holds(state, record)) for state in rule.suppress]
+    standing = next((str(state) for state, holds in states if holds), None)
     if standing is not None:
         return standing
-    return None if any(holds is None for _, holds in told) else ""
+    return None if any(holds is None for _, holds in states) else ""
 
 
 def _compatible(unit: str, wanted: str) -> bool:

@@ -83,11 +83,12 @@ def confirm(
     """Tell what was found at the machine: it was so, there was no such thing, or it was something
     else. What is told later on the same finding counts instead; both stay.
     """
-    told = found.model_dump()
+    fields = found.model_dump()
     if found.found_at is not None and found.found_at.tzinfo is None:
-        told["found_at"] = found.found_at.replace(tzinfo=UTC)
-    kept = running.store.confirm(asset, finding, FoundAtMachine(**told), caller_of(request).name)
-    return Json(kept.to_json(), 201)
+        fields["found_at"] = found.found_at.replace(tzinfo=UTC)
+    caller = caller_of(request).name
+    confirmation = running.store.confirm(asset, finding, FoundAtMachine(**fields), caller)
+    return Json(confirmation.to_json(), 201)
 
 
 @router.get("/confirmations", response_model=PageOf[ConfirmationAnswer])

@@ -320,14 +320,15 @@ def healthy_windows(store: DiskStore, asset: str) -> list[Record]:
     healthy, and in which somebody found a fault, is none. Conflict when there are fewer than 8.
     """
     records: list[Record] = []
-    judged = {each.window for each in store.findings(asset, limit=_MOST, verdict="healthy").items}
-    told = store.standing_confirmations(asset=asset)
-    judged -= {
-        each.window
-        for each in told
-        if each.verdict == Verdict.HEALTHY and each.outcome != Outcome.CONFIRMED
+    findings = store.findings(asset, limit=_MOST, verdict="healthy").items
+    answers = store.standing_confirmations(asset=asset)
+    faults_found = {
+        answer.window
+        for answer in answers
+        if answer.verdict == Verdict.HEALTHY and answer.outcome != Outcome.CONFIRMED
     }
-    refuted = sorted((each.window for each in told if each.healthy), reverse=True)[:_MOST]
+    judged = {finding.window for finding in findings} - faults_found
+    refuted = sorted((answer.window for answer in answers if answer.healthy), reverse=True)[:_MOST]
     newest = sorted(judged, reverse=True)[: _MOST - len(refuted)]
     for _, record in kept_windows(store, asset, sorted([*newest, *refuted], reverse=True)):
         if not records or _alike(records[0], record):

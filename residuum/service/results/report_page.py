@@ -103,24 +103,24 @@ def _said_and_found(report: MonthReport) -> str:
     came true, at this machine in the month and at all machines until its end.
     """
     faulty = report.verdicts.get("faulty", 0)
-    answered = sum(each.verdict == "faulty" for each in report.found)
+    answered = sum(answer.verdict == "faulty" for answer in report.found)
     parts = [
         f"<p>Of {faulty} faulty windows of this month {answered} were answered by who looked at the"
         " machine.</p>"
     ]
     rows = [
         (
-            _moment(each.finding_at),
-            each.said,
-            "" if each.probability is None else f"{100 * each.probability:.0f} %",
-            each.outcome,
-            each.cause or "",
-            each.part or "",
-            each.order or "",
-            f"{each.who}, {_moment(each.found_at)}",
-            each.note or "",
+            _moment(answer.finding_at),
+            answer.said,
+            "" if answer.probability is None else f"{100 * answer.probability:.0f} %",
+            answer.outcome,
+            answer.cause or "",
+            answer.part or "",
+            answer.order or "",
+            f"{answer.who}, {_moment(answer.found_at)}",
+            answer.note or "",
         )
-        for each in report.found
+        for answer in report.found
     ]
     head = ("Finding", "Said", "With", "Found", "Cause", "Part", "Order", "By", "Note")
     parts += [_table(head, rows, numbers=(2,))] if rows else []

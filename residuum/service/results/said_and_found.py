@@ -63,15 +63,17 @@ def said_and_found(confirmations: Sequence[Confirmation]) -> SaidAndFound:
     was something else.
     """
     pairs = [
-        (each.probability, each.outcome == Outcome.CONFIRMED)
-        for each in confirmations
-        if each.probability is not None
+        (answer.probability, answer.outcome == Outcome.CONFIRMED)
+        for answer in confirmations
+        if answer.probability is not None
     ]
-    said, true = [probability for probability, _ in pairs], [found for _, found in pairs]
+    probabilities, true = [p for p, _ in pairs], [confirmed for _, confirmed in pairs]
     return SaidAndFound(
         answered=len(confirmations),
-        without_probability=len(confirmations) - len(said),
-        outcomes=Counter(each.outcome for each in confirmations),
-        lines=reliability_table(said, true, TENTHS) if said else [],
-        calibration_error=expected_calibration_error(said, true, TENTHS) if said else None,
+        without_probability=len(confirmations) - len(pairs),
+        outcomes=Counter(answer.outcome for answer in confirmations),
+        lines=reliability_table(probabilities, true, TENTHS) if pairs else [],
+        calibration_error=(
+            expected_calibration_error(probabilities, true, TENTHS) if pairs else None
+        ),
     )

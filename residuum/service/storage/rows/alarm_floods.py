@@ -82,7 +82,7 @@ def _tell(connection: Connection, flood: Row[Any], phase: str, now: datetime) ->
     """
     changed = select(alarm_journal.c.alarm_id).where(alarm_journal.c.at > flood.began_at - _WITHIN)
     query = select(alarms).where(alarms.c.id.in_(changed)).order_by(alarms.c.id)
-    told = {
+    notice = {
         "kind": FLOOD,
         "phase": phase,
         "flood": flood.id,
@@ -94,7 +94,7 @@ def _tell(connection: Connection, flood: Row[Any], phase: str, now: datetime) ->
     detail = {"raised": flood.raised, "began_at": flood.began_at}
     subject = f"flood {flood.id}"
     audit.append(connection, f"alarm flood {phase}", subject, by=None, now=now, detail=detail)
-    outbox.add_notice(connection, told)
+    outbox.add_notice(connection, notice)
 
 
 def _short(row: Row[Any]) -> dict[str, Any]:

@@ -75,14 +75,13 @@ def add(
         "by": by,
     }
     query = insert(confirmations).values(row_checks.sealed(confirmations, row))
-    kept = connection.execute(query.returning(confirmations)).one()
-    told = _confirmation(kept)
-    detail = {"asset": asset, "confirmation": told.id}
+    confirmation = _confirmation(connection.execute(query.returning(confirmations)).one())
+    detail = {"asset": asset, "confirmation": confirmation.id}
     detail |= {name: row[name] for name in ("said", "outcome", "cause", "part", "order_number")}
     detail |= {name: row[name] for name in ("who", "found_at", "note", "healthy")}
     action = f"finding {found.outcome.value}"
     audit.append(connection, action, f"finding {finding}", by=by, now=now, detail=detail)
-    return told
+    return confirmation
 
 
 def page(
@@ -122,7 +121,7 @@ def standing(
     newest = select(func.max(c.id)).where(_of(span, asset, sites)).group_by(c.finding_id)
     query = select(confirmations).where(c.id.in_(newest)).order_by(c.id)
     counted = [_confirmation(row) for row in connection.execute(query)]
-    broken = [each.id for each in counted if each.outcome == DAMAGED]
+    broken = [answer.id for answer in counted if answer.outcome == DAMAGED]
     if broken:
         raise row_checks.refuse(f"confirmation {broken[0]}")
     return counted
@@ -135,12 +134,12 @@ def with_confirmations(
     c = confirmations.c
     newest = (
         select(func.max(c.id))
-        .where(c.finding_id.in_([each.id for each in stored]))
+        .where(c.finding_id.in_([finding.id for finding in stored]))
         .group_by(c.finding_id)
     )
     rows = connection.execute(select(confirmations).where(c.id.in_(newest)))
     known = {row.finding_id: _confirmation(row) for row in rows}
-    return [replace(each, confirmation=known.get(each.id)) for each in stored]
+    return [replace(finding, confirmation=known.get(finding.id)) for finding in stored]
 
 
 def findings_page(
@@ -177,13 +176,13 @@ def assets_page(
 
 
 def _with_last(connection: Connection, known: Sequence[Asset]) -> list[Asset]:
-    last = [each.last_finding for each in known if each.last_finding is not None]
-    found = {each.id: each for each in with_confirmations(connection, last)}
+    last = [asset.last_finding for asset in known if asset.last_finding is not None]
+    answered = {finding.id: finding for finding in with_confirmations(connection, last)}
     return [
-        each
-        if each.last_finding is None
-        else replace(each, last_finding=found[each.last_finding.id])
-        for each in known
+        asset
+        if asset.last_finding is None
+        else replace(asset, last_finding=answered[asset.last_finding.id])
+        for asset in known
     ]
 
 
@@ -237,7 +236,7 @@ def _of(span: Span, asset: str | None, sites: Collection[str] | None) -> ColumnE
 
 
 def _confirmation(row: Row[Any]) -> Confirmation:
-    told = Confirmation(
+    confirmation = Confirmation(
         row.id,
         row.asset_id,
         row.finding_id,
@@ -259,5 +258,5 @@ def _confirmation(row: Row[Any]) -> Confirmation:
         row.by,
     )
     if not row_checks.differs(confirmations, row._mapping):
-        return told
-    return replace(told, outcome=DAMAGED, note=row_checks.TELLS, cause=None, healthy=False)
+        return confirmation
+    return replace(confirmation, outcome=DAMAGED, note=row_checks.TELLS, cause=None, healthy=False)

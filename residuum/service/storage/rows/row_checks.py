@@ -105,7 +105,7 @@ def _counted(values: Mapping[Any, Any], part: Sequence[str]) -> list[Any]:
     """What a part of a row's checksum is of."""
     first = [values.get(name) for name in part if name not in _LATER]
     later = [[name, values.get(name)] for name in part if name in _LATER]
-    return first + [each for each in later if each[1] is not None]
+    return first + [[name, value] for name, value in later if value is not None]
 
 
 def differs(table: Table, values: Mapping[Any, Any]) -> bool:
