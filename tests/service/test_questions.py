@@ -15,6 +15,7 @@ from residuum.library.questions.estimate import Estimate
 from residuum.library.questions.identify import Identify
 from residuum.library.questions.missing_effect import Explain, Improve
 from residuum.library.questions.residual import DesignResidual, RunResidual
+from residuum.library.questions.simulate import Simulate
 from residuum.library.questions.uncertainty import Uncertainty
 from residuum.service.app import create_app
 from residuum.service.commands import asked as options
@@ -30,6 +31,7 @@ DOORS = {
     DesignResidual: ("residual design", "residuals", rs.residual),
     RunResidual: ("residual run", "residuals", rs.Residual.run),
     Uncertainty: ("uncertainty", "models/{model}/uncertainty", rs.uncertainty),
+    Simulate: ("simulate", "records/simulations", rs.simulate),
 }
 """Question → command, route, function of the library."""
 
@@ -68,7 +70,7 @@ def test_a_field_is_an_option_a_key_and_a_keyword(question, described):
         assert " ".join(help_of(declared).split()) in " ".join(function.__doc__.split())
         assert shown[name].help.replace("\\[", "[").startswith(help_of(declared))
         if isinstance(default, bool) or (
-            declared.default is not None and not declared.is_required()
+            declared.default not in (None, {}) and not declared.is_required()
         ):
             assert str(shown[name].default) == str(default)
         key = body["properties"][name]
