@@ -222,7 +222,7 @@ def _directions(equations: Equations, states: Mapping[str, str], taken: set[str]
 
 
 def _undelayed(model: PhysicalModel) -> Equations:
-    equations = compose(model)
+    equations = compose(model).written_out()
     if any(sp.sympify(e).has(Root) for e in (*equations.rates, *equations.outputs.values())):
         raise BadModel(
             f"export: model {model.name!r} solves balances by Newton's method (start:), which no"

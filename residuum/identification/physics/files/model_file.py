@@ -16,7 +16,7 @@ import yaml
 from residuum.identification.errors import BadInput, BadModel, BadUnit
 from residuum.identification.physics.effects import EFFECTS
 from residuum.identification.physics.effects.base import Parameter, Prior
-from residuum.identification.physics.files.consistency import check, expressions_of
+from residuum.identification.physics.files.consistency import check, definitions_of, expressions_of
 from residuum.identification.physics.files.effect_file import WrittenEffect, effects_of
 from residuum.identification.physics.files.expression import Expression, parse, with_definitions
 from residuum.identification.physics.files.parts import (
@@ -291,12 +291,14 @@ def write_model(model: PhysicalModel) -> str:
             for s in model.states.values()
             if s.of_record
         },
-        "balances": {
-            balance.name: _written_balance(balance) for balance in model.balances.values()
-        },
-        "outputs": {
-            o.name: {"value": o.value.text, "unit": o.unit} for o in model.outputs.values()
-        },
+    }
+    if definitions := definitions_of(model):
+        document["let"] = {name: it.text for name, it in definitions.items()}
+    document["balances"] = {
+        balance.name: _written_balance(balance) for balance in model.balances.values()
+    }
+    document["outputs"] = {
+        o.name: {"value": o.value.text, "unit": o.unit} for o in model.outputs.values()
     }
     if model.initial:
         document["initial"] = dict(model.initial)
