@@ -314,7 +314,7 @@ PLANTS = {
         sample_time=5.0,
         samples=1500,
         hold=40,
-        hidden="heater-nonlinearity@coil",
+        hidden="input-power@f_w",
         size=0.4,
     ),
     "pump-station": Plant(
@@ -345,8 +345,8 @@ PLANTS = {
     "turbo-engine": Plant(
         _turbo_engine,
         lambda x, u, c: [x[0], x[1]],
-        {"p_1": 1.5, "p_2": 1.7, "P_c": 1.5},
-        {"W_egr": (0.0, 0.006), "W_t": (0.022, 0.03), "W_f": (1e-3, 3e-3)},
+        {"p_1": 2.0, "p_2": 2.5, "P_c": 5.0},
+        {"W_egr": (0.0, 0.006), "W_t": (0.017, 0.023), "W_f": (1e-3, 3e-3)},
         (1.0, 1.0, 1.0),
         sample_time=0.02,
         samples=1500,

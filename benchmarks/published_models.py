@@ -55,13 +55,15 @@ def hidden_record(name: str, seed: int = 0) -> Record:
 
 
 def named(plant: Plant, why: rs.Explanation) -> str:
-    """`named`, `group` or `missed`, by the first candidate."""
+    """By the first candidate: `named` at its place, in its `group`, named `elsewhere`, or `missed`."""
     effect, first = plant.hidden.split("@")[0], why.best
     if first is None or why.verdict != "missing-effect":
         return "missed"
-    if first.effect == effect:
+    if str(first.key) == plant.hidden:
         return "named"
-    return "group" if effect in first.indistinguishable_from else "missed"
+    if effect in first.indistinguishable_from:
+        return "group"
+    return "elsewhere" if first.effect == effect else "missed"
 
 
 def main() -> None:
@@ -76,7 +78,7 @@ def main() -> None:
     print("|---|---|---|---|---|---|---|")
     told = [_told(name, given.seed) for name in chosen]
     agree = sum(one <= AGREEMENT for one, _ in told)
-    right = sum(answer != "missed" for _, answer in told)
+    right = sum(answer in ("named", "group") for _, answer in told)
     print(f"\nAgree to {AGREEMENT:g}: {agree} of {len(told)}; named or in the group: {right}")
 
 

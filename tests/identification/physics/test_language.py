@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import residuum as rs
-from residuum.identification.errors import BadModel
+from residuum.identification.errors import BadModel, NotIdentifiable
 from residuum.identification.physics import Experiment, Simulator, read_model
 from residuum.identification.physics.files.expression import evaluate, parse
 from residuum.identification.physics.files.model_file import write_model
@@ -194,6 +194,30 @@ def test_models_that_differ_in_a_definition_alone_differ():
     other = run(read_model(nested(6, start=0.3)), U).Y
     assert np.abs(other - nested_reference(6, U, start=0.3)).max() < 1e-5
     assert np.abs(other - run(read_model(nested(6)), U).Y).max() > 1e-3
+
+
+REACTOR = """
+name: emptying vessel of gas
+inputs: {u: "1"}
+states: {p: {unit: bar, start: 3}}
+parameters: {T: {value: 5, unit: s, lower: 0.1}}
+constants: {bar: 1 bar}
+balances: {gas: {kind: signal, storage: T * der(p), terms: {in: u * bar, out: -p}}}
+outputs: {y: {value: log(p / bar)}}
+"""
+
+
+def test_a_state_begins_its_estimation_where_its_file_says():
+    """A logarithm of 0 is no number: no descent leaves it."""
+    model = read_model(REACTOR)
+    t, true = 0.1 * np.arange(200), 4.0
+    y = np.log(1.0 + (true - 1.0) * np.exp(-t / 7.0))
+    record = rs.Record({"u": np.ones(200), "y": y}, {"u": "1", "y": "1"}, 0.1)
+    found = rs.Model(model).estimate(record)
+    assert found.parameters["T"]["value"] == pytest.approx(7.0, rel=1e-3)
+    assert read_model(write_model(model)).states["p"].start == 3.0
+    with pytest.raises(NotIdentifiable, match="diverges"):
+        rs.model(REACTOR.replace(", start: 3", "")).estimate(record)
 
 
 def test_definitions_that_grow_without_end_are_refused():

@@ -159,7 +159,7 @@ def explicit(model: PhysicalModel) -> ExplicitModel:
             )
             rates[states[state]] = total / put(equations.signals[f"storage:{balance}"])
     own_first = {
-        name: put(equations.initial.get(old, model.initial.get(old, 0.0)))
+        name: put(equations.initial.get(old, model.first_values.get(old, 0.0)))
         for old, name in states.items()
     }
     first = {symbols[name]: value for name, value in own_first.items()}
