@@ -196,6 +196,17 @@ def test_models_that_differ_in_a_definition_alone_differ():
     assert np.abs(other - run(read_model(nested(6)), U).Y).max() > 1e-3
 
 
+def test_a_part_whose_text_would_be_too_long_is_refused(tmp_path):
+    (tmp_path / "inner.yaml").write_text(nested(6), encoding="utf-8")
+    outer = tmp_path / "outer.yaml"
+    outer.write_text(
+        'name: outer\nuse: {a: inner.yaml}\noutputs: {y: {value: a_b, unit: "1"}}\n',
+        encoding="utf-8",
+    )
+    with pytest.raises(BadModel, match=r"inner.yaml, line \d+, column \d+: too long for a part"):
+        rs.model(outer)
+
+
 REACTOR = """
 name: emptying vessel of gas
 inputs: {u: "1"}
