@@ -10,6 +10,7 @@ BENCHMARKS: dict[str, str] = {
     "explain": "how long explain takes on 60 s at 1 kHz, with an empty cache and with a filled one",
     "same_answers": "explain and improve with code compiled and not, one thread and two, idle and beside load: equal answers",
     "drawn_answers": "drawn models and records through four questions: faults, and rules that answers break",
+    "published_models": "models that engineers published: simulated beside SciPy, and is what they lack named?",
     "policy_halves": "each number of the judge on unseen blocks halved and half as large again: which answers change",
     "real_records": "missing physics in real recordings: Silverbox beside published errors, a lamp that heats a plate",
     "ingest": "CPU and losses of the bus sources at the demo's full traffic",

@@ -71,13 +71,15 @@ class Input:
 class State:
     """A state; `rate` names the state that is its derivative (None: a balance gives the
     derivative). A parameter with a value for each record is one that stands still: `of_record`
-    holds its declaration, at whose value it begins.
+    holds its declaration, at whose value it begins. `start` is where the estimation of a first
+    value begins.
     """
 
     name: str
     unit: str
     rate: str | None = None
     of_record: Parameter | None = None
+    start: float | None = None
 
 
 @dataclass(frozen=True)
@@ -211,6 +213,16 @@ class PhysicalModel:
     def values(self) -> dict[str, float]:
         """Value of every parameter, by full name."""
         return {name: parameter.value for name, parameter in self.all_parameters.items()}
+
+    @property
+    def first_values(self) -> dict[str, float]:
+        """Where states begin, as far as the model says it: known, declared for each record, or the
+        start of an estimation.
+        """
+        states = self.states.values()
+        starts = {state.name: state.start for state in states if state.start is not None}
+        of_record = {state.name: state.of_record.value for state in states if state.of_record}
+        return {**starts, **of_record, **self.initial}
 
     @property
     def free(self) -> tuple[str, ...]:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import residuum as rs
-from residuum.identification.errors import BadModel
+from residuum.identification.errors import BadModel, NotIdentifiable
 from residuum.identification.physics import Experiment, Simulator, read_model
 from residuum.identification.physics.files.expression import evaluate, parse
 from residuum.identification.physics.files.model_file import write_model
@@ -130,6 +130,112 @@ def test_refusals_say_what_and_where(old, new, says):
         BadModel, match=r"line \d+, column \d+: .*(" + says.replace("()", r"\(\)") + ")"
     ):
         read_model(TANK.replace(old, new))
+
+
+def nested(levels, start=0.1):
+    """A model whose definitions name each other so often that its text, written out, would have 5^levels names."""
+    let = {"f_0": f"q + {start} * k * u"} | {
+        f"f_{n}": f"where(f_{n - 1} > 1, 1.1 * sqrt(f_{n - 1}), f_{n - 1} + 0.1 * f_{n - 1} * f_{n - 1})"
+        for n in range(1, levels + 1)
+    }
+    lines = "\n".join(f"  {name}: {text}" for name, text in let.items())
+    return f"""
+name: nested
+inputs: {{u: "1"}}
+states: {{q: {{unit: "1"}}}}
+parameters: {{T: {{value: 2.0, unit: s, lower: 0.01}}, k: {{value: 1.5}}}}
+let:
+{lines}
+balances: {{store: {{kind: signal, storage: T * der(q), terms: {{in: u, out: -f_{levels}}}}}}}
+outputs: {{a: {{value: f_{levels} * q}}, b: {{value: q}}}}
+initial: {{q: 0.2}}
+"""
+
+
+def nested_reference(levels, U, k=1.5, start=0.1):
+    def f(q, u):
+        value = q + start * k * u
+        for _ in range(levels):
+            value = 1.1 * math.sqrt(value) if value > 1 else value + 0.1 * value * value
+        return value
+
+    def rate(q, u):
+        return (u - f(q, u)) / 2.0
+
+    q, steps, seen = 0.2, 400, []
+    for (u,) in U:
+        seen.append((f(q, u) * q, q))
+        for _ in range(steps):
+            q += 0.1 / steps * rate(q + 0.05 / steps * rate(q, u), u)
+    return np.array(seen)
+
+
+def test_definitions_that_name_each_other_need_not_be_written_out():
+    """Written out, they have a hundred thousand characters, and SymPy would look at each."""
+    U = driven(100) / 60.0
+    model = read_model(nested(6))
+    moved = run(model, U, slopes=("k", "T"))
+    assert np.abs(moved.Y - nested_reference(6, U)).max() < 1e-5
+    h = 1e-5
+    higher, lower = (run(model.with_values({"k": 1.5 + d}), U).Y for d in (h, -h))
+    slopes = (higher - lower) / (2.0 * h)
+    assert np.abs(moved.dY[:, :, 0] - slopes).max() < 1e-5 * np.abs(slopes).max()
+
+
+def test_a_written_model_keeps_what_its_long_texts_name():
+    U, text = driven(40) / 60.0, write_model(read_model(nested(6)))
+    again = read_model(text)
+    assert len(text) < 20_000 and write_model(again) == text
+    assert np.array_equal(run(again, U).Y, run(read_model(nested(6)), U).Y)
+
+
+def test_models_that_differ_in_a_definition_alone_differ():
+    U = driven(40) / 60.0
+    other = run(read_model(nested(6, start=0.3)), U).Y
+    assert np.abs(other - nested_reference(6, U, start=0.3)).max() < 1e-5
+    assert np.abs(other - run(read_model(nested(6)), U).Y).max() > 1e-3
+
+
+def test_a_part_whose_text_would_be_too_long_is_refused(tmp_path):
+    (tmp_path / "inner.yaml").write_text(nested(6), encoding="utf-8")
+    outer = tmp_path / "outer.yaml"
+    outer.write_text(
+        'name: outer\nuse: {a: inner.yaml}\noutputs: {y: {value: a_b, unit: "1"}}\n',
+        encoding="utf-8",
+    )
+    with pytest.raises(BadModel, match=r"inner.yaml, line \d+, column \d+: too long for a part"):
+        rs.model(outer)
+
+
+REACTOR = """
+name: emptying vessel of gas
+inputs: {u: "1"}
+states: {p: {unit: bar, start: 3}}
+parameters: {T: {value: 5, unit: s, lower: 0.1}}
+constants: {bar: 1 bar}
+balances: {gas: {kind: signal, storage: T * der(p), terms: {in: u * bar, out: -p}}}
+outputs: {y: {value: log(p / bar)}}
+"""
+
+
+def test_a_state_begins_its_estimation_where_its_file_says():
+    """A logarithm of 0 is no number: no descent leaves it."""
+    model = read_model(REACTOR)
+    t, true = 0.1 * np.arange(200), 4.0
+    y = np.log(1.0 + (true - 1.0) * np.exp(-t / 7.0))
+    record = rs.Record({"u": np.ones(200), "y": y}, {"u": "1", "y": "1"}, 0.1)
+    found = rs.Model(model).estimate(record)
+    assert found.parameters["T"]["value"] == pytest.approx(7.0, rel=1e-3)
+    assert read_model(write_model(model)).states["p"].start == 3.0
+    with pytest.raises(NotIdentifiable, match="diverges"):
+        rs.model(REACTOR.replace(", start: 3", "")).estimate(record)
+
+
+def test_definitions_that_grow_without_end_are_refused():
+    with pytest.raises(
+        BadModel, match=r"line \d+, column \d+: with its definitions .* make a state"
+    ):
+        read_model(nested(12))
 
 
 def test_the_cases_of_a_table_cover_every_place():

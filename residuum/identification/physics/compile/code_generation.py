@@ -156,7 +156,7 @@ class _Function:
             eq.u[n]: (d, sp.Symbol(f"ur_{list(eq.u).index(n)}", real=True))
             for n, d in eq.delays.items()
         }
-        self._begin(name, _loads(eq), moved)
+        self._begin(name, _loads(eq), moved, eq.defined)
         self.stores: dict[Slot, str] = {
             ("r0", i): self.value(sp.sympify(e)) for i, e in rows.items()
         }
@@ -172,9 +172,13 @@ class _Function:
                 self.stores |= {slot: slope for slot, slope in slopes.items() if slope is not None}
 
     def _begin(
-        self, name: str, loads: Mapping[sp.Symbol, Slot], moved: Mapping[Any, tuple[Any, Any]]
+        self,
+        name: str,
+        loads: Mapping[sp.Symbol, Slot],
+        moved: Mapping[Any, tuple[Any, Any]],
+        defined: Mapping[sp.Symbol, sp.Expr],
     ) -> None:
-        self.name, self.loads, self.moved = name, loads, moved
+        self.name, self.loads, self.moved, self.defined = name, loads, moved, defined
         self.roots: dict[str, Any] = {}
         self.lines: list[str] = []
         self.known: dict[Any, str] = {}
@@ -208,12 +212,16 @@ class _Function:
         """
         if by not in self._depends(e):
             return None
+        if e in self.defined:
+            return self.slope(self.defined[e], by)
         if (e, by) not in self.known_slopes:
             self.known_slopes[e, by] = self._slope(e, by)
         return self.known_slopes[e, by]
 
     def _depends(self, e: Any) -> frozenset[sp.Symbol]:
         """Symbols by which an expression may have a slope: its own, and the delay of an input."""
+        if e in self.defined:
+            return self._depends(self.defined[e])
         if e not in self.dependent:
             if e.is_Symbol:
                 self.dependent[e] = frozenset({e, self.moved[e][0]} if e in self.moved else {e})
@@ -266,6 +274,8 @@ class _Function:
 
     def value(self, e: Any) -> str:
         """The name of the register, or the constant, that holds an expression."""
+        if e in self.defined:
+            return self.value(self.defined[e])
         if e not in self.known:
             self.known[e] = self._write(e)
         return self.known[e]
@@ -506,6 +516,7 @@ class _NewtonStep(_Function):
         self._begin(
             name,
             {symbol: (array, k) for array, symbols in places for k, symbol in enumerate(symbols)},
+            {},
             {},
         )
         steps = implicit.solved(

@@ -24,8 +24,10 @@ Reference: A. F. Filippov, *Differential Equations with Discontinuous Righthand 
 
 from __future__ import annotations
 
+import math
+from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import sympy as sp
 
@@ -33,8 +35,19 @@ from residuum.identification.errors import BadModel, NoExplicitEquations
 from residuum.identification.physics.compile import implicit
 from residuum.identification.physics.compile.expression_meaning import meaning, number
 from residuum.identification.physics.effects.base import Contribution, Scene
-from residuum.identification.physics.files.consistency import owners_of
-from residuum.identification.physics.files.expression import Call, Name, Node, Number, walk
+from residuum.identification.physics.files.consistency import (
+    expressions_of,
+    owners_of,
+)
+from residuum.identification.physics.files.expression import (
+    Call,
+    Name,
+    Node,
+    Number,
+    Operation,
+    folded,
+    walk,
+)
 from residuum.identification.physics.model import (
     CHANNELS,
     Balance,
@@ -46,6 +59,9 @@ from residuum.identification.physics.model import (
 )
 
 TIME = sp.Symbol("t", real=True)
+LARGE = 60
+"""Numbers, names and operations from which on what stands in several places is kept apart."""
+_ARITHMETIC = ("+", "-", "*", "/", "**", "neg")
 
 
 @dataclass(frozen=True)
@@ -71,6 +87,8 @@ class Equations:
         Velocities (or currents) that can stand still.
     delays : mapping of input to symbol
         Parameter by which an input is delayed [s].
+    defined : mapping of symbol to expression
+        What symbols of large models stand for that are none of these, each after those it names.
     """
 
     x: Mapping[str, sp.Symbol]
@@ -83,6 +101,25 @@ class Equations:
     deviating: tuple[str, ...]
     surfaces: Mapping[int, sp.Symbol]
     delays: Mapping[str, sp.Symbol]
+    defined: Mapping[sp.Symbol, sp.Expr]
+
+    def written_out(self) -> Equations:
+        """The same without symbols that are defined."""
+        put: dict[sp.Symbol, sp.Expr] = {}
+        for symbol, expression in self.defined.items():
+            put[symbol] = expression.xreplace(put)
+
+        def all_of(family: Mapping[str, sp.Expr]) -> dict[str, sp.Expr]:
+            return {name: sp.sympify(e).xreplace(put) for name, e in family.items()}
+
+        return replace(
+            self,
+            rates=tuple(sp.sympify(rate).xreplace(put) for rate in self.rates),
+            outputs=all_of(self.outputs),
+            signals=all_of(self.signals),
+            initial=all_of(self.initial),
+            defined={},
+        )
 
 
 def compose(model: PhysicalModel) -> Equations:
@@ -146,6 +183,9 @@ class _Composer:
         self.delays: dict[str, sp.Symbol] = {}
         self.directions: dict[str, sp.Symbol] = {}
         self.became_state: dict[sp.Symbol, sp.Expr] = {}
+        self.meanings: dict[tuple[int, str | None, sp.Symbol | None], sp.Expr] = {}
+        self.apart = _standing_apart(model)
+        self.defined: dict[sp.Symbol, sp.Expr] = {}
 
     def equations(self) -> Equations:
         for use in self.model.effects:
@@ -210,6 +250,7 @@ class _Composer:
             deviating,
             surfaces,
             self.delays,
+            self.defined,
         )
 
     def _recorded_or_default(self, name: str) -> sp.Expr:
@@ -409,6 +450,19 @@ class _Composer:
     def _symbolic(
         self, tree: Node, surface: str | None, derivative: sp.Symbol | None = None
     ) -> sp.Expr:
+        """What a tree means; asked once of what stands in several places."""
+        apart = id(tree) in self.apart
+        key = (id(tree), None, None) if apart else (id(tree), surface, derivative)
+        if key not in self.meanings:
+            means = self._meaning(tree, surface, derivative)
+            if apart:
+                symbol = sp.Symbol(f"d_{len(self.defined)}", real=True)
+                self.defined[symbol] = sp.sympify(means)
+                means = symbol
+            self.meanings[key] = means
+        return self.meanings[key]
+
+    def _meaning(self, tree: Node, surface: str | None, derivative: sp.Symbol | None) -> sp.Expr:
         if isinstance(tree, Number):
             return number(tree)
         if isinstance(tree, Name):
@@ -448,6 +502,37 @@ class _Composer:
             if name in family:
                 return family[name]
         raise BadModel(f"model {self.model.name!r}: name {name!r} is not declared")
+
+
+def _standing_apart(model: PhysicalModel) -> set[int]:
+    """Which nodes of the model's trees have a symbol of their own: large ones that stand in several
+    places, but for what a direction or the variable of a balance without storage is put into.
+
+    SymPy asks of whatever it is given whether it is real, positive or zero, all the way down: a
+    model of a hundred equations that name each other would take it hours.
+    """
+    put_into = {b.defines for b in model.balances.values()}
+    trees = [expression.tree for expression in expressions_of(model)]
+    nodes = {id(node): node for tree in trees for node in walk(tree)}
+    places = Counter(map(id, trees))
+    for node in nodes.values():
+        places.update(map(id, node.operands if isinstance(node, Operation | Call) else ()))
+    found = set[int]()
+
+    def size(node: Node, inner: list[float]) -> float:
+        if isinstance(node, Name) and node.name in put_into:
+            return math.inf
+        if isinstance(node, Call) and node.function in ("sign", "der"):
+            return math.inf
+        total = 1 + sum(inner)
+        is_value = not isinstance(node, Operation) or node.operator in _ARITHMETIC
+        if LARGE <= total < math.inf and places[id(node)] > 1 and is_value:
+            found.add(id(node))
+        return total
+
+    for tree in trees:
+        folded(tree, size)
+    return found
 
 
 def _needed(side: _Sides, sides: list[_Sides]) -> list[_Sides]:

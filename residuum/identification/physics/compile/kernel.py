@@ -28,6 +28,7 @@ from residuum.code_folder import code_folder
 from residuum.identification.physics.compile import machine_code
 from residuum.identification.physics.compile.machine_code import FUNCTIONS, STEPPING
 from residuum.identification.physics.effects import EFFECTS
+from residuum.identification.physics.files.consistency import definitions_of
 from residuum.identification.physics.model import PhysicalModel
 from residuum.identification.physics.simulate.integration import System
 
@@ -151,7 +152,8 @@ def _structure(model: PhysicalModel) -> str:
     ]
     states = [(s.name, s.rate, s.unit) for s in model.states.values()]
     outputs = [(o.name, o.value.text) for o in model.outputs.values()]
-    return repr((inputs, states, list(model.parameters), balances, outputs, effects))
+    defined = sorted((name, it.text) for name, it in definitions_of(model).items())
+    return repr((inputs, states, list(model.parameters), balances, outputs, effects, defined))
 
 
 def _write(path: Path, content: bytes) -> None:

@@ -159,7 +159,7 @@ def explicit(model: PhysicalModel) -> ExplicitModel:
             )
             rates[states[state]] = total / put(equations.signals[f"storage:{balance}"])
     own_first = {
-        name: put(equations.initial.get(old, model.initial.get(old, 0.0)))
+        name: put(equations.initial.get(old, model.first_values.get(old, 0.0)))
         for old, name in states.items()
     }
     first = {symbols[name]: value for name, value in own_first.items()}
@@ -222,7 +222,7 @@ def _directions(equations: Equations, states: Mapping[str, str], taken: set[str]
 
 
 def _undelayed(model: PhysicalModel) -> Equations:
-    equations = compose(model)
+    equations = compose(model).written_out()
     if any(sp.sympify(e).has(Root) for e in (*equations.rates, *equations.outputs.values())):
         raise BadModel(
             f"export: model {model.name!r} solves balances by Newton's method (start:), which no"

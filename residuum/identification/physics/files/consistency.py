@@ -81,6 +81,17 @@ def expressions_of(model: PhysicalModel) -> list[Expression]:
     return [*parts, *(output.value for output in model.outputs.values())]
 
 
+def definitions_of(model: PhysicalModel) -> dict[str, Expression]:
+    """What names in the texts of a model's expressions stand for, where these keep them."""
+    found = dict[str, Expression]()
+    open_ = expressions_of(model)
+    while open_:
+        new = {name: it for name, it in open_.pop().where.items() if name not in found}
+        found |= new
+        open_ += new.values()
+    return found
+
+
 def _unique_names(tree: Table) -> None:
     declared: dict[str, str] = {}
     for section in ("inputs", "states", "parameters", "constants", "let"):

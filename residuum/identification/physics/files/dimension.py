@@ -23,6 +23,7 @@ from residuum.identification.physics.files.expression import (
     Node,
     Number,
     Operation,
+    folded,
 )
 from residuum.identification.units import is_own, parse_unit
 
@@ -102,11 +103,14 @@ def dimension_of(tree: Node, names: Mapping[str, Dimension]) -> Dimension:
     """The dimension of an expression; BadModel with line and column when unlike things are
     added.
     """
+    return folded(tree, lambda node, operands: _of_node(node, operands, names))
+
+
+def _of_node(tree: Node, operands: list[Dimension], names: Mapping[str, Dimension]) -> Dimension:
     if isinstance(tree, Number):
         return LITERAL
     if isinstance(tree, Name):
         return names[tree.name]
-    operands = [dimension_of(operand, names) for operand in tree.operands]
     if isinstance(tree, Call):
         return _of_call(tree, operands)
     if tree.operator in ("+", "-"):

@@ -24,8 +24,9 @@ import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import pairwise
-from typing import Any, TypeVar
+from typing import Any, TypeGuard, TypeVar
 
 from residuum.identification.errors import BadModel
 from residuum.nearest_names import known_names
@@ -61,6 +62,11 @@ MOST_KNOTS, MOST_VALUES = 200, 1000
 """Of a table of one place, and of one of two places."""
 LONGEST_EXPRESSION = 20_000
 DEEPEST_EXPRESSION, LARGEST_EXPONENT = 60, 20
+MOST_NODES, DEEPEST_TREE = 200_000, 120
+"""Of an expression with everything that its names stand for, each time that it is named; a sum is
+one level, however many terms it has.
+"""
+_SUM = ("+", "-")
 
 _INSTEAD = {
     "|": "; write abs(x)",
@@ -135,17 +141,22 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Expression:
-    """The text of an expression and its tree."""
+    """The text of an expression and its tree.
+
+    Where the text would be too long with what its names stand for written out, `where` has these
+    names, and the tree what they stand for.
+    """
 
     text: str
     tree: Node
+    where: Mapping[str, Expression] = field(default_factory=dict, compare=False)
 
     @property
     def place(self) -> Place:
         """Where the expression begins."""
         return self.tree.place
 
-    @property
+    @cached_property
     def names(self) -> frozenset[str]:
         """Every name that occurs.
 
@@ -162,11 +173,31 @@ def _is_steep(node: Node) -> bool:
 
 
 def walk(tree: Node) -> Iterator[Node]:
-    """The node and everything below it."""
-    yield tree
-    if isinstance(tree, Operation | Call):
-        for operand in tree.operands:
-            yield from walk(operand)
+    """The node and everything below it, once where it stands in several places."""
+    seen, open_ = set[int](), [tree]
+    while open_:
+        node = open_.pop()
+        if id(node) in seen:
+            continue
+        seen.add(id(node))
+        yield node
+        if isinstance(node, Operation | Call):
+            open_ += reversed(node.operands)
+
+
+def folded(tree: Node, combine: Callable[[Node, list[T]], T]) -> T:
+    """What `combine(node, what its operands gave)` gives of the tree; a node that stands in several
+    places is asked once.
+    """
+    done = dict[int, T]()
+
+    def at(node: Node) -> T:
+        if id(node) not in done:
+            operands = node.operands if isinstance(node, Operation | Call) else ()
+            done[id(node)] = combine(node, [at(operand) for operand in operands])
+        return done[id(node)]
+
+    return at(tree)
 
 
 def parse(text: str | float, place: Place | None = None) -> Expression:
@@ -197,24 +228,51 @@ def parse(text: str | float, place: Place | None = None) -> Expression:
 
 def with_definitions(expression: Expression, definitions: Mapping[str, Expression]) -> Expression:
     """The expression with each name that is defined replaced by what it stands for, in brackets
-    where that is more than a name.
+    where that is more than a name. A text that were longer than 20000 characters keeps its names.
 
     >>> with_definitions(parse("2 * Re + T"), {"Re": parse("rho*v + 1"), "T": parse("T_1")}).text
     '2 * (rho*v + 1) + T_1'
     """
-    used = expression.names & definitions.keys()
+    used = {name: definitions[name] for name in expression.names & definitions.keys()}
     if not used:
         return expression
-    texts = {name: _in_brackets(definitions[name]) for name in used}
-    text = _NAMES.sub(lambda name: texts.get(name[0], name[0]), expression.text)
+    tree = _replaced(expression.tree, {name: it.tree for name, it in used.items()})
+    _check_size(tree, expression.place)
+    text, where = _written_out(expression, used)
     if len(text) > LONGEST_EXPRESSION:
+        text, where = expression.text, used
+    return Expression(text, tree, where)
+
+
+def _written_out(
+    expression: Expression, used: Mapping[str, Expression]
+) -> tuple[str, Mapping[str, Expression]]:
+    if expression.where:
         raise expression.place.refuse(
-            f"with its definitions it has {len(text)} characters; at most {LONGEST_EXPRESSION} are"
-            " allowed"
+            "too long for a part: with its definitions it has more than"
+            f" {LONGEST_EXPRESSION} characters; write what it holds into the model itself"
         )
-    return Expression(
-        text, _replaced(expression.tree, {name: definitions[name].tree for name in used})
-    )
+    texts = {name: _in_brackets(it) for name, it in used.items()}
+    text = _NAMES.sub(lambda name: texts.get(name[0], name[0]), expression.text)
+    return text, {name: it for inner in used.values() for name, it in inner.where.items()}
+
+
+def _check_size(tree: Node, place: Place) -> None:
+    """BadModel for a tree that is too large or too deep for the questions that are asked of it."""
+
+    def size_and_depth(node: Node, inner: list[tuple[int, int]]) -> tuple[int, int]:
+        levels = [depth + 1 for _, depth in inner]
+        if _is_sum(node) and _is_sum(node.operands[0]):
+            levels[0] -= 1
+        return 1 + sum(size for size, _ in inner), max(levels, default=1)
+
+    size, depth = folded(tree, size_and_depth)
+    if size > MOST_NODES or depth > DEEPEST_TREE:
+        raise place.refuse(
+            f"with its definitions it has {size} numbers, names and operations, {depth} within each"
+            f" other; at most {MOST_NODES} and {DEEPEST_TREE} are allowed: make a state of a quantity"
+            " that it names"
+        )
 
 
 _NAMES = re.compile(r"(?<![\w.])[A-Za-z_]\w*")
@@ -225,12 +283,19 @@ def _in_brackets(expression: Expression) -> str:
     return expression.text if isinstance(expression.tree, Name) else f"({expression.text})"
 
 
+def _is_sum(node: Node) -> TypeGuard[Operation]:
+    return isinstance(node, Operation) and node.operator in _SUM
+
+
 def _replaced(tree: Node, trees: Mapping[str, Node]) -> Node:
-    if isinstance(tree, Name):
-        return trees.get(tree.name, tree)
-    if isinstance(tree, Number):
-        return tree
-    return replace(tree, operands=tuple(_replaced(operand, trees) for operand in tree.operands))
+    """The tree with names replaced; what stands in several places stays one."""
+
+    def combine(node: Node, operands: list[Node]) -> Node:
+        if isinstance(node, Name):
+            return trees.get(node.name, node)
+        return node if isinstance(node, Number) else replace(node, operands=tuple(operands))
+
+    return folded(tree, combine)
 
 
 def evaluate(tree: Node, values: Mapping[str, float]) -> float:
@@ -242,17 +307,20 @@ def evaluate(tree: Node, values: Mapping[str, float]) -> float:
     >>> evaluate(parse("(J + m*r**2) * der(w)").tree, {"J": 1.0, "m": 3.0, "r": 2.0})
     13.0
     """
-    if isinstance(tree, Number):
-        return tree.value
-    if isinstance(tree, Name):
-        return values.get(tree.name, math.nan)
-    numbers = [evaluate(operand, values) for operand in tree.operands]
-    try:
-        return float(
-            _MEANING[tree.operator if isinstance(tree, Operation) else tree.function](*numbers)
-        )
-    except (ZeroDivisionError, ValueError, OverflowError, TypeError):
-        return math.nan
+
+    def combine(node: Node, numbers: list[float]) -> float:
+        if isinstance(node, Number):
+            return node.value
+        if isinstance(node, Name):
+            return values.get(node.name, math.nan)
+        try:
+            return float(
+                _MEANING[node.operator if isinstance(node, Operation) else node.function](*numbers)
+            )
+        except (ZeroDivisionError, ValueError, OverflowError, TypeError):
+            return math.nan
+
+    return folded(tree, combine)
 
 
 _MEANING: Mapping[str, Callable[..., float]] = {

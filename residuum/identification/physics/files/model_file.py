@@ -16,7 +16,7 @@ import yaml
 from residuum.identification.errors import BadInput, BadModel, BadUnit
 from residuum.identification.physics.effects import EFFECTS
 from residuum.identification.physics.effects.base import Parameter, Prior
-from residuum.identification.physics.files.consistency import check, expressions_of
+from residuum.identification.physics.files.consistency import check, definitions_of, expressions_of
 from residuum.identification.physics.files.effect_file import WrittenEffect, effects_of
 from residuum.identification.physics.files.expression import Expression, parse, with_definitions
 from residuum.identification.physics.files.parts import (
@@ -70,7 +70,8 @@ KEYS = (
     "effects",
     "initial",
 )
-INPUT_KEYS, STATE_KEYS, OUTPUT_KEYS = ("unit", "default"), ("unit", "rate"), ("value", "unit")
+INPUT_KEYS, OUTPUT_KEYS = ("unit", "default"), ("value", "unit")
+STATE_KEYS = ("unit", "rate", "start")
 PARAMETER_KEYS = ("value", "unit", "lower", "upper", "fixed", "meaning", "prior", "std", "per")
 EFFECT_KEYS = ("id", "balance", "input", "output", "parameters", "provenance")
 """What each entry of a section may hold; balances also name the variables of their kind."""
@@ -279,7 +280,9 @@ def write_model(model: PhysicalModel) -> str:
             for i in model.inputs.values()
         },
         "states": {
-            s.name: {"unit": s.unit} | ({"rate": s.rate} if s.rate else {})
+            s.name: {"unit": s.unit}
+            | ({"rate": s.rate} if s.rate else {})
+            | ({} if s.start is None else {"start": s.start})
             for s in model.states.values()
             if s.of_record is None
         },
@@ -291,12 +294,14 @@ def write_model(model: PhysicalModel) -> str:
             for s in model.states.values()
             if s.of_record
         },
-        "balances": {
-            balance.name: _written_balance(balance) for balance in model.balances.values()
-        },
-        "outputs": {
-            o.name: {"value": o.value.text, "unit": o.unit} for o in model.outputs.values()
-        },
+    }
+    if definitions := definitions_of(model):
+        document["let"] = {name: it.text for name, it in definitions.items()}
+    document["balances"] = {
+        balance.name: _written_balance(balance) for balance in model.balances.values()
+    }
+    document["outputs"] = {
+        o.name: {"value": o.value.text, "unit": o.unit} for o in model.outputs.values()
     }
     if model.initial:
         document["initial"] = dict(model.initial)
@@ -389,10 +394,16 @@ def _input(name: str, section: Table) -> Input:
 
 
 def _state(name: str, section: Table) -> State:
+    label = f"state {name!r}"
     table = section.table(name, "states")
-    table.only(STATE_KEYS, f"state {name!r}")
-    rate = table.optional("rate", f"state {name!r}")
-    return State(name, _unit(table.scalar("unit", f"state {name!r}")), rate.text if rate else None)
+    table.only(STATE_KEYS, label)
+    rate, start = table.optional("rate", label), table.optional("start", label)
+    return State(
+        name,
+        _unit(table.scalar("unit", label)),
+        rate.text if rate else None,
+        start=None if start is None else start.number(f"{label}: start"),
+    )
 
 
 def read_parameter(name: str, section: Table, of_part: Parameter | None = None) -> Parameter:

@@ -32,7 +32,7 @@ _EXPRESSION = {"type": ["string", "number"]}
 _TYPES: dict[str, dict[str, Any]] = {
     "unit": _TEXT, "rate": _TEXT, "default": {"type": ["string", "number"]}, "value": {"anyOf": [_NUMBER, _UNCERTAIN]},
     "lower": _NUMBER, "upper": _NUMBER, "fixed": {"type": "boolean"}, "meaning": _TEXT, "prior": _UNCERTAIN, "std": _NUMBER,
-    "per": {"const": "record"},
+    "per": {"const": "record"}, "start": _NUMBER,
 }  # fmt: skip
 
 

@@ -29,7 +29,9 @@ from residuum.identification.physics.files.expression import (
     Call,
     Expression,
     Name,
+    Node,
     Place,
+    folded,
     parse,
     walk,
     with_definitions,
@@ -395,15 +397,20 @@ def _scaled_storage(member: _Member, variable: str, v: str, r: str) -> list[str]
     text = with_definitions(storage, {variable: parse(v, storage.place)}).text
     if r == "1":
         return [text]
-    outside = sum(isinstance(n, Name) and n.name == variable for n in walk(storage.tree)) - sum(
-        isinstance(n, Call) and n.function == "der" for n in walk(storage.tree)
-    )
+    outside = folded(storage.tree, lambda node, inner: _depends_on(variable, node, inner))
     if outside:
         raise storage.place.refuse(
             f"connect: the storage of {member.balance.name!r} depends on {variable!r} itself; it"
             " can only be joined with ratio 1"
         )
     return [f"({r})**2 * ({text})"]
+
+
+def _depends_on(variable: str, node: Node, inner: list[bool]) -> bool:
+    """Whether a variable stands in a node otherwise than by its derivative."""
+    if isinstance(node, Name):
+        return node.name == variable
+    return any(inner) and not (isinstance(node, Call) and node.function == "der")
 
 
 def _scaled_terms(balance: Balance, r: str) -> dict[str, Expression]:

@@ -248,18 +248,15 @@ class Simulator:
         return p
 
     def x0(self, initial: Mapping[str, float] | None = None) -> Array:
-        """Initial state vector: the model's `initial`, then `initial`, zero elsewhere; a parameter
-        of each record begins at its declared value.
-        """
+        """Initial state vector: these values, elsewhere what the model says, or zero."""
         x0 = np.zeros(len(self._state))
-        declared = {s.name: s.of_record.value for s in self.model.states.values() if s.of_record}
-        for name, value in {**declared, **self.model.initial, **(initial or {})}.items():
+        for name, value in {**self.model.first_values, **(initial or {})}.items():
             x0[self._state[name]] = value
         return x0
 
     def measured_start(self, experiment: Experiment) -> Array:
         """First states: what is known, the first measured value of states that are themselves
-        outputs, zero elsewhere.
+        outputs; elsewhere where a state says to begin, or zero.
         """
         x0 = self.x0(experiment.known)
         for o, output in enumerate(self.model.outputs.values()):
