@@ -65,9 +65,10 @@ def test_npz_and_csv_hold_the_same_numbers(tmp_path):
         ),
         (["process", "--profile", "rich"], "has no setting 'profile'"),
         (["gate-actuator", "--set", "wear=9"], "must be between 0 and 1"),
-        (["gate-actuator", "--set", "wear"], "must be NAME=VALUE"),
-        (["process", "--duration", "1e12"], "at most"),
-        (["process", "--duration", "-1"], "must be a positive number"),
+        (["gate-actuator", "--set", "wear"], "must have the form NAME=VALUE"),
+        (["process", "--duration", "1e12"], "must be ≤ 1000000"),
+        (["gate-drive", "--duration", "1e6"], "at most 5e+07"),
+        (["process", "--duration", "-1"], "must be > 0"),
         (["gate-actuator", "--event", "earthquake"], "known are cut-short"),
     ],
 )
