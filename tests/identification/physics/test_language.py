@@ -245,3 +245,25 @@ def test_the_cases_of_a_table_cover_every_place():
     for (left, right), (a, b) in zip(pairwise(places), pairwise(values), strict=True):
         assert evaluate(written, {"x": left}) == a and evaluate(written, {"x": right}) == b
         assert evaluate(written, {"x": (left + right) / 2}) == pytest.approx((a + b) / 2)
+
+
+LONG = """
+name: many losses
+inputs: {{F: N}}
+states: {{v: {{unit: m/s}}}}
+parameters: {{c: {{value: 1, unit: N*s/m}}, m: {{value: 1, unit: kg}}}}
+balances:
+  b: {{kind: force, storage: m * der(v), terms: {{drive: F, losses: {text}}}, velocity: v}}
+outputs: {{v: {{value: v, unit: m/s}}}}
+"""
+
+
+def test_a_long_row_of_terms_is_refused_with_a_way_on_that_works():
+    text = "-c * v" + " - c * v" * 199
+    model = read_model(LONG.format(text=text))
+    assert Simulator(model).x0().shape == (1,)
+    with pytest.raises(BadModel, match=r"more than 200 terms .* in a row; put parts of them in"):
+        read_model(LONG.format(text=text + " - c * v"))
+    read_model(LONG.format(text=f"({text}) - (c * v)"))
+    with pytest.raises(BadModel, match=r"in 2[0-9][0-9] levels"):
+        read_model(LONG.format(text=f"({text})" + " - c * v" * 30))

@@ -62,9 +62,11 @@ MOST_KNOTS, MOST_VALUES = 200, 1000
 """Of a table of one place, and of one of two places."""
 LONGEST_EXPRESSION = 20_000
 DEEPEST_EXPRESSION, LARGEST_EXPONENT = 60, 20
-MOST_NODES, DEEPEST_TREE = 200_000, 120
-"""Of an expression with everything that its names stand for, each time that it is named; a sum is
-one level, however many terms it has.
+MOST_IN_A_ROW = 200
+"""Terms of a sum, or factors of a product: each is a level of the tree, which is walked down."""
+MOST_NODES, DEEPEST_TREE, MOST_LEVELS = 200_000, 120, 220
+"""Of an expression with everything that its names stand for, each time that it is named: a sum is
+one of its depths, however many terms it has, and a level a term.
 """
 _SUM = ("+", "-")
 
@@ -189,15 +191,18 @@ def folded(tree: Node, combine: Callable[[Node, list[T]], T]) -> T:
     """What `combine(node, what its operands gave)` gives of the tree; a node that stands in several
     places is asked once.
     """
-    done = dict[int, T]()
-
-    def at(node: Node) -> T:
+    done, open_ = dict[int, T](), [tree]
+    while open_:
+        node = open_[-1]
+        operands = node.operands if isinstance(node, Operation | Call) else ()
+        waiting = [operand for operand in operands if id(operand) not in done]
+        if waiting:
+            open_ += reversed(waiting)
+            continue
+        open_.pop()
         if id(node) not in done:
-            operands = node.operands if isinstance(node, Operation | Call) else ()
-            done[id(node)] = combine(node, [at(operand) for operand in operands])
-        return done[id(node)]
-
-    return at(tree)
+            done[id(node)] = combine(node, [done[id(operand)] for operand in operands])
+    return done[id(tree)]
 
 
 def parse(text: str | float, place: Place | None = None) -> Expression:
@@ -223,7 +228,9 @@ def parse(text: str | float, place: Place | None = None) -> Expression:
         raise start.refuse(
             f"expression has {len(source)} characters; at most {LONGEST_EXPRESSION} are allowed"
         )
-    return Expression(source.strip(), _Parser(source, start).parse())
+    tree = _Parser(source, start).parse()
+    _check_size(tree, tree.place)
+    return Expression(source.strip(), tree)
 
 
 def with_definitions(expression: Expression, definitions: Mapping[str, Expression]) -> Expression:
@@ -260,18 +267,19 @@ def _written_out(
 def _check_size(tree: Node, place: Place) -> None:
     """BadModel for a tree that is too large or too deep for the questions that are asked of it."""
 
-    def size_and_depth(node: Node, inner: list[tuple[int, int]]) -> tuple[int, int]:
-        levels = [depth + 1 for _, depth in inner]
+    def measures(node: Node, inner: list[tuple[int, int, int]]) -> tuple[int, int, int]:
+        depths = [depth + 1 for _, depth, _ in inner]
         if _is_sum(node) and _is_sum(node.operands[0]):
-            levels[0] -= 1
-        return 1 + sum(size for size, _ in inner), max(levels, default=1)
+            depths[0] -= 1
+        levels = [level + 1 for _, _, level in inner]
+        return 1 + sum(size for size, _, _ in inner), max(depths, default=1), max(levels, default=1)
 
-    size, depth = folded(tree, size_and_depth)
-    if size > MOST_NODES or depth > DEEPEST_TREE:
+    size, depth, levels = folded(tree, measures)
+    if size > MOST_NODES or depth > DEEPEST_TREE or levels > MOST_LEVELS:
         raise place.refuse(
             f"with its definitions it has {size} numbers, names and operations, {depth} within each"
-            f" other; at most {MOST_NODES} and {DEEPEST_TREE} are allowed: make a state of a quantity"
-            " that it names"
+            f" other, in {levels} levels; at most {MOST_NODES}, {DEEPEST_TREE} and {MOST_LEVELS} are"
+            " allowed: make a state of a quantity that it names"
         )
 
 
@@ -494,15 +502,21 @@ class _Parser:
             raise self._peek.place.refuse(f"{mark!r} is missing")
 
     def _sum(self) -> Node:
-        tree = self._product()
-        while token := self._accept("+", "-"):
-            tree = Operation(token.text, (tree, self._product()), token.place)
-        return tree
+        return self._row(self._product, "+", "-")
 
     def _product(self) -> Node:
-        tree = self._sign()
-        while token := self._accept("*", "/"):
-            tree = Operation(token.text, (tree, self._sign()), token.place)
+        return self._row(self._sign, "*", "/")
+
+    def _row(self, part: Callable[[], Node], *operators: str) -> Node:
+        tree, count = part(), 1
+        while token := self._accept(*operators):
+            count += 1
+            if count > MOST_IN_A_ROW:
+                raise token.place.refuse(
+                    f"more than {MOST_IN_A_ROW} terms or factors stand in a row; put parts of them"
+                    " in brackets"
+                )
+            tree = Operation(token.text, (tree, part()), token.place)
         return tree
 
     def _sign(self) -> Node:
