@@ -2,8 +2,8 @@
 of our own.
 
 For a machine `press-1` there are `ns=2;s=press-1.verdict`, `….class`, `….reason`,
-`….indicator.NAME` and, once it has had one, `….alarm` with its state; a client subscribes to them.
-Nothing is written back: clients read.
+`….indicator.NAME` and, once it has had one, `….alarm` with its state; a client subscribes to them,
+and at the object Server to the alarms' events. Nothing is written back: clients read.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import asyncio
 import threading
 from collections.abc import Mapping
 from contextlib import suppress
-from datetime import datetime
+from datetime import UTC, datetime
 from typing import Any
 
 import structlog
@@ -27,8 +27,8 @@ _STARTING = 30.0
 
 
 class FindingNodes:
-    """Serves in a thread of its own; of news that wait, a machine's latest finding and alarm are
-    kept.
+    """Serves in a thread of its own; of news that wait, a machine's latest finding and each alarm's
+    latest change are kept.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ class FindingNodes:
 
     def __init__(self, url: str, entrance: Entrance | None = None) -> None:
         self._url, self._entrance = url, entrance
-        self._news: dict[tuple[str, str], Mapping[str, Any]] = {}
+        self._news: dict[tuple[str, str, str], Mapping[str, Any]] = {}
         self._lock = threading.Lock()
         self._stopped, self._begun = threading.Event(), threading.Event()
         self._trouble: Exception | None = None
@@ -71,7 +71,7 @@ class FindingNodes:
         if kind not in ("finding", "alarm"):
             return
         with self._lock:
-            self._news[kind, str(payload["asset"])] = payload
+            self._news[kind, str(payload["asset"]), str(payload.get("kind", ""))] = payload
 
     async def _serve(self) -> None:
         server = NodeServer(self._url, self._entrance)
@@ -106,6 +106,7 @@ async def _offer(server: NodeServer, kind: str, payload: Mapping[str, Any]) -> N
     asset = str(payload["asset"])
     if kind == "alarm":
         await server.write(asset, "alarm", str(payload["state"]), _seconds(None))
+        await server.tell_alarm(payload, datetime.now(UTC))
         return
     stamp = _seconds(payload["at"])
     for name in ("verdict", "class", "reason"):

@@ -38,6 +38,16 @@ def nothing_left():
     gc.collect()
 
 
+ALARM = {
+    "asset": "press-1",
+    "kind": "machine",
+    "state": "normal",
+    "condition": False,
+    "message": "glr is 2.4 times its threshold",
+    "acknowledged_at": None,
+}
+
+
 def address():
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
@@ -68,7 +78,7 @@ def test_the_latest_finding_is_offered():
     }
     nodes.tell("finding", finding | {"verdict": "healthy"})
     nodes.tell("finding", finding)
-    nodes.tell("alarm", {"asset": "press-1", "state": "active", "raised_at": at})
+    nodes.tell("alarm", ALARM | {"state": "active", "raised_at": at})
     nodes.tell("model", {})
     end, found = time.monotonic() + 60, []
     while [each.Value.Value for each in found[2:]] != ["active"] and time.monotonic() < end:
@@ -84,6 +94,46 @@ def test_the_latest_finding_is_offered():
     with pytest.raises(OSError, match="OPC UA server at"):
         FindingNodes(url).start()
     nodes.stop()
+
+
+class Heard(list):
+    """The events of a subscription."""
+
+    def event_notification(self, event):
+        self.append(event)
+
+
+def test_a_change_of_an_alarm_is_an_event_of_a_condition():
+    """As a client for alarms and conditions sees it: it subscribes to the object Server."""
+    url, heard = address(), Heard()
+    nodes = FindingNodes(url)
+    nodes.start()
+    changes = [
+        {"state": "unacknowledged", "condition": True, "priority": "high"},
+        {"state": "shelved", "condition": True, "comment": "revision", "priority": "high"},
+        {"state": "normal", "condition": False},
+    ]
+
+    async def listen():
+        async with Client(url) as client:
+            subscription = await client.create_subscription(50, heard)
+            kind = client.get_node("i=2915")  # AlarmConditionType
+            await subscription.subscribe_alarms_and_conditions(evtypes=kind)
+            for number, change in enumerate(changes):
+                nodes.tell("alarm", ALARM | change)
+                end = time.monotonic() + 60
+                while len(heard) <= number and time.monotonic() < end:
+                    await asyncio.sleep(0.05)
+
+    asyncio.run(listen())
+    nodes.stop()
+    first, aside, over = heard
+    assert (first.SourceName, first.ConditionName) == ("press-1", "machine")
+    assert first.Message.Text == "glr is 2.4 times its threshold" and first.Severity == 800
+    assert getattr(first, "ActiveState/Id") is True and getattr(first, "AckedState/Id") is False
+    assert aside.SuppressedOrShelved and aside.Comment.Text == "revision" and aside.Retain
+    assert getattr(over, "ActiveState/Id") is False and over.ActiveState.Text == "Inactive"
+    assert not over.Retain and over.Severity == 500
 
 
 def test_findings_are_read_by_holders_of_a_key_over_secured_channels_alone(

@@ -21,6 +21,9 @@ from cryptography.x509.oid import ExtendedKeyUsageOID
 logging.getLogger("asyncua").setLevel(logging.CRITICAL)
 NAMESPACE = "urn:residuum:machines"
 _APPLICATION = "urn:residuum:findings"
+_SEVERITY = {"high": 800, "medium": 500, "low": 200}
+"""Priority → severity of an event, 1 … 1000; of an alarm without one that of `medium`."""
+_ASIDE = ("shelved", "suppressed", "out-of-service")
 _SECURED = (
     "Basic256Sha256_SignAndEncrypt",
     "Aes128Sha256RsaOaep_SignAndEncrypt",
@@ -92,6 +95,7 @@ class NodeServer:
         self._nodes: dict[tuple[str, str], Any] = {}
         self._folders: dict[str, Any] = {}
         self._space = 2
+        self._alarms: Any = None
 
     async def start(self, declared: Mapping[str, Iterable[str]] | None = None) -> None:
         """Begin to serve; `declared` are numbers (folder → names) that clients find at once, not
@@ -140,18 +144,56 @@ class NodeServer:
         )
         await node.write_value(datum)
 
+    async def tell_alarm(self, alarm: Mapping[str, Any], at: datetime) -> None:
+        """A change of an alarm as an event of the type AlarmConditionType (OPC 10000-9), at the
+        object Server, its source the machine's folder.
+
+        Clients see states and comments; nothing is acknowledged or shelved over OPC UA, and what
+        stood before a client came is in the nodes alone: asyncua has no methods of conditions.
+        """
+        if self._alarms is None:
+            kind = ua.ObjectIds.AlarmConditionType
+            self._alarms = await self._server.get_event_generator(kind)
+        event, asset, kind = self._alarms.event, str(alarm["asset"]), str(alarm["kind"])
+        event.SourceNode = (await self._folder(asset)).nodeid
+        event.SourceName, event.ConditionName = asset, kind
+        event.NodeId = ua.NodeId(f"{asset}.alarm.{kind}", self._space)
+        event.Severity = ua.Variant(
+            _SEVERITY.get(alarm.get("priority") or "medium"), ua.VariantType.UInt16
+        )
+        event.Retain = alarm["state"] != "normal"
+        event.SuppressedOrShelved = alarm["state"] in _ASIDE
+        event.Comment = ua.LocalizedText(str(alarm.get("comment") or ""))
+        event.ClientUserId = str(alarm.get("acknowledged_by") or "")
+        _set_state(event, "EnabledState", True, "Enabled", "Disabled")
+        _set_state(event, "ActiveState", bool(alarm["condition"]), "Active", "Inactive")
+        acknowledged = alarm.get("acknowledged_at") is not None
+        _set_state(event, "AckedState", acknowledged, "Acknowledged", "Unacknowledged")
+        hidden = alarm["state"] == "suppressed"
+        _set_state(event, "SuppressedState", hidden, "Suppressed", "Unsuppressed")
+        await self._alarms.trigger(at, str(alarm["message"]))
+
+    async def _folder(self, folder: str) -> Any:
+        if folder not in self._folders:
+            place = ua.NodeId(folder, self._space)
+            self._folders[folder] = await self._server.nodes.objects.add_folder(
+                place, f"{self._space}:{folder}"
+            )
+        return self._folders[folder]
+
     async def _node(self, folder: str, name: str, value: Any) -> Any:
         if (folder, name) not in self._nodes:
-            if folder not in self._folders:
-                place = ua.NodeId(folder, self._space)
-                self._folders[folder] = await self._server.nodes.objects.add_folder(
-                    place, f"{self._space}:{folder}"
-                )
             identifier = ua.NodeId(f"{folder}.{name}", self._space)
-            self._nodes[folder, name] = await self._folders[folder].add_variable(
+            self._nodes[folder, name] = await (await self._folder(folder)).add_variable(
                 identifier, f"{self._space}:{name}", _variant(value)
             )
         return self._nodes[folder, name]
+
+
+def _set_state(event: Any, name: str, holds: bool, yes: str, no: str) -> None:
+    """A state of two values: its text, and which of both it is."""
+    setattr(event, name, ua.LocalizedText(yes if holds else no))
+    setattr(event, f"{name}/Id", holds)
 
 
 def _variant(value: Any) -> ua.Variant:
