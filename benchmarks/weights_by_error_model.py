@@ -27,7 +27,7 @@ from residuum.identification.linear_models.error_bounds.magnitude_fit import fit
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.linear_models.prediction_error import STRUCTURES, identify
 from residuum.identification.linear_models.transfer_function import TransferFunction
-from residuum.identification.linear_models.uncertainty import Rule, design_uncertainty_weight
+from residuum.identification.linear_models.uncertainty import design_uncertainty_weight
 from residuum.identification.linear_models.validation import model_error_model
 from residuum.identification.record import Record
 from residuum.robust_control.control_problem import WeightChoice
@@ -47,7 +47,7 @@ class Held:
     seconds: float
 
 
-def drawn(model: IdentifiedModel, rule: Rule) -> TransferFunction:
+def drawn(model: IdentifiedModel, rule: str) -> TransferFunction:
     """Algorithm 1 with the number of models that a rule asks for."""
     return design_uncertainty_weight(model, omega=OMEGA, rule=rule, order=ORDER).weight
 
@@ -96,7 +96,7 @@ def held(
     return Held(float(ratio.max()), float(1 / np.median(ratio)), seconds)
 
 
-def several(data: Record, rule: Rule) -> Held:
+def several(data: Record, rule: str) -> Held:
     """The same of the plant of two inputs and outputs: the worst of its four elements."""
     model = identify_multivariable(
         data, ["u0", "u1"], ["y0", "y1"], order=multivariable_bound.ORDER

@@ -8,11 +8,7 @@ from pathlib import Path
 from residuum.identification.errors import BadInput, BadRecord, in_one_line
 from residuum.identification.record import Record
 from residuum.identification.record_formats.csv import parse_csv, read_csv, write_csv
-from residuum.identification.record_formats.history import is_history, read_history
-from residuum.identification.record_formats.influx_history import (
-    is_influx_history,
-    read_influx_history,
-)
+from residuum.identification.record_formats.histories import is_history, read_history
 from residuum.identification.record_formats.loggers.no_value import without_marks, without_overloads
 from residuum.identification.record_formats.lvm import read_lvm
 from residuum.identification.record_formats.mat import read_mat, write_mat
@@ -62,7 +58,6 @@ WRITERS: dict[str, Callable[[Record, str | Path], None]] = {
 
 HISTORIES = (
     (is_history, read_history),
-    (is_influx_history, read_influx_history),
     (is_opcua_history, read_opcua_history),
 )
 """Addresses that a plant's history is read by: whether it is one, and the reader of its record."""

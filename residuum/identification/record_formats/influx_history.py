@@ -13,6 +13,7 @@ import base64
 import json
 import os
 from collections.abc import Iterator, Mapping
+from datetime import UTC, datetime, timedelta
 from typing import Any
 from urllib.error import HTTPError, URLError
 from urllib.parse import urlencode
@@ -24,13 +25,13 @@ import orjson
 from residuum.array_types import FloatArray
 from residuum.identification.errors import BadRecord, in_one_line
 from residuum.identification.record import Record
-from residuum.identification.record_formats.history import Address, is_address_of, parse_address
+from residuum.identification.record_formats.history import Address, HistoryAway
 from residuum.identification.record_formats.loggers.logger_head import unit_of_head
 from residuum.identification.record_formats.options import ReadOptions
 from residuum.identification.record_formats.time_bases import TimedChannel, on_one_base
 from residuum.nearest_names import known_names
 
-_SCHEMES = ("influx", "influxs")
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _PORT = 8086
 _CHUNK = 10_000
 """Rows that the server sends at a time."""
@@ -40,45 +41,76 @@ _LISTED = 6
 _NUMBERS = ("float", "integer", "unsigned", "boolean")
 
 
-def is_influx_history(path: object) -> bool:
-    """Whether this names a measurement of InfluxDB rather than a file."""
-    return is_address_of(path, _SCHEMES)
+class InfluxHistory:
+    """A server of InfluxDB, asked by a request for each address."""
+
+    def close(self) -> None:
+        """Nothing is kept open."""
+
+    def span(self, at: Address) -> tuple[datetime, datetime] | None:
+        """The instants of the first and the last row."""
+        ends = []
+        for which in ("FIRST", "LAST"):
+            query = f"SELECT {which}({_name(next(iter(_fields(at).values())))}) {_from(at)}"
+            ends += [series["values"][0][0] for series in _answers(at, query)]
+        if not ends:
+            return None
+        return _instant(min(ends)), _instant(max(ends))
+
+    def values_of(self, at: Address, column: str) -> list[str]:
+        """The values of one of Influx's tags, in order; BadRecord where there is none of this
+        name.
+        """
+        measurement = _name(at.table[-1])
+        keys = [
+            str(name)
+            for series in _answers(at, f"SHOW TAG KEYS FROM {measurement}")
+            for (name,) in series["values"]
+        ]
+        if column not in keys:
+            raise BadRecord(
+                f"{at.shown}: no tag {column!r} to part rows by;"
+                f" {known_names(column, keys, 'there are')}"
+            )
+        query = f"SHOW TAG VALUES FROM {measurement} WITH KEY = {_name(column)}"
+        return sorted(str(value) for series in _answers(at, query) for _, value in series["values"])
+
+    def record(self, at: Address, options: ReadOptions) -> Record:
+        """The record of an address; the unit of a field is that of its name, `speed [rpm]`.
+
+        Raises
+        ------
+        BadRecord
+            A server that refuses, no such database, measurement or field, rows that other tags tell
+            apart, no rows; as `on_one_base` for times that do not lie on one base.
+        HistoryAway
+            A server that does not answer.
+        """
+        fields = _fields(at)
+        tags = at.tags or tuple(fields)
+        sources, instants, values = _rows(at, [fields[tag] for tag in tags])
+        if len(sources) > 1:
+            listed = "; ".join(_said(labels) for labels in sources[:_LISTED])
+            example = next(iter(sources[0].items()))
+            raise BadRecord(
+                f"{at.shown}: holds rows of several sources ({listed}); say which, as"
+                f" &{urlencode([example])}"
+            )
+        if not len(instants):
+            raise BadRecord(f"{at.shown}: no rows in that time")
+        channels = [
+            TimedChannel(tag, unit_of_head(fields[tag])[1], instants, row)
+            for tag, row in zip(tags, values, strict=True)
+        ]
+        return on_one_base(channels, at.shown, options)
 
 
-def read_influx_history(address: str, options: ReadOptions = ReadOptions()) -> Record:
-    """The record of an address: its fields on one even time base, from `start` to before `end`.
-
-    The unit of a field is that of its name, `speed [rpm]`.
-
-    Raises
-    ------
-    BadRecord
-        A server that does not answer or refuses, no such database, measurement or field, rows that
-        other tags tell apart, no rows; as `on_one_base` for times that do not lie on one base.
-    """
-    at = parse_address(address, _SCHEMES)
-    if at.window or at.each:
-        raise BadRecord(f"{at.shown}: is read as one record; leave window and each out")
-    fields = _fields(at)
-    rows, instants, values = _rows(at, [fields[tag] for tag in at.tags or fields])
-    if len(rows) > 1:
-        told = "; ".join(_said(tags) for tags in rows[:_LISTED])
-        example = next(iter(rows[0].items()))
-        raise BadRecord(
-            f"{at.shown}: holds rows of several sources ({told}); say which, as"
-            f" &{urlencode([example])}"
-        )
-    if not len(instants):
-        raise BadRecord(f"{at.shown}: no rows in that time")
-    channels = [
-        TimedChannel(tag, unit_of_head(fields[tag])[1], instants, row)
-        for tag, row in zip(at.tags or fields, values, strict=True)
-    ]
-    return on_one_base(channels, at.shown, options)
+def _instant(microseconds: float) -> datetime:
+    return _EPOCH + timedelta(microseconds=int(microseconds))
 
 
-def _said(tags: Mapping[str, str]) -> str:
-    return ", ".join(f"{name}={value}" for name, value in tags.items())
+def _said(labels: Mapping[str, str]) -> str:
+    return ", ".join(f"{name}={value}" for name, value in labels.items())
 
 
 def _fields(at: Address) -> dict[str, str]:
@@ -114,27 +146,29 @@ def _rows(at: Address, fields: list[str]) -> tuple[list[dict[str, str]], FloatAr
     """The tags that tell rows apart, instants [s since 1970], values (fields, n); NaN where there
     is no value.
     """
-    ends = [("time", ">=", at.start), ("time", "<", at.end)]
+    query = f"SELECT {', '.join(map(_name, fields))} {_from(at)} GROUP BY *"
+    sources: list[dict[str, str]] = []
+    blocks = []
+    for series in _answers(at, query):
+        labels = {name: value for name, value in series.get("tags", {}).items() if value}
+        if labels not in sources:
+            sources.append(labels)
+        blocks.append(np.array(series["values"], dtype=np.float64))
+    table = np.concatenate(blocks) if blocks else np.empty((0, 1 + len(fields)))
+    return sources, 1e-6 * table[:, 0], np.ascontiguousarray(table[:, 1:].T)
+
+
+def _from(at: Address) -> str:
+    """Which rows, as InfluxQL says it."""
+    ends = [(">=", at.start), ("<", at.end)]
     conditions = [
-        f"{name} {sign} '{instant.isoformat().replace('+00:00', 'Z')}'"
-        for name, sign, instant in ends
+        f"time {sign} '{instant.isoformat().replace('+00:00', 'Z')}'"
+        for sign, instant in ends
         if instant is not None
     ]
     conditions += [f"{_name(name)} = {_text(value)}" for name, value in at.where.items()]
     where = f" WHERE {' AND '.join(conditions)}" if conditions else ""
-    query = (
-        f"SELECT {', '.join(map(_name, fields))} FROM {'.'.join(map(_name, at.table))}{where}"
-        " GROUP BY *"
-    )
-    apart: list[dict[str, str]] = []
-    blocks = []
-    for series in _answers(at, query):
-        tags = {name: value for name, value in series.get("tags", {}).items() if value}
-        if tags not in apart:
-            apart.append(tags)
-        blocks.append(np.array(series["values"], dtype=np.float64))
-    table = np.concatenate(blocks) if blocks else np.empty((0, 1 + len(fields)))
-    return apart, 1e-6 * table[:, 0], np.ascontiguousarray(table[:, 1:].T)
+    return f"FROM {'.'.join(map(_name, at.table))}{where}"
 
 
 def _name(name: str) -> str:
@@ -165,8 +199,10 @@ def _answers(at: Address, query: str) -> Iterator[dict[str, Any]]:
                 yield from _series(at, orjson.loads(line))
     except HTTPError as error:
         raise BadRecord(f"{at.shown}: {error.code} {_refusal(error)}") from None
-    except (URLError, OSError, orjson.JSONDecodeError) as error:
-        raise BadRecord(f"{at.shown}: {in_one_line(error)}") from None
+    except (URLError, OSError) as error:
+        raise HistoryAway(f"{at.shown}: {in_one_line(error)}") from None
+    except orjson.JSONDecodeError:
+        raise BadRecord(f"{at.shown}: is no server of InfluxDB: its answer is not JSON") from None
 
 
 def _series(at: Address, answer: Mapping[str, Any]) -> Iterator[dict[str, Any]]:

@@ -29,13 +29,8 @@ from sqlalchemy import select
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
 from residuum.identification.record_formats import OLDER, READERS
-from residuum.identification.record_formats.history import (
-    HistoryAway,
-    HistoryReader,
-    is_history,
-    parse_address,
-    windows_of,
-)
+from residuum.identification.record_formats.histories import HistoryReader, is_history, windows_of
+from residuum.identification.record_formats.history import HistoryAway
 from residuum.identification.record_formats.read_apart import read_safely
 from residuum.library.answers.plain import to_plain
 from residuum.library.identification_methods import identified_by
@@ -201,7 +196,7 @@ class HistoryWindows:
     address: str
 
     def __str__(self) -> str:
-        return parse_address(self.address).shown
+        return _history(self.address).shown
 
     def items(self) -> list[str]:
         """Addresses of the windows, by machine, oldest first."""

@@ -9,7 +9,8 @@ from sqlalchemy import make_url
 
 import residuum as rs
 from residuum.identification.errors import BadRecord
-from residuum.identification.record_formats.history import HistoryAway, HistoryReader, windows_of
+from residuum.identification.record_formats.histories import HistoryReader, windows_of
+from residuum.identification.record_formats.history import HistoryAway
 from residuum.service.cli import BAD_INPUT, DONE, run
 
 N, START = 400, 1_772_323_200.0  # 2026-03-01 00:00 UTC

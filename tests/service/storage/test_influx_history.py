@@ -2,6 +2,7 @@
 
 import subprocess
 import time
+from contextlib import closing
 from urllib.error import URLError
 from urllib.parse import urlencode
 from urllib.request import urlopen
@@ -11,6 +12,8 @@ import pytest
 
 import residuum as rs
 from residuum.identification.errors import BadRecord
+from residuum.identification.record_formats.histories import HistoryReader, windows_of
+from residuum.identification.record_formats.history import HistoryAway
 from residuum.service.cli import DONE, run
 from tests.service.conftest import _free_port, find_program, not_here
 
@@ -90,7 +93,7 @@ def test_a_command_reads_it_as_a_file(influx, tmp_path, capsys):
         ("pumps?site=north&start=2027-01-01", "no rows in that time"),
         ("pumps?site=west", "no rows in that time"),
         ("pumps?site=n'orth", "no rows in that time"),
-        ("pumps?window=60", "is read as one record; leave window and each out"),
+        ("pumps?window=60", "asks for several records; leave it out, or give"),
     ],
 )
 def test_what_is_not_there_is_refused(influx, asked, says):
@@ -98,8 +101,20 @@ def test_what_is_not_there_is_refused(influx, asked, says):
         rs.read(f"{influx}/{asked}")
 
 
+def test_windows_of_each_source_are_those_of_the_whole_record(influx):
+    names = windows_of(f"{influx}/pumps?each=site&tags=speed&window=200")
+    assert [name.partition("site=")[2][:5] for name in names] == ["north"] * 3 + ["south"] * 3
+    with closing(HistoryReader(f"{influx}/pumps")) as reader:
+        parts = [reader.read(name)["speed"] for name in names[:3]]
+        np.testing.assert_array_equal(np.concatenate(parts), SPEED)
+        with pytest.raises(BadRecord, match="no rows in that time"):
+            reader.read(names[4])
+    with pytest.raises(BadRecord, match="no tag 'place' to part rows by; there are site"):
+        windows_of(f"{influx}/pumps?each=place&window=200")
+
+
 def test_a_database_that_is_not_there_and_a_server_that_is_away_are_told(influx, free_port):
     with pytest.raises(BadRecord, match="database not found: plants"):
         rs.read(f"{influx}s/pumps")
-    with pytest.raises(BadRecord, match=r"(?!.*secret).*refused"):
+    with pytest.raises(HistoryAway, match=r"(?!.*secret).*refused"):
         rs.read(f"influx://me:secret@127.0.0.1:{free_port()}/plant/pumps")
