@@ -49,10 +49,13 @@ class InfluxHistory:
 
     def span(self, at: Address) -> tuple[datetime, datetime] | None:
         """The instants of the first and the last row."""
+        fields = _fields(at)
         ends = []
-        for which in ("FIRST", "LAST"):
-            query = f"SELECT {which}({_name(next(iter(_fields(at).values())))}) {_from(at)}"
-            ends += [series["values"][0][0] for series in _answers(at, query)]
+        # each field by itself: several of these functions in one question have no instant
+        for tag in at.tags or fields:
+            for which in ("FIRST", "LAST"):
+                query = f"SELECT {which}({_name(fields[tag])}) {_from(at)}"
+                ends += [series["values"][0][0] for series in _answers(at, query)]
         if not ends:
             return None
         return _instant(min(ends)), _instant(max(ends))
