@@ -14,10 +14,6 @@ from residuum.identification.record_formats.lvm import read_lvm
 from residuum.identification.record_formats.mat import read_mat, write_mat
 from residuum.identification.record_formats.mdf import read_mdf, write_mdf
 from residuum.identification.record_formats.npz import read_npz, write_npz
-from residuum.identification.record_formats.opcua_history import (
-    is_opcua_history,
-    read_opcua_history,
-)
 from residuum.identification.record_formats.options import ReadOptions
 from residuum.identification.record_formats.parquet import read_parquet, write_parquet
 from residuum.identification.record_formats.tdms import read_tdms, write_tdms
@@ -56,11 +52,6 @@ WRITERS: dict[str, Callable[[Record, str | Path], None]] = {
     ".uff": write_uff,
 }
 
-HISTORIES = (
-    (is_history, read_history),
-    (is_opcua_history, read_opcua_history),
-)
-"""Addresses that a plant's history is read by: whether it is one, and the reader of its record."""
 _LONGEST = 1000
 """Characters of a refusal: some libraries repeat the file in it."""
 
@@ -74,9 +65,8 @@ def read_record(path: str | Path, options: ReadOptions = ReadOptions()) -> Recor
     format's reader refuses or breaks on: what a library raises for a damaged file is of any kind,
     and only sometimes one line.
     """
-    for is_address, read in HISTORIES:
-        if is_address(path):
-            return without_overloads(without_marks(read(str(path), options), options.missing))
+    if is_history(path):
+        return without_overloads(without_marks(read_history(str(path), options), options.missing))
     path = Path(path)
     ending = path.suffix.lower()
     reader = (READERS | LOGGERS | OLDER).get(ending)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import replace
-from datetime import timedelta
+from datetime import datetime, timedelta
+from importlib import import_module
 
 from residuum.identification.errors import BadRecord
 from residuum.identification.record import Record
@@ -15,24 +16,38 @@ from residuum.identification.record_formats.history import (
     is_address_of,
     parse_address,
 )
-from residuum.identification.record_formats.influx_history import InfluxHistory
+from residuum.identification.record_formats.opcua_history import (
+    is_opcua_history,
+    read_opcua_history,
+)
 from residuum.identification.record_formats.options import ReadOptions
-from residuum.identification.record_formats.postgres_history import PostgresHistory
 
-HISTORIES: Mapping[str, Callable[[], History]] = {
-    "timescale": PostgresHistory,
-    "postgresql": PostgresHistory,
-    "postgres": PostgresHistory,
-    "influx": InfluxHistory,
-    "influxs": InfluxHistory,
+_POSTGRES, _INFLUX = ("postgres_history", "PostgresHistory"), ("influx_history", "InfluxHistory")
+HISTORIES: Mapping[str, tuple[str, str]] = {
+    "timescale": _POSTGRES,
+    "postgresql": _POSTGRES,
+    "postgres": _POSTGRES,
+    "influx": _INFLUX,
+    "influxs": _INFLUX,
 }
-"""Scheme of an address → the history that it names."""
+"""Scheme of an address → module and class of the history, loaded when one is asked for."""
 _MOST_WINDOWS = 10_000_000
 
 
 def is_history(path: object) -> bool:
-    """Whether this names a table of a history rather than a file."""
+    """Whether this names a table of a history, or nodes that keep one, rather than a file."""
+    return has_windows(path) or is_opcua_history(path)
+
+
+def has_windows(path: object) -> bool:
+    """Whether this names a table of a history, which can be read in windows."""
     return is_address_of(path, tuple(HISTORIES))
+
+
+def _history(scheme: str) -> History:
+    module, name = HISTORIES[scheme]
+    history: History = getattr(import_module(f"{__package__}.{module}"), name)()
+    return history
 
 
 def _parsed(address: str) -> Address:
@@ -50,6 +65,8 @@ def read_history(address: str, options: ReadOptions = ReadOptions()) -> Record:
     HistoryAway
         A server that does not answer.
     """
+    if is_opcua_history(address):
+        return read_opcua_history(address, options)
     at = _parsed(address)
     if at.window or at.each:
         asked = "window" if at.window else "each"
@@ -57,7 +74,7 @@ def read_history(address: str, options: ReadOptions = ReadOptions()) -> Record:
             f"{at.shown}: {asked} asks for several records; leave it out, or give the address to"
             " `residuum rescore` or `residuum reidentify`"
         )
-    with closing(HISTORIES[at.scheme]()) as history:
+    with closing(_history(at.scheme)) as history:
         return history.record(at, options)
 
 
@@ -74,15 +91,9 @@ def windows_of(address: str) -> list[str]:
     at = _parsed(address)
     if at.window is None:
         raise BadRecord(f"{at.shown}: say how long a window is, in seconds: &window=600")
-    with closing(HISTORIES[at.scheme]()) as history:
-        start, end = at.start, at.end
-        if start is None or end is None:
-            span = history.span(at)
-            if span is None:
-                raise BadRecord(f"{at.shown}: no rows in that time")
-            start, end = start or span[0], end or span[1] + timedelta(microseconds=1)
-        each = at.each
-        machines = [{}] if each is None else [{each: of} for of in history.values_of(at, each)]
+    with closing(_history(at.scheme)) as history:
+        start, end = _span(at, history)
+        machines = [{}] if at.each is None else _machines(at, at.each, history)
     count = -((start - end) // at.window)
     if count * len(machines) > _MOST_WINDOWS:
         raise BadRecord(
@@ -100,6 +111,21 @@ def windows_of(address: str) -> list[str]:
     ]
 
 
+def _span(at: Address, history: History) -> tuple[datetime, datetime]:
+    """From when to when windows are cut: as asked, else from the first to the last row."""
+    if at.start is not None and at.end is not None:
+        return at.start, at.end
+    span = history.span(at)
+    if span is None:
+        raise BadRecord(f"{at.shown}: no rows in that time")
+    return at.start or span[0], at.end or span[1] + timedelta(microseconds=1)
+
+
+def _machines(at: Address, column: str, history: History) -> list[dict[str, str]]:
+    """What rows of each machine must hold."""
+    return [{column: value} for value in history.values_of(at, column)]
+
+
 class HistoryReader:
     """Windows of one history, read one by one over a connection that stays open.
 
@@ -111,7 +137,7 @@ class HistoryReader:
 
     def __init__(self, address: str) -> None:
         self._at = _parsed(address)
-        self._history = HISTORIES[self._at.scheme]()
+        self._history = _history(self._at.scheme)
 
     @property
     def shown(self) -> str:

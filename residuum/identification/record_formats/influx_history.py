@@ -118,20 +118,7 @@ def _said(labels: Mapping[str, str]) -> str:
 
 def _fields(at: Address) -> dict[str, str]:
     """Names of the measurement's fields of numbers, without their units → as the server has them."""
-    kinds: dict[str, str] = {}
-    for series in _answers(at, f"SHOW FIELD KEYS FROM {_name(at.table[-1])}"):
-        kinds |= {str(name): str(kind) for name, kind in series["values"]}
-    if not kinds:
-        known = [
-            str(name)
-            for series in _answers(at, "SHOW MEASUREMENTS")
-            for (name,) in series["values"]
-        ]
-        measurement = at.table[-1]
-        raise BadRecord(
-            f"{at.shown}: no measurement {measurement!r};"
-            f" {known_names(measurement, known, 'there are')}"
-        )
+    kinds = _kinds_of_fields(at)
     numbers = [name for name, kind in kinds.items() if kind in _NUMBERS]
     by_name = {unit_of_head(name)[0]: name for name in numbers}
     wanted = by_name | {name: name for name in numbers if name in at.tags}
@@ -143,6 +130,21 @@ def _fields(at: Address) -> dict[str, str]:
     if not wanted:
         raise BadRecord(f"{at.shown}: has no field of numbers; there are {', '.join(kinds)}")
     return wanted
+
+
+def _kinds_of_fields(at: Address) -> dict[str, str]:
+    measurement = at.table[-1]
+    kinds: dict[str, str] = {}
+    for series in _answers(at, f"SHOW FIELD KEYS FROM {_name(measurement)}"):
+        kinds |= {str(name): str(kind) for name, kind in series["values"]}
+    if kinds:
+        return kinds
+    known = [
+        str(name) for series in _answers(at, "SHOW MEASUREMENTS") for (name,) in series["values"]
+    ]
+    raise BadRecord(
+        f"{at.shown}: no measurement {measurement!r}; {known_names(measurement, known, 'there are')}"
+    )
 
 
 def _rows(at: Address, fields: list[str]) -> tuple[list[dict[str, str]], FloatArray, FloatArray]:

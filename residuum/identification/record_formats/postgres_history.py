@@ -178,26 +178,18 @@ def _table_of(connection: Any, at: Address) -> dict[str, _Column]:
 
 
 def _channels(connection: Any, at: Address, columns: Mapping[str, _Column]) -> list[TimedChannel]:
-    for name in at.where:
-        if name not in columns:
-            raise BadRecord(
-                f"{at.shown}: no column {name!r} to choose rows by;"
-                f" {known_names(name, columns, 'there are')}"
-            )
-    time = _column(at, columns, "time", _OF_TIME)
+    if unknown := [name for name in at.where if name not in columns]:
+        raise BadRecord(
+            f"{at.shown}: no column {unknown[0]!r} to choose rows by;"
+            f" {known_names(unknown[0], columns, 'there are')}"
+        )
     free = [column for column in columns.values() if column.name not in at.where]
     numbers = [column.name for column in free if column.kind in _OF_NUMBERS]
     by_name = {unit_of_head(name)[0]: name for name in numbers} | {name: name for name in numbers}
     # rows of a long table are told apart by a column of texts; a wide one may have such, too
-    if "tag" in at.columns or any(column.kind in _OF_TEXT for column in free):
-        if not at.tags:
-            tag = _column(at, columns, "tag", _OF_TEXT)
-            raise BadRecord(
-                f"{at.shown}: its rows are told apart by {tag!r}; name the tags, ?tags=a,b: there"
-                f" are {', '.join(_tags(connection, at, tag))}"
-            )
-        if "tag" in at.columns or not set(at.tags) & by_name.keys():
-            return _of_rows(connection, at, columns, time)
+    may_be_long = "tag" in at.columns or any(column.kind in _OF_TEXT for column in free)
+    if may_be_long and not (set(at.tags) & by_name.keys() and "tag" not in at.columns):
+        return _of_rows(connection, at, columns)
     return _of_columns(connection, at, columns, by_name)
 
 
@@ -245,11 +237,15 @@ def _column(at: Address, columns: Mapping[str, _Column], role: str, kinds: Seque
     )
 
 
-def _of_rows(
-    connection: Any, at: Address, columns: Mapping[str, _Column], time: str
-) -> list[TimedChannel]:
+def _of_rows(connection: Any, at: Address, columns: Mapping[str, _Column]) -> list[TimedChannel]:
     """The tags of a long table."""
-    tag, value = _column(at, columns, "tag", _OF_TEXT), _column(at, columns, "value", _OF_NUMBERS)
+    tag = _column(at, columns, "tag", _OF_TEXT)
+    if not at.tags:
+        raise BadRecord(
+            f"{at.shown}: its rows are told apart by {tag!r}; name the tags, ?tags=a,b: there are"
+            f" {', '.join(_tags(connection, at, tag))}"
+        )
+    time, value = _column(at, columns, "time", _OF_TIME), _column(at, columns, "value", _OF_NUMBERS)
     unit = next((c.name for c in columns.values() if c.name.lower() in ("unit", "units")), None)
     channels = []
     for name in at.tags:

@@ -16,14 +16,18 @@ def _frequencies(given: Any, info: ValidationInfo) -> Any:
     """Names with numbers, of texts `bpfi=5.4,bpfo=3.6`, too; names in small letters."""
     texts = [given] if isinstance(given, str) else given
     if isinstance(texts, list | tuple):
-        pairs = [part.partition("=") for text in texts for part in str(text).split(",")]
-        wrong = ["".join(pair) for pair in pairs if not (pair[0].strip() and pair[1])]
-        if wrong:
-            raise BadInput(repr(wrong[0]), str(info.field_name), "must be name=number")
-        given = {name: value for name, _, value in pairs}
+        parts = [part for text in texts for part in str(text).split(",")]
+        given = dict(_pair(part, str(info.field_name)) for part in parts)
     if not isinstance(given, dict):
         return given
     return {str(name).strip().lower(): value for name, value in given.items()}
+
+
+def _pair(text: str, where: str) -> tuple[str, str]:
+    name, equals, value = text.partition("=")
+    if not (name.strip() and equals):
+        raise BadInput(repr(text), where, "must be name=number")
+    return name, value
 
 
 Frequencies = Annotated[

@@ -23,28 +23,25 @@ _Hidden = Annotated[
 
 def _effects(given: Any, info: ValidationInfo) -> Any:
     """Effects with their sizes, of texts `id`, `id:large` or `id:par=value,…`, too."""
-    return _of_texts(given, info, _effect_size)
+    return _of_texts(given, info, _effect_size, {})
 
 
 def _sizes(given: Any, info: ValidationInfo) -> Any:
     """Faults or events with their sizes, of texts `id` or `id:size`, too."""
-    return _of_texts(given, info, _number)
+    return _of_texts(given, info, _number, None)
 
 
-def _of_texts(given: Any, info: ValidationInfo, read: Any) -> Any:
-    if given is None:
-        return {}
+def _of_texts(given: Any, info: ValidationInfo, read: Any, unsized: Any) -> Any:
+    """Names with what `read` makes of their sizes, or `unsized`; what is no texts as it is."""
     texts = [given] if isinstance(given, str) else given
     if not isinstance(texts, list | tuple) or not all(isinstance(text, str) for text in texts):
-        return given
-    sized = {}
+        return {} if given is None else given
+    where, sized = str(info.field_name), {}
     for text in texts:
         name, colon, size = text.partition(":")
         if not name:
-            raise BadInput(repr(text), str(info.field_name), "must have the form ID[:SIZE]")
-        sized[name] = read(size, text, str(info.field_name)) if colon else None
-    if info.field_name == "effects":
-        return {name: {} if size is None else size for name, size in sized.items()}
+            raise BadInput(repr(text), where, "must have the form ID[:SIZE]")
+        sized[name] = read(size, text, where) if colon else unsized
     return sized
 
 

@@ -29,7 +29,7 @@ from sqlalchemy import select
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
 from residuum.identification.record_formats import OLDER, READERS
-from residuum.identification.record_formats.histories import HistoryReader, is_history, windows_of
+from residuum.identification.record_formats.histories import HistoryReader, has_windows, windows_of
 from residuum.identification.record_formats.history import HistoryAway
 from residuum.identification.record_formats.read_apart import read_safely
 from residuum.library.answers.plain import to_plain
@@ -215,7 +215,7 @@ def fleet_source(text: str, data: Path | None) -> FleetSource:
     its data folder.
     """
     scheme = text.split("://", maxsplit=1)[0].split("+", maxsplit=1)[0] if "://" in text else ""
-    if is_history(text) and (scheme not in _DATABASES or "?" in text):
+    if has_windows(text) and (scheme not in _DATABASES or "?" in text):
         return HistoryWindows(text)
     if scheme in _DATABASES:
         if data is None or not data.is_dir():

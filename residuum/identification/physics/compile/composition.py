@@ -26,7 +26,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import sympy as sp
@@ -513,13 +513,11 @@ def _standing_apart(model: PhysicalModel) -> set[int]:
     """
     put_into = {b.defines for b in model.balances.values()}
     trees = [expression.tree for expression in expressions_of(model)]
-    nodes = {id(node): node for tree in trees for node in walk(tree)}
-    places = Counter(map(id, trees))
-    for node in nodes.values():
-        places.update(map(id, node.operands if isinstance(node, Operation | Call) else ()))
-    found = set[int]()
+    places = _places(trees)
+    apart = set[int]()
 
     def size(node: Node, inner: list[float]) -> float:
+        """Infinite of what holds something that is put into it."""
         if isinstance(node, Name) and node.name in put_into:
             return math.inf
         if isinstance(node, Call) and node.function in ("sign", "der"):
@@ -527,12 +525,21 @@ def _standing_apart(model: PhysicalModel) -> set[int]:
         total = 1 + sum(inner)
         is_value = not isinstance(node, Operation) or node.operator in _ARITHMETIC
         if LARGE <= total < math.inf and places[id(node)] > 1 and is_value:
-            found.add(id(node))
+            apart.add(id(node))
         return total
 
     for tree in trees:
         folded(tree, size)
-    return found
+    return apart
+
+
+def _places(trees: Sequence[Node]) -> Counter[int]:
+    """In how many places each node of the trees stands."""
+    nodes = {id(node): node for tree in trees for node in walk(tree)}
+    places = Counter(map(id, trees))
+    for node in nodes.values():
+        places.update(map(id, node.operands if isinstance(node, Operation | Call) else ()))
+    return places
 
 
 def _needed(side: _Sides, sides: list[_Sides]) -> list[_Sides]:
