@@ -7,6 +7,7 @@ from contextlib import closing
 from dataclasses import replace
 from datetime import datetime, timedelta
 from importlib import import_module
+from typing import Any
 
 from residuum.identification.errors import BadRecord
 from residuum.identification.record import Record
@@ -15,10 +16,6 @@ from residuum.identification.record_formats.history import (
     History,
     is_address_of,
     parse_address,
-)
-from residuum.identification.record_formats.opcua_history import (
-    is_opcua_history,
-    read_opcua_history,
 )
 from residuum.identification.record_formats.options import ReadOptions
 
@@ -31,12 +28,14 @@ HISTORIES: Mapping[str, tuple[str, str]] = {
     "influxs": _INFLUX,
 }
 """Scheme of an address → module and class of the history, loaded when one is asked for."""
+_NODES = ("opc.tcp",)
+"""Scheme of servers that keep the history of nodes: these have no windows."""
 _MOST_WINDOWS = 10_000_000
 
 
 def is_history(path: object) -> bool:
     """Whether this names a table of a history, or nodes that keep one, rather than a file."""
-    return has_windows(path) or is_opcua_history(path)
+    return is_address_of(path, (*HISTORIES, *_NODES))
 
 
 def has_windows(path: object) -> bool:
@@ -45,9 +44,12 @@ def has_windows(path: object) -> bool:
 
 
 def _history(scheme: str) -> History:
-    module, name = HISTORIES[scheme]
-    history: History = getattr(import_module(f"{__package__}.{module}"), name)()
+    history: History = _loaded(*HISTORIES[scheme])()
     return history
+
+
+def _loaded(module: str, name: str) -> Any:
+    return getattr(import_module(f"{__package__}.{module}"), name)
 
 
 def _parsed(address: str) -> Address:
@@ -65,8 +67,9 @@ def read_history(address: str, options: ReadOptions = ReadOptions()) -> Record:
     HistoryAway
         A server that does not answer.
     """
-    if is_opcua_history(address):
-        return read_opcua_history(address, options)
+    if is_address_of(address, _NODES):
+        record: Record = _loaded("opcua_history", "read_opcua_history")(address, options)
+        return record
     at = _parsed(address)
     if at.window or at.each:
         asked = "window" if at.window else "each"

@@ -19,7 +19,7 @@ from residuum.identification.errors import BadRecord
 from residuum.identification.record import Record
 from residuum.identification.record_formats.options import ReadOptions
 
-_ADDRESS = re.compile(r"(\w+):/+(.+)", re.DOTALL)
+_ADDRESS = re.compile(r"([\w.]+):/+(.+)", re.DOTALL)
 """A path, which some have made of the address before, keeps one of its two slashes."""
 ROLES = ("time", "tag", "value")
 """Columns that an address may name where they are not clear."""

@@ -49,11 +49,6 @@ class Address:
     end: datetime
 
 
-def is_opcua_history(path: object) -> bool:
-    """Whether this names a server of OPC UA rather than a file."""
-    return _ADDRESS.fullmatch(str(path)) is not None
-
-
 def parse_address(text: str) -> Address:
     """The nodes that an address names.
 
