@@ -70,49 +70,71 @@ def follow(
         return []
     stored = connection.execute(select(alarms).where(alarms.c.asset_id == asset)).all()
     rows = {row.kind: _begun_anew(connection, row, now) if _differs(row) else row for row in stored}
-    was_hidden = any(row.suppressed_by for row in rows.values())
+    seen = _Seen(window, finding, rule, seen_at or now, aside or "", now)
     changed = []
-    if aside:  # whatever the window says: most windows of a machine that stands cannot be judged
+    if seen.aside:  # whatever the window says: most windows of a machine that stands tell nothing
         for kind in [kind for kind, row in rows.items() if row.state in _LISTED]:
-            changed.append(_suppressed(connection, rows[kind], aside, now))
+            changed.append(_suppressed(connection, rows[kind], seen.aside, now))
             rows[kind] = _row(connection, rows[kind].id)
-    # Without a baseline an absolute limit raised the alarm: where all of them hold again, nothing
-    # keeps it.
-    for kind, faulty in _SHOWN[
-        Verdict.HEALTHY if finding.within_absolute_limits else finding.verdict
-    ]:
-        row = rows.get(kind)
-        if row is None and not faulty:
-            continue
-        row = row or _new(connection, asset, kind)
-        if aside and faulty and row.state == AlarmState.NORMAL.value:
-            changed.append(_suppressed(connection, row, aside, now))
-            row = _row(connection, row.id)
+    for kind, faulty in _SHOWN[seen.verdict]:
+        if faulty or kind in rows:
+            row = rows.get(kind) or _new(connection, asset, kind)
+            changed += _shown(connection, row, faulty, seen)
+    if seen.verdict is Verdict.NOT_ASSESSABLE and MACHINE in rows:
+        judged_at = alarm_states.unjudged(_status(rows[MACHINE])).judged_at
+        _put(connection, rows[MACHINE].id, {"judged_at": judged_at})
+    if aside == "" and any(row.suppressed_by for row in rows.values()):
+        changed += _released(connection, asset, now)
+    return changed
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """A window that alarms follow: its finding, its own time, and the state that puts them aside."""
+
+    window: int
+    finding: Finding
+    rule: AlarmRule
+    at: datetime
+    aside: str
+    now: datetime
+
+    @property
+    def verdict(self) -> Verdict:
+        """Without a baseline an absolute limit raised the alarm: where all of them hold again,
+        nothing keeps it.
+        """
+        within = self.finding.within_absolute_limits
+        return Verdict.HEALTHY if within else self.finding.verdict
+
+    def keeps(self, row: Row[Any]) -> bool:
+        """Whether the machine's alarm stands because indicators are within the deadband yet."""
         # none stood above a threshold of its own: any counts
         raised_by = json.loads(row.raised_by or "[]") or None
-        held = (
-            kind == MACHINE
-            and row.condition
-            and in_deadband(rule, finding.indicators, finding.thresholds, raised_by)
-        )
-        status, event = alarm_states.follow(_status(row), faulty or held, rule, seen_at or now)
-        alarm = _follow_one(
-            connection,
-            row,
-            status,
-            event,
-            window=window,
-            finding=finding if faulty else None,
-            rule=rule,
-            now=now,
-        )
-        if alarm is not None:
-            changed.append(alarm)
-    says_nothing = finding.verdict is Verdict.NOT_ASSESSABLE and not finding.within_absolute_limits
-    if says_nothing and (row := rows.get(MACHINE)) is not None:
-        _put(connection, row.id, {"judged_at": alarm_states.unjudged(_status(row)).judged_at})
-    leaves = was_hidden and aside == ""
-    return [*changed, *_released(connection, asset, now)] if leaves else changed
+        indicators, thresholds = self.finding.indicators, self.finding.thresholds
+        standing = row.kind == MACHINE and row.condition
+        return standing and in_deadband(self.rule, indicators, thresholds, raised_by)
+
+
+def _shown(connection: Connection, row: Row[Any], faulty: bool, seen: _Seen) -> list[Followed]:
+    """What becomes of one alarm."""
+    changed = []
+    if seen.aside and faulty and row.state == AlarmState.NORMAL.value:
+        changed.append(_suppressed(connection, row, seen.aside, seen.now))
+        row = _row(connection, row.id)
+    condition = faulty or seen.keeps(row)
+    status, event = alarm_states.follow(_status(row), condition, seen.rule, seen.at)
+    alarm = _follow_one(
+        connection,
+        row,
+        status,
+        event,
+        window=seen.window,
+        finding=seen.finding if faulty else None,
+        rule=seen.rule,
+        now=seen.now,
+    )
+    return changed if alarm is None else [*changed, alarm]
 
 
 _LISTED = tuple(state.value for state in ACTIVE)
