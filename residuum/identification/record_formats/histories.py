@@ -19,7 +19,9 @@ from residuum.identification.record_formats.history import (
 )
 from residuum.identification.record_formats.options import ReadOptions
 
-_POSTGRES, _INFLUX = ("postgres_history", "PostgresHistory"), ("influx_history", "InfluxHistory")
+_POSTGRES = ("residuum.identification.record_formats.postgres_history", "PostgresHistory")
+_INFLUX = ("residuum.identification.record_formats.influx_history", "InfluxHistory")
+_OPCUA = ("residuum.identification.record_formats.opcua_history", "read_opcua_history")
 HISTORIES: Mapping[str, tuple[str, str]] = {
     "timescale": _POSTGRES,
     "postgresql": _POSTGRES,
@@ -49,7 +51,7 @@ def _history(scheme: str) -> History:
 
 
 def _loaded(module: str, name: str) -> Any:
-    return getattr(import_module(f"{__package__}.{module}"), name)
+    return getattr(import_module(module), name)
 
 
 def _parsed(address: str) -> Address:
@@ -68,7 +70,7 @@ def read_history(address: str, options: ReadOptions = ReadOptions()) -> Record:
         A server that does not answer.
     """
     if is_address_of(address, _NODES):
-        record: Record = _loaded("opcua_history", "read_opcua_history")(address, options)
+        record: Record = _loaded(*_OPCUA)(address, options)
         return record
     at = _parsed(address)
     if at.window or at.each:
