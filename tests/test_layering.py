@@ -19,9 +19,18 @@ MAY_IMPORT = {
 }
 FOR_ALL = {
     f"residuum.{name}"
-    for name in ("array_types", "code_digest", "code_folder", "kept_loops", "nearest_names")
+    for name in (
+        "array_types",
+        "code_digest",
+        "code_folder",
+        "kept_loops",
+        "late_members",
+        "nearest_names",
+    )
 }
-"""Types of arrays, how compiled code is kept, how a name is refused: no physics, no method; simulators may use it, too."""
+"""Types of arrays, how compiled code is kept, how a family loads its members, how a name is refused:
+no physics, no method; simulators may use it, too.
+"""
 ONLY_IN_SERVICE = {
     "fastapi",
     "starlette",

@@ -4,24 +4,27 @@ import inspect
 from typing import Any
 
 from residuum.diagnosis.diagnosers.base import Diagnoser
-from residuum.diagnosis.diagnosers.bearing import Bearing
-from residuum.diagnosis.diagnosers.gate_actuator import GateActuator
-from residuum.diagnosis.diagnosers.gripping_pliers import GrippingPliers
-from residuum.diagnosis.diagnosers.model_based import ModelBased
-from residuum.diagnosis.diagnosers.robust_residual import RobustResidual
 from residuum.identification.entry_points import from_entry_points
 from residuum.identification.errors import BadInput
+from residuum.late_members import LateMembers
 from residuum.nearest_names import known_names
 
-DIAGNOSERS: dict[str, type[Diagnoser]] = {
-    GateActuator.name: GateActuator,
-    GrippingPliers.name: GrippingPliers,
-    Bearing.name: Bearing,
-    RobustResidual.name: RobustResidual,
-    ModelBased.name: ModelBased,
-}
-for _found in from_entry_points("residuum.diagnosers"):
-    DIAGNOSERS.setdefault(_found.name, _found)
+
+def _of_other_packages() -> dict[str, type[Diagnoser]]:
+    return {kind.name: kind for kind in from_entry_points("residuum.diagnosers")}
+
+
+DIAGNOSERS = LateMembers[type[Diagnoser]](
+    {
+        "gate-actuator": ("residuum.diagnosis.diagnosers.gate_actuator", "GateActuator"),
+        "gripping-pliers": ("residuum.diagnosis.diagnosers.gripping_pliers", "GrippingPliers"),
+        "bearing": ("residuum.diagnosis.diagnosers.bearing", "Bearing"),
+        "robust-residual": ("residuum.diagnosis.diagnosers.robust_residual", "RobustResidual"),
+        "model-based": ("residuum.diagnosis.diagnosers.model_based", "ModelBased"),
+    },
+    _of_other_packages,
+)
+"""Name of a diagnoser (its class's `name`) → its class."""
 
 
 def diagnoser_class(name: str) -> type[Diagnoser]:

@@ -85,7 +85,7 @@ def _own(store: DiskStore) -> Sequence[OwnJudge]:
             key = None if baseline is None else (baseline.model, baseline.number, baseline.checksum)
             method = (
                 None
-                if asset.diagnoser not in DIAGNOSERS
+                if asset.diagnoser is None or asset.diagnoser not in DIAGNOSERS
                 else deciding_method(store, asset.id, asset.diagnoser)
             )
             judges.append(OwnJudge(asset.id, asset.diagnoser, key, method))
