@@ -15,6 +15,7 @@ from residuum.service.alarms.alarm_states import AlarmEvent, AlarmRule
 from residuum.service.security.access import new_key
 from residuum.service.storage import tables
 from residuum.service.storage.rows import row_checks
+from residuum.service.store import FoundAtMachine, Outcome
 
 SIZES = [(1440, 900), (390, 844)]
 RECORD = Record({"y": np.random.default_rng(3).normal(size=200)}, {"y": "m/s²"}, 1e-3)
@@ -258,6 +259,31 @@ def test_the_trend_of_a_machine_is_cut_to_a_period(with_alarms, open_page):
     expect(rows(page)).to_have_count(1)
 
 
+LANES = "document.querySelector('[aria-label=\"Indicator over time\"]')?.data?.filter((trace) => trace.yaxis === 'y2')"
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_alarms_and_what_was_found_stand_below_the_trend_on_its_axis(
+    with_alarms, open_page, legible, size
+):
+    store = with_alarms.services.store
+    page = open_page(f"{with_alarms.url}/#/machines/press", size=size)
+    page.wait_for_function(f"() => {LANES}?.length === 1")
+    # one alarm that went and one that stands: a bar each, from when it was raised, parted by a null
+    bars = page.evaluate(f"() => {LANES}[0]")
+    assert [at is None for at in bars["x"]] == [False, False, True] * 2
+    assert bars["x"][0] < bars["x"][1] and set(bars["y"]) == {"Alarms", None}
+    assert "still there" in bars["text"][0] and "gone after" in bars["text"][3]
+    newest = store.asset("press").last_finding
+    store.confirm(
+        "press", newest.id, FoundAtMachine(Outcome.CONFIRMED, part="seal", who="eva"), "eva"
+    )
+    page.wait_for_function(f"() => {LANES}?.length === 2")
+    found = page.evaluate(f"() => {LANES}[1]")
+    assert found["y"] == ["Found"] and "it was so, seal (eva)" in found["text"][0]
+    legible(page)
+
+
 def test_of_a_long_period_no_fault_is_thinned_away(with_alarms):
     service = with_alarms
     for number in range(40):
@@ -359,3 +385,26 @@ def test_a_comment_goes_with_either_button(guarded, open_page):
     page.get_by_label("Comment on the alarm of press").fill("bearing changed")
     page.get_by_role("button", name="Acknowledge the alarm of press").click()
     expect(page.locator(".alarm")).to_contain_text("acknowledged by eva-operator: bearing changed")
+
+
+def test_an_acknowledged_alarm_is_shelved_for_a_while_with_its_reason_suppressed_and_brought_back(
+    with_alarms, open_page, legible
+):
+    page = open_page(f"{with_alarms.url}/#/machines/press")
+    page.get_by_role("button", name="Acknowledge the alarm of press").click()
+    page.get_by_text("Comment …").click()
+    page.get_by_label("Comment on the alarm of press").fill("waits for the seal")
+    page.get_by_label("How long the alarm of press is shelved").select_option("480")
+    page.get_by_role("button", name="Shelve for").click()
+    expect(page.locator(".alarm")).to_contain_text("shelved until")
+    shelved = with_alarms.services.store.alarms(asset="press").items[0]
+    assert timedelta(hours=7.9) < shelved.shelved_until - shelved.raised_at < timedelta(hours=8.5)
+    page.get_by_role("button", name="Unshelve the alarm of press").click()
+    for verb, back in (("Suppress", "Release"), ("Take out of service", "Return to service")):
+        page.get_by_text("Comment …").click()
+        legible(page)
+        page.get_by_role("button", name=verb).click()
+        page.get_by_role("button", name=f"{back} the alarm of press").click()
+    expect(page.get_by_text("Comment …")).to_be_visible()
+    comments = [entry.comment for entry in with_alarms.services.store.alarm_journal(shelved.id)]
+    assert "waits for the seal" in comments

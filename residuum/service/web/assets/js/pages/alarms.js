@@ -100,14 +100,23 @@ function actions(alarm) {
       },
       text,
     );
-  if (["suppressed", "out-of-service"].includes(alarm.state)) return null;
-  if (alarm.state === "shelved") return button("unshelve", "Unshelve", () => undefined);
+  const back = COMING_BACK[alarm.state];
+  if (back) return alarm.suppressed_by ? null : button(...back, () => undefined); // what a state suppresses comes back with it
   const remark = () => (drafts.get(alarm.id) ? { comment: drafts.get(alarm.id) } : {}); // what was typed goes with either button
   const shelve = button("shelve", "Shelve 1 h", () => ({ minutes: 60, ...remark() }));
-  return alarm.state === "acknowledged" ? shelve : [button("acknowledge", "Acknowledge", remark), commentForm(alarm), shelve];
+  if (alarm.state !== "acknowledged") return [button("acknowledge", "Acknowledge", remark), commentForm(alarm), shelve];
+  const gone = alarm.condition ? null : button("reset", "Reset", remark); // a latched one waits for it
+  return [gone, commentForm(alarm), shelve];
 }
 
-// Acknowledge with a comment; what is being typed outlives the list's next drawing, as does the form's being open.
+const COMING_BACK = {
+  shelved: ["unshelve", "Unshelve"],
+  suppressed: ["release", "Release"],
+  "out-of-service": ["return-to-service", "Return to service"],
+};
+const WHILES = { 15: "15 min", 60: "1 h", 480: "8 h", 1440: "1 d", 10080: "7 d" }; // minutes
+
+// All that can be done with a comment; what is being typed outlives the list's next drawing, as does the form's being open.
 const drafts = new Map();
 function commentForm(alarm) {
   const input = h("input", {
@@ -119,8 +128,16 @@ function commentForm(alarm) {
   });
   const send = (event) => {
     event.preventDefault();
-    operate(alarm, "acknowledge", { comment: input.value });
+    const verb = event.submitter?.value || (alarm.state === "acknowledged" ? "shelve" : "acknowledge");
+    const comment = input.value ? { comment: input.value } : {};
+    operate(alarm, verb, verb === "shelve" ? { minutes: Number(minutes.value), ...comment } : comment);
   };
+  const minutes = h(
+    "select",
+    { "data-key": `minutes-${alarm.id}`, "aria-label": `How long the alarm of ${alarm.asset} is shelved` },
+    Object.entries(WHILES).map(([value, text]) => h("option", { value, selected: value === "60" }, text)),
+  );
+  const button = (verb, text) => h("button", { value: verb, class: "quiet", "data-key": `with-${verb}-${alarm.id}` }, text);
   let opening = false; // by a press, not by being drawn open
   const press = () => {
     opening = !details.open;
@@ -137,7 +154,17 @@ function commentForm(alarm) {
       },
     },
     h("summary", { "data-key": `comments-${alarm.id}`, onclick: press }, "Comment …"),
-    h("form", { onsubmit: send }, input, h("button", { "data-key": `send-${alarm.id}` }, "Acknowledge with comment")),
+    h(
+      "form",
+      { onsubmit: send },
+      input,
+      alarm.state === "acknowledged"
+        ? null
+        : h("button", { value: "acknowledge", "data-key": `send-${alarm.id}` }, "Acknowledge with comment"),
+      h("span", { class: "controls" }, button("shelve", "Shelve for"), minutes),
+      button("suppress", "Suppress"),
+      button("remove-from-service", "Take out of service"),
+    ),
   );
   return details;
 }

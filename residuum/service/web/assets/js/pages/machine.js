@@ -99,6 +99,7 @@ export function machinePage(place, name, query) {
       trend.add(payload);
       windows.add(payload);
     }
+    if ((kind === "alarm" || kind === "confirmation" || kind === "model-accepted") && payload.asset === name) trend.live();
     if (kind === "all") {
       trend.read();
       windows.read();

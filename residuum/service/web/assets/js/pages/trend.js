@@ -1,4 +1,5 @@
-// An indicator and its threshold over time; the verdict of every window by the marker's shape.
+// An indicator and its threshold over time, the verdict of every window by the marker's shape; below it, on the same axis, what
+// became of the machine.
 
 import { draw, forget, series, tones } from "../charts/charts.js";
 import { call, path } from "../lib/api.js";
@@ -6,6 +7,7 @@ import { h, notify, show } from "../lib/dom.js";
 import { inBrackets, title } from "../lib/format.js";
 import { periods, since } from "../lib/periods.js";
 import { plant } from "../lib/plant_state.js";
+import { lanes, NOTHING, readLife } from "./life.js";
 
 const KEPT = 500;
 export const SYMBOLS = { healthy: "circle", faulty: "triangle-up", "not-assessable": "diamond-open" };
@@ -27,23 +29,28 @@ export function trendPanel(asset, told = () => {}) {
       {},
       h("h2", {}, "Trend"),
       h("div", { class: "controls" }, select, period),
-      h("div", { class: "aside" }, "● healthy   ▲ faulty   ◇ not assessable   - - threshold"),
+      h("div", { class: "aside" }, "● healthy   ▲ faulty   ◇ not assessable   - - threshold   ▬ alarm   ■ model"),
     ),
     h("div", { class: "body" }, empty, chart),
   );
   let history = null;
+  let life = NOTHING;
   let meanwhile = null; // findings that came during the newest reading
 
   async function read() {
     if (!plant.assets.has(asset)) return redraw();
     const came = [];
     meanwhile = came;
-    const found = await call(`${path("assets", asset, "indicators")}?limit=${KEPT}${since(period.value)}`).catch(
-      (problem) => notify(problem.message) ?? null,
-    );
+    const [found, lived] = await Promise.all([
+      call(`${path("assets", asset, "indicators")}?limit=${KEPT}${since(period.value)}`).catch(
+        (problem) => notify(problem.message) ?? null,
+      ),
+      readLife(asset, since(period.value)),
+    ]);
     if (came !== meanwhile) return undefined; // a later reading is under way
     meanwhile = null;
     history = found;
+    life = lived;
     if (history) came.filter((finding) => !history.windows.includes(finding.window)).forEach(append);
     return redraw();
   }
@@ -62,7 +69,7 @@ export function trendPanel(asset, told = () => {}) {
       );
       select.value = names.includes(before) ? before : closest(history, names);
     }
-    plot(chart, history, select.value);
+    plot(chart, history, life, select.value);
     told(history);
   }
 
@@ -89,8 +96,17 @@ export function trendPanel(asset, told = () => {}) {
     Object.assign(history.units, finding.units);
   }
 
+  // An alarm or a confirmation: only what became of the machine is read anew.
+  async function live() {
+    if (!plant.assets.has(asset)) return;
+    const lived = await readLife(asset, since(period.value));
+    if (!chart.isConnected) return;
+    life = lived;
+    redraw();
+  }
+
   read();
-  return { element, add, read, leave: () => forget(chart) };
+  return { element, add, read, live, leave: () => forget(chart) };
 }
 
 // The indicator that is now closest to its threshold, or furthest above it.
@@ -99,11 +115,24 @@ function closest(history, names) {
   return names.reduce((best, name) => (ratio(name) > ratio(best) ? name : best));
 }
 
-function plot(chart, history, name) {
+// Plotly draws dates as they are written: those of this place are written for it.
+function localTime(text) {
+  const moment = new Date(text);
+  return new Date(moment - moment.getTimezoneOffset() * 60000).toISOString().slice(0, -1);
+}
+
+function plot(chart, history, life, name) {
   const colours = tones();
   const unit = history.units[name] ?? "";
-  const at = history.at.map((text) => new Date(text));
-  const local = at.map((moment) => new Date(moment - moment.getTimezoneOffset() * 60000).toISOString().slice(0, -1));
+  const local = history.at.map(localTime);
+  // Of all windows only what lies beside them: one alarm of last year would press them into a line.
+  const from = local[0] ?? "";
+  const beside = {
+    alarms: life.alarms.filter(({ cleared_at: gone }) => !gone || localTime(gone) >= from),
+    found: life.found.filter(({ found_at: at }) => localTime(at) >= from),
+    models: life.models.filter(({ created_at: at }) => localTime(at) >= from),
+  };
+  const below = lanes(beside, (text) => (localTime(text) < from ? from : localTime(text)));
   const traces = [
     {
       type: "scatter",
@@ -131,8 +160,18 @@ function plot(chart, history, name) {
       hovertemplate: "threshold %{y:.4~g}<extra></extra>",
     });
   }
-  draw(chart, traces, {
-    x: { title: { text: "local time" }, type: "date" },
-    y: { title: { text: `${title(name)}${inBrackets(unit)}` }, rangemode: "tozero" },
+  const share = below.titles.length ? 0.08 * below.titles.length + 0.06 : 0; // of the height, for the lanes
+  draw(chart, [...traces, ...below.traces], {
+    x: { title: { text: "local time" }, type: "date", ...(share ? { anchor: "y2" } : {}) },
+    y: { title: { text: `${title(name)}${inBrackets(unit)}` }, rangemode: "tozero", domain: [share, 1] },
+    y2: share
+      ? {
+          type: "category",
+          categoryarray: below.titles.toReversed(),
+          domain: [0, share - 0.04],
+          fixedrange: true,
+          zeroline: false,
+        }
+      : null,
   }).catch((error) => notify(error.message));
 }
