@@ -1,0 +1,640 @@
+"""A device of every kind of source, for the conformance test of sources.
+
+A new kind of source is a class here and a line in `RIGS`. It says what its device does when samples are sent, when one is bad, when
+the device begins anew and when nobody can reach it; whatever its protocol does not have stands in `lacks`, with the reason.
+"""
+
+import asyncio
+import contextlib
+import importlib.util
+import math
+import threading
+import time
+import uuid
+from abc import ABC, abstractmethod
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import ClassVar
+
+import can
+import numpy as np
+import pytest
+import yaml
+
+from residuum.service.broker import BrokerAddress, broker_address
+from residuum.service.fieldbus import SOURCES
+from residuum.service.fieldbus.can.can_bus import open_bus
+from residuum.service.fieldbus.can.frame_batch import BUS_OFF
+from residuum.service.fieldbus.can.frame_layout import read_dbc
+from residuum.service.fieldbus.modbus.register_map import build_page, read_register_map
+from residuum.service.fieldbus.settings import SourceSettings
+
+UNITS = {"u": "V", "y": "m"}
+PATIENCE = 60.0
+"""[s] No condition takes nearly so long, not even on a busy machine."""
+WRONG = 7777.7
+"""What stands in a value that must not be believed: no sample has it."""
+_SET_BACK = -3600.0
+"""[s] By which a device's clock is wrong after it began anew."""
+
+
+def truth(k):
+    """What sample `k` holds; the channels tell which sample it is."""
+    return {"u": 0.5 * k, "y": 100.0 - 0.25 * k}
+
+
+def sample_of(channel, values):
+    """Which samples have these values of a channel; NaN where there is none."""
+    return values / 0.5 if channel == "u" else (100.0 - values) / 0.25
+
+
+def wait(condition, seconds=PATIENCE):
+    """Whether the condition holds within these seconds."""
+    end = time.monotonic() + seconds
+    while not (holds := condition()) and time.monotonic() < end:
+        time.sleep(0.01)
+    return holds
+
+
+class Rig(ABC):
+    """A device, and a source that reads one stream of it.
+
+    The device numbers its samples itself: sample `k` is taken at `k` sample times of its clock and holds `truth(k)`. `next` is the
+    one that comes next. What the source delivers is in `taken`, what found no room in `refused`.
+
+    `lacks` is of each step (`late`, `repeat`, …) that the protocol does not have why; `counts` of each step the counters that it
+    moves; `clock` says whether samples carry their place (else the reader's clock places them).
+    """
+
+    kind: str
+    sample_time: float
+    lacks: ClassVar = {}
+    counts: ClassVar = {}
+    clock = True
+
+    def __init__(self, folder, fixture):
+        self.folder, self.fixture = folder, fixture
+        self.taken, self.refused, self.room, self.next = [], [], True, 0
+        self.source = None
+
+    # what a kind says
+
+    @abstractmethod
+    def map_text(self):
+        """The map of the stream: channels u [V] and y [m], a sample every `sample_time`."""
+
+    @abstractmethod
+    def begin(self):
+        """Start the device; gives the fields of `SourceSettings` by which it is reached."""
+
+    @abstractmethod
+    def nowhere(self):
+        """The fields of an address where nobody is."""
+
+    @abstractmethod
+    def put(self, numbers):
+        """Send these samples, in this order: a number that is left out is not sent, one that is there twice is repeated."""
+
+    def put_late(self, numbers):
+        """Send these samples, one of them behind the one that follows it."""
+        turned = list(numbers)
+        turned[1], turned[2] = turned[2], turned[1]
+        self.put(turned)
+
+    def put_bad(self, k):
+        """Send a sample of which u is no number, or cannot be believed."""
+
+    def put_wrong_type(self, k):
+        """Send a sample of which u is not of the type that it should be."""
+
+    def begin_anew(self):
+        """Set the device's clock or counter back."""
+
+    @abstractmethod
+    def cut(self):
+        """Break the connection."""
+
+    @abstractmethod
+    def restore(self):
+        """Let the connection be made again."""
+
+    def catch_up(self):
+        """The device's clock went on while nothing was sent: the sample that comes next is the one of now."""
+
+    def close(self):
+        """End the device."""
+
+    # what the test does
+
+    def open(self, **address):
+        """Open the source as the service does."""
+        file = self.folder / "map"
+        file.write_text(self.map_text())
+        settings = SourceSettings(kind=self.kind, map=str(file), **address)
+        self.source = SOURCES[self.kind](settings, self._take)
+        self.source.start()
+
+    def start(self):
+        """Device and source, and the first samples have come."""
+        self.open(**self.begin())
+        self.flow()
+
+    def _take(self, block):
+        (self.taken if self.room else self.refused).append(block)
+        return self.room
+
+    def newest(self):
+        """The newest sample that reached the sink."""
+        blocks = [*self.taken, *self.refused]
+        samples = [sample_of(name, b.channels[name]) for b in blocks for name in UNITS]
+        return max((s[~np.isnan(s)].max() for s in samples if not np.isnan(s).all()), default=-1)
+
+    def flow(self):
+        """Send samples until the newest one comes through."""
+        end, patience = time.monotonic() + PATIENCE, 0.1
+        while True:
+            self.put([self.next])
+            self.next += 1
+            if wait(lambda: self.newest() >= self.next - 1, patience):
+                return
+            patience *= 1.5
+            assert time.monotonic() < end, f"no sample comes through: {self.health()}"
+
+    def send(self, count, leave_out=()):
+        """Send so many samples more, but for some of them, and wait until the newest has come; gives their numbers."""
+        numbers = [k for k in range(self.next, self.next + count) if k - self.next not in leave_out]
+        self.next += count
+        self.put(numbers)
+        assert wait(lambda: self.newest() >= numbers[-1]), self.health()
+        return numbers
+
+    def health(self):
+        return self.source.health.snapshot()
+
+    def counted(self):
+        return {name: times for name, times in self.health()["counters"].items() if times}
+
+    def end(self):
+        if self.source is not None:
+            self.source.stop()
+            self.source.join(PATIENCE)
+        self.close()
+
+
+class CanRig(Rig):
+    """Frames with a counter of 8 bits on a virtual bus."""
+
+    kind = "can"
+    sample_time = 1.0  # so slow that a pause of a busy machine hides no turn of the counter
+    lacks: ClassVar = {
+        "wrong type": "a CAN frame carries bits; what type they have, its DBC file alone says"
+    }
+    counts: ClassVar = {
+        "gap": {"lost"},
+        "repeat": {"duplicated"},
+        "late": {"reordered"},
+        "bad": {"undecodable"},
+        "anew": {"counter_jumps"},
+        "cut": {"bus_errors", "reconnects"},
+        "nowhere": {"bus_errors"},
+    }
+
+    def map_text(self):
+        return (
+            'VERSION ""\nBS_:\nBU_: A\nBO_ 256 machine: 5 A\n SG_ u : 0|16@1+ (0.5,0) [0|0] "V" A\n'
+            ' SG_ y : 16|16@1- (0.25,100) [0|0] "m" A\n SG_ counter : 32|8@1+ (1,0) [0|255] "" A\n'
+            f'BA_DEF_ BO_ "SampleTime" FLOAT 0 1000;\nBA_ "SampleTime" BO_ 256 {self.sample_time};\n'
+        )
+
+    def begin(self):
+        self.channel, self.first = f"virtual:{uuid.uuid4()}", 0
+        self.bus = open_bus(self.channel)
+        return {"channel": self.channel}
+
+    def nowhere(self):
+        return {"channel": "socketcan:no_such_can7"}
+
+    def put(self, numbers):
+        layout = read_dbc(self.folder / "map")["machine"]
+        numbers = np.asarray(numbers)
+        self.bus.send_many(256, layout.encode((numbers - self.first) % 256, truth(numbers)))
+
+    def put_bad(self, k):
+        self.bus.send(256, b"123")  # too short
+
+    def begin_anew(self):
+        self.first = self.next + 128  # half a turn away: neither losses nor repetitions explain it
+
+    def cut(self):
+        self.bus._bus.send(can.Message(arbitration_id=BUS_OFF, is_error_frame=True))
+
+    def restore(self):
+        pass  # the bus is opened again as soon as it is tried
+
+    def close(self):
+        if hasattr(self, "bus"):
+            self.bus.close()
+
+
+_spec = importlib.util.spec_from_file_location(
+    "faulty_modbus", Path(__file__).with_name("faulty_modbus.py")
+)
+_faulty_modbus = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(_faulty_modbus)
+
+
+class ModbusRig(Rig):
+    """What pages and plain registers have in common: a server that can be told to answer wrongly."""
+
+    kind = "modbus"
+    lacks: ClassVar = {
+        "late": "a Modbus device is asked: it sends nothing that could come late",
+        "wrong type": "registers carry bits; what type they have, the register map alone says",
+    }
+
+    def begin(self):
+        self.device = _faulty_modbus.FaultyModbus(iter(()))
+        self.stream = read_register_map(self.folder / "map").streams["machine"]
+        return {"port": self.device.port}
+
+    def nowhere(self):
+        return {"port": self.fixture("free_port")()}
+
+    def cut(self):
+        self.device.cut()
+
+    def restore(self):
+        self.device.restore()
+
+    def close(self):
+        if hasattr(self, "device"):
+            self.device.stop()
+
+    def channels(self):
+        return {
+            "u": {"register": 0, "type": "uint16", "scale": 0.5, "unit": "V"},
+            "y": {"register": 1, "type": "int16", "scale": 0.25, "offset": 100.0, "unit": "m"},
+        }
+
+    def registers(self, k):
+        return self.stream.encode({name: [value] for name, value in truth(k).items()})
+
+
+class PagedModbusRig(ModbusRig):
+    """A device that keeps its newest samples in a ring of pages."""
+
+    sample_time = 0.02
+    counts: ClassVar = {
+        "gap": {"lost"},
+        "repeat": {"late_replies", "reconnects"},
+        "bad": {"corrupt_replies"},
+        "anew": {"counter_jumps"},
+        "cut": {"bus_errors", "reconnects"},
+        "nowhere": {"bus_errors"},
+    }
+    RING, HELD = 32, 30
+    """Pages, and those of them that a reader takes."""
+
+    def map_text(self):
+        pages = {"newest": 0, "address": 1000, "stride": 5, "count": self.RING, "samples": 1}
+        stream = {"sample_time": self.sample_time, "pages": pages, "channels": self.channels()}
+        return yaml.safe_dump({"streams": {"machine": stream}})
+
+    def begin(self):
+        self.first = self.made = 0
+        return super().begin()
+
+    def put(self, numbers):
+        if len(set(numbers)) < numbers[-1] + 1 - self.made:
+            self._overrun(numbers[0])
+        while self.made <= numbers[-1]:
+            self._make(min(self.made + self.HELD, numbers[-1] + 1))
+            wait(lambda: self.newest() >= self.made - 1, 0.0 if self.made > numbers[-1] else PATIENCE)
+        if len(set(numbers)) < len(numbers):
+            self.device.faults = iter(["twice"])
+
+    def _overrun(self, following):
+        """Nobody reads before the ring has gone round, so that the sample `following` is the oldest in it."""
+        self._make(following + self.HELD)
+        wait(lambda: self.newest() >= self.made - 1)
+
+    def _make(self, end):
+        """Write the pages of the samples up to `end`, then show them all at once."""
+        for k in range(self.made, end):
+            self._write(k, self.registers(k))
+        self.made = end
+        self.device.memory[0:2] = (0, self.made - self.first)
+
+    def _write(self, k, registers):
+        page = build_page(k - self.first, registers)
+        begin = 1000 + 5 * ((k - self.first) % self.RING)
+        self.device.memory[begin : begin + 5] = page
+        return begin
+
+    def put_bad(self, k):
+        """A page that does not fit its checksum, as when it is read while it is written; then it is whole."""
+        self._write(k, self.registers(k))
+        u = 1000 + 5 * ((k - self.first) % self.RING) + 3
+        self.device.memory[u] = round(WRONG)
+        self.made = k + 1
+        self.device.memory[0:2] = (0, self.made - self.first)
+        wait(lambda: "corrupt_replies" in self.counted())
+        self._write(k, self.registers(k))
+
+    def begin_anew(self):
+        self.first = self.made = self.next
+        self.device.memory[0:2] = 0
+
+
+class PolledModbusRig(ModbusRig):
+    """A device whose plain registers are read once a sample time: its clock is the reader's."""
+
+    sample_time = 0.05
+    clock = False
+    lacks: ClassVar = ModbusRig.lacks | {
+        "anew": "plain registers have neither clock nor counter that could be set back"
+    }
+    counts: ClassVar = {
+        "gap": {"timeouts", "reconnects", "lost"},
+        "repeat": {"late_replies", "reconnects"},
+        "bad": {"modbus_exceptions"},
+        "cut": {"bus_errors", "reconnects"},
+        "nowhere": {"bus_errors"},
+    }
+
+    def map_text(self):
+        stream = {
+            "sample_time": self.sample_time,
+            "poll": {"address": 40},
+            "channels": self.channels(),
+        }
+        return yaml.safe_dump({"streams": {"machine": stream}})
+
+    def begin(self):
+        self.last = -1
+        return super().begin()
+
+    def put(self, numbers):
+        for k in numbers:
+            if k > self.last + 1:
+                self.device.faults = iter(["silence"])
+            elif k == self.last:
+                self.device.faults = iter(["twice"])
+            self.last = k
+            self.device.memory[40:42] = self.registers(k)
+            wait(lambda k=k: self.newest() >= k, 0.0 if k == numbers[-1] else PATIENCE)
+
+    def put_bad(self, k):
+        self.device.faults = iter(["exception"])
+        self.put([k])
+
+
+class StampedRig(Rig):
+    """Values that carry the time at which they were taken, on a clock of the device."""
+
+    sample_time = 0.02
+
+    def __init__(self, *given):
+        super().__init__(*given)
+        self.origin, self.ahead = time.time(), -math.inf
+
+    def stamp(self, k):
+        """When sample `k` was taken [s since 1970]."""
+        stamp = self.origin + k * self.sample_time
+        self.ahead = max(self.ahead, stamp - time.time())
+        return stamp
+
+    def catch_up(self):
+        now = (time.time() + self.ahead - self.origin) / self.sample_time
+        self.next = max(self.next, math.ceil(now))
+
+    def set_back(self):
+        self.origin, self.ahead = self.origin + _SET_BACK, -math.inf
+
+    @staticmethod
+    def raw(k):
+        """The values before scale and offset of the map."""
+        return {"u": float(k), "y": -float(k)}
+
+    @staticmethod
+    def scaled(key, names):
+        return {
+            "u": {key: names["u"], "unit": "V", "scale": 0.5},
+            "y": {key: names["y"], "unit": "m", "scale": 0.25, "offset": 100.0},
+        }
+
+
+class OpcuaRig(StampedRig):
+    """Two nodes of a server."""
+
+    kind = "opcua"
+    lacks: ClassVar = {}
+    counts: ClassVar = {
+        "gap": {"lost"},
+        "repeat": {"reconnects"},
+        "bad": {"bad_status"},
+        "wrong type": {"bad_status"},
+        "anew": {"counter_jumps"},
+        "cut": {"bus_errors", "reconnects"},
+        "nowhere": {"bus_errors"},
+    }
+
+    def map_text(self):
+        channels = self.scaled("node", {"u": "ns=2;s=u", "y": "ns=2;s=y"})
+        for channel in channels.values():
+            channel["held"] = False  # each sample has a report of its own
+        stream = {"sample_time": self.sample_time, "channels": channels}
+        return yaml.safe_dump({"streams": {"machine": stream}})
+
+    def begin(self):
+        self.asyncua = pytest.importorskip("asyncua")
+        self.url = f"opc.tcp://127.0.0.1:{self.fixture('free_port')()}/"
+        self.loop = asyncio.new_event_loop()
+        self.thread = threading.Thread(target=self.loop.run_forever, daemon=True)
+        self.thread.start()
+        self._do(self._serve())
+        return {"channel": self.url}
+
+    def nowhere(self):
+        return {"channel": f"opc.tcp://127.0.0.1:{self.fixture('free_port')()}/"}
+
+    def _do(self, work):
+        return asyncio.run_coroutine_threadsafe(work, self.loop).result(PATIENCE)
+
+    async def _serve(self):
+        ua = self.asyncua.ua
+        self.server = self.asyncua.Server()
+        await self.server.init()
+        self.server.set_endpoint(self.url)
+        self.server.set_security_policy([ua.SecurityPolicyType.NoSecurity])
+        await self.server.register_namespace("urn:rig")
+        self.nodes = {
+            name: await self.server.nodes.objects.add_variable(ua.NodeId(name, 2), name, 0.0)
+            for name in UNITS
+        }
+        for name in UNITS:
+            await self._write(name, 0.0, self.next - 1, ua.StatusCodes.BadWaitingForInitialData)
+        await self.server.start()
+
+    async def _write(self, name, value, k, status=0):
+        ua = self.asyncua.ua
+        node, at = self.nodes[name].nodeid, datetime.fromtimestamp(self.stamp(k), UTC)
+        datum = ua.DataValue(ua.Variant(value), ua.StatusCode(status), SourceTimestamp=at)
+        # a server refuses a value of another type than the one before, but for one that is asked for
+        self.server.set_attribute_value_callback(node, lambda *_: datum)
+        await self.server.write_attribute_value(node, datum)
+
+    async def _write_samples(self, numbers, names):
+        for k in numbers:
+            for name in names:
+                await self._write(name, self.raw(k)[name], k)
+
+    def put(self, numbers):
+        self._do(self._write_samples(sorted(set(numbers)), UNITS))
+        if len(set(numbers)) < len(numbers):  # a session that is opened anew is told it again
+            self.loop.call_soon_threadsafe(self._drop)
+
+    def _drop(self):
+        for client in list(self.server.bserver.clients):
+            client.transport.abort()
+
+    def put_late(self, numbers):
+        """Of a node, values come in order; those of one node may come behind those of another."""
+        self._do(self._write_samples(numbers, ["u"]))
+        self._do(self._write_samples(numbers, ["y"]))
+
+    def _write_other(self, k, value, status=0):
+        self._do(self._write("u", value, k, status))
+        self._do(self._write("y", self.raw(k)["y"], k))
+
+    def put_bad(self, k):
+        self._write_other(k, WRONG, self.asyncua.ua.StatusCodes.UncertainLastUsableValue)
+
+    def put_wrong_type(self, k):
+        self._write_other(k, f"{WRONG}")
+
+    def begin_anew(self):
+        self.set_back()
+
+    def cut(self):
+        self._do(self.server.stop())
+
+    def restore(self):
+        self.catch_up()
+        self._do(self._serve())
+
+    def close(self):
+        if hasattr(self, "loop"):
+            with contextlib.suppress(Exception):
+                self.cut()
+            self.loop.call_soon_threadsafe(self.loop.stop)
+            self.thread.join(PATIENCE)
+            self.loop.close()
+
+
+class _Wire(BrokerAddress):
+    """A broker's address; data messages of whoever enters it are held back where `held` is a list."""
+
+    held = None
+
+    def client(self, **options):
+        client = super().client(**options)
+        self.publish, client.publish = client.publish, self._publish
+        return client
+
+    def _publish(self, topic, content, **options):
+        if self.held is None or "/DDATA/" not in topic:
+            return self.publish(topic, content, **options)
+        self.held.append((topic, content))
+        return None
+
+
+class SparkplugRig(StampedRig):
+    """Two metrics of an edge node's device, over a real broker."""
+
+    kind = "sparkplug"
+    counts: ClassVar = {
+        "gap": {"lost"},
+        "repeat": {"duplicated"},
+        "bad": {"bad_status"},
+        "wrong type": {"bad_status"},
+        "anew": {"counter_jumps"},
+        "cut": {"bus_errors", "reconnects"},
+        "nowhere": {"bus_errors"},
+    }
+
+    def map_text(self):
+        channels = self.scaled("metric", {"u": "Motor/u", "y": "Motor/y"})
+        stream = {"device": "Drive", "sample_time": self.sample_time, "channels": channels}
+        return yaml.safe_dump({"node": "Plant/Press", "streams": {"machine": stream}})
+
+    def begin(self):
+        reason = "the extra 'sparkplug' is not installed: Sparkplug was not tried"
+        pytest.importorskip("google.protobuf", reason=reason)
+        self.port = self.fixture("free_port")()
+        self.restore()
+        self._enter()
+        return {"channel": f"mqtt://127.0.0.1:{self.port}"}
+
+    def nowhere(self):
+        return {"channel": f"mqtt://127.0.0.1:{self.fixture('free_port')()}"}
+
+    def _enter(self):
+        from residuum.service.fieldbus.sparkplug.edge_node import EdgeNode
+
+        self.wire = _Wire(*broker_address(f"mqtt://127.0.0.1:{self.port}"))
+        self.node = EdgeNode(self.wire, "Plant/Press")
+        self._write(self.next - 1, self.raw(self.next - 1))
+        self.node.start()
+
+    def _write(self, k, values):
+        named = {f"Motor/{name}": value for name, value in values.items()}
+        self.node.write("Drive", named, self.stamp(k))
+
+    def _messages(self, numbers):
+        """What the node sends of these samples, held back; nothing while it is not connected."""
+        self.wire.held = []
+        for k in numbers:
+            self._write(k, self.raw(k))
+        held, self.wire.held = self.wire.held, None
+        return dict(zip(numbers, held, strict=False))
+
+    def put(self, numbers):
+        messages = self._messages(sorted(set(numbers)))
+        for k in numbers:
+            if k in messages:
+                self.wire.publish(*messages[k])
+
+    def put_bad(self, k):
+        from residuum.service.fieldbus.sparkplug.sparkplug_payload import pack, unpack
+
+        (topic, content) = self._messages([k])[k]
+        payload = unpack(content)
+        u, *rest = payload.metrics
+        spoilt = replace(u, value=WRONG, good=False)
+        self.wire.publish(topic, pack(replace(payload, metrics=[spoilt, *rest])))
+
+    def put_wrong_type(self, k):
+        self._write(k, self.raw(k) | {"u": f"{WRONG}"})
+
+    def begin_anew(self):
+        self.node.stop()
+        self.set_back()
+        self._enter()
+
+    def cut(self):
+        self.broker.terminate()
+        self.broker.wait(PATIENCE)
+
+    def restore(self):
+        self.broker = self.fixture("start_mosquitto")(self.port)
+        self.catch_up()
+
+    def close(self):
+        if hasattr(self, "node"):
+            self.node.stop()
+
+
+RIGS = (CanRig, PagedModbusRig, PolledModbusRig, OpcuaRig, SparkplugRig)
+"""A device of every kind of source, some of two."""
