@@ -5,7 +5,7 @@ the device begins anew and when nobody can reach it; whatever its protocol does 
 """
 
 import asyncio
-import contextlib
+import gc
 import importlib.util
 import math
 import threading
@@ -127,17 +127,17 @@ class Rig(ABC):
 
     # what the test does
 
-    def open(self, **address):
-        """Open the source as the service does."""
+    def open(self, reach):
+        """Open the source as the service does, by the address that `reach` (`begin`, `nowhere`) gives."""
         file = self.folder / "map"
         file.write_text(self.map_text())
-        settings = SourceSettings(kind=self.kind, map=str(file), **address)
+        settings = SourceSettings(kind=self.kind, map=str(file), **reach())
         self.source = SOURCES[self.kind](settings, self._take)
         self.source.start()
 
     def start(self):
         """Device and source, and the first samples have come."""
-        self.open(**self.begin())
+        self.open(self.begin)
         self.flow()
 
     def _take(self, block):
@@ -397,7 +397,7 @@ class StampedRig(Rig):
 
     def __init__(self, *given):
         super().__init__(*given)
-        self.origin, self.ahead = time.time(), -math.inf
+        self.origin, self.ahead = time.time(), 0.0
 
     def stamp(self, k):
         """When sample `k` was taken [s since 1970]."""
@@ -410,7 +410,7 @@ class StampedRig(Rig):
         self.next = max(self.next, math.ceil(now))
 
     def set_back(self):
-        self.origin, self.ahead = self.origin + _SET_BACK, -math.inf
+        self.origin, self.ahead = self.origin + _SET_BACK, _SET_BACK
 
     @staticmethod
     def raw(k):
@@ -423,6 +423,60 @@ class StampedRig(Rig):
             "u": {key: names["u"], "unit": "V", "scale": 0.5},
             "y": {key: names["y"], "unit": "m", "scale": 0.25, "offset": 100.0},
         }
+
+
+class _OpcuaServer:
+    """A server in a thread; it takes seconds to make, so that all tests have the same, with nodes of their own."""
+
+    def __init__(self, port):
+        self.url = f"opc.tcp://127.0.0.1:{port}/"
+        self._ready, self._ended = threading.Event(), asyncio.Event()
+        self._thread = threading.Thread(target=lambda: asyncio.run(self._serve()), daemon=True)
+        self._thread.start()
+        assert self._ready.wait(PATIENCE)
+
+    async def _serve(self):
+        from asyncua import Server, ua
+
+        self._loop, self._ua = asyncio.get_running_loop(), ua
+        self._server = Server()
+        await self._server.init()
+        self._server.set_endpoint(self.url)
+        self._server.set_security_policy([ua.SecurityPolicyType.NoSecurity])
+        await self._server.register_namespace("urn:rig")
+        async with self._server:
+            self._ready.set()
+            await self._ended.wait()
+
+    def do(self, work):
+        return asyncio.run_coroutine_threadsafe(work, self._loop).result(PATIENCE)
+
+    async def add(self, node):
+        identifier = self._ua.NodeId(node, 2)
+        await self._server.nodes.objects.add_variable(identifier, f"2:{node}", 0.0)
+
+    async def write(self, node, datum):
+        identifier = self._ua.NodeId(node, 2)
+        # a value of another type than the one before is refused, but where values come from a function
+        self._server.set_attribute_value_callback(identifier, lambda *_: datum)
+        await self._server.write_attribute_value(identifier, datum)
+
+    async def drop(self):
+        """Break all connections; they may be made again at once."""
+        for client in list(self._server.bserver.clients):
+            client.transport.abort()
+
+    async def cut(self):
+        await self.drop()
+        await self._server.bserver.stop()
+
+    async def restore(self):
+        await self._server.bserver.start()
+
+    def close(self):
+        self._loop.call_soon_threadsafe(self._ended.set)
+        self._thread.join(PATIENCE)
+        gc.collect()  # what a loop leaves is collected here, not in the middle of another test
 
 
 class OpcuaRig(StampedRig):
@@ -440,50 +494,39 @@ class OpcuaRig(StampedRig):
         "nowhere": {"bus_errors"},
     }
 
+    def __init__(self, *given):
+        super().__init__(*given)
+        self.nodes, self.away = {name: f"{uuid.uuid4()}.{name}" for name in UNITS}, False
+
     def map_text(self):
-        channels = self.scaled("node", {"u": "ns=2;s=u", "y": "ns=2;s=y"})
+        names = {name: f"ns=2;s={node}" for name, node in self.nodes.items()}
+        channels = self.scaled("node", names)
         for channel in channels.values():
             channel["held"] = False  # each sample has a report of its own
         stream = {"sample_time": self.sample_time, "channels": channels}
         return yaml.safe_dump({"streams": {"machine": stream}})
 
     def begin(self):
-        self.asyncua = pytest.importorskip("asyncua")
-        self.url = f"opc.tcp://127.0.0.1:{self.fixture('free_port')()}/"
-        self.loop = asyncio.new_event_loop()
-        self.thread = threading.Thread(target=self.loop.run_forever, daemon=True)
-        self.thread.start()
-        self._do(self._serve())
-        return {"channel": self.url}
+        self.ua = pytest.importorskip("asyncua").ua
+        self.server = self.fixture("lasting")(_OpcuaServer, self.fixture("free_port")())
+        self.server.do(self._begin())
+        return {"channel": self.server.url}
 
     def nowhere(self):
         return {"channel": f"opc.tcp://127.0.0.1:{self.fixture('free_port')()}/"}
 
-    def _do(self, work):
-        return asyncio.run_coroutine_threadsafe(work, self.loop).result(PATIENCE)
-
-    async def _serve(self):
-        ua = self.asyncua.ua
-        self.server = self.asyncua.Server()
-        await self.server.init()
-        self.server.set_endpoint(self.url)
-        self.server.set_security_policy([ua.SecurityPolicyType.NoSecurity])
-        await self.server.register_namespace("urn:rig")
-        self.nodes = {
-            name: await self.server.nodes.objects.add_variable(ua.NodeId(name, 2), name, 0.0)
-            for name in UNITS
-        }
-        for name in UNITS:
-            await self._write(name, 0.0, self.next - 1, ua.StatusCodes.BadWaitingForInitialData)
-        await self.server.start()
+    async def _begin(self):
+        for name, node in self.nodes.items():
+            await self.server.add(node)
+            bad = self.ua.StatusCodes.BadWaitingForInitialData
+            await self._write(name, 0.0, self.next - 1, bad)
 
     async def _write(self, name, value, k, status=0):
-        ua = self.asyncua.ua
-        node, at = self.nodes[name].nodeid, datetime.fromtimestamp(self.stamp(k), UTC)
-        datum = ua.DataValue(ua.Variant(value), ua.StatusCode(status), SourceTimestamp=at)
-        # a server refuses a value of another type than the one before, but for one that is asked for
-        self.server.set_attribute_value_callback(node, lambda *_: datum)
-        await self.server.write_attribute_value(node, datum)
+        at = datetime.fromtimestamp(self.stamp(k), UTC)
+        status = self.ua.StatusCode(status)
+        await self.server.write(
+            self.nodes[name], self.ua.DataValue(self.ua.Variant(value), status, SourceTimestamp=at)
+        )
 
     async def _write_samples(self, numbers, names):
         for k in numbers:
@@ -491,25 +534,21 @@ class OpcuaRig(StampedRig):
                 await self._write(name, self.raw(k)[name], k)
 
     def put(self, numbers):
-        self._do(self._write_samples(sorted(set(numbers)), UNITS))
+        self.server.do(self._write_samples(sorted(set(numbers)), UNITS))
         if len(set(numbers)) < len(numbers):  # a session that is opened anew is told it again
-            self.loop.call_soon_threadsafe(self._drop)
-
-    def _drop(self):
-        for client in list(self.server.bserver.clients):
-            client.transport.abort()
+            self.server.do(self.server.drop())
 
     def put_late(self, numbers):
         """Of a node, values come in order; those of one node may come behind those of another."""
-        self._do(self._write_samples(numbers, ["u"]))
-        self._do(self._write_samples(numbers, ["y"]))
+        self.server.do(self._write_samples(numbers, ["u"]))
+        self.server.do(self._write_samples(numbers, ["y"]))
 
     def _write_other(self, k, value, status=0):
-        self._do(self._write("u", value, k, status))
-        self._do(self._write("y", self.raw(k)["y"], k))
+        self.server.do(self._write("u", value, k, status))
+        self.server.do(self._write("y", self.raw(k)["y"], k))
 
     def put_bad(self, k):
-        self._write_other(k, WRONG, self.asyncua.ua.StatusCodes.UncertainLastUsableValue)
+        self._write_other(k, WRONG, self.ua.StatusCodes.UncertainLastUsableValue)
 
     def put_wrong_type(self, k):
         self._write_other(k, f"{WRONG}")
@@ -518,19 +557,17 @@ class OpcuaRig(StampedRig):
         self.set_back()
 
     def cut(self):
-        self._do(self.server.stop())
+        self.server.do(self.server.cut())
+        self.away = True
 
     def restore(self):
+        self.server.do(self.server.restore())
+        self.away = False
         self.catch_up()
-        self._do(self._serve())
 
     def close(self):
-        if hasattr(self, "loop"):
-            with contextlib.suppress(Exception):
-                self.cut()
-            self.loop.call_soon_threadsafe(self.loop.stop)
-            self.thread.join(PATIENCE)
-            self.loop.close()
+        if self.away:
+            self.restore()
 
 
 class _Wire(BrokerAddress):

@@ -22,6 +22,21 @@ _ALL = [
 ]
 
 
+@pytest.fixture(scope="module")
+def lasting():
+    """Gives what takes long to make: made once, and closed in the end."""
+    made = {}
+
+    def give(make, *given):
+        if make not in made:
+            made[make] = make(*given)
+        return made[make]
+
+    yield give
+    for each in made.values():
+        each.close()
+
+
 @pytest.fixture(params=_ALL)
 def make_rig(request, tmp_path):
     """Gives a rig that has this step; in the end its source has ended, and has kept to what holds for all."""
@@ -228,7 +243,7 @@ def test_samples_without_room_are_counted_exactly(make_rig):
 
 def test_where_nobody_is_the_source_tries_on_and_can_be_ended(make_rig):
     rig = make_rig("nowhere")
-    rig.open(**rig.nowhere())
+    rig.open(rig.nowhere)
     wait_counted(rig, "nowhere")
     assert rig.health()["quality"] == "never-seen" and not rig.taken
     assert rig.source.health.silence()
