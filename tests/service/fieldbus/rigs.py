@@ -1,7 +1,7 @@
 """A device of every kind of source, for the conformance test of sources.
 
-A new kind of source is a class here and a line in `RIGS`. It says what its device does when samples are sent, when one is bad, when
-the device begins anew and when nobody can reach it; whatever its protocol does not have stands in `lacks`, with the reason.
+A new kind of source is a class here and its name in `RIGS`. It says what its device does when samples are sent, when one is bad,
+when the device begins anew and when nobody can reach it; what its protocol does not have stands in `lacks`, with the reason.
 """
 
 import asyncio
@@ -33,6 +33,7 @@ from residuum.service.fieldbus.settings import SourceSettings
 UNITS = {"u": "V", "y": "m"}
 PATIENCE = 60.0
 """[s] No condition takes nearly so long, not even on a busy machine."""
+SAY_WHY = "write it, or say in `lacks` why the protocol has no such thing"
 WRONG = 7777.7
 """What stands in a value that must not be believed: no sample has it."""
 _SET_BACK = -3600.0
@@ -60,8 +61,8 @@ def wait(condition, seconds=PATIENCE):
 class Rig(ABC):
     """A device, and a source that reads one stream of it.
 
-    The device numbers its samples itself: sample `k` is taken at `k` sample times of its clock and holds `truth(k)`. `next` is the
-    one that comes next. What the source delivers is in `taken`, what found no room in `refused`.
+    The device numbers its samples itself: sample `k` is taken at `k` sample times of its clock and holds `truth(k)`; `next` is the
+    one that comes next. What the sink took is in `taken`, what found no room in `refused`.
 
     `lacks` is of each step (`late`, `repeat`, …) that the protocol does not have why; `counts` of each step the counters that it
     moves; `clock` says whether samples carry their place (else the reader's clock places them).
@@ -76,7 +77,7 @@ class Rig(ABC):
     def __init__(self, folder, fixture):
         self.folder, self.fixture = folder, fixture
         self.taken, self.refused, self.room, self.next = [], [], True, 0
-        self.source = None
+        self.source, self.ended = None, False
 
     # what a kind says
 
@@ -104,12 +105,15 @@ class Rig(ABC):
 
     def put_bad(self, k):
         """Send a sample of which u is no number, or cannot be believed."""
+        raise NotImplementedError(SAY_WHY)
 
     def put_wrong_type(self, k):
         """Send a sample of which u is not of the type that it should be."""
+        raise NotImplementedError(SAY_WHY)
 
     def begin_anew(self):
         """Set the device's clock or counter back."""
+        raise NotImplementedError(SAY_WHY)
 
     @abstractmethod
     def cut(self):
@@ -119,10 +123,10 @@ class Rig(ABC):
     def restore(self):
         """Let the connection be made again."""
 
-    def catch_up(self):
+    def catch_up(self):  # noqa: B027
         """The device's clock went on while nothing was sent: the sample that comes next is the one of now."""
 
-    def close(self):
+    def close(self):  # noqa: B027
         """End the device."""
 
     # what the test does
@@ -176,6 +180,10 @@ class Rig(ABC):
         return {name: times for name, times in self.health()["counters"].items() if times}
 
     def end(self):
+        """End the source, then the device; once."""
+        if self.ended:
+            return
+        self.ended = True
         if self.source is not None:
             self.source.stop()
             self.source.join(PATIENCE)
@@ -310,7 +318,9 @@ class PagedModbusRig(ModbusRig):
             self._overrun(numbers[0])
         while self.made <= numbers[-1]:
             self._make(min(self.made + self.HELD, numbers[-1] + 1))
-            wait(lambda: self.newest() >= self.made - 1, 0.0 if self.made > numbers[-1] else PATIENCE)
+            wait(
+                lambda: self.newest() >= self.made - 1, 0.0 if self.made > numbers[-1] else PATIENCE
+            )
         if len(set(numbers)) < len(numbers):
             self.device.faults = iter(["twice"])
 
