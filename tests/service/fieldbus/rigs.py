@@ -61,8 +61,8 @@ def wait(condition, seconds=PATIENCE):
 class Rig(ABC):
     """A device, and a source that reads one stream of it.
 
-    The device numbers its samples itself: sample `k` is taken at `k` sample times of its clock and holds `truth(k)`; `next` is the
-    one that comes next. What the sink took is in `taken`, what found no room in `refused`.
+    The device numbers its samples itself: sample `k` is taken at `k` sample times of its clock and holds `truth(k)`; `next` is
+    the one that comes next. What the sink took is in `taken`, what found no room in `refused`.
 
     `lacks` is of each step (`late`, `repeat`, …) that the protocol does not have why; `counts` of each step the counters that it
     moves; `clock` says whether samples carry their place (else the reader's clock places them).
