@@ -77,7 +77,7 @@ class Rig(ABC):
     def __init__(self, folder, fixture):
         self.folder, self.fixture = folder, fixture
         self.taken, self.refused, self.room, self.next = [], [], True, 0
-        self.source, self.ended = None, False
+        self.source, self.begun, self.ended = None, False, False
 
     # what a kind says
 
@@ -127,7 +127,7 @@ class Rig(ABC):
         """The device's clock went on while nothing was sent: the sample that comes next is the one of now."""
 
     def close(self):  # noqa: B027
-        """End the device."""
+        """End the device, where it has begun; the connection may be broken."""
 
     # what the test does
 
@@ -136,6 +136,7 @@ class Rig(ABC):
         file = self.folder / "map"
         file.write_text(self.map_text())
         settings = SourceSettings(kind=self.kind, map=str(file), **reach())
+        self.begun = reach == self.begin
         self.source = SOURCES[self.kind](settings, self._take)
         self.source.start()
 
@@ -187,7 +188,8 @@ class Rig(ABC):
         if self.source is not None:
             self.source.stop()
             self.source.join(PATIENCE)
-        self.close()
+        if self.begun:
+            self.close()
 
 
 class CanRig(Rig):
@@ -241,8 +243,7 @@ class CanRig(Rig):
         pass  # the bus is opened again as soon as it is tried
 
     def close(self):
-        if hasattr(self, "bus"):
-            self.bus.close()
+        self.bus.close()
 
 
 _spec = importlib.util.spec_from_file_location(
@@ -276,8 +277,7 @@ class ModbusRig(Rig):
         self.device.restore()
 
     def close(self):
-        if hasattr(self, "device"):
-            self.device.stop()
+        self.device.stop()
 
     def channels(self):
         return {
@@ -679,8 +679,7 @@ class SparkplugRig(StampedRig):
         self.catch_up()
 
     def close(self):
-        if hasattr(self, "node"):
-            self.node.stop()
+        self.node.stop()
 
 
 RIGS = (CanRig, PagedModbusRig, PolledModbusRig, OpcuaRig, SparkplugRig)
