@@ -146,8 +146,9 @@ class Rig(ABC):
         self.flow()
 
     def _take(self, block):
-        (self.taken if self.room else self.refused).append(block)
-        return self.room
+        has_room = self.room
+        (self.taken if has_room else self.refused).append(block)
+        return has_room
 
     def newest(self):
         """The newest sample that reached the sink."""
@@ -407,20 +408,32 @@ class StampedRig(Rig):
 
     def __init__(self, *given):
         super().__init__(*given)
-        self.origin, self.ahead = time.time(), 0.0
+        self.origin, self.behind = time.time(), None
 
     def stamp(self, k):
         """When sample `k` was taken [s since 1970]."""
-        stamp = self.origin + k * self.sample_time
-        self.ahead = max(self.ahead, stamp - time.time())
-        return stamp
+        return self.origin + k * self.sample_time
+
+    def flow(self):
+        super().flow()
+        self._note()
+
+    def send(self, count, leave_out=()):
+        numbers = super().send(count, leave_out)
+        self._note()
+        return numbers
+
+    def _note(self):
+        """How far the stamps are behind our clock: a source tells a clock that was set by how this changes."""
+        self.behind = time.time() - self.stamp(self.next - 1)
 
     def catch_up(self):
-        now = (time.time() + self.ahead - self.origin) / self.sample_time
-        self.next = max(self.next, math.ceil(now))
+        if self.behind is not None:
+            now = (time.time() - self.behind - self.origin) / self.sample_time
+            self.next = max(self.next, math.ceil(now))
 
     def set_back(self):
-        self.origin, self.ahead = self.origin + _SET_BACK, _SET_BACK
+        self.origin, self.behind = self.origin + _SET_BACK, None
 
     @staticmethod
     def raw(k):
