@@ -6,7 +6,6 @@ when the device begins anew and when nobody can reach it; what its protocol does
 
 import asyncio
 import gc
-import importlib.util
 import math
 import threading
 import time
@@ -14,7 +13,6 @@ import uuid
 from abc import ABC, abstractmethod
 from dataclasses import replace
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import ClassVar
 
 import can
@@ -29,6 +27,7 @@ from residuum.service.fieldbus.can.frame_batch import BUS_OFF
 from residuum.service.fieldbus.can.frame_layout import read_dbc
 from residuum.service.fieldbus.modbus.register_map import build_page, read_register_map
 from residuum.service.fieldbus.settings import SourceSettings
+from tests.service.fieldbus.faulty_modbus import FaultyModbus
 
 UNITS = {"u": "V", "y": "m"}
 PATIENCE = 60.0
@@ -247,13 +246,6 @@ class CanRig(Rig):
         self.bus.close()
 
 
-_spec = importlib.util.spec_from_file_location(
-    "faulty_modbus", Path(__file__).with_name("faulty_modbus.py")
-)
-_faulty_modbus = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(_faulty_modbus)
-
-
 class ModbusRig(Rig):
     """What pages and plain registers have in common: a server that can be told to answer wrongly."""
 
@@ -264,7 +256,7 @@ class ModbusRig(Rig):
     }
 
     def begin(self):
-        self.device = _faulty_modbus.FaultyModbus(iter(()))
+        self.device = FaultyModbus(iter(()))
         self.stream = read_register_map(self.folder / "map").streams["machine"]
         return {"port": self.device.port}
 
