@@ -1,26 +1,49 @@
 """Sources of measured signals: CAN, Modbus, OPC UA, Sparkplug B over MQTT.
 
-A new kind of source is one file with a `Source` and one line in `SOURCES`.
+A new kind of source is one file with a `Source` and one line in `SOURCES`; settings, the HTTP
+interface and `tests/service/fieldbus/test_source_conformance.py` take the kinds from there.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from importlib import import_module
+from pathlib import Path
+from typing import Protocol
 
 from residuum.service.fieldbus.can.can_source import CanSource
 from residuum.service.fieldbus.can.frame_layout import BadBusDescription, read_dbc
 from residuum.service.fieldbus.modbus.modbus_source import ModbusSource
 from residuum.service.fieldbus.modbus.register_map import read_register_map
 from residuum.service.fieldbus.opcua.node_map import read_node_map
-from residuum.service.fieldbus.settings import SourceSettings
 from residuum.service.fieldbus.source import Sink, Source
 from residuum.service.fieldbus.sparkplug.metric_map import read_metric_map
 
-Open = Callable[[SourceSettings, Sink], Source]
+
+class Address(Protocol):
+    """How a source is reached: `SourceSettings`, which takes its kinds from `SOURCES`."""
+
+    @property
+    def channel(self) -> str:
+        """Address of the bus."""
+
+    @property
+    def host(self) -> str:
+        """Address of the device."""
+
+    @property
+    def port(self) -> int:
+        """Port of the device."""
+
+    @property
+    def map_file(self) -> Path:
+        """What says which channels there are."""
 
 
-def _opcua(settings: SourceSettings, sink: Sink) -> Source:
+Open = Callable[[Address, Sink], Source]
+
+
+def _opcua(settings: Address, sink: Sink) -> Source:
     """Imported when it is opened: the library is an extra."""
     nodes = read_node_map(settings.map_file)
     try:
@@ -34,7 +57,7 @@ def _opcua(settings: SourceSettings, sink: Sink) -> Source:
     return source
 
 
-def _sparkplug(settings: SourceSettings, sink: Sink) -> Source:
+def _sparkplug(settings: Address, sink: Sink) -> Source:
     """Imported when it is opened: the libraries are an extra."""
     metrics = read_metric_map(settings.map_file)
     try:
@@ -49,10 +72,10 @@ def _sparkplug(settings: SourceSettings, sink: Sink) -> Source:
 
 SOURCES: dict[str, Open] = {
     "can": lambda settings, sink: CanSource(settings.channel, read_dbc(settings.map_file), sink),
-    "opcua": _opcua,
-    "sparkplug": _sparkplug,
     "modbus": lambda settings, sink: ModbusSource(
         settings.host, settings.port, read_register_map(settings.map_file), sink
     ),
+    "opcua": _opcua,
+    "sparkplug": _sparkplug,
 }
 """Kind of source → how to open it."""

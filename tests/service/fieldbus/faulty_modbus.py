@@ -94,8 +94,23 @@ class FaultyModbus:
     async def _be_away(self):
         self._server.close()
         await asyncio.sleep(self.away)
-        self._server = await asyncio.start_server(self._talk, "127.0.0.1", self.port)
+        await self._come_back()
         self.ended.append(("away", time.monotonic()))
+
+    async def _come_back(self):
+        self._server = await asyncio.start_server(self._talk, "127.0.0.1", self.port)
+
+    def cut(self):
+        """Close the connections and answer nobody, until `restore`."""
+        self._loop.call_soon_threadsafe(self._leave)
+
+    def _leave(self):
+        self._server.close()
+        for writer in self._writers:
+            writer.close()
+
+    def restore(self):
+        asyncio.run_coroutine_threadsafe(self._come_back(), self._loop).result(120)
 
     async def _talk(self, reader, writer):
         self._writers.add(writer)

@@ -472,8 +472,5 @@ def _seconds(stamp: Any) -> float:
 
 
 def _number(value: Any) -> float:
-    """A value as a number; nan for anything else."""
-    try:
-        return float(value)
-    except (TypeError, ValueError):
-        return math.nan
+    """A value as a number; nan for anything else, even for a text that reads like one."""
+    return float(value) if isinstance(value, int | float) else math.nan

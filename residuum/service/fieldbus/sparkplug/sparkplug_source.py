@@ -299,6 +299,7 @@ class SparkplugSource(Source):
         self._session = NodeSession(self.health, patience)
         self._arrived: queue.Queue[tuple[str, bytes, float]] = queue.Queue(_MOST_WAITING)
         self._connected, self._overflown = threading.Event(), threading.Event()
+        self._opened_before = False
         self._known: dict[str, dict[str | int, tuple[str, int]]] = {}
         """Device → name or alias → (name, data type), from its birth."""
         self._backoff, self._ask_at = Backoff(first=1.0, longest=30.0), math.inf
@@ -348,12 +349,14 @@ class SparkplugSource(Source):
         self.health.count("bus_errors", 1, f"the broker does not let us in: {sys.exception()}")
 
     def _on_subscribe(self, *_: Any) -> None:
+        if self._opened_before:
+            self.health.count("reconnects")
+        self._opened_before = True
         self._connected.set()
         self._wait(_CONNECTED, b"")
 
     def _on_disconnect(self, *_: Any) -> None:
         self._connected.clear()
-        self.health.count("reconnects")
         self._wait(_LOST, b"")
 
     def _wait(self, topic: str, content: bytes) -> None:
