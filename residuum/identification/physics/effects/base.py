@@ -8,13 +8,16 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.physics.compile import symbolic as sp
 from residuum.identification.units import Unit, parse_unit
+
+if TYPE_CHECKING:
+    from residuum.identification.physics.effects.example_models import Example
 
 Array = npt.NDArray[np.float64]
 RESTS = 1e-60
@@ -191,22 +194,6 @@ def _or_one(size: float) -> float:
     leaves of it is none.
     """
     return size if size > RESTS else 1.0
-
-
-@dataclass(frozen=True)
-class Example:
-    """A model file's text with the effect in it, for the conformance test: the input moves as
-    `profile` says.
-
-    `profile` is `sweep` (both directions, standstill between) or `steps` (between zero and
-    `amplitude`).
-    """
-
-    model: str
-    amplitude: float
-    profile: str = "sweep"
-    sample_time: float = 0.01
-    duration: float = 10.0
 
 
 class Effect(ABC):

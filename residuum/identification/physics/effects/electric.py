@@ -7,14 +7,13 @@ from residuum.identification.physics.effects.base import (
     Conditions,
     Contribution,
     Effect,
-    Example,
     Parameter,
     Scene,
     Site,
     product,
     quotient,
 )
-from residuum.identification.physics.effects.example_models import drive_example
+from residuum.identification.physics.effects.example_models import Example, drive_example
 
 
 class Inductance(Effect):

@@ -1,6 +1,23 @@
 """Small models, one a balance kind, that the effects' examples stand on."""
 
-from residuum.identification.physics.effects.base import Example
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Example:
+    """A model file's text with the effect in it, for the conformance test: the input moves as
+    `profile` says.
+
+    `profile` is `sweep` (both directions, standstill between) or `steps` (between zero and
+    `amplitude`).
+    """
+
+    model: str
+    amplitude: float
+    profile: str = "sweep"
+    sample_time: float = 0.01
+    duration: float = 10.0
+
 
 _AXIS = """
 name: example axis

@@ -10,14 +10,17 @@ from residuum.identification.physics.effects.base import (
     Conditions,
     Contribution,
     Effect,
-    Example,
     Parameter,
     Scene,
     Site,
     product,
     quotient,
 )
-from residuum.identification.physics.effects.example_models import axis_example, drive_example
+from residuum.identification.physics.effects.example_models import (
+    Example,
+    axis_example,
+    drive_example,
+)
 
 
 class Friction(Effect):

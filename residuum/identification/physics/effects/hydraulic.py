@@ -5,12 +5,11 @@ from residuum.identification.physics.effects.base import (
     Conditions,
     Contribution,
     Effect,
-    Example,
     Parameter,
     Scene,
     Site,
 )
-from residuum.identification.physics.effects.example_models import tank_example
+from residuum.identification.physics.effects.example_models import Example, tank_example
 
 _SMALLEST = 1e-6
 """Least share of the full input at which the power law is still followed: at zero it has no

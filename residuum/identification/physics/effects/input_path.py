@@ -7,12 +7,12 @@ from residuum.identification.physics.effects.base import (
     Conditions,
     Contribution,
     Effect,
-    Example,
     Parameter,
     Scene,
     Site,
 )
 from residuum.identification.physics.effects.example_models import (
+    Example,
     axis_example,
     drive_example,
     oven_example,

@@ -12,13 +12,16 @@ from residuum.identification.physics.effects.base import (
     Conditions,
     Contribution,
     Effect,
-    Example,
     Parameter,
     Scene,
     Site,
     quotient,
 )
-from residuum.identification.physics.effects.example_models import axis_example, drive_example
+from residuum.identification.physics.effects.example_models import (
+    Example,
+    axis_example,
+    drive_example,
+)
 
 
 class ConstantLoad(Effect):

@@ -9,13 +9,13 @@ from residuum.identification.physics.effects.base import (
     Conditions,
     Contribution,
     Effect,
-    Example,
     Parameter,
     Scene,
     Site,
     quotient,
 )
 from residuum.identification.physics.effects.example_models import (
+    Example,
     axis_example,
     drive_example,
     oven_example,

@@ -12,13 +12,12 @@ from residuum.identification.physics.effects.base import (
     Conditions,
     Contribution,
     Effect,
-    Example,
     Parameter,
     Scene,
     Site,
     product,
 )
-from residuum.identification.physics.effects.example_models import oven_example
+from residuum.identification.physics.effects.example_models import Example, oven_example
 from residuum.identification.physics.effects.hydraulic import SupplyNonlinearity
 
 

@@ -13,13 +13,16 @@ from residuum.identification.physics.effects.base import (
     Conditions,
     Contribution,
     Effect,
-    Example,
     Parameter,
     Scene,
     Site,
     product,
 )
-from residuum.identification.physics.effects.example_models import axis_example, drive_example
+from residuum.identification.physics.effects.example_models import (
+    Example,
+    axis_example,
+    drive_example,
+)
 
 
 class TwoBodies(Effect):

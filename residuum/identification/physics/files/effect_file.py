@@ -36,11 +36,11 @@ from residuum.identification.physics.effects.base import (
     Conditions,
     Contribution,
     Effect,
-    Example,
     Parameter,
     Scene,
     Site,
 )
+from residuum.identification.physics.effects.example_models import Example
 from residuum.identification.physics.files.dimension import dimension_of, dimension_of_unit
 from residuum.identification.physics.files.expression import Expression, parse
 from residuum.identification.physics.files.yaml_tree import (
