@@ -9,14 +9,16 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import combinations, permutations
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from residuum.identification.errors import BadModel
 from residuum.identification.physics.effects import EFFECTS, STRUCTURAL
 from residuum.identification.physics.effects.base import Effect, Parameter, Prior, Site
-from residuum.identification.physics.files.expression import Expression
-from residuum.identification.physics.foreign import Foreign
 from residuum.nearest_names import did_you_mean, known_names
+
+if TYPE_CHECKING:
+    from residuum.identification.physics.files.expression import Expression
+    from residuum.identification.physics.foreign import Foreign
 
 BALANCE_KINDS: Mapping[str, tuple[str, tuple[str, ...]]] = MappingProxyType(
     {
@@ -151,6 +153,11 @@ class EffectUse:
         return find_effect(self.id) if self.own is None else self.own
 
     @property
+    def fingerprint(self) -> str:
+        """What tells effects of one id apart that users defined; empty for one of the list."""
+        return EFFECTS.fingerprint(self.id)
+
+    @property
     def place(self) -> str:
         """The balance, input or output that it acts on: its target without the signals that it is
         tied to.
@@ -228,6 +235,30 @@ class PhysicalModel:
     def free(self) -> tuple[str, ...]:
         """Full names of the parameters that estimation may change."""
         return tuple(name for name, parameter in self.all_parameters.items() if not parameter.fixed)
+
+    @property
+    def expressions(self) -> list[Expression]:
+        """Those of its balances, then those of its outputs."""
+        expressions: list[Expression] = []
+        for balance in self.balances.values():
+            expressions += [balance.storage, *balance.terms.values()]
+        return expressions + [output.value for output in self.outputs.values()]
+
+    @property
+    def definitions(self) -> dict[str, Expression]:
+        """What names in the texts of its expressions stand for, where these keep them."""
+        definitions: dict[str, Expression] = {}
+        unread = self.expressions
+        while unread:
+            # a definition's own text may hold names that are defined in turn
+            new = {
+                name: expression
+                for name, expression in unread.pop().where.items()
+                if name not in definitions
+            }
+            definitions |= new
+            unread += new.values()
+        return definitions
 
     def site(self, target: str, effect: Effect) -> Site:
         """The balance, input or output of this name as an effect sees it; BadModel when there is
@@ -536,9 +567,7 @@ def _targets(model: PhysicalModel) -> dict[str, list[str]]:
 
 def idle_inputs(model: PhysicalModel) -> list[str]:
     """Inputs that no term, output, balance or effect of the model names."""
-    expressions = [*(t for b in model.balances.values() for t in (b.storage, *b.terms.values()))]
-    expressions += [output.value for output in model.outputs.values()]
-    used = {name for e in expressions for name in e.names}
+    used = {name for expression in model.expressions for name in expression.names}
     used |= {
         name for balance in model.balances.values() for name in balance.variables.values()
     } | set(CHANNELS)

@@ -36,7 +36,6 @@ from residuum.identification.physics.compile import implicit
 from residuum.identification.physics.compile.expression_meaning import meaning, number
 from residuum.identification.physics.effects.base import Contribution, Scene
 from residuum.identification.physics.files.consistency import (
-    expressions_of,
     owners_of,
 )
 from residuum.identification.physics.files.expression import (
@@ -512,7 +511,7 @@ def _standing_apart(model: PhysicalModel) -> set[int]:
     model of a hundred equations that name each other would take it hours.
     """
     put_into = {b.defines for b in model.balances.values()}
-    trees = [expression.tree for expression in expressions_of(model)]
+    trees = [expression.tree for expression in model.expressions]
     places = _places(trees)
     apart = set[int]()
 

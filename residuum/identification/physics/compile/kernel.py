@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from threading import Lock
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -27,10 +27,10 @@ from residuum.code_digest import code_digest
 from residuum.code_folder import code_folder
 from residuum.identification.physics.compile import machine_code
 from residuum.identification.physics.compile.machine_code import FUNCTIONS, STEPPING
-from residuum.identification.physics.effects import EFFECTS
-from residuum.identification.physics.files.consistency import definitions_of
-from residuum.identification.physics.model import PhysicalModel
 from residuum.identification.physics.simulate.integration import System
+
+if TYPE_CHECKING:
+    from residuum.identification.physics.model import PhysicalModel
 
 _LOADED = (*FUNCTIONS, *STEPPING)
 _MADE_BY = "residuum.identification.physics"
@@ -144,15 +144,13 @@ def _structure(model: PhysicalModel) -> str:
         )
         for b in model.balances.values()
     ]
-    effects = [
-        (use.id, use.target, use.instance, EFFECTS.fingerprint(use.id)) for use in model.effects
-    ]
+    effects = [(use.id, use.target, use.instance, use.fingerprint) for use in model.effects]
     inputs = [
         (i.name, (i.absent or i.is_clock) and i.default, i.unit) for i in model.inputs.values()
     ]
     states = [(s.name, s.rate, s.unit) for s in model.states.values()]
     outputs = [(o.name, o.value.text) for o in model.outputs.values()]
-    defined = sorted((name, it.text) for name, it in definitions_of(model).items())
+    defined = sorted((name, it.text) for name, it in model.definitions.items())
     return repr((inputs, states, list(model.parameters), balances, outputs, effects, defined))
 
 

@@ -11,53 +11,6 @@ from residuum.identification.physics.effects.base import (
 )
 from residuum.identification.physics.effects.example_models import Example, tank_example
 
-_SMALLEST = 1e-6
-"""Least share of the full input at which the power law is still followed: at zero it has no
-derivative.
-"""
-
-
-class SupplyNonlinearity(Effect):
-    """The supply's gain changes with the input u: supply·((1 + b·w)·w^γ − 1) with w = |u|/u_ref.
-
-    γ follows power laws (lamps, phase control), b a gain that falls or rises evenly (saturating
-    heaters, slipping pumps). `b`, `gamma` [1]; `u_ref` [input unit] fixed, where w is 1.
-    """
-
-    equation = "supply·((1 + b·w)·w^γ − 1), w = |u|/u_ref"
-    needs = ("supply",)
-    sizes = ("b", "gamma")
-
-    def parameters(self, site: Site) -> tuple[Parameter, ...]:
-        return (
-            Parameter("b", 0.0, "", meaning="change of the gain over the input's range"),
-            Parameter(
-                "gamma",
-                0.0,
-                "",
-                lower=-0.9,
-                upper=5.0,
-                meaning="exponent of the power law beyond 1",
-            ),
-            Parameter(
-                "u_ref",
-                1.0,
-                site.units["supply"],
-                lower=1e-12,
-                fixed=True,
-                meaning="input at which w is 1",
-            ),
-        )
-
-    def contribution(self, scene: Scene) -> Contribution:
-        p, w = scene.p, sp.Max(sp.Abs(scene["supply"]) / scene.p["u_ref"], sp.Float(_SMALLEST))
-        return Contribution(
-            term=scene["supply_terms"] * ((1 + p["b"] * w) * sp.exp(p["gamma"] * sp.log(w)) - 1)
-        )
-
-    def starts(self, conditions: Conditions) -> list[dict[str, float]]:
-        return [{"b": 0.1, "gamma": 0.1, "u_ref": conditions.largest("supply")}]
-
 
 class Drain(Effect):
     """Base of the outflows."""
@@ -242,17 +195,3 @@ class Leak(Drain):
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
         return [{"c": 0.1 * conditions.magnitude / conditions.largest("level")}]
-
-
-class PumpNonlinearity(SupplyNonlinearity):
-    """Flow that falls behind the input (slip, pipe losses) or follows a power law; equation and
-    parameters as in its base.
-    """
-
-    id = "pump-nonlinearity"
-    title = "Pump nonlinearity"
-    reference = "J. F. Gülich, Centrifugal Pumps, Springer, ch. 4"
-    acts_on = ("volume",)
-
-    def examples(self) -> list[Example]:
-        return [tank_example()]

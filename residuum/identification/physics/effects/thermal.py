@@ -18,7 +18,6 @@ from residuum.identification.physics.effects.base import (
     product,
 )
 from residuum.identification.physics.effects.example_models import Example, oven_example
-from residuum.identification.physics.effects.hydraulic import SupplyNonlinearity
 
 
 class HeatLoss(Effect):
@@ -388,17 +387,3 @@ class DoorOpening(HeatLoss):
             return [base | {"t_open": begin * scale, "t_length": max(end - begin, 1) * scale}]
         length = 0.1 * conditions.duration
         return [base | {"t_open": k * length, "t_length": length} for k in range(0, 10, 2)]
-
-
-class HeaterNonlinearity(SupplyNonlinearity):
-    """Power that follows a power law of the input (P ∝ u², lamps) or saturates; equation and
-    parameters as in its base.
-    """
-
-    id = "heater-nonlinearity"
-    title = "Heater nonlinearity"
-    reference = "D. C. Agrawal, Eur. J. Phys. 32 (2011) 1 (lamp power law)"
-    acts_on = ("heat",)
-
-    def examples(self) -> list[Example]:
-        return [oven_example()]

@@ -20,6 +20,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -35,10 +36,12 @@ from residuum.identification.physics.estimation.least_squares import (
     solve_scaled,
 )
 from residuum.identification.physics.estimation.priors import Priors
-from residuum.identification.physics.model import PhysicalModel
 from residuum.identification.physics.simulate.experiment import Experiment
 from residuum.identification.physics.simulate.simulation import Runs, Simulator
 from residuum.identification.work import count_fit
+
+if TYPE_CHECKING:
+    from residuum.identification.physics.model import PhysicalModel
 
 Array = npt.NDArray[np.float64]
 

@@ -24,7 +24,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -37,12 +37,14 @@ from residuum.identification.physics.estimation.least_squares import (
     solved,
 )
 from residuum.identification.physics.estimation.priors import Priors
-from residuum.identification.physics.model import PhysicalModel
 from residuum.identification.physics.simulate.experiment import Experiment
 from residuum.identification.physics.simulate.integration import begin, integrate, new_memory
 from residuum.identification.physics.simulate.simulation import Joined, Simulator
 from residuum.identification.work import count_samples
 from residuum.kept_loops import njit
+
+if TYPE_CHECKING:
+    from residuum.identification.physics.model import PhysicalModel
 
 Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -27,10 +28,12 @@ from residuum.identification.physics.estimation.least_squares import (
     solve_scaled,
 )
 from residuum.identification.physics.estimation.priors import Priors
-from residuum.identification.physics.model import PhysicalModel
 from residuum.identification.physics.simulate.experiment import Experiment
 from residuum.identification.physics.simulate.kalman import Filter, Noise, first_noise, tune
 from residuum.identification.physics.simulate.simulation import Simulator
+
+if TYPE_CHECKING:
+    from residuum.identification.physics.model import PhysicalModel
 
 Array = npt.NDArray[np.float64]
 

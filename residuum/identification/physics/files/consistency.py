@@ -65,31 +65,12 @@ def check(model: PhysicalModel, tree: Table) -> PhysicalModel:
     _delays(model)
     _states_have_rates(model, tree)
     _variables(model, tree)
-    for expression in expressions_of(model):
+    for expression in model.expressions:
         _no_division_by_zero(expression, model.values)
     for balance in model.balances.values():
         _storage_is_not_zero(balance, model.values)
     _defined_variables_can_be_solved(model)
     return _with_units(_with_roles(model))
-
-
-def expressions_of(model: PhysicalModel) -> list[Expression]:
-    """Of its balances, then of its outputs."""
-    parts = [
-        expression for b in model.balances.values() for expression in (b.storage, *b.terms.values())
-    ]
-    return [*parts, *(output.value for output in model.outputs.values())]
-
-
-def definitions_of(model: PhysicalModel) -> dict[str, Expression]:
-    """What names in the texts of a model's expressions stand for, where these keep them."""
-    found = dict[str, Expression]()
-    open_ = expressions_of(model)
-    while open_:
-        new = {name: it for name, it in open_.pop().where.items() if name not in found}
-        found |= new
-        open_ += new.values()
-    return found
 
 
 def _unique_names(tree: Table) -> None:
@@ -104,7 +85,7 @@ def _unique_names(tree: Table) -> None:
 def _known_names(model: PhysicalModel) -> None:
     defined = [variable for b in model.balances.values() if (variable := b.defines)]
     known = {*model.inputs, *model.states, *model.parameters, *defined}
-    for expression in expressions_of(model):
+    for expression in model.expressions:
         for node in walk(expression.tree):
             if isinstance(node, Name) and node.name not in known:
                 raise node.place.refuse(
@@ -138,7 +119,7 @@ def _delays(model: PhysicalModel) -> None:
     used: dict[str, set[str]] = {
         name: {""} for b in model.balances.values() for name in b.variables.values()
     }
-    for expression in expressions_of(model):
+    for expression in model.expressions:
         for by, node in _delayed_names(expression.tree, ""):
             if by and node.name not in model.inputs and node.name not in model.parameters:
                 raise node.place.refuse(

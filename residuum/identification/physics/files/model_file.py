@@ -16,7 +16,7 @@ import yaml
 from residuum.identification.errors import BadInput, BadModel, BadUnit
 from residuum.identification.physics.effects import EFFECTS
 from residuum.identification.physics.effects.base import Parameter, Prior
-from residuum.identification.physics.files.consistency import check, definitions_of, expressions_of
+from residuum.identification.physics.files.consistency import check
 from residuum.identification.physics.files.effect_file import WrittenEffect, effects_of
 from residuum.identification.physics.files.expression import Expression, parse, with_definitions
 from residuum.identification.physics.files.parts import (
@@ -262,9 +262,7 @@ def _with_clock(model: PhysicalModel) -> PhysicalModel:
         *model.parameters,
         *(b.defines for b in model.balances.values()),
     }
-    if TIME in declared or not any(
-        TIME in expression.names for expression in expressions_of(model)
-    ):
+    if TIME in declared or not any(TIME in expression.names for expression in model.expressions):
         return model
     return replace(model, inputs=MappingProxyType({**model.inputs, TIME: Input(TIME, "s", CLOCK)}))
 
@@ -295,7 +293,7 @@ def write_model(model: PhysicalModel) -> str:
             if s.of_record
         },
     }
-    if definitions := definitions_of(model):
+    if definitions := model.definitions:
         document["let"] = {name: it.text for name, it in definitions.items()}
     document["balances"] = {
         balance.name: _written_balance(balance) for balance in model.balances.values()

@@ -5,15 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.errors import BadRecord
-from residuum.identification.physics.model import PhysicalModel
 from residuum.identification.physics.simulate.block_means import block_means
 from residuum.identification.record import Record
 from residuum.nearest_names import known_names
+
+if TYPE_CHECKING:
+    from residuum.identification.physics.model import PhysicalModel
 
 Array = npt.NDArray[np.float64]
 PART = "(part "

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.physics.files.expression import Name
-from residuum.identification.physics.model import PhysicalModel
 from residuum.identification.physics.simulate.experiment import Experiment
+
+if TYPE_CHECKING:
+    from residuum.identification.physics.model import PhysicalModel
 
 _BEGINNING = 5
 """[samples] Whose median is where a record begins: one outlier is none."""

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import Any, overload
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -16,12 +16,14 @@ import numpy.typing as npt
 from residuum.identification.errors import BadModel
 from residuum.identification.physics.compile.kernel import Kernel, kernel_of
 from residuum.identification.physics.files.expression import Expression, evaluate
-from residuum.identification.physics.model import PhysicalModel
 from residuum.identification.physics.simulate import integration
 from residuum.identification.physics.simulate.block_means import means_in_blocks
 from residuum.identification.physics.simulate.differences import central
 from residuum.identification.physics.simulate.experiment import Experiment
 from residuum.identification.work import count_samples
+
+if TYPE_CHECKING:
+    from residuum.identification.physics.model import PhysicalModel
 
 # Which parameter values a machine can have at all: bounds across parameters, beside those that
 # each has of its own.

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
-from residuum.identification.physics.files.consistency import expressions_of
 from residuum.identification.physics.files.expression import Call, Name, Number, evaluate, walk
-from residuum.identification.physics.model import PhysicalModel
 from residuum.identification.physics.simulate.experiment import Experiment
+
+if TYPE_CHECKING:
+    from residuum.identification.physics.model import PhysicalModel
 
 _LOOKED_AT = 1000
 """Samples of a record, evenly, besides those where what is looked up is made of an extreme
@@ -24,7 +26,7 @@ def leaves_tables(model: PhysicalModel, experiments: Sequence[Experiment]) -> tu
     What is looked up is computed from the inputs and the outputs that show a state alone, as they
     were measured; of a table of a state that was not measured nothing is said.
     """
-    nodes = (node for e in expressions_of(model) for node in walk(e.tree))
+    nodes = (node for e in model.expressions for node in walk(e.tree))
     tables = {
         n: _looked_up(n) for n in nodes if isinstance(n, Call) and n.function in ("table", "cubic")
     }
