@@ -48,10 +48,10 @@ if TYPE_CHECKING:
         candidates,
         find_effect,
     )
-    from residuum.identification.physics.simulate.block_means import block_means
     from residuum.identification.physics.simulate.coloured_covariance import with_coloured_noise
     from residuum.identification.physics.simulate.experiment import (
         Experiment,
+        block_means,
         match,
         measured_parts,
     )
@@ -110,9 +110,8 @@ _PLACES = {
     "estimation.likelihood_estimation": ("estimate_by_likelihood",),
     "files.model_file": ("BUILT_IN", "load_model", "read_model", "write_model"),
     "model": ("EffectUse", "Key", "PhysicalModel", "candidates", "find_effect"),
-    "simulate.block_means": ("block_means",),
     "simulate.coloured_covariance": ("with_coloured_noise",),
-    "simulate.experiment": ("Experiment", "match", "measured_parts"),
+    "simulate.experiment": ("Experiment", "block_means", "match", "measured_parts"),
     "simulate.kalman": (
         "Filter",
         "MissingTerm",

@@ -25,10 +25,14 @@ from sympy.logic.boolalg import Boolean
 from residuum.identification.errors import NoExplicitEquations
 from residuum.identification.physics.compile import implicit
 from residuum.identification.physics.compile.composition import TIME, Equations
-from residuum.identification.physics.compile.external import SYMBOLS, ExternalSlope, ExternalValue
+from residuum.identification.physics.compile.equation_functions import (
+    SYMBOLS,
+    ExternalSlope,
+    ExternalValue,
+    SteppedRound,
+)
 from residuum.identification.physics.compile.machine_code import FUNCTIONS
 from residuum.identification.physics.compile.stepping_code import FREE, columns_of, stepping
-from residuum.identification.physics.simulate.stepped_round import SteppedRound
 
 ARGUMENTS = ("x", "u", "ur", "p", "s", "m", "r0", "r1", "r2")
 _COMPARISONS = {"<": "olt", "<=": "ole", ">": "ogt", ">=": "oge", "==": "oeq", "!=": "une"}

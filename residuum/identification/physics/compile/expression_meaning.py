@@ -63,7 +63,9 @@ def meaning(node: Operation | Call) -> Callable[..., Any]:
     if isinstance(node, Operation):
         return _OPERATORS.get(node.operator) or getattr(sp, _CONDITIONS[node.operator])
     if node.function == EXTERNAL:
-        value = import_module("residuum.identification.physics.compile.external").ExternalValue
+        value = import_module(
+            "residuum.identification.physics.compile.equation_functions"
+        ).ExternalValue
         return lambda number, *operands: value(number, sp.Symbol("t", real=True), *operands)
     return _WRITTEN.get(node.function) or getattr(sp, _FUNCTIONS.get(node.function, node.function))
 

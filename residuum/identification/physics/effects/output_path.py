@@ -228,7 +228,7 @@ class OutputQuantisation(Effect):
 
     def contribution(self, scene: Scene) -> Contribution:
         # its class needs SymPy
-        from residuum.identification.physics.simulate.stepped_round import (  # noqa: PLC0415
+        from residuum.identification.physics.compile.equation_functions import (  # noqa: PLC0415
             SteppedRound,
         )
 

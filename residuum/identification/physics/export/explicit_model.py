@@ -10,10 +10,10 @@ from typing import Any
 from residuum.identification.errors import BadModel
 from residuum.identification.physics.compile import symbolic as sp
 from residuum.identification.physics.compile.composition import TIME, Equations, compose
+from residuum.identification.physics.compile.equation_functions import SteppedRound
 from residuum.identification.physics.compile.implicit import Root
 from residuum.identification.physics.files.consistency import owners_of
 from residuum.identification.physics.model import PhysicalModel, missing_name, term_name
-from residuum.identification.physics.simulate.stepped_round import SteppedRound
 
 AT_REST = (
     (

@@ -11,7 +11,7 @@ holds a lock, and the last point is remembered: a step asks for each rate at the
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,16 +20,21 @@ import numpy.typing as npt
 from numba import carray, cfunc, njit, types
 from numba.extending import intrinsic
 
-from residuum.identification.physics.compile.external import SYMBOLS
+from residuum.identification.physics.compile.equation_functions import SYMBOLS
 from residuum.identification.physics.compile.machine_code import ADDRESSES
 from residuum.identification.physics.fmu.description import Description
-from residuum.identification.physics.fmu.directional import differentiated
 from residuum.identification.physics.fmu.instance import Instance
 
 Array = npt.NDArray[np.float64]
+Move = Callable[[Array, float], None]
+"""Bring the FMU to a point, one variable moved by so much."""
 ACCEPTED = 1
 """The last status of a call that went well: a warning."""
 _STEP = 1e-6
+"""Step of a difference by a variable whose size is about 1."""
+_POINTS = 4
+_AGREES = 1e-3
+"""Points at which a derivative is held against a difference, and the part by which it may differ."""
 _KEPT: list[Any] = []
 """What compiled code points to, and must not be freed."""
 
@@ -306,3 +311,70 @@ def _compiled(  # noqa: C901, PLR0915  compiled functions that share what they c
 @njit(nogil=True)
 def _value_at(address):
     return carray(_doubles(address), 1)[0]
+
+
+def differentiated(instance: Instance, start: Array, asked: Sequence[str]) -> set[str]:
+    """Of states, inputs and the parameters asked for, those whose derivatives agree with
+    differences of rates and outputs.
+
+    FMI 2.0 promises them by states and inputs alone; an FMU that has them by parameters shows it by
+    giving them. Where nothing moved at any point, zeros are not believed.
+    """
+    described = instance.description
+    if described.exchange is None or not described.exchange.differentiates:
+        return set()
+    rng = np.random.default_rng(0)
+    points = [start + rng.normal(size=start.size) for _ in range(_POINTS)]
+    right = {
+        name
+        for name, reference, step, move in _moves(instance, start.size, asked)
+        if _is_right(instance, reference, step, move, points)
+    }
+    instance.begin({})
+    return right
+
+
+def _moves(
+    instance: Instance, size: int, asked: Sequence[str]
+) -> Iterator[tuple[str, int, float, Move]]:
+    """Name, reference, step and how to move each of the variables."""
+    described = instance.description
+
+    def of_point(k: int) -> Move:
+        return lambda point, by: instance.place(point + by * (np.arange(size) == k))
+
+    def of_parameter(name: str) -> Move:
+        def move(point: Array, by: float) -> None:
+            instance.begin({name: described.parameters[name].start + by})
+            instance.place(point)
+
+        return move
+
+    for k, variable in enumerate((*described.states, *described.inputs)):
+        yield variable.name, variable.reference, _STEP, of_point(k)
+    for name in asked:
+        parameter = described.parameters[name]
+        size_of_it = max(abs(parameter.start), parameter.nominal or 0.0, _STEP)
+        yield name, parameter.reference, _STEP * size_of_it, of_parameter(name)
+
+
+def _is_right(
+    instance: Instance, reference: int, step: float, move: Move, points: Sequence[Array]
+) -> bool:
+    moved = False
+    for point in points:
+        try:
+            move(point, 0.0)
+            given = instance.derivative(reference)
+            move(point, step)
+            high = instance.answer()
+            move(point, -step)
+            slope = (high - instance.answer()) / (2.0 * step)
+        except Exception:
+            # fmpy raises for any status that is an error: it has no such derivative
+            return False
+        size = float(np.linalg.norm(slope))
+        if not np.linalg.norm(given - slope) <= _AGREES * size + _STEP:
+            return False
+        moved = moved or size > _STEP
+    return moved

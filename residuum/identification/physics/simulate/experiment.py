@@ -11,14 +11,15 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.errors import BadRecord
-from residuum.identification.physics.simulate.block_means import block_means
 from residuum.identification.record import Record
+from residuum.kept_loops import njit
 from residuum.nearest_names import known_names
 
 if TYPE_CHECKING:
     from residuum.identification.physics.model import PhysicalModel
 
 Array = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
 PART = "(part "
 """How the name of a part of a record goes on."""
 SHORTEST_PART = 50
@@ -315,3 +316,37 @@ def _power_above(fraction: float, u: Array) -> float:
     """Share of a signal's power above this fraction of the Nyquist frequency."""
     spectrum = np.abs(np.fft.rfft((u - u.mean()) * np.hanning(u.size))) ** 2
     return float(np.sum(spectrum[int(fraction * spectrum.size) :]) / np.sum(spectrum))
+
+
+def block_means(values: Array, block: int) -> Array:
+    """Means along axis 0 of consecutive blocks of samples: one that lacks a sample is missing, the
+    last, incomplete one is left out.
+    """
+    return means_in_blocks(values, np.array([0, len(values)]), [block])[0]
+
+
+def means_in_blocks(
+    values: Array, starts: Integers, blocks: Sequence[int]
+) -> tuple[Array, Integers]:
+    """Means along axis 0 of several pieces. Piece k is values[starts[k]] … values[starts[k + 1] −
+    1], in blocks of blocks[k]. Also where those of each piece start and the last ones end.
+    """
+    if all(block == 1 for block in blocks):
+        return values, starts
+    sizes = np.array(blocks, dtype=np.int64)
+    block_starts = np.concatenate([[0], np.cumsum(np.diff(starts) // sizes)])
+    rows = np.ascontiguousarray(values).reshape(len(values), -1)
+    means = np.zeros((block_starts[-1], rows.shape[1]))
+    _add_means(rows, starts, sizes, block_starts, means)
+    return means.reshape(-1, *values.shape[1:]), block_starts
+
+
+@njit(error_model="numpy")
+def _add_means(rows, starts, blocks, block_starts, means):  # type: ignore[no-untyped-def]
+    for k in range(blocks.shape[0]):
+        for j in range(block_starts[k + 1] - block_starts[k]):
+            for i in range(blocks[k]):
+                for c in range(rows.shape[1]):
+                    means[block_starts[k] + j, c] += rows[starts[k] + j * blocks[k] + i, c]
+            for c in range(rows.shape[1]):
+                means[block_starts[k] + j, c] /= blocks[k]

@@ -17,9 +17,8 @@ from residuum.identification.errors import BadModel
 from residuum.identification.physics.compile.kernel import Kernel, kernel_of
 from residuum.identification.physics.files.expression import Expression, evaluate
 from residuum.identification.physics.simulate import integration
-from residuum.identification.physics.simulate.block_means import means_in_blocks
 from residuum.identification.physics.simulate.differences import central
-from residuum.identification.physics.simulate.experiment import Experiment
+from residuum.identification.physics.simulate.experiment import Experiment, means_in_blocks
 from residuum.identification.work import count_samples
 
 if TYPE_CHECKING:
