@@ -13,7 +13,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from residuum.identification.errors import BadModel
 from residuum.identification.physics.effects import EFFECTS, STRUCTURAL
-from residuum.identification.physics.effects.base import Effect, Parameter, Prior, Site
+from residuum.identification.physics.effects.base import (
+    Effect,
+    JoiningEffect,
+    Parameter,
+    Prior,
+    SignalEffect,
+    Site,
+)
 from residuum.nearest_names import did_you_mean, known_names
 
 if TYPE_CHECKING:
@@ -267,7 +274,7 @@ class PhysicalModel:
         A balance, an input and an output may share a name: the one that the effect acts on is
         meant.
         """
-        if effect.signals or effect.joins(target):
+        if effect.is_tied(target):
             return self._tied_site(target, effect)
         sites = []
         if balance := self.balances.get(target):
@@ -283,7 +290,7 @@ class PhysicalModel:
     def _tied_site(self, target: str, effect: Effect) -> Site:
         """The site of an effect at `balance(signal)` or `balance(other)`."""
         place, tied = place_of(target), tied_to(target)
-        if place not in self.balances or len(tied) != (effect.signals or 1):
+        if place not in self.balances or len(tied) != 1:
             form = "balance(other balance)" if effect.joins(target) else "balance(signal)"
             balances = ", ".join(self.balances)
             raise BadModel(
@@ -377,7 +384,7 @@ class PhysicalModel:
             outside its bounds.
         """
         effect = find_effect(id)
-        if not (effect.signals or effect.joins(target)) and tied_to(target):
+        if not effect.is_tied(target) and tied_to(target):
             raise BadModel(
                 f"effect {id!r} at {target!r}: is tied to no signal; say where as"
                 f" {place_of(target)!r}"
@@ -459,11 +466,11 @@ def _declared(
         declared[name] = replace(
             declared[name], value=checked_value(f"effect {effect.id!r}", declared[name], value)
         )
-    for low, high in effect.ordered:
-        if not declared[low].value < declared[high].value:
+    for low in declared.values():
+        if low.below and not low.value < declared[low.below].value:
             raise BadModel(
-                f"effect {effect.id!r}: parameter {low!r} is {declared[low].value:g} and {high!r}"
-                f" is {declared[high].value:g}; {low!r} must be below {high!r}"
+                f"effect {effect.id!r}: parameter {low.name!r} is {low.value:g} and {low.below!r}"
+                f" is {declared[low.below].value:g}; {low.name!r} must be below {low.below!r}"
             )
     return declared | {name: replace(declared[name], fixed=True) for name in fixed}
 
@@ -519,37 +526,31 @@ def candidates(model: PhysicalModel, ids: Iterable[str] | None = None) -> list[K
     balance (its surroundings). Couplings are proposed between balances that know nothing of each
     other, forgotten inputs where the model has an idle one.
     """
+    chosen = [*EFFECTS, *STRUCTURAL] if ids is None else list(ids)
+    effects = [find_effect(id) for id in chosen]
+    keys = _on_single_targets(model, effects)
+    for effect in effects:
+        if isinstance(effect, JoiningEffect):
+            keys += [Key(effect.id, target) for target in _pairs_of_balances(model, effect)]
+    unused = [f"{balance}({name})" for balance in model.balances for name in idle_inputs(model)]
+    for effect in effects:
+        if takes_columns(effect.id):
+            keys += [Key(effect.id, target) for target in unused]
     present = {use.key for use in model.effects}
-    chosen = (
-        [find_effect(id) for id in ids]
-        if ids is not None
-        else [*EFFECTS.values(), *STRUCTURAL.values()]
-    )
-    keys = _on_single_targets(model, [e for e in chosen if not (e.signals or e.between)])
-    keys += [
-        Key(e.id, target)
-        for e in chosen
-        if e.between or e.reaches
-        for target in _pairs_of_balances(model, e)
-    ]
-    columns = [(balance, name) for balance in model.balances for name in idle_inputs(model)]
-    keys += [
-        Key(e.id, f"{balance}({name})")
-        for e in chosen
-        if e.takes_columns
-        for balance, name in columns
-    ]
     return [key for key in keys if key not in present]
 
 
 def _on_single_targets(model: PhysicalModel, effects: Iterable[Effect]) -> list[Key]:
+    """Keys of the effects at a balance, input or output alone; none of those that must be tied."""
     targets = _targets(model)
-    pairs = [(effect, target) for effect in effects for target in targets[effect.place]]
-    return [
-        Key(effect.id, target)
-        for effect, target in pairs
-        if effect.fits(model.site(target, effect))
-    ]
+    keys: list[Key] = []
+    for effect in effects:
+        keys += [
+            Key(effect.id, target)
+            for target in targets[effect.place]
+            if not effect.is_tied(target) and effect.fits(model.site(target, effect))
+        ]
+    return keys
 
 
 def _targets(model: PhysicalModel) -> dict[str, list[str]]:
@@ -575,28 +576,28 @@ def idle_inputs(model: PhysicalModel) -> list[str]:
     return [name for name in model.inputs if name not in used]
 
 
-def _pairs_of_balances(model: PhysicalModel, effect: Effect) -> list[str]:
-    """Targets `one(other)` of balances of one kind: both ways where what one gives may run into the
-    other, else those that know nothing of each other's variables.
+def _pairs_of_balances(model: PhysicalModel, effect: JoiningEffect) -> list[str]:
+    """Targets `first(second)` of balances of one kind: both ways where what one gives may run into
+    the other, else those that know nothing of each other's variables.
     """
-    known = {
-        b.name: {n for term in b.terms.values() for n in term.names} | set(b.variables.values())
-        for b in model.balances.values()
-    }
+    storing = [balance for balance in model.balances.values() if balance.defines is None]
+    pairs = permutations(storing, 2) if effect.reaches else combinations(storing, 2)
     targets = []
-    storing, couples = (
-        [b for b in model.balances.values() if b.defines is None],
-        permutations if effect.reaches else combinations,
-    )
-    for first, second in couples(storing, 2):
-        apart = effect.reaches or not (known[first.name] & known[second.name] & set(model.states))
-        if (
-            first.kind == second.kind
-            and apart
-            and effect.fits(model.site(f"{first.name}({second.name})", effect))
-        ):
-            targets.append(f"{first.name}({second.name})")
+    for first, second in pairs:
+        if first.kind != second.kind:
+            continue
+        # balances that share a state exchange something already: a coupling would not be told apart
+        shared = _names_in(first) & _names_in(second) & model.states.keys()
+        target = f"{first.name}({second.name})"
+        if (effect.reaches or not shared) and effect.fits(model.site(target, effect)):
+            targets.append(target)
     return targets
+
+
+def _names_in(balance: Balance) -> set[str]:
+    """Names in the terms of a balance, and of its variables."""
+    in_terms = {name for term in balance.terms.values() for name in term.names}
+    return in_terms | set(balance.variables.values())
 
 
 def find_effect(id: str) -> Effect:
@@ -609,6 +610,18 @@ def find_effect(id: str) -> Effect:
             f"effect {id!r} is not in the catalogue; {asked}`residuum effects` lists all"
         )
     return EFFECTS[id]
+
+
+def takes_columns(id: str) -> bool:
+    """Whether the effect of this id is tried with columns that the model does not use."""
+    effect = find_effect(id)
+    return isinstance(effect, SignalEffect) and effect.takes_columns
+
+
+def is_curve(id: str) -> bool:
+    """Whether the effect of this id is a curve to be learned."""
+    effect = find_effect(id)
+    return isinstance(effect, SignalEffect) and effect.curve
 
 
 def checked_value(where: str, parameter: Parameter, value: float) -> float:

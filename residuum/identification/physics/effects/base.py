@@ -38,7 +38,8 @@ class Prior:
 @dataclass(frozen=True)
 class Parameter:
     """A number of a model: value, unit, bounds, meaning; `fixed` keeps it out of the estimation, a
-    `prior` draws it.
+    `prior` draws it. An effect's parameter may have to lie `below` another of its parameters (the
+    ends of a travel): where it does not there is no such machine, and no estimate comes out.
     """
 
     name: str
@@ -49,6 +50,7 @@ class Parameter:
     fixed: bool = False
     meaning: str = ""
     prior: Prior | None = None
+    below: str = ""
 
 
 @dataclass(frozen=True)
@@ -223,26 +225,11 @@ class Effect(ABC):
     natural_bounds : tuple of str
         Parameters that may well lie on a bound; any other estimate on a bound is another effect, or
         none, in disguise.
-    ordered : tuple of (str, str)
-        Pairs of parameters of which the first lies below the second (the ends of a travel): where
-        it does not there is no such machine, and no estimate comes out.
     generalises : str
         Effect that this one contains as a special case (or itself): where that one fits, this one
         is tried from there as well (`grown`).
     shifts : str
         Parameter that says by how much it shifts a signal in time [s]; empty: none does.
-    takes_columns : bool
-        Whether it is tried with columns of the record that the model does not use.
-    curve : bool
-        Whether it is a curve to be learned: tried where nothing with a name is real, and begun
-        where what its balance lacks lies.
-    signals : int
-        How many signals it is tied to; its target is then `balance(signal, …)`.
-    between : bool
-        Whether it stands between two balances; its target is then `balance(other)`.
-    reaches : bool
-        Whether what it takes from its balance may also run into another one: its target is then
-        `balance(other)`, else `balance`.
     """
 
     id: ClassVar[str]
@@ -255,14 +242,8 @@ class Effect(ABC):
     rest: ClassVar[float] = 0.0
     follows: ClassVar[tuple[str, ...]] = ()
     natural_bounds: ClassVar[tuple[str, ...]] = ()
-    ordered: ClassVar[tuple[tuple[str, str], ...]] = ()
     generalises: ClassVar[str] = ""
     shifts: ClassVar[str] = ""
-    takes_columns: ClassVar[bool] = False
-    curve: ClassVar[bool] = False
-    signals: ClassVar[int] = 0
-    between: ClassVar[bool] = False
-    reaches: ClassVar[bool] = False
 
     @property
     def vanishes(self) -> bool:
@@ -271,9 +252,13 @@ class Effect(ABC):
         """
         return bool(self.sizes)
 
+    def is_tied(self, target: str) -> bool:
+        """Whether at this target it is tied to what the target names in brackets."""
+        return False
+
     def joins(self, target: str) -> bool:
         """Whether it stands between two balances at this target."""
-        return self.between or (self.reaches and target.endswith(")"))
+        return False
 
     @property
     def place(self) -> str:
@@ -344,6 +329,44 @@ class Effect(ABC):
     @abstractmethod
     def examples(self) -> Sequence[Example]:
         """Cases for the conformance test."""
+
+
+class SignalEffect(Effect):
+    """An effect that is tied to a signal of the model; its target is `balance(signal)`.
+
+    Class attributes
+    ----------------
+    takes_columns : bool
+        Whether it is tried with columns of the record that the model does not use.
+    curve : bool
+        Whether it is a curve to be learned: tried where nothing with a name is real, and begun
+        where what its balance lacks lies.
+    """
+
+    takes_columns: ClassVar[bool] = False
+    curve: ClassVar[bool] = False
+
+    def is_tied(self, target: str) -> bool:
+        return True
+
+
+class JoiningEffect(Effect):
+    """An effect between two balances of one kind; its target is `balance(other)`.
+
+    Class attributes
+    ----------------
+    reaches : bool
+        Whether it takes from the first balance and gives to the other one, never back. It may then
+        stand at `balance` alone too: what it takes is lost.
+    """
+
+    reaches: ClassVar[bool] = False
+
+    def is_tied(self, target: str) -> bool:
+        return self.joins(target)
+
+    def joins(self, target: str) -> bool:
+        return not self.reaches or target.endswith(")")
 
 
 @lru_cache(maxsize=1024)

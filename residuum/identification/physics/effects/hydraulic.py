@@ -5,6 +5,7 @@ from residuum.identification.physics.effects.base import (
     Conditions,
     Contribution,
     Effect,
+    JoiningEffect,
     Parameter,
     Scene,
     Site,
@@ -93,7 +94,7 @@ class Orifice(Effect):
         return [tank_example()]
 
 
-class Overflow(Drain):
+class Overflow(Drain, JoiningEffect):
     """Weir: −c·max(h − h_max, 0)^1.5, which runs away, or at `balance(other)` into another store.
 
     `c` [balance unit / level unit^1.5] ≥ 0; `h_max` [level unit], the rim; `share` ≥ 0 times what

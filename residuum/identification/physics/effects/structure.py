@@ -10,9 +10,10 @@ from residuum.identification.physics.compile import symbolic as sp
 from residuum.identification.physics.effects.base import (
     Conditions,
     Contribution,
-    Effect,
+    JoiningEffect,
     Parameter,
     Scene,
+    SignalEffect,
     Site,
     quotient,
 )
@@ -23,7 +24,7 @@ from residuum.identification.physics.effects.example_models import (
 )
 
 
-class ForgottenInput(Effect):
+class ForgottenInput(SignalEffect):
     """g·s, s a signal of the record: a flow into the next tank, a load that somebody measured, the
     neighbour's heat.
 
@@ -37,7 +38,6 @@ class ForgottenInput(Effect):
     reference = "M. C. Kennedy, A. O'Hagan, J. R. Stat. Soc. B 63 (2001) 425"
     acts_on = ("torque", "force", "voltage", "heat", "volume", "signal")
     sizes = ("gain",)
-    signals = 1
     takes_columns = True
 
     def parameters(self, site: Site) -> tuple[Parameter, ...]:
@@ -59,7 +59,7 @@ ACROSS = {"heat": "temperature", "volume": "level", "torque": "velocity", "force
 """Kind of balance → the quantity whose difference drives the exchange."""
 
 
-class Coupling(Effect):
+class Coupling(JoiningEffect):
     """−k·(x − x′), taken from one balance and given to the other: heat exchange, flow between
     stores, friction between bodies.
 
@@ -76,7 +76,6 @@ class Coupling(Effect):
     )
     acts_on = tuple(ACROSS)
     sizes = ("k",)
-    between = True
 
     def fits(self, site: Site) -> bool:
         return super().fits(site) and ACROSS[site.kind] in site.units
@@ -107,7 +106,7 @@ class Coupling(Effect):
 KNOTS_OF_A_CURVE = 9
 
 
-class Learned(Effect):
+class Learned(SignalEffect):
     """Σ vₖ·hatₖ(s): straight lines between the values vₖ [balance unit] at the knots aₖ [signal
     unit], level beyond the ends.
 
@@ -122,7 +121,6 @@ class Learned(Effect):
     reference = "C. de Boor, A Practical Guide to Splines, Springer 2001, ch. III"
     acts_on = ("torque", "force", "voltage", "heat", "volume", "signal")
     sizes = tuple(f"v{k}" for k in range(1, KNOTS_OF_A_CURVE + 1))
-    signals = 1
     curve = True
 
     def parameters(self, site: Site) -> tuple[Parameter, ...]:

@@ -273,7 +273,6 @@ class EndStop(Effect):
     needs = ("position", "velocity")
     sizes = ("k", "d")
     natural_bounds = ("d",)
-    ordered = (("q_min", "q_max"),)
     follows = ("lack",)
     generalises = "end-stop"
     rest = 0.001
@@ -283,7 +282,7 @@ class EndStop(Effect):
             Parameter("k", 0.0, site.per("position"), lower=0.0, meaning="stiffness of the stop"),
             Parameter("d", 0.0, site.per("velocity"), lower=0.0, meaning="damping of the stop"),
             Parameter("q_max", 1.0, site.units["position"], meaning="upper end"),
-            Parameter("q_min", -1.0, site.units["position"], meaning="lower end"),
+            Parameter("q_min", -1.0, site.units["position"], meaning="lower end", below="q_max"),
         )
 
     def contribution(self, scene: Scene) -> Contribution:

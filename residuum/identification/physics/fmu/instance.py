@@ -41,7 +41,9 @@ class Instance:
         self.begun: object = None
         """Who began it last, and with what."""
         way = description.exchange if exchanged else description.simulation
-        assert way is not None
+        if way is None:
+            asked = "model exchange" if exchanged else "co-simulation"
+            raise BadModel(f"model {description.path!r}: the FMU does not offer {asked}")
         self.folder = fmpy().extract(description.path, tempfile.mkdtemp(prefix="residuum-fmu-"))
         weakref.finalize(self, shutil.rmtree, self.folder, ignore_errors=True)
         kind = f"FMU{description.version}{'Model' if exchanged else 'Slave'}"

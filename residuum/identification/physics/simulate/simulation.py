@@ -53,9 +53,10 @@ class Possible:
     def of(cls, model: PhysicalModel, index: Mapping[str, int]) -> Possible:
         """The bounds of a model whose parameters stand at these positions."""
         pairs = [
-            (f"{use.label}.{low}", f"{use.label}.{high}")
+            (f"{use.label}.{low.name}", f"{use.label}.{low.below}")
             for use in model.effects
-            for low, high in use.effect.ordered
+            for low in use.parameters.values()
+            if low.below
         ]
         values, storages = model.values, []
         for balance in model.balances.values():
