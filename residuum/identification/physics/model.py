@@ -287,36 +287,46 @@ class PhysicalModel:
         known = known_names(target, [*self.balances, *self.inputs, *self.outputs], "there are")
         raise BadModel(f"model {self.name!r}: {target!r} is no balance, input or output; {known}")
 
+    def _fitting_site(self, target: str, effect: Effect) -> Site:
+        """`site`, refused where the effect cannot stand there."""
+        if not effect.is_tied(target) and tied_to(target):
+            raise BadModel(
+                f"effect {effect.id!r} at {target!r}: is tied to no signal; say where as"
+                f" {place_of(target)!r}"
+            )
+        site = self.site(target, effect)
+        if not effect.fits(site):
+            raise BadModel(
+                f"effect {effect.id!r} does not fit {site.kind} {target!r}: {_acts_on(effect)}"
+            )
+        return site
+
     def _tied_site(self, target: str, effect: Effect) -> Site:
         """The site of an effect at `balance(signal)` or `balance(other)`."""
-        place, tied = place_of(target), tied_to(target)
+        place, tied, joins = place_of(target), tied_to(target), effect.joins(target)
         if place not in self.balances or len(tied) != 1:
-            form = "balance(other balance)" if effect.joins(target) else "balance(signal)"
+            form = "balance(other balance)" if joins else "balance(signal)"
             balances = ", ".join(self.balances)
             raise BadModel(
                 f"effect {effect.id!r} at {target!r}: say where as {form}; the balances are"
                 f" {balances}"
             )
-        known = (
-            self.balances
-            if effect.joins(target)
-            else {**self.inputs, **self.states, **self._defined()}
-        )
-        for name in tied:
-            if name not in known or name == place:
-                raise BadModel(
-                    f"effect {effect.id!r} at {target!r}: cannot be tied to {name!r};"
-                    f" {known_names(name, known, 'there are')}"
-                )
-        balance = self.balances[place]
-        if effect.joins(target) and self.balances[tied[0]].kind != balance.kind:
+        (name,) = tied
+        known = self.balances if joins else {**self.inputs, **self.states, **self._defined()}
+        if name not in known or name == place:
             raise BadModel(
-                f"effect {effect.id!r} at {target!r}: {place!r} and {tied[0]!r} are balances of"
+                f"effect {effect.id!r} at {target!r}: cannot be tied to {name!r};"
+                f" {known_names(name, known, 'there are')}"
+            )
+        balance = self.balances[place]
+        units = self._roles(balance)
+        if not joins:
+            units[name] = self.unit_of(name)
+        elif self.balances[name].kind != balance.kind:
+            raise BadModel(
+                f"effect {effect.id!r} at {target!r}: {place!r} and {name!r} are balances of"
                 " different kinds"
             )
-        units = self._roles(balance) | (
-            {} if effect.joins(target) else {name: self.unit_of(name) for name in tied}
-        )
         return Site(balance.kind, target, balance.unit, units, tied)
 
     def _defined(self) -> dict[str, str]:
@@ -384,19 +394,13 @@ class PhysicalModel:
             outside its bounds.
         """
         effect = find_effect(id)
-        if not effect.is_tied(target) and tied_to(target):
-            raise BadModel(
-                f"effect {id!r} at {target!r}: is tied to no signal; say where as"
-                f" {place_of(target)!r}"
-            )
-        site = self.site(target, effect)
-        if not effect.fits(site):
-            raise BadModel(f"effect {id!r} does not fit {site.kind} {target!r}: {_acts_on(effect)}")
+        site = self._fitting_site(target, effect)
         declared = _declared(effect, site, dict(values or {}), tuple(fixed))
-        declared |= {
-            name: replace(declared[name], prior=prior) for name, prior in (priors or {}).items()
-        }
-        instance = 1 + sum(use.id == id and use.target == target for use in self.effects)
+        for name, prior in (priors or {}).items():
+            declared[name] = replace(declared[name], prior=prior)
+        key = Key(id, target)
+        instance = 1 + sum(use.key == key for use in self.effects)
+        # an effect that a file defines is known in its own context alone: the model keeps it
         own = effect if EFFECTS.is_here(id) else None
         use = EffectUse(
             id, target, MappingProxyType(declared), instance, dict(provenance or {}), own

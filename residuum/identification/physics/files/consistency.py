@@ -5,7 +5,7 @@ division by zero.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
 
@@ -116,17 +116,14 @@ def _delays(model: PhysicalModel) -> None:
     """Each delay() is of inputs, by a parameter that is no negative time; an input has one delay
     wherever it stands.
     """
+    # what a balance names by its role is not delayed there
     used: dict[str, set[str]] = {
         name: {""} for b in model.balances.values() for name in b.variables.values()
     }
     for expression in model.expressions:
         for by, node in _delayed_names(expression.tree, ""):
-            if by and node.name not in model.inputs and node.name not in model.parameters:
-                raise node.place.refuse(
-                    f"delay() of {node.name!r}: what is delayed is made of inputs; that a reading"
-                    " is late is the effect output-lag, that a quantity is transported a state"
-                    " more"
-                )
+            if by:
+                _check_can_be_delayed(node, model)
             used.setdefault(node.name, set()).add(by)
             if node.name in model.inputs and len(used[node.name]) > 1:
                 raise node.place.refuse(
@@ -137,6 +134,15 @@ def _delays(model: PhysicalModel) -> None:
         for call in walk(expression.tree):
             if isinstance(call, Call) and call.function == "delay":
                 _check_delay(call, model)
+
+
+def _check_can_be_delayed(node: Name, model: PhysicalModel) -> None:
+    # a kernel looks delayed values up in the record: states have no past there
+    if node.name not in model.inputs and node.name not in model.parameters:
+        raise node.place.refuse(
+            f"delay() of {node.name!r}: what is delayed is made of inputs; that a reading is late"
+            " is the effect output-lag, that a quantity is transported a state more"
+        )
 
 
 def _delayed_names(tree: Node, by: str) -> Iterator[tuple[str, Name]]:
@@ -186,14 +192,17 @@ def _states_have_rates(model: PhysicalModel, tree: Table) -> None:
             raise balance.storage.place.refuse(
                 f"balance {balance.name!r}: storage has no der() of a state and is not 0"
             )
-    elsewhere = [term for b in model.balances.values() for term in b.terms.values()] + [
-        o.value for o in model.outputs.values()
-    ]
+    _no_derivative_outside_of_storages(model)
+    for name, state in model.states.items():
+        _check_rate(state, model, owners, places[name])
+
+
+def _no_derivative_outside_of_storages(model: PhysicalModel) -> None:
+    elsewhere = [term for balance in model.balances.values() for term in balance.terms.values()]
+    elsewhere += [output.value for output in model.outputs.values()]
     for expression in elsewhere:
         for node in _derivatives(expression):
             raise node.place.refuse("der() may only stand in a storage")
-    for name, state in model.states.items():
-        _check_rate(state, model, owners, places[name])
 
 
 def _check_rate(
@@ -254,31 +263,31 @@ def _variables(model: PhysicalModel, tree: Table) -> None:
     defined: set[str] = set()
     for name, balance in model.balances.items():
         table = section.table(name, "balances")
+        declared = {*model.states, *model.inputs, *model.parameters}
         if balance.storage.text in ("0", "0.0"):
-            if balance.defines is None:
-                raise section.keys[name].refuse(
-                    f"balance {name!r}: storage is 0, so it must name the variable that it defines"
-                )
-            declared = {*model.states, *model.inputs, *model.parameters}
-            if balance.defines in declared or balance.defines in defined:
-                raise section.keys[name].refuse(
-                    f"balance {name!r}: {balance.defines!r} is defined elsewhere already"
-                )
-            if not any(balance.defines in term.names for term in balance.terms.values()):
-                raise section.keys[name].refuse(
-                    f"balance {name!r}: no term contains {balance.defines!r}, which it must define"
-                )
-            defined.add(balance.defines)
+            defined.add(_defined_variable(balance, declared | defined, section.keys[name]))
             continue
         for role, variable in balance.variables.items():
-            if (
-                variable not in model.states
-                and variable not in model.inputs
-                and variable not in model.parameters
-            ):
+            if variable not in declared:
                 raise table.scalar(role, name).place.refuse(
                     f"balance {name!r}: {role} {variable!r} is not declared"
                 )
+
+
+def _defined_variable(balance: Balance, taken: Container[str], place: Place) -> str:
+    """The variable that a balance without storage defines, which no other one may."""
+    name = balance.name
+    if balance.defines is None:
+        raise place.refuse(
+            f"balance {name!r}: storage is 0, so it must name the variable that it defines"
+        )
+    if balance.defines in taken:
+        raise place.refuse(f"balance {name!r}: {balance.defines!r} is defined elsewhere already")
+    if not any(balance.defines in term.names for term in balance.terms.values()):
+        raise place.refuse(
+            f"balance {name!r}: no term contains {balance.defines!r}, which it must define"
+        )
+    return balance.defines
 
 
 def _with_roles(model: PhysicalModel) -> PhysicalModel:
@@ -346,33 +355,41 @@ def _defined_variables_can_be_solved(model: PhysicalModel) -> None:
         )
         for variable, balance in defined.items()
     }
+    zero = dict.fromkeys([*model.states, *model.inputs, *defined], 0.0) | dict(model.values)
     for variable, balance in defined.items():
-        if balance.start is not None:
+        if balance.start is not None:  # Newton's method solves it, whatever its form
             continue
-        for term in balance.terms.values():
-            if _degree(term.tree, variable) > 1:
-                raise term.place.refuse(
-                    f"algebraic loop: balance {balance.name!r} has no storage and is not linear in"
-                    f" {variable!r}, which it defines; give it a value to solve from, start: 1.0",
-                    NoExplicitEquations,
-                )
-        zero = dict.fromkeys([*model.states, *model.inputs, *defined], 0.0) | dict(model.values)
-        slope = [
-            evaluate(t.tree, zero | {variable: 1.0}) - evaluate(t.tree, zero)
-            for t in balance.terms.values()
-        ]
-        if sum(slope) == 0:
-            raise balance.storage.place.refuse(
-                f"division by zero: the terms with {variable!r}, which balance {balance.name!r}"
-                " defines, add up to 0",
-                NoExplicitEquations,
-            )
+        _check_linear(balance, variable, zero)
         if _reaches(needs, variable, variable):
             raise balance.storage.place.refuse(
                 f"algebraic loop: balance {balance.name!r} and another define each other's"
                 " variables; give each a value to solve from, start: 1.0",
                 NoExplicitEquations,
             )
+
+
+def _check_linear(balance: Balance, variable: str, zero: Mapping[str, float]) -> None:
+    """NoExplicitEquations where a balance is not linear in the variable that it defines, or its
+    slope by it is zero; `zero` has the parameters' values, and 0 for everything else.
+    """
+    for term in balance.terms.values():
+        if _degree(term.tree, variable) > 1:
+            raise term.place.refuse(
+                f"algebraic loop: balance {balance.name!r} has no storage and is not linear in"
+                f" {variable!r}, which it defines; give it a value to solve from, start: 1.0",
+                NoExplicitEquations,
+            )
+    # of linear terms the difference between the variable at 1 and at 0 is the slope
+    slope = [
+        evaluate(term.tree, {**zero, variable: 1.0}) - evaluate(term.tree, zero)
+        for term in balance.terms.values()
+    ]
+    if sum(slope) == 0:
+        raise balance.storage.place.refuse(
+            f"division by zero: the terms with {variable!r}, which balance {balance.name!r}"
+            " defines, add up to 0",
+            NoExplicitEquations,
+        )
 
 
 def _reaches(needs: Mapping[str, set[str]], start: str, goal: str) -> bool:
@@ -396,11 +413,19 @@ def _degree(tree: Node, name: str) -> int:
     if max(degrees) == 0:
         return 0
     if isinstance(tree, Call):
+        # on either side of standstill sign(v) is a constant, and abs(v) linear
         return 1 if tree.function in ("sign", "abs") and isinstance(tree.operands[0], Name) else 2
-    if tree.operator in ("+", "-", "neg"):
+    return _degree_of_operation(tree.operator, degrees)
+
+
+def _degree_of_operation(operator: str, degrees: Sequence[int]) -> int:
+    """The degree of a sum, product, quotient or power of operands of these degrees."""
+    if operator in ("+", "-", "neg"):
         return max(degrees)
-    if (tree.operator == "*" and min(degrees) == 0) or (tree.operator == "/" and degrees[1] == 0):
+    if operator == "*" and min(degrees) == 0:
         return max(degrees)
+    if operator == "/" and degrees[1] == 0:
+        return degrees[0]
     return 2
 
 
@@ -436,30 +461,37 @@ def _with_unit(
     to be in the balance's unit: so normalised models are written, whose coefficients hide the
     units.
     """
+    scale = _common_dimension(balance, names, plain)
+    if scale is None or balance.kind == "signal":
+        return balance
+    # the shortest spelling first: the kind's own units, then those that the model is written in
+    usual = (balance.unit, *_OTHER_UNITS[balance.kind])
+    rates = [f"{unit}/{time}" for unit in units for time in ("s", "min", "hour")]
+    for unit in (*usual, *units, *rates):
+        if scale.agrees(dimension_of_unit(unit)):
+            return replace(balance, unit=unit)
+    return replace(balance, unit=str(scale))
+
+
+def _common_dimension(
+    balance: Balance, names: Mapping[str, Dimension], plain: set[str]
+) -> Dimension | None:
+    """What storage and terms of a balance are in; None where all of them are numbers."""
     scale: Dimension | None = None
-    sides = [
-        ("storage", balance.storage),
-        *((f"term {name!r}", term) for name, term in balance.terms.items()),
-    ]
-    for side, expression in sides:
+    sides = {"storage": balance.storage}
+    sides |= {f"term {name!r}": term for name, term in balance.terms.items()}
+    for side, expression in sides.items():
         dimension = dimension_of(expression.tree, names)
         if dimension.literal:
             continue
-        if scale is not None and not dimension.agrees(scale) and not plain & set(expression.names):
+        if scale is None:
+            scale = dimension
+        elif not dimension.agrees(scale) and not plain & set(expression.names):
             raise expression.place.refuse(
                 f"unit clash: {side} of {balance.kind} balance {balance.name!r} is in {dimension};"
                 f" the balance is in {scale}"
             )
-        scale = scale or dimension
-    if scale is None or balance.kind == "signal":
-        return balance
-    usual = (balance.unit, *_OTHER_UNITS[balance.kind])
-    rates = [f"{unit}/{time}" for unit in units for time in ("s", "min", "hour")]
-    spelled = next(
-        (unit for unit in (*usual, *units, *rates) if scale.agrees(dimension_of_unit(unit))),
-        str(scale),
-    )
-    return replace(balance, unit=spelled)
+    return scale
 
 
 def _check_output(output: Output, names: Mapping[str, Dimension]) -> None:

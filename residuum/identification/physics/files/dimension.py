@@ -127,21 +127,23 @@ def _of_node(tree: Node, operands: list[Dimension], names: Mapping[str, Dimensio
     return operands[0] if tree.operator == "neg" else _power(tree, operands)
 
 
+_FIRST_ALIKE = {"min": 0, "max": 0, "mod": 0, "hypot": 0, "where": 1}
+"""Functions that have the dimension of their operands, and the first operand that counts: a
+condition has none.
+"""
+
+
 def _of_call(tree: Call, operands: list[Dimension]) -> Dimension:
-    if tree.function in ("min", "max", "mod", "hypot"):
-        return _alike(tree, operands)
+    if tree.function in _FIRST_ALIKE:
+        return _alike(tree, operands[_FIRST_ALIKE[tree.function] :])
     if tree.function == "atan2":
         _alike(tree, operands)
         return PLAIN
-    if tree.function == "where":
-        return _alike(tree, operands[1:])
     if tree.function in ("table", "cubic"):
+        # the places that values are given at stand between what is looked up and the values
         return _alike(tree, operands[1 + len(operands) // 2 :])
     if tree.function == "delay":
-        if not operands[1].agrees(dimension_of_unit(_SECOND)):
-            raise tree.place.refuse(
-                f"unit clash: delay() by something in {operands[1]}; it must be a time in s"
-            )
+        _check_time(tree, operands[1])
         return operands[0]
     if tree.function == "der":
         return operands[0] / dimension_of_unit(_SECOND)
@@ -157,6 +159,11 @@ def _of_call(tree: Call, operands: list[Dimension]) -> Dimension:
             " number"
         )
     return PLAIN
+
+
+def _check_time(tree: Call, by: Dimension) -> None:
+    if not by.agrees(dimension_of_unit(_SECOND)):
+        raise tree.place.refuse(f"unit clash: delay() by something in {by}; it must be a time in s")
 
 
 def _alike(tree: Operation | Call, operands: list[Dimension]) -> Dimension:

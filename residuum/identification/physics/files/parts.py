@@ -142,13 +142,7 @@ def _part(named: Scalar, folder: Path | None, read: Read) -> PhysicalModel:
 
 def prefixed(model: PhysicalModel, prefix: str) -> PhysicalModel:
     """The model with the prefix before each of its names, but for the clock's."""
-    own = {
-        *model.states,
-        *model.parameters,
-        *(name for name, signal in model.inputs.items() if not signal.is_clock),
-        *(variable for balance in model.balances.values() if (variable := balance.defines)),
-    }
-    names = {name: prefix + name for name in own}
+    names = {name: prefix + name for name in _names_of_its_own(model)}
     definitions = {name: parse(new) for name, new in names.items()}
 
     def renamed(name: str | None) -> str | None:
@@ -163,12 +157,7 @@ def prefixed(model: PhysicalModel, prefix: str) -> PhysicalModel:
             for name, signal in model.inputs.items()
         },
         states={
-            names[name]: replace(
-                state,
-                name=names[name],
-                rate=renamed(state.rate),
-                of_record=state.of_record and replace(state.of_record, name=names[name]),
-            )
+            names[name]: replace(_state_called(names[name], state), rate=renamed(state.rate))
             for name, state in model.states.items()
         },
         parameters={
@@ -187,6 +176,20 @@ def prefixed(model: PhysicalModel, prefix: str) -> PhysicalModel:
         },
         initial={names[name]: value for name, value in model.initial.items()},
     )
+
+
+def _names_of_its_own(model: PhysicalModel) -> set[str]:
+    """Names of a model's quantities. The clock is one for all parts, whatever their prefix."""
+    inputs = {name for name, signal in model.inputs.items() if not signal.is_clock}
+    defined = {balance.defines for balance in model.balances.values() if balance.defines}
+    return inputs | defined | model.states.keys() | model.parameters.keys()
+
+
+def _state_called(name: str, state: State) -> State:
+    of_record = state.of_record
+    if of_record is not None:
+        of_record = replace(of_record, name=name)
+    return replace(state, name=name, of_record=of_record)
 
 
 def rewritten(balance: Balance, definitions: Definitions) -> Balance:
@@ -284,51 +287,69 @@ def _joined(
     """The model with these balances as one of the node's name, and what their variables now stand
     for.
     """
+    # what stores something has a state, by which the others' variables can be said
     first = next((m for m in members if m.balance.defines is None), members[0])
     if node in model.balances and all(member.balance.name != node for member in members):
         raise place.refuse(f"connect: {node!r} is the name of a balance that is not joined here")
     v = _variable(first.balance, model, place)
+    positions = [_position(member.balance, model, place) for member in members]
+    position = _common_position(node, first, members, positions)
+    states = dict(model.states)
+    if position is not None and position not in positions:
+        unit = ROLE_UNITS["position"].get(first.balance.kind, "")
+        states[position] = State(position, unit, rate=v)
     definitions = dict[str, Expression]()
-    states, terms, storages = dict(model.states), dict[str, Expression](), list[str]()
-    positions = [(m, x) for m in members if (x := _position(m.balance, model, place))]
-    kept = next((x for m, x in positions if m is first), None)
-    if kept is None and positions:
-        kept = f"{node}_position"
-        states[kept] = State(kept, ROLE_UNITS["position"].get(first.balance.kind, ""), v)
-    for member in members:
+    terms, storages = dict[str, Expression](), list[str]()
+    for member, own_position in zip(members, positions, strict=True):
         r = _relative(member, first, place)
         variable = _variable(member.balance, model, place)
         if member is not first:
             definitions[variable] = _times(r, v, place)
             check_unit(variable, model.unit_of(variable), definitions[variable], model)
             states.pop(variable, None)
-            definitions |= {
-                x: _times(r, kept, place) for m, x in positions if m is member and kept is not None
-            }
+        if own_position is not None and position not in (None, own_position):
+            definitions[own_position] = _times(r, position, place)
+            states.pop(own_position, None)
         storages += _scaled_storage(member, variable, v, r)
         terms |= _scaled_terms(member.balance, r)
-    for _, x in positions:
-        if x != kept:
-            states.pop(x, None)
     joined = Balance(
         node,
         first.balance.kind,
         parse(" + ".join(storages) or "0", first.balance.storage.place),
         MappingProxyType(terms),
-        _roles(members, first, v, kept),
+        _roles(members, first, v, position),
         first.balance.unit,
         next((m.balance.start for m in members if m.balance.start is not None), None),
     )
-    gone = {member.balance.name for member in members}
-    balances = {name: b for name, b in model.balances.items() if name not in gone} | {node: joined}
-    return (
-        replace(
-            model,
-            states=states,
-            balances={name: rewritten(b, definitions) for name, b in balances.items()},
-            initial={name: x for name, x in model.initial.items() if name in states},
-        ),
-        definitions,
+    return _with_joined(model, joined, members, states, definitions), definitions
+
+
+def _common_position(
+    node: str, first: _Member, members: Sequence[_Member], positions: Sequence[str | None]
+) -> str | None:
+    """The position of the first member; a new one's name where others alone have one."""
+    for member, position in zip(members, positions, strict=True):
+        if member is first and position is not None:
+            return position
+    return f"{node}_position" if any(positions) else None
+
+
+def _with_joined(
+    model: PhysicalModel,
+    joined: Balance,
+    members: Iterable[_Member],
+    states: Mapping[str, State],
+    definitions: Definitions,
+) -> PhysicalModel:
+    """The model with one balance in place of the members, and these states alone."""
+    replaced = {member.balance.name for member in members}
+    balances = {name: b for name, b in model.balances.items() if name not in replaced}
+    balances[joined.name] = joined
+    return replace(
+        model,
+        states=states,
+        balances={name: rewritten(b, definitions) for name, b in balances.items()},
+        initial={name: value for name, value in model.initial.items() if name in states},
     )
 
 
