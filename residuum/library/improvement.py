@@ -11,7 +11,7 @@ import numpy as np
 from residuum.identification.discrepancy.improvement import Improvement as Improved
 from residuum.identification.errors import NotIdentifiable
 from residuum.identification.physics import Estimate, Experiment
-from residuum.identification.physics.estimation.priors import disagreement
+from residuum.identification.physics.estimation.unsettled import disagreement
 from residuum.identification.physics.simulate.record_checks import begins_elsewhere, leaves_tables
 from residuum.library.answers.comparison import warning_lines
 from residuum.library.answers.estimation import estimate_json, estimate_text

@@ -135,22 +135,27 @@ def _description(model: ExplicitModel, guid: str) -> bytes:
         identity = {"name": name, "valueReference": str(reference), "description": title}
         entry = ET.SubElement(listed, "ScalarVariable", identity | attributes)
         ET.SubElement(entry, "Real", real | ({"unit": unit} if unit else {}))
-    structure = ET.SubElement(root, "ModelStructure")
+    _add_structure(root, model)
+    return b'<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root)
+
+
+def _add_structure(root: ET.Element, model: ExplicitModel) -> None:
+    """What is computed from what, by numbers in the list of variables, which count from 1."""
     n, m = len(model.states), len(model.inputs)
+    derivatives = range(n + 1, 2 * n + 1)
+    outputs = range(2 * n + m + 1, 2 * n + m + 1 + len(model.outputs))
+    unknown_first = [k for k, name in enumerate(model.states, 1) if not _known(model, name)]
     indices = {
-        "Outputs": range(2 * n + m + 1, 2 * n + m + 1 + len(model.outputs)),
-        "Derivatives": range(n + 1, 2 * n + 1),
-        "InitialUnknowns": (
-            [k + 1 for k, name in enumerate(model.states) if not _known(model, name)]
-            + [*range(n + 1, 2 * n + 1), *range(2 * n + m + 1, 2 * n + m + 1 + len(model.outputs))]
-        ),
+        "Outputs": [*outputs],
+        "Derivatives": [*derivatives],
+        "InitialUnknowns": [*unknown_first, *derivatives, *outputs],
     }
+    structure = ET.SubElement(root, "ModelStructure")
     for kind, numbers in indices.items():
         if numbers:
             part = ET.SubElement(structure, kind)
             for index in sorted(numbers):
                 ET.SubElement(part, "Unknown", index=str(index))
-    return b'<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root)
 
 
 _Variable = tuple[str, str, dict[str, str], str, dict[str, str]]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
@@ -172,82 +172,86 @@ def _composed(
             raise use.place.refuse(
                 f"use: more than {MOST_PARTS} parts, those of parts included; does one use itself?"
             )
-        part, of_part = _composed(text, source, folder, more)
-        for key in ("own_effects", "effects"):
-            if key in of_part.entries:
-                raise of_part.keys[key].refuse(
-                    f"{key}: a part has none; put them into the model that uses it"
-                )
-        return part
+        return _part_without_effects(text, source, folder, more)
 
     parts = parts_of(use, folder, read)
     own, let = _own_sections(tree, parts)
     assembly = assembled(parts, use, connect, own)
     definitions = resolved({**assembly.definitions, **let})
     model = assembly.model
+    _check_units_of_defined(let, definitions, model)
+    balances = {name: rewritten(b, definitions) for name, b in model.balances.items()}
+    outputs = {
+        name: replace(output, value=with_definitions(output.value, definitions))
+        for name, output in own.outputs.items()
+    }
+    composed = replace(
+        model,
+        inputs=_without_defined(model.inputs, let),
+        parameters=_without_defined(model.parameters, let),
+        states=MappingProxyType(model.states),
+        initial={**model.initial, **_initial(tree, model)},
+        balances=MappingProxyType(balances),
+        outputs=MappingProxyType(outputs),
+    )
+    return composed, tree
+
+
+def _part_without_effects(
+    text: str, source: str, folder: Path | None, more: Iterator[int]
+) -> PhysicalModel:
+    """A part as `_composed` reads it. One with effects is refused: their parameters have no names
+    in the model that uses it.
+    """
+    part, tree = _composed(text, source, folder, more)
+    for key in ("own_effects", "effects"):
+        if key in tree.entries:
+            raise tree.keys[key].refuse(
+                f"{key}: a part has none; put them into the model that uses it"
+            )
+    return part
+
+
+def _check_units_of_defined(
+    let: Collection[str], definitions: Mapping[str, Expression], model: PhysicalModel
+) -> None:
+    """What the model defines in place of a part's input or parameter is in the unit of that one."""
     for name in let:
         for declared in (model.inputs, model.parameters):
             if name in declared:
                 check_unit(name, declared[name].unit, definitions[name], model)
-    return (
-        replace(
-            model,
-            inputs=_but(model.inputs, let),
-            parameters=_but(model.parameters, let),
-            states=MappingProxyType(model.states),
-            initial={**model.initial, **_initial(tree, model)},
-            balances=MappingProxyType(
-                {name: rewritten(b, definitions) for name, b in model.balances.items()}
-            ),
-            outputs=MappingProxyType(
-                {
-                    name: replace(output, value=with_definitions(output.value, definitions))
-                    for name, output in own.outputs.items()
-                }
-            ),
-        ),
-        tree,
-    )
 
 
-def _but(declared: Mapping[str, T], defined: Collection[str]) -> Mapping[str, T]:
+def _without_defined(declared: Mapping[str, T], defined: Collection[str]) -> Mapping[str, T]:
     """What a part declares, but for what the model that uses it defines."""
-    return MappingProxyType({name: it for name, it in declared.items() if name not in defined})
+    return MappingProxyType(
+        {name: entry for name, entry in declared.items() if name not in defined}
+    )
 
 
 def _own_sections(
     tree: Table, parts: Mapping[str, PhysicalModel]
 ) -> tuple[PhysicalModel, Mapping[str, Expression]]:
     """What the file itself declares, and what it defines under `let`."""
-    of_parts = {name: it for part in parts.values() for name, it in part.parameters.items()}
-    inputs = {
-        name: _input(name, tree.table("inputs", "model file")) for name in _names(tree, "inputs")
-    }
-    states = {
-        name: _state(name, tree.table("states", "model file")) for name in _names(tree, "states")
-    }
-    parameters = {
-        name: read_parameter(name, tree.table("parameters", "model file"), of_parts.get(name))
-        for name in _names(tree, "parameters")
-    }
-    parameters |= {
-        name: _constant(name, tree.table("constants", "model file"))
-        for name in _names(tree, "constants")
-    }
-    balances = {
-        name: _balance(name, tree.table("balances", "model file"))
-        for name in _names(tree, "balances")
-    }
-    outputs = {
-        name: _output(name, tree.table("outputs", "model file", required=True))
-        for name in _names(tree, "outputs")
-    }
-    of_record = {
-        name: parameters.pop(name) for name in _of_records(tree.table("parameters", "model file"))
-    }
-    states |= {name: State(name, p.unit, of_record=p) for name, p in of_record.items()}
-    let_section = tree.table("let", "model file")
-    let = {name: _expression(let_section.scalar(name, "let")) for name in _names(tree, "let")}
+    of_parts: dict[str, Parameter] = {}
+    for part in parts.values():
+        of_parts |= part.parameters
+
+    def entries(section: str, read: Callable[[str, Table], T]) -> dict[str, T]:
+        table = tree.table(section, "model file")
+        return {name: read(name, table) for name in _names(tree, section)}
+
+    inputs, states = entries("inputs", _input), entries("states", _state)
+    parameters = entries(
+        "parameters", lambda name, table: read_parameter(name, table, of_parts.get(name))
+    )
+    parameters |= entries("constants", _constant)
+    balances, outputs = entries("balances", _balance), entries("outputs", _output)
+    # a value for each record is a state that stands still: each experiment begins at its own
+    for name in _of_records(tree.table("parameters", "model file")):
+        of_record = parameters.pop(name)
+        states[name] = State(name, of_record.unit, of_record=of_record)
+    let = entries("let", lambda name, table: _expression(table.scalar(name, "let")))
     name = tree.scalar("name", "model file").text
     return PhysicalModel(name, inputs, states, parameters, balances, outputs), let
 
@@ -271,30 +275,22 @@ def write_model(model: PhysicalModel) -> str:
     """The YAML text of a model, effects and their provenance included; `read_model` gives the same
     model back.
     """
+    states, parameters = {}, {}
+    for name, parameter in model.parameters.items():
+        parameters[name] = written_parameter(parameter)
+    for name, state in model.states.items():
+        if state.of_record is None:
+            states[name] = _written_state(state)
+        else:
+            parameters[name] = written_parameter(state.of_record) | {"per": "record"}
     document: dict[str, Any] = {
         "name": model.name,
-        "inputs": {
-            i.name: i.unit if i.default is None else {"unit": i.unit, "default": i.default}
-            for i in model.inputs.values()
-        },
-        "states": {
-            s.name: {"unit": s.unit}
-            | ({"rate": s.rate} if s.rate else {})
-            | ({} if s.start is None else {"start": s.start})
-            for s in model.states.values()
-            if s.of_record is None
-        },
-        "parameters": {
-            name: written_parameter(parameter) for name, parameter in model.parameters.items()
-        }
-        | {
-            s.name: written_parameter(s.of_record) | {"per": "record"}
-            for s in model.states.values()
-            if s.of_record
-        },
+        "inputs": {name: _written_input(signal) for name, signal in model.inputs.items()},
+        "states": states,
+        "parameters": parameters,
     }
     if definitions := model.definitions:
-        document["let"] = {name: it.text for name, it in definitions.items()}
+        document["let"] = {name: definition.text for name, definition in definitions.items()}
     document["balances"] = {
         balance.name: _written_balance(balance) for balance in model.balances.values()
     }
@@ -332,6 +328,21 @@ def dumped(document: dict[str, Any]) -> str:
             width=120,
         )
     )
+
+
+def _written_input(signal: Input) -> str | dict[str, str]:
+    if signal.default is None:
+        return signal.unit
+    return {"unit": signal.unit, "default": signal.default}
+
+
+def _written_state(state: State) -> dict[str, Any]:
+    written: dict[str, Any] = {"unit": state.unit}
+    if state.rate:
+        written["rate"] = state.rate
+    if state.start is not None:
+        written["start"] = state.start
+    return written
 
 
 def _written_balance(balance: Balance) -> dict[str, Any]:

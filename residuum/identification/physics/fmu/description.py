@@ -166,7 +166,6 @@ def _description(path: str, version: int, read: Any) -> Description:
         if v.type in ("Real", "Float64") and not getattr(v, "dimensions", None)
     ]
     derivatives = [d.variable for d in read.derivatives if d.variable.derivative is not None]
-    exchange, simulation = read.modelExchange, read.coSimulation
     return Description(
         path,
         read.modelName,
@@ -176,16 +175,19 @@ def _description(path: str, version: int, read: Any) -> Description:
         tuple(_variable(v) for v in reals if v.causality == "output"),
         tuple(_variable(d.derivative) for d in derivatives),
         tuple(_variable(d) for d in derivatives),
-        (
-            int(getattr(read, "numberOfEventIndicators", 0) or 0)
-            if version == 2
-            else len(getattr(read, "eventIndicators", ()))
-        ),
-        _way(exchange),
-        _way(simulation),
+        _count_of_events(version, read),
+        _way(read.modelExchange),
+        _way(read.coSimulation),
         {p.name: p for v in reals if (p := _settable(v)) is not None},
         {v.name: _kind(v) for v in read.modelVariables if _settable(v) is None},
     )
+
+
+def _count_of_events(version: int, read: Any) -> int:
+    """Number of event indicators: FMI 2 says it, FMI 3 lists them."""
+    if version == 2:
+        return int(getattr(read, "numberOfEventIndicators", 0) or 0)
+    return len(getattr(read, "eventIndicators", ()))
 
 
 def _way(kind: Any) -> Way | None:

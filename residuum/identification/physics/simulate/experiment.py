@@ -207,13 +207,41 @@ def _columns(model: PhysicalModel, mapping: Mapping[str, str]) -> dict[str, str]
 def _experiment(
     model: PhysicalModel, record: Record, columns: Mapping[str, str], hold: Mapping[str, str] | str
 ) -> Experiment:
-    U = np.zeros((record.n, len(model.inputs)))
+    U, Y = _inputs(model, record, columns), _outputs(model, record, columns)
     clocks = [signal.is_clock for signal in model.inputs.values()]
+    wanted = [hold if isinstance(hold, str) else hold.get(name, "auto") for name in model.inputs]
+    linear = np.array(
+        [clocks[k] or moves_evenly(how, U[:, k]) for k, how in enumerate(wanted)], dtype=float
+    )
+    return Experiment(
+        U,
+        Y,
+        linear,
+        record.sample_time,
+        record.t0,
+        record.source,
+        spare=_spare(record, set(columns.values())),
+        clocks=tuple(clocks),
+    )
+
+
+def _inputs(model: PhysicalModel, record: Record, columns: Mapping[str, str]) -> Array:
+    """Values of the model's inputs, shape (n, inputs): those that are absent stay 0, for the
+    equations have their default in place of them.
+    """
+    U = np.zeros((record.n, len(model.inputs)))
     for k, signal in enumerate(model.inputs.values()):
-        if clocks[k]:
+        if signal.is_clock:
             U[:, k] = record.sample_time * np.arange(record.n)
         elif not signal.absent:
             U[:, k] = _input(record, columns[signal.name], signal.name, signal.unit)
+    return U
+
+
+def _outputs(model: PhysicalModel, record: Record, columns: Mapping[str, str]) -> Array:
+    """Readings of the model's outputs, shape (n, outputs), a column of NaN for one that the record
+    lacks; BadRecord where it has none at all.
+    """
     Y = np.full((record.n, len(model.outputs)), np.nan)
     for k, output in enumerate(model.outputs.values()):
         column = columns[output.name]
@@ -232,21 +260,7 @@ def _experiment(
             f"record {record.source!r}: has no output of model {model.name!r} ({hint})",
             way_on=[way],
         )
-    wanted = [hold if isinstance(hold, str) else hold.get(name, "auto") for name in model.inputs]
-    linear = np.array(
-        [clocks[k] or moves_evenly(how, U[:, k]) for k, how in enumerate(wanted)], dtype=float
-    )
-    spare = _spare(record, set(columns.values()))
-    return Experiment(
-        U,
-        Y,
-        linear,
-        record.sample_time,
-        record.t0,
-        record.source,
-        spare=spare,
-        clocks=tuple(clocks),
-    )
+    return Y
 
 
 def _spare(record: Record, used: set[str]) -> dict[str, Spare]:
