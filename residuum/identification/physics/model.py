@@ -5,7 +5,7 @@ added to it.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations, permutations
 from types import MappingProxyType
@@ -532,14 +532,7 @@ def candidates(model: PhysicalModel, ids: Iterable[str] | None = None) -> list[K
     """
     chosen = [*EFFECTS, *STRUCTURAL] if ids is None else list(ids)
     effects = [find_effect(id) for id in chosen]
-    keys = _on_single_targets(model, effects)
-    for effect in effects:
-        if isinstance(effect, JoiningEffect):
-            keys += [Key(effect.id, target) for target in _pairs_of_balances(model, effect)]
-    unused = [f"{balance}({name})" for balance in model.balances for name in idle_inputs(model)]
-    for effect in effects:
-        if takes_columns(effect.id):
-            keys += [Key(effect.id, target) for target in unused]
+    keys = [*_on_single_targets(model, effects), *_on_tied_targets(model, effects)]
     present = {use.key for use in model.effects}
     return [key for key in keys if key not in present]
 
@@ -554,6 +547,19 @@ def _on_single_targets(model: PhysicalModel, effects: Iterable[Effect]) -> list[
             for target in targets[effect.place]
             if not effect.is_tied(target) and effect.fits(model.site(target, effect))
         ]
+    return keys
+
+
+def _on_tied_targets(model: PhysicalModel, effects: Sequence[Effect]) -> list[Key]:
+    """Keys of the effects between two balances, then of those tied to an idle input."""
+    keys: list[Key] = []
+    for effect in effects:
+        if isinstance(effect, JoiningEffect):
+            keys += [Key(effect.id, target) for target in _pairs_of_balances(model, effect)]
+    idle = [f"{balance}({name})" for balance in model.balances for name in idle_inputs(model)]
+    for effect in effects:
+        if takes_columns(effect.id):
+            keys += [Key(effect.id, target) for target in idle]
     return keys
 
 

@@ -239,13 +239,7 @@ class _Function:
                 _ONE if e == by else self._new(f"fneg {FREE} double {self.value(self.moved[e][1])}")
             )
         if isinstance(e, sp.Piecewise):
-            pieces = [(self.slope(value, by), condition) for value, condition in e.args]
-            some = any(slope for slope, _ in pieces)
-            return (
-                self._chosen([(slope or _ZERO, condition) for slope, condition in pieces])
-                if some
-                else None
-            )
+            return self._piecewise_slope(e, by)
         if isinstance(e, (*_FLAT, Boolean)):
             return None
         if isinstance(e, implicit.Root):
@@ -255,6 +249,13 @@ class _Function:
             self._times(self._partial(e, i), slope) for i, slope in slopes if slope is not None
         ]
         return self._fold("fadd", terms) if terms else None
+
+    def _piecewise_slope(self, e: sp.Piecewise, by: sp.Symbol) -> str | None:
+        """The slope of the piece that holds; jumps between pieces have none."""
+        pieces = [(self.slope(value, by), condition) for value, condition in e.args]
+        if not any(slope for slope, _ in pieces):
+            return None
+        return self._chosen([(slope or _ZERO, condition) for slope, condition in pieces])
 
     def _partial(self, e: Any, i: int) -> str:
         """What holds the slope of an operation by its argument i."""

@@ -26,7 +26,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import sympy as sp
@@ -187,9 +187,8 @@ class _Composer:
         self.defined: dict[sp.Symbol, sp.Expr] = {}
 
     def equations(self) -> Equations:
-        for use in self.model.effects:
-            if use.effect.place == "input":
-                self._add_to_path(use, self.paths)
+        # inputs first: the balances' terms are made of what actuators make of them
+        self._add_to_paths("input", self.paths)
         sides = {name: self._sides(balance) for name, balance in self.model.balances.items()}
         for use in self.model.effects:
             if use.effect.place == "balance":
@@ -202,9 +201,7 @@ class _Composer:
             name: self._symbolic(output.value.tree, None)
             for name, output in self.model.outputs.items()
         }
-        for use in self.model.effects:
-            if use.effect.place == "output":
-                self._add_to_path(use, outputs)
+        self._add_to_paths("output", outputs)
         return self._explicit(sides, outputs, defined)
 
     def _explicit(
@@ -229,12 +226,6 @@ class _Composer:
             variables[f"storage:{name}"] = put(side.storage).subs(moving)
             variables[f"drive:{name}"] = put(side.roles["drive"]).subs(moving)
         rates = tuple(put(self.rates[name]) for name in self.x)
-        order = list(self.x)
-        surfaces = {
-            order.index(name): s
-            for name, s in self.directions.items()
-            if any(r.has(s) for r in rates)
-        }
         initial = {name: put(e) for name, e in self.initial.items()}
         y = {name: put(e) for name, e in outputs.items()}
         deviating = tuple(self.deviating)
@@ -247,10 +238,19 @@ class _Composer:
             variables | terms,
             initial,
             deviating,
-            surfaces,
+            self._surfaces(rates),
             self.delays,
             self.defined,
         )
+
+    def _surfaces(self, rates: Sequence[sp.Expr]) -> dict[int, sp.Symbol]:
+        """The directions that rates name, by the number of their state."""
+        order = list(self.x)
+        return {
+            order.index(name): direction
+            for name, direction in self.directions.items()
+            if any(rate.has(direction) for rate in rates)
+        }
 
     def _recorded_or_default(self, name: str) -> sp.Expr:
         signal = self.model.inputs[name]
@@ -290,21 +290,19 @@ class _Composer:
         roles = {role: self._name(name) for role, name in balance.variables.items()}
         own = side.state if side.state is not None else balance.defines
         supply = self.model.supply_input(balance)
-        with_input = [
-            n for n, t in balance.terms.items() if supply is not None and supply in t.names
-        ]
-        currents = {
-            b.variables["current"] for b in self.model.balances.values() if "current" in b.variables
-        } - {own}
-        inputs = {name for name, signal in self.model.inputs.items() if not signal.is_clock}
-        driving = [n for n, t in balance.terms.items() if t.names & (inputs | currents)]
         if supply is not None:
             roles["supply"] = self.paths[supply]
         roles |= {name: self.paths[name] for name in CHANNELS if name in self.paths}
-        roles["supply_terms"] = sum((side.terms[name] for name in with_input), sp.S.Zero)
-        roles["drive"] = sum((side.terms[name] for name in driving), sp.S.Zero)
+        roles["supply_terms"] = _sum_with(side, {supply} if supply is not None else set())
+        roles["drive"] = _sum_with(side, self._driving() - {own})
         roles["storage"] = side.coefficient
         return roles
+
+    def _driving(self) -> set[str]:
+        """Inputs, and currents: a motor's current drives its shaft as an input does."""
+        inputs = {name for name, signal in self.model.inputs.items() if not signal.is_clock}
+        balances = self.model.balances.values()
+        return inputs | {b.variables["current"] for b in balances if "current" in b.variables}
 
     def _add_to_balance(self, use: EffectUse, sides: Mapping[str, _Sides]) -> None:
         side, name = sides[use.place], term_name(use)
@@ -348,12 +346,18 @@ class _Composer:
         self.became_state[side.defines] = state
         side.state, side.coefficient = name, inductance
 
-    def _add_to_path(self, use: EffectUse, paths: dict[str, sp.Expr]) -> None:
-        added = self._contribution(use, {}, sp.S.Zero, paths[use.target])
-        if added.signal is not None:
-            paths[use.target] = added.signal
-        if added.delay is not None:
-            self.delays[use.target] = added.delay
+    def _add_to_paths(self, place: str, paths: dict[str, sp.Expr]) -> None:
+        """Add the effects on inputs, or those on outputs, in their order: each takes the signal as
+        the one before left it.
+        """
+        for use in self.model.effects:
+            if use.effect.place != place:
+                continue
+            added = self._contribution(use, {}, sp.S.Zero, paths[use.target])
+            if added.signal is not None:
+                paths[use.target] = added.signal
+            if added.delay is not None:
+                self.delays[use.target] = added.delay
 
     def _contribution(
         self, use: EffectUse, roles: Mapping[str, sp.Expr], direction: sp.Expr, signal: sp.Expr
@@ -466,17 +470,18 @@ class _Composer:
             return number(tree)
         if isinstance(tree, Name):
             return self._name(tree.name)
-        if isinstance(tree, Call) and tree.function == "der":
-            return derivative
-        if isinstance(tree, Call) and tree.function == "delay":
-            return self._delayed(tree)
-        if (
-            surface is not None
-            and isinstance(tree, Call)
-            and tree.function == "sign"
-            and _is_name(tree.operands[0], surface)
-        ):
-            return self.directions[surface]
+        if isinstance(tree, Call):
+            if tree.function == "der":
+                return derivative
+            if tree.function == "delay":
+                return self._delayed(tree)
+            if (
+                surface is not None
+                and tree.function == "sign"
+                and _is_name(tree.operands[0], surface)
+            ):
+                # the direction that the integrator switches: an exact standstill has no sign
+                return self.directions[surface]
         operands = [self._symbolic(operand, surface, derivative) for operand in tree.operands]
         return meaning(tree)(*operands)
 
@@ -517,9 +522,7 @@ def _standing_apart(model: PhysicalModel) -> set[int]:
 
     def size(node: Node, inner: list[float]) -> float:
         """Infinite of what holds something that is put into it."""
-        if isinstance(node, Name) and node.name in put_into:
-            return math.inf
-        if isinstance(node, Call) and node.function in ("sign", "der"):
+        if _is_put_into(node, put_into):
             return math.inf
         total = 1 + sum(inner)
         is_value = not isinstance(node, Operation) or node.operator in _ARITHMETIC
@@ -530,6 +533,19 @@ def _standing_apart(model: PhysicalModel) -> set[int]:
     for tree in trees:
         folded(tree, size)
     return apart
+
+
+def _is_put_into(node: Node, put_into: Collection[str | None]) -> bool:
+    """Whether a node is replaced later: by a direction, a derivative, or a defined variable."""
+    if isinstance(node, Name):
+        return node.name in put_into
+    return isinstance(node, Call) and node.function in ("sign", "der")
+
+
+def _sum_with(side: _Sides, names: Collection[str]) -> sp.Expr:
+    """The sum of a balance's own terms that contain any of these names."""
+    containing = [name for name, t in side.balance.terms.items() if not t.names.isdisjoint(names)]
+    return sum((side.terms[name] for name in containing), sp.S.Zero)
 
 
 def _places(trees: Sequence[Node]) -> Counter[int]:
@@ -543,11 +559,11 @@ def _places(trees: Sequence[Node]) -> Counter[int]:
 
 def _needed(side: _Sides, sides: list[_Sides]) -> list[_Sides]:
     """The sides that have to be solved together with this one, or before it, in their order."""
-    found = [side]
-    for known in found:
+    needed = [side]
+    for known in needed:  # grows while it is walked along
         symbols = sum(known.terms.values()).free_symbols
-        found += [other for other in sides if other.defines in symbols and other not in found]
-    return [each for each in sides if each in found]
+        needed += [side for side in sides if side.defines in symbols and side not in needed]
+    return [side for side in sides if side in needed]
 
 
 def _is_name(tree: Node, name: str) -> bool:

@@ -267,14 +267,17 @@ class _Drawing:
             self._motion["current"], self._motion["t"]
         )
 
+    def _remembers(self, added: Contribution) -> bool:
+        """Whether the effect depends on what was before."""
+        return bool(self._x) or added.inductance is not None or added.delay is not None
+
     def _axis(self, site: Site, added: Contribution) -> str:
         """Time where the effect remembers or waits (a position where it is mechanical), else what
         its equation asks for first.
         """
         mechanical = site.kind in ("torque", "force")
-        remembers = bool(self._x) or added.inductance is not None or added.delay is not None
         asked = sp.sympify(added.term).free_symbols
-        if remembers or _t in asked:
+        if self._remembers(added) or _t in asked:
             return "position" if mechanical else "t"
         if site.kind in _PATHS:
             return "signal"

@@ -105,22 +105,8 @@ def _advance(nx: int, nu: int, width: int | None = None) -> str:
     """With the sensitivities where the width of B is given."""
     t = _Lines()
     slopes = width is not None
-    given = (
-        "x",
-        "u0",
-        "u1",
-        "u2",
-        "p",
-        "s",
-        "m",
-        "work",
-        "step",
-        *(("S", "columns") if slopes else ()),
-    )
-    name = "advance_slopes" if slopes else "advance"
     t.say(
-        "define void"
-        f" @{name}({', '.join(f'ptr noalias %{a}' for a in given)}{', i64 %count' if slopes else ''}) {{"
+        f"define void @{'advance_slopes' if slopes else 'advance'}({_advance_arguments(slopes)}) {{"
     )
     h, half, sixth, third = _lengths(t)
     x0 = [t.load("%x", i) for i in range(nx)]
@@ -128,16 +114,24 @@ def _advance(nx: int, nu: int, width: int | None = None) -> str:
     results = list(zip(*_slope_places(t, nx, str(width)), strict=True)) if slopes else [None] * 4
     slopes_of_inputs = [t.place(f"%u{j}", nu + 1) for j in range(3)]
     rates: list[list[str]] = []
-    for r in range(4):
+    for r, reach in enumerate((half, half, h, None)):
         k = t.place("%work", r * nx)
         rates.append(_stage(t, r, k, "%x" if r == 0 else xs, slopes_of_inputs, results[r], nx))
-        if r < 3:
-            _move(t, x0, h if r == 2 else half, rates[r], xs)
-    for i in range(nx):
-        t.store(_weighted(t, x0[i], [rate[i] for rate in rates], sixth, third), "%x", i)
+        if reach is not None:
+            _move(t, x0, reach, rates[r], xs)
+    for i, of_stages in enumerate(zip(*rates, strict=True)):
+        t.store(_weighted(t, x0[i], of_stages, sixth, third), "%x", i)
     if slopes:
         t.say(f"  call void @columns({_COLUMNS.format('%step', width).replace('noalias ', '')})")
     return t.ended()
+
+
+def _advance_arguments(slopes: bool) -> str:
+    arrays = ["x", "u0", "u1", "u2", "p", "s", "m", "work", "step"]
+    if slopes:
+        arrays += ["S", "columns"]
+    arguments = [f"ptr noalias %{array}" for array in arrays]
+    return ", ".join([*arguments, "i64 %count"] if slopes else arguments)
 
 
 def _columns(nx: int, A: Places, rows: Collection[int]) -> str:
@@ -146,7 +140,8 @@ def _columns(nx: int, A: Places, rows: Collection[int]) -> str:
     lengths = _lengths(t)
     begins = {i: t.new(f"mul i64 %width, {i}") for i in sorted(rows)}
     matrices = _slope_places(t, nx, "%width")
-    _columns_loop(t, lambda column: _column_step(t, nx, begins, matrices, A, column, lengths))
+    in_rows = [[j for j in range(nx) if (i, j) in A] for i in range(nx)]
+    _columns_loop(t, lambda column: _column_step(t, in_rows, begins, matrices, column, lengths))
     return t.ended()
 
 
@@ -242,28 +237,29 @@ class _Column:
 
 def _column_step(
     t: _Lines,
-    nx: int,
+    rows: Sequence[Sequence[int]],
     begins: Mapping[int, str],
     matrices: tuple[Sequence[str], Sequence[str]],
-    places: Places,
     column: _Column,
     lengths: tuple[str, str, str, str],
 ) -> None:
+    """One step of d = A·S + B for one column of S, or those of a vector. Of row i of A only the
+    columns rows[i] are read, and of B only the rows that `begins` has: all else is always zero.
+    """
+    nx = len(rows)
     h, half, sixth, third = map(column.all, lengths)
     S0 = [column.load("%S", i) for i in range(nx)]
     S, stages = S0, []
-    for r, (A, B) in enumerate(zip(*matrices, strict=True)):
+    # where the stage after each one stands in the step; after the last none is asked for
+    reaches = (half, half, h, half)
+    for A, B, reach in zip(*matrices, reaches, strict=True):
         d = []
-        for i in range(nx):
+        for i, in_row in enumerate(rows):
             terms = [column.pick(B, begins[i])] if i in begins else []
-            terms += [
-                t.times(column.all(t.load(A, i * nx + j)), S[j])
-                for j in range(nx)
-                if (i, j) in places
-            ]
+            terms += [t.times(column.all(t.load(A, i * nx + j)), S[j]) for j in in_row]
             d.append(reduce(t.add, terms) if terms else column.all("0.0"))
         stages.append(d)
-        S = [t.add(S0[i], t.times(h if r == 2 else half, d[i])) for i in range(nx)]
+        S = [t.add(S0[i], t.times(reach, d[i])) for i in range(nx)]
     for i in range(nx):
         column.store(_weighted(t, S0[i], [d[i] for d in stages], sixth, third), "%S", i)
 

@@ -78,42 +78,42 @@ def _table(model: ExplicitModel, letter: str, names: tuple[str, ...]) -> list[st
 
 
 def _function(model: ExplicitModel, signature: str, target: str, expressions: Any) -> list[str]:
-    arrays = {"x": model.states, "u": model.inputs, "p": model.parameters}
-    used = (
-        set().union(*(sp.sympify(e).free_symbols for e in expressions.values()))
-        if expressions
-        else set()
-    )
-    local = [
-        f"    const double {name} = {letter}[{k}];"
-        for letter, names in arrays.items()
-        for k, name in enumerate(names)
-        if model.symbols[name] in used and not (letter == "x" and target == "x")
-    ]
-    local += [
-        f"    const double {d.name} = s[{k}];"
-        for k, d in enumerate(model.directions.values())
-        if d in used
-    ]
-    local += [
-        f"    const double {key} = {model.name}_{key}(t, x, u, p, s);"
-        for key in model.components
-        if model.symbols[key] in used
-    ]
+    used = model.symbols_in(expressions)
     clock = ["    const double time = t;"] if model.symbols["time"] in used else ["    (void)t;"]
-    letters = (*arrays, "s")
+    # an argument that no expression needs would be a warning of the compiler
     unused = [
         f"    (void){letter};"
-        for letter in letters
+        for letter in ("x", "u", "p", "s")
         if f"*{letter}," in signature.replace(")", ",") and letter != target
     ]
-    places = (
-        ["return"] if target == "return" else [f"{target}[{k}] =" for k in range(len(expressions))]
-    )
+    elements = [f"{target}[{k}] =" for k in range(len(expressions))]
+    places = ["return"] if target == "return" else elements
     body = [
         f"    {place} {_code(e)};" for place, e in zip(places, expressions.values(), strict=True)
     ]
-    return [signature, "{", *clock, *unused, *local, *body, "}", ""]
+    return [signature, "{", *clock, *unused, *_locals(model, used, target), *body, "}", ""]
+
+
+def _locals(model: ExplicitModel, used: set[Any], target: str) -> list[str]:
+    """A constant for each symbol that expressions name: an element of an array, or an effect's term.
+    First states, written to x, name no state.
+    """
+    arrays = {"x": model.states, "u": model.inputs, "p": model.parameters}
+    if target == "x":
+        del arrays["x"]
+    elements = {
+        name: f"{letter}[{k}]" for letter, names in arrays.items() for k, name in enumerate(names)
+    }
+    lines = [
+        f"{name} = {element}" for name, element in elements.items() if model.symbols[name] in used
+    ]
+    lines += [f"{d.name} = s[{k}]" for k, d in enumerate(model.directions.values()) if d in used]
+    lines += [
+        f"{key} = {model.name}_{key}(t, x, u, p, s)"
+        for key in model.components
+        if model.symbols[key] in used
+    ]
+    return [f"    const double {line};" for line in lines]
 
 
 def _code(expression: Any) -> str:

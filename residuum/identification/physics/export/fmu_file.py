@@ -167,20 +167,7 @@ def _variables(model: ExplicitModel) -> Iterator[_Variable]:
     """
     moving = {"causality": "local", "variability": "continuous"}
     taken = {*model.states, *model.inputs, *model.parameters}
-    for name in model.states:
-        known = _known(model, name)
-        real = {"start": repr(float(model.initial[name]))} if known else {}
-        attributes = {**moving, "initial": "exact" if known else "calculated"}
-        yield name, model.meanings[name], attributes, model.units.get(name, ""), real
-    for k, name in enumerate(model.states, start=1):
-        unit = f"({model.units[name]})/s" if model.units.get(name) else ""
-        yield (
-            f"der({name})",
-            f"rate of {model.meanings[name]}",
-            {**moving, "initial": "calculated"},
-            unit,
-            {"derivative": str(k)},
-        )
+    yield from _variables_of_states(model, moving)
     for name in model.inputs:
         attributes = {"causality": "input", "variability": "continuous"}
         yield name, model.meanings[name], attributes, model.units.get(name, ""), {"start": "0.0"}
@@ -199,6 +186,24 @@ def _variables(model: ExplicitModel) -> Iterator[_Variable]:
         )
     for key, part in model.components.items():
         yield f"{key}.term", part.title, {**moving, "initial": "calculated"}, part.unit, {}
+
+
+def _variables_of_states(model: ExplicitModel, moving: dict[str, str]) -> Iterator[_Variable]:
+    """The states, then their derivatives."""
+    for name in model.states:
+        known = _known(model, name)
+        real = {"start": repr(float(model.initial[name]))} if known else {}
+        attributes = {**moving, "initial": "exact" if known else "calculated"}
+        yield name, model.meanings[name], attributes, model.units.get(name, ""), real
+    for k, name in enumerate(model.states, start=1):
+        unit = f"({model.units[name]})/s" if model.units.get(name) else ""
+        yield (
+            f"der({name})",
+            f"rate of {model.meanings[name]}",
+            {**moving, "initial": "calculated"},
+            unit,
+            {"derivative": str(k)},
+        )
 
 
 def structured(model: ExplicitModel, parameter: str) -> str:

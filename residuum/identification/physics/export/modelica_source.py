@@ -47,31 +47,19 @@ def modelica_source(model: ExplicitModel) -> str:
 
 
 def _code(expression: Any) -> str:
+    """An expression in Modelica's syntax. What SymPy writes otherwise than Modelica, anywhere in it,
+    is printed apart and put in for a name.
+    """
     expression = sp.sympify(expression)
     if isinstance(expression, sp.Piecewise):
-        *cases, (last, _) = expression.args
-        parts = [
-            f"{'else' if k else ''}if {_code(condition)} then {_code(value)} "
-            for k, (value, condition) in enumerate(cases)
-        ]
-        return f"(noEvent({''.join(parts)}else {_code(last)}))" if parts else _code(last)
+        return _piecewise_code(expression)
     if expression.is_Relational:
-        return (
-            f"{_code(expression.lhs)} {'<>' if expression.rel_op == '!=' else expression.rel_op}"
-            f" {_code(expression.rhs)}"
-        )
-    if isinstance(expression, sp.And | sp.Or):
-        return (" and " if isinstance(expression, sp.And) else " or ").join(
-            f"({_code(part)})" for part in expression.args
-        )
-    if isinstance(expression, sp.Not):
-        return f"not ({_code(expression.args[0])})"
+        relation = "<>" if expression.rel_op == "!=" else expression.rel_op
+        return f"{_code(expression.lhs)} {relation} {_code(expression.rhs)}"
+    if isinstance(expression, sp.And | sp.Or | sp.Not):
+        return _logic_code(expression)
     if isinstance(expression, sp.Min | sp.Max):
-        name, (first, *operands) = expression.func.__name__.lower(), expression.args
-        text = _code(first)
-        for operand in operands:
-            text = f"{name}({text}, {_code(operand)})"
-        return text
+        return _extreme_code(expression)
     names = {
         part: sp.Symbol(f"residuum_part_{k}", real=True)
         for k, part in enumerate(dict.fromkeys(_chosen_parts(expression)))
@@ -83,6 +71,32 @@ def _code(expression: Any) -> str:
         lambda name: texts[name[0]],
         printed.replace("**", "^").replace("Abs(", "abs("),
     )
+
+
+def _piecewise_code(expression: Any) -> str:
+    """if … then … else, which are no events for Modelica's solver (`noEvent`)."""
+    *cases, (last, _) = expression.args
+    parts = [
+        f"{'else' if k else ''}if {_code(condition)} then {_code(value)} "
+        for k, (value, condition) in enumerate(cases)
+    ]
+    return f"(noEvent({''.join(parts)}else {_code(last)}))" if parts else _code(last)
+
+
+def _logic_code(expression: Any) -> str:
+    parts = [f"({_code(part)})" for part in expression.args]
+    if isinstance(expression, sp.Not):
+        return f"not {parts[0]}"
+    return (" and " if isinstance(expression, sp.And) else " or ").join(parts)
+
+
+def _extreme_code(expression: Any) -> str:
+    """min(min(a, b), c): Modelica's functions take two numbers."""
+    name, (first, *operands) = expression.func.__name__.lower(), expression.args
+    text = _code(first)
+    for operand in operands:
+        text = f"{name}({text}, {_code(operand)})"
+    return text
 
 
 def _chosen_parts(expression: Any) -> Iterator[Any]:

@@ -5,7 +5,7 @@ division by zero.
 from __future__ import annotations
 
 import math
-from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
 
@@ -124,13 +124,10 @@ def _delays(model: PhysicalModel) -> None:
         for by, node in _delayed_names(expression.tree, ""):
             if by:
                 _check_can_be_delayed(node, model)
-            used.setdefault(node.name, set()).add(by)
-            if node.name in model.inputs and len(used[node.name]) > 1:
-                raise node.place.refuse(
-                    f"input {node.name!r} stands in the model with more than one delay; declare a"
-                    " second input and map it to the same column:"
-                    f" {said('map', {f'{node.name}_late': node.name})}"
-                )
+            delays = used.setdefault(node.name, set())
+            delays.add(by)
+            if node.name in model.inputs:
+                _check_single_delay(node, delays)
         for call in walk(expression.tree):
             if isinstance(call, Call) and call.function == "delay":
                 _check_delay(call, model)
@@ -142,6 +139,16 @@ def _check_can_be_delayed(node: Name, model: PhysicalModel) -> None:
         raise node.place.refuse(
             f"delay() of {node.name!r}: what is delayed is made of inputs; that a reading is late"
             " is the effect output-lag, that a quantity is transported a state more"
+        )
+
+
+def _check_single_delay(node: Name, delays: Collection[str]) -> None:
+    # a kernel looks an input up at one time of a step only
+    if len(delays) > 1:
+        raise node.place.refuse(
+            f"input {node.name!r} stands in the model with more than one delay; declare a second"
+            " input and map it to the same column:"
+            f" {said('map', {f'{node.name}_late': node.name})}"
         )
 
 

@@ -290,18 +290,25 @@ def _check(
     """
     own = {*definition["parameters"], *states}
     allowed = own | ({"signal"} if on_path else {*ROLE_UNITS, "supply"})
-    for expression in (equation, *(e for s in states.values() for e in (s.rate, s.start))):
-        if unknown := sorted(expression.names - allowed):
-            raise expression.place.refuse(
-                f"{tag}: {unknown[0]!r} is not known here;"
-                f" {known_names(unknown[0], sorted(allowed), 'there are')}"
-            )
+    _check_names(tag, equation, states, allowed)
     sizes = [name for name, entry in definition["parameters"].items() if entry.get("size")]
     if not sizes or states:
         return
     _check_vanishes(tag, equation, allowed, sizes, on_path)
     if not on_path and "supply" not in equation.names:
         _check_units(tag, equation, definition)
+
+
+def _check_names(
+    tag: str, equation: Expression, states: Mapping[str, OwnState], allowed: set[str]
+) -> None:
+    of_states = [e for state in states.values() for e in (state.rate, state.start)]
+    for expression in (equation, *of_states):
+        if unknown := sorted(expression.names - allowed):
+            raise expression.place.refuse(
+                f"{tag}: {unknown[0]!r} is not known here;"
+                f" {known_names(unknown[0], sorted(allowed), 'there are')}"
+            )
 
 
 def _check_vanishes(

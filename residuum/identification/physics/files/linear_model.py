@@ -213,17 +213,29 @@ def linear_text(
         Not proper, matrices that do not fit, a pole without a counterpart in continuous time.
     """
     if len(system) == 2:
-        top, below = (np.trim_zeros(part, "f") for part in system)
-        if not below.size or not top.size or top.size > below.size:
-            raise BadModel(
-                f"model {name!r}: a transfer function needs a numerator of at most the"
-                " denominator's degree"
-            )
+        top, below = _proper(name, *system)
         if sample_time is None:
             return _transfer_function_text(name, top / below[0], below / below[0], signals)
         # only a state space is brought to continuous time, by a logarithm of its matrices
         system = tuple(np.asarray(part, dtype=float) for part in tf2ss(top, below))
-    A, B, C, D = system
+    A, B, C, D = _fitting(name, *system)
+    if sample_time is not None:
+        A, B = _continuous(name, A, B, sample_time)
+    return _state_space_text(name, (A, B, C, D), signals)
+
+
+def _proper(name: str, top: Array, below: Array) -> tuple[Array, Array]:
+    """Numerator and denominator without zeros before their highest power."""
+    top, below = np.trim_zeros(top, "f"), np.trim_zeros(below, "f")
+    if not below.size or not top.size or top.size > below.size:
+        raise BadModel(
+            f"model {name!r}: a transfer function needs a numerator of at most the denominator's"
+            " degree"
+        )
+    return top, below
+
+
+def _fitting(name: str, A: Array, B: Array, C: Array, D: Array) -> tuple[Array, ...]:
     n = len(A)
     fits = A.shape == (n, n) and B.shape[0] == n and C.shape[1] == n
     if not fits or D.shape != (C.shape[0], B.shape[1]):
@@ -231,9 +243,7 @@ def linear_text(
             f"model {name!r}: A {A.shape}, B {B.shape}, C {C.shape}, D {D.shape} do not fit each"
             " other"
         )
-    if sample_time is not None:
-        A, B = _continuous(name, A, B, sample_time)
-    return _state_space_text(name, (A, B, C, D), signals)
+    return A, B, C, D
 
 
 def _continuous(name: str, A: Array, B: Array, step: float) -> tuple[Array, Array]:

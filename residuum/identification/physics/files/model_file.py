@@ -18,7 +18,12 @@ from residuum.identification.physics.effects import EFFECTS
 from residuum.identification.physics.effects.base import Parameter, Prior
 from residuum.identification.physics.files.consistency import check
 from residuum.identification.physics.files.effect_file import WrittenEffect, effects_of
-from residuum.identification.physics.files.expression import Expression, parse, with_definitions
+from residuum.identification.physics.files.expression import (
+    Expression,
+    Place,
+    parse,
+    with_definitions,
+)
 from residuum.identification.physics.files.parts import (
     MOST_PARTS,
     assembled,
@@ -433,12 +438,7 @@ def read_parameter(name: str, section: Table, of_part: Parameter | None = None) 
     else:
         number, prior = _value_and_prior(table, label)
         place = table.scalar("value", label).place
-    if lower >= upper:
-        raise table.place.refuse(
-            f"{label}: lower is {lower:g} and upper is {upper:g}; lower must be below upper"
-        )
-    if not lower <= number <= upper:
-        raise place.refuse(f"{label}: value is {number:g}; must be within {lower:g} to {upper:g}")
+    _check_bounds(label, number, (lower, upper), table.place, place)
     return Parameter(
         name,
         number,
@@ -449,6 +449,20 @@ def read_parameter(name: str, section: Table, of_part: Parameter | None = None) 
         meaning=meaning.text if meaning else before.meaning,
         prior=prior,
     )
+
+
+def _check_bounds(
+    label: str, number: float, bounds: tuple[float, float], at_entry: Place, at_value: Place
+) -> None:
+    lower, upper = bounds
+    if lower >= upper:
+        raise at_entry.refuse(
+            f"{label}: lower is {lower:g} and upper is {upper:g}; lower must be below upper"
+        )
+    if not lower <= number <= upper:
+        raise at_value.refuse(
+            f"{label}: value is {number:g}; must be within {lower:g} to {upper:g}"
+        )
 
 
 def _of_records(section: Table) -> list[str]:

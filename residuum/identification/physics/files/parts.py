@@ -287,10 +287,8 @@ def _joined(
     """The model with these balances as one of the node's name, and what their variables now stand
     for.
     """
-    # what stores something has a state, by which the others' variables can be said
-    first = next((m for m in members if m.balance.defines is None), members[0])
-    if node in model.balances and all(member.balance.name != node for member in members):
-        raise place.refuse(f"connect: {node!r} is the name of a balance that is not joined here")
+    _check_name_is_free(node, members, model, place)
+    first = _first_storing(members)
     v = _variable(first.balance, model, place)
     positions = [_position(member.balance, model, place) for member in members]
     position = _common_position(node, first, members, positions)
@@ -322,6 +320,20 @@ def _joined(
         next((m.balance.start for m in members if m.balance.start is not None), None),
     )
     return _with_joined(model, joined, members, states, definitions), definitions
+
+
+def _check_name_is_free(
+    node: str, members: Iterable[_Member], model: PhysicalModel, place: Place
+) -> None:
+    if node in model.balances and all(member.balance.name != node for member in members):
+        raise place.refuse(f"connect: {node!r} is the name of a balance that is not joined here")
+
+
+def _first_storing(members: Sequence[_Member]) -> _Member:
+    """The first member that stores something: it has a state, which the other members' variables
+    are ratios of. The first of all where none has one.
+    """
+    return next((member for member in members if member.balance.defines is None), members[0])
 
 
 def _common_position(

@@ -132,13 +132,7 @@ def _check_platform(path: str, version: int, held: Iterable[str]) -> None:
     system, machine = platform.system(), _ARCHITECTURE.get(platform.machine(), platform.machine())
     of_three, of_two = _SYSTEM.get(system, (system.lower(), system.lower()))
     folder = f"{machine}-{of_three}" if version == 3 else f"{of_two}64"
-    platforms = sorted(
-        {
-            name.split("/")[1]
-            for name in held
-            if name.startswith("binaries/") and name.count("/") > 1 and name[-1] != "/"
-        }
-    )
+    platforms = _platforms(held)
     if folder in platforms and (version == 3 or machine == "x86_64"):
         return
     has = (
@@ -155,16 +149,19 @@ def _check_platform(path: str, version: int, held: Iterable[str]) -> None:
     )
 
 
+def _platforms(held: Iterable[str]) -> list[str]:
+    """Folders of `binaries/` that hold a file."""
+    paths = [name.split("/") for name in held if name.startswith("binaries/")]
+    # an entry of a folder itself ends with a slash: its last part is empty
+    return sorted({path[1] for path in paths if len(path) > 2 and path[-1]})
+
+
 def _has_sources(held: Iterable[str]) -> bool:
     return any(name.startswith("sources/") for name in held)
 
 
 def _description(path: str, version: int, read: Any) -> Description:
-    reals = [
-        v
-        for v in read.modelVariables
-        if v.type in ("Real", "Float64") and not getattr(v, "dimensions", None)
-    ]
+    reals = [v for v in read.modelVariables if _is_real_scalar(v)]
     derivatives = [d.variable for d in read.derivatives if d.variable.derivative is not None]
     return Description(
         path,
@@ -181,6 +178,11 @@ def _description(path: str, version: int, read: Any) -> Description:
         {p.name: p for v in reals if (p := _settable(v)) is not None},
         {v.name: _kind(v) for v in read.modelVariables if _settable(v) is None},
     )
+
+
+def _is_real_scalar(variable: Any) -> bool:
+    """Whether a variable is a number: FMI 2 says `Real`, FMI 3 `Float64`, which may be an array."""
+    return variable.type in ("Real", "Float64") and not getattr(variable, "dimensions", None)
 
 
 def _count_of_events(version: int, read: Any) -> int:
@@ -201,8 +203,7 @@ def _way(kind: Any) -> Way | None:
 def _settable(variable: Any) -> Settable | None:
     """A real parameter with a start value that is fixed or tunable; None for any other variable."""
     if (
-        variable.type not in ("Real", "Float64")
-        or getattr(variable, "dimensions", None)
+        not _is_real_scalar(variable)
         or variable.causality != "parameter"
         or variable.variability not in ("fixed", "tunable")
         or variable.start is None

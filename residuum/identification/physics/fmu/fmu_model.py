@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -67,14 +67,6 @@ def exchange_model(
         # the text is a part of the key under which compiled code is kept
         return Expression(f"{EXTERNAL}_{digest}_{k}({', '.join(arguments)})", tree)
 
-    balances = {}
-    for k, (name, unit) in enumerate(zip(states, units, strict=True)):
-        if k in rates:
-            continue
-        kind, roles = _kind(name, unit, next((states[q] for q, v in rates.items() if v == k), None))
-        balances[name] = Balance(
-            name, kind, parse(f"der({name})"), {"fmu": external(k)}, roles, f"{unit or '1'}/s"
-        )
     sections: dict[str, dict[str, Any]] = {
         "inputs": {
             name: Input(name, unit_of(v)) for name, v in zip(inputs, described.inputs, strict=True)
@@ -83,7 +75,7 @@ def exchange_model(
             name: State(name, units[k], states[rates[k]] if k in rates else None)
             for k, name in enumerate(states)
         },
-        "balances": balances,
+        "balances": _balances(states, units, rates, external),
         "outputs": {
             name: Output(name, external(len(states) + k), unit_of(v))
             for k, (name, v) in enumerate(zip(outputs, described.outputs, strict=True))
@@ -91,6 +83,28 @@ def exchange_model(
     }
     held: dict[str, Any] = {key: MappingProxyType(value) for key, value in sections.items()}
     return PhysicalModel(described.name, parameters=MappingProxyType(dict(parameters)), **held)
+
+
+def _balances(
+    states: Sequence[str],
+    units: Sequence[str],
+    rates: Mapping[int, int],
+    external: Callable[[int], Expression],
+) -> dict[str, Balance]:
+    """A balance for each state, but for those whose derivative is another state: there is nothing
+    to balance.
+    """
+    # of several positions with one velocity the first counts
+    positions = {v: states[q] for q, v in reversed(rates.items())}
+    balances = {}
+    for k, (name, unit) in enumerate(zip(states, units, strict=True)):
+        if k in rates:
+            continue
+        kind, roles = _kind(name, unit, positions.get(k))
+        balances[name] = Balance(
+            name, kind, parse(f"der({name})"), {"fmu": external(k)}, roles, f"{unit or '1'}/s"
+        )
+    return balances
 
 
 def _rates(library: LoadedLibrary) -> dict[int, int]:
