@@ -104,6 +104,7 @@ def generate(equations: Equations) -> tuple[str, ...]:
     ]
     systems = {name: system for function in functions for name, system in function.roots.items()}
     bodies = [function.text() for function in functions]
+    # Each root brings two functions: one step of Newton's method, and the loop around it.
     for name, (z, a, g, start) in systems.items():
         bodies += [
             _NewtonStep(f"{name}_step", z, a, g).text(),
@@ -122,10 +123,12 @@ def _index(symbols: Iterable[sp.Symbol], wanted: sp.Symbol) -> int:
 
 
 def _functions(eq: Equations) -> list[_Function]:
+    # A state that sticks has no rate: m is 0 there, else 1.
     moving = {row: sp.Symbol(f"m_{number}", real=True) for number, row in enumerate(eq.surfaces)}
     rates = {i: moving.get(i, sp.S.One) * rate for i, rate in enumerate(eq.rates)}
     start = {list(eq.x).index(name): expression for name, expression in eq.initial.items()}
     outputs, signals = dict(enumerate(eq.outputs.values())), dict(enumerate(eq.signals.values()))
+    # (values, slopes) of each function, in the order of FUNCTIONS.
     given: list[tuple[Rows, Rows]] = [
         (rates, {}),
         (rates, rates),
@@ -164,6 +167,7 @@ class _Function:
         self.stores: dict[Slot, str] = {
             ("r0", i): self.value(sp.sympify(e)) for i, e in rows.items()
         }
+        # A function that writes no values has its slopes in the first arrays.
         matrices = ("r1", "r2") if rows else ("r0", "r1")
         for i, e in sloping.items():
             for matrix, by, width in zip(
@@ -173,6 +177,8 @@ class _Function:
                     (matrix, i * width + j): self.slope(sp.sympify(e), v)
                     for j, v in enumerate(by.values())
                 }
+                # What is always zero is not stored: the arrays are zero at first, and the step
+                # leaves such places out.
                 self.stores |= {slot: slope for slot, slope in slopes.items() if slope is not None}
 
     def _begin(
@@ -240,10 +246,12 @@ class _Function:
             )
         if isinstance(e, sp.Piecewise):
             return self._piecewise_slope(e, by)
+        # A jump has no slope that an estimation could use: it is switched, not differentiated.
         if isinstance(e, (*_FLAT, Boolean)):
             return None
         if isinstance(e, implicit.Root):
             return self._root_slope(e, by)
+        # The chain rule: Σ ∂e/∂part · ∂part/∂by, over the parts that depend on it.
         slopes = [(i, self.slope(part, by)) for i, part in enumerate(e.args)]
         terms = [
             self._times(self._partial(e, i), slope) for i, slope in slopes if slope is not None
@@ -262,15 +270,19 @@ class _Function:
         if e.is_Add:
             return _ONE
         if e.is_Mul:
+            # The product of all other factors.
             return self.value(sp.Mul(*e.args[:i], *e.args[i + 1 :], evaluate=False))
         if isinstance(e, sp.atan2):
             y, x = e.args
+            # ∂atan2/∂y = x/(x² + y²), ∂/∂x = −y/(x² + y²).
             return self.value((x, -y)[i] / (x**2 + y**2))
         if not e.is_Pow:
             return self.value(sp.sympify(e.fdiff(i + 1)))
+        # ∂bᵃ/∂a = bᵃ·ln b.
         if i == 1:
             return self._times(self.value(e), self.value(sp.log(e.base)))
         if e.exp == sp.Rational(1, 2):
+            # ½/√b.
             return self._times(_constant(0.5), self._inverse_root(e.base))
         return self._times(self.value(e.exp), self.value(e.base ** (e.exp - 1)))
 
@@ -312,6 +324,7 @@ class _Function:
     def _add(self, *terms: sp.Expr) -> str:
         positive = [t for t in terms if not t.could_extract_minus_sign()]
         negative = [-t for t in terms if t.could_extract_minus_sign()]
+        # Sums first, then what is subtracted: no product with −1.
         total = self._fold("fadd", [self.value(t) for t in positive]) if positive else _ZERO
         for term in negative:
             total = self._new(f"fsub {FREE} double {total}, {self.value(term)}")
@@ -320,8 +333,10 @@ class _Function:
     def _mul(self, *factors: sp.Expr) -> str:
         above = [f for f in factors if not _is_reciprocal(f)]
         below = [f.base**-f.exp for f in factors if _is_reciprocal(f)]
+        # SymPy writes −a as −1·a: one negation instead of a product.
         negative = above[:1] == [sp.S.NegativeOne]
         product = self._fold("fmul", [self.value(f) for f in above[negative:]] or [_ONE])
+        # One division for all reciprocals together.
         if below:
             product = self._new(
                 f"fdiv {FREE} double {product},"
@@ -367,6 +382,7 @@ class _Function:
         """Where the root of a system stands, found once a function."""
         key = (system, values)
         if key not in self.known:
+            # Named by what it solves: two places that ask for the same root share it.
             name = f"root_{hashlib.sha256(str(system).encode()).hexdigest()[:16]}"
             self.roots[name] = system
             a = self._array(values)
@@ -381,6 +397,7 @@ class _Function:
             self._held(self.value(implicit.Root(sp.Integer(k), z, a, g, start, *values)))
             for k in range(len(z))
         ]
+        # The system at the root, in registers: its slopes are those of any other expression.
         at = dict(zip(z, here, strict=True)) | dict(zip(a, values, strict=True))
         equations = [equation.xreplace(at) for equation in g]
         right = [self._held(self.slope(equation, by)) for equation in equations]
@@ -442,6 +459,7 @@ class _Function:
 
     def _chosen(self, pieces: Sequence[tuple[str, Any]]) -> str:
         chosen = _ZERO
+        # From the last piece to the first: the first condition that holds is chosen last.
         for value, condition in reversed(pieces):
             chosen = (
                 value

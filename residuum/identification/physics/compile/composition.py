@@ -160,6 +160,7 @@ class _Composer:
 
     def __init__(self, model: PhysicalModel) -> None:
         self.model = model
+        # Symbols are numbered, not named: structures that differ in names alone share their code.
         self.x = {name: sp.Symbol(f"x_{k}", real=True) for k, name in enumerate(model.states)}
         self.u = {name: sp.Symbol(f"u_{k}", real=True) for k, name in enumerate(model.inputs)}
         names = [*model.all_parameters, *map(missing_name, model.balances)]
@@ -172,6 +173,8 @@ class _Composer:
         self.paths: dict[str, sp.Expr] = {
             name: self._recorded_or_default(name) for name in model.inputs
         }
+        # A state with a `rate` has that state as its derivative; a value for each record stands
+        # still. All other rates come from balances and effects.
         self.rates: dict[str, sp.Expr] = {
             s.name: self.x[s.rate] if s.rate else sp.S.Zero
             for s in model.states.values()
@@ -193,9 +196,11 @@ class _Composer:
         for use in self.model.effects:
             if use.effect.place == "balance":
                 self._add_to_balance(use, sides)
+        # After all effects: they may add terms with the variable that a balance defines.
         defined = self._solve_defined(sides)
         for side in sides.values():
             if side.state is not None:
+                # The balance solved for its derivative.
                 self.rates[side.state] = sum(side.terms.values()) / side.coefficient
         outputs = {
             name: self._symbolic(output.value.tree, None)
@@ -213,6 +218,7 @@ class _Composer:
         def put(expression: sp.Expr) -> sp.Expr:
             return sp.sympify(expression).subs(defined)
 
+        # Signals are looked at, not integrated: there a direction is the plain sign.
         moving = {s: sp.sign(self.x[name]) for name, s in self.directions.items()}
         terms = {
             f"{n}.{term}": put(e).subs(moving)
@@ -272,6 +278,8 @@ class _Composer:
             direction = self.directions.setdefault(
                 state, sp.Symbol(f"s_{len(self.directions)}", real=True)
             )
+            # A placeholder for der(state), whose coefficient is what the derivative is multiplied
+            # by.
             derivative = sp.Symbol("derivative", real=True)
             storage = sp.expand(self._symbolic(balance.storage.tree, None, derivative))
             coefficient = storage.coeff(derivative, 1)
@@ -280,6 +288,7 @@ class _Composer:
                     f"storage {balance.storage.text!r} must be linear in der({state})"
                 )
         terms = {name: self._symbolic(term.tree, state) for name, term in balance.terms.items()}
+        # The unknown term that a smoother estimates; zero otherwise.
         terms["missing"] = self.p[missing_name(balance.name)]
         side = _Sides(balance, terms, state, coefficient, defines, direction)
         side.roles = self._roles(side)
@@ -289,6 +298,8 @@ class _Composer:
         balance = side.balance
         roles = {role: self._name(name) for role, name in balance.variables.items()}
         own = side.state if side.state is not None else balance.defines
+        # The input that drives the balance, as effects on the supply see it: after what actuators
+        # make of it.
         supply = self.model.supply_input(balance)
         if supply is not None:
             roles["supply"] = self.paths[supply]
@@ -312,6 +323,7 @@ class _Composer:
         side.terms[name] = sp.sympify(added.term)
         for balance, term in added.elsewhere.items():
             sides[balance].terms[name] = sp.sympify(term)
+        # Effects that take a share of the inertia away follow each other: shares multiply.
         side.coefficient = side.coefficient * added.storage_factor
         if added.inductance is not None:
             self._give_storage(side, added.inductance, use)
@@ -334,6 +346,7 @@ class _Composer:
                 f"effect {use.label!r}: balance {side.balance.name!r} has a storage already"
             )
         state = sp.Symbol(f"x_{len(self.x)}", real=True)
+        # Where the variable stands when nothing changes: it begins there.
         resting = self._solve(side.defines, sum(side.terms.values()), side.balance)
         direction = self.directions.setdefault(
             name, sp.Symbol(f"s_{len(self.directions)}", real=True)
@@ -341,6 +354,7 @@ class _Composer:
         self.initial[name] = resting
         self.deviating.append(name)
         self.x[name] = state
+        # The variable is a state from here on, in every term: its sign can stand still now.
         swap = {sp.sign(side.defines): direction, side.defines: state}
         side.terms = {term: e.subs(swap) for term, e in side.terms.items()}
         self.became_state[side.defines] = state
@@ -367,6 +381,7 @@ class _Composer:
         own = {}
         for name in use.effect.states(site):
             full = f"{use.label}.{name}"
+            # States of effects stand behind the model's own, in the order of the effects.
             own[name] = self.x[full] = sp.Symbol(f"x_{len(self.x)}", real=True)
         added = use.effect.contribution(Scene(site, p, own, roles, direction, signal, TIME))
         self.rates.update({f"{use.label}.{name}": rate for name, rate in added.rates.items()})
@@ -382,6 +397,8 @@ class _Composer:
             side for side in sides.values() if side.state is None and side.defines is not None
         ]
         while open_sides:
+            # The smallest system that can be solved by itself comes first: the others may need its
+            # variables.
             together = min((_needed(side, open_sides) for side in open_sides), key=len)
             total = [sum(side.terms.values()) for side in together]
             if len(together) == 1 and together[0].balance.start is None:
@@ -402,6 +419,7 @@ class _Composer:
             sides[0].balance.storage.place,
         )
         start = [side.balance.start for side in sides if side.balance.start is not None]
+        # J is inverted by its adjugate, which grows fast.
         if len(start) < len(sides) or len(sides) > implicit.MOST_VARIABLES:
             raise place.refuse(
                 f"algebraic loop: balances {names} define each other's variables; each needs a"
@@ -410,6 +428,7 @@ class _Composer:
                 NoExplicitEquations,
             )
         unknown = [side.defines for side in sides]
+        # A Jacobian that is zero whatever the values: no step of Newton's method leads anywhere.
         if sp.expand(implicit.jacobian(unknown, total).det(method="berkowitz")) == 0:
             raise place.refuse(
                 f"algebraic loop of index 2: balances {names} do not determine the variables that"
@@ -419,6 +438,8 @@ class _Composer:
         return dict(zip(unknown, implicit.roots(unknown, total, start, solved), strict=True))
 
     def _substituted(self, solved: dict[sp.Symbol, sp.Expr]) -> dict[sp.Symbol, sp.Expr]:
+        # As often as there are variables: each may name another one, in a chain of at most that
+        # length.
         for _ in solved:
             solved = {
                 symbol: sp.sympify(e).subs({k: v for k, v in solved.items() if k != symbol})
@@ -428,16 +449,21 @@ class _Composer:
 
     def _solve(self, i: sp.Symbol, total: sp.Expr, balance: Balance) -> sp.Expr:
         """The root i of r + a·i + b·sign(i) + c·|i| = 0."""
+        # Both are taken for variables of their own, so that the equation is linear in all three.
         sign, size = sp.Symbol("sign_of_variable"), sp.Symbol("size_of_variable")
         flat = sp.expand(sp.expand(total).subs({sp.sign(i): sign, sp.Abs(i): size}))
         a, b, c = (flat.coeff(symbol, 1) for symbol in (i, sign, size))
         r = flat.subs({i: 0, sign: 0, size: 0})
+        # A coefficient that contains the variable: not linear.
         if a == 0 or {i, sign, size} & (a.free_symbols | b.free_symbols | c.free_symbols):
             raise self._loop(balance)
+        # Something is left over: a power, a function of the variable.
         if flat.has(i) and sp.expand(flat - r - a * i - b * sign - c * size) != 0:
             raise self._loop(balance)
         if b == 0 and c == 0:
             return -r / a
+        # Between −gap and gap neither sign solves the equation: the variable rests at zero (a
+        # brush's drop).
         free, gap = -r / a, b / a
         return sp.Piecewise(
             (-(r + b) / (a + c), free > gap), (-(r - b) / (a - c), free < -gap), (0, True)
@@ -455,11 +481,14 @@ class _Composer:
     ) -> sp.Expr:
         """What a tree means; asked once of what stands in several places."""
         apart = id(tree) in self.apart
+        # What is put into a tree later depends on where it stands; a tree that stands apart holds
+        # none of that.
         key = (id(tree), None, None) if apart else (id(tree), surface, derivative)
         if key not in self.meanings:
             means = self._meaning(tree, surface, derivative)
             if apart:
                 symbol = sp.Symbol(f"d_{len(self.defined)}", real=True)
+                # Defined once, named everywhere: SymPy does not look into a symbol.
                 self.defined[symbol] = sp.sympify(means)
                 means = symbol
             self.meanings[key] = means
@@ -524,6 +553,7 @@ def _standing_apart(model: PhysicalModel) -> set[int]:
         """Infinite of what holds something that is put into it."""
         if _is_put_into(node, put_into):
             return math.inf
+        # Numbers, names and operations below this node, itself included.
         total = 1 + sum(inner)
         is_value = not isinstance(node, Operation) or node.operator in _ARITHMETIC
         if LARGE <= total < math.inf and places[id(node)] > 1 and is_value:

@@ -18,6 +18,7 @@ import sympy as sp
 
 MOST_VARIABLES = 4
 """That balances may define together: J is inverted by its adjugate."""
+# Halvings of a step among them.
 MOST_STEPS = 60
 
 
@@ -38,6 +39,7 @@ def roots(
     others = sorted(
         {s for e in equations for s in e.free_symbols} - set(unknown), key=lambda s: s.name
     )
+    # Neutral names: systems that are alike but for names share their code.
     z = [sp.Symbol(f"root_z_{k}", real=True) for k in range(len(unknown))]
     a = [sp.Symbol(f"root_a_{k}", real=True) for k in range(len(others))]
     inside = dict(zip([*unknown, *others], [*z, *a], strict=True))
@@ -58,6 +60,8 @@ def jacobian(z: Sequence[Any], g: Sequence[Any]) -> Any:
 def solved(J: Sequence[Sequence[Any]], right: Sequence[Any]) -> list[Any]:
     """J⁻¹ right, by Cramer's rule."""
     matrix = sp.Matrix(J)
+    # Cramer rather than elimination: a pivot would have to be chosen by values that are not known
+    # yet.
     return list(matrix.adjugate() * sp.Matrix(right) / matrix.det(method="berkowitz"))
 
 
@@ -82,6 +86,8 @@ def newton(name: str, start: Sequence[float]) -> str:
     lines += [
         f"  call void @{name}_step(ptr %a, ptr %z, {'ptr null, ' * 4}ptr %r, ptr null, ptr null)"
     ]
+    # ‖g‖² fell: this z is kept as the best one, and the next step is tried whole. Else half a step
+    # from the best.
     lines += ["  %m = load double, ptr %merit", "  %falls = fcmp olt double %m, %least"]
     lines += [
         "  %best = select i1 %falls, double %m, double %least",
@@ -108,10 +114,13 @@ def newton(name: str, start: Sequence[float]) -> str:
             f"  %step{k} = call double @llvm.fabs.f64(double %s{k})",
         ]
         lines += [
+            # 0x3CC0… = 2⁻⁵¹: the step no longer changes the value but in its last digits.
             f"  %tiny{k} = fmul double %size{k}, 0x3CC0000000000000",
             f"  %moves{k} = fcmp ogt double %step{k}, %tiny{k}",
         ]
         lines += [
+            # A root where the whole step is below a billionth of the value: else Newton ended
+            # elsewhere.
             f"  %l{k} = fmul double %size{k}, 1.0e-9",
             f"  %limit{k} = fadd double %l{k}, 1.0e-12",
         ]

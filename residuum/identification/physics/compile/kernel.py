@@ -77,6 +77,7 @@ class _Deferred:
 
 @lru_cache(maxsize=256)
 def _kernel(structure: str, deferred: _Deferred) -> Kernel:
+    # A structure of this process first (`lru_cache`), then one on disk, then a new one.
     path = _place("kernel", structure)
     with _MAKING:  # what several threads ask for at once is made once
         manifest = _told(path) or _made(path, deferred.model)
@@ -94,6 +95,7 @@ def _kernel(structure: str, deferred: _Deferred) -> Kernel:
 
 def _place(kind: str, content: str) -> Path:
     """Where what is made of `content` is kept."""
+    # Code made by other sources, or for another processor, must not be found.
     key = content + machine_code.target() + code_digest(_MADE_BY)
     return cache_folder() / f"{kind}_{hashlib.sha256(key.encode()).hexdigest()[:24]}"
 
@@ -103,6 +105,7 @@ def _told(path: Path) -> dict[str, Any] | None:
     if not path.exists():
         return None
     manifest: dict[str, Any] = json.loads(path.read_bytes())
+    # A cleaner of caches may have taken some of the files.
     return manifest if all((path.parent / part).exists() for part in manifest["parts"]) else None
 
 
@@ -159,4 +162,5 @@ def _write(path: Path, content: bytes) -> None:
     handle, name = tempfile.mkstemp(dir=path.parent, suffix=".part")
     with os.fdopen(handle, "wb") as file:
         file.write(content)
+    # Atomic within a folder: a reader finds the old file, or the whole new one.
     os.replace(name, path)

@@ -109,9 +109,12 @@ def _advance(nx: int, nu: int, width: int | None = None) -> str:
         f"define void @{'advance_slopes' if slopes else 'advance'}({_advance_arguments(slopes)}) {{"
     )
     h, half, sixth, third = _lengths(t)
+    # Kept in registers: x itself is overwritten at the end of the step only.
     x0 = [t.load("%x", i) for i in range(nx)]
+    # Behind the four rates.
     xs = t.place("%work", 4 * nx)
     results = list(zip(*_slope_places(t, nx, str(width)), strict=True)) if slopes else [None] * 4
+    # Each set of inputs has time after them, then their slopes.
     slopes_of_inputs = [t.place(f"%u{j}", nu + 1) for j in range(3)]
     rates: list[list[str]] = []
     for r, reach in enumerate((half, half, h, None)):
@@ -138,6 +141,7 @@ def _columns(nx: int, A: Places, rows: Collection[int]) -> str:
     t = _Lines()
     t.say(f"define void @columns({_COLUMNS.format('%step', '%width')}) {{\nentry:")
     lengths = _lengths(t)
+    # Rows of B that are zero throughout are left out.
     begins = {i: t.new(f"mul i64 %width, {i}") for i in sorted(rows)}
     matrices = _slope_places(t, nx, "%width")
     in_rows = [[j for j in range(nx) if (i, j) in A] for i in range(nx)]
@@ -190,6 +194,7 @@ class _Column:
 
     def __init__(self, t: _Lines, c: str, together: int) -> None:
         self.t, self.c, self.together = t, c, together
+        # Sums and products are written for the width of this column.
         t.kind = "double" if together == 1 else f"<{together} x double>"
         numbers = [c] + [t.new(f"add i64 {c}, {lane}") for lane in range(1, together)]
         self.columns = [
@@ -217,6 +222,7 @@ class _Column:
         """The same value for every column."""
         if self.together == 1:
             return value
+        # The first place, then that one everywhere: LLVM's idiom for a broadcast.
         first = self.t.new(f"insertelement {self.t.kind} poison, double {value}, i32 0")
         return self.t.new(
             f"shufflevector {self.t.kind} {first}, {self.t.kind} poison, <{self.together} x i32>"
@@ -284,6 +290,7 @@ def _columns_loop(t: _Lines, body: Callable[[_Column], None]) -> None:
 
 
 def _weighted(t: _Lines, start: str, k: Sequence[str], sixth: str, third: str) -> str:
+    # x + h/6·(k₁ + k₄) + h/3·(k₂ + k₃).
     outer = t.times(sixth, t.add(k[0], k[3]))
     return t.add(start, t.add(outer, t.times(third, t.add(k[1], k[2]))))
 
@@ -294,6 +301,7 @@ def _observe(nx: int, ny: int, width: int) -> str:
     t.say(f"define void @observe({', '.join(f'ptr noalias %{a}' for a in arrays)}, i64 %count) {{")
     given = ", ".join(f"ptr %{a}" for a in arrays[:6])
     t.say(f"  call void @outputs({given}, ptr %y, ptr %work, ptr %work)")
+    # Without columns only the outputs are asked for.
     t.say("  %none = icmp eq i64 %count, 0\n  br i1 %none, label %end, label %slopes\nslopes:")
     t.say(
         f"  call void @output_slopes({given}, ptr %work, ptr {t.place('%work', ny * nx)}, ptr"
@@ -310,6 +318,7 @@ def _observed(nx: int, ny: int) -> str:
     t = _Lines()
     t.say(f"define void @observed({_COLUMNS.format('%dy', '%width')}) {{\nentry:")
     D = t.place("%work", ny * nx)
+    # The same for all columns: loaded before the loop.
     C = [[t.load("%work", o * nx + i) for i in range(nx)] for o in range(ny)]
     begins = [t.new(f"mul i64 %width, {o}") for o in range(ny)]
 

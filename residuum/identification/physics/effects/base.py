@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from residuum.identification.physics.effects.example_models import Example
 
 Array = npt.NDArray[np.float64]
+# 1e-60³ = 1e-180, far above the smallest double (2e-308).
 RESTS = 1e-60
 """Below it a variable does not move; its cube is still a number. Chosen."""
 
@@ -263,6 +264,7 @@ class Effect(ABC):
     @property
     def place(self) -> str:
         """Where it stands: `balance`, `input` or `output`."""
+        # Effects on paths act on no balance, so the first kind tells.
         return self.acts_on[0] if self.acts_on[0] in ("input", "output") else "balance"
 
     def fits(self, site: Site) -> bool:
@@ -408,6 +410,7 @@ def _raised(name: str, exponent: float) -> str:
     return name if exponent == 1 else f"{name}**{exponent:g}"
 
 
+# As a textbook writes them: forces, voltages and powers above, times and angles last.
 _ORDER = (
     "kN",
     "N",
@@ -429,4 +432,5 @@ _ORDER = (
     "h",
     "rad",
 )
+# A quotient by a temperature is one by a difference, in kelvin whatever the scale.
 _DIFFERENCE = {"°C": "K", "degC": "K", "C": "K"}

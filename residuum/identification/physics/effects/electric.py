@@ -135,6 +135,7 @@ class SupplySag(Effect):
         k, p, fed, u_ref = (scene.p[name] for name in ("k", "p", "fed", "u_ref"))
         u, i = scene["supply_terms"], scene["current"]
         z, way = sp.Abs(u) / u_ref, sp.sign(u)
+        # With p = 0, 1, 2 the weights (1−p)(2−p)/2, p(2−p), p(p−1)/2 choose 1, z, z².
         # z^p where p is whole
         share = (1 - p) * (2 - p) / 2 + p * (2 - p) * z + p * (p - 1) / 2 * z**2
         current = (1 - fed / 2) * sp.Abs(i) * way + fed / 2 * i * way**2

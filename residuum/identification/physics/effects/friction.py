@@ -119,6 +119,7 @@ class StribeckFriction(Friction):
         return Contribution(term=-(p["tau_c"] + p["tau_s"] * fading) * scene.direction)
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
+        # Friction that fades within a hundredth, a twentieth and a fifth of the largest speed.
         size, fastest = 0.1 * conditions.magnitude, conditions.largest("velocity")
         return [
             {"tau_c": size, "tau_s": size, "v_s": fraction * fastest}
@@ -135,6 +136,7 @@ class StribeckFriction(Friction):
 
     def grown(self, special: Mapping[str, float], conditions: Conditions) -> list[dict[str, float]]:
         """Dry friction that was too large at speed and too small at rest."""
+        # Coulomb's friction fits the mean of the curve: less while sliding, and more at rest.
         tau, fastest = special["tau_c"], conditions.largest("velocity")
         return [
             {"tau_c": 0.8 * tau, "tau_s": 0.5 * tau, "v_s": fraction * fastest}
@@ -190,6 +192,7 @@ class LuGre(Effect):
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
         size, fastest = 0.1 * conditions.magnitude, conditions.largest("velocity")
+        # Bristles that give way over what 5 and 30 samples at the fastest cover.
         travelled = fastest * conditions.sample_time
         return [
             {
@@ -228,6 +231,7 @@ class DirectionalFriction(Friction):
 
     def contribution(self, scene: Scene) -> Contribution:
         s = scene.direction
+        # 1 for s = 1 and for s = −1 only: at rest (s = 0) neither acts.
         forwards, backwards = s * (s + 1) / 2, s * (s - 1) / 2
         return Contribution(term=-scene.p["tau_plus"] * forwards + scene.p["tau_minus"] * backwards)
 
@@ -368,6 +372,7 @@ class PlaceFriction(Friction):
         lowest = float(conditions.variables["position"].min())
         return [
             {"tau": size, "q_0": lowest + part * travel, "w": 0.12 * travel}
+            # Places along the travel, the middle first.
             for part in (0.5, 0.2, 0.8, 0.35)
         ]
 

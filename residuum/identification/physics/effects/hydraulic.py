@@ -49,6 +49,7 @@ class Outflow(Drain):
         return [{"c": 0.1 * conditions.magnitude / conditions.largest("level") ** 0.5}]
 
 
+# [level unit] Around a difference of zero, where √ has no slope, the flow goes evenly.
 _LEAST = 1e-4
 
 

@@ -124,6 +124,7 @@ class InputDeadZone(Effect):
         return [axis_example(), drive_example(), oven_example(), tank_example()]
 
 
+# Keeps |u|^e finite at u = 0, where a negative exponent has no value.
 _LEAST = 1e-9
 
 
@@ -231,6 +232,7 @@ class InputBacklash(Effect):
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
         return [
+            # Taken up within two samples, as good as at once.
             {"w": part * conditions.largest("signal"), "tau": 2.0 * conditions.sample_time}
             for part in (0.03, 0.15)
         ]

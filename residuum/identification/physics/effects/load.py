@@ -87,6 +87,7 @@ class PositionLoad(Effect):
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
         size, travel = 0.1 * conditions.magnitude, conditions.span("position")
+        # Half a period, one and two over the travel.
         # the last: once a turn, an arm's own weight
         waves = [*(np.pi * periods / travel for periods in (1.0, 2.0, 4.0)), 1.0]
         return [{"a": size, "b": size, "kappa": float(kappa)} for kappa in waves]
@@ -124,17 +125,20 @@ def strongest_wave_numbers(
     travel = float(np.ptp(position))
     if travel <= RESTS:
         return []
+    # Some samples a cell, and cells enough for a wave of many periods.
     cells = int(min(4096, max(64, position.size // 4)))
     cell = np.minimum(((position - position.min()) / travel * cells).astype(int), cells - 1)
     weight = np.bincount(cell, minlength=cells)
     mean = np.bincount(cell, weights=signal - signal.mean(), minlength=cells) / np.maximum(
         weight, 1
     )
+    # Padded four times: peaks stand between the lines of the plain transform.
     spectrum = np.abs(np.fft.rfft(mean * np.hanning(cells), 4 * cells))
     first = int(4 * fewest_periods)
     wave_numbers: list[float] = []
     for index in np.argsort(spectrum[first:])[::-1] + first:
         wave_number = 2.0 * np.pi * index / (4.0 * travel)
+        # Within two lines it is the slope of a peak that is counted already (Hann's main lobe).
         if all(abs(wave_number - peak) > 4.0 * np.pi / travel for peak in wave_numbers):
             wave_numbers.append(float(wave_number))
         if len(wave_numbers) == count:
@@ -151,6 +155,8 @@ def _refined(position: Array, signal: Array, wave_number: float, width: float) -
     most.
     """
     tried = wave_number + width * np.linspace(-1.0, 1.0, 9)
+    # Each wave number is the one before, turned on by a constant step: one product instead of an
+    # exponential.
     turned, turn = (
         np.exp(-1j * tried[0] * position) * signal,
         np.exp(-1j * (tried[1] - tried[0]) * position),

@@ -238,6 +238,7 @@ class OutputQuantisation(Effect):
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
         measured = conditions.variables.get("measured")
         steps = np.abs(np.diff(measured)) if measured is not None else np.zeros(0)
+        # Rounding of a file leaves differences that are no steps.
         steps = steps[np.isfinite(steps) & (steps > 1e-9 * conditions.largest("signal"))]
         return [{"q": float(np.min(steps)) if steps.size else 0.01 * conditions.magnitude}]
 

@@ -44,6 +44,7 @@ class LinearSpring(Effect):
         return Contribution(term=-scene.p["k"] * scene["position"] - scene.p["tau_0"])
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
+        # A tenth of the driving force over the whole travel.
         return [{"k": 0.1 * conditions.magnitude / conditions.span("position"), "tau_0": 0.0}]
 
     def examples(self) -> list[Example]:
@@ -80,7 +81,9 @@ class CubicSpring(Effect):
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
         position = conditions.variables["position"]
+        # A tenth of the driving force at the ends of the travel, from its middle.
         size = 0.1 * conditions.magnitude / (0.5 * conditions.span("position")) ** 3
+        # Deflections count from where the spring is at rest: zero, or the middle of the travel.
         middle = 0.5 * float(position.min() + position.max())
         return [{"k_3": size, "k_2": 0.0, "q_0": 0.0}, {"k_3": size, "k_2": 0.0, "q_0": middle}]
 
@@ -127,6 +130,8 @@ class Hysteresis(Effect):
         )
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
+        # How far the machine goes in a sample at its fastest: what builds up within less shows as
+        # Coulomb friction.
         travelled = conditions.largest("velocity") * conditions.sample_time
         return [
             {"f_c": 0.1 * conditions.magnitude, "x_0": steps * travelled}
@@ -181,6 +186,8 @@ class BoucWen(Effect):
         return Contribution(term=-z, rates={"z": rate}, initial={"z": sp.S.Zero})
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
+        # As of the presliding friction: distances of some samples at the fastest, d = 1/β; then A/β
+        # is the friction.
         travelled = conditions.largest("velocity") * conditions.sample_time
         size = 0.2 * conditions.magnitude
         return [

@@ -48,6 +48,7 @@ class ForgottenInput(SignalEffect):
         return Contribution(term=scene.p["gain"] * scene[scene.site.signals[0]])
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
+        # The signal stands last among the variables. Both signs: a flow in, or one out.
         size = 0.1 * conditions.magnitude / conditions.largest(list(conditions.variables)[-1])
         return [{"gain": size}, {"gain": -size}]
 
@@ -93,6 +94,7 @@ class Coupling(JoiningEffect):
         return Contribution(term=-exchange, elsewhere={scene.site.signals[0]: exchange})
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
+        # Of the variables the one that both balances have: temperature, level or velocity.
         role = next(
             role for role in conditions.variables if f"other:{role}" in conditions.variables
         )
@@ -103,6 +105,7 @@ class Coupling(JoiningEffect):
         return [tank_example()]
 
 
+# Eight straight pieces.
 KNOTS_OF_A_CURVE = 9
 
 
@@ -137,6 +140,7 @@ class Learned(SignalEffect):
     def contribution(self, scene: Scene) -> Contribution:
         s = scene[scene.site.signals[0]]
         a, v = ([scene.p[f"{name}{k}"] for k in range(1, KNOTS_OF_A_CURVE + 1)] for name in "av")
+        # Straight lines between the knots, level beyond the ends.
         slopes = [(v[k + 1] - v[k]) / (a[k + 1] - a[k]) for k in range(KNOTS_OF_A_CURVE - 1)]
         lines = [(v[k] + slopes[k] * (s - a[k]), s < a[k + 1]) for k in range(KNOTS_OF_A_CURVE - 1)]
         return Contribution(term=sp.Piecewise((v[0], s < a[0]), *lines, (v[-1], True)))
@@ -146,7 +150,9 @@ class Learned(SignalEffect):
         change.
         """
         signal = conditions.variables[list(conditions.variables)[-1]]
+        # Quantiles coincide where a signal rests: knots stay a fiftieth of the span apart.
         least = 0.02 * float(np.ptp(signal)) or 1.0
+        # Half a per cent at each end is left beyond: outliers there would have a knot of their own.
         at = np.quantile(signal, np.linspace(0.005, 0.995, KNOTS_OF_A_CURVE))
         for k in range(1, KNOTS_OF_A_CURVE):
             at[k] = max(at[k], at[k - 1] + least)

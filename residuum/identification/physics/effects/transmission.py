@@ -63,8 +63,11 @@ class TwoBodies(Effect):
         body that begins anywhere on a softer spring, or creeps back, is a load and its slope.
         """
         # the storage is what stays on this side of the spring
+        # Two bodies swing against each other with their reduced inertia r·(1 − r)·J; the storage is
+        # (1 − r)·J already.
         reduced = values["share"] * conditions.storage
         frequency = np.sqrt(values["k"] / reduced)
+        # Damping ratio: above 1 the slower of the two real modes decides.
         ratio = max(1.0, values["d"] / (2.0 * np.sqrt(values["k"] * reduced)))
         return bool(
             frequency / (ratio + np.sqrt(ratio**2 - 1.0)) * conditions.duration > 2.0 * np.pi
@@ -122,6 +125,7 @@ def _shapes(conditions: Conditions) -> list[tuple[float, float, float]]:
     """Resonances to try: (frequency times sample time, share of the inertia, damping); the error
     rings where there is one.
     """
+    # Where nothing is known: resonances from a fiftieth to a fifth of the sampling rate.
     known = [(0.02, 0.5, 0.1), (0.04, 0.5, 0.1), (0.08, 0.5, 0.1), (0.2, 0.3, 0.1)]
     if conditions.missing is None:
         return known
@@ -129,6 +133,7 @@ def _shapes(conditions: Conditions) -> list[tuple[float, float, float]]:
         np.abs(np.fft.rfft(np.diff(conditions.missing) * np.hanning(conditions.missing.size - 1)))
         ** 2
     )
+    # A mean of five lines: a single line of noise is no resonance.
     power = np.convolve(power, np.full(5, 0.2), mode="same")
     frequency = np.linspace(0.0, 0.5, power.size)
     ringing = float(
@@ -192,7 +197,9 @@ class Backlash(TwoBodies):
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
         first_values, travelled = [], conditions.largest("velocity") * conditions.sample_time
+        # ½·a·Ts²: how far the drive side alone gets in one sample, pushed as on average.
         crossed = 0.5 * conditions.magnitude / conditions.storage * conditions.sample_time**2
+        # The contact's resonance at a twentieth of the sampling rate.
         omega = 0.4 * np.pi / conditions.sample_time / 4.0
         plays = [(2.0 * travelled, 0.5), (10.0 * travelled, 0.5), (50.0 * travelled, 0.3)]
         plays += [(samples**2 * crossed / 0.5, 0.5) for samples in _CROSSINGS]
@@ -222,6 +229,7 @@ class Backlash(TwoBodies):
 
     def grown(self, special: Mapping[str, float], conditions: Conditions) -> list[dict[str, float]]:
         """A spring that is soft because part of its travel is play."""
+        # The whole twist, both ways: what part of it is play is tried.
         travel = 2.0 * float(np.max(np.abs(conditions.variables["twist"])))
         first_values = []
         for share in (0.3, 0.8):
@@ -301,6 +309,7 @@ class EndStop(Effect):
         """
         q, span = conditions.variables["position"], conditions.span("position")
         low, high = float(np.min(q)), float(np.max(q))
+        # Each upper end with a lower one far outside, and the other way round.
         ends = [(high - depth, low - span) for depth in _DEPTHS * span] + [
             (high + span, low + depth) for depth in _DEPTHS * span
         ]
@@ -311,10 +320,12 @@ class EndStop(Effect):
         for q_max, q_min in ends:
             if not q_min < q_max:  # both bends at the middle of the travel: a spring
                 continue
+            # The stop holds the driving force at what the motion goes beyond it.
             k = conditions.magnitude / max(high - q_max, q_min - low, 1e-6 * span)
             first_values.append(
                 {
                     "k": k,
+                    # Critical damping: an impact without rebound.
                     "d": 2.0 * float(np.sqrt(k * conditions.storage)),
                     "q_max": q_max,
                     "q_min": q_min,
@@ -326,6 +337,7 @@ class EndStop(Effect):
         """The stops moved by parts of what the machine travels in a sample: each moment of contact
         is a small summit.
         """
+        # Nearly the fastest travel of a sample: a single jump in the record does not count.
         motion = float(np.quantile(np.abs(np.diff(conditions.variables["position"])), 0.9))
         moves = [part * motion for part in (-0.3, -0.05, 0.05, 0.3)]
         return [

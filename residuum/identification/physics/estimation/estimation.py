@@ -151,6 +151,7 @@ def windows(experiment: Experiment, samples: int) -> list[Experiment]:
     half is dropped).
     """
     starts = range(0, experiment.n, samples)
+    # Each window is a record with first states of its own, known only where the record begins.
     cut = [experiment.window(start, min(start + samples, experiment.n)) for start in starts]
     return [part for part in cut if part.n >= max(2, samples // 2)]
 
@@ -234,6 +235,8 @@ class _Problem:
         self.theta0 = np.array([parameters[name].value for name in names])
         self.priors = Priors.of(parameters, names)
         self.index = simulator.columns(names)
+        # Where everything about first states is known there is nothing to eliminate: one sum over
+        # all experiments saves a loop.
         self.states = () if self._all_known(simulator.free_states) else simulator.free_states
         self.summed = (
             self.experiments if self.states or len(experiments) == 1 else [_end_to_end(experiments)]
@@ -243,6 +246,7 @@ class _Problem:
         self.measured = np.any([e.measured for e in experiments], axis=0)
         self.substeps = [0] * len(experiments)
         self._kept: tuple[object, Runs] | None = None
+        # An output that no experiment measured has no weight.
         self.weights = np.where(self.measured, 1.0, 0.0)
 
     def _all_known(self, states: Sequence[str]) -> bool:
@@ -262,6 +266,7 @@ class _Problem:
 
         The last ones are kept where they take long: weights change more often than values.
         """
+        # Bytes, not values: two vectors are the same run only to the last bit.
         key = (p.tobytes(), *(x.tobytes() for x in initial), *slopes, *self.substeps)
         if self._kept is not None and self._kept[0] == key:
             return self._kept[1]
@@ -270,6 +275,8 @@ class _Problem:
         )
         if self.summed is not self.experiments:
             runs = replace(runs, experiments=self.summed, starts=runs.starts[[0, -1]])
+        # Only such runs take long: each is a call of a library. Others are cheaper than what would
+        # be kept.
         if self.simulator.model.foreign is not None:
             self._kept = (key, runs)
         return runs
@@ -282,6 +289,7 @@ class _Problem:
         p = self.p(self.theta0)
         self.substeps = self.simulator.substeps_each(self.experiments, starts, p)
         self.weights = self._scales()
+        # Three steps: outputs are not linear in first values.
         for _ in range(3):
             for number, x0 in enumerate(starts):
                 starts[number] = self._fit_states(number, x0, p)
@@ -299,6 +307,7 @@ class _Problem:
                 [self.experiments[number]], [x], p, slopes=slopes, substeps=[self.substeps[number]]
             )
 
+        # Slopes by the states alone: the parameters are held here.
         before = run(x0, self.slopes[len(self.names) :])
         if not before.bounded:
             return x0
@@ -312,12 +321,14 @@ class _Problem:
         if not after.bounded:
             return x0
         ((r_there, _),) = self._weighted(after)
+        # A step that makes it worse is not taken; there is no damping here, the descent has it.
         return trial if r_there @ r_there < r @ r else x0
 
     def _scales(self) -> Array:
         spread = np.nanstd(
             np.concatenate([e.Y for e in self.experiments])[:, self.measured], axis=0
         )
+        # 1/spread makes outputs of any units comparable before anything is known of their noise.
         weights = np.zeros(self.measured.size)
         weights[self.measured] = 1.0 / np.where(spread > 0, spread, 1.0)
         return weights
@@ -337,6 +348,7 @@ class _Problem:
             else substeps
         )
         point, iterations, converged = self._walked(initial)
+        # Steps that the caller gave are those of a comparison: every candidate takes the same.
         if substeps is None and self._too_coarse(point):
             point, used, converged = self._walked(initial)
             iterations += used
@@ -368,8 +380,11 @@ class _Problem:
                 f" {MAY_DIVERGE}"
             )
         point, iterations, converged = self._descend(point)
+        # Iterated: the weights are 1/RMS of the residuals, which follow from the weights.
         for _ in range(self._reweightings()):
             before, self.weights = self.weights, self._from_residuals(point)
+            # Beside priors the absolute size of the weights counts, so they have to settle;
+            # without, only their ratios do.
             if self.priors.count and np.allclose(self.weights, before, rtol=_WEIGHED):
                 break
             point, used, converged = self._descend(self.point((point.theta, point.initial)))
@@ -395,6 +410,7 @@ class _Problem:
         stacked = np.concatenate(
             [e.Y - y for e, y in zip(self.summed, point.predicted, strict=True)]
         )[:, self.measured]
+        # A model that meets an output exactly would give it an infinite weight.
         floor = 1e-9 / self._scales()[self.measured]
         weights = np.zeros(self.measured.size)
         weights[self.measured] = 1.0 / np.maximum(np.sqrt(np.nanmean(stacked**2, axis=0)), floor)
@@ -425,7 +441,10 @@ class _Problem:
         wanted = np.concatenate(
             [cross.swapaxes(1, 2), np.array(point.own_gradient)[:, :, None]], axis=2
         )
+        # H_xx⁻¹ (H_xθ, g_x) of each experiment: its own states' best answer (Schur complement).
         eliminated = solve_scaled(damped(np.array(point.own), damping), wanted)
+        # What first states take off curvature and gradient: a parameter that they imitate keeps
+        # little of either.
         absorbed = np.einsum("kqm,kmc->qc", cross, eliminated)
         return (
             damped(point.hessian, damping) - absorbed[:, :-1],
@@ -436,6 +455,7 @@ class _Problem:
     def _promised(self, point: _Point) -> float:
         """By how much the cost falls with the whole step, if the outputs go on as they begin to."""
         H, g, eliminated = self._eliminated(point, 0.0)
+        # gᵀH⁻¹g of the whole system, in its two parts.
         own = sum(float(b @ z[:, -1]) for b, z in zip(point.own_gradient, eliminated, strict=True))
         return own + float(g @ solve_scaled(H, g[:, None])[:, 0])
 
@@ -445,6 +465,7 @@ class _Problem:
         """
         H, g, eliminated = self._eliminated(point, damping)
         step = bounded_step(H, g, point.theta, self.lower, self.upper)
+        # Rounding may lead past a bound by its last digit.
         theta = np.clip(point.theta + step, self.lower, self.upper)
         moved = theta - point.theta
         if not self.states:
@@ -452,6 +473,8 @@ class _Problem:
         initial = []
         for x0, solved in zip(point.initial, eliminated, strict=True):
             x = x0.copy()
+            # The states' answer to their own gradient, less what the move of the parameters takes
+            # of it.
             x[self.state_index] += solved[:, -1] - solved[:, :-1] @ moved
             initial.append(x)
         return theta, initial
@@ -466,6 +489,7 @@ class _Problem:
             self.priors.cost(theta),
         )
         point = _Point(theta, initial, [], pull, precision, [], [], [], cost)
+        # Infinite: the descent takes it for a step too far, and damps.
         if not runs.bounded:
             point.cost = np.inf
             return point
@@ -498,7 +522,9 @@ class _Problem:
         blocks = runs.in_blocks if self.settings.blocks else lambda values: (values, runs.starts)
         errors, starts = blocks(runs.errors)
         known = np.isfinite(errors)
+        # An output without weight has no rows.
         known[:, ~self.measured] = False
+        # Rows of zeros count nothing in the sums, and keep their places for the filters.
         r = np.where(known, errors, 0.0) * self.weights
         J = None if runs.dY is None else blocks(runs.dY)[0] * self.weights[:, None]
         if not self.slopes:  # nothing is estimated: a model without states and free parameters
@@ -530,6 +556,7 @@ class _Problem:
             filtered[:, o] = scipy.signal.lfilter(
                 self.settings.filters[o], [1.0], signals[:, o], axis=0
             )
+        # A filter carries neighbours into a missing sample: that row was not measured.
         filtered[~known] = 0.0
         return filtered
 
@@ -560,18 +587,22 @@ class _Problem:
 
     def _result(self, point: _Point, iterations: int, converged: bool) -> Estimate:
         cross = np.array(point.cross)
+        # Without damping: the covariance of the parameters, first states free.
         reduced = point.hessian - np.einsum(
             "kqm,kmc->qc", cross, solve_scaled(np.array(point.own), cross.swapaxes(1, 2))
         )
         samples = sum(int(np.sum(np.isfinite(e.Y[:, self.measured]))) for e in self.experiments)
         unknowns = len(self.names) + len(self.experiments) * len(self.states)
+        # σ² of a weighted residual, by the degrees of freedom that are left.
         variance = point.cost / max(samples + self.priors.count - unknowns, 1)
         covariance, flat = covariance_of(reduced, variance, self.names, point.theta)
         model = self.simulator.model.with_values(
             dict(zip(self.names, point.theta.tolist(), strict=True))
         )
+        # Not within a tolerance: the active set puts values on their bound exactly.
         bound = (point.theta <= self.lower) | (point.theta >= self.upper)
         ends = np.cumsum([e.n for e in self.experiments])[:-1]
+        # Summed experiments come apart again: residuals are told of each record.
         predicted = np.split(np.concatenate(point.predicted), ends)
         return Estimate(
             model=model,

@@ -37,6 +37,8 @@ if TYPE_CHECKING:
 
 Array = npt.NDArray[np.float64]
 
+# Noise and parameters in turn: each is found with the other held. Most end earlier, where no value
+# moves by 1e-4.
 ROUNDS = 3
 STEPS = 12
 _ENOUGH = 1e-3  # of log L
@@ -61,6 +63,7 @@ def estimate_by_likelihood(
     likelihood = _Likelihood(model, list(experiments), names, start.initial)
     theta = np.array([model.values[name] for name in names])
     converged, iterations = False, 0
+    # The noise first, at these values; then values at that noise.
     for _ in range(ROUNDS):
         likelihood.tune(theta)
         reached, used, end = descend(likelihood, likelihood.point(theta), steps=STEPS, fall=_ENOUGH)
@@ -71,8 +74,10 @@ def estimate_by_likelihood(
         if settled:
             break
     last = likelihood.point(theta)
+    # Variance 1: innovations are normalised, so H is already that of log L.
     covariance, flat = covariance_of(last.hessian, 1.0, names, theta)
     final = model.with_values(dict(zip(names, theta.tolist(), strict=True)))
+    # Told are simulations: a filter's predictions follow the record whatever the model lacks.
     simulated = estimate(final, experiments, free=(), initial=start.initial, settings=Settings())
     bound = (theta <= likelihood.lower) | (theta >= likelihood.upper)
     return replace(
@@ -136,6 +141,7 @@ class _Likelihood:
             self.experiments, self.initial, self.substeps, strict=True
         ):
             run = kalman.run(experiment, x0, substeps=steps, smooth=False)
+            # One experiment that diverges makes the whole impossible.
             if not np.isfinite(run.log_likelihood):
                 return np.zeros(0), np.inf
             parts.append((run.innovations / np.sqrt(run.variances))[np.isfinite(run.innovations)])
@@ -146,9 +152,13 @@ class _Likelihood:
         """Jacobian of the innovations by forward differences (backward at an upper bound)."""
         J = np.zeros((innovations.size, theta.size))
         for k in range(theta.size):
+            # Forward differences: a filter run a parameter. The filter has no sensitivities of its
+            # own.
             step = 1e-5 * max(abs(theta[k]), 1e-6)
+            # Beyond a bound there may be no model.
             step = -step if theta[k] + step > self.upper[k] else step
             moved, cost = self.innovations(theta + step * (np.arange(theta.size) == k))
+            # Towards a model that diverges nothing is known of the slope: no step goes there.
             J[:, k] = (moved - innovations) / step if np.isfinite(cost) else 0.0
         return J
 

@@ -55,6 +55,7 @@ class OwnSimulation:
             self.says = "it refuses its parameters"
             return Y
         between = U.copy()
+        # The mean over a step of an input that moves evenly; one that is held keeps its value.
         between[:-1] += 0.5 * hold * np.diff(U, axis=0)
         reached = self._steps(U, between, dt, Y)
         if reached < len(U):
@@ -68,6 +69,7 @@ class OwnSimulation:
             max(2 * len(U) - 1, 1),
             dtype=[("time", float), *((v.name, float) for v in described.inputs)],
         )
+        # Each time twice, with the value before and after: fmpy interpolates, and inputs are held.
         held["time"][::2], held["time"][1::2] = time, time[1:]
         for k, variable in enumerate(described.inputs):
             held[variable.name][::2], held[variable.name][1::2] = U[:, k], U[:-1, k]
@@ -88,6 +90,7 @@ class OwnSimulation:
         except Exception as error:
             self.says = in_one_line(error)
             return np.full((len(U), len(described.outputs)), np.nan)
+        # The last row at or before each sample: events may have added rows at its time.
         at = np.clip(np.searchsorted(trajectory["time"], time + 1e-3 * dt) - 1, 0, None)
         return np.stack([np.asarray(trajectory[v.name])[at] for v in described.outputs], axis=1)
 
@@ -134,6 +137,8 @@ def _compiled(instance: Instance) -> tuple[Any, tuple[Any, ...]]:
             if k + 1 == n:
                 return n
             if nu > 0:
+                # Outputs at a sample were asked for with the inputs there; the step takes their
+                # mean.
                 put(between.ctypes.data + 8 * nu * k)
             if step(k * dt, dt) > ACCEPTED:
                 return k + 1

@@ -93,7 +93,9 @@ def load(instance: Instance, asked: Sequence[str] = ()) -> LoadedLibrary:
     given = differentiated(instance, start, asked)
     own = tuple(name for name in asked if name in given)
     nx, nu, ny = len(description.states), len(description.inputs), len(description.outputs)
+    # n: time, states, inputs, parameters; m: rates, outputs.
     n, m = 1 + nx + nu + len(own), nx + ny
+    # NaN is no point: the first question is always asked of the FMU.
     memory = np.full(3 * n + 4 * m + m * n + n, np.nan)
     variables = (
         *description.inputs,
@@ -109,6 +111,7 @@ def load(instance: Instance, asked: Sequence[str] = ()) -> LoadedLibrary:
     by_derivative = np.array([False, *known, *(True for _ in own)], dtype=np.bool_)
     mutex = np.zeros(16, dtype=np.int64)
     functions = _functions(instance)
+    # Addresses of these stand in compiled code, which Python does not count as a reference.
     _KEPT.extend([instance, functions, memory, references, mutex])
     value, slope = _compiled(
         functions,
@@ -215,12 +218,14 @@ def _compiled(  # noqa: C901, PLR0915  compiled functions that share what they c
         f["lock"],
         f["unlock"],
     )
+    # Offsets in bytes: value references are 4 bytes each, doubles 8.
     at, guard, ins = memory.ctypes.data, mutex.ctypes.data, references.ctypes.data
     outs, unknowns = ins + 4 * nu, ins + 4 * (nu + ny)
     knowns = unknowns + 4 * m
     room = memory.size
     exact = tuple(map(bool, by_derivative))
 
+    # Which of two signatures a call has depends on the version of FMI: settled before compiling.
     put, take = by_reference(f, component, (ins, nu), (outs, ny))
     differentiate = _by_direction(f, component, unknowns, m)
 
@@ -242,6 +247,7 @@ def _compiled(  # noqa: C901, PLR0915  compiled functions that share what they c
         if nx > 0:
             status = max(status, rates(component, values, nx))
         status = max(status, take(values + 8 * nx))
+        # A discarded or failed call leaves numbers of another point.
         if status > ACCEPTED:
             for k in range(m):
                 v[k] = np.nan
@@ -298,6 +304,7 @@ def _compiled(  # noqa: C901, PLR0915  compiled functions that share what they c
             for i in range(n):
                 cache[point + i] = a[i]
                 cache[known + i] = 0.0
+        # A column is computed when it is first asked for at a point.
         if cache[known + j] != 1.0:
             column(j, cache)
             cache[known + j] = 1.0
@@ -324,12 +331,14 @@ def differentiated(instance: Instance, start: Array, asked: Sequence[str]) -> se
     if described.exchange is None or not described.exchange.differentiates:
         return set()
     rng = np.random.default_rng(0)
+    # Around the start: at one point alone a slope may be zero by chance.
     points = [start + rng.normal(size=start.size) for _ in range(_POINTS)]
     right = {
         name
         for name, reference, step, move in _moves(instance, start.size, asked)
         if _is_right(instance, reference, step, move, points)
     }
+    # The trial moved states and parameters: simulations begin anew.
     instance.begin({})
     return right
 

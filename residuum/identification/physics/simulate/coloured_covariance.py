@@ -52,13 +52,17 @@ def coloured_covariance(result: Estimate | Fit, experiments: Sequence[Experiment
     for o in map(int, np.flatnonzero(result.weights > 0)):
         A, variance = _colour([r[:, o] for r in result.residuals])
         for J in slopes:
+            # A⁻ᵀJ, the derivatives filtered backwards in time: Jᵀ Γ J = σ² (A⁻ᵀJ)ᵀ(A⁻ᵀJ).
             filtered = all_pole(A, J[::-1, o])
             H += J[:, o].T @ J[:, o]
             spread += variance * result.weights[o] ** 2 * filtered.T @ filtered
     H += np.diag(result.priors.precisions)
+    # A prior is news of its own: P in H, σ²P in the middle.
     spread += np.diag(result.priors.precisions) * _variance(result)
+    # Variance 1: that of the noise stands in the middle already.
     inverse, _ = covariance_of(H, 1.0, result.parameters, result.theta)
     open_ = np.isinf(np.diag(inverse))
+    # Infinity times zero would spoil the other parameters.
     finite = np.where(np.isfinite(inverse), inverse, 0.0)
     covariance = finite @ spread @ finite
     covariance[open_, open_] = np.inf
@@ -84,6 +88,7 @@ def _reduced_slopes(result: Estimate | Fit, number: int, experiment: Experiment)
     J = np.where(known[:, :, None], dY * result.weights[:, None], 0.0)
     flat = J.reshape(-1, len(names))
     own, wanted = flat[:, len(result.parameters) :], flat[:, : len(result.parameters)]
+    # What the first states can imitate tells nothing of the parameters.
     projected = wanted - own @ solve_scaled(own.T @ own, own.T @ wanted)
     return np.asarray(projected.reshape(*experiment.Y.shape, -1))
 
@@ -92,6 +97,7 @@ def _colour(residuals: Sequence[Array]) -> tuple[Array, float]:
     """Autoregression of one output's residuals, no product taken across two experiments; white
     where they are too few.
     """
+    # NaN between two experiments: no product is taken across.
     joined = np.concatenate([part for r in residuals for part in (r, [np.nan])])
     try:
         return fit_autoregression(joined)

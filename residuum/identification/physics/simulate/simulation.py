@@ -65,7 +65,9 @@ class Possible:
                 for name in balance.storage.names
                 if name in model.parameters and name in index
             }
+            # der() counts as 1: what is left multiplies the derivative.
             now = evaluate(balance.storage.tree, values)
+            # Where a state or an input is in the storage, parameters alone say nothing of its sign.
             if names and now and math.isfinite(now):
                 storages.append((balance.storage, names, math.copysign(1.0, now)))
         return cls(tuple((index[low], index[high]) for low, high in pairs), tuple(storages))
@@ -78,6 +80,7 @@ class Possible:
             evaluate(s.tree, {n: float(p[k]) for n, k in names.items()}) * sign
             for s, names, sign in self.storages
         )
+        # Not `> 0`: a NaN (a root of a negative number) is left to the simulation.
         return all(not size <= 0.0 for size in sizes)
 
 
@@ -211,6 +214,7 @@ class Simulator:
         self.kernel: Kernel = kernel_of(model)
         self._index = {name: k for k, name in enumerate(self.kernel.parameters)}
         self._state = {name: k for k, name in enumerate(self.kernel.states)}
+        # Missing terms are no parameters of the model: zero until a filter estimates them.
         values = model.values
         self._p = np.array([values.get(name, 0.0) for name in self.kernel.parameters])
         self.possible = Possible.of(model, self._index)
@@ -325,6 +329,7 @@ class Simulator:
         Parameters that no machine has (`Possible`) give NaN as a model that diverges does: no
         estimation goes there.
         """
+        # none: no columns, for outputs alone.
         x0, steps, none = np.array(initial), np.array(substeps), self.columns(())
         joined = self._joined(experiments, p)
         X, Y, dY = self._simulated(joined, x0, p, steps, self.columns(slopes))
@@ -336,6 +341,8 @@ class Simulator:
         if not self.possible(p):
             X, Y, dY = (np.full_like(values, np.nan) for values in (X, Y, dY))
         for k, e in enumerate(experiments):
+            # What an experiment knows of its first states is not estimated there: its slope is
+            # nothing.
             if e.known and slopes:
                 of_known = [name.removeprefix("initial:") in e.known for name in slopes]
                 dY[joined.starts[k] : joined.starts[k + 1], :, of_known] = 0.0
@@ -343,6 +350,7 @@ class Simulator:
 
     def _joined(self, experiments: Sequence[Experiment], p: Array) -> Joined:
         """The experiments end to end, what is foreign simulated along them first."""
+        # What is foreign simulates itself first; its outputs are inputs here.
         if foreign := self.model.foreign:
             with foreign.lock:
                 experiments = foreign.along(experiments, self._foreign_values(p))
@@ -354,6 +362,7 @@ class Simulator:
         """Write the slopes by parameters that no equation names: differences of whole
         simulations.
         """
+        # A step for each such parameter was chosen when the model was made.
         steps = self.model.foreign.steps if self.model.foreign else {}
         for column, name in enumerate(slopes):
             if name not in steps:
@@ -372,6 +381,7 @@ class Simulator:
         self, joined: Joined, initial: Array, p: Array, substeps: Integers, columns: Integers
     ) -> tuple[Array, Array, Array]:
         q, at = self.kernel.system, joined
+        # Columns cost about as much as the states: counted so, work is alike on all machines.
         count_samples(int(np.diff(at.starts) @ substeps) * (1 + len(columns)))
         with self._settled(p) as settled:
             X, Y, dY = integration.simulate(
@@ -386,6 +396,7 @@ class Simulator:
                 at.follows,
                 columns,
             )
+        # A library that refuses these values: no machine has them.
         if not settled:
             X, Y, dY = (np.full_like(values, np.nan) for values in (X, Y, dY))
         return X, Y, dY
@@ -474,6 +485,7 @@ class Simulator:
         steps = np.ones(len(experiments), dtype=np.int64)
         for _ in range(4):
             X, *_ = self._simulated(joined, X0, p, steps, none)
+            # Never fewer again: the coarser run may have left out what is stiff.
             needed = np.maximum(self._needed_along(joined, X, p), steps)
             if np.all((needed <= steps) | (steps >= MOST_SUBSTEPS)):
                 break
@@ -499,6 +511,7 @@ class Simulator:
         tolerances = [
             _EXACT * _noise(e.Y, runs[k]) + _LEAST * _spread(e.Y) for k, e in enumerate(parts)
         ]
+        # Steps are doubled for those experiments whose outputs still change visibly.
         for _ in range(_DOUBLINGS):
             open_ = open_[2 * steps[open_] <= MOST_SUBSTEPS]
             if not open_.size:
@@ -508,6 +521,9 @@ class Simulator:
                 visible = _visible(finer, runs[k], tolerances[k])
                 if not visible > 1.0:
                     continue
+                # The error of Runge and Kutta falls 16 times a doubling. Where the change hardly
+                # falls it is none of the steps: a chaotic or switching model, which finer steps do
+                # not mend.
                 if visible > _SETTLING * before[k]:
                     steps[k] = first[k]
                     continue
@@ -529,6 +545,7 @@ class Simulator:
         them before the next sample.
         """
         lengths = np.diff(joined.starts)
+        # Without states there is nothing to integrate.
         if not X.shape[1]:
             return np.ones(len(lengths))
         along = np.linspace(0, lengths - 1, max(_LOOKS, _ALL_LOOKS // len(lengths)), axis=1).astype(
@@ -541,6 +558,7 @@ class Simulator:
         )
         beyond = X.copy()
         with np.errstate(over="ignore", invalid="ignore"):  # of a run that diverges
+            # Where the last change leads on to: a stop just behind the extreme is met there.
             beyond[at] += X[at] - X[before]
         looks = ((X, np.concatenate([along, far], axis=1)), (beyond, far))
         return np.max(
@@ -563,9 +581,11 @@ class Simulator:
                 joined.holds,
                 np.where(finite, samples, 0),
             )
+        # A sample without finite slopes tells nothing; eigenvalues of it would raise.
         finite &= np.all(np.isfinite(A), axis=(2, 3))
         A[~finite] = 0.0
         steps = np.max(_steps_for(A) * joined.sample_times[:, None], axis=1, initial=1.0)
+        # Nothing finite: the run diverged, and finer steps are tried.
         return np.where(np.any(finite, axis=1), steps, np.inf)
 
 
@@ -603,6 +623,7 @@ class Joined:
             np.concatenate([[0], np.cumsum([len(u) for u in inputs])]).astype(np.int64),
             np.array([e.sample_time for e in experiments]),
             np.array([e.hold for e in experiments]),
+            # The first follows none.
             np.array([0] + [b.follows(a) for a, b in pairwise(experiments)], dtype=np.int64),
         )
 
@@ -623,6 +644,7 @@ def _noise(measured: Array, simulated: Array) -> Array:
     """Size of each output's fast noise, from the steps of the error between samples; 0 where it was
     not measured.
     """
+    # Neighbouring errors differ by the noise: what the model lacks moves slowly.
     steps = np.abs(np.diff(measured - simulated, axis=0))
     known = np.any(np.isfinite(steps), axis=0)
     return np.where(
@@ -639,6 +661,7 @@ def _spread(measured: Array) -> Array:
 def _steps_for(A: Array) -> Array:
     """Steps a second that the eigenvalues of each matrix (…, NX, NX) ask for, shape (…)."""
     eigenvalues = np.linalg.eigvals(A)
+    # Nearly real eigenvalues count as decaying, for which larger steps are allowed.
     oscillating = np.abs(eigenvalues.imag) > 0.05 * np.abs(eigenvalues.real)
     return np.asarray(
         np.max(
