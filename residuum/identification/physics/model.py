@@ -279,10 +279,12 @@ class PhysicalModel:
         sites = []
         if balance := self.balances.get(target):
             sites.append(Site(balance.kind, target, balance.unit, self._roles(balance)))
+        # Kinds of balances and of paths share no name: `acts_on` tells which one is meant.
         for kind, signals in (("input", self.inputs), ("output", self.outputs)):
             if target in signals:
                 sites.append(Site(kind, target, signals[target].unit))
         if sites:
+            # Where the effect acts on none of them, the first is what its refusal speaks of.
             return next((site for site in sites if site.kind in effect.acts_on), sites[0])
         known = known_names(target, [*self.balances, *self.inputs, *self.outputs], "there are")
         raise BadModel(f"model {self.name!r}: {target!r} is no balance, input or output; {known}")
@@ -470,6 +472,7 @@ def _declared(
         declared[name] = replace(
             declared[name], value=checked_value(f"effect {effect.id!r}", declared[name], value)
         )
+    # After all values are in: each may have moved one of the pair.
     for low in declared.values():
         if low.below and not low.value < declared[low.below].value:
             raise BadModel(
@@ -565,6 +568,7 @@ def _on_tied_targets(model: PhysicalModel, effects: Sequence[Effect]) -> list[Ke
 
 def _targets(model: PhysicalModel) -> dict[str, list[str]]:
     """Where effects of each kind of place may be put: balances, inputs that drive, outputs."""
+    # An input that is a condition of a balance (its surroundings) has no actuator.
     no_drive = {
         name for balance in model.balances.values() for name in balance.variables.values()
     } | set(idle_inputs(model))
@@ -582,6 +586,7 @@ def idle_inputs(model: PhysicalModel) -> list[str]:
     used |= {
         name for balance in model.balances.values() for name in balance.variables.values()
     } | set(CHANNELS)
+    # An effect that is tied to a signal names it in its target.
     used |= {name for use in model.effects for name in (use.target, *tied_to(use.target))}
     return [name for name in model.inputs if name not in used]
 

@@ -39,6 +39,7 @@ def unsettled(estimated: Estimate, start: Estimate | None = None) -> tuple[str, 
         residuals are not what fell.
     """
     says = []
+    # Short of a minimum nothing else need be said of where it stands.
     if not estimated.converged:
         says.append(f"the search stopped after {estimated.iterations} steps, short of a minimum")
     elif estimated.promised > PROMISED and not estimated.at_bound:
@@ -94,6 +95,7 @@ def disagreement(estimated: Estimate) -> tuple[str, ...]:
             continue
         off = abs(value - prior.mean) / np.sqrt(prior.std**2 - s**2)
         if off > DISAGREE:
+            # The precision of the data alone, and the value that they alone would give.
             data = 1.0 / s**2 - 1.0 / prior.std**2
             alone = prior.mean + (value - prior.mean) / (s**2 * data)
             before = f"{prior.mean:g} ± {prior.std:g} before"

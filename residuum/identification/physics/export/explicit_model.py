@@ -306,6 +306,7 @@ def _directions(equations: Equations, states: Mapping[str, str], taken: set[str]
 
 
 def _undelayed(model: PhysicalModel) -> Equations:
+    # Texts have no symbols that are defined elsewhere.
     equations = compose(model).written_out()
     if any(sp.sympify(e).has(Root) for e in (*equations.rates, *equations.outputs.values())):
         raise BadModel(
@@ -343,6 +344,7 @@ def _identifiers(names: Iterable[str], taken: set[str]) -> dict[str, str]:
     """Name → an identifier that no other name has."""
     identifiers = {}
     for name in names:
+        # With numbers from 2 on, as effects of one kind have.
         plain = new = _identifier(name)
         count = 2
         while new in taken:

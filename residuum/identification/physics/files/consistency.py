@@ -190,6 +190,7 @@ def _is_number(text: str) -> bool:
 
 def _states_have_rates(model: PhysicalModel, tree: Table) -> None:
     declared = [tree.table(section, "model file").keys for section in ("parameters", "states")]
+    # A value for each record was declared among the parameters.
     places = dict(declared[0]) | dict(declared[1])  # of a value for each record: its parameter's
     owners: dict[str, str] = {}
     for balance in model.balances.values():
@@ -308,6 +309,8 @@ def _with_roles(model: PhysicalModel) -> PhysicalModel:
     for name, balance in model.balances.items():
         (own,) = owners_of(balance)[:1] or ("",)
         places = [state.name for state in model.states.values() if own and state.rate == own]
+        # What a balance stores the derivative of is its variable; a state whose rate that is, its
+        # position.
         roles = dict.fromkeys(("velocity", "current", "temperature", "level"), own) | {
             "position": (*places, "")[0]
         }
@@ -316,6 +319,7 @@ def _with_roles(model: PhysicalModel) -> PhysicalModel:
             for role in BALANCE_KINDS[balance.kind][1]
             if role not in balance.variables
             and roles.get(role)
+            # In the unit of that role alone: a storage of der(x) may be anything.
             and _is_in(model.states[roles[role]].unit, role, balance.kind)
         }
         balances[name] = replace(
@@ -400,6 +404,7 @@ def _check_linear(balance: Balance, variable: str, zero: Mapping[str, float]) ->
 
 
 def _reaches(needs: Mapping[str, set[str]], start: str, goal: str) -> bool:
+    # Along the names, in any number of steps.
     visited, open_ = set(), set(needs[start])
     while open_:
         name = open_.pop()
@@ -449,6 +454,7 @@ def _with_units(model: PhysicalModel) -> PhysicalModel:
             u for name in declared if (u := model.unit_of(name)) not in ("", "1", "%", "percent")
         )
     )
+    # Coefficients without a unit: normalised models hide units in them.
     plain = {name for name, parameter in model.parameters.items() if parameter.unit in ("", "1")}
     balances = {
         name: _with_unit(balance, names, units, plain) for name, balance in model.balances.items()

@@ -181,6 +181,7 @@ def _power(tree: Operation, operands: list[Dimension]) -> Dimension:
         raise tree.place.refuse(
             f"unit clash: an exponent must be a plain number, not in {exponent}"
         )
+    # A plain number stays one, whatever the exponent.
     if base.agrees(PLAIN):
         return base
     power = _literal(tree.operands[1])
@@ -188,6 +189,7 @@ def _power(tree: Operation, operands: list[Dimension]) -> Dimension:
         raise tree.place.refuse(
             f"unit clash: something in {base} can only be raised to a literal number"
         )
+    # 0.3333 is meant as a third.
     return base ** Fraction(power).limit_denominator(64)
 
 

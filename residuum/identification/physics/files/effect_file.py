@@ -87,6 +87,8 @@ class WrittenEffect(Effect):
         )
         self.sizes = tuple(n for n, entry in definition["parameters"].items() if entry.get("size"))  # type: ignore[misc]
         self.needs = tuple(role for role in ROLE_UNITS if role in _names(equation, states))  # type: ignore[misc]
+        # An exact standstill exists only once there is some friction: derivatives at zero are taken
+        # a little above.
         self.rest = 0.001 if "sign" in equation.text else 0.0  # type: ignore[misc]
         self._equation, self._states = equation, dict(states)
 
@@ -126,10 +128,12 @@ class WrittenEffect(Effect):
         open_ = [name for name in self.sizes if values[name] == 0.0]
         if not open_:
             return [values]
+        # The term is taken to be proportional to its sizes: at 1 it says how large they have to be.
         unit_sizes = values | dict.fromkeys(open_, 1.0)
         largest = self._largest(unit_sizes, conditions)
         known = {p.name: p for p in self._own}
         size = _FIRST * conditions.magnitude / largest
+        # A size that may be negative is tried both ways.
         signs = (1.0, -1.0) if any(known[n].lower < 0.0 for n in open_) else (1.0,)
         return [
             values | {n: float(np.clip(sign * size, known[n].lower, known[n].upper)) for n in open_}
@@ -292,6 +296,7 @@ def _check(
     allowed = own | ({"signal"} if on_path else {*ROLE_UNITS, "supply"})
     _check_names(tag, equation, states, allowed)
     sizes = [name for name, entry in definition["parameters"].items() if entry.get("size")]
+    # What states do at zero sizes cannot be seen in the equation alone.
     if not sizes or states:
         return
     _check_vanishes(tag, equation, allowed, sizes, on_path)
@@ -316,6 +321,7 @@ def _check_vanishes(
 ) -> None:
     """Where its sizes are zero an effect adds nothing, or leaves the signal as it is."""
     names = {n: sp.Symbol(n, real=True) for n in allowed} | dict.fromkeys(sizes, sp.S.Zero)
+    # What is left with sizes of zero: nothing of a term, the signal itself of a path.
     nothing = symbolic(equation.tree, names, {}) - (names["signal"] if on_path else 0)
     if sp.simplify(nothing) != 0:
         raise equation.place.refuse(
@@ -331,6 +337,7 @@ def _check_units(label: str, equation: Expression, definition: Mapping[str, Any]
         dimension = dimension_of(
             equation.tree, {name: dimension_of_unit(unit) for name, unit in units.items()}
         )
+    # It names a role that this kind of balance has no unit for: nothing to check by.
     except KeyError:
         return
     expected = dimension_of_unit(BALANCE_KINDS[kind][0])

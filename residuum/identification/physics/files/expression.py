@@ -60,6 +60,7 @@ FUNCTIONS: Mapping[str, tuple[int, int]] = {
 COMPARISONS = ("<=", ">=", "==", "!=", "<", ">")
 MOST_KNOTS, MOST_VALUES = 200, 1000
 """Of a table of one place, and of one of two places."""
+# Texts come from anybody: what one may ask of the reader is bounded.
 LONGEST_EXPRESSION = 20_000
 DEEPEST_EXPRESSION, LARGEST_EXPONENT = 60, 20
 MOST_IN_A_ROW = 200
@@ -179,11 +180,13 @@ def walk(tree: Node) -> Iterator[Node]:
     seen, open_ = set[int](), [tree]
     while open_:
         node = open_.pop()
+        # By identity: definitions are shared nodes, and equal ones may stand in many places.
         if id(node) in seen:
             continue
         seen.add(id(node))
         yield node
         if isinstance(node, Operation | Call):
+            # Reversed onto a stack: the first operand is walked first.
             open_ += reversed(node.operands)
 
 
@@ -195,6 +198,7 @@ def folded(tree: Node, combine: Callable[[Node, list[T]], T]) -> T:
     while open_:
         node = open_[-1]
         operands = node.operands if isinstance(node, Operation | Call) else ()
+        # A stack of its own, not Python's: a tree may be deeper than its calls may go.
         waiting = [operand for operand in operands if id(operand) not in done]
         if waiting:
             open_ += reversed(waiting)
@@ -247,6 +251,7 @@ def with_definitions(expression: Expression, definitions: Mapping[str, Expressio
     _check_size(tree, expression.place)
     text, where = _written_out(expression, used)
     if len(text) > LONGEST_EXPRESSION:
+        # Formulas that name formulas grow with every level: from here on the names stay.
         text, where = expression.text, used
     return Expression(text, tree, where)
 
@@ -268,6 +273,8 @@ def _check_size(tree: Node, place: Place) -> None:
     """BadModel for a tree that is too large or too deep for the questions that are asked of it."""
 
     def measures(node: Node, inner: list[tuple[int, int, int]]) -> tuple[int, int, int]:
+        # A sum in a sum is one sum to a reader: a + b + c counts as one depth, though its tree has
+        # two.
         depths = [depth + 1 for _, depth, _ in inner]
         if _is_sum(node) and _is_sum(node.operands[0]):
             depths[0] -= 1
@@ -325,6 +332,7 @@ def evaluate(tree: Node, values: Mapping[str, float]) -> float:
             return float(
                 _MEANING[node.operator if isinstance(node, Operation) else node.function](*numbers)
             )
+        # TypeError: a negative number to a fractional power is complex.
         except (ZeroDivisionError, ValueError, OverflowError, TypeError):
             return math.nan
 
@@ -419,6 +427,7 @@ def smooth(
     for (a, b), (low, high), (at_a, at_b) in zip(
         pairwise(places), pairwise(values), pairwise(slopes), strict=True
     ):
+        # Each piece adds what it rises by: outside of it t is 0 or 1, so that the sum is the curve.
         t = (within(x, a, b) - a) / (b - a)
         total += t * t * (3 - 2 * t) * (high - low) + t * (1 - t) * (b - a) * (
             (1 - t) * at_a - t * at_b
@@ -429,18 +438,22 @@ def smooth(
 def _monotone_slopes(
     places: Sequence[Any], values: Sequence[Any], where_positive: Callable[[Any, Any, Any], Any]
 ) -> list[Any]:
+    # Widths and slopes of the pieces.
     h = [b - a for a, b in pairwise(places)]
     m = [(b - a) / width for (a, b), width in zip(pairwise(values), h, strict=True)]
     if len(m) == 1:
         return [m[0], m[0]]
 
     def end(h0: Any, h1: Any, m0: Any, m1: Any) -> Any:
+        # One-sided three-point slope, cut where it would turn or overshoot.
         d = ((2 * h0 + h1) * m0 - h0 * m1) / (h0 + h1)
         bounded = where_positive(-m0 * m1, where_positive(abs(d) - 3 * abs(m0), 3 * m0, d), d)
         return where_positive(d * m0, bounded, 0 * m0)
 
     inner = []
     for (h0, h1), (m0, m1) in zip(pairwise(h), pairwise(m), strict=True):
+        # Weighted harmonic mean of two slopes of one sign; 0 where the data turn: so no piece
+        # overshoots.
         w0, w1 = 2 * h1 + h0, h1 + 2 * h0
         below = w0 * m1 + w1 * m0
         inner.append(
@@ -460,6 +473,7 @@ class _Token:
 
 def _tokens(text: str, start: Place) -> Iterator[_Token]:
     position = 0
+    # Blanks belong to the token behind them.
     while match := _TOKEN.match(text, position):
         kind = str(match.lastgroup)
         place = start.right(match.start(kind))
@@ -537,6 +551,7 @@ class _Parser:
         tree = self._atom()
         if token := self._accept("**"):
             exponent = self._sign()
+            # M**9**9 would be a power of 387 420 489.
             if any(_is_steep(node) for node in walk(exponent)):
                 raise token.place.refuse(
                     f"an exponent is at most {LARGEST_EXPONENT}, and no power itself"
@@ -613,6 +628,7 @@ class _Parser:
                 f"table() has {len(places)} places and {len(values)} values; must be as many of"
                 f" both, 2 to {MOST_KNOTS}"
             )
+        # Without values: a name among the places is NaN, and rises nowhere.
         numbers = [evaluate(place, {}) for place in places]
         if not all(left < right for left, right in pairwise(numbers)):
             raise function.place.refuse(
@@ -662,9 +678,11 @@ class _Parser:
             try:
                 tree = self._condition()
                 self._expect(")")
+            # It was a sum after all: read once more from the bracket on.
             except BadModel:
                 self._next, self._depth = start, depth
             else:
+                # An operator behind the bracket: it was the first part of a sum.
                 if self._peek.text not in (*COMPARISONS, "+", "-", "*", "/", "**"):
                     return tree
                 self._next = start

@@ -156,6 +156,7 @@ def _array(value: Any, dimensions: int, where: str) -> Array:
         array = np.atleast_1d(np.asarray(value, dtype=float))
     except (TypeError, ValueError):
         raise BadModel(f"{where}: does not hold numbers") from None
+    # A list may come as a matrix of one row or column.
     array = array.ravel() if dimensions == 1 else np.atleast_2d(array)
     if array.ndim != dimensions or not array.size or not np.isfinite(array).all():
         raise BadModel(
@@ -169,6 +170,7 @@ def of_object(system: Any) -> tuple[tuple[Array, ...], float | None]:
     python-control or SciPy.
     """
     step = getattr(system, "dt", None)
+    # 0 and None: continuous time. True: discrete without a sample time, which says nothing.
     step = float(step) if step not in (None, 0, True, False) else None
     if all(hasattr(system, key) for key in "ABCD"):
         return (
@@ -249,11 +251,14 @@ def _fitting(name: str, A: Array, B: Array, C: Array, D: Array) -> tuple[Array, 
 def _continuous(name: str, A: Array, B: Array, step: float) -> tuple[Array, Array]:
     """A and B of continuous time whose input is held over each step."""
     poles = np.linalg.eigvals(A)
+    # A real pole at or left of zero has no real logarithm.
     if np.any((np.abs(poles.imag) < 1e-12) & (poles.real <= 1e-12)):
         raise BadModel(
             f"model {name!r}: has a pole at or left of zero, which no model in continuous time has"
         )
     n, m = B.shape
+    # exp([[A, B], [0, 0]]·T) = [[A_d, B_d], [0, 1]] of an input that is held (Van Loan): the
+    # logarithm goes back.
     whole = np.block([[A, B], [np.zeros((m, n)), np.eye(m)]])
     generator = np.real(logm(whole)) / step
     return generator[:n, :n], generator[:n, n:]
@@ -266,10 +271,13 @@ def _transfer_function_text(name: str, top: Array, below: Array, signals: Linear
         for given, letter in ((signals.inputs, "u"), (signals.outputs, "y"))
     )
     units = _units(signals, [u, y])
+    # a₀ … aₙ₋₁, in rising powers.
     a = below[1:][::-1]
     b = np.concatenate([top[::-1], np.zeros(n + 1 - top.size)])
+    # The direct gain is split off: what is left is strictly proper.
     through, b = b[n], b[:n] - b[n] * a
     T = _time_scale(a)
+    # αᵢ = aᵢ·Tⁿ⁻ⁱ and βᵢ = bᵢ·Tⁿ⁻ⁱ: coefficients of one size.
     scale = T ** (n - np.arange(n))
     parameters = {
         "T": _fixed(T, "s", "time scale"),
@@ -317,6 +325,7 @@ def _state_space_text(name: str, system: tuple[Array, ...], signals: LinearSigna
     balances, outputs = {}, {}
     for i in range(n):
         terms = {}
+        # Zeros have no parameter: a matrix of thirty states would have nine hundred.
         for k in np.flatnonzero(A[i]):
             parameters[f"a_{i + 1}_{k + 1}"] = _fixed(float(A[i, k]), "", "")
             terms[f"state_{k + 1}"] = f"a_{i + 1}_{k + 1} * x_{k + 1}"

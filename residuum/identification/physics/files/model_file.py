@@ -168,6 +168,7 @@ def _composed(
         raise tree.keys["fmu"].refuse(f"fmu: the model is an FMU; {_TAKES_FMUS}")
     tree.only(KEYS, "model file")
     use, connect = tree.table("use", "model file"), tree.table("connect", "model file")
+    # A model made of parts may have no balance of its own.
     for section in ("outputs",) if list(use) else ("balances", "outputs"):
         if not list(tree.table(section, "model file", required=True)):
             raise tree.keys[section].refuse(f"{section}: is empty; a model has at least one")
@@ -182,6 +183,7 @@ def _composed(
     parts = parts_of(use, folder, read)
     own, let = _own_sections(tree, parts)
     assembly = assembled(parts, use, connect, own)
+    # What parts define, then what the model defines in their place.
     definitions = resolved({**assembly.definitions, **let})
     model = assembly.model
     _check_units_of_defined(let, definitions, model)
@@ -271,6 +273,7 @@ def _with_clock(model: PhysicalModel) -> PhysicalModel:
         *model.parameters,
         *(b.defines for b in model.balances.values()),
     }
+    # Declared by the file it is an input like any other.
     if TIME in declared or not any(TIME in expression.names for expression in model.expressions):
         return model
     return replace(model, inputs=MappingProxyType({**model.inputs, TIME: Input(TIME, "s", CLOCK)}))
@@ -425,6 +428,7 @@ def read_parameter(name: str, section: Table, of_part: Parameter | None = None) 
     label = f"parameter {name!r}"
     entry = section.entries[name]
     if of_part is not None and isinstance(entry, Scalar):
+        # `R: 0.5` beside a part: its value alone.
         section = Table({name: _alone("value", entry)}, section.keys, section.place)
     table = section.table(name, "parameters")
     table.only(PARAMETER_KEYS, label)
@@ -603,6 +607,7 @@ def _initial(tree: Table, model: PhysicalModel) -> Mapping[str, float]:
 def with_effects(model: PhysicalModel, tree: Table) -> PhysicalModel:
     """The model with the effects that a file names."""
     if "own_effects" in tree.entries:
+        # Before the effects are read, which may name them.
         EFFECTS.use_here(*effects_of(tree.entries["own_effects"], tree))
     listing = tree.entries.get("effects")
     if listing is None:
@@ -668,6 +673,7 @@ def written_parameter(parameter: Parameter) -> dict[str, Any]:
     """A parameter as `read_parameter` reads it."""
     written: dict[str, Any] = {"value": float(parameter.value), "unit": parameter.unit}
     if parameter.prior is not None:
+        # Beside the value, which an estimation has moved away from its prior.
         written["prior"] = str(parameter.prior)
     if math.isfinite(parameter.lower):
         written["lower"] = float(parameter.lower)

@@ -216,11 +216,14 @@ def _beside(model: PhysicalModel, part: PhysicalModel, place: Place) -> Physical
     """Both in one; what the model declares itself stands for the part's declaration."""
     declared = {**model.states, **model.parameters, **model.balances}
     own_of_record = {name for name, state in model.states.items() if state.of_record}
+    # Parameters and inputs may be declared anew, which changes them; states and balances are the
+    # part's own.
     for name in (*part.states, *part.balances):
         if name in declared:
             raise place.refuse(f"use: {name!r} of the part is declared in the model already")
     return replace(
         model,
+        # The model's own first, in order and in what they say.
         inputs={**model.inputs, **part.inputs, **model.inputs},
         states={**model.states, **part.states},
         parameters={
@@ -258,6 +261,7 @@ def _members(connect: Table, node: str, model: PhysicalModel) -> Iterator[_Membe
             " or {motor.shaft: 1, load.shaft: 1/n} with the ratio of each one's variable"
         )
     for named, ratio in texts:
+        # motor.shaft is the balance shaft of the part motor: motor_shaft.
         name = named.text.replace(".", "_")
         if name not in model.balances:
             known = known_names(name, sorted(model.balances), "there are")
@@ -308,6 +312,7 @@ def _joined(
         if own_position is not None and position not in (None, own_position):
             definitions[own_position] = _times(r, position, place)
             states.pop(own_position, None)
+        # Power is kept: v_j = r·v, so terms count r times and storages r² times.
         storages += _scaled_storage(member, variable, v, r)
         terms |= _scaled_terms(member.balance, r)
     joined = Balance(
@@ -410,6 +415,7 @@ def check_unit(name: str, unit: str, stands_for: Expression, model: PhysicalMode
             f"unit clash: {name!r} of a part is in {unit!r}; {text!r}, which it stands for, is in"
             f" {given}"
         )
+    # °C and K have one dimension: their zeros tell them apart.
     zero = parse_unit(unit).offset
     for other, dimension in dimensions.items():
         if dimension.agrees(declared) and parse_unit(model.unit_of(other)).offset != zero:
@@ -486,6 +492,7 @@ def with_places_of_parts(model: PhysicalModel, tree: Table) -> Table:
     if not origins:
         return tree
     entries = dict(tree.entries)
+    # What the model declares itself has its own place.
     own = tree.table("parameters", "model file").keys
     sections = {"inputs": model.inputs, "states": model.states, "balances": model.balances}
     for section, names in sections.items():
@@ -506,6 +513,7 @@ def resolved(definitions: Definitions) -> dict[str, Expression]:
     def settle(name: str, above: tuple[str, ...]) -> Expression:
         if name in done:
             return done[name]
+        # Names on the way to this one: met again, it names itself.
         if name in above:
             raise definitions[name].place.refuse(f"let: {name!r} is defined by itself")
         inner = {

@@ -133,6 +133,7 @@ def _check_platform(path: str, version: int, held: Iterable[str]) -> None:
     of_three, of_two = _SYSTEM.get(system, (system.lower(), system.lower()))
     folder = f"{machine}-{of_three}" if version == 3 else f"{of_two}64"
     platforms = _platforms(held)
+    # linux64 of FMI 2 is x86-64: on another processor that folder does not help.
     if folder in platforms and (version == 3 or machine == "x86_64"):
         return
     has = (
@@ -162,6 +163,7 @@ def _has_sources(held: Iterable[str]) -> bool:
 
 def _description(path: str, version: int, read: Any) -> Description:
     reals = [v for v in read.modelVariables if _is_real_scalar(v)]
+    # In the order of the FMU's own vectors of states and derivatives.
     derivatives = [d.variable for d in read.derivatives if d.variable.derivative is not None]
     return Description(
         path,

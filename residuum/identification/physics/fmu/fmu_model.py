@@ -33,6 +33,7 @@ from residuum.identification.physics.fmu.loaded_library import LoadedLibrary
 from residuum.identification.physics.model import Balance, Input, Output, PhysicalModel, State
 from residuum.identification.units import parse_unit
 
+# Points at which a rate is held against a state, and the part by which they may differ.
 _POINTS = 8
 _ALIKE = 1e-7
 
@@ -58,6 +59,7 @@ def exchange_model(
     units = [unit_of(v) for v in described.states]
     rates = _rates(library)
     arguments = (*states, *inputs, *library.parameters)
+    # Of the file: code that calls one library must not be taken for another.
     digest = hashlib.sha256(Path(described.path).read_bytes()).hexdigest()[:12]
 
     def external(k: int) -> Expression:
@@ -94,8 +96,10 @@ def _balances(
     """A balance for each state, but for those whose derivative is another state: there is nothing
     to balance.
     """
-    # of several positions with one velocity the first counts
-    positions = {v: states[q] for q, v in reversed(rates.items())}
+    positions: dict[int, str] = {}
+    for position, velocity in rates.items():
+        # of several positions with one velocity the first counts
+        positions.setdefault(velocity, states[position])
     balances = {}
     for k, (name, unit) in enumerate(zip(states, units, strict=True)):
         if k in rates:
@@ -124,6 +128,7 @@ def _rates(library: LoadedLibrary) -> dict[int, int]:
             for v in range(n)
             if v != q and np.all(np.abs(values[:, q] - x[:, v]) <= _ALIKE * (1 + np.abs(x[:, v])))
         ]
+        # Two states that are each other's rate cannot be: the first stays.
         if near and near[0] not in rates:
             rates[q] = near[0]
     return rates

@@ -92,6 +92,7 @@ def _within(offered: Settable, said: Parameter) -> Parameter:
             f"parameter {said.name!r}: unit is {said.unit!r} in the file and {own.unit!r} in the"
             " FMU; write the value in the FMU's unit"
         )
+    # The narrower of both: the FMU refuses values beyond its own.
     lower, upper = max(own.lower, said.lower), min(own.upper, said.upper)
     if not lower <= said.value <= upper:
         raise BadModel(

@@ -50,6 +50,7 @@ class SimulatedParameters:
     def __init__(self, own: OwnSimulation, records: Sequence[tuple[FloatArray, float]]) -> None:
         self.own, self.records, self.lock = own, list(records), RLock()
         self.steps: Mapping[str, Step] = {}
+        # Where each record begins among the rows of all.
         self._first = np.concatenate([[0], np.cumsum([len(U) for U, _ in records])])
         described = own.instance.description
         # the order of inputs in `simulated_model`
@@ -72,6 +73,7 @@ class SimulatedParameters:
         record = int(np.searchsorted(self._first, rows[0], side="right")) - 1
         Y = self._run(record, experiment.hold[self._own], values)
         U, at = experiment.U.copy(), rows - self._first[record]
+        # A window of whole samples is cut out; one at another rate lies between them.
         begin, whole = int(at[0]), at[-1] - at[0] == len(at) - 1
         U[:, self._made] = (
             Y[begin : begin + len(at)]
@@ -84,6 +86,7 @@ class SimulatedParameters:
         key = (record, hold.tobytes(), *values.values())
         if key not in self._runs:
             U, dt = self.records[record]
+            # The oldest goes first: a fit asks for the newest values only.
             while len(self._runs) >= _KEPT:
                 self._runs.pop(next(iter(self._runs)))
             self._runs[key] = self.own.along(U, hold, dt, values)
@@ -97,6 +100,7 @@ def with_steps(
     if not names:
         return {}
     simulator = Simulator(model)
+    # First states fitted, nothing else: slopes are asked for where the estimation begins.
     begun = estimate(model, experiments, free=())
     starts, substeps, p = begun.initial, begun.substeps, simulator.p()
 

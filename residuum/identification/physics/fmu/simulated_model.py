@@ -98,6 +98,7 @@ def with_simulation(
             )
         made = {MADE + name: Y[:, k] for k, name in enumerate(names)}
         units = {MADE + name: unit_of(v) for name, v in zip(names, described.outputs, strict=True)}
+        # Counted through all records: a part knows its record by its rows.
         made[SAMPLE], units[SAMPLE] = first + np.arange(record.n, dtype=float), ""
         first += record.n
         simulated.append(

@@ -147,6 +147,7 @@ def match(
         for name, signal in model.inputs.items()
         if signal.default is not None and not signal.is_clock
     ]
+    # Absent in one record means absent in all: the structure is one for all experiments.
     lacking = [name for name in optional if not all(columns[name] in r.names for r in records)]
     inputs = {
         name: replace(signal, absent=name in lacking) for name, signal in model.inputs.items()
@@ -180,6 +181,7 @@ def _between_holes(record: Record, inputs: Sequence[str]) -> list[Record]:
         lacking |= record.missing(name)
     if not lacking.any():
         return [record]
+    # Where "missing" changes: each pair of edges bounds a part without holes.
     edges = np.flatnonzero(np.diff(np.concatenate([[True], lacking, [True]]).astype(np.int8)))
     parts = list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
     if not parts or min(stop - start for start, stop in parts) < SHORTEST_PART:
@@ -270,6 +272,7 @@ def _spare(record: Record, used: set[str]) -> dict[str, Spare]:
         values = np.asarray(record.channels[name], dtype=float)
         if (
             name not in used
+            # It must be possible to name it in an expression.
             and name.isidentifier()
             and np.all(np.isfinite(values))
             and np.ptp(values) > 0
@@ -321,6 +324,7 @@ def moves_evenly(how: str, u: Array) -> bool:
         raise BadRecord(f"hold {how!r}: must be auto, linear or zero-order")
     steps = np.abs(np.diff(u))
     moving, span = steps[steps > 0], float(np.ptp(u))
+    # Mostly small steps: a sampled motion. Large ones: a command that is switched.
     if moving.size == 0 or np.median(moving) < 0.02 * span:
         return moving.size > 0
     return moving.size > 0.9 * steps.size and _power_above(0.75, u) < 0.05

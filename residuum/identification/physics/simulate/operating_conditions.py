@@ -35,6 +35,7 @@ def conditions_at(
         variables = balance_variables(simulator, balance, experiment, X)
         terms = [variables[name] for name in variables if name.startswith("term:")]
         driving = variables.get("supply_terms", np.zeros(1))
+        # Without an input the largest of the known terms drives; 1 where nothing moves at all.
         rms = _rms(driving) or max(map(_rms, terms), default=0.0) or 1.0
         storage = (
             float(np.median(np.abs(simulator.look(experiment, X)[f"storage:{balance.name}"])))

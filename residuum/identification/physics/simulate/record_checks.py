@@ -74,6 +74,7 @@ def _along(node: Call, model: PhysicalModel, experiment: Experiment) -> Iterator
     columns = {
         name: values for name in names if (values := _measured(name, model, experiment)) is not None
     }
+    # A name that nothing shows, or none at all: nothing to look up along the record.
     if names - columns.keys() or not names:
         return
     samples = set(
@@ -81,6 +82,7 @@ def _along(node: Call, model: PhysicalModel, experiment: Experiment) -> Iterator
     )
     for values in columns.values():
         if np.isfinite(values).any():
+            # Extremes leave a table first.
             samples |= {int(np.nanargmin(values)), int(np.nanargmax(values))}
     for k in sorted(samples):
         yield evaluate(
@@ -133,6 +135,7 @@ def _first_that_differs(
     for experiment in experiments:
         y = experiment.Y[:, column]
         known = y[np.isfinite(y)]
+        # A record that begins with a hole says nothing of its first value.
         if len(known) <= _BEGINNING or not np.isfinite(y[0]):
             continue
         begin = _begin(known[:_BEGINNING])
