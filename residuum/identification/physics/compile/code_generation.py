@@ -393,15 +393,15 @@ class _Function:
     def _root_slope(self, e: Any, by: sp.Symbol) -> str:
         """−J⁻¹ ∂g/∂by at the root."""
         i, z, a, g, start, *values = e.args
-        here = [
+        root = [
             self._held(self.value(implicit.Root(sp.Integer(k), z, a, g, start, *values)))
             for k in range(len(z))
         ]
         # The system at the root, in registers: its slopes are those of any other expression.
-        at = dict(zip(z, here, strict=True)) | dict(zip(a, values, strict=True))
+        at = dict(zip(z, root, strict=True)) | dict(zip(a, values, strict=True))
         equations = [equation.xreplace(at) for equation in g]
         right = [self._held(self.slope(equation, by)) for equation in equations]
-        return self.value(-implicit.solved(self._jacobian(equations, here), right)[int(i)])
+        return self.value(-implicit.solved(self._jacobian(equations, root), right)[int(i)])
 
     def _jacobian(self, equations: Sequence[Any], unknown: Sequence[Any]) -> list[list[Any]]:
         """Symbols that hold the slopes of equations by unknown symbols."""

@@ -36,20 +36,23 @@ def roots(
     """The unknown symbols as roots of the equations; `known` has values for what else those
     hold.
     """
-    others = sorted(
+    known_symbols = sorted(
         {s for e in equations for s in e.free_symbols} - set(unknown), key=lambda s: s.name
     )
     # Neutral names: systems that are alike but for names share their code.
     z = [sp.Symbol(f"root_z_{k}", real=True) for k in range(len(unknown))]
-    a = [sp.Symbol(f"root_a_{k}", real=True) for k in range(len(others))]
-    inside = dict(zip([*unknown, *others], [*z, *a], strict=True))
+    a = [sp.Symbol(f"root_a_{k}", real=True) for k in range(len(known_symbols))]
+    inside = dict(zip([*unknown, *known_symbols], [*z, *a], strict=True))
     system = (
         sp.Tuple(*z),
         sp.Tuple(*a),
         sp.Tuple(*(e.xreplace(inside) for e in equations)),
         sp.Tuple(*map(sp.Float, start)),
     )
-    return [Root(sp.Integer(i), *system, *(known.get(s, s) for s in others)) for i in range(len(z))]
+    return [
+        Root(sp.Integer(i), *system, *(known.get(s, s) for s in known_symbols))
+        for i in range(len(z))
+    ]
 
 
 def jacobian(z: Sequence[Any], g: Sequence[Any]) -> Any:

@@ -80,7 +80,7 @@ def _kernel(structure: str, deferred: _Deferred) -> Kernel:
     # A structure of this process first (`lru_cache`), then one on disk, then a new one.
     path = _place("kernel", structure)
     with _MAKING:  # what several threads ask for at once is made once
-        manifest = _told(path) or _made(path, deferred.model)
+        manifest = _manifest_on_disk(path) or _new_manifest(path, deferred.model)
     code = [(path.parent / part).read_bytes() for part in manifest["parts"]]
     functions: Mapping[str, Any] = dict(
         zip(_LOADED, machine_code.loaded(code, _LOADED), strict=True)
@@ -100,7 +100,7 @@ def _place(kind: str, content: str) -> Path:
     return cache_folder() / f"{kind}_{hashlib.sha256(key.encode()).hexdigest()[:24]}"
 
 
-def _told(path: Path) -> dict[str, Any] | None:
+def _manifest_on_disk(path: Path) -> dict[str, Any] | None:
     """What a kernel's file says; None where it, or code that it names, is not on disk."""
     if not path.exists():
         return None
@@ -109,7 +109,7 @@ def _told(path: Path) -> dict[str, Any] | None:
     return manifest if all((path.parent / part).exists() for part in manifest["parts"]) else None
 
 
-def _made(path: Path, model: PhysicalModel) -> dict[str, Any]:
+def _new_manifest(path: Path, model: PhysicalModel) -> dict[str, Any]:
     """A kernel's file and its code, written. SymPy is imported here: where all kernels are on disk
     it is not needed.
     """
@@ -153,7 +153,7 @@ def _structure(model: PhysicalModel) -> str:
     ]
     states = [(s.name, s.rate, s.unit) for s in model.states.values()]
     outputs = [(o.name, o.value.text) for o in model.outputs.values()]
-    defined = sorted((name, it.text) for name, it in model.definitions.items())
+    defined = sorted((name, definition.text) for name, definition in model.definitions.items())
     return repr((inputs, states, list(model.parameters), balances, outputs, effects, defined))
 
 

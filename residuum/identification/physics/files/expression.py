@@ -177,13 +177,13 @@ def _is_steep(node: Node) -> bool:
 
 def walk(tree: Node) -> Iterator[Node]:
     """The node and everything below it, once where it stands in several places."""
-    seen, open_ = set[int](), [tree]
+    walked, open_ = set[int](), [tree]
     while open_:
         node = open_.pop()
         # By identity: definitions are shared nodes, and equal ones may stand in many places.
-        if id(node) in seen:
+        if id(node) in walked:
             continue
-        seen.add(id(node))
+        walked.add(id(node))
         yield node
         if isinstance(node, Operation | Call):
             # Reversed onto a stack: the first operand is walked first.
@@ -247,7 +247,7 @@ def with_definitions(expression: Expression, definitions: Mapping[str, Expressio
     used = {name: definitions[name] for name in expression.names & definitions.keys()}
     if not used:
         return expression
-    tree = _replaced(expression.tree, {name: it.tree for name, it in used.items()})
+    tree = _replaced(expression.tree, {name: definition.tree for name, definition in used.items()})
     _check_size(tree, expression.place)
     text, where = _written_out(expression, used)
     if len(text) > LONGEST_EXPRESSION:
@@ -264,9 +264,12 @@ def _written_out(
             "too long for a part: with its definitions it has more than"
             f" {LONGEST_EXPRESSION} characters; write what it holds into the model itself"
         )
-    texts = {name: _in_brackets(it) for name, it in used.items()}
+    texts = {name: _in_brackets(definition) for name, definition in used.items()}
     text = _NAMES.sub(lambda name: texts.get(name[0], name[0]), expression.text)
-    return text, {name: it for inner in used.values() for name, it in inner.where.items()}
+    where: dict[str, Expression] = {}
+    for definition in used.values():
+        where |= definition.where
+    return text, where
 
 
 def _check_size(tree: Node, place: Place) -> None:

@@ -503,37 +503,37 @@ def _number(text: Scalar | None, label: str, default: float) -> float:
     return default if text is None else text.number(label)
 
 
-def _value_and_prior(table: Table, what: str) -> tuple[float, Prior | None]:
+def _value_and_prior(table: Table, label: str) -> tuple[float, Prior | None]:
     """`value: 0.07 ± 0.01`, or a value that has left its `prior: 0.07 ± 0.01`."""
-    number, prior = _uncertain(table.scalar("value", what), f"{what}: value")
-    known = table.optional("prior", what)
+    number, prior = _uncertain(table.scalar("value", label), f"{label}: value")
+    known = table.optional("prior", label)
     if known is None:
         return number, prior
-    before = _uncertain(known, f"{what}: prior")[1]
+    before = _uncertain(known, f"{label}: prior")[1]
     if before is None:
         raise known.place.refuse(
-            f"{what}: prior is {known.text!r}; must be a value and its standard deviation, '0.07 ±"
+            f"{label}: prior is {known.text!r}; must be a value and its standard deviation, '0.07 ±"
             " 0.01'"
         )
     if prior is not None:
         raise known.place.refuse(
-            f"{what}: its value has a standard deviation and there is a 'prior'; only one may be"
+            f"{label}: its value has a standard deviation and there is a 'prior'; only one may be"
         )
     return number, before
 
 
-def _uncertain(text: Scalar, what: str) -> tuple[float, Prior | None]:
+def _uncertain(text: Scalar, label: str) -> tuple[float, Prior | None]:
     """A number, and the normal prior that it is where its standard deviation stands behind it."""
-    found = _UNCERTAIN.fullmatch(text.text.strip())
-    if found is None:
-        return text.number(what), None
+    match = _UNCERTAIN.fullmatch(text.text.strip())
+    if match is None:
+        return text.number(label), None
     mean, std = (
-        Scalar(found[1], text.place).number(what),
-        Scalar(found[2], text.place).number(f"{what}: standard deviation"),
+        Scalar(match[1], text.place).number(label),
+        Scalar(match[2], text.place).number(f"{label}: standard deviation"),
     )
     if std <= 0.0:
         raise text.place.refuse(
-            f"{what} is {text.text!r}; its standard deviation must be positive (fixed: true holds a"
+            f"{label} is {text.text!r}; its standard deviation must be positive (fixed: true holds a"
             " value)"
         )
     return mean, Prior(mean, std)

@@ -408,7 +408,7 @@ def check_unit(name: str, unit: str, stands_for: Expression, model: PhysicalMode
     and K are two, by their zero.
     """
     place, text = stands_for.place, stands_for.text
-    dimensions = {other: dimension_of_unit(model.unit_of(other)) for other in stands_for.names}
+    dimensions = {used: dimension_of_unit(model.unit_of(used)) for used in stands_for.names}
     given, declared = dimension_of(stands_for.tree, dimensions), dimension_of_unit(unit)
     if not given.agrees(declared):
         raise place.refuse(
@@ -417,11 +417,11 @@ def check_unit(name: str, unit: str, stands_for: Expression, model: PhysicalMode
         )
     # °C and K have one dimension: their zeros tell them apart.
     zero = parse_unit(unit).offset
-    for other, dimension in dimensions.items():
-        if dimension.agrees(declared) and parse_unit(model.unit_of(other)).offset != zero:
+    for used, dimension in dimensions.items():
+        if dimension.agrees(declared) and parse_unit(model.unit_of(used)).offset != zero:
             raise place.refuse(
-                f"unit clash: {name!r} of a part is in {unit!r}, {other!r} in"
-                f" {model.unit_of(other)!r}; declare both in one of them, records are converted"
+                f"unit clash: {name!r} of a part is in {unit!r}, {used!r} in"
+                f" {model.unit_of(used)!r}; declare both in one of them, records are converted"
             )
 
 
@@ -517,8 +517,8 @@ def resolved(definitions: Definitions) -> dict[str, Expression]:
         if name in above:
             raise definitions[name].place.refuse(f"let: {name!r} is defined by itself")
         inner = {
-            other: settle(other, (*above, name))
-            for other in sorted(definitions[name].names & definitions.keys())
+            named: settle(named, (*above, name))
+            for named in sorted(definitions[name].names & definitions.keys())
         }
         done[name] = with_definitions(definitions[name], inner)
         return done[name]

@@ -115,8 +115,8 @@ def _compiled(instance: Instance) -> tuple[Any, tuple[Any, ...]]:
     references = np.array(
         [v.reference for v in (*described.inputs, *described.outputs)], dtype=np.uint32
     )
-    told = np.zeros(4)
-    ins, flags = references.ctypes.data, told.ctypes.data
+    replies = np.zeros(4)
+    ins, flags = references.ctypes.data, replies.ctypes.data
     put, take = by_reference(functions, component, (ins, nu), (ins + 4 * nu, ny))
     if two:
         step = njit(lambda t, h: do_step(component, t, h, 1))
@@ -144,4 +144,4 @@ def _compiled(instance: Instance) -> tuple[Any, tuple[Any, ...]]:
                 return k + 1
         return n
 
-    return steps, (references, told, functions, do_step)
+    return steps, (references, replies, functions, do_step)

@@ -84,22 +84,22 @@ def named(path: str | Path) -> Named:
     return Named(described, parameters, tree)
 
 
-def _within(offered: Settable, said: Parameter) -> Parameter:
+def _within(offered: Settable, written: Parameter) -> Parameter:
     """What a file says of a parameter, within the FMU's bounds and in its unit."""
     own = parameter_of(offered)
-    if said.unit and said.unit != own.unit:
+    if written.unit and written.unit != own.unit:
         raise BadModel(
-            f"parameter {said.name!r}: unit is {said.unit!r} in the file and {own.unit!r} in the"
+            f"parameter {written.name!r}: unit is {written.unit!r} in the file and {own.unit!r} in the"
             " FMU; write the value in the FMU's unit"
         )
     # The narrower of both: the FMU refuses values beyond its own.
-    lower, upper = max(own.lower, said.lower), min(own.upper, said.upper)
-    if not lower <= said.value <= upper:
+    lower, upper = max(own.lower, written.lower), min(own.upper, written.upper)
+    if not lower <= written.value <= upper:
         raise BadModel(
-            f"parameter {said.name!r}: value is {said.value:g}; must be within {lower:g} to"
+            f"parameter {written.name!r}: value is {written.value:g}; must be within {lower:g} to"
             f" {upper:g}"
         )
-    return replace(said, unit=own.unit, meaning=own.meaning, lower=lower, upper=upper)
+    return replace(written, unit=own.unit, meaning=own.meaning, lower=lower, upper=upper)
 
 
 def parameter_of(offered: Settable, *, fixed: bool = False) -> Parameter:

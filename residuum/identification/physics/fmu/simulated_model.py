@@ -96,14 +96,14 @@ def with_simulation(
                 f"model {described.path!r}: its simulation along {record.source!r} fails"
                 f" ({own.says})"
             )
-        made = {MADE + name: Y[:, k] for k, name in enumerate(names)}
+        signals = {MADE + name: Y[:, k] for k, name in enumerate(names)}
         units = {MADE + name: unit_of(v) for name, v in zip(names, described.outputs, strict=True)}
         # Counted through all records: a part knows its record by its rows.
-        made[SAMPLE], units[SAMPLE] = first + np.arange(record.n, dtype=float), ""
+        signals[SAMPLE], units[SAMPLE] = first + np.arange(record.n, dtype=float), ""
         first += record.n
         simulated.append(
             Record(
-                {**record.channels, **made},
+                {**record.channels, **signals},
                 {**record.units, **units},
                 record.sample_time,
                 t0=record.t0,

@@ -38,22 +38,22 @@ def leaves_tables(model: PhysicalModel, experiments: Sequence[Experiment]) -> tu
     tables = {
         n: _looked_up(n) for n in nodes if isinstance(n, Call) and n.function in ("table", "cubic")
     }
-    told: dict[str, str] = {}
+    sentences: dict[str, str] = {}
     for node, text in tables.items():
         low, high = _ends(node)
         for experiment in experiments:
-            seen = np.array(list(_along(node, model, experiment)))
-            out = (seen < low) | (seen > high)
-            if out.any() and text not in told:
-                to = (
-                    f"{np.nanmin(seen):.4g} to {np.nanmax(seen):.4g}, which is there from {low:g}"
+            looked_up = np.array(list(_along(node, model, experiment)))
+            outside = (looked_up < low) | (looked_up > high)
+            if outside.any() and text not in sentences:
+                span = (
+                    f"{np.nanmin(looked_up):.4g} to {np.nanmax(looked_up):.4g}, which is there from {low:g}"
                     f" to {high:g}"
                 )
-                told[text] = (
-                    f"table: {experiment.source or 'the record'} leads {text} from {to}; its end"
-                    f" values hold beyond ({100 * np.mean(out):.2g} % of the record)"
+                sentences[text] = (
+                    f"table: {experiment.source or 'the record'} leads {text} from {span}; its end"
+                    f" values hold beyond ({100 * np.mean(outside):.2g} % of the record)"
                 )
-    return tuple(told.values())
+    return tuple(sentences.values())
 
 
 def _looked_up(node: Call) -> str:
