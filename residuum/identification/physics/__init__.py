@@ -4,10 +4,13 @@ estimation.
 The way through::
 
     model = load_model("gate-drive")                       # or a YAML file: PhysicalModel
-    model, experiments = match(model, records, {"speed": "w"})   # columns → inputs and outputs, in the model's units
-    result = estimate(model, experiments)                  # Estimate: values, covariance, flat directions, residuals
+    # columns → inputs and outputs, in the model's units
+    model, experiments = match(model, records, {"speed": "w"})
+    # Estimate: values, covariance, flat directions, residuals
+    result = estimate(model, experiments)
     better = model.with_effect("coulomb-friction", "shaft")
-    unknown = missing_terms(result.model, experiments, result.initial)   # each balance's smoothed missing term with band
+    # each balance's smoothed missing term with band
+    unknown = missing_terms(result.model, experiments, result.initial)
     text = write_model(result.model)                       # YAML again, with effects and provenance
 
 `candidates(model)` lists every (effect id, target) that fits; `Simulator(model).run(experiment,

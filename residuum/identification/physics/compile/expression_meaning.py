@@ -54,7 +54,8 @@ _OPERATORS: Mapping[str, Callable[..., Any]] = {
     "neg": lambda a: -a,
 }
 _CONDITIONS: Mapping[str, str] = {
-    "<": "Lt", "<=": "Le", ">": "Gt", ">=": "Ge", "==": "Eq", "!=": "Ne", "and": "And", "or": "Or", "not": "Not",
+    "<": "Lt", "<=": "Le", ">": "Gt", ">=": "Ge", "==": "Eq", "!=": "Ne",
+    "and": "And", "or": "Or", "not": "Not",
 }  # fmt: skip
 
 

@@ -10,10 +10,13 @@ from itertools import count
 from typing import Any
 
 import llvmlite.binding as llvm
-import numba.experimental.function_type  # noqa: F401  teaches Numba the protocol that Function follows
+
+# Teaches Numba the protocol that Function follows.
+import numba.experimental.function_type  # noqa: F401
 from numba import types
 
-_DOUBLES, _INTEGERS = types.CPointer(types.float64), types.CPointer(types.int64)  # type: ignore[no-untyped-call]
+_DOUBLES = types.CPointer(types.float64)  # type: ignore[no-untyped-call]
+_INTEGERS = types.CPointer(types.int64)  # type: ignore[no-untyped-call]
 _PLAIN: Any = types.void(*[_DOUBLES] * 9)
 FUNCTIONS = ("rates", "slopes", "initial", "outputs", "output_slopes", "signals")
 STEPPING = ("advance", "advance_slopes", "observe")

@@ -14,7 +14,8 @@ prior is one more row (`priors`).
 
 References
 ----------
-P. J. Huber, *Robust Statistics*, 1981, ch. 7; R. D. Cook, S. Weisberg, *Residuals and Influence in Regression*, 1982, ch. 2.
+P. J. Huber, *Robust Statistics*, 1981, ch. 7; R. D. Cook, S. Weisberg, *Residuals and Influence in
+Regression*, 1982, ch. 2.
 """
 
 # mypy: disable-error-code="no-untyped-def,no-untyped-call,untyped-decorator"

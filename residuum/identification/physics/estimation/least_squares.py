@@ -8,7 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-import scipy.linalg.cython_lapack  # noqa: F401  what compiled linear algebra calls: else looked for in the first step of a search
+
+# What compiled linear algebra calls: else it is looked for in the first step of a search.
+import scipy.linalg.cython_lapack  # noqa: F401
 
 from residuum.kept_loops import njit
 

@@ -1,5 +1,5 @@
-"""What is wrong with an estimation, in sentences: its search did not come to rest, its values sit at
-bounds, or its records speak against what was known of parameters before.
+"""What is wrong with an estimation, in sentences: its search did not come to rest, its values sit
+at bounds, or its records speak against what was known of parameters before.
 
 Values of a search that did not come to rest are those of wherever it was left; their covariance,
 the curvature there, says nothing of their error.
@@ -104,9 +104,5 @@ def disagreement(estimated: Estimate) -> tuple[str, ...]:
             )
     if not conflicts:
         return ()
-    return (
-        (
-            f"data and prior disagree: {'; '.join(conflicts)}; the prior is wrong, or the model lacks an"
-            " effect"
-        ),
-    )
+    listed = "; ".join(conflicts)
+    return (f"data and prior disagree: {listed}; the prior is wrong, or the model lacks an effect",)

@@ -137,7 +137,7 @@ class _Rewriting:
         return renamed.replace(SteppedRound, lambda a: sp.floor(a + sp.Rational(1, 2)))
 
     def turned(self, expression: Any) -> Any:
-        """The same with the direction in place of the sign of each velocity that can stand still."""
+        """The same with the direction of each velocity that can stand still in place of its sign."""
         return self.put(expression).subs(self.signs)
 
 

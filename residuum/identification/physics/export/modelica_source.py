@@ -47,8 +47,8 @@ def modelica_source(model: ExplicitModel) -> str:
 
 
 def _code(expression: Any) -> str:
-    """An expression in Modelica's syntax. What SymPy writes otherwise than Modelica, anywhere in it,
-    is printed apart and put in for a name.
+    """An expression in Modelica's syntax. What SymPy writes otherwise, anywhere in it, is printed
+    apart and put in for a name.
     """
     expression = sp.sympify(expression)
     if isinstance(expression, sp.Piecewise):

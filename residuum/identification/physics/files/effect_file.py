@@ -85,8 +85,10 @@ class WrittenEffect(Effect):
         self._own = tuple(
             _parameter(name, entry) for name, entry in definition["parameters"].items()
         )
-        self.sizes = tuple(n for n, entry in definition["parameters"].items() if entry.get("size"))  # type: ignore[misc]
-        self.needs = tuple(role for role in ROLE_UNITS if role in _names(equation, states))  # type: ignore[misc]
+        sizes = [name for name, entry in definition["parameters"].items() if entry.get("size")]
+        self.sizes = tuple(sizes)  # type: ignore[misc]
+        needs = [role for role in ROLE_UNITS if role in _names(equation, states)]
+        self.needs = tuple(needs)  # type: ignore[misc]
         # An exact standstill exists only once there is some friction: derivatives at zero are taken
         # a little above.
         self.rest = 0.001 if "sign" in equation.text else 0.0  # type: ignore[misc]

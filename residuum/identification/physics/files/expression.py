@@ -8,7 +8,8 @@ Grammar, lowest precedence first::
     sign      = ("+" | "-") sign | power
     power     = atom ("**" sign)?
     atom      = number | name | function "(" sum ("," sum)* ")" | "(" sum ")"
-              | "where" "(" condition "," sum "," sum ")" | "table" "(" sum "," list "," list ("," "cubic")? ")"
+              | "where" "(" condition "," sum "," sum ")"
+              | "table" "(" sum "," list "," list ("," "cubic")? ")"
               | "table" "(" sum "," sum "," list "," list "," "[" list ("," list)* "]" ")"
     list      = "[" sum ("," sum)* "]"
     condition = both ("or" both)*
@@ -79,7 +80,10 @@ _INSTEAD = {
     "²": "; write **2",
 }
 _TOKEN = re.compile(
-    r"\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)|(?P<name>[A-Za-z_][A-Za-z_0-9]*)|(?P<mark>\*\*|[<>=!]=|[-+*/(),<>\[\]])|(?P<bad>\S))"
+    r"\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)"
+    r"|(?P<name>[A-Za-z_][A-Za-z_0-9]*)"
+    r"|(?P<mark>\*\*|[<>=!]=|[-+*/(),<>\[\]])"
+    r"|(?P<bad>\S))"
 )
 
 
@@ -288,8 +292,8 @@ def _check_size(tree: Node, place: Place) -> None:
     if size > MOST_NODES or depth > DEEPEST_TREE or levels > MOST_LEVELS:
         raise place.refuse(
             f"with its definitions it has {size} numbers, names and operations, {depth} within each"
-            f" other, in {levels} levels; at most {MOST_NODES}, {DEEPEST_TREE} and {MOST_LEVELS} are"
-            " allowed: make a state of a quantity that it names"
+            f" other, in {levels} levels; at most {MOST_NODES}, {DEEPEST_TREE} and {MOST_LEVELS}"
+            " are allowed: make a state of a quantity that it names"
         )
 
 
@@ -392,8 +396,10 @@ def interpolated(x: float, places: Sequence[float], values: Sequence[float]) -> 
     """The straight line between the values at neighbouring places; the first and the last value
     hold beyond them.
 
-    >>> interpolated(1.5, [0.0, 1.0, 2.0], [0.0, 10.0, 30.0]), interpolated(9.0, [0.0, 1.0], [0.0, 10.0])
-    (20.0, 10.0)
+    >>> interpolated(1.5, [0.0, 1.0, 2.0], [0.0, 10.0, 30.0])
+    20.0
+    >>> interpolated(9.0, [0.0, 1.0], [0.0, 10.0])
+    10.0
     """
     if x <= places[0]:
         return values[0]

@@ -4,7 +4,8 @@ another library's object.
 A transfer function is written in the canonical form of its own time scale T, with every coefficient
 a free parameter:
 
-    T·dxᵢ/dt = xᵢ₊₁,   T·dxₙ/dt = −Σ αᵢ·xᵢ₊₁ + u,   y = Σ βᵢ·xᵢ₊₁ + δ·u,   αᵢ = aᵢ·Tⁿ⁻ⁱ,  βᵢ = bᵢ·Tⁿ⁻ⁱ
+    T·dxᵢ/dt = xᵢ₊₁,   T·dxₙ/dt = −Σ αᵢ·xᵢ₊₁ + u,   y = Σ βᵢ·xᵢ₊₁ + δ·u
+    αᵢ = aᵢ·Tⁿ⁻ⁱ,   βᵢ = bᵢ·Tⁿ⁻ⁱ
 
 so that its numbers are of one size. A state space keeps its states, and its entries are fixed: they
 cannot all be estimated. Balances are of the kind `signal`, so effects are judged on the paths of
@@ -303,8 +304,8 @@ def _transfer_function_text(name: str, top: Array, below: Array, signals: Linear
 
 
 def _time_scale(a: Array) -> float:
-    """T [s] of a denominator sⁿ + … + a₁s + a₀, the geometric mean of its poles' time constants; with
-    a pole at zero, where that is infinite, what makes the largest coefficient 1.
+    """T [s] of a denominator sⁿ + … + a₁s + a₀, the geometric mean of its poles' time constants;
+    with a pole at zero, where that is infinite, what makes the largest coefficient 1.
     """
     n = a.size
     if n and a[0]:

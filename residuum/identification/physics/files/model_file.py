@@ -533,8 +533,8 @@ def _uncertain(text: Scalar, label: str) -> tuple[float, Prior | None]:
     )
     if std <= 0.0:
         raise text.place.refuse(
-            f"{label} is {text.text!r}; its standard deviation must be positive (fixed: true holds a"
-            " value)"
+            f"{label} is {text.text!r}; its standard deviation must be positive (fixed: true holds"
+            " a value)"
         )
     return mean, Prior(mean, std)
 

@@ -30,8 +30,9 @@ _UNCERTAIN: dict[str, Any] = {
 """A number and its standard deviation."""
 _EXPRESSION = {"type": ["string", "number"]}
 _TYPES: dict[str, dict[str, Any]] = {
-    "unit": _TEXT, "rate": _TEXT, "default": {"type": ["string", "number"]}, "value": {"anyOf": [_NUMBER, _UNCERTAIN]},
-    "lower": _NUMBER, "upper": _NUMBER, "fixed": {"type": "boolean"}, "meaning": _TEXT, "prior": _UNCERTAIN, "std": _NUMBER,
+    "unit": _TEXT, "rate": _TEXT, "default": {"type": ["string", "number"]},
+    "value": {"anyOf": [_NUMBER, _UNCERTAIN]}, "lower": _NUMBER, "upper": _NUMBER,
+    "fixed": {"type": "boolean"}, "meaning": _TEXT, "prior": _UNCERTAIN, "std": _NUMBER,
     "per": {"const": "record"}, "start": _NUMBER,
 }  # fmt: skip
 

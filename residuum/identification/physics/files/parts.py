@@ -507,7 +507,9 @@ def with_places_of_parts(model: PhysicalModel, tree: Table) -> Table:
 
 
 def resolved(definitions: Definitions) -> dict[str, Expression]:
-    """The definitions with those that they name put in; BadModel for one that comes back to itself."""
+    """The definitions with those that they name put in; BadModel for one that comes back to
+    itself.
+    """
     done = dict[str, Expression]()
 
     def settle(name: str, above: tuple[str, ...]) -> Expression:

@@ -34,11 +34,11 @@ def with_table_files(tree: T, folder: Path | None) -> T:
         no table in it.
     """
     if isinstance(tree, Table):
-        return Table(
-            {k: with_table_files(v, folder) for k, v in tree.entries.items()}, tree.keys, tree.place
-        )  # type: ignore[return-value]
+        entries = {key: with_table_files(value, folder) for key, value in tree.entries.items()}
+        return Table(entries, tree.keys, tree.place)  # type: ignore[return-value]
     if isinstance(tree, Listing):
-        return Listing([with_table_files(item, folder) for item in tree.items], tree.place)  # type: ignore[return-value]
+        items = [with_table_files(item, folder) for item in tree.items]
+        return Listing(items, tree.place)  # type: ignore[return-value]
     if "table(" not in tree.text:
         return tree
     return Scalar(

@@ -247,8 +247,8 @@ def _variable(variable: Any) -> Variable:
 def unit_of(variable: Variable) -> str:
     """A unit as we write it from one as Modelica writes it: `N.m`, `m/s2`.
 
-    >>> unit_of(Variable("a", 1, "m/s2")), unit_of(Variable("a", 1, "N.m")), unit_of(Variable("a", 1, "1"))
-    ('m/s**2', 'N*m', '')
+    >>> [unit_of(Variable("a", 1, written)) for written in ("m/s2", "N.m", "1")]
+    ['m/s**2', 'N*m', '']
     """
     unit = re.sub(
         r"(?<=[A-Za-z])(-?\d+)", r"**\1", variable.unit.strip().replace(".", "*").replace("·", "*")

@@ -34,7 +34,8 @@ _STEP = 1e-6
 """Step of a difference by a variable whose size is about 1."""
 _POINTS = 4
 _AGREES = 1e-3
-"""Points at which a derivative is held against a difference, and the part by which it may differ."""
+"""Points at which a derivative is held against a difference, and the part by which it may differ.
+"""
 _KEPT: list[Any] = []
 """What compiled code points to, and must not be freed."""
 

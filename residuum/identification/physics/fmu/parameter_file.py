@@ -89,8 +89,8 @@ def _within(offered: Settable, written: Parameter) -> Parameter:
     own = parameter_of(offered)
     if written.unit and written.unit != own.unit:
         raise BadModel(
-            f"parameter {written.name!r}: unit is {written.unit!r} in the file and {own.unit!r} in the"
-            " FMU; write the value in the FMU's unit"
+            f"parameter {written.name!r}: unit is {written.unit!r} in the file and {own.unit!r} in"
+            " the FMU; write the value in the FMU's unit"
         )
     # The narrower of both: the FMU refuses values beyond its own.
     lower, upper = max(own.lower, written.lower), min(own.upper, written.upper)

@@ -87,7 +87,8 @@ def kalman_filter(q, U, Y, p, z0, P0, Q, r, columns, sample_time, substeps, hold
     -------
     z (n, NZ), P (n, NZ, NZ) : before the sample is used.
     F (n, NZ, NZ) : transition from sample k to k + 1.
-    H (n, NY, NZ), e (n, NY), V (n, NY) : output slopes, innovations and their variances (NaN where nothing was measured).
+    H (n, NY, NZ), e (n, NY), V (n, NY) : output slopes, innovations and their variances (NaN where
+        nothing was measured).
     filtered (n, NZ) : after the sample was used.
 
     A sample is stepped here as `integrate` does it: to call it for one sample costs three times as

@@ -204,7 +204,8 @@ class Simulator:
     >>> import numpy as np
     >>> from residuum.identification.physics import Experiment, Simulator, load_model
     >>> simulator = Simulator(load_model("linear-axis"))
-    >>> push = Experiment(np.full((11, 1), 95.0), np.full((11, 2), np.nan), np.zeros(1), sample_time=0.1)
+    >>> force, unmeasured = np.full((11, 1), 95.0), np.full((11, 2), np.nan)
+    >>> push = Experiment(force, unmeasured, np.zeros(1), sample_time=0.1)
     >>> float(simulator.run(push, {"q": 0.0, "v": 0.0}).Y[-1, 1].round(9))   # 1 m/s² for 1 s
     1.0
     """
@@ -466,9 +467,10 @@ class Simulator:
         """Runge–Kutta steps a sample of each experiment, from the eigenvalues of ∂f/∂x along a
         first simulation.
 
-        |λ|·h ≤ 0.25 for oscillating and 0.8 for decaying modes, at most 64; a run that diverges is tried finer, and so is one
-        whose outputs would still change by a fiftieth of the record's noise: what the integrator errs would pass for physics.
-        `modal` are those of `modal_substeps`, where they are known.
+        |λ|·h ≤ 0.25 for oscillating and 0.8 for decaying modes, at most 64; a run that diverges is
+        tried finer, and so is one whose outputs would still change by a fiftieth of the record's
+        noise: what the integrator errs would pass for physics. `modal` are those of
+        `modal_substeps`, where they are known.
         """
         first = np.array(
             self.modal_substeps(experiments, initial, p) if modal is None else modal, dtype=np.int64
