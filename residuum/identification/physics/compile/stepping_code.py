@@ -119,7 +119,9 @@ def _advance(nx: int, nu: int, width: int | None = None) -> str:
     rates: list[list[str]] = []
     for r, reach in enumerate((half, half, h, None)):
         k = t.place("%work", r * nx)
-        rates.append(_stage(t, r, k, "%x" if r == 0 else xs, slopes_of_inputs, results[r], nx))
+        j = int(_STAGES[r])
+        inputs = f"ptr %u{j}, ptr {slopes_of_inputs[j]}"
+        rates.append(_stage(t, inputs, k, "%x" if r == 0 else xs, results[r], nx))
         if reach is not None:
             _move(t, x0, reach, rates[r], xs)
     for i, of_stages in enumerate(zip(*rates, strict=True)):
@@ -163,19 +165,12 @@ def _slope_places(t: _Lines, nx: int, width: str) -> tuple[list[str], list[str]]
 
 
 def _stage(
-    t: _Lines,
-    r: int,
-    k: str,
-    at: str,
-    slopes_of_inputs: list[str],
-    results: tuple[str, str] | None,
-    nx: int,
+    t: _Lines, inputs: str, k: str, at: str, results: tuple[str, str] | None, nx: int
 ) -> list[str]:
-    """Rates, written to k, of stage r at the states `at`, with their slopes where there are places
-    for these results.
+    """Rates, written to k, of a stage at the states `at` with these inputs and their slopes; with
+    slopes of the rates where there are places for these results.
     """
-    j = _STAGES[r]
-    inputs = f"ptr %u{j}, ptr {slopes_of_inputs[int(j)]}, ptr %p, ptr %s, ptr %m"
+    inputs = f"{inputs}, ptr %p, ptr %s, ptr %m"
     function, written = ("slopes", (k, *results)) if results else ("rates", (k, k, k))
     t.say(f"  call void @{function}(ptr {at}, {inputs}, {', '.join(f'ptr {q}' for q in written)})")
     return [t.load(k, i) for i in range(nx)]

@@ -13,7 +13,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -79,6 +79,20 @@ def _doubles(typingctx, address):
     return types.CPointer(types.float64)(types.intp), made
 
 
+class _Arrays(NamedTuple):
+    """What the compiled functions point to.
+
+    `memory` has the last point and its values, the point of the slopes, which of their columns are
+    known, and they themselves, two rows of values, a point to move, and a seed. `references` are
+    those of inputs, outputs, then of what directional derivatives are of and by. `mutex` is held
+    while the FMU is asked.
+    """
+
+    memory: Array
+    references: npt.NDArray[np.uint32]
+    mutex: npt.NDArray[np.int64]
+
+
 def load(instance: Instance, asked: Sequence[str] = ()) -> LoadedLibrary:
     """An FMU's instance for model exchange as what generated code can call.
 
@@ -114,14 +128,9 @@ def load(instance: Instance, asked: Sequence[str] = ()) -> LoadedLibrary:
     functions = _functions(instance)
     # Addresses of these stand in compiled code, which Python does not count as a reference.
     _KEPT.extend([instance, functions, memory, references, mutex])
+    arrays = _Arrays(memory, references, mutex)
     value, slope = _compiled(
-        functions,
-        instance.component,
-        (nx, nu, ny, len(own)),
-        memory,
-        references,
-        mutex,
-        by_derivative,
+        functions, instance.component, (nx, nu, ny, len(own)), arrays, by_derivative
     )
     _KEPT.extend([value, slope])
     call = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_int64, ctypes.c_void_p)(value.address)
@@ -199,17 +208,11 @@ def _compiled(  # noqa: C901, PLR0915  compiled functions that share what they c
     f: dict[str, Any],
     component: int,
     sizes: tuple[int, int, int, int],
-    memory: Array,
-    references: Any,
-    mutex: Any,
+    arrays: _Arrays,
     by_derivative: npt.NDArray[np.bool_],
 ) -> Any:
-    """The two functions that generated code calls.
-
-    `memory` has the last point and its values, the point of the slopes, which of their columns are
-    known, and they themselves, two rows of values, a point to move, and a seed. `references` are
-    those of inputs, outputs, then of what directional derivatives are of and by.
-    """
+    """The two functions that generated code calls."""
+    memory, references, mutex = arrays
     nx, nu, ny, _ = sizes
     n, m = 1 + nx + nu + sizes[3], nx + ny
     set_time, set_states, rates, lock, unlock = (
