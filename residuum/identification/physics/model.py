@@ -120,6 +120,7 @@ class Balance:
     def defines(self) -> str | None:
         """The name of the variable that a balance without storage defines."""
         return (
+            # The first that it names, in the file's order.
             next(iter(self.variables.values()), None) if self.storage.text in ("0", "0.0") else None
         )
 
@@ -236,6 +237,7 @@ class PhysicalModel:
         states = self.states.values()
         starts = {state.name: state.start for state in states if state.start is not None}
         of_record = {state.name: state.of_record.value for state in states if state.of_record}
+        # What is known comes last: it holds over any start.
         return {**starts, **of_record, **self.initial}
 
     @property
@@ -369,6 +371,7 @@ class PhysicalModel:
         """Unit of a state, input or parameter, or of the variable that a balance without storage
         defines.
         """
+        # A declared unit; a variable that a balance defines has the unit of its kind.
         for family in (self.states, self.inputs, self.parameters):
             if name in family:
                 return str(family[name].unit)
@@ -413,6 +416,7 @@ class PhysicalModel:
         """The model without the effect of this label (`id@target`, or the id alone when it occurs
         once).
         """
+        # The id alone is enough where it occurs once.
         uses = [use for use in self.effects if label in (use.label, use.id)]
         if len(uses) != 1:
             hint = known_names(label, [use.label for use in self.effects], "there are")
@@ -446,6 +450,7 @@ class PhysicalModel:
 
     def _roles(self, balance: Balance) -> dict[str, str]:
         roles = {role: self.unit_of(name) for role, name in balance.variables.items()}
+        # Offered to effects on the supply: the input that drives the balance.
         if supply := self.supply_input(balance):
             roles["supply"] = self.inputs[supply].unit
         if balance.defines:
@@ -499,6 +504,7 @@ def tied_to(target: str) -> tuple[str, ...]:
 
 def term_name(use: EffectUse) -> str:
     """Name of an effect's term among those of its balance."""
+    # The balance is known where the term stands; what it is tied to, and which of several, is not.
     tied = use.target.removeprefix(use.place)
     return f"{use.id}{tied}" + (f"#{use.instance}" if use.instance > 1 else "")
 
@@ -620,6 +626,7 @@ def find_effect(id: str) -> Effect:
     if id in STRUCTURAL:
         return STRUCTURAL[id]
     if id not in EFFECTS:
+        # Structural effects are known by name, though no catalogue lists them.
         asked = did_you_mean(id, [*EFFECTS, *STRUCTURAL])
         raise BadModel(
             f"effect {id!r} is not in the catalogue; {asked}`residuum effects` lists all"
@@ -642,6 +649,7 @@ def is_curve(id: str) -> bool:
 def checked_value(where: str, parameter: Parameter, value: float) -> float:
     """`value` as a float inside the parameter's bounds; BadModel otherwise."""
     number = float(value)
+    # An infinite value lies within infinite bounds: refused by itself.
     if not math.isfinite(number) or not parameter.lower <= number <= parameter.upper:
         bounds = f"{parameter.lower:g} to {parameter.upper:g} {parameter.unit}"
         raise BadModel(

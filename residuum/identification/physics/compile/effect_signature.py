@@ -21,6 +21,7 @@ from residuum.identification.physics.effects.base import (
 )
 
 Array = npt.NDArray[np.float64]
+# Samples of a period, periods, and every how manieth sample is drawn: 200 points a period.
 _SAMPLES, _PERIODS, _EVERY = 800, 2, 4
 _COARSE = 0.2  # steps of a coarse sensor, for the effect that is one
 _MODULES = [{"SteppedRound": np.round}, "numpy"]
@@ -133,6 +134,7 @@ def signature(effect: Effect, kind: str | None = None) -> Signature:
     )
     units = {"t": "s", "signal": scenario.site.unit, **scenario.site.units}
     name = {"t": "time"}.get(axis, axis)
+    # Against another axis than time the first period would show how states settle.
     shown = slice(0 if axis == "t" else _SAMPLES, None, _EVERY)
     before = None if best.before is None else best.before[shown]
     at, value = motion[axis][shown], best.value[shown]
@@ -149,6 +151,7 @@ def _motion(scenario: Scenario) -> dict[str, Array]:
     """Every variable there is, over two periods."""
     t = np.linspace(0.0, _PERIODS * scenario.period, _PERIODS * _SAMPLES + 1)
     turn = 2 * np.pi * t / scenario.period
+    # A sine, and a triangle from 0 to 1 and back.
     swing, even = np.sin(turn), 1.0 - np.abs(1.0 - 2.0 * ((t / scenario.period) % 1.0))
     size = scenario.magnitude
     driven = even if scenario.site.kind in ("heat", "volume") else swing
@@ -166,6 +169,7 @@ def _motion(scenario: Scenario) -> dict[str, Array]:
         "defined": 5.0 * swing,
         "signal": size * swing,
         "measured": _COARSE * size * np.round(swing / _COARSE),
+        # Rounding: the sine of a whole turn is 1e-16, and would be taken for motion.
         "direction": np.sign(np.where(np.abs(swing) < 1e-9, 0.0, swing)),
     }
 
@@ -247,6 +251,7 @@ class _Drawing:
 
         for k in range(U.shape[1] - 1):
             u0, u1, x = U[:, k], U[:, k + 1], X[:, k]
+            # Runge and Kutta with inputs that move evenly between two samples.
             half = (u0 + u1) / 2
             a = rate(u0, x)
             b = rate(half, x + step / 2 * a)
@@ -263,6 +268,7 @@ class _Drawing:
     def _term(self, added: Contribution) -> Array:
         if added.inductance is None:
             return self._evaluated(added.term)
+        # An inductance is no term: the voltage that it takes is −L·di/dt.
         return -self._evaluated(added.inductance) * np.gradient(
             self._motion["current"], self._motion["t"]
         )
@@ -281,6 +287,7 @@ class _Drawing:
             return "position" if mechanical else "t"
         if site.kind in _PATHS:
             return "signal"
+        # Frictions and drops are known by their curve against speed or current.
         if _direction in asked:
             return "velocity" if mechanical else "current"
         first = next((role for role in _ORDER if self._roles.get(role) in asked), None)

@@ -37,6 +37,7 @@ _WRITTEN: Mapping[str, Callable[..., Any]] = {
     "hypot": lambda a, b: sp.sqrt(a**2 + b**2),
     "mod": lambda a, b: a - b * sp.floor(a / b),
     "where": lambda condition, a, b: sp.Piecewise((a, condition), (b, True)),
+    # Half of what follows x are places, half values.
     "table": lambda x, *knots: _straight_lines(
         x, knots[: len(knots) // 2], knots[len(knots) // 2 :]
     ),
@@ -85,6 +86,7 @@ def _straight_lines(x: Any, places: Sequence[Any], values: Sequence[Any]) -> Any
 def number(node: Number) -> Any:
     """A literal; a whole one stays exact."""
     return (
+        # Whole literals as integers: x**2 is then written as a product.
         sp.Integer(int(node.value)) if node.value == int(node.value) else sp.Float(node.value, 17)
     )
 
@@ -97,6 +99,7 @@ def symbolic(tree: Node, names: Mapping[str, Any], signs: Mapping[str, Any]) -> 
         return number(tree)
     if isinstance(tree, Name):
         return names[tree.name]
+    # sign() of a name that can stand still is the direction that the integrator switches.
     first = tree.operands[0]
     if (
         isinstance(tree, Call)

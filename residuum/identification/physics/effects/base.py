@@ -269,6 +269,7 @@ class Effect(ABC):
 
     def fits(self, site: Site) -> bool:
         """Whether the effect can stand at this site."""
+        # A balance may not name its position, or have no ambient: effects that need it do not fit.
         return site.kind in self.acts_on and all(role in site.units for role in self.needs)
 
     @abstractmethod
@@ -324,6 +325,7 @@ class Effect(ABC):
     def at_rest(self, start: Mapping[str, float]) -> dict[str, float]:
         """A start with its sizes shrunk to where screening takes derivatives."""
         return {
+            # Shapes (a width, a speed over which friction fades) stay: they have no zero to go to.
             name: value * self.rest if name in self.sizes else value
             for name, value in start.items()
         }
@@ -398,11 +400,13 @@ def product(first: str, second: str) -> str:
 def _short(unit: Unit) -> str:
     """Short symbols, force and voltage before lengths and times: N*m*s/rad."""
     symbols = list(unit.symbols.items())
+    # By the table below, then by name: one unit is always spelled one way.
     symbols.sort(
         key=lambda item: (_ORDER.index(item[0]) if item[0] in _ORDER else len(_ORDER), item[0])
     )
     above = [_raised(name, exponent) for name, exponent in symbols if exponent > 0]
     below = [_raised(name, -exponent) for name, exponent in symbols if exponent < 0]
+    # 1/s, where nothing stands above.
     return "/".join(["*".join(above) or "1", *below]) if symbols else ""
 
 

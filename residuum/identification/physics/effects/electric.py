@@ -44,7 +44,10 @@ class Inductance(Effect):
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
         return [
-            {"L": steps * conditions.storage * conditions.sample_time} for steps in (0.2, 1.0, 5.0)
+            # The storage of a balance without one is its resistance R: time constants L/R of a
+            # fifth, one and five samples.
+            {"L": steps * conditions.storage * conditions.sample_time}
+            for steps in (0.2, 1.0, 5.0)
         ]
 
     def examples(self) -> list[Example]:
@@ -74,6 +77,7 @@ class BrushDrop(Effect):
         return Contribution(term=-scene.p["V_b"] * scene.direction)
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
+        # A twentieth of the supply.
         return [{"V_b": 0.05 * conditions.magnitude}]
 
     def examples(self) -> list[Example]:

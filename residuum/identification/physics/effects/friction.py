@@ -54,6 +54,7 @@ class ViscousFriction(Friction):
         return Contribution(term=-scene.p["d"] * scene["velocity"])
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
+        # A tenth of the driving torque at the largest speed.
         return [{"d": 0.1 * conditions.magnitude / conditions.largest("velocity")}]
 
 
@@ -292,6 +293,7 @@ class DirectionalViscous(Friction):
         )
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
+        # Unequal from the start, as the general case is.
         size = 0.1 * conditions.magnitude / conditions.largest("velocity")
         return [{"d_plus": size, "d_minus": 0.5 * size}]
 
@@ -333,6 +335,7 @@ class LoadFriction(Friction):
         return Contribution(term=-scene.p["mu"] * sp.Abs(scene["drive"]) * scene.direction)
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
+        # A tenth of what drives.
         return [{"mu": 0.1}]
 
 
@@ -355,6 +358,7 @@ class PlaceFriction(Friction):
     rest = 0.001
 
     def parameters(self, site: Site) -> tuple[Parameter, ...]:
+        # A balance whose position has no unit of its own: speed times seconds.
         length = site.units["position"] or product(site.units["velocity"], "s")
         return (
             Parameter("tau", 0.0, site.unit, lower=0.0, meaning="friction at the place"),
@@ -401,4 +405,5 @@ class QuadraticDrag(Friction):
         return Contribution(term=-scene.p["c"] * v * sp.Abs(v))
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
+        # A tenth of the driving torque at the largest speed.
         return [{"c": 0.1 * conditions.magnitude / conditions.largest("velocity") ** 2}]

@@ -84,6 +84,8 @@ class Orifice(Effect):
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
         size = 0.1 * conditions.magnitude / conditions.span("level") ** 0.5
+        # A level beyond near the lowest one, in the middle, and below the tank: three ways that a
+        # pipe may end.
         beyond = (
             conditions.quantile("level", 0.1),
             conditions.quantile("level", 0.5),

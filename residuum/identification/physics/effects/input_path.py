@@ -44,6 +44,8 @@ class InputDelay(Effect):
         return Contribution(delay=scene.p["delay"])
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
+        # Within a sample, some samples, and many: delays have a minimum between each two samples of
+        # a fast input.
         return [{"delay": steps * conditions.sample_time} for steps in (0.5, 3.0, 12.0)]
 
     def grown(self, special: Mapping[str, float], conditions: Conditions) -> list[dict[str, float]]:
@@ -118,6 +120,7 @@ class InputDeadZone(Effect):
         )
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
+        # A twentieth of the largest command.
         return [{"delta": 0.05 * conditions.largest("signal")}]
 
     def examples(self) -> list[Example]:
@@ -161,6 +164,7 @@ class InputPower(Effect):
         )
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
+        # Towards a square, and towards a root.
         return [{"e": e, "u_0": conditions.magnitude} for e in (0.5, -0.3)]
 
     def examples(self) -> list[Example]:
@@ -188,6 +192,7 @@ class InputSaturation(Effect):
         )
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
+        # Below the largest command: above it nothing is cut, and no slope leads there.
         return [{"u_max": fraction * conditions.largest("signal")} for fraction in (0.95, 0.8, 0.6)]
 
     def examples(self) -> list[Example]:

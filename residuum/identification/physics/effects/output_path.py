@@ -52,6 +52,7 @@ class OutputLag(Effect):
         )
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
+        # Time constants from below a sample to many samples, five times each.
         return [{"tau": steps * conditions.sample_time} for steps in (0.2, 1.0, 5.0, 25.0)]
 
     def shows(self, values: Mapping[str, float], conditions: Conditions) -> bool:
@@ -136,6 +137,7 @@ class OutputSaturation(Effect):
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
         highest = float(conditions.variables["signal"].max())
+        # Below the highest value: above it nothing is cut.
         return [{"y_max": highest - part * conditions.span("signal")} for part in (0.05, 0.2)]
 
     def examples(self) -> list[Example]:

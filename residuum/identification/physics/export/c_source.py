@@ -50,6 +50,7 @@ def c_source(model: ExplicitModel) -> str:
                 "x",
                 model.initial,
             ),
+            # Terms before rates: C names what it has seen.
             *(line for key in model.components for line in _component(model, key, of_all)),
             *_function(
                 model,
@@ -135,6 +136,8 @@ def _code(expression: Any) -> str:
 # (Dormand and Prince, J. Comp. Appl. Math. 6 (1980) 19) and ends steps where a velocity passes zero
 # or a machine breaks away, for past a kink no step of a Runge–Kutta method is exact.
 
+# Coefficients of Dormand and Prince, 5(4) with seven stages, the last of which is the next step's
+# first.
 _NODES = ("0.0", "0.2", "0.3", "0.8", "8.0 / 9.0", "1.0", "1.0")
 _WEIGHTS = (
     "{0}",
@@ -145,6 +148,7 @@ _WEIGHTS = (
     "{9017.0 / 3168.0, -355.0 / 33.0, 46732.0 / 5247.0, 49.0 / 176.0, -5103.0 / 18656.0}",
     "{35.0 / 384.0, 0.0, 500.0 / 1113.0, 125.0 / 192.0, -2187.0 / 6784.0, 11.0 / 84.0}",
 )
+# Difference of the weights of order 5 and of order 4: an estimate of the error of a step.
 _ERRORS = (
     "71.0 / 57600.0",
     "0.0",

@@ -30,6 +30,7 @@ from residuum.identification.physics.export.explicit_model import ExplicitModel
 
 PLATFORMS = {("Linux", "x86_64"): ("linux64", ".so"), ("Darwin", "x86_64"): ("darwin64", ".dylib")}
 """(system, machine) → folder of FMI 2.0 and ending of a library."""
+# [s] A compiler that hangs is given up: sources are an FMU too.
 _TIMEOUT = 120.0
 _ABLE = dict.fromkeys(
     ("canGetAndSetFMUstate", "canSerializeFMUstate", "canNotUseMemoryManagementFunctions"), "true"
@@ -54,6 +55,7 @@ def fmu(model: ExplicitModel) -> Fmu:
     Sources are always in it; without a compiler for this platform they are all that is.
     """
     code = c_source(model)
+    # Of the code: a changed model gets another identity, the same model the same one.
     guid = "{" + hashlib.sha256(code.encode()).hexdigest()[:32] + "}"
     sources = {f"{model.name}.c": code, "fmi2.c": fmi2_source(model, guid)}
     library, folder, why = _compiled(model.name, sources)
@@ -85,6 +87,7 @@ def _compiled(name: str, sources: dict[str, str]) -> tuple[bytes | None, str | N
         for file, text in sources.items():
             (Path(place) / file).write_text(text, encoding="utf-8")
         out = Path(place) / f"{name}{ending}"
+        # -O2 without -march: the library may run on another machine of this platform.
         flags = [
             "-std=c99",
             "-O2",
@@ -121,6 +124,7 @@ def _description(model: ExplicitModel, guid: str) -> bytes:
         numberOfEventIndicators=str(len(model.directions)),
     )
     for kind in ("ModelExchange", "CoSimulation"):
+        # Only a master of co-simulation chooses the step.
         held = {"canHandleVariableCommunicationStepSize": "true"} if kind == "CoSimulation" else {}
         part = ET.SubElement(root, kind, {"modelIdentifier": model.name, **_ABLE, **held})
         ET.SubElement(ET.SubElement(part, "SourceFiles"), "File", name="fmi2.c")
@@ -131,6 +135,7 @@ def _description(model: ExplicitModel, guid: str) -> bytes:
             ET.SubElement(definitions, "Unit", name=unit)
     ET.SubElement(root, "DefaultExperiment", startTime="0", tolerance="1e-9")
     listed = ET.SubElement(root, "ModelVariables")
+    # The order of variables is that of the C source's value references.
     for reference, (name, title, attributes, unit, real) in enumerate(variables):
         identity = {"name": name, "valueReference": str(reference), "description": title}
         entry = ET.SubElement(listed, "ScalarVariable", identity | attributes)
@@ -144,6 +149,8 @@ def _add_structure(root: ET.Element, model: ExplicitModel) -> None:
     n, m = len(model.states), len(model.inputs)
     derivatives = range(n + 1, 2 * n + 1)
     outputs = range(2 * n + m + 1, 2 * n + m + 1 + len(model.outputs))
+    # A first value that is a number is known; one that follows from inputs or parameters is
+    # computed.
     unknown_first = [k for k, name in enumerate(model.states, 1) if not _known(model, name)]
     indices = {
         "Outputs": [*outputs],
@@ -173,6 +180,7 @@ def _variables(model: ExplicitModel) -> Iterator[_Variable]:
         yield name, model.meanings[name], attributes, model.units.get(name, ""), {"start": "0.0"}
     for name in model.outputs:
         attributes = {"causality": "output", "variability": "continuous", "initial": "calculated"}
+        # An output may be called as the state that it shows; names of an FMU are unique.
         shown = f"y.{name}" if name in taken else name
         yield shown, model.meanings[name], attributes, model.units.get(name, ""), {}
     for name in model.parameters:
@@ -196,6 +204,7 @@ def _variables_of_states(model: ExplicitModel, moving: dict[str, str]) -> Iterat
         attributes = {**moving, "initial": "exact" if known else "calculated"}
         yield name, model.meanings[name], attributes, model.units.get(name, ""), real
     for k, name in enumerate(model.states, start=1):
+        # Brackets: a unit may be a product or a quotient itself.
         unit = f"({model.units[name]})/s" if model.units.get(name) else ""
         yield (
             f"der({name})",
@@ -241,6 +250,7 @@ def fmi2_source(model: ExplicitModel, guid: str) -> str:
         .replace("TERM_VALUES", "\n    ".join(terms))
         .replace("NAME", model.name)
     )
+    # ROOM_: C knows no arrays of no elements.
     for key, count in sizes.items():
         text = text.replace(f"N_{key}", str(count)).replace(f"ROOM_{key}", str(max(count, 1)))
     return text

@@ -64,7 +64,9 @@ def _code(expression: Any) -> str:
         part: sp.Symbol(f"residuum_part_{k}", real=True)
         for k, part in enumerate(dict.fromkeys(_chosen_parts(expression)))
     }
+    # Parts first, by themselves: SymPy's printer would write Min, Max and Piecewise its own way.
     texts = {symbol.name: _code(part) for part, symbol in names.items()}
+    # 17 digits say every double exactly.
     printed = sp.sstr(expression.xreplace(names).evalf(17))
     return re.sub(
         r"residuum_part_\d+",
@@ -101,6 +103,7 @@ def _extreme_code(expression: Any) -> str:
 
 def _chosen_parts(expression: Any) -> Iterator[Any]:
     """What is written otherwise than SymPy writes it, the outermost of each."""
+    # Not below such a part: `_code` of it looks for its own.
     if isinstance(expression, sp.Piecewise | sp.Min | sp.Max):
         yield expression
     else:

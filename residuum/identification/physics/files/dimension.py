@@ -167,6 +167,7 @@ def _check_time(tree: Call, by: Dimension) -> None:
 
 
 def _alike(tree: Operation | Call, operands: list[Dimension]) -> Dimension:
+    # A bare number takes the dimension of what it stands beside.
     known = [operand for operand in operands if not operand.literal]
     for dimension in known[1:]:
         if not known[0].agrees(dimension):

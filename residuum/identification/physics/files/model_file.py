@@ -381,6 +381,7 @@ class _Dumper(yaml.SafeDumper):
 def _names(tree: Table, section: str) -> list[str]:
     table = tree.table(section, "model file")
     for name, place in table.keys.items():
+        # Outputs and balances are not named in expressions: they may be called as they like.
         if section not in ("outputs", "balances") and (
             not _NAME.fullmatch(name) or name in _RESERVED
         ):
@@ -432,6 +433,7 @@ def read_parameter(name: str, section: Table, of_part: Parameter | None = None) 
         section = Table({name: _alone("value", entry)}, section.keys, section.place)
     table = section.table(name, "parameters")
     table.only(PARAMETER_KEYS, label)
+    # What the model does not say anew stays as the part has it.
     before = of_part or Parameter(name, 0.0, "")
     unit = table.optional("unit", label)
     fixed, meaning = table.optional("fixed", label), table.optional("meaning", label)
@@ -473,6 +475,7 @@ def _of_records(section: Table) -> list[str]:
     """The parameters that have a value for each record (`per: record`)."""
     of_records = []
     for name, entry in section.entries.items():
+        # A value for each record is said by `per: record`.
         if not isinstance(entry, Table) or "per" not in entry.entries:
             continue
         label = f"parameter {name!r}"
@@ -542,6 +545,7 @@ def _uncertain(text: Scalar, label: str) -> tuple[float, Prior | None]:
 def _constant(name: str, section: Table) -> Parameter:
     """`g: 9.81 m/s**2`: a number with its unit, which nothing estimates."""
     text = section.scalar(name, "constants")
+    # One text: a number, a blank, a unit, which may hold blanks itself.
     number, _, unit = text.text.partition(" ")
     value = Scalar(number, text.place).number(f"constant {name!r}")
     return Parameter(
@@ -653,6 +657,7 @@ def _with_effect(model: PhysicalModel, item: Table) -> PhysicalModel:
         return model.with_effect(
             id, target.text, values, fixed=fixed, priors=priors, provenance=provenance
         )
+    # The effect knows what is wrong, the file where.
     except BadInput as error:
         raise item.place.refuse(str(error)) from None
 
@@ -675,6 +680,7 @@ def written_parameter(parameter: Parameter) -> dict[str, Any]:
     if parameter.prior is not None:
         # Beside the value, which an estimation has moved away from its prior.
         written["prior"] = str(parameter.prior)
+    # Infinite bounds are what a file without them means.
     if math.isfinite(parameter.lower):
         written["lower"] = float(parameter.lower)
     if math.isfinite(parameter.upper):

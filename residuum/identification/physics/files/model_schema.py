@@ -16,6 +16,7 @@ from residuum.identification.physics.files.model_file import (
 )
 from residuum.identification.physics.model import BALANCE_KINDS
 
+# As `model_file` reads them.
 _NAME = "^[A-Za-z_][A-Za-z_0-9]*$"
 _TEXT: dict[str, Any] = {"type": "string"}
 _NUMBER: dict[str, Any] = {

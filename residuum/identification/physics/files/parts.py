@@ -207,6 +207,7 @@ def rewritten(balance: Balance, definitions: Definitions) -> Balance:
             {name: with_definitions(term, definitions) for name, term in balance.terms.items()}
         ),
         variables=MappingProxyType(
+            # r·v is no variable that an effect could act through.
             {role: tree.name for role, tree in stand_for.items() if isinstance(tree, Name)}
         ),
     )
@@ -392,6 +393,7 @@ def _position(balance: Balance, model: PhysicalModel, place: Place) -> str | Non
 def _relative(member: _Member, first: _Member, place: Place) -> str:
     """The ratio to the first one's variable, as text; "1" where they are the same."""
     r, of_first = member.ratio.text, first.ratio.text
+    # Equal ratios, a 1 of both included: no scaling.
     if r == of_first:
         if member.balance.kind != first.balance.kind:
             raise place.refuse(
@@ -436,6 +438,7 @@ def _scaled_storage(member: _Member, variable: str, v: str, r: str) -> list[str]
     text = with_definitions(storage, {variable: parse(v, storage.place)}).text
     if r == "1":
         return [text]
+    # The ratio would stand inside of such a storage, too.
     outside = folded(storage.tree, lambda node, inner: _depends_on(variable, node, inner))
     if outside:
         raise storage.place.refuse(
@@ -473,6 +476,8 @@ def _roles(
         for member in members
         if member.balance.kind == first.balance.kind
         for role, name in member.balance.variables.items()
+        # What members have in common is the node's; what else they name (an ambient temperature) is
+        # kept.
         if role not in ("position", "velocity", "current", "temperature", "level")
     }
     own = {

@@ -214,6 +214,7 @@ def _settable(variable: Any) -> Settable | None:
     of_type = getattr(variable, "declaredType", None)
 
     def number(key: str, otherwise: float | None) -> Any:
+        # Bounds, too.
         text = getattr(variable, key, None) or getattr(of_type, key, None)
         return otherwise if text is None else float(text)
 
@@ -240,6 +241,7 @@ def _kind(variable: Any) -> str:
 
 def _variable(variable: Any) -> Variable:
     declared = getattr(variable, "declaredType", None)
+    # A unit may stand at the variable or at its declared type.
     unit = variable.unit or (declared.unit if declared is not None else None) or ""
     return Variable(variable.name, int(variable.valueReference), unit)
 

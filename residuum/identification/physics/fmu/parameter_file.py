@@ -137,6 +137,7 @@ def _listed(name: str, offered: Iterable[str]) -> str:
     names = list(offered)
     if len(names) <= _SHOWN:
         return known_names(name, names, "there are")
+    # An FMU may have thousands: the nearest five, or the first where none is near.
     near = nearest_names(name, names, most=5, like=0.3)
     return f"the nearest of its {len(names)} are {', '.join(near) or ', '.join(names[:5])}"
 
@@ -160,6 +161,7 @@ def text(
     """The text of a file in this folder that names the FMU, with values of parameters and the
     model's effects.
     """
+    # Relative: the folder can be moved as one.
     path = os.path.relpath(described.path, folder)
     document: dict[str, object] = {"name": described.name, "fmu": Path(path).as_posix()}
     if parameters:

@@ -41,6 +41,8 @@ def simulated_model(
     """
     _, inputs, outputs = names_of(described)
     units = [unit_of(v) for v in described.outputs]
+    # The FMU's own inputs stand in no equation: they are there to be matched with the record's
+    # columns.
     idle = {name: Input(name, unit_of(v)) for name, v in zip(inputs, described.inputs, strict=True)}
     simulated = {
         MADE + name: Input(MADE + name, unit) for name, unit in zip(outputs, units, strict=True)

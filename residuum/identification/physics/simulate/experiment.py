@@ -87,6 +87,7 @@ class Experiment:
         """These of the inputs at the other timing: those that were held move evenly, and those that
         moved are held.
         """
+        # A clock moves evenly whatever the record says of its inputs.
         clocks = np.array(self.clocks or (False,) * len(self.hold), dtype=bool)
         return replace(self, hold=np.where(which & ~clocks, 1.0 - self.hold, self.hold))
 
@@ -98,6 +99,7 @@ class Experiment:
         return (
             self.source == other.source
             and self.t0 > other.t0
+            # Half a sample: times of windows are sums of steps, which round.
             and abs(self.t0 - end) < 0.5 * self.sample_time
         )
 
@@ -107,6 +109,7 @@ class Experiment:
 
     def window(self, start: int, stop: int) -> Experiment:
         """Samples start … stop − 1."""
+        # Known is what stood at the record's begin, not at the window's.
         known = self.known if start == 0 else {}
         spare = {name: replace(s, values=s.values[start:stop]) for name, s in self.spare.items()}
         t0 = self.t0 + start * self.sample_time
@@ -184,6 +187,7 @@ def _between_holes(record: Record, inputs: Sequence[str]) -> list[Record]:
     # Where "missing" changes: each pair of edges bounds a part without holes.
     edges = np.flatnonzero(np.diff(np.concatenate([[True], lacking, [True]]).astype(np.int8)))
     parts = list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+    # An input that is there at every other sample only leaves no parts: `match` refuses it.
     if not parts or min(stop - start for start, stop in parts) < SHORTEST_PART:
         return [record]
     named = [
@@ -304,6 +308,7 @@ def _incomplete(missing: npt.NDArray[np.bool_], says: str) -> BadRecord:
     lines between its samples.
     """
     apart = np.diff(np.flatnonzero(~missing))
+    # Mostly every n-th sample is there: a column recorded at a lower rate.
     if apart.size and (step := int(np.median(apart))) > 1:
         way = ("resample", True, "where the record is read, to have those between")
         return BadRecord(f"{says}, it has one every {step} samples", way_on=[way])
