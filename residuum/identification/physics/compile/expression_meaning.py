@@ -65,10 +65,10 @@ def meaning(node: Operation | Call) -> Callable[..., Any]:
     if isinstance(node, Operation):
         return _OPERATORS.get(node.operator) or getattr(sp, _CONDITIONS[node.operator])
     if node.function == EXTERNAL:
-        value = import_module(
-            "residuum.identification.physics.compile.equation_functions"
-        ).ExternalValue
-        return lambda number, *operands: value(number, sp.Symbol("t", real=True), *operands)
+        # their classes need SymPy, which texts without such a call do not
+        functions = import_module("residuum.identification.physics.compile.equation_functions")
+        value, t = functions.ExternalValue, sp.Symbol("t", real=True)
+        return lambda number, *operands: value(number, t, *operands)
     return _WRITTEN.get(node.function) or getattr(sp, _FUNCTIONS.get(node.function, node.function))
 
 
