@@ -307,7 +307,9 @@ class PhysicalModel:
 
     def _tied_site(self, target: str, effect: Effect) -> Site:
         """The site of an effect at `balance(signal)` or `balance(other)`."""
-        place, tied, joins = place_of(target), tied_to(target), effect.joins(target)
+        place = place_of(target)
+        tied = tied_to(target)
+        joins = effect.joins(target)
         if place not in self.balances or len(tied) != 1:
             form = "balance(other balance)" if joins else "balance(signal)"
             balances = ", ".join(self.balances)

@@ -127,7 +127,8 @@ def _functions(eq: Equations) -> list[_Function]:
     moving = {row: sp.Symbol(f"m_{number}", real=True) for number, row in enumerate(eq.surfaces)}
     rates = {i: moving.get(i, sp.S.One) * rate for i, rate in enumerate(eq.rates)}
     start = {list(eq.x).index(name): expression for name, expression in eq.initial.items()}
-    outputs, signals = dict(enumerate(eq.outputs.values())), dict(enumerate(eq.signals.values()))
+    outputs = dict(enumerate(eq.outputs.values()))
+    signals = dict(enumerate(eq.signals.values()))
     # (values, slopes) of each function, in the order of FUNCTIONS.
     given: list[tuple[Rows, Rows]] = [
         (rates, {}),
@@ -188,7 +189,10 @@ class _Function:
         moved: Mapping[Any, tuple[Any, Any]],
         defined: Mapping[sp.Symbol, sp.Expr],
     ) -> None:
-        self.name, self.loads, self.moved, self.defined = name, loads, moved, defined
+        self.name = name
+        self.loads = loads
+        self.moved = moved
+        self.defined = defined
         self.roots: dict[str, Any] = {}
         self.lines: list[str] = []
         self.known: dict[Any, str] = {}
@@ -373,7 +377,8 @@ class _Function:
         )
 
     def _root(self, i: sp.Expr, *given: Any) -> str:
-        z, values = self._solution(given[:4], given[4:]), int(i)
+        z = self._solution(given[:4], given[4:])
+        values = int(i)
         return self._new(
             f"load double, ptr {self._new(f'getelementptr double, ptr {z}, i64 {values}')}"
         )

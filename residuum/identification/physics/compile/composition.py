@@ -316,7 +316,8 @@ class _Composer:
         return inputs | {b.variables["current"] for b in balances if "current" in b.variables}
 
     def _add_to_balance(self, use: EffectUse, sides: Mapping[str, _Sides]) -> None:
-        side, name = sides[use.place], term_name(use)
+        side = sides[use.place]
+        name = term_name(use)
         added = self._contribution(
             use, side.roles | self._tied(use, sides), side.direction, sp.S.Zero
         )
@@ -358,7 +359,8 @@ class _Composer:
         swap = {sp.sign(side.defines): direction, side.defines: state}
         side.terms = {term: e.subs(swap) for term, e in side.terms.items()}
         self.became_state[side.defines] = state
-        side.state, side.coefficient = name, inductance
+        side.state = name
+        side.coefficient = inductance
 
     def _add_to_paths(self, place: str, paths: dict[str, sp.Expr]) -> None:
         """Add the effects on inputs, or those on outputs, in their order: each takes the signal as
@@ -414,10 +416,8 @@ class _Composer:
     def _roots(
         self, sides: list[_Sides], total: list[sp.Expr], solved: dict[sp.Symbol, sp.Expr]
     ) -> dict[sp.Symbol, sp.Expr]:
-        names, place = (
-            ", ".join(side.balance.name for side in sides),
-            sides[0].balance.storage.place,
-        )
+        names = ", ".join(side.balance.name for side in sides)
+        place = sides[0].balance.storage.place
         start = [side.balance.start for side in sides if side.balance.start is not None]
         # J is inverted by its adjugate, which grows fast.
         if len(start) < len(sides) or len(sides) > implicit.MOST_VARIABLES:
@@ -450,7 +450,8 @@ class _Composer:
     def _solve(self, i: sp.Symbol, total: sp.Expr, balance: Balance) -> sp.Expr:
         """The root i of r + a·i + b·sign(i) + c·|i| = 0."""
         # Both are taken for variables of their own, so that the equation is linear in all three.
-        sign, size = sp.Symbol("sign_of_variable"), sp.Symbol("size_of_variable")
+        sign = sp.Symbol("sign_of_variable")
+        size = sp.Symbol("size_of_variable")
         flat = sp.expand(sp.expand(total).subs({sp.sign(i): sign, sp.Abs(i): size}))
         a, b, c = (flat.coeff(symbol, 1) for symbol in (i, sign, size))
         r = flat.subs({i: 0, sign: 0, size: 0})
@@ -464,7 +465,8 @@ class _Composer:
             return -r / a
         # Between −gap and gap neither sign solves the equation: the variable rests at zero (a
         # brush's drop).
-        free, gap = -r / a, b / a
+        free = -r / a
+        gap = b / a
         return sp.Piecewise(
             (-(r + b) / (a + c), free > gap), (-(r - b) / (a - c), free < -gap), (0, True)
         )

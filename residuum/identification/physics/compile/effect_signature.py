@@ -137,7 +137,8 @@ def signature(effect: Effect, kind: str | None = None) -> Signature:
     # Against another axis than time the first period would show how states settle.
     shown = slice(0 if axis == "t" else _SAMPLES, None, _EVERY)
     before = None if best.before is None else best.before[shown]
-    at, value = motion[axis][shown], best.value[shown]
+    at = motion[axis][shown]
+    value = best.value[shown]
     return Signature(
         scenario.site.kind, name, units[axis], scenario.site.unit, at, value, before, values
     )
@@ -152,7 +153,8 @@ def _motion(scenario: Scenario) -> dict[str, Array]:
     t = np.linspace(0.0, _PERIODS * scenario.period, _PERIODS * _SAMPLES + 1)
     turn = 2 * np.pi * t / scenario.period
     # A sine, and a triangle from 0 to 1 and back.
-    swing, even = np.sin(turn), 1.0 - np.abs(1.0 - 2.0 * ((t / scenario.period) % 1.0))
+    swing = np.sin(turn)
+    even = 1.0 - np.abs(1.0 - 2.0 * ((t / scenario.period) % 1.0))
     size = scenario.magnitude
     driven = even if scenario.site.kind in ("heat", "volume") else swing
     return {
@@ -250,7 +252,9 @@ class _Drawing:
             return np.array(rates(list(u), list(x)), dtype=float)
 
         for k in range(U.shape[1] - 1):
-            u0, u1, x = U[:, k], U[:, k + 1], X[:, k]
+            u0 = U[:, k]
+            u1 = U[:, k + 1]
+            x = X[:, k]
             # Runge and Kutta with inputs that move evenly between two samples.
             half = (u0 + u1) / 2
             a = rate(u0, x)

@@ -67,7 +67,8 @@ def meaning(node: Operation | Call) -> Callable[..., Any]:
     if node.function == EXTERNAL:
         # their classes need SymPy, which texts without such a call do not
         functions = import_module("residuum.identification.physics.compile.equation_functions")
-        value, t = functions.ExternalValue, sp.Symbol("t", real=True)
+        value = functions.ExternalValue
+        t = sp.Symbol("t", real=True)
         return lambda number, *operands: value(number, t, *operands)
     return _WRITTEN.get(node.function) or getattr(sp, _FUNCTIONS.get(node.function, node.function))
 

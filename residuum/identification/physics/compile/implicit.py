@@ -97,7 +97,8 @@ def newton(name: str, start: Sequence[float]) -> str:
         "  %half = fmul double %length, 0.5",
     ]
     lines += ["  %next = select i1 %falls, double 1.0, double %half"]
-    still, apart = "false", "false"
+    still = "false"
+    apart = "false"
     for k in range(m):
         lines += [f"  %{x}v{k} = load double, ptr %{x}e{k}" for x in ("z", "at", "to", "r")]
         lines += [f"  %p{k} = select i1 %falls, double %zv{k}, double %atv{k}"]
@@ -132,7 +133,8 @@ def newton(name: str, start: Sequence[float]) -> str:
             f"  %still{k} = or i1 {still}, %moves{k}",
             f"  %apart{k} = or i1 {apart}, %off{k}",
         ]
-        still, apart = f"%still{k}", f"%apart{k}"
+        still = f"%still{k}"
+        apart = f"%apart{k}"
     lines += [
         "  %n1 = add i64 %n, 1",
         f"  %more = icmp slt i64 %n1, {MOST_STEPS}",

@@ -154,7 +154,8 @@ def _columns(nx: int, A: Places, rows: Collection[int]) -> str:
 def _lengths(t: _Lines) -> tuple[str, str, str, str]:
     """Of a step: the whole, a half, a sixth and a third."""
     h = t.load("%step", 0)
-    half, sixth = t.times(h, "0.5"), t.new(f"fdiv double {h}, 6.0")
+    half = t.times(h, "0.5")
+    sixth = t.new(f"fdiv double {h}, 6.0")
     return h, half, sixth, t.add(sixth, sixth)
 
 
@@ -188,7 +189,9 @@ class _Column:
     """
 
     def __init__(self, t: _Lines, c: str, together: int) -> None:
-        self.t, self.c, self.together = t, c, together
+        self.t = t
+        self.c = c
+        self.together = together
         # Sums and products are written for the width of this column.
         t.kind = "double" if together == 1 else f"<{together} x double>"
         numbers = [c] + [t.new(f"add i64 {c}, {lane}") for lane in range(1, together)]
@@ -250,7 +253,8 @@ def _column_step(
     nx = len(rows)
     h, half, sixth, third = map(column.all, lengths)
     S0 = [column.load("%S", i) for i in range(nx)]
-    S, stages = S0, []
+    S = S0
+    stages = []
     # where the stage after each one stands in the step; after the last none is asked for
     reaches = (half, half, h, half)
     for A, B, reach in zip(*matrices, reaches, strict=True):
@@ -269,7 +273,8 @@ def _columns_loop(t: _Lines, body: Callable[[_Column], None]) -> None:
     """Do `body` for all sensitivity columns, as many side by side as a vector holds, then for those
     left one by one.
     """
-    first, begun = "0", "entry"
+    first = "0"
+    begun = "entry"
     for together in _VECTORS:
         n = str(together)
         t.say(
@@ -280,7 +285,8 @@ def _columns_loop(t: _Lines, body: Callable[[_Column], None]) -> None:
         t.say(f"  br i1 %more{n}, label %body{n}, label %done{n}\nbody{n}:")
         body(_Column(t, f"%c{n}", together))
         t.say(f"  br label %head{n}\ndone{n}:")
-        first, begun = f"%c{n}", f"done{n}"
+        first = f"%c{n}"
+        begun = f"done{n}"
     t.kind = "double"
 
 

@@ -97,7 +97,8 @@ class EffectCatalogue(Mapping[str, Effect]):
     """
 
     def __init__(self, listed: Mapping[str, Effect]) -> None:
-        self._listed, self._added = dict(listed), dict[str, Effect]()
+        self._listed = dict(listed)
+        self._added = dict[str, Effect]()
         self._fingerprints: dict[str, str] = {}
         self._here: ContextVar[Mapping[str, Effect]] = ContextVar(
             "effects of this work", default=MappingProxyType({})
@@ -155,7 +156,8 @@ class EffectCatalogue(Mapping[str, Effect]):
             raise BadModel(f"effect {id!r}: the catalogue has one of this id; choose another")
         if missing := [name for name in _DECLARED if not hasattr(effect, name)]:
             raise BadModel(f"effect {id!r}: class attribute {missing[0]!r} is missing")
-        self._added[id], self._fingerprints[id] = effect, _digest(effect)
+        self._added[id] = effect
+        self._fingerprints[id] = _digest(effect)
 
     def is_here(self, id: str) -> bool:
         """Whether a file defines the effect for the work at hand."""

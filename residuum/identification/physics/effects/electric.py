@@ -137,8 +137,10 @@ class SupplySag(Effect):
 
     def contribution(self, scene: Scene) -> Contribution:
         k, p, fed, u_ref = (scene.p[name] for name in ("k", "p", "fed", "u_ref"))
-        u, i = scene["supply_terms"], scene["current"]
-        z, way = sp.Abs(u) / u_ref, sp.sign(u)
+        u = scene["supply_terms"]
+        i = scene["current"]
+        z = sp.Abs(u) / u_ref
+        way = sp.sign(u)
         # With p = 0, 1, 2 the weights (1−p)(2−p)/2, p(2−p), p(p−1)/2 choose 1, z, z².
         # z^p where p is whole
         share = (1 - p) * (2 - p) / 2 + p * (2 - p) * z + p * (p - 1) / 2 * z**2
@@ -192,7 +194,9 @@ class ResistanceHeating(Effect):
         return {"rho": site.per("current")}
 
     def contribution(self, scene: Scene) -> Contribution:
-        p, i, rho = scene.p, scene["current"], scene.x["rho"]
+        p = scene.p
+        i = scene["current"]
+        rho = scene.x["rho"]
         return Contribution(
             term=-rho * i,
             rates={"rho": (p["a"] * i**2 - rho) / p["tau"]},

@@ -121,7 +121,8 @@ class StribeckFriction(Friction):
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
         # Friction that fades within a hundredth, a twentieth and a fifth of the largest speed.
-        size, fastest = 0.1 * conditions.magnitude, conditions.largest("velocity")
+        size = 0.1 * conditions.magnitude
+        fastest = conditions.largest("velocity")
         return [
             {"tau_c": size, "tau_s": size, "v_s": fraction * fastest}
             for fraction in (0.01, 0.05, 0.2)
@@ -138,7 +139,8 @@ class StribeckFriction(Friction):
     def grown(self, special: Mapping[str, float], conditions: Conditions) -> list[dict[str, float]]:
         """Dry friction that was too large at speed and too small at rest."""
         # Coulomb's friction fits the mean of the curve: less while sliding, and more at rest.
-        tau, fastest = special["tau_c"], conditions.largest("velocity")
+        tau = special["tau_c"]
+        fastest = conditions.largest("velocity")
         return [
             {"tau_c": 0.8 * tau, "tau_s": 0.5 * tau, "v_s": fraction * fastest}
             for fraction in (0.02, 0.1)
@@ -183,7 +185,9 @@ class LuGre(Effect):
         return {"F": site.unit}
 
     def contribution(self, scene: Scene) -> Contribution:
-        p, v, force = scene.p, scene["velocity"], scene.x["F"]
+        p = scene.p
+        v = scene["velocity"]
+        force = scene.x["F"]
         g = p["tau_c"] + p["tau_s"] * sp.exp(-((v / p["v_s"]) ** 2))
         return Contribution(
             term=-force,
@@ -192,7 +196,8 @@ class LuGre(Effect):
         )
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
-        size, fastest = 0.1 * conditions.magnitude, conditions.largest("velocity")
+        size = 0.1 * conditions.magnitude
+        fastest = conditions.largest("velocity")
         # Bristles that give way over what 5 and 30 samples at the fastest cover.
         travelled = fastest * conditions.sample_time
         return [
@@ -233,7 +238,8 @@ class DirectionalFriction(Friction):
     def contribution(self, scene: Scene) -> Contribution:
         s = scene.direction
         # 1 for s = 1 and for s = −1 only: at rest (s = 0) neither acts.
-        forwards, backwards = s * (s + 1) / 2, s * (s - 1) / 2
+        forwards = s * (s + 1) / 2
+        backwards = s * (s - 1) / 2
         return Contribution(term=-scene.p["tau_plus"] * forwards + scene.p["tau_minus"] * backwards)
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
@@ -372,7 +378,8 @@ class PlaceFriction(Friction):
         return Contribution(term=-p["tau"] * gaussian * scene.direction)
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
-        size, travel = 0.1 * conditions.magnitude, conditions.span("position")
+        size = 0.1 * conditions.magnitude
+        travel = conditions.span("position")
         lowest = float(conditions.variables["position"].min())
         return [
             {"tau": size, "q_0": lowest + part * travel, "w": 0.12 * travel}

@@ -80,7 +80,8 @@ class InputLag(Effect):
         return {"u_f": site.unit}
 
     def contribution(self, scene: Scene) -> Contribution:
-        u, lagged = scene.signal, scene.x["u_f"]
+        u = scene.signal
+        lagged = scene.x["u_f"]
         return Contribution(
             signal=lagged, rates={"u_f": (u - lagged) / scene.p["tau"]}, initial={"u_f": u}
         )
@@ -114,7 +115,8 @@ class InputDeadZone(Effect):
         )
 
     def contribution(self, scene: Scene) -> Contribution:
-        u, delta = scene.signal, scene.p["delta"]
+        u = scene.signal
+        delta = scene.p["delta"]
         return Contribution(
             signal=sp.Piecewise((u - delta, u > delta), (u + delta, u < -delta), (0, True))
         )
@@ -228,7 +230,9 @@ class InputBacklash(Effect):
         return {"u_b": site.unit}
 
     def contribution(self, scene: Scene) -> Contribution:
-        u, behind, w = scene.signal, scene.x["u_b"], scene.p["w"]
+        u = scene.signal
+        behind = scene.x["u_b"]
+        w = scene.p["w"]
         away = u - behind
         pulled = sp.Piecewise((away - w, away > w), (away + w, away < -w), (0, True))
         return Contribution(
@@ -311,7 +315,8 @@ class SupplyNonlinearity(Effect):
         )
 
     def contribution(self, scene: Scene) -> Contribution:
-        p, w = scene.p, sp.Max(sp.Abs(scene["supply"]) / scene.p["u_ref"], sp.Float(_SMALLEST))
+        p = scene.p
+        w = sp.Max(sp.Abs(scene["supply"]) / scene.p["u_ref"], sp.Float(_SMALLEST))
         return Contribution(
             term=scene["supply_terms"] * ((1 + p["b"] * w) * sp.exp(p["gamma"] * sp.log(w)) - 1)
         )

@@ -82,11 +82,13 @@ class PositionLoad(Effect):
         )
 
     def contribution(self, scene: Scene) -> Contribution:
-        p, angle = scene.p, scene.p["kappa"] * scene["position"]
+        p = scene.p
+        angle = scene.p["kappa"] * scene["position"]
         return Contribution(term=-(p["a"] * sp.sin(angle) + p["b"] * sp.cos(angle)))
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
-        size, travel = 0.1 * conditions.magnitude, conditions.span("position")
+        size = 0.1 * conditions.magnitude
+        travel = conditions.span("position")
         # Half a period, one and two over the travel.
         # the last: once a turn, an arm's own weight
         waves = [*(np.pi * periods / travel for periods in (1.0, 2.0, 4.0)), 1.0]
@@ -157,10 +159,8 @@ def _refined(position: Array, signal: Array, wave_number: float, width: float) -
     tried = wave_number + width * np.linspace(-1.0, 1.0, 9)
     # Each wave number is the one before, turned on by a constant step: one product instead of an
     # exponential.
-    turned, turn = (
-        np.exp(-1j * tried[0] * position) * signal,
-        np.exp(-1j * (tried[1] - tried[0]) * position),
-    )
+    turned = np.exp(-1j * tried[0] * position) * signal
+    turn = np.exp(-1j * (tried[1] - tried[0]) * position)
     sizes = [abs(turned.sum())]
     for _ in tried[1:]:
         turned *= turn
@@ -201,11 +201,13 @@ class ToothRipple(Effect):
         )
 
     def contribution(self, scene: Scene) -> Contribution:
-        p, angle = scene.p, scene.p["n"] * scene["position"]
+        p = scene.p
+        angle = scene.p["n"] * scene["position"]
         return Contribution(term=-(p["a"] * sp.sin(angle) + p["b"] * sp.cos(angle)))
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
-        size, travel = 0.1 * conditions.magnitude, conditions.span("position")
+        size = 0.1 * conditions.magnitude
+        travel = conditions.span("position")
         if conditions.missing is None:
             orders = [2.0 * np.pi * periods / travel for periods in (10.0, 40.0)]
             orders += [order for order in (1.0, 2.0, 6.0, 12.0) if order * travel > 8.0 * np.pi]
@@ -253,7 +255,8 @@ class Cogging(ToothRipple):
         return (first, second, *more, wave)
 
     def contribution(self, scene: Scene) -> Contribution:
-        p, angle = scene.p, scene.p["n"] * scene["position"]
+        p = scene.p
+        angle = scene.p["n"] * scene["position"]
         harmonic = p["a2"] * sp.sin(2 * angle) + p["b2"] * sp.cos(2 * angle)
         return Contribution(term=-(p["a"] * sp.sin(angle) + p["b"] * sp.cos(angle) + harmonic))
 

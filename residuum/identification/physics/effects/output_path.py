@@ -43,7 +43,8 @@ class OutputLag(Effect):
         return {"y_f": site.unit}
 
     def contribution(self, scene: Scene) -> Contribution:
-        y, lagged = scene.signal, scene.x["y_f"]
+        y = scene.signal
+        lagged = scene.x["y_f"]
         return Contribution(
             signal=lagged,
             rates={"y_f": (y - lagged) / scene.p["tau"]},

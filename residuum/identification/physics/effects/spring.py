@@ -76,7 +76,8 @@ class CubicSpring(Effect):
         )
 
     def contribution(self, scene: Scene) -> Contribution:
-        p, deflection = scene.p, scene["position"] - scene.p["q_0"]
+        p = scene.p
+        deflection = scene["position"] - scene.p["q_0"]
         return Contribution(term=-p["k_3"] * deflection**3 - p["k_2"] * deflection**2)
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
@@ -122,7 +123,8 @@ class Hysteresis(Effect):
         return {"z": ""}
 
     def contribution(self, scene: Scene) -> Contribution:
-        v, z = scene["velocity"], scene.x["z"]
+        v = scene["velocity"]
+        z = scene.x["z"]
         return Contribution(
             term=-scene.p["f_c"] * z,
             rates={"z": (v - sp.Abs(v) * z) / scene.p["x_0"]},
@@ -181,7 +183,9 @@ class BoucWen(Effect):
         return {"z": site.unit}
 
     def contribution(self, scene: Scene) -> Contribution:
-        p, v, z = scene.p, scene["velocity"], scene.x["z"]
+        p = scene.p
+        v = scene["velocity"]
+        z = scene.x["z"]
         rate = p["A"] * v - p["beta"] * sp.Abs(v) * z - p["gamma"] * v * sp.Abs(z)
         return Contribution(term=-z, rates={"z": rate}, initial={"z": sp.S.Zero})
 

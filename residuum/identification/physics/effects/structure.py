@@ -89,7 +89,8 @@ class Coupling(JoiningEffect):
         )
 
     def contribution(self, scene: Scene) -> Contribution:
-        mine, partner = ACROSS[scene.site.kind], f"other:{ACROSS[scene.site.kind]}"
+        mine = ACROSS[scene.site.kind]
+        partner = f"other:{ACROSS[scene.site.kind]}"
         exchange = scene.p["k"] * (scene[mine] - scene[partner])
         return Contribution(term=-exchange, elsewhere={scene.site.signals[0]: exchange})
 

@@ -156,7 +156,8 @@ class Radiation(HeatLoss):
     def contribution(self, scene: Scene) -> Contribution:
         # The fourth power is of absolute temperatures, on whatever scale the model has.
         zero = sp.Float(absolute_zero(scene.site.units["temperature"]))
-        hot, cold = scene["temperature"] - zero, self.ambient(scene) - zero
+        hot = scene["temperature"] - zero
+        cold = self.ambient(scene) - zero
         return Contribution(term=-scene.p["c"] * (hot**4 - cold**4))
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
@@ -376,10 +377,8 @@ class DoorOpening(HeatLoss):
         else:
             # Smooth edges: the times of opening can be estimated by slopes.
             edge = p["t_length"] / 20
-            begin, end = (
-                (scene.t - p["t_open"]) / edge,
-                (scene.t - p["t_open"] - p["t_length"]) / edge,
-            )
+            begin = (scene.t - p["t_open"]) / edge
+            end = (scene.t - p["t_open"] - p["t_length"]) / edge
             opened = (sp.tanh(begin) - sp.tanh(end)) / 2
         return Contribution(term=-p["G"] * (scene["temperature"] - self.ambient(scene)) * opened)
 

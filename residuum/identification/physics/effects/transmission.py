@@ -48,7 +48,10 @@ class TwoBodies(Effect):
         """What the contact transmits at this twist and velocity difference."""
 
     def contribution(self, scene: Scene) -> Contribution:
-        p, v, twist, w = scene.p, scene["velocity"], scene.x["twist"], scene.x["far_velocity"]
+        p = scene.p
+        v = scene["velocity"]
+        twist = scene.x["twist"]
+        w = scene.x["far_velocity"]
         transmitted = self.transmitted(p, twist, v - w)
         return Contribution(
             term=-transmitted,
@@ -188,7 +191,8 @@ class Backlash(TwoBodies):
         )
 
     def transmitted(self, p: Mapping[str, sp.Expr], twist: sp.Expr, slip: sp.Expr) -> sp.Expr:
-        half, damping = p["gap"] / 2, p["d"] * slip
+        half = p["gap"] / 2
+        damping = p["d"] * slip
         return sp.Piecewise(
             (p["k"] * (twist - half) + damping, twist > half),
             (p["k"] * (twist + half) + damping, twist < -half),
@@ -196,7 +200,8 @@ class Backlash(TwoBodies):
         )
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
-        first_values, travelled = [], conditions.largest("velocity") * conditions.sample_time
+        first_values = []
+        travelled = conditions.largest("velocity") * conditions.sample_time
         # ½·a·Ts²: how far the drive side alone gets in one sample, pushed as on average.
         crossed = 0.5 * conditions.magnitude / conditions.storage * conditions.sample_time**2
         # The contact's resonance at a twentieth of the sampling rate.
@@ -253,7 +258,8 @@ def _bend(position: Array, force: Array) -> float:
     A machine that is at this end for more than half of the time has no upper half: then the end
     itself.
     """
-    middle, end = float(np.median(position)), float(np.max(position))
+    middle = float(np.median(position))
+    end = float(np.max(position))
     if middle == end:
         return end
     q = np.linspace(middle, end, 60, endpoint=False)
@@ -294,7 +300,9 @@ class EndStop(Effect):
         )
 
     def contribution(self, scene: Scene) -> Contribution:
-        p, q, damped = scene.p, scene["position"], scene.p["d"] * scene["velocity"]
+        p = scene.p
+        q = scene["position"]
+        damped = scene.p["d"] * scene["velocity"]
         above = sp.Piecewise(
             (sp.Max(p["k"] * (q - p["q_max"]) + damped, 0), q > p["q_max"]), (0, True)
         )
@@ -307,14 +315,17 @@ class EndStop(Effect):
         """One end at a time; how far the motion goes beyond it nobody knows, unless what is missing
         shows it.
         """
-        q, span = conditions.variables["position"], conditions.span("position")
-        low, high = float(np.min(q)), float(np.max(q))
+        q = conditions.variables["position"]
+        span = conditions.span("position")
+        low = float(np.min(q))
+        high = float(np.max(q))
         # Each upper end with a lower one far outside, and the other way round.
         ends = [(high - depth, low - span) for depth in _DEPTHS * span] + [
             (high + span, low + depth) for depth in _DEPTHS * span
         ]
         if conditions.missing is not None and np.any(conditions.missing):
-            above, below = _bend(q, conditions.missing), _bend(-q, -conditions.missing)
+            above = _bend(q, conditions.missing)
+            below = _bend(-q, -conditions.missing)
             ends += [(above, low - span), (high + span, -below), (above, -below)]
         first_values = []
         for q_max, q_min in ends:

@@ -196,7 +196,8 @@ def estimate(
 
 def _end_to_end(experiments: Sequence[Experiment]) -> Experiment:
     """One with the rows of all, for sums over them."""
-    U, Y = np.concatenate([e.U for e in experiments]), np.concatenate([e.Y for e in experiments])
+    U = np.concatenate([e.U for e in experiments])
+    Y = np.concatenate([e.Y for e in experiments])
     return replace(experiments[0], U=U, Y=Y, known={})
 
 
@@ -223,12 +224,10 @@ class _Problem:
         names: tuple[str, ...],
         settings: Settings,
     ) -> None:
-        self.simulator, self.experiments, self.names, self.settings = (
-            simulator,
-            experiments,
-            names,
-            settings,
-        )
+        self.simulator = simulator
+        self.experiments = experiments
+        self.names = names
+        self.settings = settings
         parameters = simulator.model.all_parameters
         self.lower = np.array([parameters[name].lower for name in names])
         self.upper = np.array([parameters[name].upper for name in names])
@@ -382,7 +381,8 @@ class _Problem:
         point, iterations, converged = self._descend(point)
         # Iterated: the weights are 1/RMS of the residuals, which follow from the weights.
         for _ in range(self._reweightings()):
-            before, self.weights = self.weights, self._from_residuals(point)
+            before = self.weights
+            self.weights = self._from_residuals(point)
             # Beside priors the absolute size of the weights counts, so they have to settle;
             # without, only their ratios do.
             if self.priors.count and np.allclose(self.weights, before, rtol=_WEIGHED):
@@ -482,12 +482,11 @@ class _Problem:
     def point(self, trial: tuple[Array, list[Array]]) -> _Point:
         """Cost, and the blocks that the next step needs."""
         theta, initial = trial
-        q, runs = len(self.names), self._runs(initial, self.p(theta), self.slopes)
-        pull, precision, cost = (
-            self.priors.pull(theta),
-            np.diag(self.priors.precisions),
-            self.priors.cost(theta),
-        )
+        q = len(self.names)
+        runs = self._runs(initial, self.p(theta), self.slopes)
+        pull = self.priors.pull(theta)
+        precision = np.diag(self.priors.precisions)
+        cost = self.priors.cost(theta)
         point = _Point(theta, initial, [], pull, precision, [], [], [], cost)
         # Infinite: the descent takes it for a step too far, and damps.
         if not runs.bounded:
@@ -497,7 +496,8 @@ class _Problem:
         for r, J in self._weighted(runs):
             point.cost += float(r @ r)
             if J is not None:
-                H, g = J.T @ J, J.T @ r
+                H = J.T @ J
+                g = J.T @ r
                 point.hessian += H[:q, :q]
                 point.gradient += g[:q]
                 point.cross.append(H[:q, q:])
@@ -577,7 +577,8 @@ class _Problem:
         }
         if not numbers:
             return {}
-        own, cross = np.array(point.own), np.array(point.cross).swapaxes(1, 2)
+        own = np.array(point.own)
+        cross = np.array(point.cross).swapaxes(1, 2)
         identity = np.broadcast_to(np.eye(len(self.states)), own.shape)
         E = solve_scaled(own, cross)
         spread = variance * solve_scaled(own, identity) + E @ covariance @ E.swapaxes(1, 2)

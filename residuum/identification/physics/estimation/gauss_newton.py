@@ -194,17 +194,17 @@ class Problem:
     def at(self, theta: Array, X0: Array, *, slopes: bool = True) -> Fit:
         """One pass at parameters and first states; without slopes for the cost alone."""
         # Slopes take most of a pass: a trial that may be refused asks for none.
-        at, columns, p = (
-            self.cells.joined,
-            self.columns if slopes else self.columns[:0],
-            self.p(theta),
-        )
+        at = self.cells.joined
+        columns = self.columns if slopes else self.columns[:0]
+        p = self.p(theta)
         M = np.empty(
             (len(self.cells.part), self.cells.Y.shape[1], len(columns) + 1, len(columns) + 1)
         )
         power = np.empty(M.shape[:2])
         count_samples(int(np.diff(at.starts) @ self.substeps) * (1 + len(columns)))
-        system, unit, of = self.simulator.kernel.system, self.unit, self.cells
+        system = self.simulator.kernel.system
+        unit = self.unit
+        of = self.cells
         # A machine that cannot be is not simulated: its cost is infinite as that of one that
         # diverges.
         possible = self.simulator.possible(p) and _accumulated(
@@ -324,7 +324,8 @@ class Fit:
         alike), and of the first states, which stay fitted to all rows of their window. `damping`
         raises the diagonals of both, `ridge` that of the parameters alone.
         """
-        part, use = self.problem.cells.part, np.ones(len(self.power)) if use is None else use
+        part = self.problem.cells.part
+        use = np.ones(len(self.power)) if use is None else use
         try:
             H, g, E = _eliminated(self.M, part, len(self.X0), len(self.theta), use, damping)
             # Priors count in the parameters only: first states have none.
@@ -360,7 +361,8 @@ class Fit:
 
     def moved(self, move: Array, firsts: Array) -> tuple[Array, Array]:
         """Parameters and first states after such changes."""
-        X0, at = self.X0.copy(), self.problem.simulator
+        X0 = self.X0.copy()
+        at = self.problem.simulator
         X0[:, [at.states.index(name) for name in at.free_states]] += firsts
         return self.theta + move, X0
 
@@ -379,7 +381,8 @@ class Fit:
         shortened until the other cells are fitted no worse. Parameters that the others leave nearly
         undetermined are held by the `ridge`; first states stay fitted to all rows.
         """
-        use, fit = np.where(out, 0.0, 1.0), self
+        use = np.where(out, 0.0, 1.0)
+        fit = self
         for _ in range(steps if len(self.theta) else 0):
             # From the whole step to one damped eleven times: the first that fits the other cells no
             # worse.
@@ -465,18 +468,22 @@ def _accumulated(
     diverges.
     """
     # order: coefficients of the longest whitening filter, its leading 1 among them.
-    count, ny, order = columns.shape[0], q.sizes[3], filters.shape[1]
-    w, memory = new_memory(q, count), np.zeros((q.remembered.shape[0], count + 1))
-    X, simulated, dY = (
-        np.zeros((AT_ONCE + 1, q.sizes[0])),
-        np.zeros((AT_ONCE + 1, ny)),
-        np.zeros((AT_ONCE + 1, ny, count)),
-    )
+    count = columns.shape[0]
+    ny = q.sizes[3]
+    order = filters.shape[1]
+    w = new_memory(q, count)
+    memory = np.zeros((q.remembered.shape[0], count + 1))
+    X = np.zeros((AT_ONCE + 1, q.sizes[0]))
+    simulated = np.zeros((AT_ONCE + 1, ny))
+    dY = np.zeros((AT_ONCE + 1, ny, count))
     # A ring of the last rows (∂y, e) of each output, as long as its filter.
-    past, v = np.zeros((ny, order, count + 1)), np.zeros(count + 1)
-    M[:], power[:] = 0.0, 0.0
+    past = np.zeros((ny, order, count + 1))
+    v = np.zeros(count + 1)
+    M[:] = 0.0
+    power[:] = 0.0
     for j in range(X0.shape[0]):
-        a, b = starts[j], starts[j + 1]
+        a = starts[j]
+        b = starts[j + 1]
         # Filters begin anew in each window: what went before is another piece of the record.
         past[:] = 0.0
         begin(q, w, U, starts, j, p, X0, sample_times, holds, follows, columns, memory)
@@ -552,17 +559,22 @@ def _eliminated(M, part, parts, q, use, damping):
     """H (q, q) and g (q,) of the cells weighed `use`, and E (parts, states, q + 1), which all rows
     of a window say.
     """
-    c, E = M.shape[2] - 1, np.zeros((parts, M.shape[2] - 1 - q, q + 1))
+    c = M.shape[2] - 1
+    E = np.zeros((parts, M.shape[2] - 1 - q, q + 1))
     # First states are fitted to all cells of their window, whatever `use` leaves out.
     if c > q:
         W = _by_part(M, part, parts, np.ones(M.shape[0]))
-        own, right = W[:, q:c, q:c].copy(), np.zeros(E.shape)
-        right[:, :, :q], right[:, :, q] = W[:, q:c, :q], W[:, q:c, c]
+        own = W[:, q:c, q:c].copy()
+        right = np.zeros(E.shape)
+        right[:, :, :q] = W[:, q:c, :q]
+        right[:, :, q] = W[:, q:c, c]
         for i in range(c - q):
             # The same damping as that of the parameters: a step is short in all that moves.
             own[:, i, i] *= 1.0 + damping
         E[:] = solved(own, right, NOTHING_ALONG)
-    W, z, whole = _by_part(M, part, parts, use), np.zeros((c + 1, q + 1)), np.zeros((q + 1, q + 1))
+    W = _by_part(M, part, parts, use)
+    z = np.zeros((c + 1, q + 1))
+    whole = np.zeros((q + 1, q + 1))
     for i in range(q):
         z[i, i] = 1.0
     # z = (I, −E): how parameters, first states and the error change together.
@@ -586,9 +598,13 @@ def _by_part(M, part, parts, use):
 @njit(error_model="numpy")
 def _predicted(M, power, part, move, firsts):
     """Power after changes of the parameters and of the first states of each window."""
-    q, c, d, out = move.shape[0], M.shape[2] - 1, np.zeros(M.shape[2] - 1), np.empty_like(power)
+    q = move.shape[0]
+    c = M.shape[2] - 1
+    d = np.zeros(M.shape[2] - 1)
+    out = np.empty_like(power)
     for i in range(M.shape[0]):
-        d[:q], d[q:] = move, firsts[part[i]]
+        d[:q] = move
+        d[q:] = firsts[part[i]]
         for o in range(M.shape[1]):
             # Power + dᵀM d − 2 dᵀ(Jᵀe): what the quadratic model leaves. No power is below zero.
             out[i, o] = max(

@@ -62,12 +62,14 @@ def estimate_by_likelihood(
     start = estimate(model, experiments, free=())
     likelihood = _Likelihood(model, list(experiments), names, start.initial)
     theta = np.array([model.values[name] for name in names])
-    converged, iterations = False, 0
+    converged = False
+    iterations = 0
     # The noise first, at these values; then values at that noise.
     for _ in range(ROUNDS):
         likelihood.tune(theta)
         reached, used, end = descend(likelihood, likelihood.point(theta), steps=STEPS, fall=_ENOUGH)
-        moved, converged = reached.theta, end in (End.SETTLED, End.STUCK)
+        moved = reached.theta
+        converged = end in (End.SETTLED, End.STUCK)
         iterations += used
         settled = bool(np.all(np.abs(moved - theta) <= 1e-4 * np.maximum(np.abs(moved), 1e-12)))
         theta = moved
@@ -118,7 +120,10 @@ class _Likelihood:
         names: tuple[str, ...],
         initial: list[Array],
     ) -> None:
-        self.model, self.experiments, self.names, self.initial = model, experiments, names, initial
+        self.model = model
+        self.experiments = experiments
+        self.names = names
+        self.initial = initial
         parameters = model.all_parameters
         self.lower = np.array([parameters[name].lower for name in names])
         self.upper = np.array([parameters[name].upper for name in names])
@@ -136,7 +141,8 @@ class _Likelihood:
     def innovations(self, theta: Array) -> tuple[Array, float]:
         """Normalised innovations of all experiments, stacked, and −log L."""
         kalman = Filter(self.at(theta), self.noise)
-        parts, cost = [], 0.0
+        parts = []
+        cost = 0.0
         for experiment, x0, steps in zip(
             self.experiments, self.initial, self.substeps, strict=True
         ):
@@ -166,10 +172,8 @@ class _Likelihood:
         """−log L there, and the Gauss–Newton matrix and gradient of the innovations."""
         innovations, cost = self.innovations(trial)
         J = self.slopes(trial, innovations) if np.isfinite(cost) else np.zeros((0, trial.size))
-        curvature, descent = (
-            J.T @ J + np.diag(self.priors.precisions),
-            self.priors.pull(trial) - J.T @ innovations,
-        )
+        curvature = J.T @ J + np.diag(self.priors.precisions)
+        descent = self.priors.pull(trial) - J.T @ innovations
         return _Point(trial, cost + 0.5 * self.priors.cost(trial), curvature, descent)
 
     def cost(self, trial: Array) -> float:

@@ -88,7 +88,8 @@ def disagreement(estimated: Estimate) -> tuple[str, ...]:
     many standard deviations it is off as the data alone are off the prior, measured in the
     deviation of both together.
     """
-    conflicts, parameters = [], estimated.model.all_parameters
+    conflicts = []
+    parameters = estimated.model.all_parameters
     for name, value, s in zip(estimated.parameters, estimated.theta, estimated.std, strict=True):
         prior = parameters[name].prior
         if prior is None or not s < prior.std:

@@ -348,7 +348,8 @@ def _identifiers(names: Iterable[str], taken: set[str]) -> dict[str, str]:
         plain = new = _identifier(name)
         count = 2
         while new in taken:
-            new, count = f"{plain}_{count}", count + 1
+            new = f"{plain}_{count}"
+            count = count + 1
         taken.add(new)
         identifiers[name] = new
     return identifiers

@@ -146,7 +146,8 @@ def _description(model: ExplicitModel, guid: str) -> bytes:
 
 def _add_structure(root: ET.Element, model: ExplicitModel) -> None:
     """What is computed from what, by numbers in the list of variables, which count from 1."""
-    n, m = len(model.states), len(model.inputs)
+    n = len(model.states)
+    m = len(model.inputs)
     derivatives = range(n + 1, 2 * n + 1)
     outputs = range(2 * n + m + 1, 2 * n + m + 1 + len(model.outputs))
     # A first value that is a number is known; one that follows from inputs or parameters is

@@ -94,7 +94,8 @@ def _logic_code(expression: Any) -> str:
 
 def _extreme_code(expression: Any) -> str:
     """min(min(a, b), c): Modelica's functions take two numbers."""
-    name, (first, *operands) = expression.func.__name__.lower(), expression.args
+    name = expression.func.__name__.lower()
+    (first, *operands) = expression.args
     text = _code(first)
     for operand in operands:
         text = f"{name}({text}, {_code(operand)})"

@@ -216,7 +216,8 @@ def _no_derivative_outside_of_storages(model: PhysicalModel) -> None:
 def _check_rate(
     state: State, model: PhysicalModel, owners: Mapping[str, str], place: Place
 ) -> None:
-    name, rate = state.name, state.rate
+    name = state.name
+    rate = state.rate
     if rate is None:
         if name not in owners and state.of_record is None:
             raise place.refuse(
@@ -405,7 +406,8 @@ def _check_linear(balance: Balance, variable: str, zero: Mapping[str, float]) ->
 
 def _reaches(needs: Mapping[str, set[str]], start: str, goal: str) -> bool:
     # Along the names, in any number of steps.
-    visited, open_ = set(), set(needs[start])
+    visited = set()
+    open_ = set(needs[start])
     while open_:
         name = open_.pop()
         if name == goal:
@@ -508,7 +510,8 @@ def _common_dimension(
 
 
 def _check_output(output: Output, names: Mapping[str, Dimension]) -> None:
-    dimension, declared = dimension_of(output.value.tree, names), dimension_of_unit(output.unit)
+    dimension = dimension_of(output.value.tree, names)
+    declared = dimension_of_unit(output.unit)
     if not dimension.agrees(declared):
         raise output.value.place.refuse(
             f"unit clash: the value of output {output.name!r} is in {dimension}, declared is"

@@ -65,7 +65,8 @@ class Dimension:
         """
         if self.literal or other.literal:
             return True
-        mine, theirs = dict(self.exponents), dict(other.exponents)
+        mine = dict(self.exponents)
+        theirs = dict(other.exponents)
         odd = {base for base in {*mine, *theirs} if mine.get(base) != theirs.get(base)}
         counted = not odd or (all(map(is_own, odd)) and not (odd & {*mine} and odd & {*theirs}))
         return counted and math.isclose(self.scale, other.scale, rel_tol=1e-9)

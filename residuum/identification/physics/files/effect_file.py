@@ -92,7 +92,8 @@ class WrittenEffect(Effect):
         # An exact standstill exists only once there is some friction: derivatives at zero are taken
         # a little above.
         self.rest = 0.001 if "sign" in equation.text else 0.0  # type: ignore[misc]
-        self._equation, self._states = equation, dict(states)
+        self._equation = equation
+        self._states = dict(states)
 
     def parameters(self, site: Site) -> tuple[Parameter, ...]:
         """As the file has them, wherever it stands."""
@@ -248,7 +249,8 @@ def _acts_on(item: Table, label: str) -> list[str]:
 def _parameters(table: Table, label: str) -> dict[str, dict[str, Any]]:
     parameters = {}
     for name in table:
-        part, entry = f"{label}, parameter {name!r}", table.table(name, label)
+        part = f"{label}, parameter {name!r}"
+        entry = table.table(name, label)
         entry.only(("value", "unit", "lower", "upper", "fixed", "size", "meaning"), part)
         given = {key: entry.scalar(key, part) for key in entry}
         numbers = {
@@ -275,9 +277,11 @@ def _parameters(table: Table, label: str) -> dict[str, dict[str, Any]]:
 def _states(table: Table, label: str) -> dict[str, OwnState]:
     states = {}
     for name in table:
-        part, entry = f"{label}, state {name!r}", table.table(name, label)
+        part = f"{label}, state {name!r}"
+        entry = table.table(name, label)
         entry.only(("unit", "rate", "start"), part)
-        unit, start = entry.optional("unit", part), entry.optional("start", part)
+        unit = entry.optional("unit", part)
+        start = entry.optional("start", part)
         rate = entry.scalar("rate", part)
         begin = parse("0") if start is None else parse(start.text, start.place)
         states[name] = OwnState(unit.text if unit else "", parse(rate.text, rate.place), begin)
@@ -353,7 +357,8 @@ def _in_si(role: str, value: sp.Expr, site: Site) -> sp.Expr:
     """A variable of the model in the unit in which definitions have its role; as it is where that
     is not known.
     """
-    unit, own = site.units.get(role, ""), ROLE_UNITS.get(role, {}).get(site.kind, "")
+    unit = site.units.get(role, "")
+    own = ROLE_UNITS.get(role, {}).get(site.kind, "")
     if not (unit and own) or not compatible(unit, own):
         return value
     zero, unity = convert([0.0, 1.0], unit, own)
@@ -369,8 +374,10 @@ def _of_si(site: Site) -> float:
 
 
 def _parameter(name: str, entry: Mapping[str, Any]) -> Parameter:
-    lower, upper = float(entry.get("lower", "-inf")), float(entry.get("upper", "inf"))
-    value, fixed = float(entry["value"]), bool(entry.get("fixed"))
+    lower = float(entry.get("lower", "-inf"))
+    upper = float(entry.get("upper", "inf"))
+    value = float(entry["value"])
+    fixed = bool(entry.get("fixed"))
     return Parameter(name, value, entry["unit"], lower, upper, fixed, entry["meaning"])
 
 

@@ -181,7 +181,8 @@ def _is_steep(node: Node) -> bool:
 
 def walk(tree: Node) -> Iterator[Node]:
     """The node and everything below it, once where it stands in several places."""
-    walked, open_ = set[int](), [tree]
+    walked = set[int]()
+    open_ = [tree]
     while open_:
         node = open_.pop()
         # By identity: definitions are shared nodes, and equal ones may stand in many places.
@@ -198,7 +199,8 @@ def folded(tree: Node, combine: Callable[[Node, list[T]], T]) -> T:
     """What `combine(node, what its operands gave)` gives of the tree; a node that stands in several
     places is asked once.
     """
-    done, open_ = dict[int, T](), [tree]
+    done = dict[int, T]()
+    open_ = [tree]
     while open_:
         node = open_[-1]
         operands = node.operands if isinstance(node, Operation | Call) else ()
@@ -256,7 +258,8 @@ def with_definitions(expression: Expression, definitions: Mapping[str, Expressio
     text, where = _written_out(expression, used)
     if len(text) > LONGEST_EXPRESSION:
         # Formulas that name formulas grow with every level: from here on the names stay.
-        text, where = expression.text, used
+        text = expression.text
+        where = used
     return Expression(text, tree, where)
 
 
@@ -432,7 +435,8 @@ def smooth(
 
     Reference: F. N. Fritsch, J. Butland, SIAM J. Sci. Stat. Comput. 5 (1984) 300.
     """
-    total, slopes = values[0], _monotone_slopes(places, values, where_positive)
+    total = values[0]
+    slopes = _monotone_slopes(places, values, where_positive)
     for (a, b), (low, high), (at_a, at_b) in zip(
         pairwise(places), pairwise(values), pairwise(slopes), strict=True
     ):
@@ -463,7 +467,8 @@ def _monotone_slopes(
     for (h0, h1), (m0, m1) in zip(pairwise(h), pairwise(m), strict=True):
         # Weighted harmonic mean of two slopes of one sign; 0 where the data turn: so no piece
         # overshoots.
-        w0, w1 = 2 * h1 + h0, h1 + 2 * h0
+        w0 = 2 * h1 + h0
+        w1 = h1 + 2 * h0
         below = w0 * m1 + w1 * m0
         inner.append(
             where_positive(
@@ -531,7 +536,8 @@ class _Parser:
         return self._row(self._sign, "*", "/")
 
     def _row(self, part: Callable[[], Node], *operators: str) -> Node:
-        tree, count = part(), 1
+        tree = part()
+        count = 1
         while token := self._accept(*operators):
             count += 1
             if count > MOST_IN_A_ROW:
@@ -610,7 +616,8 @@ class _Parser:
         places = self._list(self._sum)
         self._expect(",")
         if second is None:
-            values, name = self._list(self._sum), "table"
+            values = self._list(self._sum)
+            name = "table"
             if self._accept(","):
                 if not self._accept_word("cubic"):
                     raise self._peek.place.refuse(
@@ -620,7 +627,8 @@ class _Parser:
         else:
             inner = self._list(self._sum)
             self._expect(",")
-            rows, name = self._list(lambda: self._list(self._sum)), "table"
+            rows = self._list(lambda: self._list(self._sum))
+            name = "table"
             if len(rows) * len(inner) > MOST_VALUES:
                 raise function.place.refuse(
                     f"table() has {len(rows) * len(inner)} values; must be at most {MOST_VALUES}"
@@ -682,14 +690,16 @@ class _Parser:
         return tree
 
     def _comparison(self) -> Node:
-        start, depth = self._next, self._depth
+        start = self._next
+        depth = self._depth
         if self._accept("("):  # a condition in brackets, or a sum that begins with one
             try:
                 tree = self._condition()
                 self._expect(")")
             # It was a sum after all: read once more from the bracket on.
             except BadModel:
-                self._next, self._depth = start, depth
+                self._next = start
+                self._depth = depth
             else:
                 # An operator behind the bracket: it was the first part of a sum.
                 if self._peek.text not in (*COMPARISONS, "+", "-", "*", "/", "**"):

@@ -229,7 +229,8 @@ def linear_text(
 
 def _proper(name: str, top: Array, below: Array) -> tuple[Array, Array]:
     """Numerator and denominator without zeros before their highest power."""
-    top, below = np.trim_zeros(top, "f"), np.trim_zeros(below, "f")
+    top = np.trim_zeros(top, "f")
+    below = np.trim_zeros(below, "f")
     if not below.size or not top.size or top.size > below.size:
         raise BadModel(
             f"model {name!r}: a transfer function needs a numerator of at most the denominator's"
@@ -276,7 +277,8 @@ def _transfer_function_text(name: str, top: Array, below: Array, signals: Linear
     a = below[1:][::-1]
     b = np.concatenate([top[::-1], np.zeros(n + 1 - top.size)])
     # The direct gain is split off: what is left is strictly proper.
-    through, b = b[n], b[:n] - b[n] * a
+    through = b[n]
+    b = b[:n] - b[n] * a
     T = _time_scale(a)
     # αᵢ = aᵢ·Tⁿ⁻ⁱ and βᵢ = bᵢ·Tⁿ⁻ⁱ: coefficients of one size.
     scale = T ** (n - np.arange(n))
@@ -317,13 +319,12 @@ def _time_scale(a: Array) -> float:
 def _state_space_text(name: str, system: tuple[Array, ...], signals: LinearSignals) -> str:
     A, B, C, D = system
     n = len(A)
-    ins, outs = (
-        signals.named(signals.inputs, "u", B.shape[1], name),
-        signals.named(signals.outputs, "y", C.shape[0], name),
-    )
+    ins = signals.named(signals.inputs, "u", B.shape[1], name)
+    outs = signals.named(signals.outputs, "y", C.shape[0], name)
     units = _units(signals, [*ins, *outs])
     parameters: dict[str, Any] = {"T": _fixed(1.0, "s", "time scale")}
-    balances, outputs = {}, {}
+    balances = {}
+    outputs = {}
     for i in range(n):
         terms = {}
         # Zeros have no parameter: a matrix of thirty states would have nine hundred.

@@ -167,7 +167,8 @@ def _composed(
     if "fmu" in tree.entries:
         raise tree.keys["fmu"].refuse(f"fmu: the model is an FMU; {_TAKES_FMUS}")
     tree.only(KEYS, "model file")
-    use, connect = tree.table("use", "model file"), tree.table("connect", "model file")
+    use = tree.table("use", "model file")
+    connect = tree.table("connect", "model file")
     # A model made of parts may have no balance of its own.
     for section in ("outputs",) if list(use) else ("balances", "outputs"):
         if not list(tree.table(section, "model file", required=True)):
@@ -248,12 +249,14 @@ def _own_sections(
         table = tree.table(section, "model file")
         return {name: read(name, table) for name in _names(tree, section)}
 
-    inputs, states = entries("inputs", _input), entries("states", _state)
+    inputs = entries("inputs", _input)
+    states = entries("states", _state)
     parameters = entries(
         "parameters", lambda name, table: read_parameter(name, table, of_parts.get(name))
     )
     parameters |= entries("constants", _constant)
-    balances, outputs = entries("balances", _balance), entries("outputs", _output)
+    balances = entries("balances", _balance)
+    outputs = entries("outputs", _output)
     # a value for each record is a state that stands still: each experiment begins at its own
     for name in _of_records(tree.table("parameters", "model file")):
         of_record = parameters.pop(name)
@@ -283,7 +286,8 @@ def write_model(model: PhysicalModel) -> str:
     """The YAML text of a model, effects and their provenance included; `read_model` gives the same
     model back.
     """
-    states, parameters = {}, {}
+    states = {}
+    parameters = {}
     for name, parameter in model.parameters.items():
         parameters[name] = written_parameter(parameter)
     for name, state in model.states.items():
@@ -415,7 +419,8 @@ def _state(name: str, section: Table) -> State:
     label = f"state {name!r}"
     table = section.table(name, "states")
     table.only(STATE_KEYS, label)
-    rate, start = table.optional("rate", label), table.optional("start", label)
+    rate = table.optional("rate", label)
+    start = table.optional("start", label)
     return State(
         name,
         _unit(table.scalar("unit", label)),
@@ -436,11 +441,14 @@ def read_parameter(name: str, section: Table, of_part: Parameter | None = None) 
     # What the model does not say anew stays as the part has it.
     before = of_part or Parameter(name, 0.0, "")
     unit = table.optional("unit", label)
-    fixed, meaning = table.optional("fixed", label), table.optional("meaning", label)
+    fixed = table.optional("fixed", label)
+    meaning = table.optional("meaning", label)
     lower = _number(table.optional("lower", label), f"{label}: lower", before.lower)
     upper = _number(table.optional("upper", label), f"{label}: upper", before.upper)
     if of_part is not None and "value" not in table.entries:
-        number, prior, place = of_part.value, of_part.prior, table.place
+        number = of_part.value
+        prior = of_part.prior
+        place = table.place
     else:
         number, prior = _value_and_prior(table, label)
         place = table.scalar("value", label).place
@@ -530,10 +538,8 @@ def _uncertain(text: Scalar, label: str) -> tuple[float, Prior | None]:
     match = _UNCERTAIN.fullmatch(text.text.strip())
     if match is None:
         return text.number(label), None
-    mean, std = (
-        Scalar(match[1], text.place).number(label),
-        Scalar(match[2], text.place).number(f"{label}: standard deviation"),
-    )
+    mean = Scalar(match[1], text.place).number(label)
+    std = Scalar(match[2], text.place).number(f"{label}: standard deviation")
     if std <= 0.0:
         raise text.place.refuse(
             f"{label} is {text.text!r}; its standard deviation must be positive (fixed: true holds"
@@ -591,10 +597,8 @@ def _balance(name: str, section: Table) -> Balance:
 def _output(name: str, section: Table) -> Output:
     table = section.table(name, "outputs")
     table.only(OUTPUT_KEYS, f"output {name!r}")
-    value, unit = (
-        table.scalar("value", f"output {name!r}"),
-        table.optional("unit", f"output {name!r}"),
-    )
+    value = table.scalar("value", f"output {name!r}")
+    unit = table.optional("unit", f"output {name!r}")
     return Output(name, _expression(value), _unit(unit) if unit else "")
 
 
@@ -639,7 +643,8 @@ def _with_effect(model: PhysicalModel, item: Table) -> PhysicalModel:
     priors: dict[str, Prior | None] = {}
     fixed: list[str] = []
     for name in table:
-        entry, named = table.entries[name], f"effect parameter {name!r}"
+        entry = table.entries[name]
+        named = f"effect parameter {name!r}"
         values[name], priors[name] = (
             _uncertain(entry, named)
             if isinstance(entry, Scalar)

@@ -45,7 +45,8 @@ def model_schema() -> dict[str, Any]:
     >>> sorted(model_schema()["required"]), model_schema()["then"]["required"]
     (['name', 'outputs'], ['balances'])
     """
-    parameter, of_part = _object(PARAMETER_KEYS, ["value"]), _object(PARAMETER_KEYS, [])
+    parameter = _object(PARAMETER_KEYS, ["value"])
+    of_part = _object(PARAMETER_KEYS, [])
     sections = {
         "name": _TEXT,
         "notes": {},

@@ -104,7 +104,8 @@ def assembled(
         With line and column: a name that is declared twice, no such balance, balances of different
         kinds without a ratio, a ratio that is no constant.
     """
-    model, definitions = own, dict[str, Expression]()
+    model = own
+    definitions = dict[str, Expression]()
     for name, part in parts.items():
         definitions |= {output.name: output.value for output in part.outputs.values()}
         model = _beside(model, part, use.keys[name])
@@ -302,7 +303,8 @@ def _joined(
         unit = ROLE_UNITS["position"].get(first.balance.kind, "")
         states[position] = State(position, unit, rate=v)
     definitions = dict[str, Expression]()
-    terms, storages = dict[str, Expression](), list[str]()
+    terms = dict[str, Expression]()
+    storages = list[str]()
     for member, own_position in zip(members, positions, strict=True):
         r = _relative(member, first, place)
         variable = _variable(member.balance, model, place)
@@ -392,7 +394,8 @@ def _position(balance: Balance, model: PhysicalModel, place: Place) -> str | Non
 
 def _relative(member: _Member, first: _Member, place: Place) -> str:
     """The ratio to the first one's variable, as text; "1" where they are the same."""
-    r, of_first = member.ratio.text, first.ratio.text
+    r = member.ratio.text
+    of_first = first.ratio.text
     # Equal ratios, a 1 of both included: no scaling.
     if r == of_first:
         if member.balance.kind != first.balance.kind:
@@ -409,9 +412,11 @@ def check_unit(name: str, unit: str, stands_for: Expression, model: PhysicalMode
     """BadModel where a name of a part, which is in this unit, stands for something in another; °C
     and K are two, by their zero.
     """
-    place, text = stands_for.place, stands_for.text
+    place = stands_for.place
+    text = stands_for.text
     dimensions = {used: dimension_of_unit(model.unit_of(used)) for used in stands_for.names}
-    given, declared = dimension_of(stands_for.tree, dimensions), dimension_of_unit(unit)
+    given = dimension_of(stands_for.tree, dimensions)
+    declared = dimension_of_unit(unit)
     if not given.agrees(declared):
         raise place.refuse(
             f"unit clash: {name!r} of a part is in {unit!r}; {text!r}, which it stands for, is in"
@@ -492,7 +497,8 @@ def with_places_of_parts(model: PhysicalModel, tree: Table) -> Table:
     """The tree with a place for each name that came from a part: where the part, or the node that
     it was joined at, stands in the file.
     """
-    use, connect = tree.table("use", "model file"), tree.table("connect", "model file")
+    use = tree.table("use", "model file")
+    connect = tree.table("connect", "model file")
     origins = {f"{name}_": place for name, place in use.keys.items()} | dict(connect.keys)
     if not origins:
         return tree

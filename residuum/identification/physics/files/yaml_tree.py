@@ -192,5 +192,7 @@ def _tree(node: yaml.Node, source: str) -> Tree:
             continue
         if key.text in entries:
             raise key.place.refuse(f"key {key.text!r} stands twice")
-        entries[key.text], keys[key.text], last = _tree(value_node, source), key.place, key.text
+        entries[key.text] = _tree(value_node, source)
+        keys[key.text] = key.place
+        last = key.text
     return Table(entries, keys, place)

@@ -27,7 +27,8 @@ class OwnSimulation:
     """
 
     def __init__(self, instance: Instance) -> None:
-        self.instance, self.says = instance, ""
+        self.instance = instance
+        self.says = ""
         described = instance.description
         # what compiled code points to is freed with what calls it
         self._steps: Any = None
@@ -70,9 +71,11 @@ class OwnSimulation:
             dtype=[("time", float), *((v.name, float) for v in described.inputs)],
         )
         # Each time twice, with the value before and after: fmpy interpolates, and inputs are held.
-        held["time"][::2], held["time"][1::2] = time, time[1:]
+        held["time"][::2] = time
+        held["time"][1::2] = time[1:]
         for k, variable in enumerate(described.inputs):
-            held[variable.name][::2], held[variable.name][1::2] = U[:, k], U[:-1, k]
+            held[variable.name][::2] = U[:, k]
+            held[variable.name][1::2] = U[:-1, k]
         try:
             self.instance.afresh()
             trajectory = fmpy().simulate_fmu(
@@ -100,9 +103,13 @@ def _compiled(instance: Instance) -> tuple[Any, tuple[Any, ...]]:
     points to.
     """
     described = instance.description
-    two, component = described.version == 2, instance.component
-    nu, ny = len(described.inputs), len(described.outputs)
-    pointer, size, double = ctypes.c_void_p, ctypes.c_size_t, ctypes.c_double
+    two = described.version == 2
+    component = instance.component
+    nu = len(described.inputs)
+    ny = len(described.outputs)
+    pointer = ctypes.c_void_p
+    size = ctypes.c_size_t
+    double = ctypes.c_double
     by = (pointer, pointer, size, pointer) + (() if two else (size,))
     functions = {
         "set": instance.function("SetReal" if two else "SetFloat64", *by),
@@ -116,7 +123,8 @@ def _compiled(instance: Instance) -> tuple[Any, tuple[Any, ...]]:
         [v.reference for v in (*described.inputs, *described.outputs)], dtype=np.uint32
     )
     replies = np.zeros(4)
-    ins, flags = references.ctypes.data, replies.ctypes.data
+    ins = references.ctypes.data
+    flags = replies.ctypes.data
     put, take = by_reference(functions, component, (ins, nu), (ins + 4 * nu, ny))
     if two:
         step = njit(lambda t, h: do_step(component, t, h, 1))

@@ -129,7 +129,8 @@ def describe(path: str | Path) -> Description:
 
 
 def _check_platform(path: str, version: int, held: Iterable[str]) -> None:
-    system, machine = platform.system(), _ARCHITECTURE.get(platform.machine(), platform.machine())
+    system = platform.system()
+    machine = _ARCHITECTURE.get(platform.machine(), platform.machine())
     of_three, of_two = _SYSTEM.get(system, (system.lower(), system.lower()))
     folder = f"{machine}-{of_three}" if version == 3 else f"{of_two}64"
     platforms = _platforms(held)

@@ -38,7 +38,8 @@ class Instance:
     """
 
     def __init__(self, description: Description, *, exchanged: bool) -> None:
-        self.description, self.exchanged = description, exchanged
+        self.description = description
+        self.exchanged = exchanged
         self.begun: object = None
         """Who began it last, and with what."""
         way = description.exchange if exchanged else description.simulation
@@ -111,7 +112,8 @@ class Instance:
             (self.fmu.setReal if two else self.fmu.setFloat64)(references, values)
 
     def _begin(self, values: Mapping[str, float], inputs: Sequence[float]) -> None:
-        fmu, parameters = self.fmu, self.description.parameters
+        fmu = self.fmu
+        parameters = self.description.parameters
         self._set([parameters[name].reference for name in values], list(values.values()))
         # In model exchange the solver is ours: nothing to ask for.
         tolerance = None if self.exchanged else TOLERANCE

@@ -107,9 +107,12 @@ def load(instance: Instance, asked: Sequence[str] = ()) -> LoadedLibrary:
     )
     given = differentiated(instance, start, asked)
     own = tuple(name for name in asked if name in given)
-    nx, nu, ny = len(description.states), len(description.inputs), len(description.outputs)
+    nx = len(description.states)
+    nu = len(description.inputs)
+    ny = len(description.outputs)
     # n: time, states, inputs, parameters; m: rates, outputs.
-    n, m = 1 + nx + nu + len(own), nx + ny
+    n = 1 + nx + nu + len(own)
+    m = nx + ny
     # NaN is no point: the first question is always asked of the FMU.
     memory = np.full(3 * n + 4 * m + m * n + n, np.nan)
     variables = (
@@ -148,7 +151,9 @@ def load(instance: Instance, asked: Sequence[str] = ()) -> LoadedLibrary:
 
 
 def _functions(instance: Instance) -> dict[str, Any]:
-    pointer, size, double = ctypes.c_void_p, ctypes.c_size_t, ctypes.c_double
+    pointer = ctypes.c_void_p
+    size = ctypes.c_size_t
+    double = ctypes.c_double
     two = instance.description.version == 2
     arrays = (pointer, pointer, size)
     by_reference = (pointer, pointer, size, pointer) + (() if two else (size,))
@@ -178,7 +183,8 @@ def by_reference(
     """What sets the inputs from an address, and what writes the outputs to one: FMI 3 asks for the
     count of values besides.
     """
-    set_reals, get_reals = f["set"], f["get"]
+    set_reals = f["set"]
+    get_reals = f["get"]
     ins, nu = inputs
     outs, ny = outputs
     if f["version"] == 2:
@@ -214,17 +220,19 @@ def _compiled(  # noqa: C901, PLR0915  compiled functions that share what they c
     """The two functions that generated code calls."""
     memory, references, mutex = arrays
     nx, nu, ny, _ = sizes
-    n, m = 1 + nx + nu + sizes[3], nx + ny
-    set_time, set_states, rates, lock, unlock = (
-        f["time"],
-        f["states"],
-        f["rates"],
-        f["lock"],
-        f["unlock"],
-    )
+    n = 1 + nx + nu + sizes[3]
+    m = nx + ny
+    set_time = f["time"]
+    set_states = f["states"]
+    rates = f["rates"]
+    lock = f["lock"]
+    unlock = f["unlock"]
     # Offsets in bytes: value references are 4 bytes each, doubles 8.
-    at, guard, ins = memory.ctypes.data, mutex.ctypes.data, references.ctypes.data
-    outs, unknowns = ins + 4 * nu, ins + 4 * (nu + ny)
+    at = memory.ctypes.data
+    guard = mutex.ctypes.data
+    ins = references.ctypes.data
+    outs = ins + 4 * nu
+    unknowns = ins + 4 * (nu + ny)
     knowns = unknowns + 4 * m
     room = memory.size
     exact = tuple(map(bool, by_derivative))
@@ -265,7 +273,8 @@ def _compiled(  # noqa: C901, PLR0915  compiled functions that share what they c
 
     @cfunc("float64(int64, CPointer(float64))", nopython=True)
     def value(k, given):
-        a, cache = carray(given, n), carray(_doubles(at), room)
+        a = carray(given, n)
+        cache = carray(_doubles(at), room)
         lock(guard)
         if not same(a, cache):
             for i in range(n):
@@ -278,8 +287,10 @@ def _compiled(  # noqa: C901, PLR0915  compiled functions that share what they c
     @njit(nogil=True)
     def column(j, cache):
         """Slopes by argument j at the point of the slopes."""
-        point, table = n + m, 3 * n + m
-        high, low = table + m * n, table + m * n + m
+        point = n + m
+        table = 3 * n + m
+        high = table + m * n
+        low = table + m * n + m
         seed = low + m
         if exact[j]:
             cache[seed] = 1.0
@@ -301,8 +312,11 @@ def _compiled(  # noqa: C901, PLR0915  compiled functions that share what they c
 
     @cfunc("float64(int64, int64, CPointer(float64))", nopython=True)
     def slope(k, j, given):
-        a, cache = carray(given, n), carray(_doubles(at), room)
-        point, known, table = n + m, 2 * n + m, 3 * n + m
+        a = carray(given, n)
+        cache = carray(_doubles(at), room)
+        point = n + m
+        known = 2 * n + m
+        table = 3 * n + m
         lock(guard)
         if not same(a, cache[point:]):
             for i in range(n):

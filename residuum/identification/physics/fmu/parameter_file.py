@@ -93,7 +93,8 @@ def _within(offered: Settable, written: Parameter) -> Parameter:
             " the FMU; write the value in the FMU's unit"
         )
     # The narrower of both: the FMU refuses values beyond its own.
-    lower, upper = max(own.lower, written.lower), min(own.upper, written.upper)
+    lower = max(own.lower, written.lower)
+    upper = min(own.upper, written.upper)
     if not lower <= written.value <= upper:
         raise BadModel(
             f"parameter {written.name!r}: value is {written.value:g}; must be within {lower:g} to"

@@ -83,7 +83,9 @@ def with_simulation(
     BadModel
         Its simulation fails.
     """
-    described, first, simulated = own.instance.description, 0, []
+    described = own.instance.description
+    first = 0
+    simulated = []
     _, _, names = names_of(described)
     for number, record in enumerate(records):
         U = inputs_of(described, record, mapping)
@@ -101,7 +103,8 @@ def with_simulation(
         signals = {MADE + name: Y[:, k] for k, name in enumerate(names)}
         units = {MADE + name: unit_of(v) for name, v in zip(names, described.outputs, strict=True)}
         # Counted through all records: a part knows its record by its rows.
-        signals[SAMPLE], units[SAMPLE] = first + np.arange(record.n, dtype=float), ""
+        signals[SAMPLE] = first + np.arange(record.n, dtype=float)
+        units[SAMPLE] = ""
         first += record.n
         simulated.append(
             Record(

@@ -48,7 +48,8 @@ def coloured_covariance(result: Estimate | Fit, experiments: Sequence[Experiment
     """
     slopes = [_reduced_slopes(result, k, e) for k, e in enumerate(experiments)]
     q = len(result.parameters)
-    H, spread = np.zeros((q, q)), np.zeros((q, q))
+    H = np.zeros((q, q))
+    spread = np.zeros((q, q))
     for o in map(int, np.flatnonzero(result.weights > 0)):
         A, variance = _colour([r[:, o] for r in result.residuals])
         for J in slopes:
@@ -81,13 +82,15 @@ def _reduced_slopes(result: Estimate | Fit, number: int, experiment: Experiment)
     simulator = Simulator(result.model)
     states = [f"initial:{name}" for name in simulator.free_states]
     names = [*result.parameters, *states]
-    x0, steps = result.initial[number], result.substeps[number]
+    x0 = result.initial[number]
+    steps = result.substeps[number]
     run = simulator.run_vectors(experiment, x0, simulator.p(), slopes=names, substeps=steps)
     dY = np.zeros((*experiment.Y.shape, len(names))) if run.dY is None else run.dY
     known = np.isfinite(experiment.Y)
     J = np.where(known[:, :, None], dY * result.weights[:, None], 0.0)
     flat = J.reshape(-1, len(names))
-    own, wanted = flat[:, len(result.parameters) :], flat[:, : len(result.parameters)]
+    own = flat[:, len(result.parameters) :]
+    wanted = flat[:, : len(result.parameters)]
     # What the first states can imitate tells nothing of the parameters.
     projected = wanted - own @ solve_scaled(own.T @ own, own.T @ wanted)
     return np.asarray(projected.reshape(*experiment.Y.shape, -1))

@@ -58,13 +58,17 @@ def central(run: Run, value: float, step: float, bounds: tuple[float, float]) ->
     >>> central(lambda v: np.array([[v**2]]), 3.0, 1e-3, (0.0, 9.0)).round(9)
     array([[6.]])
     """
-    low, high = max(value - step, bounds[0]), min(value + step, bounds[1])
-    below, above = run(low), run(high)
+    low = max(value - step, bounds[0])
+    high = min(value + step, bounds[1])
+    below = run(low)
+    above = run(high)
     # Where the model does not exist on one side the slope is that of the other, first order only.
     if not np.isfinite(below).all():
-        low, below = value, run(value)
+        low = value
+        below = run(value)
     elif not np.isfinite(above).all():
-        high, above = value, run(value)
+        high = value
+        above = run(value)
     return (above - below) / (high - low)
 
 

@@ -213,7 +213,8 @@ def _columns(model: PhysicalModel, mapping: Mapping[str, str]) -> dict[str, str]
 def _experiment(
     model: PhysicalModel, record: Record, columns: Mapping[str, str], hold: Mapping[str, str] | str
 ) -> Experiment:
-    U, Y = _inputs(model, record, columns), _outputs(model, record, columns)
+    U = _inputs(model, record, columns)
+    Y = _outputs(model, record, columns)
     clocks = [signal.is_clock for signal in model.inputs.values()]
     wanted = [hold if isinstance(hold, str) else hold.get(name, "auto") for name in model.inputs]
     linear = np.array(
@@ -328,7 +329,8 @@ def moves_evenly(how: str, u: Array) -> bool:
     if how != "auto":
         raise BadRecord(f"hold {how!r}: must be auto, linear or zero-order")
     steps = np.abs(np.diff(u))
-    moving, span = steps[steps > 0], float(np.ptp(u))
+    moving = steps[steps > 0]
+    span = float(np.ptp(u))
     # Mostly small steps: a sampled motion. Large ones: a command that is switched.
     if moving.size == 0 or np.median(moving) < 0.02 * span:
         return moving.size > 0

@@ -88,7 +88,8 @@ class Filter:
 
     def __init__(self, model: PhysicalModel, noise: Noise) -> None:
         self.simulator = Simulator(model)
-        self.model, self.noise = model, noise
+        self.model = model
+        self.noise = noise
         # A term that does not walk stays zero: as a state it would only cost time.
         self.balances = [name for name in model.balances if noise.walk.get(name, 0.0) > 0]
         # The columns of S are first states and missing terms: together they are the slopes of what
@@ -251,7 +252,8 @@ def tune(
     parts = [e.window(0, max(2, min(e.n, TUNING_SAMPLES // len(experiments)))) for e in experiments]
     simulator = Simulator(model)
     steps = simulator.substeps_each(parts, initial, simulator.p())
-    balances, known = list(start.walk), list(zip(parts, initial, steps, strict=True))
+    balances = list(start.walk)
+    known = list(zip(parts, initial, steps, strict=True))
     scales = [state_scales(simulator, *run) for run in known]
 
     def noise(exponents: Array) -> Noise:

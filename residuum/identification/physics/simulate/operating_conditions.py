@@ -86,7 +86,8 @@ def balance_variables(
     """A balance's variables by role along the states X: with `supply`, `supply_terms`, `term:name`,
     and effects' own states.
     """
-    model, look = simulator.model, simulator.look(experiment, X)
+    model = simulator.model
+    look = simulator.look(experiment, X)
     states = {name: X[:, k] for k, name in enumerate(simulator.states)}
     inputs = {name: experiment.U[:, k] for k, name in enumerate(model.inputs)}
     known = states | {n: look[n] for n in look if "." not in n} | inputs

@@ -45,7 +45,8 @@ def leaves_tables(model: PhysicalModel, experiments: Sequence[Experiment]) -> tu
             looked_up = np.array(list(_along(node, model, experiment)))
             outside = (looked_up < low) | (looked_up > high)
             if outside.any() and text not in sentences:
-                least, most = np.nanmin(looked_up), np.nanmax(looked_up)
+                least = np.nanmin(looked_up)
+                most = np.nanmax(looked_up)
                 span = f"{least:.4g} to {most:.4g}, which is there from {low:g} to {high:g}"
                 sentences[text] = (
                     f"table: {experiment.source or 'the record'} leads {text} from {span}; its end"

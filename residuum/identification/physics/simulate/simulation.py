@@ -58,7 +58,8 @@ class Possible:
             for low in use.parameters.values()
             if low.below
         ]
-        values, storages = model.values, []
+        values = model.values
+        storages = []
         for balance in model.balances.values():
             names = {
                 name: index[name]
@@ -267,7 +268,8 @@ class Simulator:
         """
         x0 = self.x0(experiment.known)
         for o, output in enumerate(self.model.outputs.values()):
-            name, readings = output.value.text, experiment.Y[np.isfinite(experiment.Y[:, o]), o]
+            name = output.value.text
+            readings = experiment.Y[np.isfinite(experiment.Y[:, o]), o]
             if name in self.free_states and name not in experiment.known and readings.size:
                 x0[self._state[name]] = readings[0]
         return x0
@@ -331,7 +333,9 @@ class Simulator:
         estimation goes there.
         """
         # none: no columns, for outputs alone.
-        x0, steps, none = np.array(initial), np.array(substeps), self.columns(())
+        x0 = np.array(initial)
+        steps = np.array(substeps)
+        none = self.columns(())
         joined = self._joined(experiments, p)
         X, Y, dY = self._simulated(joined, x0, p, steps, self.columns(slopes))
 
@@ -368,7 +372,8 @@ class Simulator:
         for column, name in enumerate(slopes):
             if name not in steps:
                 continue
-            k, bounds = self._index[name], self.model.parameters[name]
+            k = self._index[name]
+            bounds = self.model.parameters[name]
 
             def run(value: float, k: int = k) -> Array:
                 return outputs(np.where(np.arange(len(p)) == k, value, p))
@@ -381,7 +386,8 @@ class Simulator:
     def _simulated(
         self, joined: Joined, initial: Array, p: Array, substeps: Integers, columns: Integers
     ) -> tuple[Array, Array, Array]:
-        q, at = self.kernel.system, joined
+        q = self.kernel.system
+        at = joined
         # Columns cost about as much as the states: counted so, work is alike on all machines.
         count_samples(int(np.diff(at.starts) @ substeps) * (1 + len(columns)))
         with self._settled(p) as settled:
@@ -435,8 +441,10 @@ class Simulator:
 
     def rate_slopes(self, experiment: Experiment, X: Array, samples: Integers) -> Array:
         """∂f/∂x along the states X at these samples, shape (samples, states, states)."""
-        joined, p = Joined.of([experiment]), self.p()
-        system, X = self.kernel.system, np.ascontiguousarray(X)
+        joined = Joined.of([experiment])
+        p = self.p()
+        system = self.kernel.system
+        X = np.ascontiguousarray(X)
         times = (joined.sample_times, joined.holds)
         with self._settled(p):
             A = integration.rate_slopes(
@@ -450,7 +458,8 @@ class Simulator:
         """What evaluates along given states; whole arrays, since for strided ones it would be
         compiled once more.
         """
-        U, X = np.ascontiguousarray(experiment.U), np.ascontiguousarray(X)
+        U = np.ascontiguousarray(experiment.U)
+        X = np.ascontiguousarray(X)
         return self.kernel.system, U, X, self.p(values), experiment.sample_time, experiment.hold
 
     def substeps(self, experiment: Experiment, x0: Array, p: Array) -> int:
@@ -483,7 +492,9 @@ class Simulator:
         """Steps a sample that the fastest mode in each experiment asks for, if they need not be
         exact.
         """
-        joined, X0, none = Joined.of(experiments, _LOOKED_AT), np.array(initial), self.columns(())
+        joined = Joined.of(experiments, _LOOKED_AT)
+        X0 = np.array(initial)
+        none = self.columns(())
         steps = np.ones(len(experiments), dtype=np.int64)
         for _ in range(4):
             X, *_ = self._simulated(joined, X0, p, steps, none)
@@ -500,7 +511,8 @@ class Simulator:
         """Steps doubled until the outputs no longer change visibly; the first where that does not
         settle.
         """
-        steps, open_ = first.copy(), np.arange(len(experiments))
+        steps = first.copy()
+        open_ = np.arange(len(experiments))
         before = np.full(len(experiments), np.inf)
         parts = [e.window(0, min(e.n, _CHECKED)) for e in experiments]
         none = self.columns(())
@@ -529,7 +541,9 @@ class Simulator:
                 if visible > _SETTLING * before[k]:
                     steps[k] = first[k]
                     continue
-                steps[k], runs[k], before[k] = 2 * steps[k], finer, visible
+                steps[k] = 2 * steps[k]
+                runs[k] = finer
+                before[k] = visible
                 still.append(k)
             open_ = np.array(still, dtype=np.int64)
         return steps
@@ -554,10 +568,8 @@ class Simulator:
             np.int64
         )
         far = _extremes(X, joined.starts)
-        at, before = (
-            joined.starts[:-1, None] + far,
-            joined.starts[:-1, None] + np.maximum(far - 1, 0),
-        )
+        at = joined.starts[:-1, None] + far
+        before = joined.starts[:-1, None] + np.maximum(far - 1, 0)
         beyond = X.copy()
         with np.errstate(over="ignore", invalid="ignore"):  # of a run that diverges
             # Where the last change leads on to: a stop just behind the extreme is met there.
@@ -596,7 +608,8 @@ def _extremes(X: Array, starts: Integers) -> Integers:
     2·states).
     """
     finite = np.isfinite(X)
-    high, low = np.where(finite, X, -np.inf), np.where(finite, X, np.inf)
+    high = np.where(finite, X, -np.inf)
+    low = np.where(finite, X, np.inf)
     parts = pairwise(starts.tolist())
     return np.array(
         [[*high[a:b].argmax(axis=0), *low[a:b].argmin(axis=0)] for a, b in parts], dtype=np.int64
