@@ -52,7 +52,7 @@ class Kernel:
 
 def kernel_of(model: PhysicalModel) -> Kernel:
     """The compiled kernel of the model's structure, from memory, from disk, or newly generated."""
-    return _kernel(_structure(model), _Deferred(model))
+    return kernel_of_structure(_structure(model), _Deferred(model))
 
 
 def cache_folder() -> Path:
@@ -76,7 +76,8 @@ class _Deferred:
 
 
 @lru_cache(maxsize=256)
-def _kernel(structure: str, deferred: _Deferred) -> Kernel:
+def kernel_of_structure(structure: str, deferred: _Deferred) -> Kernel:
+    """The kernel of a structure, of which `deferred` is one model."""
     # A structure of this process first (`lru_cache`), then one on disk, then a new one.
     path = _place("kernel", structure)
     with _MAKING:  # what several threads ask for at once is made once

@@ -189,7 +189,7 @@ def estimate(
         )
     count_fit()
     names = tuple(model.free if free is None else free)
-    problem = _Problem(Simulator(model), list(experiments), names, settings)
+    problem = SimulationErrorProblem(Simulator(model), list(experiments), names, settings)
     start = [np.array(x) for x in initial] if initial is not None else problem.first_states()
     return problem.solve(start, substeps)
 
@@ -214,7 +214,7 @@ class _Point:
     cost: float
 
 
-class _Problem:
+class SimulationErrorProblem:
     """One least-squares problem: evaluates cost and Gauss–Newton blocks, and walks down."""
 
     def __init__(
@@ -333,6 +333,7 @@ class _Problem:
         return weights
 
     def p(self, theta: Array) -> Array:
+        """All parameters in the kernel's order."""
         p = self.simulator.p()
         p[self.index] = theta
         return p
@@ -433,7 +434,7 @@ class _Problem:
             else None
         )
 
-    def _eliminated(self, point: _Point, damping: float) -> tuple[Array, Array, Array]:
+    def eliminated(self, point: _Point, damping: float) -> tuple[Array, Array, Array]:
         """Curvature and gradient of the parameters with the initial states eliminated, damped; and
         what those follow from.
         """
@@ -454,7 +455,7 @@ class _Problem:
 
     def _promised(self, point: _Point) -> float:
         """By how much the cost falls with the whole step, if the outputs go on as they begin to."""
-        H, g, eliminated = self._eliminated(point, 0.0)
+        H, g, eliminated = self.eliminated(point, 0.0)
         # gᵀH⁻¹g of the whole system, in its two parts.
         own = sum(float(b @ z[:, -1]) for b, z in zip(point.own_gradient, eliminated, strict=True))
         return own + float(g @ solve_scaled(H, g[:, None])[:, 0])
@@ -463,7 +464,7 @@ class _Problem:
         """Parameters and first states after the damped Gauss–Newton step, initial states
         eliminated, parameters within bounds.
         """
-        H, g, eliminated = self._eliminated(point, damping)
+        H, g, eliminated = self.eliminated(point, damping)
         step = bounded_step(H, g, point.theta, self.lower, self.upper)
         # Rounding may lead past a bound by its last digit.
         theta = np.clip(point.theta + step, self.lower, self.upper)

@@ -306,7 +306,7 @@ class Fit:
     def std(self) -> Array:
         """Standard deviations of the parameters, infinite along flat directions."""
         q = len(self.theta)
-        H = _eliminated(
+        H = eliminated(
             self.M, self.problem.cells.part, len(self.X0), q, np.ones(len(self.power)), 0.0
         )[0]
         # Each prior is a measurement more, each free first state an unknown more.
@@ -327,7 +327,7 @@ class Fit:
         part = self.problem.cells.part
         use = np.ones(len(self.power)) if use is None else use
         try:
-            H, g, E = _eliminated(self.M, part, len(self.X0), len(self.theta), use, damping)
+            H, g, E = eliminated(self.M, part, len(self.X0), len(self.theta), use, damping)
             # Priors count in the parameters only: first states have none.
             g += self.priors.pull(self.theta)
             H[np.diag_indices(len(g))] = np.maximum(np.diag(H) + self.priors.precisions, 0.0) * (
@@ -555,7 +555,7 @@ def _add(M, v, weight):
 
 
 @njit(error_model="numpy")
-def _eliminated(M, part, parts, q, use, damping):
+def eliminated(M, part, parts, q, use, damping):
     """H (q, q) and g (q,) of the cells weighed `use`, and E (parts, states, q + 1), which all rows
     of a window say.
     """
