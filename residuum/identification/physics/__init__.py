@@ -28,6 +28,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from residuum.identification.physics.estimation.coloured_covariance import with_coloured_noise
     from residuum.identification.physics.estimation.estimation import (
         Estimate,
         Settings,
@@ -51,7 +52,6 @@ if TYPE_CHECKING:
         candidates,
         find_effect,
     )
-    from residuum.identification.physics.simulate.coloured_covariance import with_coloured_noise
     from residuum.identification.physics.simulate.experiment import (
         Experiment,
         block_means,
@@ -113,7 +113,7 @@ _PLACES = {
     "estimation.likelihood_estimation": ("estimate_by_likelihood",),
     "files.model_file": ("BUILT_IN", "load_model", "read_model", "write_model"),
     "model": ("EffectUse", "Key", "PhysicalModel", "candidates", "find_effect"),
-    "simulate.coloured_covariance": ("with_coloured_noise",),
+    "estimation.coloured_covariance": ("with_coloured_noise",),
     "simulate.experiment": ("Experiment", "block_means", "match", "measured_parts"),
     "simulate.kalman": (
         "Filter",
