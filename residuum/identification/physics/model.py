@@ -117,6 +117,11 @@ class Balance:
     start: float | None = None
 
     @property
+    def missing(self) -> str:
+        """Name of its additive unknown term among the kernel's parameters."""
+        return f"missing@{self.name}"
+
+    @property
     def defines(self) -> str | None:
         """The name of the variable that a balance without storage defines."""
         return (
@@ -509,11 +514,6 @@ def term_name(use: EffectUse) -> str:
     # The balance is known where the term stands; what it is tied to, and which of several, is not.
     tied = use.target.removeprefix(use.place)
     return f"{use.id}{tied}" + (f"#{use.instance}" if use.instance > 1 else "")
-
-
-def missing_name(balance: str) -> str:
-    """Name of the additive unknown term of a balance among the kernel's parameters."""
-    return f"missing@{balance}"
 
 
 def _acts_on(effect: Effect) -> str:

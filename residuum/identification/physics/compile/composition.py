@@ -52,7 +52,6 @@ from residuum.identification.physics.model import (
     Balance,
     EffectUse,
     PhysicalModel,
-    missing_name,
     term_name,
     tied_to,
 )
@@ -163,7 +162,7 @@ class _Composer:
         # Symbols are numbered, not named: structures that differ in names alone share their code.
         self.x = {name: sp.Symbol(f"x_{k}", real=True) for k, name in enumerate(model.states)}
         self.u = {name: sp.Symbol(f"u_{k}", real=True) for k, name in enumerate(model.inputs)}
-        names = [*model.all_parameters, *map(missing_name, model.balances)]
+        names = [*model.all_parameters, *(b.missing for b in model.balances.values())]
         self.p = {name: sp.Symbol(f"p_{k}", real=True) for k, name in enumerate(names)}
         self.variables = {
             v: sp.Symbol(f"i_{b.name}", real=True)
@@ -289,7 +288,7 @@ class _Composer:
                 )
         terms = {name: self._symbolic(term.tree, state) for name, term in balance.terms.items()}
         # The unknown term that a smoother estimates; zero otherwise.
-        terms["missing"] = self.p[missing_name(balance.name)]
+        terms["missing"] = self.p[balance.missing]
         side = _Sides(balance, terms, state, coefficient, defines, direction)
         side.roles = self._roles(side)
         return side

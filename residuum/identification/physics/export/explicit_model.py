@@ -13,7 +13,7 @@ from residuum.identification.physics.compile.composition import TIME, Equations,
 from residuum.identification.physics.compile.equation_functions import SteppedRound
 from residuum.identification.physics.compile.implicit import Root
 from residuum.identification.physics.files.consistency import owners_of
-from residuum.identification.physics.model import PhysicalModel, missing_name, term_name
+from residuum.identification.physics.model import PhysicalModel, term_name
 
 AT_REST = (
     (
@@ -198,7 +198,7 @@ _Places = Mapping[str, tuple[str, str, str]]
 def _named(
     model: PhysicalModel, equations: Equations, places: _Places, taken: set[str]
 ) -> _Identifiers:
-    unknown = {missing_name(balance) for balance in model.balances}
+    unknown = {balance.missing for balance in model.balances.values()}
     driving = [name for name, signal in model.inputs.items() if not signal.is_clock]
     # the first of two alike keeps its plain name: states come first
     return _Identifiers(
@@ -218,7 +218,7 @@ def _swapped(
     directions: Mapping[str, Any],
 ) -> dict[Any, Any]:
     """Every symbol of the equations → what stands for it in the text; unknown terms are zero."""
-    swap = {equations.p[missing_name(balance)]: sp.S.Zero for balance in model.balances}
+    swap = {equations.p[b.missing]: sp.S.Zero for b in model.balances.values()}
     swap |= _renamed(equations, symbols, names.states, names.inputs, names.parameters)
     states = list(equations.x)
     for k, symbol in equations.surfaces.items():

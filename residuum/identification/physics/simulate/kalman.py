@@ -17,18 +17,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.nelder_mead import nelder_mead
-from residuum.identification.physics.model import PhysicalModel, missing_name
 from residuum.identification.physics.simulate.experiment import Experiment
 from residuum.identification.physics.simulate.kalman_recursions import kalman_filter, predict_ahead
 from residuum.identification.physics.simulate.kalman_recursions import smooth as adjoint_smoother
 from residuum.identification.physics.simulate.simulation import Simulator
 from residuum.identification.work import count_samples
+
+if TYPE_CHECKING:
+    from residuum.identification.physics.model import PhysicalModel
 
 Array = npt.NDArray[np.float64]
 
@@ -95,7 +97,7 @@ class Filter:
         # The columns of S are first states and missing terms: together they are the slopes of what
         # is filtered.
         names = [f"initial:{name}" for name in self.simulator.states] + [
-            missing_name(b) for b in self.balances
+            model.balances[name].missing for name in self.balances
         ]
         self.columns = self.simulator.columns(names)
 
