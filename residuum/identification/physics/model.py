@@ -39,6 +39,7 @@ BALANCE_KINDS: Mapping[str, tuple[str, tuple[str, ...]]] = MappingProxyType(
 )
 """Balance kind → (unit of its terms, roles of the variables it may name)."""
 
+# In SI: model files of other units are converted to these where effects are checked.
 ROLE_UNITS = {
     "position": {"torque": "rad", "force": "m"},
     "velocity": {"torque": "rad/s", "force": "m/s"},
@@ -222,6 +223,7 @@ class PhysicalModel:
         """Every parameter by its full name: the model's own, then `effect@target.name` of each
         effect.
         """
+        # The model's own first: kernels number parameters in this order.
         own = dict(self.parameters)
         for use in self.effects:
             own.update(
@@ -368,6 +370,7 @@ class PhysicalModel:
             for name, signal in self.inputs.items():
                 if (
                     name in term.names
+                    # An ambient temperature is a condition of the balance, and drives nothing.
                     and name not in balance.variables.values()
                     and not signal.is_clock
                 ):
@@ -445,6 +448,7 @@ class PhysicalModel:
             name: replace(p, value=float(values.get(name, p.value)))
             for name, p in self.parameters.items()
         }
+        # Effects hold their parameters by short names, values come by full ones.
         effects = tuple(replace(use, parameters=_revalued(use, values)) for use in self.effects)
         return replace(self, parameters=own, effects=effects)
 
@@ -491,6 +495,7 @@ def _declared(
                 f"effect {effect.id!r}: parameter {low.name!r} is {low.value:g} and {low.below!r}"
                 f" is {declared[low.below].value:g}; {low.name!r} must be below {low.below!r}"
             )
+    # What is held keeps the value that it was given.
     return declared | {name: replace(declared[name], fixed=True) for name in fixed}
 
 

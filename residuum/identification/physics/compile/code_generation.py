@@ -419,6 +419,7 @@ class _Function:
         """A symbol for what a register holds; zero for nothing."""
         if register is None:
             return sp.S.Zero
+        # So a register can stand in an expression, and the adjugate be written by SymPy.
         symbol = sp.Symbol(f"held_{register}", real=True)
         self.known[symbol] = register
         return symbol
@@ -573,7 +574,9 @@ def _real_number(e: sp.Expr) -> float:
 
 
 def _constant(value: float) -> str:
+    # Bits in hexadecimal: decimals of LLVM must be exact doubles.
     return f"0x{struct.unpack('>Q', struct.pack('>d', value))[0]:016X}"
 
 
+# By their text, products with them are recognised and left out.
 _ZERO, _ONE = _constant(0.0), _constant(1.0)

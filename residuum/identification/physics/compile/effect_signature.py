@@ -209,6 +209,8 @@ class _Drawing:
         """
         if self.before is not None:
             return round(float(np.sqrt(np.mean((self.value - self.before) ** 2))), 3)
+        # Rounded, so that first values that fill the picture alike are told apart by their order
+        # alone.
         return round(float(np.mean(np.abs(self.value) > 0.05 * np.abs(self.value).max())), 2)
 
     def _evaluated(self, expression: sp.Expr) -> Array:
@@ -251,6 +253,7 @@ class _Drawing:
         def rate(u: Array, x: Array) -> Array:
             return np.array(rates(list(u), list(x)), dtype=float)
 
+        # The integrator of models would need a whole model around the effect.
         for k in range(U.shape[1] - 1):
             u0 = U[:, k]
             u1 = U[:, k + 1]

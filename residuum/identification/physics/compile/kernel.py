@@ -83,6 +83,7 @@ def kernel_of_structure(structure: str, deferred: _Deferred) -> Kernel:
     with _MAKING:  # what several threads ask for at once is made once
         manifest = _manifest_on_disk(path) or _new_manifest(path, deferred.model)
     code = [(path.parent / part).read_bytes() for part in manifest["parts"]]
+    # Linked for this process: machine code knows no addresses until then.
     functions: Mapping[str, Any] = dict(
         zip(_LOADED, machine_code.loaded(code, _LOADED), strict=True)
     )
@@ -150,7 +151,9 @@ def _structure(model: PhysicalModel) -> str:
     ]
     effects = [(use.id, use.target, use.instance, use.fingerprint) for use in model.effects]
     inputs = [
-        (i.name, (i.absent or i.is_clock) and i.default, i.unit) for i in model.inputs.values()
+        # A default matters where it stands in the equations: where the input is absent, or a clock.
+        (i.name, (i.absent or i.is_clock) and i.default, i.unit)
+        for i in model.inputs.values()
     ]
     states = [(s.name, s.rate, s.unit) for s in model.states.values()]
     outputs = [(o.name, o.value.text) for o in model.outputs.values()]

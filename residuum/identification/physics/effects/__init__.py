@@ -100,6 +100,8 @@ class EffectCatalogue(Mapping[str, Effect]):
         self._listed = dict(listed)
         self._added = dict[str, Effect]()
         self._fingerprints: dict[str, str] = {}
+        # Of a context: two requests of one service may each bring a file that defines an effect of
+        # one id.
         self._here: ContextVar[Mapping[str, Effect]] = ContextVar(
             "effects of this work", default=MappingProxyType({})
         )
@@ -108,10 +110,12 @@ class EffectCatalogue(Mapping[str, Effect]):
         if id in self._listed:
             return self._listed[id]
         local = self._here.get()
+        # A file for the work at hand before what was added for all.
         return local[id] if id in local else self._added[id]
 
     def __iter__(self) -> Iterator[str]:
         yield from self._listed
+        # One id once, though it was added and stands in a file as well.
         yield from {**self._added, **self._here.get()}
 
     def __len__(self) -> int:
@@ -128,6 +132,7 @@ class EffectCatalogue(Mapping[str, Effect]):
         """
         if taken := [effect.id for effect in effects if effect.id in self._listed]:
             raise BadModel(f"effect {taken[0]!r}: the catalogue has one of this id; choose another")
+        # A new mapping: contexts that were copied from this one keep theirs.
         self._here.set(
             MappingProxyType({**self._here.get(), **{effect.id: effect for effect in effects}})
         )
@@ -178,8 +183,10 @@ def _digest(effect: Effect) -> str:
     if (definition := getattr(effect, "definition", None)) is not None:
         return hashlib.sha256(repr(definition).encode()).hexdigest()[:16]
     try:
+        # Values of its attributes too: two objects of one class may have other equations.
         source = inspect.getsource(type(effect)) + repr(sorted(vars(effect).items()))
     except (OSError, TypeError):
+        # Typed into a console: its code cannot be read, so no kernel of another process is trusted.
         source = uuid.uuid4().hex
     return hashlib.sha256(source.encode()).hexdigest()[:16]
 
@@ -247,5 +254,6 @@ STRUCTURAL: Mapping[str, Effect] = MappingProxyType(
 """Effects at `balance(signal)` or `balance(other)`: what they are tied to is searched in the
 records, not in the catalogue.
 """
+# Effects of installed packages, by their entry points.
 for _registered in from_entry_points("residuum.effects"):
     EFFECTS.add(_registered() if isinstance(_registered, type) else _registered)

@@ -169,6 +169,7 @@ class Problem:
     @cached_property
     def filters(self) -> Array:
         """Those of the outputs, filled up with zeros, shape (outputs, order + 1)."""
+        # Of one length for compiled code; a zero does nothing.
         coefficients = self.unit.filters
         out = np.zeros(
             (self.cells.Y.shape[1], 1 if coefficients is None else max(map(len, coefficients)))
@@ -297,6 +298,7 @@ class Fit:
         where a sample is missing.
         """
         at = self.problem
+        # Simulated once more: a pass keeps no trajectory.
         runs = at.simulator.run_each(
             at.cells.parts, self.initial, at.p(self.theta), substeps=self.substeps
         )

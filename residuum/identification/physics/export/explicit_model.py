@@ -301,6 +301,7 @@ def _effect_terms(model: PhysicalModel, equations: Equations) -> dict[str, tuple
 
 def _directions(equations: Equations, states: Mapping[str, str], taken: set[str]) -> dict[str, Any]:
     velocities = [states[list(equations.x)[k]] for k in equations.surfaces]
+    # Last: names of quantities come before those that only the text needs.
     names = _identifiers([f"direction of {velocity}" for velocity in velocities], taken)
     return {v: sp.Symbol(new, real=True) for v, new in zip(velocities, names.values(), strict=True)}
 
@@ -357,4 +358,5 @@ def _identifiers(names: Iterable[str], taken: set[str]) -> dict[str, str]:
 
 def _identifier(name: str) -> str:
     plain = re.sub(r"[^A-Za-z0-9]+", "_", name).strip("_")
+    # No language takes a name that begins with a digit.
     return plain if plain and plain[0].isalpha() else f"m_{plain}"

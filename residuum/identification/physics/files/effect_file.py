@@ -114,7 +114,10 @@ class WrittenEffect(Effect):
         }
         names = {**variables, **scene.p, **scene.x, "signal": scene.signal}
         signs = {
-            role: scene.direction for role in ("velocity", "current") if role in scene.variables
+            # The sign of a velocity or a current is the direction that the integrator switches.
+            role: scene.direction
+            for role in ("velocity", "current")
+            if role in scene.variables
         }
         value = symbolic(self._equation.tree, names, signs)
         rates = {n: symbolic(s.rate.tree, names, signs) for n, s in self._states.items()}
@@ -206,6 +209,7 @@ def _effect(item: Table) -> WrittenEffect:
     if not re.fullmatch(OWN_ID, id.text):
         raise id.place.refuse(f"{label}: an id is of small letters, digits and '-'")
     acts_on = _acts_on(item, label)
+    # Paths and balances are not mixed (`_acts_on`): the first kind says which it is.
     on_path = acts_on[0] in ("input", "output")
     if ("signal" in item.entries) != on_path or ("term" in item.entries) == on_path:
         raise item.place.refuse(f"{label}: a balance gets a 'term', an input or output a 'signal'")
@@ -264,6 +268,7 @@ def _parameters(table: Table, label: str) -> dict[str, dict[str, Any]]:
             if key in ("fixed", "size")
         }
         texts = {key: text.text for key, text in given.items() if key in ("unit", "meaning")}
+        # Defaults first: what the file says comes over them.
         parameters[name] = {"value": 0.0, "unit": "", "meaning": name, **texts, **numbers, **flags}
         if (
             not numbers.get("lower", -np.inf)
@@ -362,6 +367,7 @@ def _in_si(role: str, value: sp.Expr, site: Site) -> sp.Expr:
     if not (unit and own) or not compatible(unit, own):
         return value
     zero, unity = convert([0.0, 1.0], unit, own)
+    # In SI already: no factor, so that the equation stays as it was written.
     return value if (zero, unity) == (0.0, 1.0) else float(zero) + float(unity - zero) * value
 
 

@@ -300,6 +300,7 @@ def _check_size(tree: Node, place: Place) -> None:
         )
 
 
+# Not behind a digit or a dot, so that numbers stay whole.
 _NAMES = re.compile(r"(?<![\w.])[A-Za-z_]\w*")
 """Names in a text; the e of 1e5 is none."""
 
@@ -610,6 +611,7 @@ class _Parser:
     def _table(self, function: _Token) -> Node:
         first = self._sum()
         self._expect(",")
+        # A list follows: a table of one place.
         second = None if self._peek.text == "[" else self._sum()
         if second is not None:
             self._expect(",")
@@ -629,10 +631,12 @@ class _Parser:
             self._expect(",")
             rows = self._list(lambda: self._list(self._sum))
             name = "table"
+            # Each value is a term of the equations, with slopes of its own.
             if len(rows) * len(inner) > MOST_VALUES:
                 raise function.place.refuse(
                     f"table() has {len(rows) * len(inner)} values; must be at most {MOST_VALUES}"
                 )
+            # A map is a table of tables: its values at the first places are tables of the second.
             values = [self._looked_up(function, "table", second, inner, row) for row in rows]
         self._expect(")")
         return self._looked_up(function, name, first, places, values)

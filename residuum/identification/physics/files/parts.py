@@ -59,6 +59,7 @@ Read = Callable[[str, str, Path | None], PhysicalModel]
 @cache
 def library() -> Mapping[str, str]:
     """The parts that come with the product: name → text of the model file."""
+    # Read once a process: every model with parts asks for them.
     folder = files("residuum.identification.physics") / "parts"
     return {
         file.name.removesuffix(".yaml").replace("_", "-"): file.read_text(encoding="utf-8")
@@ -118,6 +119,7 @@ def assembled(
 
 def _part(named: Scalar, folder: Path | None, read: Read) -> PhysicalModel:
     name = named.text
+    # A name without an ending is one of the library.
     if not _FILE.fullmatch(name):
         parts = library()
         if name not in parts:
@@ -310,6 +312,7 @@ def _joined(
         variable = _variable(member.balance, model, place)
         if member is not first:
             definitions[variable] = _times(r, v, place)
+            # A name of a part must not change its unit by being joined.
             check_unit(variable, model.unit_of(variable), definitions[variable], model)
             states.pop(variable, None)
         if own_position is not None and position not in (None, own_position):

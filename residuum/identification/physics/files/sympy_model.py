@@ -142,6 +142,7 @@ def _balance(
     balance: dict[str, Any] = {"kind": kind, "storage": f"der({state})", "terms": {"rate": rate}}
     if kind in _ROLES:
         balance[_ROLES[kind]] = state
+    # The state whose rate this one is.
     position = next((name for name, rate_of in positions.items() if rate_of == state), None)
     if position is not None and _ROLES.get(kind) == "velocity":
         balance["position"] = position

@@ -106,6 +106,7 @@ def load(instance: Instance, asked: Sequence[str] = ()) -> LoadedLibrary:
         instance.reals([v.reference for v in (*description.states, *description.inputs)])
     )
     given = differentiated(instance, start, asked)
+    # Slopes by any other parameter are differences of whole simulations.
     own = tuple(name for name in asked if name in given)
     nx = len(description.states)
     nu = len(description.inputs)
@@ -146,6 +147,7 @@ def load(instance: Instance, asked: Sequence[str] = ()) -> LoadedLibrary:
     loaded = LoadedLibrary(
         description, instance, at, start, own, (value.address, slope.address), memory
     )
+    # A process has one library at a time: code linked from now on calls this one.
     loaded.call()
     return loaded
 

@@ -164,6 +164,7 @@ class Runs(Sequence[Simulation]):
         """Outputs and sensitivities are finite, and so far from overflow that sums of squares are
         finite too.
         """
+        # 1e60 squared is 1e120: sums of squares stay finite.
         arrays = [values for values in (self.Y, self.dY) if values is not None and values.size]
         return all(
             bool(values.max() < _DIVERGED and values.min() > -_DIVERGED) for values in arrays
@@ -173,6 +174,7 @@ class Runs(Sequence[Simulation]):
     def errors(self) -> Array:
         """What was measured less what was simulated, one experiment after the other."""
         measured = [e.Y for e in self.experiments]
+        # One experiment needs no copy.
         return (measured[0] if len(measured) == 1 else np.concatenate(measured)) - self.Y
 
     @property
@@ -669,6 +671,7 @@ def _noise(measured: Array, simulated: Array) -> Array:
 
 def _spread(measured: Array) -> Array:
     """Standard deviation of each output; 0 where it was not measured."""
+    # An output that was never measured has no deviation: NumPy would warn.
     known = np.any(np.isfinite(measured), axis=0)
     return np.where(known, np.nanstd(np.where(known, measured, 0.0), axis=0), 0.0)
 
