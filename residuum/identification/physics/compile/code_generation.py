@@ -291,7 +291,9 @@ class _Function:
         return self._times(self.value(e.exp), self.value(e.base ** (e.exp - 1)))
 
     def _times(self, a: str, b: str) -> str:
-        return b if a == _ONE else a if b == _ONE else self._new(f"fmul {FREE} double {a}, {b}")
+        if _ONE in (a, b):
+            return b if a == _ONE else a
+        return self._new(f"fmul {FREE} double {a}, {b}")
 
     def value(self, e: Any) -> str:
         """The name of the register, or the constant, that holds an expression."""

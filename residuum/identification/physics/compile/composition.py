@@ -440,10 +440,11 @@ class _Composer:
         # As often as there are variables: each may name another one, in a chain of at most that
         # length.
         for _ in solved:
-            solved = {
-                symbol: sp.sympify(e).subs({k: v for k, v in solved.items() if k != symbol})
-                for symbol, e in solved.items()
-            }
+            replaced = {}
+            for symbol, e in solved.items():
+                known = {k: v for k, v in solved.items() if k != symbol}
+                replaced[symbol] = sp.sympify(e).subs(known)
+            solved = replaced
         return solved
 
     def _solve(self, i: sp.Symbol, total: sp.Expr, balance: Balance) -> sp.Expr:

@@ -138,17 +138,11 @@ def _compiled(assembly: str) -> str:
 
 
 def _structure(model: PhysicalModel) -> str:
-    balances = [
-        (
-            b.name,
-            b.kind,
-            b.storage.text,
-            b.start,
-            [(n, t.text) for n, t in b.terms.items()],
-            sorted(b.variables.items()),
-        )
-        for b in model.balances.values()
-    ]
+    balances = []
+    for b in model.balances.values():
+        terms = [(name, term.text) for name, term in b.terms.items()]
+        variables = sorted(b.variables.items())
+        balances.append((b.name, b.kind, b.storage.text, b.start, terms, variables))
     effects = [(use.id, use.target, use.instance, use.fingerprint) for use in model.effects]
     inputs = [
         # A default matters where it stands in the equations: where the input is absent, or a clock.

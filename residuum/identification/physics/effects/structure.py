@@ -140,7 +140,9 @@ class Learned(SignalEffect):
 
     def contribution(self, scene: Scene) -> Contribution:
         s = scene[scene.site.signals[0]]
-        a, v = ([scene.p[f"{name}{k}"] for k in range(1, KNOTS_OF_A_CURVE + 1)] for name in "av")
+        knots = range(1, KNOTS_OF_A_CURVE + 1)
+        a = [scene.p[f"a{k}"] for k in knots]
+        v = [scene.p[f"v{k}"] for k in knots]
         # Straight lines between the knots, level beyond the ends.
         slopes = [(v[k + 1] - v[k]) / (a[k + 1] - a[k]) for k in range(KNOTS_OF_A_CURVE - 1)]
         lines = [(v[k] + slopes[k] * (s - a[k]), s < a[k + 1]) for k in range(KNOTS_OF_A_CURVE - 1)]

@@ -351,9 +351,11 @@ class EndStop(Effect):
         # Nearly the fastest travel of a sample: a single jump in the record does not count.
         motion = float(np.quantile(np.abs(np.diff(conditions.variables["position"])), 0.9))
         moves = [part * motion for part in (-0.3, -0.05, 0.05, 0.3)]
-        return [
-            dict(special) | {n: special[n] + move for n in ("q_max", "q_min")} for move in moves
-        ]
+        moved = []
+        for move in moves:
+            ends = {name: special[name] + move for name in ("q_max", "q_min")}
+            moved.append(dict(special) | ends)
+        return moved
 
     def shows(self, values: Mapping[str, float], conditions: Conditions) -> bool:
         """Whether the machine leaves a stop within the record: one that it always touches is a

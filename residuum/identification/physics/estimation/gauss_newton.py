@@ -128,10 +128,9 @@ class Problem:
     ) -> Problem:
         """With the bounds that the model gives."""
         values = simulator.model.all_parameters
-        lower, upper = (
-            [getattr(values[name], side) for name in simulator.model.free]
-            for side in ("lower", "upper")
-        )
+        free = [values[name] for name in simulator.model.free]
+        lower = [parameter.lower for parameter in free]
+        upper = [parameter.upper for parameter in free]
         return cls(
             simulator,
             cells,

@@ -360,13 +360,10 @@ def _defined_variables_can_be_solved(model: PhysicalModel) -> None:
     defined = {
         variable: balance for balance in model.balances.values() if (variable := balance.defines)
     }
-    needs = {
-        variable: (
-            {name for term in balance.terms.values() for name in term.names}
-            & (set(defined) - {variable})
-        )
-        for variable, balance in defined.items()
-    }
+    needs = {}
+    for variable, balance in defined.items():
+        in_terms = {name for term in balance.terms.values() for name in term.names}
+        needs[variable] = in_terms & (set(defined) - {variable})
     zero = dict.fromkeys([*model.states, *model.inputs, *defined], 0.0) | dict(model.values)
     for variable, balance in defined.items():
         if balance.start is not None:  # Newton's method solves it, whatever its form

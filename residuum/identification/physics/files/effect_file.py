@@ -141,10 +141,11 @@ class WrittenEffect(Effect):
         size = _FIRST * conditions.magnitude / largest
         # A size that may be negative is tried both ways.
         signs = (1.0, -1.0) if any(known[n].lower < 0.0 for n in open_) else (1.0,)
-        return [
-            values | {n: float(np.clip(sign * size, known[n].lower, known[n].upper)) for n in open_}
-            for sign in signs
-        ]
+        starts = []
+        for sign in signs:
+            sizes = {n: np.clip(sign * size, known[n].lower, known[n].upper) for n in open_}
+            starts.append(values | {name: float(value) for name, value in sizes.items()})
+        return starts
 
     def _largest(self, values: Mapping[str, float], conditions: Conditions) -> float:
         """Largest magnitude of the term at these values along the operation; 1 where states of its

@@ -511,13 +511,14 @@ def with_places_of_parts(model: PhysicalModel, tree: Table) -> Table:
     sections = {"inputs": model.inputs, "states": model.states, "balances": model.balances}
     for section, names in sections.items():
         table = tree.table(section, "model file")
-        keys = {
-            name: next((at for origin, at in origins.items() if name.startswith(origin)), use.place)
-            for name in names
-            if name not in own
-        }
+        keys = {name: _origin_of(name, origins, use.place) for name in names if name not in own}
         entries[section] = Table(table.entries, keys | dict(table.keys), table.place)
     return Table(entries, tree.keys, tree.place)
+
+
+def _origin_of(name: str, origins: Mapping[str, Place], otherwise: Place) -> Place:
+    """The place of the first origin that a name begins with."""
+    return next((at for origin, at in origins.items() if name.startswith(origin)), otherwise)
 
 
 def resolved(definitions: Definitions) -> dict[str, Expression]:

@@ -48,7 +48,8 @@ def with_table_files(tree: T, folder: Path | None) -> T:
 
 def _lists(name: str, folder: Path | None, place: Place) -> str:
     """A file's table as the lists that stand behind what is looked up."""
-    rows = [[_number(cell) for cell in row] for row in csv.reader(_lines(name, folder, place))]
+    cells = csv.reader(_lines(name, folder, place))
+    rows = [list(map(_number, row)) for row in cells]
     if rows and len(rows[0]) == 2 and not all(map(math.isfinite, rows[0])):
         rows = rows[1:]  # a head of names
     if not _is_table(rows):

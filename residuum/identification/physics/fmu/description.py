@@ -137,13 +137,9 @@ def _check_platform(path: str, version: int, held: Iterable[str]) -> None:
     # linux64 of FMI 2 is x86-64: on another processor that folder does not help.
     if folder in platforms and (version == 3 or machine == "x86_64"):
         return
-    has = (
-        f"libraries for {', '.join(platforms)}"
-        if platforms
-        else "sources only"
-        if _has_sources(held)
-        else "no library"
-    )
+    has = "sources only" if _has_sources(held) else "no library"
+    if platforms:
+        has = f"libraries for {', '.join(platforms)}"
     remedy = "compile it with its sources, or export it" if _has_sources(held) else "export it"
     raise BadModel(
         f"model {path!r}: has {has}, none for {folder}, which this platform needs; {remedy} for"

@@ -171,11 +171,10 @@ def measured_parts(
     it is, and `match` refuses it.
     """
     inputs = [(mapping or {}).get(name, name) for name in model.inputs]
-    return [
-        part
-        for record in records
-        for part in _between_holes(record, [name for name in inputs if name in record.names])
-    ]
+    parts = []
+    for record in records:
+        parts += _between_holes(record, [name for name in inputs if name in record.names])
+    return parts
 
 
 def _between_holes(record: Record, inputs: Sequence[str]) -> list[Record]:

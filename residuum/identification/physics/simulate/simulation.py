@@ -77,10 +77,10 @@ class Possible:
         """Whether the machine with these parameters, shape (parameters,), can be."""
         if any(not p[low] < p[high] for low, high in self.pairs):
             return False
-        sizes = (
-            evaluate(s.tree, {n: float(p[k]) for n, k in names.items()}) * sign
-            for s, names, sign in self.storages
-        )
+        sizes = []
+        for storage, names, sign in self.storages:
+            values = {name: float(p[k]) for name, k in names.items()}
+            sizes.append(evaluate(storage.tree, values) * sign)
         # Not `> 0`: a NaN (a root of a negative number) is left to the simulation.
         return all(not size <= 0.0 for size in sizes)
 
