@@ -11,9 +11,8 @@ import numpy as np
 from residuum.identification.discrepancy.improvement import Improvement as Improved
 from residuum.identification.errors import NotIdentifiable
 from residuum.identification.physics import Estimate, Experiment
-from residuum.identification.physics.estimation.prior_conflict import disagreement
-from residuum.identification.physics.simulate.initial_values import begins_elsewhere
-from residuum.identification.physics.simulate.table_ranges import leaves_tables
+from residuum.identification.physics.estimation.unsettled import disagreement
+from residuum.identification.physics.simulate.record_checks import begins_elsewhere, leaves_tables
 from residuum.library.answers.comparison import warning_lines
 from residuum.library.answers.estimation import estimate_json, estimate_text
 from residuum.library.answers.improvement import improvement_json, improvement_text

@@ -25,8 +25,7 @@ from residuum.identification.physics import (
     write_model,
 )
 from residuum.identification.physics.effects.base import Parameter
-from residuum.identification.physics.simulate.initial_values import begins_elsewhere
-from residuum.identification.physics.simulate.table_ranges import leaves_tables
+from residuum.identification.physics.simulate.record_checks import begins_elsewhere, leaves_tables
 from residuum.identification.record import Record as MeasuredRecord
 from residuum.identification.residual_analysis.compare import compare
 from residuum.identification.residual_analysis.odd_readings import records_without_odd

@@ -32,7 +32,7 @@ from residuum.identification.physics import (
     estimate,
     with_coloured_noise,
 )
-from residuum.identification.physics.model import find_effect, fitting, tied_to
+from residuum.identification.physics.model import fitting, takes_columns, tied_to
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.compare import compare
 from residuum.identification.unseen_blocks.asked import with_asked
@@ -487,7 +487,7 @@ def _with_columns_of(
     """The model with those columns of the records among its inputs that a forgotten input is to be
     tied to.
     """
-    for name in [n for id in ids for n in tied_to(id) if find_effect(_parts(id)[0]).takes_columns]:
+    for name in [n for id in ids for n in tied_to(id) if takes_columns(_parts(id)[0])]:
         if name not in model.inputs and all(name in record.names for record in records):
             model = model.with_input(name, records[0].units.get(name, ""))
     return model

@@ -10,7 +10,7 @@ import numpy as np
 
 from residuum.identification.discrepancy.estimated_values import estimated_values
 from residuum.identification.discrepancy.explanation import Explanation
-from residuum.identification.physics.simulate.coloured_covariance import coloured_covariance
+from residuum.identification.physics.estimation.coloured_covariance import coloured_covariance
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.compare import compare
 from residuum.identification.residual_analysis.feedback import innovation_variance

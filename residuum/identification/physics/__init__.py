@@ -4,10 +4,13 @@ estimation.
 The way through::
 
     model = load_model("gate-drive")                       # or a YAML file: PhysicalModel
-    model, experiments = match(model, records, {"speed": "w"})   # columns → inputs and outputs, in the model's units
-    result = estimate(model, experiments)                  # Estimate: values, covariance, flat directions, residuals
+    # columns → inputs and outputs, in the model's units
+    model, experiments = match(model, records, {"speed": "w"})
+    # Estimate: values, covariance, flat directions, residuals
+    result = estimate(model, experiments)
     better = model.with_effect("coulomb-friction", "shaft")
-    unknown = missing_terms(result.model, experiments, result.initial)   # each balance's smoothed missing term with band
+    # each balance's smoothed missing term with band
+    unknown = missing_terms(result.model, experiments, result.initial)
     text = write_model(result.model)                       # YAML again, with effects and provenance
 
 `candidates(model)` lists every (effect id, target) that fits; `Simulator(model).run(experiment,
@@ -25,6 +28,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from residuum.identification.physics.estimation.coloured_covariance import with_coloured_noise
     from residuum.identification.physics.estimation.estimation import (
         Estimate,
         Settings,
@@ -48,10 +52,9 @@ if TYPE_CHECKING:
         candidates,
         find_effect,
     )
-    from residuum.identification.physics.simulate.block_means import block_means
-    from residuum.identification.physics.simulate.coloured_covariance import with_coloured_noise
     from residuum.identification.physics.simulate.experiment import (
         Experiment,
+        block_means,
         match,
         measured_parts,
     )
@@ -110,9 +113,8 @@ _PLACES = {
     "estimation.likelihood_estimation": ("estimate_by_likelihood",),
     "files.model_file": ("BUILT_IN", "load_model", "read_model", "write_model"),
     "model": ("EffectUse", "Key", "PhysicalModel", "candidates", "find_effect"),
-    "simulate.block_means": ("block_means",),
-    "simulate.coloured_covariance": ("with_coloured_noise",),
-    "simulate.experiment": ("Experiment", "match", "measured_parts"),
+    "estimation.coloured_covariance": ("with_coloured_noise",),
+    "simulate.experiment": ("Experiment", "block_means", "match", "measured_parts"),
     "simulate.kalman": (
         "Filter",
         "MissingTerm",

@@ -5,18 +5,27 @@ added to it.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations, permutations
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from residuum.identification.errors import BadModel
 from residuum.identification.physics.effects import EFFECTS, STRUCTURAL
-from residuum.identification.physics.effects.base import Effect, Parameter, Prior, Site
-from residuum.identification.physics.files.expression import Expression
-from residuum.identification.physics.foreign import Foreign
+from residuum.identification.physics.effects.base import (
+    Effect,
+    JoiningEffect,
+    Parameter,
+    Prior,
+    SignalEffect,
+    Site,
+)
 from residuum.nearest_names import did_you_mean, known_names
+
+if TYPE_CHECKING:
+    from residuum.identification.physics.files.expression import Expression
+    from residuum.identification.physics.foreign import Foreign
 
 BALANCE_KINDS: Mapping[str, tuple[str, tuple[str, ...]]] = MappingProxyType(
     {
@@ -30,6 +39,7 @@ BALANCE_KINDS: Mapping[str, tuple[str, tuple[str, ...]]] = MappingProxyType(
 )
 """Balance kind → (unit of its terms, roles of the variables it may name)."""
 
+# In SI: model files of other units are converted to these where effects are checked.
 ROLE_UNITS = {
     "position": {"torque": "rad", "force": "m"},
     "velocity": {"torque": "rad/s", "force": "m/s"},
@@ -108,9 +118,15 @@ class Balance:
     start: float | None = None
 
     @property
+    def missing(self) -> str:
+        """Name of its additive unknown term among the kernel's parameters."""
+        return f"missing@{self.name}"
+
+    @property
     def defines(self) -> str | None:
         """The name of the variable that a balance without storage defines."""
         return (
+            # The first that it names, in the file's order.
             next(iter(self.variables.values()), None) if self.storage.text in ("0", "0.0") else None
         )
 
@@ -149,6 +165,11 @@ class EffectUse:
     def effect(self) -> Effect:
         """The catalogue's entry, or the one that the model's own file defines."""
         return find_effect(self.id) if self.own is None else self.own
+
+    @property
+    def fingerprint(self) -> str:
+        """What tells effects of one id apart that users defined; empty for one of the list."""
+        return EFFECTS.fingerprint(self.id)
 
     @property
     def place(self) -> str:
@@ -202,6 +223,7 @@ class PhysicalModel:
         """Every parameter by its full name: the model's own, then `effect@target.name` of each
         effect.
         """
+        # The model's own first: kernels number parameters in this order.
         own = dict(self.parameters)
         for use in self.effects:
             own.update(
@@ -222,12 +244,37 @@ class PhysicalModel:
         states = self.states.values()
         starts = {state.name: state.start for state in states if state.start is not None}
         of_record = {state.name: state.of_record.value for state in states if state.of_record}
+        # What is known comes last: it holds over any start.
         return {**starts, **of_record, **self.initial}
 
     @property
     def free(self) -> tuple[str, ...]:
         """Full names of the parameters that estimation may change."""
         return tuple(name for name, parameter in self.all_parameters.items() if not parameter.fixed)
+
+    @property
+    def expressions(self) -> list[Expression]:
+        """Those of its balances, then those of its outputs."""
+        expressions: list[Expression] = []
+        for balance in self.balances.values():
+            expressions += [balance.storage, *balance.terms.values()]
+        return expressions + [output.value for output in self.outputs.values()]
+
+    @property
+    def definitions(self) -> dict[str, Expression]:
+        """What names in the texts of its expressions stand for, where these keep them."""
+        definitions: dict[str, Expression] = {}
+        unread = self.expressions
+        while unread:
+            # a definition's own text may hold names that are defined in turn
+            new = {
+                name: expression
+                for name, expression in unread.pop().where.items()
+                if name not in definitions
+            }
+            definitions |= new
+            unread += new.values()
+        return definitions
 
     def site(self, target: str, effect: Effect) -> Site:
         """The balance, input or output of this name as an effect sees it; BadModel when there is
@@ -236,49 +283,63 @@ class PhysicalModel:
         A balance, an input and an output may share a name: the one that the effect acts on is
         meant.
         """
-        if effect.signals or effect.joins(target):
+        if effect.is_tied(target):
             return self._tied_site(target, effect)
         sites = []
         if balance := self.balances.get(target):
             sites.append(Site(balance.kind, target, balance.unit, self._roles(balance)))
+        # Kinds of balances and of paths share no name: `acts_on` tells which one is meant.
         for kind, signals in (("input", self.inputs), ("output", self.outputs)):
             if target in signals:
                 sites.append(Site(kind, target, signals[target].unit))
         if sites:
+            # Where the effect acts on none of them, the first is what its refusal speaks of.
             return next((site for site in sites if site.kind in effect.acts_on), sites[0])
         known = known_names(target, [*self.balances, *self.inputs, *self.outputs], "there are")
         raise BadModel(f"model {self.name!r}: {target!r} is no balance, input or output; {known}")
 
+    def _fitting_site(self, target: str, effect: Effect) -> Site:
+        """`site`, refused where the effect cannot stand there."""
+        if not effect.is_tied(target) and tied_to(target):
+            raise BadModel(
+                f"effect {effect.id!r} at {target!r}: is tied to no signal; say where as"
+                f" {place_of(target)!r}"
+            )
+        site = self.site(target, effect)
+        if not effect.fits(site):
+            raise BadModel(
+                f"effect {effect.id!r} does not fit {site.kind} {target!r}: {_acts_on(effect)}"
+            )
+        return site
+
     def _tied_site(self, target: str, effect: Effect) -> Site:
         """The site of an effect at `balance(signal)` or `balance(other)`."""
-        place, tied = place_of(target), tied_to(target)
-        if place not in self.balances or len(tied) != (effect.signals or 1):
-            form = "balance(other balance)" if effect.joins(target) else "balance(signal)"
+        place = place_of(target)
+        tied = tied_to(target)
+        joins = effect.joins(target)
+        if place not in self.balances or len(tied) != 1:
+            form = "balance(other balance)" if joins else "balance(signal)"
             balances = ", ".join(self.balances)
             raise BadModel(
                 f"effect {effect.id!r} at {target!r}: say where as {form}; the balances are"
                 f" {balances}"
             )
-        known = (
-            self.balances
-            if effect.joins(target)
-            else {**self.inputs, **self.states, **self._defined()}
-        )
-        for name in tied:
-            if name not in known or name == place:
-                raise BadModel(
-                    f"effect {effect.id!r} at {target!r}: cannot be tied to {name!r};"
-                    f" {known_names(name, known, 'there are')}"
-                )
-        balance = self.balances[place]
-        if effect.joins(target) and self.balances[tied[0]].kind != balance.kind:
+        (name,) = tied
+        known = self.balances if joins else {**self.inputs, **self.states, **self._defined()}
+        if name not in known or name == place:
             raise BadModel(
-                f"effect {effect.id!r} at {target!r}: {place!r} and {tied[0]!r} are balances of"
+                f"effect {effect.id!r} at {target!r}: cannot be tied to {name!r};"
+                f" {known_names(name, known, 'there are')}"
+            )
+        balance = self.balances[place]
+        units = self._roles(balance)
+        if not joins:
+            units[name] = self.unit_of(name)
+        elif self.balances[name].kind != balance.kind:
+            raise BadModel(
+                f"effect {effect.id!r} at {target!r}: {place!r} and {name!r} are balances of"
                 " different kinds"
             )
-        units = self._roles(balance) | (
-            {} if effect.joins(target) else {name: self.unit_of(name) for name in tied}
-        )
         return Site(balance.kind, target, balance.unit, units, tied)
 
     def _defined(self) -> dict[str, str]:
@@ -309,6 +370,7 @@ class PhysicalModel:
             for name, signal in self.inputs.items():
                 if (
                     name in term.names
+                    # An ambient temperature is a condition of the balance, and drives nothing.
                     and name not in balance.variables.values()
                     and not signal.is_clock
                 ):
@@ -319,6 +381,7 @@ class PhysicalModel:
         """Unit of a state, input or parameter, or of the variable that a balance without storage
         defines.
         """
+        # A declared unit; a variable that a balance defines has the unit of its kind.
         for family in (self.states, self.inputs, self.parameters):
             if name in family:
                 return str(family[name].unit)
@@ -346,19 +409,13 @@ class PhysicalModel:
             outside its bounds.
         """
         effect = find_effect(id)
-        if not (effect.signals or effect.joins(target)) and tied_to(target):
-            raise BadModel(
-                f"effect {id!r} at {target!r}: is tied to no signal; say where as"
-                f" {place_of(target)!r}"
-            )
-        site = self.site(target, effect)
-        if not effect.fits(site):
-            raise BadModel(f"effect {id!r} does not fit {site.kind} {target!r}: {_acts_on(effect)}")
+        site = self._fitting_site(target, effect)
         declared = _declared(effect, site, dict(values or {}), tuple(fixed))
-        declared |= {
-            name: replace(declared[name], prior=prior) for name, prior in (priors or {}).items()
-        }
-        instance = 1 + sum(use.id == id and use.target == target for use in self.effects)
+        for name, prior in (priors or {}).items():
+            declared[name] = replace(declared[name], prior=prior)
+        key = Key(id, target)
+        instance = 1 + sum(use.key == key for use in self.effects)
+        # an effect that a file defines is known in its own context alone: the model keeps it
         own = effect if EFFECTS.is_here(id) else None
         use = EffectUse(
             id, target, MappingProxyType(declared), instance, dict(provenance or {}), own
@@ -369,6 +426,7 @@ class PhysicalModel:
         """The model without the effect of this label (`id@target`, or the id alone when it occurs
         once).
         """
+        # The id alone is enough where it occurs once.
         uses = [use for use in self.effects if label in (use.label, use.id)]
         if len(uses) != 1:
             hint = known_names(label, [use.label for use in self.effects], "there are")
@@ -390,6 +448,7 @@ class PhysicalModel:
             name: replace(p, value=float(values.get(name, p.value)))
             for name, p in self.parameters.items()
         }
+        # Effects hold their parameters by short names, values come by full ones.
         effects = tuple(replace(use, parameters=_revalued(use, values)) for use in self.effects)
         return replace(self, parameters=own, effects=effects)
 
@@ -402,6 +461,7 @@ class PhysicalModel:
 
     def _roles(self, balance: Balance) -> dict[str, str]:
         roles = {role: self.unit_of(name) for role, name in balance.variables.items()}
+        # Offered to effects on the supply: the input that drives the balance.
         if supply := self.supply_input(balance):
             roles["supply"] = self.inputs[supply].unit
         if balance.defines:
@@ -428,12 +488,14 @@ def _declared(
         declared[name] = replace(
             declared[name], value=checked_value(f"effect {effect.id!r}", declared[name], value)
         )
-    for low, high in effect.ordered:
-        if not declared[low].value < declared[high].value:
+    # After all values are in: each may have moved one of the pair.
+    for low in declared.values():
+        if low.below and not low.value < declared[low.below].value:
             raise BadModel(
-                f"effect {effect.id!r}: parameter {low!r} is {declared[low].value:g} and {high!r}"
-                f" is {declared[high].value:g}; {low!r} must be below {high!r}"
+                f"effect {effect.id!r}: parameter {low.name!r} is {low.value:g} and {low.below!r}"
+                f" is {declared[low.below].value:g}; {low.name!r} must be below {low.below!r}"
             )
+    # What is held keeps the value that it was given.
     return declared | {name: replace(declared[name], fixed=True) for name in fixed}
 
 
@@ -454,13 +516,9 @@ def tied_to(target: str) -> tuple[str, ...]:
 
 def term_name(use: EffectUse) -> str:
     """Name of an effect's term among those of its balance."""
+    # The balance is known where the term stands; what it is tied to, and which of several, is not.
     tied = use.target.removeprefix(use.place)
     return f"{use.id}{tied}" + (f"#{use.instance}" if use.instance > 1 else "")
-
-
-def missing_name(balance: str) -> str:
-    """Name of the additive unknown term of a balance among the kernel's parameters."""
-    return f"missing@{balance}"
 
 
 def _acts_on(effect: Effect) -> str:
@@ -488,41 +546,42 @@ def candidates(model: PhysicalModel, ids: Iterable[str] | None = None) -> list[K
     balance (its surroundings). Couplings are proposed between balances that know nothing of each
     other, forgotten inputs where the model has an idle one.
     """
+    chosen = [*EFFECTS, *STRUCTURAL] if ids is None else list(ids)
+    effects = [find_effect(id) for id in chosen]
+    keys = [*_on_single_targets(model, effects), *_on_tied_targets(model, effects)]
     present = {use.key for use in model.effects}
-    chosen = (
-        [find_effect(id) for id in ids]
-        if ids is not None
-        else [*EFFECTS.values(), *STRUCTURAL.values()]
-    )
-    keys = _on_single_targets(model, [e for e in chosen if not (e.signals or e.between)])
-    keys += [
-        Key(e.id, target)
-        for e in chosen
-        if e.between or e.reaches
-        for target in _pairs_of_balances(model, e)
-    ]
-    columns = [(balance, name) for balance in model.balances for name in idle_inputs(model)]
-    keys += [
-        Key(e.id, f"{balance}({name})")
-        for e in chosen
-        if e.takes_columns
-        for balance, name in columns
-    ]
     return [key for key in keys if key not in present]
 
 
 def _on_single_targets(model: PhysicalModel, effects: Iterable[Effect]) -> list[Key]:
+    """Keys of the effects at a balance, input or output alone; none of those that must be tied."""
     targets = _targets(model)
-    pairs = [(effect, target) for effect in effects for target in targets[effect.place]]
-    return [
-        Key(effect.id, target)
-        for effect, target in pairs
-        if effect.fits(model.site(target, effect))
-    ]
+    keys: list[Key] = []
+    for effect in effects:
+        keys += [
+            Key(effect.id, target)
+            for target in targets[effect.place]
+            if not effect.is_tied(target) and effect.fits(model.site(target, effect))
+        ]
+    return keys
+
+
+def _on_tied_targets(model: PhysicalModel, effects: Sequence[Effect]) -> list[Key]:
+    """Keys of the effects between two balances, then of those tied to an idle input."""
+    keys: list[Key] = []
+    for effect in effects:
+        if isinstance(effect, JoiningEffect):
+            keys += [Key(effect.id, target) for target in _pairs_of_balances(model, effect)]
+    idle = [f"{balance}({name})" for balance in model.balances for name in idle_inputs(model)]
+    for effect in effects:
+        if takes_columns(effect.id):
+            keys += [Key(effect.id, target) for target in idle]
+    return keys
 
 
 def _targets(model: PhysicalModel) -> dict[str, list[str]]:
     """Where effects of each kind of place may be put: balances, inputs that drive, outputs."""
+    # An input that is a condition of a balance (its surroundings) has no actuator.
     no_drive = {
         name for balance in model.balances.values() for name in balance.variables.values()
     } | set(idle_inputs(model))
@@ -536,38 +595,37 @@ def _targets(model: PhysicalModel) -> dict[str, list[str]]:
 
 def idle_inputs(model: PhysicalModel) -> list[str]:
     """Inputs that no term, output, balance or effect of the model names."""
-    expressions = [*(t for b in model.balances.values() for t in (b.storage, *b.terms.values()))]
-    expressions += [output.value for output in model.outputs.values()]
-    used = {name for e in expressions for name in e.names}
+    used = {name for expression in model.expressions for name in expression.names}
     used |= {
         name for balance in model.balances.values() for name in balance.variables.values()
     } | set(CHANNELS)
+    # An effect that is tied to a signal names it in its target.
     used |= {name for use in model.effects for name in (use.target, *tied_to(use.target))}
     return [name for name in model.inputs if name not in used]
 
 
-def _pairs_of_balances(model: PhysicalModel, effect: Effect) -> list[str]:
-    """Targets `one(other)` of balances of one kind: both ways where what one gives may run into the
-    other, else those that know nothing of each other's variables.
+def _pairs_of_balances(model: PhysicalModel, effect: JoiningEffect) -> list[str]:
+    """Targets `first(second)` of balances of one kind: both ways where what one gives may run into
+    the other, else those that know nothing of each other's variables.
     """
-    known = {
-        b.name: {n for term in b.terms.values() for n in term.names} | set(b.variables.values())
-        for b in model.balances.values()
-    }
+    storing = [balance for balance in model.balances.values() if balance.defines is None]
+    pairs = permutations(storing, 2) if effect.reaches else combinations(storing, 2)
     targets = []
-    storing, couples = (
-        [b for b in model.balances.values() if b.defines is None],
-        permutations if effect.reaches else combinations,
-    )
-    for first, second in couples(storing, 2):
-        apart = effect.reaches or not (known[first.name] & known[second.name] & set(model.states))
-        if (
-            first.kind == second.kind
-            and apart
-            and effect.fits(model.site(f"{first.name}({second.name})", effect))
-        ):
-            targets.append(f"{first.name}({second.name})")
+    for first, second in pairs:
+        if first.kind != second.kind:
+            continue
+        # balances that share a state exchange something already: a coupling would not be told apart
+        shared = _names_in(first) & _names_in(second) & model.states.keys()
+        target = f"{first.name}({second.name})"
+        if (effect.reaches or not shared) and effect.fits(model.site(target, effect)):
+            targets.append(target)
     return targets
+
+
+def _names_in(balance: Balance) -> set[str]:
+    """Names in the terms of a balance, and of its variables."""
+    in_terms = {name for term in balance.terms.values() for name in term.names}
+    return in_terms | set(balance.variables.values())
 
 
 def find_effect(id: str) -> Effect:
@@ -575,6 +633,7 @@ def find_effect(id: str) -> Effect:
     if id in STRUCTURAL:
         return STRUCTURAL[id]
     if id not in EFFECTS:
+        # Structural effects are known by name, though no catalogue lists them.
         asked = did_you_mean(id, [*EFFECTS, *STRUCTURAL])
         raise BadModel(
             f"effect {id!r} is not in the catalogue; {asked}`residuum effects` lists all"
@@ -582,9 +641,22 @@ def find_effect(id: str) -> Effect:
     return EFFECTS[id]
 
 
+def takes_columns(id: str) -> bool:
+    """Whether the effect of this id is tried with columns that the model does not use."""
+    effect = find_effect(id)
+    return isinstance(effect, SignalEffect) and effect.takes_columns
+
+
+def is_curve(id: str) -> bool:
+    """Whether the effect of this id is a curve to be learned."""
+    effect = find_effect(id)
+    return isinstance(effect, SignalEffect) and effect.curve
+
+
 def checked_value(where: str, parameter: Parameter, value: float) -> float:
     """`value` as a float inside the parameter's bounds; BadModel otherwise."""
     number = float(value)
+    # An infinite value lies within infinite bounds: refused by itself.
     if not math.isfinite(number) or not parameter.lower <= number <= parameter.upper:
         bounds = f"{parameter.lower:g} to {parameter.upper:g} {parameter.unit}"
         raise BadModel(

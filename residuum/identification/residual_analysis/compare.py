@@ -19,9 +19,8 @@ from residuum.identification.physics import (
     match,
 )
 from residuum.identification.physics.files.expression import Name, Node, walk
-from residuum.identification.physics.simulate.initial_values import begins_elsewhere
 from residuum.identification.physics.simulate.kalman import Filter, Smoothed, tune
-from residuum.identification.physics.simulate.table_ranges import leaves_tables
+from residuum.identification.physics.simulate.record_checks import begins_elsewhere, leaves_tables
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.feedback import at_likelier_timing
 from residuum.identification.residual_analysis.followed import check_followed

@@ -7,8 +7,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from residuum.identification.errors import NotIdentifiable
-from residuum.identification.physics import PhysicalModel, find_effect, match
-from residuum.identification.physics.model import fitting
+from residuum.identification.physics import PhysicalModel, match
+from residuum.identification.physics.model import fitting, takes_columns
 from residuum.identification.record import Record
 from residuum.identification.unseen_blocks.data import data_of, long_enough
 from residuum.identification.unseen_blocks.following import followed
@@ -23,7 +23,7 @@ def _check_fitting(model: PhysicalModel, wanted: Wanted) -> None:
     """
     present = {use.id for use in model.effects}
     for id in wanted.effects or ():
-        if id not in present and not find_effect(id).takes_columns:
+        if id not in present and not takes_columns(id):
             fitting(model, id)
 
 
@@ -38,7 +38,7 @@ def informed(
     Nothing is known of that where the records are short, or where neither the model nor its filter
     follows them.
     """
-    asked = wanted.effects is None or any(find_effect(id).takes_columns for id in wanted.effects)
+    asked = wanted.effects is None or any(takes_columns(id) for id in wanted.effects)
     matched, experiments = match(model, records, mapping)
     _check_fitting(matched, wanted)
     if not (asked and any(e.spare for e in experiments)) or not long_enough(

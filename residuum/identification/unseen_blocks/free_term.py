@@ -19,7 +19,6 @@ import numpy.typing as npt
 
 from residuum.array_types import FloatArray
 from residuum.identification.physics import Experiment, PhysicalModel, Simulator, balance_variables
-from residuum.identification.physics.model import missing_name
 from residuum.identification.physics.simulate.integration import (
     integrate,
     new_memory,
@@ -66,7 +65,7 @@ def linear_response(
     """Linearise the model along its simulation from x0."""
     simulator = Simulator(model)
     names = [f"initial:{name}" for name in simulator.states] + [
-        missing_name(balance) for balance in model.balances
+        balance.missing for balance in model.balances.values()
     ]
     columns, p = simulator.columns(names), simulator.p()
     X = simulator.run_vectors(experiment, x0, p, substeps=substeps).X

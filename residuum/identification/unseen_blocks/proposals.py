@@ -22,7 +22,7 @@ from residuum.identification.errors import BadInput
 from residuum.identification.physics import EffectUse, Key, PhysicalModel, candidates, conditions_at
 from residuum.identification.physics.effects import STRUCTURAL
 from residuum.identification.physics.effects.base import Conditions, Effect
-from residuum.identification.physics.model import find_effect, idle_inputs, place_of
+from residuum.identification.physics.model import find_effect, idle_inputs, is_curve, place_of
 from residuum.identification.unseen_blocks.following import Track, beside, own_terms, regressed
 from residuum.identification.unseen_blocks.next_experiment import HELD, freed
 from residuum.identification.unseen_blocks.policy import (
@@ -53,7 +53,7 @@ def proposed(
     keys = candidates(model, wanted)
     if wanted is None:
         keys = [key for key in keys if model.records(key)]
-    keys = [key for key in keys if not find_effect(key.effect).curve]
+    keys = [key for key in keys if not is_curve(key.effect)]
     if learned and along is not None:
         keys += _curves(model, along)
     if held:
@@ -85,7 +85,7 @@ def beginnings(key: Key, along: Track) -> list[PhysicalModel]:
             regression = regressed(key, start, along)
             if regression is not None:
                 models.append(regression[1])
-            if not effect.curve or regression is None:
+            if not is_curve(effect.id) or regression is None:
                 models.append(
                     along.model.with_effect(*key, effect.at_rest(start) if zero else start)
                 )
@@ -255,7 +255,7 @@ def _curves(model: PhysicalModel, along: Track) -> list[Key]:
     """
     ranked, present = [], {use.key for use in model.effects}
     names = [*model.states, *model.inputs]
-    learned = [effect.id for effect in STRUCTURAL.values() if effect.curve]
+    learned = [id for id in STRUCTURAL if is_curve(id)]
     known = dict(zip(model.states, along.X.T, strict=False)) | dict(
         zip(model.inputs, along.experiment.U.T, strict=False)
     )

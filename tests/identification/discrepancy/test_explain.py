@@ -8,7 +8,6 @@ from residuum.identification.discrepancy.improve import improve
 from residuum.identification.discrepancy.kept_aside import split
 from residuum.identification.errors import BadModel, BadRecord
 from residuum.identification.physics import Simulator, load_model, match, read_model, write_model
-from residuum.identification.physics.model import missing_name
 from residuum.identification.record import Record
 from residuum.identification.unseen_blocks.free_term import linear_response
 from residuum.simulation import MACHINES
@@ -270,7 +269,7 @@ def test_a_model_of_ones_own_with_other_names():
 def test_linear_response_to_a_constant_is_the_kernels_own_derivative(rubbing):
     model, (experiment,) = match(load_model("gate-drive"), [rubbing])
     simulator = Simulator(model)
-    x0, name = np.array([0.0, 5.0]), missing_name("shaft")
+    x0, name = np.array([0.0, 5.0]), model.balances["shaft"].missing
     exact = simulator.run_vectors(experiment, x0, simulator.p(), slopes=[name], substeps=1).dY[
         :, :, 0
     ]

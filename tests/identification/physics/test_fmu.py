@@ -8,7 +8,8 @@ import pytest
 
 from residuum.identification.errors import BadModel
 from residuum.identification.physics import Experiment, Simulator, load_model
-from residuum.identification.physics.fmu.description import describe
+from residuum.identification.physics.fmu.description import Description, describe
+from residuum.identification.physics.fmu.instance import Instance
 from residuum.identification.record import Record
 from residuum.identification.record_formats import write_record
 from residuum.service.cli import BAD_INPUT, DONE, run
@@ -119,6 +120,13 @@ def test_what_is_no_fmu_is_refused(tmp_path, content, says):
         file.write_bytes(content)
     with pytest.raises(BadModel, match=says):
         describe(file)
+
+
+@pytest.mark.parametrize("exchanged, way", [(True, "model exchange"), (False, "co-simulation")])
+def test_a_way_that_an_fmu_does_not_offer_is_refused(exchanged, way):
+    described = Description("axis.fmu", "axis", 2, "{1}", (), (), (), (), 0, None, None)
+    with pytest.raises(BadModel, match=f"'axis.fmu': the FMU does not offer {way}"):
+        Instance(described, exchanged=exchanged)
 
 
 def test_other_commands_say_who_takes_an_fmu(axis, rubbing, capfd):

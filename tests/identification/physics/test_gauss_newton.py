@@ -13,8 +13,8 @@ from residuum.identification.physics import (
     read_model,
     windows,
 )
-from residuum.identification.physics.estimation.estimation import _Problem
-from residuum.identification.physics.estimation.gauss_newton import Cells, Problem, _eliminated
+from residuum.identification.physics.estimation.estimation import SimulationErrorProblem
+from residuum.identification.physics.estimation.gauss_newton import Cells, Problem, eliminated
 from residuum.identification.unseen_blocks.scale import Scale
 
 DRIVE = """
@@ -60,7 +60,9 @@ def test_a_pass_says_what_simulations_and_their_products_say(lacking, filters, k
     weights = np.array([3.0, 0.7])
     at = problem(model, parts, Scale(weights, np.full(2, np.inf), filters), np.arange(900) // 45)
     fit = at.begin(np.array([[0.2, known.get("v", 0.1)], [0.2, 0.1], [0.2, 0.1]]))
-    then = _Problem(at.simulator, parts, at.parameters, Settings(weights=weights, filters=filters))
+    then = SimulationErrorProblem(
+        at.simulator, parts, at.parameters, Settings(weights=weights, filters=filters)
+    )
     then.weights, then.substeps = weights, [1] * 3
     point = then.point((fit.theta, fit.initial))
     M = [fit.M[at.cells.part == k].sum(axis=(0, 1)) for k in range(3)]
@@ -72,8 +74,8 @@ def test_a_pass_says_what_simulations_and_their_products_say(lacking, filters, k
         np.testing.assert_allclose(m[q:-1, q:-1], own, rtol=1e-10, atol=1e-12 * scale)
         np.testing.assert_allclose(m[:q, q:-1], cross, rtol=1e-10, atol=1e-12 * scale)
         np.testing.assert_allclose(m[q:-1, -1], gradient, rtol=1e-10, atol=1e-12 * scale)
-    H, g, _ = then._eliminated(point, 0.0)
-    reduced, gradient, _ = _eliminated(fit.M, at.cells.part, 3, q, np.ones(len(fit.power)), 0.0)
+    H, g, _ = then.eliminated(point, 0.0)
+    reduced, gradient, _ = eliminated(fit.M, at.cells.part, 3, q, np.ones(len(fit.power)), 0.0)
     np.testing.assert_allclose(reduced, H, rtol=1e-8, atol=1e-10 * scale)
     np.testing.assert_allclose(gradient, g, rtol=1e-8, atol=1e-10 * scale)
 

@@ -10,7 +10,11 @@ from residuum.identification.physics import Experiment, Simulator, load_model
 from residuum.identification.physics.compile import machine_code
 from residuum.identification.physics.compile.code_generation import generate
 from residuum.identification.physics.compile.composition import compose
-from residuum.identification.physics.compile.kernel import _kernel, cache_folder, kernel_of
+from residuum.identification.physics.compile.kernel import (
+    cache_folder,
+    kernel_of,
+    kernel_of_structure,
+)
 
 
 def test_dropped_code_takes_nothing_along(monkeypatch):
@@ -27,7 +31,7 @@ def test_dropped_code_takes_nothing_along(monkeypatch):
             f.__wrapper_address__() for f in machine_code.loaded(code, machine_code.FUNCTIONS)
         ]
         assert all(addresses)
-    _kernel.cache_clear()
+    kernel_of_structure.cache_clear()
     gc.collect()
     assert np.array_equal(simulator.run(push).Y, before)
     assert np.array_equal(Simulator(model).run(push).Y, before)
@@ -37,9 +41,9 @@ def test_dropped_code_takes_nothing_along(monkeypatch):
 def empty_cache(tmp_path, monkeypatch):
     """Nothing compiled on disk, nor kept in memory."""
     monkeypatch.setenv("RESIDUUM_CACHE", str(tmp_path / "cache"))
-    _kernel.cache_clear()
+    kernel_of_structure.cache_clear()
     yield cache_folder()
-    _kernel.cache_clear()
+    kernel_of_structure.cache_clear()
 
 
 def test_structures_share_what_their_equations_do_not_change(empty_cache):
@@ -66,5 +70,5 @@ def test_code_that_was_removed_from_the_cache_is_made_again(empty_cache):
     kernel_of(model)
     for path in empty_cache.glob("code_*"):
         path.unlink()
-    _kernel.cache_clear()
+    kernel_of_structure.cache_clear()
     assert kernel_of(model).states == ("q", "v")

@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 
 from residuum.identification.errors import BadModel
-from residuum.identification.physics import Experiment, Simulator, estimate, read_model
+from residuum.identification.physics import (
+    Experiment,
+    Simulator,
+    candidates,
+    estimate,
+    read_model,
+)
 from residuum.identification.physics.effects import EFFECTS
 from residuum.identification.physics.effects.base import Conditions
 
@@ -23,12 +29,14 @@ def push(n=400, outputs=1):
 
 
 def test_every_ordered_pair_is_of_the_effects_own_parameters():
-    ordered = {id: effect.ordered for id, effect in EFFECTS.items() if effect.ordered}
-    assert ordered["end-stop"] == (("q_min", "q_max"),)
     model = read_model(SLED)
-    for id, pairs in ordered.items():
-        declared = [p.name for p in EFFECTS[id].parameters(model.site("axis", EFFECTS[id]))]
-        assert all(name in declared for pair in pairs for name in pair)
+    ordered = {}
+    for key in candidates(model):
+        declared = model.with_effect(*key).effects[-1].parameters
+        pairs = [(p.name, p.below) for p in declared.values() if p.below]
+        assert all(high in declared for _, high in pairs), key
+        ordered[key.effect] = pairs
+    assert ordered["end-stop"] == [("q_min", "q_max")]
 
 
 def test_a_stop_whose_lower_end_is_above_its_upper_is_refused_where_it_is_said():

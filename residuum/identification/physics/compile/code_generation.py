@@ -25,10 +25,14 @@ from sympy.logic.boolalg import Boolean
 from residuum.identification.errors import NoExplicitEquations
 from residuum.identification.physics.compile import implicit
 from residuum.identification.physics.compile.composition import TIME, Equations
-from residuum.identification.physics.compile.external import SYMBOLS, ExternalSlope, ExternalValue
+from residuum.identification.physics.compile.equation_functions import (
+    SYMBOLS,
+    ExternalSlope,
+    ExternalValue,
+    SteppedRound,
+)
 from residuum.identification.physics.compile.machine_code import FUNCTIONS
 from residuum.identification.physics.compile.stepping_code import FREE, columns_of, stepping
-from residuum.identification.physics.simulate.stepped_round import SteppedRound
 
 ARGUMENTS = ("x", "u", "ur", "p", "s", "m", "r0", "r1", "r2")
 _COMPARISONS = {"<": "olt", "<=": "ole", ">": "ogt", ">=": "oge", "==": "oeq", "!=": "une"}
@@ -100,6 +104,7 @@ def generate(equations: Equations) -> tuple[str, ...]:
     ]
     systems = {name: system for function in functions for name, system in function.roots.items()}
     bodies = [function.text() for function in functions]
+    # Each root brings two functions: one step of Newton's method, and the loop around it.
     for name, (z, a, g, start) in systems.items():
         bodies += [
             _NewtonStep(f"{name}_step", z, a, g).text(),
@@ -118,10 +123,13 @@ def _index(symbols: Iterable[sp.Symbol], wanted: sp.Symbol) -> int:
 
 
 def _functions(eq: Equations) -> list[_Function]:
+    # A state that sticks has no rate: m is 0 there, else 1.
     moving = {row: sp.Symbol(f"m_{number}", real=True) for number, row in enumerate(eq.surfaces)}
     rates = {i: moving.get(i, sp.S.One) * rate for i, rate in enumerate(eq.rates)}
     start = {list(eq.x).index(name): expression for name, expression in eq.initial.items()}
-    outputs, signals = dict(enumerate(eq.outputs.values())), dict(enumerate(eq.signals.values()))
+    outputs = dict(enumerate(eq.outputs.values()))
+    signals = dict(enumerate(eq.signals.values()))
+    # (values, slopes) of each function, in the order of FUNCTIONS.
     given: list[tuple[Rows, Rows]] = [
         (rates, {}),
         (rates, rates),
@@ -160,6 +168,7 @@ class _Function:
         self.stores: dict[Slot, str] = {
             ("r0", i): self.value(sp.sympify(e)) for i, e in rows.items()
         }
+        # A function that writes no values has its slopes in the first arrays.
         matrices = ("r1", "r2") if rows else ("r0", "r1")
         for i, e in sloping.items():
             for matrix, by, width in zip(
@@ -169,6 +178,8 @@ class _Function:
                     (matrix, i * width + j): self.slope(sp.sympify(e), v)
                     for j, v in enumerate(by.values())
                 }
+                # What is always zero is not stored: the arrays are zero at first, and the step
+                # leaves such places out.
                 self.stores |= {slot: slope for slot, slope in slopes.items() if slope is not None}
 
     def _begin(
@@ -178,7 +189,10 @@ class _Function:
         moved: Mapping[Any, tuple[Any, Any]],
         defined: Mapping[sp.Symbol, sp.Expr],
     ) -> None:
-        self.name, self.loads, self.moved, self.defined = name, loads, moved, defined
+        self.name = name
+        self.loads = loads
+        self.moved = moved
+        self.defined = defined
         self.roots: dict[str, Any] = {}
         self.lines: list[str] = []
         self.known: dict[Any, str] = {}
@@ -235,42 +249,51 @@ class _Function:
                 _ONE if e == by else self._new(f"fneg {FREE} double {self.value(self.moved[e][1])}")
             )
         if isinstance(e, sp.Piecewise):
-            pieces = [(self.slope(value, by), condition) for value, condition in e.args]
-            some = any(slope for slope, _ in pieces)
-            return (
-                self._chosen([(slope or _ZERO, condition) for slope, condition in pieces])
-                if some
-                else None
-            )
+            return self._piecewise_slope(e, by)
+        # A jump has no slope that an estimation could use: it is switched, not differentiated.
         if isinstance(e, (*_FLAT, Boolean)):
             return None
         if isinstance(e, implicit.Root):
             return self._root_slope(e, by)
+        # The chain rule: Σ ∂e/∂part · ∂part/∂by, over the parts that depend on it.
         slopes = [(i, self.slope(part, by)) for i, part in enumerate(e.args)]
         terms = [
             self._times(self._partial(e, i), slope) for i, slope in slopes if slope is not None
         ]
         return self._fold("fadd", terms) if terms else None
 
+    def _piecewise_slope(self, e: sp.Piecewise, by: sp.Symbol) -> str | None:
+        """The slope of the piece that holds; jumps between pieces have none."""
+        pieces = [(self.slope(value, by), condition) for value, condition in e.args]
+        if not any(slope for slope, _ in pieces):
+            return None
+        return self._chosen([(slope or _ZERO, condition) for slope, condition in pieces])
+
     def _partial(self, e: Any, i: int) -> str:
         """What holds the slope of an operation by its argument i."""
         if e.is_Add:
             return _ONE
         if e.is_Mul:
+            # The product of all other factors.
             return self.value(sp.Mul(*e.args[:i], *e.args[i + 1 :], evaluate=False))
         if isinstance(e, sp.atan2):
             y, x = e.args
+            # ∂atan2/∂y = x/(x² + y²), ∂/∂x = −y/(x² + y²).
             return self.value((x, -y)[i] / (x**2 + y**2))
         if not e.is_Pow:
             return self.value(sp.sympify(e.fdiff(i + 1)))
+        # ∂bᵃ/∂a = bᵃ·ln b.
         if i == 1:
             return self._times(self.value(e), self.value(sp.log(e.base)))
         if e.exp == sp.Rational(1, 2):
+            # ½/√b.
             return self._times(_constant(0.5), self._inverse_root(e.base))
         return self._times(self.value(e.exp), self.value(e.base ** (e.exp - 1)))
 
     def _times(self, a: str, b: str) -> str:
-        return b if a == _ONE else a if b == _ONE else self._new(f"fmul {FREE} double {a}, {b}")
+        if _ONE in (a, b):
+            return b if a == _ONE else a
+        return self._new(f"fmul {FREE} double {a}, {b}")
 
     def value(self, e: Any) -> str:
         """The name of the register, or the constant, that holds an expression."""
@@ -307,6 +330,7 @@ class _Function:
     def _add(self, *terms: sp.Expr) -> str:
         positive = [t for t in terms if not t.could_extract_minus_sign()]
         negative = [-t for t in terms if t.could_extract_minus_sign()]
+        # Sums first, then what is subtracted: no product with −1.
         total = self._fold("fadd", [self.value(t) for t in positive]) if positive else _ZERO
         for term in negative:
             total = self._new(f"fsub {FREE} double {total}, {self.value(term)}")
@@ -315,8 +339,10 @@ class _Function:
     def _mul(self, *factors: sp.Expr) -> str:
         above = [f for f in factors if not _is_reciprocal(f)]
         below = [f.base**-f.exp for f in factors if _is_reciprocal(f)]
+        # SymPy writes −a as −1·a: one negation instead of a product.
         negative = above[:1] == [sp.S.NegativeOne]
         product = self._fold("fmul", [self.value(f) for f in above[negative:]] or [_ONE])
+        # One division for all reciprocals together.
         if below:
             product = self._new(
                 f"fdiv {FREE} double {product},"
@@ -353,7 +379,8 @@ class _Function:
         )
 
     def _root(self, i: sp.Expr, *given: Any) -> str:
-        z, values = self._solution(given[:4], given[4:]), int(i)
+        z = self._solution(given[:4], given[4:])
+        values = int(i)
         return self._new(
             f"load double, ptr {self._new(f'getelementptr double, ptr {z}, i64 {values}')}"
         )
@@ -362,6 +389,7 @@ class _Function:
         """Where the root of a system stands, found once a function."""
         key = (system, values)
         if key not in self.known:
+            # Named by what it solves: two places that ask for the same root share it.
             name = f"root_{hashlib.sha256(str(system).encode()).hexdigest()[:16]}"
             self.roots[name] = system
             a = self._array(values)
@@ -372,14 +400,15 @@ class _Function:
     def _root_slope(self, e: Any, by: sp.Symbol) -> str:
         """−J⁻¹ ∂g/∂by at the root."""
         i, z, a, g, start, *values = e.args
-        here = [
+        root = [
             self._held(self.value(implicit.Root(sp.Integer(k), z, a, g, start, *values)))
             for k in range(len(z))
         ]
-        at = dict(zip(z, here, strict=True)) | dict(zip(a, values, strict=True))
+        # The system at the root, in registers: its slopes are those of any other expression.
+        at = dict(zip(z, root, strict=True)) | dict(zip(a, values, strict=True))
         equations = [equation.xreplace(at) for equation in g]
         right = [self._held(self.slope(equation, by)) for equation in equations]
-        return self.value(-implicit.solved(self._jacobian(equations, here), right)[int(i)])
+        return self.value(-implicit.solved(self._jacobian(equations, root), right)[int(i)])
 
     def _jacobian(self, equations: Sequence[Any], unknown: Sequence[Any]) -> list[list[Any]]:
         """Symbols that hold the slopes of equations by unknown symbols."""
@@ -392,6 +421,7 @@ class _Function:
         """A symbol for what a register holds; zero for nothing."""
         if register is None:
             return sp.S.Zero
+        # So a register can stand in an expression, and the adjugate be written by SymPy.
         symbol = sp.Symbol(f"held_{register}", real=True)
         self.known[symbol] = register
         return symbol
@@ -437,6 +467,7 @@ class _Function:
 
     def _chosen(self, pieces: Sequence[tuple[str, Any]]) -> str:
         chosen = _ZERO
+        # From the last piece to the first: the first condition that holds is chosen last.
         for value, condition in reversed(pieces):
             chosen = (
                 value
@@ -545,7 +576,9 @@ def _real_number(e: sp.Expr) -> float:
 
 
 def _constant(value: float) -> str:
+    # Bits in hexadecimal: decimals of LLVM must be exact doubles.
     return f"0x{struct.unpack('>Q', struct.pack('>d', value))[0]:016X}"
 
 
+# By their text, products with them are recognised and left out.
 _ZERO, _ONE = _constant(0.0), _constant(1.0)

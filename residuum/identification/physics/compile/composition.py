@@ -26,7 +26,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import sympy as sp
@@ -36,7 +36,6 @@ from residuum.identification.physics.compile import implicit
 from residuum.identification.physics.compile.expression_meaning import meaning, number
 from residuum.identification.physics.effects.base import Contribution, Scene
 from residuum.identification.physics.files.consistency import (
-    expressions_of,
     owners_of,
 )
 from residuum.identification.physics.files.expression import (
@@ -53,7 +52,6 @@ from residuum.identification.physics.model import (
     Balance,
     EffectUse,
     PhysicalModel,
-    missing_name,
     term_name,
     tied_to,
 )
@@ -161,9 +159,10 @@ class _Composer:
 
     def __init__(self, model: PhysicalModel) -> None:
         self.model = model
+        # Symbols are numbered, not named: structures that differ in names alone share their code.
         self.x = {name: sp.Symbol(f"x_{k}", real=True) for k, name in enumerate(model.states)}
         self.u = {name: sp.Symbol(f"u_{k}", real=True) for k, name in enumerate(model.inputs)}
-        names = [*model.all_parameters, *map(missing_name, model.balances)]
+        names = [*model.all_parameters, *(b.missing for b in model.balances.values())]
         self.p = {name: sp.Symbol(f"p_{k}", real=True) for k, name in enumerate(names)}
         self.variables = {
             v: sp.Symbol(f"i_{b.name}", real=True)
@@ -173,6 +172,8 @@ class _Composer:
         self.paths: dict[str, sp.Expr] = {
             name: self._recorded_or_default(name) for name in model.inputs
         }
+        # A state with a `rate` has that state as its derivative; a value for each record stands
+        # still. All other rates come from balances and effects.
         self.rates: dict[str, sp.Expr] = {
             s.name: self.x[s.rate] if s.rate else sp.S.Zero
             for s in model.states.values()
@@ -188,24 +189,23 @@ class _Composer:
         self.defined: dict[sp.Symbol, sp.Expr] = {}
 
     def equations(self) -> Equations:
-        for use in self.model.effects:
-            if use.effect.place == "input":
-                self._add_to_path(use, self.paths)
+        # inputs first: the balances' terms are made of what actuators make of them
+        self._add_to_paths("input", self.paths)
         sides = {name: self._sides(balance) for name, balance in self.model.balances.items()}
         for use in self.model.effects:
             if use.effect.place == "balance":
                 self._add_to_balance(use, sides)
+        # After all effects: they may add terms with the variable that a balance defines.
         defined = self._solve_defined(sides)
         for side in sides.values():
             if side.state is not None:
+                # The balance solved for its derivative.
                 self.rates[side.state] = sum(side.terms.values()) / side.coefficient
         outputs = {
             name: self._symbolic(output.value.tree, None)
             for name, output in self.model.outputs.items()
         }
-        for use in self.model.effects:
-            if use.effect.place == "output":
-                self._add_to_path(use, outputs)
+        self._add_to_paths("output", outputs)
         return self._explicit(sides, outputs, defined)
 
     def _explicit(
@@ -217,6 +217,7 @@ class _Composer:
         def put(expression: sp.Expr) -> sp.Expr:
             return sp.sympify(expression).subs(defined)
 
+        # Signals are looked at, not integrated: there a direction is the plain sign.
         moving = {s: sp.sign(self.x[name]) for name, s in self.directions.items()}
         terms = {
             f"{n}.{term}": put(e).subs(moving)
@@ -230,12 +231,6 @@ class _Composer:
             variables[f"storage:{name}"] = put(side.storage).subs(moving)
             variables[f"drive:{name}"] = put(side.roles["drive"]).subs(moving)
         rates = tuple(put(self.rates[name]) for name in self.x)
-        order = list(self.x)
-        surfaces = {
-            order.index(name): s
-            for name, s in self.directions.items()
-            if any(r.has(s) for r in rates)
-        }
         initial = {name: put(e) for name, e in self.initial.items()}
         y = {name: put(e) for name, e in outputs.items()}
         deviating = tuple(self.deviating)
@@ -248,10 +243,19 @@ class _Composer:
             variables | terms,
             initial,
             deviating,
-            surfaces,
+            self._surfaces(rates),
             self.delays,
             self.defined,
         )
+
+    def _surfaces(self, rates: Sequence[sp.Expr]) -> dict[int, sp.Symbol]:
+        """The directions that rates name, by the number of their state."""
+        order = list(self.x)
+        return {
+            order.index(name): direction
+            for name, direction in self.directions.items()
+            if any(rate.has(direction) for rate in rates)
+        }
 
     def _recorded_or_default(self, name: str) -> sp.Expr:
         signal = self.model.inputs[name]
@@ -273,6 +277,8 @@ class _Composer:
             direction = self.directions.setdefault(
                 state, sp.Symbol(f"s_{len(self.directions)}", real=True)
             )
+            # A placeholder for der(state), whose coefficient is what the derivative is multiplied
+            # by.
             derivative = sp.Symbol("derivative", real=True)
             storage = sp.expand(self._symbolic(balance.storage.tree, None, derivative))
             coefficient = storage.coeff(derivative, 1)
@@ -281,7 +287,8 @@ class _Composer:
                     f"storage {balance.storage.text!r} must be linear in der({state})"
                 )
         terms = {name: self._symbolic(term.tree, state) for name, term in balance.terms.items()}
-        terms["missing"] = self.p[missing_name(balance.name)]
+        # The unknown term that a smoother estimates; zero otherwise.
+        terms["missing"] = self.p[balance.missing]
         side = _Sides(balance, terms, state, coefficient, defines, direction)
         side.roles = self._roles(side)
         return side
@@ -290,31 +297,33 @@ class _Composer:
         balance = side.balance
         roles = {role: self._name(name) for role, name in balance.variables.items()}
         own = side.state if side.state is not None else balance.defines
+        # The input that drives the balance, as effects on the supply see it: after what actuators
+        # make of it.
         supply = self.model.supply_input(balance)
-        with_input = [
-            n for n, t in balance.terms.items() if supply is not None and supply in t.names
-        ]
-        currents = {
-            b.variables["current"] for b in self.model.balances.values() if "current" in b.variables
-        } - {own}
-        inputs = {name for name, signal in self.model.inputs.items() if not signal.is_clock}
-        driving = [n for n, t in balance.terms.items() if t.names & (inputs | currents)]
         if supply is not None:
             roles["supply"] = self.paths[supply]
         roles |= {name: self.paths[name] for name in CHANNELS if name in self.paths}
-        roles["supply_terms"] = sum((side.terms[name] for name in with_input), sp.S.Zero)
-        roles["drive"] = sum((side.terms[name] for name in driving), sp.S.Zero)
+        roles["supply_terms"] = _sum_with(side, {supply} if supply is not None else set())
+        roles["drive"] = _sum_with(side, self._driving() - {own})
         roles["storage"] = side.coefficient
         return roles
 
+    def _driving(self) -> set[str]:
+        """Inputs, and currents: a motor's current drives its shaft as an input does."""
+        inputs = {name for name, signal in self.model.inputs.items() if not signal.is_clock}
+        balances = self.model.balances.values()
+        return inputs | {b.variables["current"] for b in balances if "current" in b.variables}
+
     def _add_to_balance(self, use: EffectUse, sides: Mapping[str, _Sides]) -> None:
-        side, name = sides[use.place], term_name(use)
+        side = sides[use.place]
+        name = term_name(use)
         added = self._contribution(
             use, side.roles | self._tied(use, sides), side.direction, sp.S.Zero
         )
         side.terms[name] = sp.sympify(added.term)
         for balance, term in added.elsewhere.items():
             sides[balance].terms[name] = sp.sympify(term)
+        # Effects that take a share of the inertia away follow each other: shares multiply.
         side.coefficient = side.coefficient * added.storage_factor
         if added.inductance is not None:
             self._give_storage(side, added.inductance, use)
@@ -337,6 +346,7 @@ class _Composer:
                 f"effect {use.label!r}: balance {side.balance.name!r} has a storage already"
             )
         state = sp.Symbol(f"x_{len(self.x)}", real=True)
+        # Where the variable stands when nothing changes: it begins there.
         resting = self._solve(side.defines, sum(side.terms.values()), side.balance)
         direction = self.directions.setdefault(
             name, sp.Symbol(f"s_{len(self.directions)}", real=True)
@@ -344,17 +354,25 @@ class _Composer:
         self.initial[name] = resting
         self.deviating.append(name)
         self.x[name] = state
+        # The variable is a state from here on, in every term: its sign can stand still now.
         swap = {sp.sign(side.defines): direction, side.defines: state}
         side.terms = {term: e.subs(swap) for term, e in side.terms.items()}
         self.became_state[side.defines] = state
-        side.state, side.coefficient = name, inductance
+        side.state = name
+        side.coefficient = inductance
 
-    def _add_to_path(self, use: EffectUse, paths: dict[str, sp.Expr]) -> None:
-        added = self._contribution(use, {}, sp.S.Zero, paths[use.target])
-        if added.signal is not None:
-            paths[use.target] = added.signal
-        if added.delay is not None:
-            self.delays[use.target] = added.delay
+    def _add_to_paths(self, place: str, paths: dict[str, sp.Expr]) -> None:
+        """Add the effects on inputs, or those on outputs, in their order: each takes the signal as
+        the one before left it.
+        """
+        for use in self.model.effects:
+            if use.effect.place != place:
+                continue
+            added = self._contribution(use, {}, sp.S.Zero, paths[use.target])
+            if added.signal is not None:
+                paths[use.target] = added.signal
+            if added.delay is not None:
+                self.delays[use.target] = added.delay
 
     def _contribution(
         self, use: EffectUse, roles: Mapping[str, sp.Expr], direction: sp.Expr, signal: sp.Expr
@@ -364,6 +382,7 @@ class _Composer:
         own = {}
         for name in use.effect.states(site):
             full = f"{use.label}.{name}"
+            # States of effects stand behind the model's own, in the order of the effects.
             own[name] = self.x[full] = sp.Symbol(f"x_{len(self.x)}", real=True)
         added = use.effect.contribution(Scene(site, p, own, roles, direction, signal, TIME))
         self.rates.update({f"{use.label}.{name}": rate for name, rate in added.rates.items()})
@@ -379,6 +398,8 @@ class _Composer:
             side for side in sides.values() if side.state is None and side.defines is not None
         ]
         while open_sides:
+            # The smallest system that can be solved by itself comes first: the others may need its
+            # variables.
             together = min((_needed(side, open_sides) for side in open_sides), key=len)
             total = [sum(side.terms.values()) for side in together]
             if len(together) == 1 and together[0].balance.start is None:
@@ -394,11 +415,10 @@ class _Composer:
     def _roots(
         self, sides: list[_Sides], total: list[sp.Expr], solved: dict[sp.Symbol, sp.Expr]
     ) -> dict[sp.Symbol, sp.Expr]:
-        names, place = (
-            ", ".join(side.balance.name for side in sides),
-            sides[0].balance.storage.place,
-        )
+        names = ", ".join(side.balance.name for side in sides)
+        place = sides[0].balance.storage.place
         start = [side.balance.start for side in sides if side.balance.start is not None]
+        # J is inverted by its adjugate, which grows fast.
         if len(start) < len(sides) or len(sides) > implicit.MOST_VARIABLES:
             raise place.refuse(
                 f"algebraic loop: balances {names} define each other's variables; each needs a"
@@ -407,6 +427,7 @@ class _Composer:
                 NoExplicitEquations,
             )
         unknown = [side.defines for side in sides]
+        # A Jacobian that is zero whatever the values: no step of Newton's method leads anywhere.
         if sp.expand(implicit.jacobian(unknown, total).det(method="berkowitz")) == 0:
             raise place.refuse(
                 f"algebraic loop of index 2: balances {names} do not determine the variables that"
@@ -416,26 +437,36 @@ class _Composer:
         return dict(zip(unknown, implicit.roots(unknown, total, start, solved), strict=True))
 
     def _substituted(self, solved: dict[sp.Symbol, sp.Expr]) -> dict[sp.Symbol, sp.Expr]:
+        # As often as there are variables: each may name another one, in a chain of at most that
+        # length.
         for _ in solved:
-            solved = {
-                symbol: sp.sympify(e).subs({k: v for k, v in solved.items() if k != symbol})
-                for symbol, e in solved.items()
-            }
+            replaced = {}
+            for symbol, e in solved.items():
+                known = {k: v for k, v in solved.items() if k != symbol}
+                replaced[symbol] = sp.sympify(e).subs(known)
+            solved = replaced
         return solved
 
     def _solve(self, i: sp.Symbol, total: sp.Expr, balance: Balance) -> sp.Expr:
         """The root i of r + a·i + b·sign(i) + c·|i| = 0."""
-        sign, size = sp.Symbol("sign_of_variable"), sp.Symbol("size_of_variable")
+        # Both are taken for variables of their own, so that the equation is linear in all three.
+        sign = sp.Symbol("sign_of_variable")
+        size = sp.Symbol("size_of_variable")
         flat = sp.expand(sp.expand(total).subs({sp.sign(i): sign, sp.Abs(i): size}))
         a, b, c = (flat.coeff(symbol, 1) for symbol in (i, sign, size))
         r = flat.subs({i: 0, sign: 0, size: 0})
+        # A coefficient that contains the variable: not linear.
         if a == 0 or {i, sign, size} & (a.free_symbols | b.free_symbols | c.free_symbols):
             raise self._loop(balance)
+        # Something is left over: a power, a function of the variable.
         if flat.has(i) and sp.expand(flat - r - a * i - b * sign - c * size) != 0:
             raise self._loop(balance)
         if b == 0 and c == 0:
             return -r / a
-        free, gap = -r / a, b / a
+        # Between −gap and gap neither sign solves the equation: the variable rests at zero (a
+        # brush's drop).
+        free = -r / a
+        gap = b / a
         return sp.Piecewise(
             (-(r + b) / (a + c), free > gap), (-(r - b) / (a - c), free < -gap), (0, True)
         )
@@ -452,11 +483,14 @@ class _Composer:
     ) -> sp.Expr:
         """What a tree means; asked once of what stands in several places."""
         apart = id(tree) in self.apart
+        # What is put into a tree later depends on where it stands; a tree that stands apart holds
+        # none of that.
         key = (id(tree), None, None) if apart else (id(tree), surface, derivative)
         if key not in self.meanings:
             means = self._meaning(tree, surface, derivative)
             if apart:
                 symbol = sp.Symbol(f"d_{len(self.defined)}", real=True)
+                # Defined once, named everywhere: SymPy does not look into a symbol.
                 self.defined[symbol] = sp.sympify(means)
                 means = symbol
             self.meanings[key] = means
@@ -467,17 +501,18 @@ class _Composer:
             return number(tree)
         if isinstance(tree, Name):
             return self._name(tree.name)
-        if isinstance(tree, Call) and tree.function == "der":
-            return derivative
-        if isinstance(tree, Call) and tree.function == "delay":
-            return self._delayed(tree)
-        if (
-            surface is not None
-            and isinstance(tree, Call)
-            and tree.function == "sign"
-            and _is_name(tree.operands[0], surface)
-        ):
-            return self.directions[surface]
+        if isinstance(tree, Call):
+            if tree.function == "der":
+                return derivative
+            if tree.function == "delay":
+                return self._delayed(tree)
+            if (
+                surface is not None
+                and tree.function == "sign"
+                and _is_name(tree.operands[0], surface)
+            ):
+                # the direction that the integrator switches: an exact standstill has no sign
+                return self.directions[surface]
         operands = [self._symbolic(operand, surface, derivative) for operand in tree.operands]
         return meaning(tree)(*operands)
 
@@ -512,16 +547,15 @@ def _standing_apart(model: PhysicalModel) -> set[int]:
     model of a hundred equations that name each other would take it hours.
     """
     put_into = {b.defines for b in model.balances.values()}
-    trees = [expression.tree for expression in expressions_of(model)]
+    trees = [expression.tree for expression in model.expressions]
     places = _places(trees)
     apart = set[int]()
 
     def size(node: Node, inner: list[float]) -> float:
         """Infinite of what holds something that is put into it."""
-        if isinstance(node, Name) and node.name in put_into:
+        if _is_put_into(node, put_into):
             return math.inf
-        if isinstance(node, Call) and node.function in ("sign", "der"):
-            return math.inf
+        # Numbers, names and operations below this node, itself included.
         total = 1 + sum(inner)
         is_value = not isinstance(node, Operation) or node.operator in _ARITHMETIC
         if LARGE <= total < math.inf and places[id(node)] > 1 and is_value:
@@ -531,6 +565,19 @@ def _standing_apart(model: PhysicalModel) -> set[int]:
     for tree in trees:
         folded(tree, size)
     return apart
+
+
+def _is_put_into(node: Node, put_into: Collection[str | None]) -> bool:
+    """Whether a node is replaced later: by a direction, a derivative, or a defined variable."""
+    if isinstance(node, Name):
+        return node.name in put_into
+    return isinstance(node, Call) and node.function in ("sign", "der")
+
+
+def _sum_with(side: _Sides, names: Collection[str]) -> sp.Expr:
+    """The sum of a balance's own terms that contain any of these names."""
+    containing = [name for name, t in side.balance.terms.items() if not t.names.isdisjoint(names)]
+    return sum((side.terms[name] for name in containing), sp.S.Zero)
 
 
 def _places(trees: Sequence[Node]) -> Counter[int]:
@@ -544,11 +591,11 @@ def _places(trees: Sequence[Node]) -> Counter[int]:
 
 def _needed(side: _Sides, sides: list[_Sides]) -> list[_Sides]:
     """The sides that have to be solved together with this one, or before it, in their order."""
-    found = [side]
-    for known in found:
+    needed = [side]
+    for known in needed:  # grows while it is walked along
         symbols = sum(known.terms.values()).free_symbols
-        found += [other for other in sides if other.defines in symbols and other not in found]
-    return [each for each in sides if each in found]
+        needed += [side for side in sides if side.defines in symbols and side not in needed]
+    return [side for side in sides if side in needed]
 
 
 def _is_name(tree: Node, name: str) -> bool:

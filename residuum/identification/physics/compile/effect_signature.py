@@ -21,6 +21,7 @@ from residuum.identification.physics.effects.base import (
 )
 
 Array = npt.NDArray[np.float64]
+# Samples of a period, periods, and every how manieth sample is drawn: 200 points a period.
 _SAMPLES, _PERIODS, _EVERY = 800, 2, 4
 _COARSE = 0.2  # steps of a coarse sensor, for the effect that is one
 _MODULES = [{"SteppedRound": np.round}, "numpy"]
@@ -133,9 +134,11 @@ def signature(effect: Effect, kind: str | None = None) -> Signature:
     )
     units = {"t": "s", "signal": scenario.site.unit, **scenario.site.units}
     name = {"t": "time"}.get(axis, axis)
+    # Against another axis than time the first period would show how states settle.
     shown = slice(0 if axis == "t" else _SAMPLES, None, _EVERY)
     before = None if best.before is None else best.before[shown]
-    at, value = motion[axis][shown], best.value[shown]
+    at = motion[axis][shown]
+    value = best.value[shown]
     return Signature(
         scenario.site.kind, name, units[axis], scenario.site.unit, at, value, before, values
     )
@@ -149,7 +152,9 @@ def _motion(scenario: Scenario) -> dict[str, Array]:
     """Every variable there is, over two periods."""
     t = np.linspace(0.0, _PERIODS * scenario.period, _PERIODS * _SAMPLES + 1)
     turn = 2 * np.pi * t / scenario.period
-    swing, even = np.sin(turn), 1.0 - np.abs(1.0 - 2.0 * ((t / scenario.period) % 1.0))
+    # A sine, and a triangle from 0 to 1 and back.
+    swing = np.sin(turn)
+    even = 1.0 - np.abs(1.0 - 2.0 * ((t / scenario.period) % 1.0))
     size = scenario.magnitude
     driven = even if scenario.site.kind in ("heat", "volume") else swing
     return {
@@ -166,6 +171,7 @@ def _motion(scenario: Scenario) -> dict[str, Array]:
         "defined": 5.0 * swing,
         "signal": size * swing,
         "measured": _COARSE * size * np.round(swing / _COARSE),
+        # Rounding: the sine of a whole turn is 1e-16, and would be taken for motion.
         "direction": np.sign(np.where(np.abs(swing) < 1e-9, 0.0, swing)),
     }
 
@@ -203,6 +209,8 @@ class _Drawing:
         """
         if self.before is not None:
             return round(float(np.sqrt(np.mean((self.value - self.before) ** 2))), 3)
+        # Rounded, so that first values that fill the picture alike are told apart by their order
+        # alone.
         return round(float(np.mean(np.abs(self.value) > 0.05 * np.abs(self.value).max())), 2)
 
     def _evaluated(self, expression: sp.Expr) -> Array:
@@ -245,8 +253,12 @@ class _Drawing:
         def rate(u: Array, x: Array) -> Array:
             return np.array(rates(list(u), list(x)), dtype=float)
 
+        # The integrator of models would need a whole model around the effect.
         for k in range(U.shape[1] - 1):
-            u0, u1, x = U[:, k], U[:, k + 1], X[:, k]
+            u0 = U[:, k]
+            u1 = U[:, k + 1]
+            x = X[:, k]
+            # Runge and Kutta with inputs that move evenly between two samples.
             half = (u0 + u1) / 2
             a = rate(u0, x)
             b = rate(half, x + step / 2 * a)
@@ -263,21 +275,26 @@ class _Drawing:
     def _term(self, added: Contribution) -> Array:
         if added.inductance is None:
             return self._evaluated(added.term)
+        # An inductance is no term: the voltage that it takes is −L·di/dt.
         return -self._evaluated(added.inductance) * np.gradient(
             self._motion["current"], self._motion["t"]
         )
+
+    def _remembers(self, added: Contribution) -> bool:
+        """Whether the effect depends on what was before."""
+        return bool(self._x) or added.inductance is not None or added.delay is not None
 
     def _axis(self, site: Site, added: Contribution) -> str:
         """Time where the effect remembers or waits (a position where it is mechanical), else what
         its equation asks for first.
         """
         mechanical = site.kind in ("torque", "force")
-        remembers = bool(self._x) or added.inductance is not None or added.delay is not None
         asked = sp.sympify(added.term).free_symbols
-        if remembers or _t in asked:
+        if self._remembers(added) or _t in asked:
             return "position" if mechanical else "t"
         if site.kind in _PATHS:
             return "signal"
+        # Frictions and drops are known by their curve against speed or current.
         if _direction in asked:
             return "velocity" if mechanical else "current"
         first = next((role for role in _ORDER if self._roles.get(role) in asked), None)

@@ -37,6 +37,7 @@ _WRITTEN: Mapping[str, Callable[..., Any]] = {
     "hypot": lambda a, b: sp.sqrt(a**2 + b**2),
     "mod": lambda a, b: a - b * sp.floor(a / b),
     "where": lambda condition, a, b: sp.Piecewise((a, condition), (b, True)),
+    # Half of what follows x are places, half values.
     "table": lambda x, *knots: _straight_lines(
         x, knots[: len(knots) // 2], knots[len(knots) // 2 :]
     ),
@@ -54,7 +55,8 @@ _OPERATORS: Mapping[str, Callable[..., Any]] = {
     "neg": lambda a: -a,
 }
 _CONDITIONS: Mapping[str, str] = {
-    "<": "Lt", "<=": "Le", ">": "Gt", ">=": "Ge", "==": "Eq", "!=": "Ne", "and": "And", "or": "Or", "not": "Not",
+    "<": "Lt", "<=": "Le", ">": "Gt", ">=": "Ge", "==": "Eq", "!=": "Ne",
+    "and": "And", "or": "Or", "not": "Not",
 }  # fmt: skip
 
 
@@ -63,8 +65,11 @@ def meaning(node: Operation | Call) -> Callable[..., Any]:
     if isinstance(node, Operation):
         return _OPERATORS.get(node.operator) or getattr(sp, _CONDITIONS[node.operator])
     if node.function == EXTERNAL:
-        value = import_module("residuum.identification.physics.compile.external").ExternalValue
-        return lambda number, *operands: value(number, sp.Symbol("t", real=True), *operands)
+        # their classes need SymPy, which texts without such a call do not
+        functions = import_module("residuum.identification.physics.compile.equation_functions")
+        value = functions.ExternalValue
+        t = sp.Symbol("t", real=True)
+        return lambda number, *operands: value(number, t, *operands)
     return _WRITTEN.get(node.function) or getattr(sp, _FUNCTIONS.get(node.function, node.function))
 
 
@@ -82,6 +87,7 @@ def _straight_lines(x: Any, places: Sequence[Any], values: Sequence[Any]) -> Any
 def number(node: Number) -> Any:
     """A literal; a whole one stays exact."""
     return (
+        # Whole literals as integers: x**2 is then written as a product.
         sp.Integer(int(node.value)) if node.value == int(node.value) else sp.Float(node.value, 17)
     )
 
@@ -94,6 +100,7 @@ def symbolic(tree: Node, names: Mapping[str, Any], signs: Mapping[str, Any]) -> 
         return number(tree)
     if isinstance(tree, Name):
         return names[tree.name]
+    # sign() of a name that can stand still is the direction that the integrator switches.
     first = tree.operands[0]
     if (
         isinstance(tree, Call)

@@ -18,6 +18,7 @@ import sympy as sp
 
 MOST_VARIABLES = 4
 """That balances may define together: J is inverted by its adjugate."""
+# Halvings of a step among them.
 MOST_STEPS = 60
 
 
@@ -35,19 +36,23 @@ def roots(
     """The unknown symbols as roots of the equations; `known` has values for what else those
     hold.
     """
-    others = sorted(
+    known_symbols = sorted(
         {s for e in equations for s in e.free_symbols} - set(unknown), key=lambda s: s.name
     )
+    # Neutral names: systems that are alike but for names share their code.
     z = [sp.Symbol(f"root_z_{k}", real=True) for k in range(len(unknown))]
-    a = [sp.Symbol(f"root_a_{k}", real=True) for k in range(len(others))]
-    inside = dict(zip([*unknown, *others], [*z, *a], strict=True))
+    a = [sp.Symbol(f"root_a_{k}", real=True) for k in range(len(known_symbols))]
+    inside = dict(zip([*unknown, *known_symbols], [*z, *a], strict=True))
     system = (
         sp.Tuple(*z),
         sp.Tuple(*a),
         sp.Tuple(*(e.xreplace(inside) for e in equations)),
         sp.Tuple(*map(sp.Float, start)),
     )
-    return [Root(sp.Integer(i), *system, *(known.get(s, s) for s in others)) for i in range(len(z))]
+    return [
+        Root(sp.Integer(i), *system, *(known.get(s, s) for s in known_symbols))
+        for i in range(len(z))
+    ]
 
 
 def jacobian(z: Sequence[Any], g: Sequence[Any]) -> Any:
@@ -58,6 +63,8 @@ def jacobian(z: Sequence[Any], g: Sequence[Any]) -> Any:
 def solved(J: Sequence[Sequence[Any]], right: Sequence[Any]) -> list[Any]:
     """J⁻¹ right, by Cramer's rule."""
     matrix = sp.Matrix(J)
+    # Cramer rather than elimination: a pivot would have to be chosen by values that are not known
+    # yet.
     return list(matrix.adjugate() * sp.Matrix(right) / matrix.det(method="berkowitz"))
 
 
@@ -82,13 +89,16 @@ def newton(name: str, start: Sequence[float]) -> str:
     lines += [
         f"  call void @{name}_step(ptr %a, ptr %z, {'ptr null, ' * 4}ptr %r, ptr null, ptr null)"
     ]
+    # ‖g‖² fell: this z is kept as the best one, and the next step is tried whole. Else half a step
+    # from the best.
     lines += ["  %m = load double, ptr %merit", "  %falls = fcmp olt double %m, %least"]
     lines += [
         "  %best = select i1 %falls, double %m, double %least",
         "  %half = fmul double %length, 0.5",
     ]
     lines += ["  %next = select i1 %falls, double 1.0, double %half"]
-    still, apart = "false", "false"
+    still = "false"
+    apart = "false"
     for k in range(m):
         lines += [f"  %{x}v{k} = load double, ptr %{x}e{k}" for x in ("z", "at", "to", "r")]
         lines += [f"  %p{k} = select i1 %falls, double %zv{k}, double %atv{k}"]
@@ -108,10 +118,13 @@ def newton(name: str, start: Sequence[float]) -> str:
             f"  %step{k} = call double @llvm.fabs.f64(double %s{k})",
         ]
         lines += [
+            # 0x3CC0… = 2⁻⁵¹: the step no longer changes the value but in its last digits.
             f"  %tiny{k} = fmul double %size{k}, 0x3CC0000000000000",
             f"  %moves{k} = fcmp ogt double %step{k}, %tiny{k}",
         ]
         lines += [
+            # A root where the whole step is below a billionth of the value: else Newton ended
+            # elsewhere.
             f"  %l{k} = fmul double %size{k}, 1.0e-9",
             f"  %limit{k} = fadd double %l{k}, 1.0e-12",
         ]
@@ -120,7 +133,8 @@ def newton(name: str, start: Sequence[float]) -> str:
             f"  %still{k} = or i1 {still}, %moves{k}",
             f"  %apart{k} = or i1 {apart}, %off{k}",
         ]
-        still, apart = f"%still{k}", f"%apart{k}"
+        still = f"%still{k}"
+        apart = f"%apart{k}"
     lines += [
         "  %n1 = add i64 %n, 1",
         f"  %more = icmp slt i64 %n1, {MOST_STEPS}",

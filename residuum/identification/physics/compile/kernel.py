@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from threading import Lock
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -27,10 +27,10 @@ from residuum.code_digest import code_digest
 from residuum.code_folder import code_folder
 from residuum.identification.physics.compile import machine_code
 from residuum.identification.physics.compile.machine_code import FUNCTIONS, STEPPING
-from residuum.identification.physics.effects import EFFECTS
-from residuum.identification.physics.files.consistency import definitions_of
-from residuum.identification.physics.model import PhysicalModel
 from residuum.identification.physics.simulate.integration import System
+
+if TYPE_CHECKING:
+    from residuum.identification.physics.model import PhysicalModel
 
 _LOADED = (*FUNCTIONS, *STEPPING)
 _MADE_BY = "residuum.identification.physics"
@@ -52,7 +52,7 @@ class Kernel:
 
 def kernel_of(model: PhysicalModel) -> Kernel:
     """The compiled kernel of the model's structure, from memory, from disk, or newly generated."""
-    return _kernel(_structure(model), _Deferred(model))
+    return kernel_of_structure(_structure(model), _Deferred(model))
 
 
 def cache_folder() -> Path:
@@ -76,11 +76,14 @@ class _Deferred:
 
 
 @lru_cache(maxsize=256)
-def _kernel(structure: str, deferred: _Deferred) -> Kernel:
+def kernel_of_structure(structure: str, deferred: _Deferred) -> Kernel:
+    """The kernel of a structure, of which `deferred` is one model."""
+    # A structure of this process first (`lru_cache`), then one on disk, then a new one.
     path = _place("kernel", structure)
     with _MAKING:  # what several threads ask for at once is made once
-        manifest = _told(path) or _made(path, deferred.model)
+        manifest = _manifest_on_disk(path) or _new_manifest(path, deferred.model)
     code = [(path.parent / part).read_bytes() for part in manifest["parts"]]
+    # Linked for this process: machine code knows no addresses until then.
     functions: Mapping[str, Any] = dict(
         zip(_LOADED, machine_code.loaded(code, _LOADED), strict=True)
     )
@@ -94,19 +97,21 @@ def _kernel(structure: str, deferred: _Deferred) -> Kernel:
 
 def _place(kind: str, content: str) -> Path:
     """Where what is made of `content` is kept."""
+    # Code made by other sources, or for another processor, must not be found.
     key = content + machine_code.target() + code_digest(_MADE_BY)
     return cache_folder() / f"{kind}_{hashlib.sha256(key.encode()).hexdigest()[:24]}"
 
 
-def _told(path: Path) -> dict[str, Any] | None:
+def _manifest_on_disk(path: Path) -> dict[str, Any] | None:
     """What a kernel's file says; None where it, or code that it names, is not on disk."""
     if not path.exists():
         return None
     manifest: dict[str, Any] = json.loads(path.read_bytes())
+    # A cleaner of caches may have taken some of the files.
     return manifest if all((path.parent / part).exists() for part in manifest["parts"]) else None
 
 
-def _made(path: Path, model: PhysicalModel) -> dict[str, Any]:
+def _new_manifest(path: Path, model: PhysicalModel) -> dict[str, Any]:
     """A kernel's file and its code, written. SymPy is imported here: where all kernels are on disk
     it is not needed.
     """
@@ -133,26 +138,20 @@ def _compiled(assembly: str) -> str:
 
 
 def _structure(model: PhysicalModel) -> str:
-    balances = [
-        (
-            b.name,
-            b.kind,
-            b.storage.text,
-            b.start,
-            [(n, t.text) for n, t in b.terms.items()],
-            sorted(b.variables.items()),
-        )
-        for b in model.balances.values()
-    ]
-    effects = [
-        (use.id, use.target, use.instance, EFFECTS.fingerprint(use.id)) for use in model.effects
-    ]
+    balances = []
+    for b in model.balances.values():
+        terms = [(name, term.text) for name, term in b.terms.items()]
+        variables = sorted(b.variables.items())
+        balances.append((b.name, b.kind, b.storage.text, b.start, terms, variables))
+    effects = [(use.id, use.target, use.instance, use.fingerprint) for use in model.effects]
     inputs = [
-        (i.name, (i.absent or i.is_clock) and i.default, i.unit) for i in model.inputs.values()
+        # A default matters where it stands in the equations: where the input is absent, or a clock.
+        (i.name, (i.absent or i.is_clock) and i.default, i.unit)
+        for i in model.inputs.values()
     ]
     states = [(s.name, s.rate, s.unit) for s in model.states.values()]
     outputs = [(o.name, o.value.text) for o in model.outputs.values()]
-    defined = sorted((name, it.text) for name, it in definitions_of(model).items())
+    defined = sorted((name, definition.text) for name, definition in model.definitions.items())
     return repr((inputs, states, list(model.parameters), balances, outputs, effects, defined))
 
 
@@ -161,4 +160,5 @@ def _write(path: Path, content: bytes) -> None:
     handle, name = tempfile.mkstemp(dir=path.parent, suffix=".part")
     with os.fdopen(handle, "wb") as file:
         file.write(content)
+    # Atomic within a folder: a reader finds the old file, or the whole new one.
     os.replace(name, path)

@@ -10,10 +10,13 @@ from itertools import count
 from typing import Any
 
 import llvmlite.binding as llvm
-import numba.experimental.function_type  # noqa: F401  teaches Numba the protocol that Function follows
+
+# Teaches Numba the protocol that Function follows.
+import numba.experimental.function_type  # noqa: F401
 from numba import types
 
-_DOUBLES, _INTEGERS = types.CPointer(types.float64), types.CPointer(types.int64)  # type: ignore[no-untyped-call]
+_DOUBLES = types.CPointer(types.float64)  # type: ignore[no-untyped-call]
+_INTEGERS = types.CPointer(types.int64)  # type: ignore[no-untyped-call]
 _PLAIN: Any = types.void(*[_DOUBLES] * 9)
 FUNCTIONS = ("rates", "slopes", "initial", "outputs", "output_slopes", "signals")
 STEPPING = ("advance", "advance_slopes", "observe")
@@ -65,6 +68,7 @@ def compiled(assembly: str) -> bytes:
     """Object code of a module given as text, optimised for this processor."""
     machine = _machine()
     module = llvm.parse_assembly(assembly)
+    # The text names no processor.
     module.triple = llvm.get_process_triple()
     module.data_layout = str(machine.target_data)
     builder = llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(speed_level=2))
@@ -75,9 +79,11 @@ def compiled(assembly: str) -> bytes:
 def loaded(parts: Iterable[bytes], names: Sequence[str]) -> tuple[Function, ...]:
     """The functions `names` of object code in parts that call one another by name."""
     number = next(_COUNT)
+    # exp, sin, atan2 … are those of the C library that this process has loaded.
     builder = llvm.JITLibraryBuilder().add_current_process()
     for code in parts:
         builder.add_object_img(code)
+    # Symbols of an FMU, where one is loaded: code that calls none links all the same.
     for name, address in ADDRESSES.items():
         builder.import_symbol(name, address)
     for name in names:
@@ -102,6 +108,7 @@ def _machine() -> Any:
         cpu=llvm.get_host_cpu_name(),
         features=llvm.get_host_cpu_features().flatten(),
         opt=2,
+        # Kept on disk and loaded anywhere in memory.
         reloc="pic",
         jit=True,
     )

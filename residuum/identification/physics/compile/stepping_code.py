@@ -105,55 +105,57 @@ def _advance(nx: int, nu: int, width: int | None = None) -> str:
     """With the sensitivities where the width of B is given."""
     t = _Lines()
     slopes = width is not None
-    given = (
-        "x",
-        "u0",
-        "u1",
-        "u2",
-        "p",
-        "s",
-        "m",
-        "work",
-        "step",
-        *(("S", "columns") if slopes else ()),
-    )
-    name = "advance_slopes" if slopes else "advance"
     t.say(
-        "define void"
-        f" @{name}({', '.join(f'ptr noalias %{a}' for a in given)}{', i64 %count' if slopes else ''}) {{"
+        f"define void @{'advance_slopes' if slopes else 'advance'}({_advance_arguments(slopes)}) {{"
     )
     h, half, sixth, third = _lengths(t)
+    # Kept in registers: x itself is overwritten at the end of the step only.
     x0 = [t.load("%x", i) for i in range(nx)]
+    # Behind the four rates.
     xs = t.place("%work", 4 * nx)
     results = list(zip(*_slope_places(t, nx, str(width)), strict=True)) if slopes else [None] * 4
+    # Each set of inputs has time after them, then their slopes.
     slopes_of_inputs = [t.place(f"%u{j}", nu + 1) for j in range(3)]
     rates: list[list[str]] = []
-    for r in range(4):
+    for r, reach in enumerate((half, half, h, None)):
         k = t.place("%work", r * nx)
-        rates.append(_stage(t, r, k, "%x" if r == 0 else xs, slopes_of_inputs, results[r], nx))
-        if r < 3:
-            _move(t, x0, h if r == 2 else half, rates[r], xs)
-    for i in range(nx):
-        t.store(_weighted(t, x0[i], [rate[i] for rate in rates], sixth, third), "%x", i)
+        j = int(_STAGES[r])
+        inputs = f"ptr %u{j}, ptr {slopes_of_inputs[j]}"
+        rates.append(_stage(t, inputs, k, "%x" if r == 0 else xs, results[r], nx))
+        if reach is not None:
+            _move(t, x0, reach, rates[r], xs)
+    for i, of_stages in enumerate(zip(*rates, strict=True)):
+        t.store(_weighted(t, x0[i], of_stages, sixth, third), "%x", i)
     if slopes:
         t.say(f"  call void @columns({_COLUMNS.format('%step', width).replace('noalias ', '')})")
     return t.ended()
+
+
+def _advance_arguments(slopes: bool) -> str:
+    arrays = ["x", "u0", "u1", "u2", "p", "s", "m", "work", "step"]
+    if slopes:
+        arrays += ["S", "columns"]
+    arguments = [f"ptr noalias %{array}" for array in arrays]
+    return ", ".join([*arguments, "i64 %count"] if slopes else arguments)
 
 
 def _columns(nx: int, A: Places, rows: Collection[int]) -> str:
     t = _Lines()
     t.say(f"define void @columns({_COLUMNS.format('%step', '%width')}) {{\nentry:")
     lengths = _lengths(t)
+    # Rows of B that are zero throughout are left out.
     begins = {i: t.new(f"mul i64 %width, {i}") for i in sorted(rows)}
     matrices = _slope_places(t, nx, "%width")
-    _columns_loop(t, lambda column: _column_step(t, nx, begins, matrices, A, column, lengths))
+    in_rows = [[j for j in range(nx) if (i, j) in A] for i in range(nx)]
+    _columns_loop(t, lambda column: _column_step(t, in_rows, begins, matrices, column, lengths))
     return t.ended()
 
 
 def _lengths(t: _Lines) -> tuple[str, str, str, str]:
     """Of a step: the whole, a half, a sixth and a third."""
     h = t.load("%step", 0)
-    half, sixth = t.times(h, "0.5"), t.new(f"fdiv double {h}, 6.0")
+    half = t.times(h, "0.5")
+    sixth = t.new(f"fdiv double {h}, 6.0")
     return h, half, sixth, t.add(sixth, sixth)
 
 
@@ -164,19 +166,12 @@ def _slope_places(t: _Lines, nx: int, width: str) -> tuple[list[str], list[str]]
 
 
 def _stage(
-    t: _Lines,
-    r: int,
-    k: str,
-    at: str,
-    slopes_of_inputs: list[str],
-    results: tuple[str, str] | None,
-    nx: int,
+    t: _Lines, inputs: str, k: str, at: str, results: tuple[str, str] | None, nx: int
 ) -> list[str]:
-    """Rates, written to k, of stage r at the states `at`, with their slopes where there are places
-    for these results.
+    """Rates, written to k, of a stage at the states `at` with these inputs and their slopes; with
+    slopes of the rates where there are places for these results.
     """
-    j = _STAGES[r]
-    inputs = f"ptr %u{j}, ptr {slopes_of_inputs[int(j)]}, ptr %p, ptr %s, ptr %m"
+    inputs = f"{inputs}, ptr %p, ptr %s, ptr %m"
     function, written = ("slopes", (k, *results)) if results else ("rates", (k, k, k))
     t.say(f"  call void @{function}(ptr {at}, {inputs}, {', '.join(f'ptr {q}' for q in written)})")
     return [t.load(k, i) for i in range(nx)]
@@ -194,7 +189,10 @@ class _Column:
     """
 
     def __init__(self, t: _Lines, c: str, together: int) -> None:
-        self.t, self.c, self.together = t, c, together
+        self.t = t
+        self.c = c
+        self.together = together
+        # Sums and products are written for the width of this column.
         t.kind = "double" if together == 1 else f"<{together} x double>"
         numbers = [c] + [t.new(f"add i64 {c}, {lane}") for lane in range(1, together)]
         self.columns = [
@@ -222,6 +220,7 @@ class _Column:
         """The same value for every column."""
         if self.together == 1:
             return value
+        # The first place, then that one everywhere: LLVM's idiom for a broadcast.
         first = self.t.new(f"insertelement {self.t.kind} poison, double {value}, i32 0")
         return self.t.new(
             f"shufflevector {self.t.kind} {first}, {self.t.kind} poison, <{self.together} x i32>"
@@ -242,28 +241,30 @@ class _Column:
 
 def _column_step(
     t: _Lines,
-    nx: int,
+    rows: Sequence[Sequence[int]],
     begins: Mapping[int, str],
     matrices: tuple[Sequence[str], Sequence[str]],
-    places: Places,
     column: _Column,
     lengths: tuple[str, str, str, str],
 ) -> None:
+    """One step of d = A·S + B for one column of S, or those of a vector. Of row i of A only the
+    columns rows[i] are read, and of B only the rows that `begins` has: all else is always zero.
+    """
+    nx = len(rows)
     h, half, sixth, third = map(column.all, lengths)
     S0 = [column.load("%S", i) for i in range(nx)]
-    S, stages = S0, []
-    for r, (A, B) in enumerate(zip(*matrices, strict=True)):
+    S = S0
+    stages = []
+    # where the stage after each one stands in the step; after the last none is asked for
+    reaches = (half, half, h, half)
+    for A, B, reach in zip(*matrices, reaches, strict=True):
         d = []
-        for i in range(nx):
+        for i, in_row in enumerate(rows):
             terms = [column.pick(B, begins[i])] if i in begins else []
-            terms += [
-                t.times(column.all(t.load(A, i * nx + j)), S[j])
-                for j in range(nx)
-                if (i, j) in places
-            ]
+            terms += [t.times(column.all(t.load(A, i * nx + j)), S[j]) for j in in_row]
             d.append(reduce(t.add, terms) if terms else column.all("0.0"))
         stages.append(d)
-        S = [t.add(S0[i], t.times(h if r == 2 else half, d[i])) for i in range(nx)]
+        S = [t.add(S0[i], t.times(reach, d[i])) for i in range(nx)]
     for i in range(nx):
         column.store(_weighted(t, S0[i], [d[i] for d in stages], sixth, third), "%S", i)
 
@@ -272,7 +273,8 @@ def _columns_loop(t: _Lines, body: Callable[[_Column], None]) -> None:
     """Do `body` for all sensitivity columns, as many side by side as a vector holds, then for those
     left one by one.
     """
-    first, begun = "0", "entry"
+    first = "0"
+    begun = "entry"
     for together in _VECTORS:
         n = str(together)
         t.say(
@@ -283,11 +285,13 @@ def _columns_loop(t: _Lines, body: Callable[[_Column], None]) -> None:
         t.say(f"  br i1 %more{n}, label %body{n}, label %done{n}\nbody{n}:")
         body(_Column(t, f"%c{n}", together))
         t.say(f"  br label %head{n}\ndone{n}:")
-        first, begun = f"%c{n}", f"done{n}"
+        first = f"%c{n}"
+        begun = f"done{n}"
     t.kind = "double"
 
 
 def _weighted(t: _Lines, start: str, k: Sequence[str], sixth: str, third: str) -> str:
+    # x + h/6·(k₁ + k₄) + h/3·(k₂ + k₃).
     outer = t.times(sixth, t.add(k[0], k[3]))
     return t.add(start, t.add(outer, t.times(third, t.add(k[1], k[2]))))
 
@@ -298,6 +302,7 @@ def _observe(nx: int, ny: int, width: int) -> str:
     t.say(f"define void @observe({', '.join(f'ptr noalias %{a}' for a in arrays)}, i64 %count) {{")
     given = ", ".join(f"ptr %{a}" for a in arrays[:6])
     t.say(f"  call void @outputs({given}, ptr %y, ptr %work, ptr %work)")
+    # Without columns only the outputs are asked for.
     t.say("  %none = icmp eq i64 %count, 0\n  br i1 %none, label %end, label %slopes\nslopes:")
     t.say(
         f"  call void @output_slopes({given}, ptr %work, ptr {t.place('%work', ny * nx)}, ptr"
@@ -314,6 +319,7 @@ def _observed(nx: int, ny: int) -> str:
     t = _Lines()
     t.say(f"define void @observed({_COLUMNS.format('%dy', '%width')}) {{\nentry:")
     D = t.place("%work", ny * nx)
+    # The same for all columns: loaded before the loop.
     C = [[t.load("%work", o * nx + i) for i in range(nx)] for o in range(ny)]
     begins = [t.new(f"mul i64 %width, {o}") for o in range(ny)]
 

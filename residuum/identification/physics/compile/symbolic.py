@@ -1,8 +1,8 @@
 """SymPy, imported when the first equation is put together.
 
 A kernel that is on disk needs no equations, and the import takes a fifth of a second: effects,
-whose parameters are always asked for, write `from residuum.identification.physics import symbolic
-as sp`.
+whose parameters are always asked for, write `from residuum.identification.physics.compile import
+symbolic as sp`.
 """
 
 from importlib import import_module

@@ -8,7 +8,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -16,7 +16,11 @@ import numpy.typing as npt
 from residuum.identification.physics.compile import symbolic as sp
 from residuum.identification.units import Unit, parse_unit
 
+if TYPE_CHECKING:
+    from residuum.identification.physics.effects.example_models import Example
+
 Array = npt.NDArray[np.float64]
+# 1e-60³ = 1e-180, far above the smallest double (2e-308).
 RESTS = 1e-60
 """Below it a variable does not move; its cube is still a number. Chosen."""
 
@@ -35,7 +39,8 @@ class Prior:
 @dataclass(frozen=True)
 class Parameter:
     """A number of a model: value, unit, bounds, meaning; `fixed` keeps it out of the estimation, a
-    `prior` draws it.
+    `prior` draws it. An effect's parameter may have to lie `below` another of its parameters (the
+    ends of a travel): where it does not there is no such machine, and no estimate comes out.
     """
 
     name: str
@@ -46,6 +51,7 @@ class Parameter:
     fixed: bool = False
     meaning: str = ""
     prior: Prior | None = None
+    below: str = ""
 
 
 @dataclass(frozen=True)
@@ -193,22 +199,6 @@ def _or_one(size: float) -> float:
     return size if size > RESTS else 1.0
 
 
-@dataclass(frozen=True)
-class Example:
-    """A model file's text with the effect in it, for the conformance test: the input moves as
-    `profile` says.
-
-    `profile` is `sweep` (both directions, standstill between) or `steps` (between zero and
-    `amplitude`).
-    """
-
-    model: str
-    amplitude: float
-    profile: str = "sweep"
-    sample_time: float = 0.01
-    duration: float = 10.0
-
-
 class Effect(ABC):
     """A physical effect of the catalogue.
 
@@ -236,26 +226,11 @@ class Effect(ABC):
     natural_bounds : tuple of str
         Parameters that may well lie on a bound; any other estimate on a bound is another effect, or
         none, in disguise.
-    ordered : tuple of (str, str)
-        Pairs of parameters of which the first lies below the second (the ends of a travel): where
-        it does not there is no such machine, and no estimate comes out.
     generalises : str
         Effect that this one contains as a special case (or itself): where that one fits, this one
         is tried from there as well (`grown`).
     shifts : str
         Parameter that says by how much it shifts a signal in time [s]; empty: none does.
-    takes_columns : bool
-        Whether it is tried with columns of the record that the model does not use.
-    curve : bool
-        Whether it is a curve to be learned: tried where nothing with a name is real, and begun
-        where what its balance lacks lies.
-    signals : int
-        How many signals it is tied to; its target is then `balance(signal, …)`.
-    between : bool
-        Whether it stands between two balances; its target is then `balance(other)`.
-    reaches : bool
-        Whether what it takes from its balance may also run into another one: its target is then
-        `balance(other)`, else `balance`.
     """
 
     id: ClassVar[str]
@@ -268,14 +243,8 @@ class Effect(ABC):
     rest: ClassVar[float] = 0.0
     follows: ClassVar[tuple[str, ...]] = ()
     natural_bounds: ClassVar[tuple[str, ...]] = ()
-    ordered: ClassVar[tuple[tuple[str, str], ...]] = ()
     generalises: ClassVar[str] = ""
     shifts: ClassVar[str] = ""
-    takes_columns: ClassVar[bool] = False
-    curve: ClassVar[bool] = False
-    signals: ClassVar[int] = 0
-    between: ClassVar[bool] = False
-    reaches: ClassVar[bool] = False
 
     @property
     def vanishes(self) -> bool:
@@ -284,17 +253,23 @@ class Effect(ABC):
         """
         return bool(self.sizes)
 
+    def is_tied(self, target: str) -> bool:
+        """Whether at this target it is tied to what the target names in brackets."""
+        return False
+
     def joins(self, target: str) -> bool:
         """Whether it stands between two balances at this target."""
-        return self.between or (self.reaches and target.endswith(")"))
+        return False
 
     @property
     def place(self) -> str:
         """Where it stands: `balance`, `input` or `output`."""
+        # Effects on paths act on no balance, so the first kind tells.
         return self.acts_on[0] if self.acts_on[0] in ("input", "output") else "balance"
 
     def fits(self, site: Site) -> bool:
         """Whether the effect can stand at this site."""
+        # A balance may not name its position, or have no ambient: effects that need it do not fit.
         return site.kind in self.acts_on and all(role in site.units for role in self.needs)
 
     @abstractmethod
@@ -350,6 +325,7 @@ class Effect(ABC):
     def at_rest(self, start: Mapping[str, float]) -> dict[str, float]:
         """A start with its sizes shrunk to where screening takes derivatives."""
         return {
+            # Shapes (a width, a speed over which friction fades) stay: they have no zero to go to.
             name: value * self.rest if name in self.sizes else value
             for name, value in start.items()
         }
@@ -357,6 +333,44 @@ class Effect(ABC):
     @abstractmethod
     def examples(self) -> Sequence[Example]:
         """Cases for the conformance test."""
+
+
+class SignalEffect(Effect):
+    """An effect that is tied to a signal of the model; its target is `balance(signal)`.
+
+    Class attributes
+    ----------------
+    takes_columns : bool
+        Whether it is tried with columns of the record that the model does not use.
+    curve : bool
+        Whether it is a curve to be learned: tried where nothing with a name is real, and begun
+        where what its balance lacks lies.
+    """
+
+    takes_columns: ClassVar[bool] = False
+    curve: ClassVar[bool] = False
+
+    def is_tied(self, target: str) -> bool:
+        return True
+
+
+class JoiningEffect(Effect):
+    """An effect between two balances of one kind; its target is `balance(other)`.
+
+    Class attributes
+    ----------------
+    reaches : bool
+        Whether it takes from the first balance and gives to the other one, never back. It may then
+        stand at `balance` alone too: what it takes is lost.
+    """
+
+    reaches: ClassVar[bool] = False
+
+    def is_tied(self, target: str) -> bool:
+        return self.joins(target)
+
+    def joins(self, target: str) -> bool:
+        return not self.reaches or target.endswith(")")
 
 
 @lru_cache(maxsize=1024)
@@ -386,11 +400,13 @@ def product(first: str, second: str) -> str:
 def _short(unit: Unit) -> str:
     """Short symbols, force and voltage before lengths and times: N*m*s/rad."""
     symbols = list(unit.symbols.items())
+    # By the table below, then by name: one unit is always spelled one way.
     symbols.sort(
         key=lambda item: (_ORDER.index(item[0]) if item[0] in _ORDER else len(_ORDER), item[0])
     )
     above = [_raised(name, exponent) for name, exponent in symbols if exponent > 0]
     below = [_raised(name, -exponent) for name, exponent in symbols if exponent < 0]
+    # 1/s, where nothing stands above.
     return "/".join(["*".join(above) or "1", *below]) if symbols else ""
 
 
@@ -398,6 +414,7 @@ def _raised(name: str, exponent: float) -> str:
     return name if exponent == 1 else f"{name}**{exponent:g}"
 
 
+# As a textbook writes them: forces, voltages and powers above, times and angles last.
 _ORDER = (
     "kN",
     "N",
@@ -419,4 +436,5 @@ _ORDER = (
     "h",
     "rad",
 )
+# A quotient by a temperature is one by a difference, in kelvin whatever the scale.
 _DIFFERENCE = {"°C": "K", "degC": "K", "C": "K"}

@@ -7,14 +7,13 @@ from residuum.identification.physics.effects.base import (
     Conditions,
     Contribution,
     Effect,
-    Example,
     Parameter,
     Scene,
     Site,
     product,
     quotient,
 )
-from residuum.identification.physics.effects.example_models import drive_example
+from residuum.identification.physics.effects.example_models import Example, drive_example
 
 
 class Inductance(Effect):
@@ -45,7 +44,10 @@ class Inductance(Effect):
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
         return [
-            {"L": steps * conditions.storage * conditions.sample_time} for steps in (0.2, 1.0, 5.0)
+            # The storage of a balance without one is its resistance R: time constants L/R of a
+            # fifth, one and five samples.
+            {"L": steps * conditions.storage * conditions.sample_time}
+            for steps in (0.2, 1.0, 5.0)
         ]
 
     def examples(self) -> list[Example]:
@@ -75,6 +77,7 @@ class BrushDrop(Effect):
         return Contribution(term=-scene.p["V_b"] * scene.direction)
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
+        # A twentieth of the supply.
         return [{"V_b": 0.05 * conditions.magnitude}]
 
     def examples(self) -> list[Example]:
@@ -134,8 +137,11 @@ class SupplySag(Effect):
 
     def contribution(self, scene: Scene) -> Contribution:
         k, p, fed, u_ref = (scene.p[name] for name in ("k", "p", "fed", "u_ref"))
-        u, i = scene["supply_terms"], scene["current"]
-        z, way = sp.Abs(u) / u_ref, sp.sign(u)
+        u = scene["supply_terms"]
+        i = scene["current"]
+        z = sp.Abs(u) / u_ref
+        way = sp.sign(u)
+        # With p = 0, 1, 2 the weights (1−p)(2−p)/2, p(2−p), p(p−1)/2 choose 1, z, z².
         # z^p where p is whole
         share = (1 - p) * (2 - p) / 2 + p * (2 - p) * z + p * (p - 1) / 2 * z**2
         current = (1 - fed / 2) * sp.Abs(i) * way + fed / 2 * i * way**2
@@ -188,7 +194,9 @@ class ResistanceHeating(Effect):
         return {"rho": site.per("current")}
 
     def contribution(self, scene: Scene) -> Contribution:
-        p, i, rho = scene.p, scene["current"], scene.x["rho"]
+        p = scene.p
+        i = scene["current"]
+        rho = scene.x["rho"]
         return Contribution(
             term=-rho * i,
             rates={"rho": (p["a"] * i**2 - rho) / p["tau"]},

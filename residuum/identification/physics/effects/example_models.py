@@ -1,13 +1,31 @@
 """Small models, one a balance kind, that the effects' examples stand on."""
 
-from residuum.identification.physics.effects.base import Example
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Example:
+    """A model file's text with the effect in it, for the conformance test: the input moves as
+    `profile` says.
+
+    `profile` is `sweep` (both directions, standstill between) or `steps` (between zero and
+    `amplitude`).
+    """
+
+    model: str
+    amplitude: float
+    profile: str = "sweep"
+    sample_time: float = 0.01
+    duration: float = 10.0
+
 
 _AXIS = """
 name: example axis
 inputs: {force: N}
 states: {q: {unit: m, rate: v}, v: {unit: m/s}}
 parameters: {M: {value: 2.0, unit: kg, lower: 0.1, upper: 100}}
-balances: {axis: {kind: force, storage: M * der(v), terms: {drive: force}, position: q, velocity: v}}
+balances:
+  axis: {kind: force, storage: M * der(v), terms: {drive: force}, position: q, velocity: v}
 outputs: {position: {value: q, unit: m}, velocity: {value: v, unit: m/s}}
 """
 
@@ -20,8 +38,13 @@ parameters:
   R: {value: 0.75, unit: ohm, lower: 0}
   J: {value: 2.5e-3, unit: kg*m**2, lower: 0}
 balances:
-  shaft: {kind: torque, storage: J * der(omega), terms: {motor: K * i}, position: theta, velocity: omega}
-  winding: {kind: voltage, storage: 0, terms: {supply: voltage, resistance: -R * i, back_emf: -K * omega}, current: i}
+  shaft:
+    {kind: torque, storage: J * der(omega), terms: {motor: K * i}, position: theta, velocity: omega}
+  winding:
+    kind: voltage
+    storage: 0
+    terms: {supply: voltage, resistance: -R * i, back_emf: -K * omega}
+    current: i
 outputs: {speed: {value: omega, unit: rad/s}, current: {value: i, unit: A}}
 """
 
@@ -33,7 +56,13 @@ parameters:
   C: {value: 2000, unit: J/K, lower: 1}
   h: {value: 5, unit: W/K, lower: 0}
   T_a: {value: 20, unit: °C, fixed: true}
-balances: {chamber: {kind: heat, storage: C * der(T), terms: {heater: power, loss: -h * (T - T_a)}, temperature: T, ambient: T_a}}
+balances:
+  chamber:
+    kind: heat
+    storage: C * der(T)
+    terms: {heater: power, loss: -h * (T - T_a)}
+    temperature: T
+    ambient: T_a
 outputs: {temperature: {value: T, unit: °C}}
 initial: {T: 20}
 """

@@ -10,14 +10,17 @@ from residuum.identification.physics.effects.base import (
     Conditions,
     Contribution,
     Effect,
-    Example,
     Parameter,
     Scene,
     Site,
     product,
     quotient,
 )
-from residuum.identification.physics.effects.example_models import axis_example, drive_example
+from residuum.identification.physics.effects.example_models import (
+    Example,
+    axis_example,
+    drive_example,
+)
 
 
 class Friction(Effect):
@@ -51,6 +54,7 @@ class ViscousFriction(Friction):
         return Contribution(term=-scene.p["d"] * scene["velocity"])
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
+        # A tenth of the driving torque at the largest speed.
         return [{"d": 0.1 * conditions.magnitude / conditions.largest("velocity")}]
 
 
@@ -116,7 +120,9 @@ class StribeckFriction(Friction):
         return Contribution(term=-(p["tau_c"] + p["tau_s"] * fading) * scene.direction)
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
-        size, fastest = 0.1 * conditions.magnitude, conditions.largest("velocity")
+        # Friction that fades within a hundredth, a twentieth and a fifth of the largest speed.
+        size = 0.1 * conditions.magnitude
+        fastest = conditions.largest("velocity")
         return [
             {"tau_c": size, "tau_s": size, "v_s": fraction * fastest}
             for fraction in (0.01, 0.05, 0.2)
@@ -132,7 +138,9 @@ class StribeckFriction(Friction):
 
     def grown(self, special: Mapping[str, float], conditions: Conditions) -> list[dict[str, float]]:
         """Dry friction that was too large at speed and too small at rest."""
-        tau, fastest = special["tau_c"], conditions.largest("velocity")
+        # Coulomb's friction fits the mean of the curve: less while sliding, and more at rest.
+        tau = special["tau_c"]
+        fastest = conditions.largest("velocity")
         return [
             {"tau_c": 0.8 * tau, "tau_s": 0.5 * tau, "v_s": fraction * fastest}
             for fraction in (0.02, 0.1)
@@ -177,7 +185,9 @@ class LuGre(Effect):
         return {"F": site.unit}
 
     def contribution(self, scene: Scene) -> Contribution:
-        p, v, force = scene.p, scene["velocity"], scene.x["F"]
+        p = scene.p
+        v = scene["velocity"]
+        force = scene.x["F"]
         g = p["tau_c"] + p["tau_s"] * sp.exp(-((v / p["v_s"]) ** 2))
         return Contribution(
             term=-force,
@@ -186,7 +196,9 @@ class LuGre(Effect):
         )
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
-        size, fastest = 0.1 * conditions.magnitude, conditions.largest("velocity")
+        size = 0.1 * conditions.magnitude
+        fastest = conditions.largest("velocity")
+        # Bristles that give way over what 5 and 30 samples at the fastest cover.
         travelled = fastest * conditions.sample_time
         return [
             {
@@ -225,7 +237,9 @@ class DirectionalFriction(Friction):
 
     def contribution(self, scene: Scene) -> Contribution:
         s = scene.direction
-        forwards, backwards = s * (s + 1) / 2, s * (s - 1) / 2
+        # 1 for s = 1 and for s = −1 only: at rest (s = 0) neither acts.
+        forwards = s * (s + 1) / 2
+        backwards = s * (s - 1) / 2
         return Contribution(term=-scene.p["tau_plus"] * forwards + scene.p["tau_minus"] * backwards)
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
@@ -285,6 +299,7 @@ class DirectionalViscous(Friction):
         )
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
+        # Unequal from the start, as the general case is.
         size = 0.1 * conditions.magnitude / conditions.largest("velocity")
         return [{"d_plus": size, "d_minus": 0.5 * size}]
 
@@ -326,6 +341,7 @@ class LoadFriction(Friction):
         return Contribution(term=-scene.p["mu"] * sp.Abs(scene["drive"]) * scene.direction)
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
+        # A tenth of what drives.
         return [{"mu": 0.1}]
 
 
@@ -348,6 +364,7 @@ class PlaceFriction(Friction):
     rest = 0.001
 
     def parameters(self, site: Site) -> tuple[Parameter, ...]:
+        # A balance whose position has no unit of its own: speed times seconds.
         length = site.units["position"] or product(site.units["velocity"], "s")
         return (
             Parameter("tau", 0.0, site.unit, lower=0.0, meaning="friction at the place"),
@@ -361,10 +378,12 @@ class PlaceFriction(Friction):
         return Contribution(term=-p["tau"] * gaussian * scene.direction)
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
-        size, travel = 0.1 * conditions.magnitude, conditions.span("position")
+        size = 0.1 * conditions.magnitude
+        travel = conditions.span("position")
         lowest = float(conditions.variables["position"].min())
         return [
             {"tau": size, "q_0": lowest + part * travel, "w": 0.12 * travel}
+            # Places along the travel, the middle first.
             for part in (0.5, 0.2, 0.8, 0.35)
         ]
 
@@ -393,4 +412,5 @@ class QuadraticDrag(Friction):
         return Contribution(term=-scene.p["c"] * v * sp.Abs(v))
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
+        # A tenth of the driving torque at the largest speed.
         return [{"c": 0.1 * conditions.magnitude / conditions.largest("velocity") ** 2}]

@@ -5,59 +5,12 @@ from residuum.identification.physics.effects.base import (
     Conditions,
     Contribution,
     Effect,
-    Example,
+    JoiningEffect,
     Parameter,
     Scene,
     Site,
 )
-from residuum.identification.physics.effects.example_models import tank_example
-
-_SMALLEST = 1e-6
-"""Least share of the full input at which the power law is still followed: at zero it has no
-derivative.
-"""
-
-
-class SupplyNonlinearity(Effect):
-    """The supply's gain changes with the input u: supply·((1 + b·w)·w^γ − 1) with w = |u|/u_ref.
-
-    γ follows power laws (lamps, phase control), b a gain that falls or rises evenly (saturating
-    heaters, slipping pumps). `b`, `gamma` [1]; `u_ref` [input unit] fixed, where w is 1.
-    """
-
-    equation = "supply·((1 + b·w)·w^γ − 1), w = |u|/u_ref"
-    needs = ("supply",)
-    sizes = ("b", "gamma")
-
-    def parameters(self, site: Site) -> tuple[Parameter, ...]:
-        return (
-            Parameter("b", 0.0, "", meaning="change of the gain over the input's range"),
-            Parameter(
-                "gamma",
-                0.0,
-                "",
-                lower=-0.9,
-                upper=5.0,
-                meaning="exponent of the power law beyond 1",
-            ),
-            Parameter(
-                "u_ref",
-                1.0,
-                site.units["supply"],
-                lower=1e-12,
-                fixed=True,
-                meaning="input at which w is 1",
-            ),
-        )
-
-    def contribution(self, scene: Scene) -> Contribution:
-        p, w = scene.p, sp.Max(sp.Abs(scene["supply"]) / scene.p["u_ref"], sp.Float(_SMALLEST))
-        return Contribution(
-            term=scene["supply_terms"] * ((1 + p["b"] * w) * sp.exp(p["gamma"] * sp.log(w)) - 1)
-        )
-
-    def starts(self, conditions: Conditions) -> list[dict[str, float]]:
-        return [{"b": 0.1, "gamma": 0.1, "u_ref": conditions.largest("supply")}]
+from residuum.identification.physics.effects.example_models import Example, tank_example
 
 
 class Drain(Effect):
@@ -96,6 +49,7 @@ class Outflow(Drain):
         return [{"c": 0.1 * conditions.magnitude / conditions.largest("level") ** 0.5}]
 
 
+# [level unit] Around a difference of zero, where √ has no slope, the flow goes evenly.
 _LEAST = 1e-4
 
 
@@ -130,6 +84,8 @@ class Orifice(Effect):
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
         size = 0.1 * conditions.magnitude / conditions.span("level") ** 0.5
+        # A level beyond near the lowest one, in the middle, and below the tank: three ways that a
+        # pipe may end.
         beyond = (
             conditions.quantile("level", 0.1),
             conditions.quantile("level", 0.5),
@@ -141,7 +97,7 @@ class Orifice(Effect):
         return [tank_example()]
 
 
-class Overflow(Drain):
+class Overflow(Drain, JoiningEffect):
     """Weir: −c·max(h − h_max, 0)^1.5, which runs away, or at `balance(other)` into another store.
 
     `c` [balance unit / level unit^1.5] ≥ 0; `h_max` [level unit], the rim; `share` ≥ 0 times what
@@ -243,17 +199,3 @@ class Leak(Drain):
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
         return [{"c": 0.1 * conditions.magnitude / conditions.largest("level")}]
-
-
-class PumpNonlinearity(SupplyNonlinearity):
-    """Flow that falls behind the input (slip, pipe losses) or follows a power law; equation and
-    parameters as in its base.
-    """
-
-    id = "pump-nonlinearity"
-    title = "Pump nonlinearity"
-    reference = "J. F. Gülich, Centrifugal Pumps, Springer, ch. 4"
-    acts_on = ("volume",)
-
-    def examples(self) -> list[Example]:
-        return [tank_example()]

@@ -1,4 +1,6 @@
-"""Effects on the path of an input: what an actuator makes of its command."""
+"""What an actuator makes of its command: effects on the path of an input, and gains of a balance's
+supply that change with it.
+"""
 
 from collections.abc import Mapping
 
@@ -7,12 +9,12 @@ from residuum.identification.physics.effects.base import (
     Conditions,
     Contribution,
     Effect,
-    Example,
     Parameter,
     Scene,
     Site,
 )
 from residuum.identification.physics.effects.example_models import (
+    Example,
     axis_example,
     drive_example,
     oven_example,
@@ -42,6 +44,8 @@ class InputDelay(Effect):
         return Contribution(delay=scene.p["delay"])
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
+        # Within a sample, some samples, and many: delays have a minimum between each two samples of
+        # a fast input.
         return [{"delay": steps * conditions.sample_time} for steps in (0.5, 3.0, 12.0)]
 
     def grown(self, special: Mapping[str, float], conditions: Conditions) -> list[dict[str, float]]:
@@ -76,7 +80,8 @@ class InputLag(Effect):
         return {"u_f": site.unit}
 
     def contribution(self, scene: Scene) -> Contribution:
-        u, lagged = scene.signal, scene.x["u_f"]
+        u = scene.signal
+        lagged = scene.x["u_f"]
         return Contribution(
             signal=lagged, rates={"u_f": (u - lagged) / scene.p["tau"]}, initial={"u_f": u}
         )
@@ -110,18 +115,21 @@ class InputDeadZone(Effect):
         )
 
     def contribution(self, scene: Scene) -> Contribution:
-        u, delta = scene.signal, scene.p["delta"]
+        u = scene.signal
+        delta = scene.p["delta"]
         return Contribution(
             signal=sp.Piecewise((u - delta, u > delta), (u + delta, u < -delta), (0, True))
         )
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
+        # A twentieth of the largest command.
         return [{"delta": 0.05 * conditions.largest("signal")}]
 
     def examples(self) -> list[Example]:
         return [axis_example(), drive_example(), oven_example(), tank_example()]
 
 
+# Keeps |u|^e finite at u = 0, where a negative exponent has no value.
 _LEAST = 1e-9
 
 
@@ -158,6 +166,7 @@ class InputPower(Effect):
         )
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
+        # Towards a square, and towards a root.
         return [{"e": e, "u_0": conditions.magnitude} for e in (0.5, -0.3)]
 
     def examples(self) -> list[Example]:
@@ -185,6 +194,7 @@ class InputSaturation(Effect):
         )
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
+        # Below the largest command: above it nothing is cut, and no slope leads there.
         return [{"u_max": fraction * conditions.largest("signal")} for fraction in (0.95, 0.8, 0.6)]
 
     def examples(self) -> list[Example]:
@@ -220,7 +230,9 @@ class InputBacklash(Effect):
         return {"u_b": site.unit}
 
     def contribution(self, scene: Scene) -> Contribution:
-        u, behind, w = scene.signal, scene.x["u_b"], scene.p["w"]
+        u = scene.signal
+        behind = scene.x["u_b"]
+        w = scene.p["w"]
         away = u - behind
         pulled = sp.Piecewise((away - w, away > w), (away + w, away < -w), (0, True))
         return Contribution(
@@ -229,6 +241,7 @@ class InputBacklash(Effect):
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
         return [
+            # Taken up within two samples, as good as at once.
             {"w": part * conditions.largest("signal"), "tau": 2.0 * conditions.sample_time}
             for part in (0.03, 0.15)
         ]
@@ -261,3 +274,80 @@ class InputOffset(Effect):
 
     def examples(self) -> list[Example]:
         return [axis_example(), drive_example(), oven_example(), tank_example()]
+
+
+_SMALLEST = 1e-6
+"""Least share of the full input at which the power law is still followed: at zero it has no
+derivative.
+"""
+
+
+class SupplyNonlinearity(Effect):
+    """The supply's gain changes with the input u: supply·((1 + b·w)·w^γ − 1) with w = |u|/u_ref.
+
+    γ follows power laws (lamps, phase control), b a gain that falls or rises evenly (saturating
+    heaters, slipping pumps). `b`, `gamma` [1]; `u_ref` [input unit] fixed, where w is 1.
+    """
+
+    equation = "supply·((1 + b·w)·w^γ − 1), w = |u|/u_ref"
+    needs = ("supply",)
+    sizes = ("b", "gamma")
+
+    def parameters(self, site: Site) -> tuple[Parameter, ...]:
+        return (
+            Parameter("b", 0.0, "", meaning="change of the gain over the input's range"),
+            Parameter(
+                "gamma",
+                0.0,
+                "",
+                lower=-0.9,
+                upper=5.0,
+                meaning="exponent of the power law beyond 1",
+            ),
+            Parameter(
+                "u_ref",
+                1.0,
+                site.units["supply"],
+                lower=1e-12,
+                fixed=True,
+                meaning="input at which w is 1",
+            ),
+        )
+
+    def contribution(self, scene: Scene) -> Contribution:
+        p = scene.p
+        w = sp.Max(sp.Abs(scene["supply"]) / scene.p["u_ref"], sp.Float(_SMALLEST))
+        return Contribution(
+            term=scene["supply_terms"] * ((1 + p["b"] * w) * sp.exp(p["gamma"] * sp.log(w)) - 1)
+        )
+
+    def starts(self, conditions: Conditions) -> list[dict[str, float]]:
+        return [{"b": 0.1, "gamma": 0.1, "u_ref": conditions.largest("supply")}]
+
+
+class HeaterNonlinearity(SupplyNonlinearity):
+    """Power that follows a power law of the input (P ∝ u², lamps) or saturates; equation and
+    parameters as in its base.
+    """
+
+    id = "heater-nonlinearity"
+    title = "Heater nonlinearity"
+    reference = "D. C. Agrawal, Eur. J. Phys. 32 (2011) 1 (lamp power law)"
+    acts_on = ("heat",)
+
+    def examples(self) -> list[Example]:
+        return [oven_example()]
+
+
+class PumpNonlinearity(SupplyNonlinearity):
+    """Flow that falls behind the input (slip, pipe losses) or follows a power law; equation and
+    parameters as in its base.
+    """
+
+    id = "pump-nonlinearity"
+    title = "Pump nonlinearity"
+    reference = "J. F. Gülich, Centrifugal Pumps, Springer, ch. 4"
+    acts_on = ("volume",)
+
+    def examples(self) -> list[Example]:
+        return [tank_example()]

@@ -12,13 +12,16 @@ from residuum.identification.physics.effects.base import (
     Conditions,
     Contribution,
     Effect,
-    Example,
     Parameter,
     Scene,
     Site,
     quotient,
 )
-from residuum.identification.physics.effects.example_models import axis_example, drive_example
+from residuum.identification.physics.effects.example_models import (
+    Example,
+    axis_example,
+    drive_example,
+)
 
 
 class ConstantLoad(Effect):
@@ -79,11 +82,14 @@ class PositionLoad(Effect):
         )
 
     def contribution(self, scene: Scene) -> Contribution:
-        p, angle = scene.p, scene.p["kappa"] * scene["position"]
+        p = scene.p
+        angle = scene.p["kappa"] * scene["position"]
         return Contribution(term=-(p["a"] * sp.sin(angle) + p["b"] * sp.cos(angle)))
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
-        size, travel = 0.1 * conditions.magnitude, conditions.span("position")
+        size = 0.1 * conditions.magnitude
+        travel = conditions.span("position")
+        # Half a period, one and two over the travel.
         # the last: once a turn, an arm's own weight
         waves = [*(np.pi * periods / travel for periods in (1.0, 2.0, 4.0)), 1.0]
         return [{"a": size, "b": size, "kappa": float(kappa)} for kappa in waves]
@@ -121,17 +127,20 @@ def strongest_wave_numbers(
     travel = float(np.ptp(position))
     if travel <= RESTS:
         return []
+    # Some samples a cell, and cells enough for a wave of many periods.
     cells = int(min(4096, max(64, position.size // 4)))
     cell = np.minimum(((position - position.min()) / travel * cells).astype(int), cells - 1)
     weight = np.bincount(cell, minlength=cells)
     mean = np.bincount(cell, weights=signal - signal.mean(), minlength=cells) / np.maximum(
         weight, 1
     )
+    # Padded four times: peaks stand between the lines of the plain transform.
     spectrum = np.abs(np.fft.rfft(mean * np.hanning(cells), 4 * cells))
     first = int(4 * fewest_periods)
     wave_numbers: list[float] = []
     for index in np.argsort(spectrum[first:])[::-1] + first:
         wave_number = 2.0 * np.pi * index / (4.0 * travel)
+        # Within two lines it is the slope of a peak that is counted already (Hann's main lobe).
         if all(abs(wave_number - peak) > 4.0 * np.pi / travel for peak in wave_numbers):
             wave_numbers.append(float(wave_number))
         if len(wave_numbers) == count:
@@ -148,10 +157,10 @@ def _refined(position: Array, signal: Array, wave_number: float, width: float) -
     most.
     """
     tried = wave_number + width * np.linspace(-1.0, 1.0, 9)
-    turned, turn = (
-        np.exp(-1j * tried[0] * position) * signal,
-        np.exp(-1j * (tried[1] - tried[0]) * position),
-    )
+    # Each wave number is the one before, turned on by a constant step: one product instead of an
+    # exponential.
+    turned = np.exp(-1j * tried[0] * position) * signal
+    turn = np.exp(-1j * (tried[1] - tried[0]) * position)
     sizes = [abs(turned.sum())]
     for _ in tried[1:]:
         turned *= turn
@@ -192,11 +201,13 @@ class ToothRipple(Effect):
         )
 
     def contribution(self, scene: Scene) -> Contribution:
-        p, angle = scene.p, scene.p["n"] * scene["position"]
+        p = scene.p
+        angle = scene.p["n"] * scene["position"]
         return Contribution(term=-(p["a"] * sp.sin(angle) + p["b"] * sp.cos(angle)))
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
-        size, travel = 0.1 * conditions.magnitude, conditions.span("position")
+        size = 0.1 * conditions.magnitude
+        travel = conditions.span("position")
         if conditions.missing is None:
             orders = [2.0 * np.pi * periods / travel for periods in (10.0, 40.0)]
             orders += [order for order in (1.0, 2.0, 6.0, 12.0) if order * travel > 8.0 * np.pi]
@@ -244,7 +255,8 @@ class Cogging(ToothRipple):
         return (first, second, *more, wave)
 
     def contribution(self, scene: Scene) -> Contribution:
-        p, angle = scene.p, scene.p["n"] * scene["position"]
+        p = scene.p
+        angle = scene.p["n"] * scene["position"]
         harmonic = p["a2"] * sp.sin(2 * angle) + p["b2"] * sp.cos(2 * angle)
         return Contribution(term=-(p["a"] * sp.sin(angle) + p["b"] * sp.cos(angle) + harmonic))
 

@@ -9,13 +9,13 @@ from residuum.identification.physics.effects.base import (
     Conditions,
     Contribution,
     Effect,
-    Example,
     Parameter,
     Scene,
     Site,
     quotient,
 )
 from residuum.identification.physics.effects.example_models import (
+    Example,
     axis_example,
     drive_example,
     oven_example,
@@ -43,7 +43,8 @@ class OutputLag(Effect):
         return {"y_f": site.unit}
 
     def contribution(self, scene: Scene) -> Contribution:
-        y, lagged = scene.signal, scene.x["y_f"]
+        y = scene.signal
+        lagged = scene.x["y_f"]
         return Contribution(
             signal=lagged,
             rates={"y_f": (y - lagged) / scene.p["tau"]},
@@ -52,6 +53,7 @@ class OutputLag(Effect):
         )
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
+        # Time constants from below a sample to many samples, five times each.
         return [{"tau": steps * conditions.sample_time} for steps in (0.2, 1.0, 5.0, 25.0)]
 
     def shows(self, values: Mapping[str, float], conditions: Conditions) -> bool:
@@ -136,6 +138,7 @@ class OutputSaturation(Effect):
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
         highest = float(conditions.variables["signal"].max())
+        # Below the highest value: above it nothing is cut.
         return [{"y_max": highest - part * conditions.span("signal")} for part in (0.05, 0.2)]
 
     def examples(self) -> list[Example]:
@@ -228,7 +231,7 @@ class OutputQuantisation(Effect):
 
     def contribution(self, scene: Scene) -> Contribution:
         # its class needs SymPy
-        from residuum.identification.physics.simulate.stepped_round import (  # noqa: PLC0415
+        from residuum.identification.physics.compile.equation_functions import (  # noqa: PLC0415
             SteppedRound,
         )
 
@@ -238,6 +241,7 @@ class OutputQuantisation(Effect):
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
         measured = conditions.variables.get("measured")
         steps = np.abs(np.diff(measured)) if measured is not None else np.zeros(0)
+        # Rounding of a file leaves differences that are no steps.
         steps = steps[np.isfinite(steps) & (steps > 1e-9 * conditions.largest("signal"))]
         return [{"q": float(np.min(steps)) if steps.size else 0.01 * conditions.magnitude}]
 

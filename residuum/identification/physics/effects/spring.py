@@ -7,14 +7,17 @@ from residuum.identification.physics.effects.base import (
     Conditions,
     Contribution,
     Effect,
-    Example,
     Parameter,
     Scene,
     Site,
     product,
     quotient,
 )
-from residuum.identification.physics.effects.example_models import axis_example, drive_example
+from residuum.identification.physics.effects.example_models import (
+    Example,
+    axis_example,
+    drive_example,
+)
 
 
 class LinearSpring(Effect):
@@ -41,6 +44,7 @@ class LinearSpring(Effect):
         return Contribution(term=-scene.p["k"] * scene["position"] - scene.p["tau_0"])
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
+        # A tenth of the driving force over the whole travel.
         return [{"k": 0.1 * conditions.magnitude / conditions.span("position"), "tau_0": 0.0}]
 
     def examples(self) -> list[Example]:
@@ -72,12 +76,15 @@ class CubicSpring(Effect):
         )
 
     def contribution(self, scene: Scene) -> Contribution:
-        p, deflection = scene.p, scene["position"] - scene.p["q_0"]
+        p = scene.p
+        deflection = scene["position"] - scene.p["q_0"]
         return Contribution(term=-p["k_3"] * deflection**3 - p["k_2"] * deflection**2)
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
         position = conditions.variables["position"]
+        # A tenth of the driving force at the ends of the travel, from its middle.
         size = 0.1 * conditions.magnitude / (0.5 * conditions.span("position")) ** 3
+        # Deflections count from where the spring is at rest: zero, or the middle of the travel.
         middle = 0.5 * float(position.min() + position.max())
         return [{"k_3": size, "k_2": 0.0, "q_0": 0.0}, {"k_3": size, "k_2": 0.0, "q_0": middle}]
 
@@ -116,7 +123,8 @@ class Hysteresis(Effect):
         return {"z": ""}
 
     def contribution(self, scene: Scene) -> Contribution:
-        v, z = scene["velocity"], scene.x["z"]
+        v = scene["velocity"]
+        z = scene.x["z"]
         return Contribution(
             term=-scene.p["f_c"] * z,
             rates={"z": (v - sp.Abs(v) * z) / scene.p["x_0"]},
@@ -124,6 +132,8 @@ class Hysteresis(Effect):
         )
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
+        # How far the machine goes in a sample at its fastest: what builds up within less shows as
+        # Coulomb friction.
         travelled = conditions.largest("velocity") * conditions.sample_time
         return [
             {"f_c": 0.1 * conditions.magnitude, "x_0": steps * travelled}
@@ -173,11 +183,15 @@ class BoucWen(Effect):
         return {"z": site.unit}
 
     def contribution(self, scene: Scene) -> Contribution:
-        p, v, z = scene.p, scene["velocity"], scene.x["z"]
+        p = scene.p
+        v = scene["velocity"]
+        z = scene.x["z"]
         rate = p["A"] * v - p["beta"] * sp.Abs(v) * z - p["gamma"] * v * sp.Abs(z)
         return Contribution(term=-z, rates={"z": rate}, initial={"z": sp.S.Zero})
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
+        # As of the presliding friction: distances of some samples at the fastest, d = 1/β; then A/β
+        # is the friction.
         travelled = conditions.largest("velocity") * conditions.sample_time
         size = 0.2 * conditions.magnitude
         return [

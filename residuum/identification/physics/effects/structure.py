@@ -10,17 +10,21 @@ from residuum.identification.physics.compile import symbolic as sp
 from residuum.identification.physics.effects.base import (
     Conditions,
     Contribution,
-    Effect,
-    Example,
+    JoiningEffect,
     Parameter,
     Scene,
+    SignalEffect,
     Site,
     quotient,
 )
-from residuum.identification.physics.effects.example_models import axis_example, tank_example
+from residuum.identification.physics.effects.example_models import (
+    Example,
+    axis_example,
+    tank_example,
+)
 
 
-class ForgottenInput(Effect):
+class ForgottenInput(SignalEffect):
     """g·s, s a signal of the record: a flow into the next tank, a load that somebody measured, the
     neighbour's heat.
 
@@ -34,7 +38,6 @@ class ForgottenInput(Effect):
     reference = "M. C. Kennedy, A. O'Hagan, J. R. Stat. Soc. B 63 (2001) 425"
     acts_on = ("torque", "force", "voltage", "heat", "volume", "signal")
     sizes = ("gain",)
-    signals = 1
     takes_columns = True
 
     def parameters(self, site: Site) -> tuple[Parameter, ...]:
@@ -45,6 +48,7 @@ class ForgottenInput(Effect):
         return Contribution(term=scene.p["gain"] * scene[scene.site.signals[0]])
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
+        # The signal stands last among the variables. Both signs: a flow in, or one out.
         size = 0.1 * conditions.magnitude / conditions.largest(list(conditions.variables)[-1])
         return [{"gain": size}, {"gain": -size}]
 
@@ -56,7 +60,7 @@ ACROSS = {"heat": "temperature", "volume": "level", "torque": "velocity", "force
 """Kind of balance → the quantity whose difference drives the exchange."""
 
 
-class Coupling(Effect):
+class Coupling(JoiningEffect):
     """−k·(x − x′), taken from one balance and given to the other: heat exchange, flow between
     stores, friction between bodies.
 
@@ -73,7 +77,6 @@ class Coupling(Effect):
     )
     acts_on = tuple(ACROSS)
     sizes = ("k",)
-    between = True
 
     def fits(self, site: Site) -> bool:
         return super().fits(site) and ACROSS[site.kind] in site.units
@@ -86,11 +89,13 @@ class Coupling(Effect):
         )
 
     def contribution(self, scene: Scene) -> Contribution:
-        mine, partner = ACROSS[scene.site.kind], f"other:{ACROSS[scene.site.kind]}"
+        mine = ACROSS[scene.site.kind]
+        partner = f"other:{ACROSS[scene.site.kind]}"
         exchange = scene.p["k"] * (scene[mine] - scene[partner])
         return Contribution(term=-exchange, elsewhere={scene.site.signals[0]: exchange})
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
+        # Of the variables the one that both balances have: temperature, level or velocity.
         role = next(
             role for role in conditions.variables if f"other:{role}" in conditions.variables
         )
@@ -101,10 +106,11 @@ class Coupling(Effect):
         return [tank_example()]
 
 
+# Eight straight pieces.
 KNOTS_OF_A_CURVE = 9
 
 
-class Learned(Effect):
+class Learned(SignalEffect):
     """Σ vₖ·hatₖ(s): straight lines between the values vₖ [balance unit] at the knots aₖ [signal
     unit], level beyond the ends.
 
@@ -119,7 +125,6 @@ class Learned(Effect):
     reference = "C. de Boor, A Practical Guide to Splines, Springer 2001, ch. III"
     acts_on = ("torque", "force", "voltage", "heat", "volume", "signal")
     sizes = tuple(f"v{k}" for k in range(1, KNOTS_OF_A_CURVE + 1))
-    signals = 1
     curve = True
 
     def parameters(self, site: Site) -> tuple[Parameter, ...]:
@@ -135,7 +140,10 @@ class Learned(Effect):
 
     def contribution(self, scene: Scene) -> Contribution:
         s = scene[scene.site.signals[0]]
-        a, v = ([scene.p[f"{name}{k}"] for k in range(1, KNOTS_OF_A_CURVE + 1)] for name in "av")
+        knots = range(1, KNOTS_OF_A_CURVE + 1)
+        a = [scene.p[f"a{k}"] for k in knots]
+        v = [scene.p[f"v{k}"] for k in knots]
+        # Straight lines between the knots, level beyond the ends.
         slopes = [(v[k + 1] - v[k]) / (a[k + 1] - a[k]) for k in range(KNOTS_OF_A_CURVE - 1)]
         lines = [(v[k] + slopes[k] * (s - a[k]), s < a[k + 1]) for k in range(KNOTS_OF_A_CURVE - 1)]
         return Contribution(term=sp.Piecewise((v[0], s < a[0]), *lines, (v[-1], True)))
@@ -145,7 +153,9 @@ class Learned(Effect):
         change.
         """
         signal = conditions.variables[list(conditions.variables)[-1]]
+        # Quantiles coincide where a signal rests: knots stay a fiftieth of the span apart.
         least = 0.02 * float(np.ptp(signal)) or 1.0
+        # Half a per cent at each end is left beyond: outliers there would have a knot of their own.
         at = np.quantile(signal, np.linspace(0.005, 0.995, KNOTS_OF_A_CURVE))
         for k in range(1, KNOTS_OF_A_CURVE):
             at[k] = max(at[k], at[k - 1] + least)

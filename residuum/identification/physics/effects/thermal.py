@@ -12,14 +12,12 @@ from residuum.identification.physics.effects.base import (
     Conditions,
     Contribution,
     Effect,
-    Example,
     Parameter,
     Scene,
     Site,
     product,
 )
-from residuum.identification.physics.effects.example_models import oven_example
-from residuum.identification.physics.effects.hydraulic import SupplyNonlinearity
+from residuum.identification.physics.effects.example_models import Example, oven_example
 
 
 class HeatLoss(Effect):
@@ -34,6 +32,7 @@ class HeatLoss(Effect):
         """The parameter `T_a` where the balance names no ambient."""
         if "ambient" in site.units:
             return ()
+        # A room's 20 °C, on the scale of the model.
         unit = site.units["temperature"]
         return (
             Parameter(
@@ -155,19 +154,24 @@ class Radiation(HeatLoss):
         )
 
     def contribution(self, scene: Scene) -> Contribution:
+        # The fourth power is of absolute temperatures, on whatever scale the model has.
         zero = sp.Float(absolute_zero(scene.site.units["temperature"]))
-        hot, cold = scene["temperature"] - zero, self.ambient(scene) - zero
+        hot = scene["temperature"] - zero
+        cold = self.ambient(scene) - zero
         return Contribution(term=-scene.p["c"] * (hot**4 - cold**4))
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
         return [
             {
+                # Near room temperature T⁴ − T_a⁴ is 4·(300 K)³·ΔT: within a factor of four a tenth
+                # of the heating.
                 "c": 0.1 * conditions.magnitude / (300.0**3 * conditions.span("temperature")),
                 **self.first_ambient(conditions),
             }
         ]
 
 
+# Keeps the power's slope finite at ΔT = 0, where |ΔT|^n has none.
 _LEAST = 1e-6
 
 
@@ -262,6 +266,7 @@ class SecondHeatStore(Effect):
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
         first_values = []
+        # Stores that fill in a hundredth, a twentieth and a third of the record.
         for share, fraction in ((0.3, 0.01), (1.0, 0.05), (1.0, 0.3)):
             C_2 = share * conditions.storage
             first_values.append({"C_2": C_2, "G": C_2 / (fraction * conditions.duration)})
@@ -326,6 +331,8 @@ def lowest_stretch(signal: Array) -> tuple[int, int]:
     """Samples [begin, end) of the stretch where the signal stays furthest below its median (largest
     partial sum).
     """
+    # The largest partial sum (as in a CUSUM): a quarter of a deviation is taken off, so that noise
+    # alone adds up to nothing.
     below = np.median(signal) - signal
     below = below - 0.25 * np.std(below)
     total = np.concatenate([[0.0], np.cumsum(below)])
@@ -368,11 +375,10 @@ class DoorOpening(HeatLoss):
         if "door" in scene.variables:
             opened = scene["door"]
         else:
+            # Smooth edges: the times of opening can be estimated by slopes.
             edge = p["t_length"] / 20
-            begin, end = (
-                (scene.t - p["t_open"]) / edge,
-                (scene.t - p["t_open"] - p["t_length"]) / edge,
-            )
+            begin = (scene.t - p["t_open"]) / edge
+            end = (scene.t - p["t_open"] - p["t_length"]) / edge
             opened = (sp.tanh(begin) - sp.tanh(end)) / 2
         return Contribution(term=-p["G"] * (scene["temperature"] - self.ambient(scene)) * opened)
 
@@ -387,19 +393,6 @@ class DoorOpening(HeatLoss):
             begin, end = lowest_stretch(conditions.missing)
             scale = conditions.duration / conditions.missing.size
             return [base | {"t_open": begin * scale, "t_length": max(end - begin, 1) * scale}]
+        # Nothing shows where: five openings of a tenth of the record, along it.
         length = 0.1 * conditions.duration
         return [base | {"t_open": k * length, "t_length": length} for k in range(0, 10, 2)]
-
-
-class HeaterNonlinearity(SupplyNonlinearity):
-    """Power that follows a power law of the input (P ∝ u², lamps) or saturates; equation and
-    parameters as in its base.
-    """
-
-    id = "heater-nonlinearity"
-    title = "Heater nonlinearity"
-    reference = "D. C. Agrawal, Eur. J. Phys. 32 (2011) 1 (lamp power law)"
-    acts_on = ("heat",)
-
-    def examples(self) -> list[Example]:
-        return [oven_example()]

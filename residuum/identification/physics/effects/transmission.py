@@ -13,13 +13,16 @@ from residuum.identification.physics.effects.base import (
     Conditions,
     Contribution,
     Effect,
-    Example,
     Parameter,
     Scene,
     Site,
     product,
 )
-from residuum.identification.physics.effects.example_models import axis_example, drive_example
+from residuum.identification.physics.effects.example_models import (
+    Example,
+    axis_example,
+    drive_example,
+)
 
 
 class TwoBodies(Effect):
@@ -45,7 +48,10 @@ class TwoBodies(Effect):
         """What the contact transmits at this twist and velocity difference."""
 
     def contribution(self, scene: Scene) -> Contribution:
-        p, v, twist, w = scene.p, scene["velocity"], scene.x["twist"], scene.x["far_velocity"]
+        p = scene.p
+        v = scene["velocity"]
+        twist = scene.x["twist"]
+        w = scene.x["far_velocity"]
         transmitted = self.transmitted(p, twist, v - w)
         return Contribution(
             term=-transmitted,
@@ -60,8 +66,11 @@ class TwoBodies(Effect):
         body that begins anywhere on a softer spring, or creeps back, is a load and its slope.
         """
         # the storage is what stays on this side of the spring
+        # Two bodies swing against each other with their reduced inertia r·(1 − r)·J; the storage is
+        # (1 − r)·J already.
         reduced = values["share"] * conditions.storage
         frequency = np.sqrt(values["k"] / reduced)
+        # Damping ratio: above 1 the slower of the two real modes decides.
         ratio = max(1.0, values["d"] / (2.0 * np.sqrt(values["k"] * reduced)))
         return bool(
             frequency / (ratio + np.sqrt(ratio**2 - 1.0)) * conditions.duration > 2.0 * np.pi
@@ -119,6 +128,7 @@ def _shapes(conditions: Conditions) -> list[tuple[float, float, float]]:
     """Resonances to try: (frequency times sample time, share of the inertia, damping); the error
     rings where there is one.
     """
+    # Where nothing is known: resonances from a fiftieth to a fifth of the sampling rate.
     known = [(0.02, 0.5, 0.1), (0.04, 0.5, 0.1), (0.08, 0.5, 0.1), (0.2, 0.3, 0.1)]
     if conditions.missing is None:
         return known
@@ -126,6 +136,7 @@ def _shapes(conditions: Conditions) -> list[tuple[float, float, float]]:
         np.abs(np.fft.rfft(np.diff(conditions.missing) * np.hanning(conditions.missing.size - 1)))
         ** 2
     )
+    # A mean of five lines: a single line of noise is no resonance.
     power = np.convolve(power, np.full(5, 0.2), mode="same")
     frequency = np.linspace(0.0, 0.5, power.size)
     ringing = float(
@@ -180,7 +191,8 @@ class Backlash(TwoBodies):
         )
 
     def transmitted(self, p: Mapping[str, sp.Expr], twist: sp.Expr, slip: sp.Expr) -> sp.Expr:
-        half, damping = p["gap"] / 2, p["d"] * slip
+        half = p["gap"] / 2
+        damping = p["d"] * slip
         return sp.Piecewise(
             (p["k"] * (twist - half) + damping, twist > half),
             (p["k"] * (twist + half) + damping, twist < -half),
@@ -188,8 +200,11 @@ class Backlash(TwoBodies):
         )
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
-        first_values, travelled = [], conditions.largest("velocity") * conditions.sample_time
+        first_values = []
+        travelled = conditions.largest("velocity") * conditions.sample_time
+        # ½·a·Ts²: how far the drive side alone gets in one sample, pushed as on average.
         crossed = 0.5 * conditions.magnitude / conditions.storage * conditions.sample_time**2
+        # The contact's resonance at a twentieth of the sampling rate.
         omega = 0.4 * np.pi / conditions.sample_time / 4.0
         plays = [(2.0 * travelled, 0.5), (10.0 * travelled, 0.5), (50.0 * travelled, 0.3)]
         plays += [(samples**2 * crossed / 0.5, 0.5) for samples in _CROSSINGS]
@@ -219,6 +234,7 @@ class Backlash(TwoBodies):
 
     def grown(self, special: Mapping[str, float], conditions: Conditions) -> list[dict[str, float]]:
         """A spring that is soft because part of its travel is play."""
+        # The whole twist, both ways: what part of it is play is tried.
         travel = 2.0 * float(np.max(np.abs(conditions.variables["twist"])))
         first_values = []
         for share in (0.3, 0.8):
@@ -242,7 +258,8 @@ def _bend(position: Array, force: Array) -> float:
     A machine that is at this end for more than half of the time has no upper half: then the end
     itself.
     """
-    middle, end = float(np.median(position)), float(np.max(position))
+    middle = float(np.median(position))
+    end = float(np.max(position))
     if middle == end:
         return end
     q = np.linspace(middle, end, 60, endpoint=False)
@@ -270,7 +287,6 @@ class EndStop(Effect):
     needs = ("position", "velocity")
     sizes = ("k", "d")
     natural_bounds = ("d",)
-    ordered = (("q_min", "q_max"),)
     follows = ("lack",)
     generalises = "end-stop"
     rest = 0.001
@@ -280,11 +296,13 @@ class EndStop(Effect):
             Parameter("k", 0.0, site.per("position"), lower=0.0, meaning="stiffness of the stop"),
             Parameter("d", 0.0, site.per("velocity"), lower=0.0, meaning="damping of the stop"),
             Parameter("q_max", 1.0, site.units["position"], meaning="upper end"),
-            Parameter("q_min", -1.0, site.units["position"], meaning="lower end"),
+            Parameter("q_min", -1.0, site.units["position"], meaning="lower end", below="q_max"),
         )
 
     def contribution(self, scene: Scene) -> Contribution:
-        p, q, damped = scene.p, scene["position"], scene.p["d"] * scene["velocity"]
+        p = scene.p
+        q = scene["position"]
+        damped = scene.p["d"] * scene["velocity"]
         above = sp.Piecewise(
             (sp.Max(p["k"] * (q - p["q_max"]) + damped, 0), q > p["q_max"]), (0, True)
         )
@@ -297,22 +315,28 @@ class EndStop(Effect):
         """One end at a time; how far the motion goes beyond it nobody knows, unless what is missing
         shows it.
         """
-        q, span = conditions.variables["position"], conditions.span("position")
-        low, high = float(np.min(q)), float(np.max(q))
+        q = conditions.variables["position"]
+        span = conditions.span("position")
+        low = float(np.min(q))
+        high = float(np.max(q))
+        # Each upper end with a lower one far outside, and the other way round.
         ends = [(high - depth, low - span) for depth in _DEPTHS * span] + [
             (high + span, low + depth) for depth in _DEPTHS * span
         ]
         if conditions.missing is not None and np.any(conditions.missing):
-            above, below = _bend(q, conditions.missing), _bend(-q, -conditions.missing)
+            above = _bend(q, conditions.missing)
+            below = _bend(-q, -conditions.missing)
             ends += [(above, low - span), (high + span, -below), (above, -below)]
         first_values = []
         for q_max, q_min in ends:
             if not q_min < q_max:  # both bends at the middle of the travel: a spring
                 continue
+            # The stop holds the driving force at what the motion goes beyond it.
             k = conditions.magnitude / max(high - q_max, q_min - low, 1e-6 * span)
             first_values.append(
                 {
                     "k": k,
+                    # Critical damping: an impact without rebound.
                     "d": 2.0 * float(np.sqrt(k * conditions.storage)),
                     "q_max": q_max,
                     "q_min": q_min,
@@ -324,11 +348,14 @@ class EndStop(Effect):
         """The stops moved by parts of what the machine travels in a sample: each moment of contact
         is a small summit.
         """
+        # Nearly the fastest travel of a sample: a single jump in the record does not count.
         motion = float(np.quantile(np.abs(np.diff(conditions.variables["position"])), 0.9))
         moves = [part * motion for part in (-0.3, -0.05, 0.05, 0.3)]
-        return [
-            dict(special) | {n: special[n] + move for n in ("q_max", "q_min")} for move in moves
-        ]
+        moved = []
+        for move in moves:
+            ends = {name: special[name] + move for name in ("q_max", "q_min")}
+            moved.append(dict(special) | ends)
+        return moved
 
     def shows(self, values: Mapping[str, float], conditions: Conditions) -> bool:
         """Whether the machine leaves a stop within the record: one that it always touches is a

@@ -20,6 +20,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -35,10 +36,12 @@ from residuum.identification.physics.estimation.least_squares import (
     solve_scaled,
 )
 from residuum.identification.physics.estimation.priors import Priors
-from residuum.identification.physics.model import PhysicalModel
 from residuum.identification.physics.simulate.experiment import Experiment
 from residuum.identification.physics.simulate.simulation import Runs, Simulator
 from residuum.identification.work import count_fit
+
+if TYPE_CHECKING:
+    from residuum.identification.physics.model import PhysicalModel
 
 Array = npt.NDArray[np.float64]
 
@@ -148,6 +151,7 @@ def windows(experiment: Experiment, samples: int) -> list[Experiment]:
     half is dropped).
     """
     starts = range(0, experiment.n, samples)
+    # Each window is a record with first states of its own, known only where the record begins.
     cut = [experiment.window(start, min(start + samples, experiment.n)) for start in starts]
     return [part for part in cut if part.n >= max(2, samples // 2)]
 
@@ -185,14 +189,15 @@ def estimate(
         )
     count_fit()
     names = tuple(model.free if free is None else free)
-    problem = _Problem(Simulator(model), list(experiments), names, settings)
+    problem = SimulationErrorProblem(Simulator(model), list(experiments), names, settings)
     start = [np.array(x) for x in initial] if initial is not None else problem.first_states()
     return problem.solve(start, substeps)
 
 
 def _end_to_end(experiments: Sequence[Experiment]) -> Experiment:
     """One with the rows of all, for sums over them."""
-    U, Y = np.concatenate([e.U for e in experiments]), np.concatenate([e.Y for e in experiments])
+    U = np.concatenate([e.U for e in experiments])
+    Y = np.concatenate([e.Y for e in experiments])
     return replace(experiments[0], U=U, Y=Y, known={})
 
 
@@ -209,7 +214,7 @@ class _Point:
     cost: float
 
 
-class _Problem:
+class SimulationErrorProblem:
     """One least-squares problem: evaluates cost and Gauss–Newton blocks, and walks down."""
 
     def __init__(
@@ -219,18 +224,18 @@ class _Problem:
         names: tuple[str, ...],
         settings: Settings,
     ) -> None:
-        self.simulator, self.experiments, self.names, self.settings = (
-            simulator,
-            experiments,
-            names,
-            settings,
-        )
+        self.simulator = simulator
+        self.experiments = experiments
+        self.names = names
+        self.settings = settings
         parameters = simulator.model.all_parameters
         self.lower = np.array([parameters[name].lower for name in names])
         self.upper = np.array([parameters[name].upper for name in names])
         self.theta0 = np.array([parameters[name].value for name in names])
         self.priors = Priors.of(parameters, names)
         self.index = simulator.columns(names)
+        # Where everything about first states is known there is nothing to eliminate: one sum over
+        # all experiments saves a loop.
         self.states = () if self._all_known(simulator.free_states) else simulator.free_states
         self.summed = (
             self.experiments if self.states or len(experiments) == 1 else [_end_to_end(experiments)]
@@ -240,6 +245,7 @@ class _Problem:
         self.measured = np.any([e.measured for e in experiments], axis=0)
         self.substeps = [0] * len(experiments)
         self._kept: tuple[object, Runs] | None = None
+        # An output that no experiment measured has no weight.
         self.weights = np.where(self.measured, 1.0, 0.0)
 
     def _all_known(self, states: Sequence[str]) -> bool:
@@ -259,6 +265,7 @@ class _Problem:
 
         The last ones are kept where they take long: weights change more often than values.
         """
+        # Bytes, not values: two vectors are the same run only to the last bit.
         key = (p.tobytes(), *(x.tobytes() for x in initial), *slopes, *self.substeps)
         if self._kept is not None and self._kept[0] == key:
             return self._kept[1]
@@ -267,6 +274,8 @@ class _Problem:
         )
         if self.summed is not self.experiments:
             runs = replace(runs, experiments=self.summed, starts=runs.starts[[0, -1]])
+        # Only such runs take long: each is a call of a library. Others are cheaper than what would
+        # be kept.
         if self.simulator.model.foreign is not None:
             self._kept = (key, runs)
         return runs
@@ -279,6 +288,7 @@ class _Problem:
         p = self.p(self.theta0)
         self.substeps = self.simulator.substeps_each(self.experiments, starts, p)
         self.weights = self._scales()
+        # Three steps: outputs are not linear in first values.
         for _ in range(3):
             for number, x0 in enumerate(starts):
                 starts[number] = self._fit_states(number, x0, p)
@@ -296,6 +306,7 @@ class _Problem:
                 [self.experiments[number]], [x], p, slopes=slopes, substeps=[self.substeps[number]]
             )
 
+        # Slopes by the states alone: the parameters are held here.
         before = run(x0, self.slopes[len(self.names) :])
         if not before.bounded:
             return x0
@@ -309,17 +320,20 @@ class _Problem:
         if not after.bounded:
             return x0
         ((r_there, _),) = self._weighted(after)
+        # A step that makes it worse is not taken; there is no damping here, the descent has it.
         return trial if r_there @ r_there < r @ r else x0
 
     def _scales(self) -> Array:
         spread = np.nanstd(
             np.concatenate([e.Y for e in self.experiments])[:, self.measured], axis=0
         )
+        # 1/spread makes outputs of any units comparable before anything is known of their noise.
         weights = np.zeros(self.measured.size)
         weights[self.measured] = 1.0 / np.where(spread > 0, spread, 1.0)
         return weights
 
     def p(self, theta: Array) -> Array:
+        """All parameters in the kernel's order."""
         p = self.simulator.p()
         p[self.index] = theta
         return p
@@ -334,6 +348,7 @@ class _Problem:
             else substeps
         )
         point, iterations, converged = self._walked(initial)
+        # Steps that the caller gave are those of a comparison: every candidate takes the same.
         if substeps is None and self._too_coarse(point):
             point, used, converged = self._walked(initial)
             iterations += used
@@ -365,8 +380,12 @@ class _Problem:
                 f" {MAY_DIVERGE}"
             )
         point, iterations, converged = self._descend(point)
+        # Iterated: the weights are 1/RMS of the residuals, which follow from the weights.
         for _ in range(self._reweightings()):
-            before, self.weights = self.weights, self._from_residuals(point)
+            before = self.weights
+            self.weights = self._from_residuals(point)
+            # Beside priors the absolute size of the weights counts, so they have to settle;
+            # without, only their ratios do.
             if self.priors.count and np.allclose(self.weights, before, rtol=_WEIGHED):
                 break
             point, used, converged = self._descend(self.point((point.theta, point.initial)))
@@ -392,6 +411,7 @@ class _Problem:
         stacked = np.concatenate(
             [e.Y - y for e, y in zip(self.summed, point.predicted, strict=True)]
         )[:, self.measured]
+        # A model that meets an output exactly would give it an infinite weight.
         floor = 1e-9 / self._scales()[self.measured]
         weights = np.zeros(self.measured.size)
         weights[self.measured] = 1.0 / np.maximum(np.sqrt(np.nanmean(stacked**2, axis=0)), floor)
@@ -414,7 +434,7 @@ class _Problem:
             else None
         )
 
-    def _eliminated(self, point: _Point, damping: float) -> tuple[Array, Array, Array]:
+    def eliminated(self, point: _Point, damping: float) -> tuple[Array, Array, Array]:
         """Curvature and gradient of the parameters with the initial states eliminated, damped; and
         what those follow from.
         """
@@ -422,7 +442,10 @@ class _Problem:
         wanted = np.concatenate(
             [cross.swapaxes(1, 2), np.array(point.own_gradient)[:, :, None]], axis=2
         )
+        # H_xx⁻¹ (H_xθ, g_x) of each experiment: its own states' best answer (Schur complement).
         eliminated = solve_scaled(damped(np.array(point.own), damping), wanted)
+        # What first states take off curvature and gradient: a parameter that they imitate keeps
+        # little of either.
         absorbed = np.einsum("kqm,kmc->qc", cross, eliminated)
         return (
             damped(point.hessian, damping) - absorbed[:, :-1],
@@ -432,7 +455,8 @@ class _Problem:
 
     def _promised(self, point: _Point) -> float:
         """By how much the cost falls with the whole step, if the outputs go on as they begin to."""
-        H, g, eliminated = self._eliminated(point, 0.0)
+        H, g, eliminated = self.eliminated(point, 0.0)
+        # gᵀH⁻¹g of the whole system, in its two parts.
         own = sum(float(b @ z[:, -1]) for b, z in zip(point.own_gradient, eliminated, strict=True))
         return own + float(g @ solve_scaled(H, g[:, None])[:, 0])
 
@@ -440,8 +464,9 @@ class _Problem:
         """Parameters and first states after the damped Gauss–Newton step, initial states
         eliminated, parameters within bounds.
         """
-        H, g, eliminated = self._eliminated(point, damping)
+        H, g, eliminated = self.eliminated(point, damping)
         step = bounded_step(H, g, point.theta, self.lower, self.upper)
+        # Rounding may lead past a bound by its last digit.
         theta = np.clip(point.theta + step, self.lower, self.upper)
         moved = theta - point.theta
         if not self.states:
@@ -449,6 +474,8 @@ class _Problem:
         initial = []
         for x0, solved in zip(point.initial, eliminated, strict=True):
             x = x0.copy()
+            # The states' answer to their own gradient, less what the move of the parameters takes
+            # of it.
             x[self.state_index] += solved[:, -1] - solved[:, :-1] @ moved
             initial.append(x)
         return theta, initial
@@ -456,13 +483,13 @@ class _Problem:
     def point(self, trial: tuple[Array, list[Array]]) -> _Point:
         """Cost, and the blocks that the next step needs."""
         theta, initial = trial
-        q, runs = len(self.names), self._runs(initial, self.p(theta), self.slopes)
-        pull, precision, cost = (
-            self.priors.pull(theta),
-            np.diag(self.priors.precisions),
-            self.priors.cost(theta),
-        )
+        q = len(self.names)
+        runs = self._runs(initial, self.p(theta), self.slopes)
+        pull = self.priors.pull(theta)
+        precision = np.diag(self.priors.precisions)
+        cost = self.priors.cost(theta)
         point = _Point(theta, initial, [], pull, precision, [], [], [], cost)
+        # Infinite: the descent takes it for a step too far, and damps.
         if not runs.bounded:
             point.cost = np.inf
             return point
@@ -470,7 +497,8 @@ class _Problem:
         for r, J in self._weighted(runs):
             point.cost += float(r @ r)
             if J is not None:
-                H, g = J.T @ J, J.T @ r
+                H = J.T @ J
+                g = J.T @ r
                 point.hessian += H[:q, :q]
                 point.gradient += g[:q]
                 point.cross.append(H[:q, q:])
@@ -495,7 +523,9 @@ class _Problem:
         blocks = runs.in_blocks if self.settings.blocks else lambda values: (values, runs.starts)
         errors, starts = blocks(runs.errors)
         known = np.isfinite(errors)
+        # An output without weight has no rows.
         known[:, ~self.measured] = False
+        # Rows of zeros count nothing in the sums, and keep their places for the filters.
         r = np.where(known, errors, 0.0) * self.weights
         J = None if runs.dY is None else blocks(runs.dY)[0] * self.weights[:, None]
         if not self.slopes:  # nothing is estimated: a model without states and free parameters
@@ -527,6 +557,7 @@ class _Problem:
             filtered[:, o] = scipy.signal.lfilter(
                 self.settings.filters[o], [1.0], signals[:, o], axis=0
             )
+        # A filter carries neighbours into a missing sample: that row was not measured.
         filtered[~known] = 0.0
         return filtered
 
@@ -547,7 +578,8 @@ class _Problem:
         }
         if not numbers:
             return {}
-        own, cross = np.array(point.own), np.array(point.cross).swapaxes(1, 2)
+        own = np.array(point.own)
+        cross = np.array(point.cross).swapaxes(1, 2)
         identity = np.broadcast_to(np.eye(len(self.states)), own.shape)
         E = solve_scaled(own, cross)
         spread = variance * solve_scaled(own, identity) + E @ covariance @ E.swapaxes(1, 2)
@@ -557,18 +589,22 @@ class _Problem:
 
     def _result(self, point: _Point, iterations: int, converged: bool) -> Estimate:
         cross = np.array(point.cross)
+        # Without damping: the covariance of the parameters, first states free.
         reduced = point.hessian - np.einsum(
             "kqm,kmc->qc", cross, solve_scaled(np.array(point.own), cross.swapaxes(1, 2))
         )
         samples = sum(int(np.sum(np.isfinite(e.Y[:, self.measured]))) for e in self.experiments)
         unknowns = len(self.names) + len(self.experiments) * len(self.states)
+        # σ² of a weighted residual, by the degrees of freedom that are left.
         variance = point.cost / max(samples + self.priors.count - unknowns, 1)
         covariance, flat = covariance_of(reduced, variance, self.names, point.theta)
         model = self.simulator.model.with_values(
             dict(zip(self.names, point.theta.tolist(), strict=True))
         )
+        # Not within a tolerance: the active set puts values on their bound exactly.
         bound = (point.theta <= self.lower) | (point.theta >= self.upper)
         ends = np.cumsum([e.n for e in self.experiments])[:-1]
+        # Summed experiments come apart again: residuals are told of each record.
         predicted = np.split(np.concatenate(point.predicted), ends)
         return Estimate(
             model=model,

@@ -14,7 +14,8 @@ prior is one more row (`priors`).
 
 References
 ----------
-P. J. Huber, *Robust Statistics*, 1981, ch. 7; R. D. Cook, S. Weisberg, *Residuals and Influence in Regression*, 1982, ch. 2.
+P. J. Huber, *Robust Statistics*, 1981, ch. 7; R. D. Cook, S. Weisberg, *Residuals and Influence in
+Regression*, 1982, ch. 2.
 """
 
 # mypy: disable-error-code="no-untyped-def,no-untyped-call,untyped-decorator"
@@ -24,7 +25,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -37,12 +38,14 @@ from residuum.identification.physics.estimation.least_squares import (
     solved,
 )
 from residuum.identification.physics.estimation.priors import Priors
-from residuum.identification.physics.model import PhysicalModel
 from residuum.identification.physics.simulate.experiment import Experiment
 from residuum.identification.physics.simulate.integration import begin, integrate, new_memory
 from residuum.identification.physics.simulate.simulation import Joined, Simulator
 from residuum.identification.work import count_samples
 from residuum.kept_loops import njit
+
+if TYPE_CHECKING:
+    from residuum.identification.physics.model import PhysicalModel
 
 Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -94,6 +97,7 @@ class Cells:
         joined = Joined.of(parts)
         part = np.repeat(np.arange(len(parts)), np.diff(joined.starts))
         block = np.zeros(len(part), dtype=np.int64) if block is None else block
+        # A cell ends where the window or the block changes.
         new = np.r_[True, (np.diff(part) != 0) | (np.diff(block) != 0)]
         return cls(
             parts,
@@ -124,10 +128,9 @@ class Problem:
     ) -> Problem:
         """With the bounds that the model gives."""
         values = simulator.model.all_parameters
-        lower, upper = (
-            [getattr(values[name], side) for name in simulator.model.free]
-            for side in ("lower", "upper")
-        )
+        free = [values[name] for name in simulator.model.free]
+        lower = [parameter.lower for parameter in free]
+        upper = [parameter.upper for parameter in free]
         return cls(
             simulator,
             cells,
@@ -165,6 +168,7 @@ class Problem:
     @cached_property
     def filters(self) -> Array:
         """Those of the outputs, filled up with zeros, shape (outputs, order + 1)."""
+        # Of one length for compiled code; a zero does nothing.
         coefficients = self.unit.filters
         out = np.zeros(
             (self.cells.Y.shape[1], 1 if coefficients is None else max(map(len, coefficients)))
@@ -182,22 +186,27 @@ class Problem:
     def p(self, theta: Array) -> Array:
         """All parameters in the kernel's order."""
         p = self.simulator.p()
+        # The first columns of the kernel are its parameters: one that is free has its own number
+        # there.
         p[self.columns[: len(theta)]] = theta
         return p
 
     def at(self, theta: Array, X0: Array, *, slopes: bool = True) -> Fit:
         """One pass at parameters and first states; without slopes for the cost alone."""
-        at, columns, p = (
-            self.cells.joined,
-            self.columns if slopes else self.columns[:0],
-            self.p(theta),
-        )
+        # Slopes take most of a pass: a trial that may be refused asks for none.
+        at = self.cells.joined
+        columns = self.columns if slopes else self.columns[:0]
+        p = self.p(theta)
         M = np.empty(
             (len(self.cells.part), self.cells.Y.shape[1], len(columns) + 1, len(columns) + 1)
         )
         power = np.empty(M.shape[:2])
         count_samples(int(np.diff(at.starts) @ self.substeps) * (1 + len(columns)))
-        system, unit, of = self.simulator.kernel.system, self.unit, self.cells
+        system = self.simulator.kernel.system
+        unit = self.unit
+        of = self.cells
+        # A machine that cannot be is not simulated: its cost is infinite as that of one that
+        # diverges.
         possible = self.simulator.possible(p) and _accumulated(
             *(system, at.U, of.Y, unit.weights, self.filters, unit.clip, at.starts, p, X0),
             *(
@@ -288,6 +297,7 @@ class Fit:
         where a sample is missing.
         """
         at = self.problem
+        # Simulated once more: a pass keeps no trajectory.
         runs = at.simulator.run_each(
             at.cells.parts, self.initial, at.p(self.theta), substeps=self.substeps
         )
@@ -297,9 +307,10 @@ class Fit:
     def std(self) -> Array:
         """Standard deviations of the parameters, infinite along flat directions."""
         q = len(self.theta)
-        H = _eliminated(
+        H = eliminated(
             self.M, self.problem.cells.part, len(self.X0), q, np.ones(len(self.power)), 0.0
         )[0]
+        # Each prior is a measurement more, each free first state an unknown more.
         unknowns = q + int(self.problem.free[:, q:].sum()) - self.priors.count
         H[np.diag_indices(q)] += self.priors.precisions
         covariance, _ = covariance_of(
@@ -314,9 +325,11 @@ class Fit:
         alike), and of the first states, which stay fitted to all rows of their window. `damping`
         raises the diagonals of both, `ridge` that of the parameters alone.
         """
-        part, use = self.problem.cells.part, np.ones(len(self.power)) if use is None else use
+        part = self.problem.cells.part
+        use = np.ones(len(self.power)) if use is None else use
         try:
-            H, g, E = _eliminated(self.M, part, len(self.X0), len(self.theta), use, damping)
+            H, g, E = eliminated(self.M, part, len(self.X0), len(self.theta), use, damping)
+            # Priors count in the parameters only: first states have none.
             g += self.priors.pull(self.theta)
             H[np.diag_indices(len(g))] = np.maximum(np.diag(H) + self.priors.precisions, 0.0) * (
                 1.0 + damping + ridge
@@ -327,7 +340,10 @@ class Fit:
             return np.zeros(len(self.theta)), np.zeros(
                 (len(self.X0), self.M.shape[-1] - 1 - len(self.theta))
             )
+        # Rounding may lead past a bound by its last digit.
         move = np.clip(self.theta + move, self.problem.lower, self.problem.upper) - self.theta
+        # First states answer the error that is there, less what the move of the parameters takes of
+        # it.
         return move, E[:, :, -1] - E[:, :, :-1] @ move
 
     def predicted(self, move: Array, firsts: Array) -> Array:
@@ -346,7 +362,8 @@ class Fit:
 
     def moved(self, move: Array, firsts: Array) -> tuple[Array, Array]:
         """Parameters and first states after such changes."""
-        X0, at = self.X0.copy(), self.problem.simulator
+        X0 = self.X0.copy()
+        at = self.problem.simulator
         X0[:, [at.states.index(name) for name in at.free_states]] += firsts
         return self.theta + move, X0
 
@@ -365,8 +382,11 @@ class Fit:
         shortened until the other cells are fitted no worse. Parameters that the others leave nearly
         undetermined are held by the `ridge`; first states stay fitted to all rows.
         """
-        use, fit = np.where(out, 0.0, 1.0), self
+        use = np.where(out, 0.0, 1.0)
+        fit = self
         for _ in range(steps if len(self.theta) else 0):
+            # From the whole step to one damped eleven times: the first that fits the other cells no
+            # worse.
             for damping in SHORTENED:
                 trial = self.problem.at(*fit.moved(*fit.step(use, damping, ridge)))
                 if trial.cost < np.inf and trial._cost_of(use) <= fit._cost_of(use):
@@ -382,6 +402,7 @@ class Fit:
         """First states once more fitted to all rows of their window, parameters held, where that
         helps.
         """
+        # Bounds at the values themselves: the step then moves first states alone.
         held = replace(self, problem=replace(self.problem, lower=self.theta, upper=self.theta))
         refitted = self.problem.at(*held.moved(*held.step()), slopes=False)
         return refitted if refitted.cost < self.cost else self
@@ -401,10 +422,12 @@ class _Downhill:
         for _ in range(ATTEMPTS):
             change = point.step(damping=damping)
             promised = point.promised(*change)
+            # It would not pay: the descent ends here, at a part of its own tolerance.
             if 0.0 <= promised < PROMISED * self.tolerance * point.cost:
                 break
             if promised > 0.0:
                 return point.moved(*change)
+            # A rise is promised: a bound cuts the step short in a direction that helped.
             damping *= HARDER
         return None
 
@@ -445,20 +468,29 @@ def _accumulated(
     """One pass over all windows, adding up M and Huber's cost `power`; False where the model
     diverges.
     """
-    count, ny, order = columns.shape[0], q.sizes[3], filters.shape[1]
-    w, memory = new_memory(q, count), np.zeros((q.remembered.shape[0], count + 1))
-    X, simulated, dY = (
-        np.zeros((AT_ONCE + 1, q.sizes[0])),
-        np.zeros((AT_ONCE + 1, ny)),
-        np.zeros((AT_ONCE + 1, ny, count)),
-    )
-    past, v = np.zeros((ny, order, count + 1)), np.zeros(count + 1)
-    M[:], power[:] = 0.0, 0.0
+    # order: coefficients of the longest whitening filter, its leading 1 among them.
+    count = columns.shape[0]
+    ny = q.sizes[3]
+    order = filters.shape[1]
+    w = new_memory(q, count)
+    memory = np.zeros((q.remembered.shape[0], count + 1))
+    X = np.zeros((AT_ONCE + 1, q.sizes[0]))
+    simulated = np.zeros((AT_ONCE + 1, ny))
+    dY = np.zeros((AT_ONCE + 1, ny, count))
+    # A ring of the last rows (∂y, e) of each output, as long as its filter.
+    past = np.zeros((ny, order, count + 1))
+    v = np.zeros(count + 1)
+    M[:] = 0.0
+    power[:] = 0.0
     for j in range(X0.shape[0]):
-        a, b = starts[j], starts[j + 1]
+        a = starts[j]
+        b = starts[j + 1]
+        # Filters begin anew in each window: what went before is another piece of the record.
         past[:] = 0.0
         begin(q, w, U, starts, j, p, X0, sample_times, holds, follows, columns, memory)
         for first in range(0, b - a, AT_ONCE):
+            # One sample further than the products go, for the state to stand at the next part's
+            # beginning.
             last = min(first + AT_ONCE, b - a - 1)
             integrate(
                 q,
@@ -475,6 +507,7 @@ def _accumulated(
                 simulated,
                 dY,
             )
+            # At once: what the cost would be is infinite anyway.
             if not np.isfinite(w.x).all():
                 return False
             for k in range(first, min(first + AT_ONCE, b - a)):
@@ -482,23 +515,33 @@ def _accumulated(
                     if weights[o] == 0.0:
                         continue
                     now = past[o, k % order]
+                    # A missing sample leaves zeros in the ring: filters pass over it as over a
+                    # perfect fit.
                     now[:] = 0.0
                     if not np.isfinite(Y[a + k, o]):
                         continue
                     now[count] = (Y[a + k, o] - simulated[k - first, o]) * weights[o]
+                    # Its square would overflow. Not `>=`, so that NaN ends it too.
                     if not abs(now[count]) < OVERFLOW:
                         return False
                     for i in range(count):
                         now[i] = dY[k - first, o, i] * weights[o] * free[j, i]
+                    # v = A(z⁻¹)·(∂y, e): whitened rows, so that plain sums are the noise's own
+                    # likelihood.
                     v[:] = now
                     for lag in range(1, min(order, k + 1)):
                         v += filters[o, lag] * past[o, (k - lag) % order]
                     e = abs(v[count])
+                    # Huber: beyond the clip the weight falls as 1/|e|, so the influence of one
+                    # sample is bounded.
                     _add(M[cell[a + k], o], v, min(1.0, clip[o] / max(e, 1e-300)))
                     power[cell[a + k], o] += (
+                        # The cost belongs to these weights: quadratic, then linear, with one slope
+                        # where they meet.
                         e * e if e <= clip[o] else clip[o] * (2.0 * e - clip[o])
                     )
     for i in range(count + 1):
+        # Only the lower triangle was added up.
         M[:, :, :i, i] = M[:, :, i, :i]
     return np.isfinite(M).all()
 
@@ -513,21 +556,29 @@ def _add(M, v, weight):
 
 
 @njit(error_model="numpy")
-def _eliminated(M, part, parts, q, use, damping):
+def eliminated(M, part, parts, q, use, damping):
     """H (q, q) and g (q,) of the cells weighed `use`, and E (parts, states, q + 1), which all rows
     of a window say.
     """
-    c, E = M.shape[2] - 1, np.zeros((parts, M.shape[2] - 1 - q, q + 1))
+    c = M.shape[2] - 1
+    E = np.zeros((parts, M.shape[2] - 1 - q, q + 1))
+    # First states are fitted to all cells of their window, whatever `use` leaves out.
     if c > q:
         W = _by_part(M, part, parts, np.ones(M.shape[0]))
-        own, right = W[:, q:c, q:c].copy(), np.zeros(E.shape)
-        right[:, :, :q], right[:, :, q] = W[:, q:c, :q], W[:, q:c, c]
+        own = W[:, q:c, q:c].copy()
+        right = np.zeros(E.shape)
+        right[:, :, :q] = W[:, q:c, :q]
+        right[:, :, q] = W[:, q:c, c]
         for i in range(c - q):
+            # The same damping as that of the parameters: a step is short in all that moves.
             own[:, i, i] *= 1.0 + damping
         E[:] = solved(own, right, NOTHING_ALONG)
-    W, z, whole = _by_part(M, part, parts, use), np.zeros((c + 1, q + 1)), np.zeros((q + 1, q + 1))
+    W = _by_part(M, part, parts, use)
+    z = np.zeros((c + 1, q + 1))
+    whole = np.zeros((q + 1, q + 1))
     for i in range(q):
         z[i, i] = 1.0
+    # z = (I, −E): how parameters, first states and the error change together.
     z[c, q] = 1.0
     for j in range(parts):
         z[q:c] = -E[j]
@@ -548,10 +599,15 @@ def _by_part(M, part, parts, use):
 @njit(error_model="numpy")
 def _predicted(M, power, part, move, firsts):
     """Power after changes of the parameters and of the first states of each window."""
-    q, c, d, out = move.shape[0], M.shape[2] - 1, np.zeros(M.shape[2] - 1), np.empty_like(power)
+    q = move.shape[0]
+    c = M.shape[2] - 1
+    d = np.zeros(M.shape[2] - 1)
+    out = np.empty_like(power)
     for i in range(M.shape[0]):
-        d[:q], d[q:] = move, firsts[part[i]]
+        d[:q] = move
+        d[q:] = firsts[part[i]]
         for o in range(M.shape[1]):
+            # Power + dᵀM d − 2 dᵀ(Jᵀe): what the quadratic model leaves. No power is below zero.
             out[i, o] = max(
                 power[i, o]
                 + np.sum(d * (M[i, o, :c, :c] * d).sum(axis=1))

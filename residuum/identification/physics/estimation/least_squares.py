@@ -8,7 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-import scipy.linalg.cython_lapack  # noqa: F401  what compiled linear algebra calls: else looked for in the first step of a search
+
+# What compiled linear algebra calls: else it is looked for in the first step of a search.
+import scipy.linalg.cython_lapack  # noqa: F401
 
 from residuum.kept_loops import njit
 
@@ -46,9 +48,12 @@ def bounded_step(H: Array, g: Array, theta: Array, lower: Array, upper: Array) -
     """
     held = np.zeros(len(g), dtype=bool)
     step = np.zeros(len(g))
+    # Each round holds one parameter more at least, so there are no more than that.
     for _ in range(len(g) + 1):
         step = np.zeros(len(g))
         step[~held] = solve_scaled(H[np.ix_(~held, ~held)], g[~held, None])[:, 0]
+        # At a bound and pushed beyond it. Those that are held stay so: a later round might free
+        # them, but the next step of the descent does.
         out = ~held & ((theta <= lower) & (step < 0) | (theta >= upper) & (step > 0))
         if not out.any():
             break
@@ -80,6 +85,8 @@ def solved(H, right, ridge):  # type: ignore[no-untyped-def]
     for k in range(H.shape[0]):
         if not (np.isfinite(H[k]).all() and np.isfinite(right[k]).all()):
             continue
+        # Parameters of any units: by the root of their curvature they become comparable, and
+        # eigenvalues say what the data leave open.
         scale = np.sqrt(np.maximum(np.diag(H[k]), 0.0))
         scale = np.where(scale > 0.0, scale, 1.0)
         scaled = H[k] / scale.reshape(-1, 1) / scale
@@ -87,6 +94,8 @@ def solved(H, right, ridge):  # type: ignore[no-untyped-def]
             continue
         values, vectors = np.linalg.eigh(scaled)
         for i in range(values.shape[0]):
+            # Along a direction without curvature nothing is known: the step has no part there,
+            # rather than a huge one.
             if values[i] > ridge * max(values[-1], 1e-300):
                 direction = vectors[:, i] / scale
                 for c in range(right.shape[2]):
@@ -102,6 +111,7 @@ def covariance_of(
         return np.zeros((0, 0)), ()
     if not np.all(np.isfinite(H)):  # an overflow: nothing is known of any of them
         return np.full(H.shape, np.inf), ()
+    # Directions are told relative to the values: 1 stands for one that is zero.
     size = np.where(theta != 0, np.abs(theta), 1.0)
     diagonal = np.sqrt(np.maximum(np.diag(H), 0.0))
     scale = np.where(diagonal > 0, 1.0 / np.where(diagonal > 0, diagonal, 1.0), size)
@@ -110,8 +120,10 @@ def covariance_of(
     if not np.all(np.isfinite(scaled)):  # curvatures that underflow: nothing is known either
         return np.full(H.shape, np.inf), ()
     values, vectors = np.linalg.eigh(scaled)
+    # Relative to the largest: curvatures are only known up to the units of the errors.
     flat = values < FLAT * max(float(values[-1]), 1e-300)
     variances = np.where(flat, np.inf, variance / np.where(flat, 1.0, values))
+    # Eigenvectors back in the parameters' own units.
     parts = vectors * scale[:, None]
     with np.errstate(invalid="ignore"):
         covariance = np.einsum("ik,k,jk->ij", parts, np.where(flat, 0.0, variances), parts)
@@ -119,8 +131,12 @@ def covariance_of(
     for k in np.flatnonzero(flat):
         relative = parts[:, k] / size
         relative = relative / np.max(np.abs(relative))
+        # A parameter with less than a twentieth of the largest share does not belong to the
+        # trade-off that is told.
         members = np.flatnonzero(np.abs(relative) > 0.05)
         touched = np.abs(vectors[:, k]) > 1e-3
+        # Infinite also for those with little share: their values are known no better than the
+        # direction is.
         covariance[touched, touched] = np.inf
         directions.append(
             FlatDirection(

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -27,13 +28,17 @@ from residuum.identification.physics.estimation.least_squares import (
     solve_scaled,
 )
 from residuum.identification.physics.estimation.priors import Priors
-from residuum.identification.physics.model import PhysicalModel
 from residuum.identification.physics.simulate.experiment import Experiment
 from residuum.identification.physics.simulate.kalman import Filter, Noise, first_noise, tune
 from residuum.identification.physics.simulate.simulation import Simulator
 
+if TYPE_CHECKING:
+    from residuum.identification.physics.model import PhysicalModel
+
 Array = npt.NDArray[np.float64]
 
+# Noise and parameters in turn: each is found with the other held. Most end earlier, where no value
+# moves by 1e-4.
 ROUNDS = 3
 STEPS = 12
 _ENOUGH = 1e-3  # of log L
@@ -57,19 +62,24 @@ def estimate_by_likelihood(
     start = estimate(model, experiments, free=())
     likelihood = _Likelihood(model, list(experiments), names, start.initial)
     theta = np.array([model.values[name] for name in names])
-    converged, iterations = False, 0
+    converged = False
+    iterations = 0
+    # The noise first, at these values; then values at that noise.
     for _ in range(ROUNDS):
         likelihood.tune(theta)
         reached, used, end = descend(likelihood, likelihood.point(theta), steps=STEPS, fall=_ENOUGH)
-        moved, converged = reached.theta, end in (End.SETTLED, End.STUCK)
+        moved = reached.theta
+        converged = end in (End.SETTLED, End.STUCK)
         iterations += used
         settled = bool(np.all(np.abs(moved - theta) <= 1e-4 * np.maximum(np.abs(moved), 1e-12)))
         theta = moved
         if settled:
             break
     last = likelihood.point(theta)
+    # Variance 1: innovations are normalised, so H is already that of log L.
     covariance, flat = covariance_of(last.hessian, 1.0, names, theta)
     final = model.with_values(dict(zip(names, theta.tolist(), strict=True)))
+    # Told are simulations: a filter's predictions follow the record whatever the model lacks.
     simulated = estimate(final, experiments, free=(), initial=start.initial, settings=Settings())
     bound = (theta <= likelihood.lower) | (theta >= likelihood.upper)
     return replace(
@@ -110,7 +120,10 @@ class _Likelihood:
         names: tuple[str, ...],
         initial: list[Array],
     ) -> None:
-        self.model, self.experiments, self.names, self.initial = model, experiments, names, initial
+        self.model = model
+        self.experiments = experiments
+        self.names = names
+        self.initial = initial
         parameters = model.all_parameters
         self.lower = np.array([parameters[name].lower for name in names])
         self.upper = np.array([parameters[name].upper for name in names])
@@ -128,11 +141,13 @@ class _Likelihood:
     def innovations(self, theta: Array) -> tuple[Array, float]:
         """Normalised innovations of all experiments, stacked, and −log L."""
         kalman = Filter(self.at(theta), self.noise)
-        parts, cost = [], 0.0
+        parts = []
+        cost = 0.0
         for experiment, x0, steps in zip(
             self.experiments, self.initial, self.substeps, strict=True
         ):
             run = kalman.run(experiment, x0, substeps=steps, smooth=False)
+            # One experiment that diverges makes the whole impossible.
             if not np.isfinite(run.log_likelihood):
                 return np.zeros(0), np.inf
             parts.append((run.innovations / np.sqrt(run.variances))[np.isfinite(run.innovations)])
@@ -143,9 +158,13 @@ class _Likelihood:
         """Jacobian of the innovations by forward differences (backward at an upper bound)."""
         J = np.zeros((innovations.size, theta.size))
         for k in range(theta.size):
+            # Forward differences: a filter run a parameter. The filter has no sensitivities of its
+            # own.
             step = 1e-5 * max(abs(theta[k]), 1e-6)
+            # Beyond a bound there may be no model.
             step = -step if theta[k] + step > self.upper[k] else step
             moved, cost = self.innovations(theta + step * (np.arange(theta.size) == k))
+            # Towards a model that diverges nothing is known of the slope: no step goes there.
             J[:, k] = (moved - innovations) / step if np.isfinite(cost) else 0.0
         return J
 
@@ -153,10 +172,8 @@ class _Likelihood:
         """−log L there, and the Gauss–Newton matrix and gradient of the innovations."""
         innovations, cost = self.innovations(trial)
         J = self.slopes(trial, innovations) if np.isfinite(cost) else np.zeros((0, trial.size))
-        curvature, descent = (
-            J.T @ J + np.diag(self.priors.precisions),
-            self.priors.pull(trial) - J.T @ innovations,
-        )
+        curvature = J.T @ J + np.diag(self.priors.precisions)
+        descent = self.priors.pull(trial) - J.T @ innovations
         return _Point(trial, cost + 0.5 * self.priors.cost(trial), curvature, descent)
 
     def cost(self, trial: Array) -> float:

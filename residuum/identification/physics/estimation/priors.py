@@ -39,6 +39,7 @@ class Priors:
         """
         known = [parameters[name].prior for name in names]
         means = [0.0 if prior is None else prior.mean for prior in known]
+        # In units of the errors' variance: rows of priors then count as rows of data do.
         precisions = [0.0 if prior is None else variance / prior.std**2 for prior in known]
         return cls(np.array(means), np.array(precisions))
 

@@ -1,7 +1,8 @@
-"""What is wrong with an estimation whose search did not come to rest in a minimum of its own.
+"""What is wrong with an estimation, in sentences: its search did not come to rest, its values sit
+at bounds, or its records speak against what was known of parameters before.
 
-Such values are those of wherever the search was left; their covariance, the curvature there, says
-nothing of their error.
+Values of a search that did not come to rest are those of wherever it was left; their covariance,
+the curvature there, says nothing of their error.
 """
 
 from __future__ import annotations
@@ -13,6 +14,8 @@ from residuum.identification.physics.estimation.estimation import Estimate
 
 Array = npt.NDArray[np.float64]
 
+DISAGREE = 3.0
+"""Combined standard deviations beyond which the data speak against a prior."""
 PROMISED = 0.02
 """Part of the cost that a whole step still promises from where the search was stuck: at rest it is
 next to nothing.
@@ -29,13 +32,14 @@ def unsettled(estimated: Estimate, start: Estimate | None = None) -> tuple[str, 
 
     Parameters
     ----------
-    found : Estimate
+    estimated : Estimate
         As it ended.
     start : Estimate
         The model as it was before on the same pieces, nothing but first states fitted; None where
         residuals are not what fell.
     """
     says = []
+    # Short of a minimum nothing else need be said of where it stands.
     if not estimated.converged:
         says.append(f"the search stopped after {estimated.iterations} steps, short of a minimum")
     elif estimated.promised > PROMISED and not estimated.at_bound:
@@ -75,3 +79,31 @@ def _logarithm(estimated: Estimate) -> float:
     return float(
         count[measured] @ np.log(np.maximum(estimated.rmse[measured], 1e-300)) / count.sum()
     )
+
+
+def disagreement(estimated: Estimate) -> tuple[str, ...]:
+    """One line that names the priors which the data speak against; none where they agree.
+
+    An estimate θ̂ ± s from a prior μ ± σ and data moves by θ̂ − μ with the variance σ² − s². That
+    many standard deviations it is off as the data alone are off the prior, measured in the
+    deviation of both together.
+    """
+    conflicts = []
+    parameters = estimated.model.all_parameters
+    for name, value, s in zip(estimated.parameters, estimated.theta, estimated.std, strict=True):
+        prior = parameters[name].prior
+        if prior is None or not s < prior.std:
+            continue
+        off = abs(value - prior.mean) / np.sqrt(prior.std**2 - s**2)
+        if off > DISAGREE:
+            # The precision of the data alone, and the value that they alone would give.
+            data = 1.0 / s**2 - 1.0 / prior.std**2
+            alone = prior.mean + (value - prior.mean) / (s**2 * data)
+            before = f"{prior.mean:g} ± {prior.std:g} before"
+            conflicts.append(
+                f"{name} = {alone:.4g} by the data, {before} ({off:.1f} combined deviations)"
+            )
+    if not conflicts:
+        return ()
+    listed = "; ".join(conflicts)
+    return (f"data and prior disagree: {listed}; the prior is wrong, or the model lacks an effect",)

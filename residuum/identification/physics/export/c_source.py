@@ -50,6 +50,7 @@ def c_source(model: ExplicitModel) -> str:
                 "x",
                 model.initial,
             ),
+            # Terms before rates: C names what it has seen.
             *(line for key in model.components for line in _component(model, key, of_all)),
             *_function(
                 model,
@@ -78,42 +79,42 @@ def _table(model: ExplicitModel, letter: str, names: tuple[str, ...]) -> list[st
 
 
 def _function(model: ExplicitModel, signature: str, target: str, expressions: Any) -> list[str]:
-    arrays = {"x": model.states, "u": model.inputs, "p": model.parameters}
-    used = (
-        set().union(*(sp.sympify(e).free_symbols for e in expressions.values()))
-        if expressions
-        else set()
-    )
-    local = [
-        f"    const double {name} = {letter}[{k}];"
-        for letter, names in arrays.items()
-        for k, name in enumerate(names)
-        if model.symbols[name] in used and not (letter == "x" and target == "x")
-    ]
-    local += [
-        f"    const double {d.name} = s[{k}];"
-        for k, d in enumerate(model.directions.values())
-        if d in used
-    ]
-    local += [
-        f"    const double {key} = {model.name}_{key}(t, x, u, p, s);"
-        for key in model.components
-        if model.symbols[key] in used
-    ]
+    used = model.symbols_in(expressions)
     clock = ["    const double time = t;"] if model.symbols["time"] in used else ["    (void)t;"]
-    letters = (*arrays, "s")
+    # an argument that no expression needs would be a warning of the compiler
     unused = [
         f"    (void){letter};"
-        for letter in letters
+        for letter in ("x", "u", "p", "s")
         if f"*{letter}," in signature.replace(")", ",") and letter != target
     ]
-    places = (
-        ["return"] if target == "return" else [f"{target}[{k}] =" for k in range(len(expressions))]
-    )
+    elements = [f"{target}[{k}] =" for k in range(len(expressions))]
+    places = ["return"] if target == "return" else elements
     body = [
         f"    {place} {_code(e)};" for place, e in zip(places, expressions.values(), strict=True)
     ]
-    return [signature, "{", *clock, *unused, *local, *body, "}", ""]
+    return [signature, "{", *clock, *unused, *_locals(model, used, target), *body, "}", ""]
+
+
+def _locals(model: ExplicitModel, used: set[Any], target: str) -> list[str]:
+    """A constant for each symbol that expressions name: an element of an array, or an effect's term.
+    First states, written to x, name no state.
+    """
+    arrays = {"x": model.states, "u": model.inputs, "p": model.parameters}
+    if target == "x":
+        del arrays["x"]
+    elements = {
+        name: f"{letter}[{k}]" for letter, names in arrays.items() for k, name in enumerate(names)
+    }
+    lines = [
+        f"{name} = {element}" for name, element in elements.items() if model.symbols[name] in used
+    ]
+    lines += [f"{d.name} = s[{k}]" for k, d in enumerate(model.directions.values()) if d in used]
+    lines += [
+        f"{key} = {model.name}_{key}(t, x, u, p, s)"
+        for key in model.components
+        if model.symbols[key] in used
+    ]
+    return [f"    const double {line};" for line in lines]
 
 
 def _code(expression: Any) -> str:
@@ -135,6 +136,8 @@ def _code(expression: Any) -> str:
 # (Dormand and Prince, J. Comp. Appl. Math. 6 (1980) 19) and ends steps where a velocity passes zero
 # or a machine breaks away, for past a kink no step of a Runge–Kutta method is exact.
 
+# Coefficients of Dormand and Prince, 5(4) with seven stages, the last of which is the next step's
+# first.
 _NODES = ("0.0", "0.2", "0.3", "0.8", "8.0 / 9.0", "1.0", "1.0")
 _WEIGHTS = (
     "{0}",
@@ -145,6 +148,7 @@ _WEIGHTS = (
     "{9017.0 / 3168.0, -355.0 / 33.0, 46732.0 / 5247.0, 49.0 / 176.0, -5103.0 / 18656.0}",
     "{35.0 / 384.0, 0.0, 500.0 / 1113.0, 125.0 / 192.0, -2187.0 / 6784.0, 11.0 / 84.0}",
 )
+# Difference of the weights of order 5 and of order 4: an estimate of the error of a step.
 _ERRORS = (
     "71.0 / 57600.0",
     "0.0",

@@ -10,10 +10,10 @@ from typing import Any
 from residuum.identification.errors import BadModel
 from residuum.identification.physics.compile import symbolic as sp
 from residuum.identification.physics.compile.composition import TIME, Equations, compose
+from residuum.identification.physics.compile.equation_functions import SteppedRound
 from residuum.identification.physics.compile.implicit import Root
 from residuum.identification.physics.files.consistency import owners_of
-from residuum.identification.physics.model import PhysicalModel, missing_name, term_name
-from residuum.identification.physics.simulate.stepped_round import SteppedRound
+from residuum.identification.physics.model import PhysicalModel, term_name
 
 AT_REST = (
     (
@@ -85,6 +85,10 @@ class ExplicitModel:
             for line in [*lines, *((AT_REST if at_rest else LIMITS) if self.directions else ())]
         ]
 
+    def symbols_in(self, expressions: Mapping[str, Any]) -> set[Any]:
+        """The symbols that any of the expressions names."""
+        return set().union(*(sp.sympify(e).free_symbols for e in expressions.values()))
+
     def with_signs(self, expression: Any) -> Any:
         """An expression with each direction as the sign of its velocity."""
         return sp.sympify(expression).subs(
@@ -95,6 +99,46 @@ class ExplicitModel:
         """`full name [unit]`."""
         unit = self.units.get(name, "")
         return f"{self.meanings[name]} [{unit}]" if unit else self.meanings[name]
+
+
+@dataclass(frozen=True)
+class _Identifiers:
+    """What the names of each family are called in the text; no two are alike."""
+
+    states: Mapping[str, str]
+    inputs: Mapping[str, str]
+    parameters: Mapping[str, str]
+    outputs: Mapping[str, str]
+    terms: Mapping[str, str]
+
+    def symbols(self) -> dict[str, Any]:
+        """The symbol of each identifier that equations name, and of the time."""
+        families = (self.states, self.inputs, self.parameters, self.terms)
+        identifiers = [new for family in families for new in family.values()]
+        return {new: sp.Symbol(new, real=True) for new in (*identifiers, "time")}
+
+    def meanings(self) -> dict[str, str]:
+        """The full name that each identifier stands for."""
+        families = (self.states, self.inputs, self.parameters, self.outputs)
+        return {new: old for family in families for old, new in family.items()}
+
+
+@dataclass(frozen=True)
+class _Rewriting:
+    """Equations in the symbols of the text."""
+
+    swap: Mapping[Any, Any]
+    signs: Mapping[Any, Any]
+
+    def put(self, expression: Any) -> Any:
+        """An expression with every symbol replaced, and stairs by what any language has."""
+        # all at once: a model may call its own states x_1, x_2
+        renamed = sp.sympify(expression).xreplace(self.swap)
+        return renamed.replace(SteppedRound, lambda a: sp.floor(a + sp.Rational(1, 2)))
+
+    def turned(self, expression: Any) -> Any:
+        """The same with the direction of each velocity that can stand still in place of its sign."""
+        return self.put(expression).subs(self.signs)
 
 
 def explicit(model: PhysicalModel) -> ExplicitModel:
@@ -113,81 +157,121 @@ def explicit(model: PhysicalModel) -> ExplicitModel:
             " holds; write the one to export as its 'value' and leave out 'per'"
         )
     equations = _undelayed(model)
-    unknown = {missing_name(balance) for balance in model.balances}
-    taken: set[str] = {"time", "t", "x", "u", "p", "y", "s", "dx"}
-    driving = [name for name, signal in model.inputs.items() if not signal.is_clock]
-    states, inputs = _identifiers(equations.x, taken), _identifiers(driving, taken)
-    parameters = _identifiers([name for name in equations.p if name not in unknown], taken)
-    outputs = _identifiers(equations.outputs, taken)
     places = _effect_terms(model, equations)
-    terms = _identifiers([title for title, _, _ in places.values()], taken)
-    symbols = {
-        new: sp.Symbol(new, real=True)
-        for family in (states, inputs, parameters, terms)
-        for new in family.values()
-    }
-    symbols["time"] = sp.Symbol("time", real=True)
-    directions = _directions(equations, states, taken)
-    swap = {equations.p[name]: sp.S.Zero for name in unknown} | _renamed(
-        equations, symbols, states, inputs, parameters
+    # names that the texts themselves use
+    taken: set[str] = {"time", "t", "x", "u", "p", "y", "s", "dx"}
+    names = _named(model, equations, places, taken)
+    symbols = names.symbols()
+    directions = _directions(equations, names.states, taken)
+    rewriting = _Rewriting(
+        _swapped(model, equations, names, symbols, directions),
+        {sp.sign(symbols[velocity]): d for velocity, d in directions.items()},
     )
-    swap |= {
-        symbol: directions[states[list(equations.x)[k]]] for k, symbol in equations.surfaces.items()
+    components = {
+        names.terms[title]: Component(
+            title, effect, rewriting.turned(equations.signals[signal]), model.balances[balance].unit
+        )
+        for signal, (title, effect, balance) in places.items()
     }
-    swap |= {
-        equations.u[name]: symbols["time"]
-        for name, signal in model.inputs.items()
-        if signal.is_clock
-    }
-
-    def put(expression: Any) -> Any:
-        # all at once: a model may call its own states x_1, x_2
-        renamed = sp.sympify(expression).xreplace(swap)
-        return renamed.replace(SteppedRound, lambda a: sp.floor(a + sp.Rational(1, 2)))
-
-    def turned(expression: Any) -> Any:
-        return put(expression).subs({sp.sign(symbols[v]): d for v, d in directions.items()})
-
-    named = {signal: symbols[terms[title]] for signal, (title, _, _) in places.items()}
-    rates = {new: put(rate) for new, rate in zip(states.values(), equations.rates, strict=True)}
-    for balance, state in _owners(model, equations).items():
-        own = [signal for signal in equations.signals if signal.startswith(f"{balance}.")]
-        if not named.keys().isdisjoint(own):
-            total = sum(
-                named[signal] if signal in named else turned(equations.signals[signal])
-                for signal in own
-            )
-            rates[states[state]] = total / put(equations.signals[f"storage:{balance}"])
-    own_first = {
-        name: put(equations.initial.get(old, model.first_values.get(old, 0.0)))
-        for old, name in states.items()
-    }
-    first = {symbols[name]: value for name, value in own_first.items()}
     return ExplicitModel(
         name=_identifier(model.name),
         title=model.name,
-        states=tuple(states.values()),
-        inputs=tuple(inputs.values()),
-        parameters=tuple(parameters.values()),
+        states=tuple(names.states.values()),
+        inputs=tuple(names.inputs.values()),
+        parameters=tuple(names.parameters.values()),
         symbols=symbols,
-        rates=rates,
-        initial={name: value.subs(first).subs(first) for name, value in own_first.items()},
-        outputs={new: put(equations.outputs[old]) for old, new in outputs.items()},
-        units=_units(model, states, inputs, parameters, outputs),
-        meanings={
-            new: old
-            for family in (states, inputs, parameters, outputs)
-            for old, new in family.items()
-        },
-        values={new: model.values[old] for old, new in parameters.items()},
-        components={
-            terms[title]: Component(
-                title, effect, turned(equations.signals[signal]), model.balances[balance].unit
-            )
-            for signal, (title, effect, balance) in places.items()
-        },
+        rates=_rates(model, equations, places, names, rewriting, symbols),
+        initial=_first_states(model, equations, names, rewriting, symbols),
+        outputs={new: rewriting.put(equations.outputs[old]) for old, new in names.outputs.items()},
+        units=_units(model, names.states, names.inputs, names.parameters, names.outputs),
+        meanings=names.meanings(),
+        values={new: model.values[old] for old, new in names.parameters.items()},
+        components=components,
         directions=directions,
     )
+
+
+_Places = Mapping[str, tuple[str, str, str]]
+"""Signal `balance.term` → (title, effect's label, balance)."""
+
+
+def _named(
+    model: PhysicalModel, equations: Equations, places: _Places, taken: set[str]
+) -> _Identifiers:
+    unknown = {balance.missing for balance in model.balances.values()}
+    driving = [name for name, signal in model.inputs.items() if not signal.is_clock]
+    # the first of two alike keeps its plain name: states come first
+    return _Identifiers(
+        states=_identifiers(equations.x, taken),
+        inputs=_identifiers(driving, taken),
+        parameters=_identifiers([name for name in equations.p if name not in unknown], taken),
+        outputs=_identifiers(equations.outputs, taken),
+        terms=_identifiers([title for title, _, _ in places.values()], taken),
+    )
+
+
+def _swapped(
+    model: PhysicalModel,
+    equations: Equations,
+    names: _Identifiers,
+    symbols: Mapping[str, Any],
+    directions: Mapping[str, Any],
+) -> dict[Any, Any]:
+    """Every symbol of the equations → what stands for it in the text; unknown terms are zero."""
+    swap = {equations.p[b.missing]: sp.S.Zero for b in model.balances.values()}
+    swap |= _renamed(equations, symbols, names.states, names.inputs, names.parameters)
+    states = list(equations.x)
+    for k, symbol in equations.surfaces.items():
+        swap[symbol] = directions[names.states[states[k]]]
+    for name, signal in model.inputs.items():
+        if signal.is_clock:
+            swap[equations.u[name]] = symbols["time"]
+    return swap
+
+
+def _rates(
+    model: PhysicalModel,
+    equations: Equations,
+    places: _Places,
+    names: _Identifiers,
+    rewriting: _Rewriting,
+    symbols: Mapping[str, Any],
+) -> dict[str, Any]:
+    """dx/dt by state. Where effects act in a balance its rate is written as a sum over its storage,
+    so that each effect's term is computed in one place and can be looked at.
+    """
+    by_name = {signal: symbols[names.terms[title]] for signal, (title, _, _) in places.items()}
+    rates = {
+        new: rewriting.put(rate)
+        for new, rate in zip(names.states.values(), equations.rates, strict=True)
+    }
+    for balance, state in _owners(model, equations).items():
+        own = [signal for signal in equations.signals if signal.startswith(f"{balance}.")]
+        if by_name.keys().isdisjoint(own):
+            continue
+        total = sum(
+            by_name[signal] if signal in by_name else rewriting.turned(equations.signals[signal])
+            for signal in own
+        )
+        rates[names.states[state]] = total / rewriting.put(equations.signals[f"storage:{balance}"])
+    return rates
+
+
+def _first_states(
+    model: PhysicalModel,
+    equations: Equations,
+    names: _Identifiers,
+    rewriting: _Rewriting,
+    symbols: Mapping[str, Any],
+) -> dict[str, Any]:
+    """First values by state, none of them in terms of another state's."""
+    own_first = {
+        name: rewriting.put(equations.initial.get(old, model.first_values.get(old, 0.0)))
+        for old, name in names.states.items()
+    }
+    first = {symbols[name]: value for name, value in own_first.items()}
+    # twice: an effect's state may begin at that of another effect, which begins at the model's
+    return {name: value.subs(first).subs(first) for name, value in own_first.items()}
 
 
 def _owners(model: PhysicalModel, equations: Equations) -> dict[str, str]:
@@ -217,11 +301,13 @@ def _effect_terms(model: PhysicalModel, equations: Equations) -> dict[str, tuple
 
 def _directions(equations: Equations, states: Mapping[str, str], taken: set[str]) -> dict[str, Any]:
     velocities = [states[list(equations.x)[k]] for k in equations.surfaces]
+    # Last: names of quantities come before those that only the text needs.
     names = _identifiers([f"direction of {velocity}" for velocity in velocities], taken)
     return {v: sp.Symbol(new, real=True) for v, new in zip(velocities, names.values(), strict=True)}
 
 
 def _undelayed(model: PhysicalModel) -> Equations:
+    # Texts have no symbols that are defined elsewhere.
     equations = compose(model).written_out()
     if any(sp.sympify(e).has(Root) for e in (*equations.rates, *equations.outputs.values())):
         raise BadModel(
@@ -259,10 +345,12 @@ def _identifiers(names: Iterable[str], taken: set[str]) -> dict[str, str]:
     """Name → an identifier that no other name has."""
     identifiers = {}
     for name in names:
+        # With numbers from 2 on, as effects of one kind have.
         plain = new = _identifier(name)
         count = 2
         while new in taken:
-            new, count = f"{plain}_{count}", count + 1
+            new = f"{plain}_{count}"
+            count = count + 1
         taken.add(new)
         identifiers[name] = new
     return identifiers
@@ -270,4 +358,5 @@ def _identifiers(names: Iterable[str], taken: set[str]) -> dict[str, str]:
 
 def _identifier(name: str) -> str:
     plain = re.sub(r"[^A-Za-z0-9]+", "_", name).strip("_")
+    # No language takes a name that begins with a digit.
     return plain if plain and plain[0].isalpha() else f"m_{plain}"

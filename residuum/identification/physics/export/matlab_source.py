@@ -22,6 +22,7 @@ def matlab_source(model: ExplicitModel) -> str:
             *(f"q.{n} = {model.values[n]!r}; % {model.described(n)}" for n in model.parameters),
             "if nargin > 2, for name = fieldnames(p)', q.(name{1}) = p.(name{1}); end, end",
             (
+                # Ten fixed steps a sample: what a reader can follow, and no toolbox is needed.
                 f"n = numel(t); substeps = 10; x = zeros(n, {len(model.states)}); y = zeros(n,"
                 f" {len(model.outputs)});"
             ),
@@ -62,6 +63,7 @@ def matlab_source(model: ExplicitModel) -> str:
 def _function(
     model: ExplicitModel, signature: str, expressions: Any, arrays: tuple[str, ...]
 ) -> list[str]:
+    # No directions in MATLAB texts: sign(v) of an exact zero is 0, as their head says.
     expressions = {name: model.with_signs(e) for name, e in expressions.items()}
     used = set().union(*(e.free_symbols for e in expressions.values())) if expressions else set()
     families = {"x": model.states, "u": model.inputs}

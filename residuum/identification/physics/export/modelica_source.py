@@ -47,36 +47,26 @@ def modelica_source(model: ExplicitModel) -> str:
 
 
 def _code(expression: Any) -> str:
+    """An expression in Modelica's syntax. What SymPy writes otherwise, anywhere in it, is printed
+    apart and put in for a name.
+    """
     expression = sp.sympify(expression)
     if isinstance(expression, sp.Piecewise):
-        *cases, (last, _) = expression.args
-        parts = [
-            f"{'else' if k else ''}if {_code(condition)} then {_code(value)} "
-            for k, (value, condition) in enumerate(cases)
-        ]
-        return f"(noEvent({''.join(parts)}else {_code(last)}))" if parts else _code(last)
+        return _piecewise_code(expression)
     if expression.is_Relational:
-        return (
-            f"{_code(expression.lhs)} {'<>' if expression.rel_op == '!=' else expression.rel_op}"
-            f" {_code(expression.rhs)}"
-        )
-    if isinstance(expression, sp.And | sp.Or):
-        return (" and " if isinstance(expression, sp.And) else " or ").join(
-            f"({_code(part)})" for part in expression.args
-        )
-    if isinstance(expression, sp.Not):
-        return f"not ({_code(expression.args[0])})"
+        relation = "<>" if expression.rel_op == "!=" else expression.rel_op
+        return f"{_code(expression.lhs)} {relation} {_code(expression.rhs)}"
+    if isinstance(expression, sp.And | sp.Or | sp.Not):
+        return _logic_code(expression)
     if isinstance(expression, sp.Min | sp.Max):
-        name, (first, *operands) = expression.func.__name__.lower(), expression.args
-        text = _code(first)
-        for operand in operands:
-            text = f"{name}({text}, {_code(operand)})"
-        return text
+        return _extreme_code(expression)
     names = {
         part: sp.Symbol(f"residuum_part_{k}", real=True)
         for k, part in enumerate(dict.fromkeys(_chosen_parts(expression)))
     }
+    # Parts first, by themselves: SymPy's printer would write Min, Max and Piecewise its own way.
     texts = {symbol.name: _code(part) for part, symbol in names.items()}
+    # 17 digits say every double exactly.
     printed = sp.sstr(expression.xreplace(names).evalf(17))
     return re.sub(
         r"residuum_part_\d+",
@@ -85,8 +75,36 @@ def _code(expression: Any) -> str:
     )
 
 
+def _piecewise_code(expression: Any) -> str:
+    """if … then … else, which are no events for Modelica's solver (`noEvent`)."""
+    *cases, (last, _) = expression.args
+    parts = [
+        f"{'else' if k else ''}if {_code(condition)} then {_code(value)} "
+        for k, (value, condition) in enumerate(cases)
+    ]
+    return f"(noEvent({''.join(parts)}else {_code(last)}))" if parts else _code(last)
+
+
+def _logic_code(expression: Any) -> str:
+    parts = [f"({_code(part)})" for part in expression.args]
+    if isinstance(expression, sp.Not):
+        return f"not {parts[0]}"
+    return (" and " if isinstance(expression, sp.And) else " or ").join(parts)
+
+
+def _extreme_code(expression: Any) -> str:
+    """min(min(a, b), c): Modelica's functions take two numbers."""
+    name = expression.func.__name__.lower()
+    (first, *operands) = expression.args
+    text = _code(first)
+    for operand in operands:
+        text = f"{name}({text}, {_code(operand)})"
+    return text
+
+
 def _chosen_parts(expression: Any) -> Iterator[Any]:
     """What is written otherwise than SymPy writes it, the outermost of each."""
+    # Not below such a part: `_code` of it looks for its own.
     if isinstance(expression, sp.Piecewise | sp.Min | sp.Max):
         yield expression
     else:

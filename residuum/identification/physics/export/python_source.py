@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from importlib import import_module
 from typing import Any
 
@@ -165,32 +166,8 @@ def _component(model: ExplicitModel, key: str) -> list[str]:
 
 
 def _function(model: ExplicitModel, name: str, expressions: Any, arguments: str) -> list[str]:
-    used = (
-        set().union(*(sp.sympify(e).free_symbols for e in expressions.values()))
-        if expressions
-        else set()
-    )
-    given = arguments.split(", ")
-    families = [
-        (letter, names)
-        for letter, names in (("u", model.inputs), ("x", model.states))
-        if letter in given
-    ]
-    local = [
-        f"    {n} = {letter}[{k}]"
-        for letter, names in families
-        for k, n in enumerate(names)
-        if model.symbols[n] in used
-    ]
-    local += [f'    {n} = p["{n}"]' for n in model.parameters if model.symbols[n] in used]
-    local += [
-        f"    {d.name} = s[{k}]" for k, d in enumerate(model.directions.values()) if d in used
-    ]
-    local += [
-        f"    {key}_now = {key}(time, x, u, p, s)"
-        for key in model.components
-        if model.symbols[key] in used
-    ]
+    local = _locals(model, model.symbols_in(expressions), arguments.split(", "))
+    # Imported with the first text: SymPy takes a fifth of a second.
     printed = import_module("sympy.printing.numpy").NumPyPrinter()
     now = {model.symbols[key]: sp.Symbol(f"{key}_now", real=True) for key in model.components}
     values = [_code(printed, sp.sympify(e).subs(now)) for e in expressions.values()]
@@ -200,6 +177,24 @@ def _function(model: ExplicitModel, name: str, expressions: Any, arguments: str)
         else ["    return [", *(f"        {v}," for v in values), "    ]"]
     )
     return [f"def {name}({arguments}):", *local, *body, "", ""]
+
+
+def _locals(model: ExplicitModel, used: set[Any], arguments: Sequence[str]) -> list[str]:
+    """A variable for each symbol that expressions name: an element of an argument, or an effect's
+    term.
+    """
+    lines = []
+    for letter, names in (("u", model.inputs), ("x", model.states)):
+        if letter in arguments:
+            lines += [
+                f"{n} = {letter}[{k}]" for k, n in enumerate(names) if model.symbols[n] in used
+            ]
+    lines += [f'{n} = p["{n}"]' for n in model.parameters if model.symbols[n] in used]
+    lines += [f"{d.name} = s[{k}]" for k, d in enumerate(model.directions.values()) if d in used]
+    # an effect's term has the name of the function that gives it
+    terms = [key for key in model.components if model.symbols[key] in used]
+    lines += [f"{key}_now = {key}(time, x, u, p, s)" for key in terms]
+    return [f"    {line}" for line in lines]
 
 
 def _code(printer: Any, expression: Any) -> str:

@@ -5,7 +5,7 @@ division by zero.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
 
@@ -65,31 +65,12 @@ def check(model: PhysicalModel, tree: Table) -> PhysicalModel:
     _delays(model)
     _states_have_rates(model, tree)
     _variables(model, tree)
-    for expression in expressions_of(model):
+    for expression in model.expressions:
         _no_division_by_zero(expression, model.values)
     for balance in model.balances.values():
         _storage_is_not_zero(balance, model.values)
     _defined_variables_can_be_solved(model)
     return _with_units(_with_roles(model))
-
-
-def expressions_of(model: PhysicalModel) -> list[Expression]:
-    """Of its balances, then of its outputs."""
-    parts = [
-        expression for b in model.balances.values() for expression in (b.storage, *b.terms.values())
-    ]
-    return [*parts, *(output.value for output in model.outputs.values())]
-
-
-def definitions_of(model: PhysicalModel) -> dict[str, Expression]:
-    """What names in the texts of a model's expressions stand for, where these keep them."""
-    found = dict[str, Expression]()
-    open_ = expressions_of(model)
-    while open_:
-        new = {name: it for name, it in open_.pop().where.items() if name not in found}
-        found |= new
-        open_ += new.values()
-    return found
 
 
 def _unique_names(tree: Table) -> None:
@@ -104,7 +85,7 @@ def _unique_names(tree: Table) -> None:
 def _known_names(model: PhysicalModel) -> None:
     defined = [variable for b in model.balances.values() if (variable := b.defines)]
     known = {*model.inputs, *model.states, *model.parameters, *defined}
-    for expression in expressions_of(model):
+    for expression in model.expressions:
         for node in walk(expression.tree):
             if isinstance(node, Name) and node.name not in known:
                 raise node.place.refuse(
@@ -135,27 +116,40 @@ def _delays(model: PhysicalModel) -> None:
     """Each delay() is of inputs, by a parameter that is no negative time; an input has one delay
     wherever it stands.
     """
+    # what a balance names by its role is not delayed there
     used: dict[str, set[str]] = {
         name: {""} for b in model.balances.values() for name in b.variables.values()
     }
-    for expression in expressions_of(model):
+    for expression in model.expressions:
         for by, node in _delayed_names(expression.tree, ""):
-            if by and node.name not in model.inputs and node.name not in model.parameters:
-                raise node.place.refuse(
-                    f"delay() of {node.name!r}: what is delayed is made of inputs; that a reading"
-                    " is late is the effect output-lag, that a quantity is transported a state"
-                    " more"
-                )
-            used.setdefault(node.name, set()).add(by)
-            if node.name in model.inputs and len(used[node.name]) > 1:
-                raise node.place.refuse(
-                    f"input {node.name!r} stands in the model with more than one delay; declare a"
-                    " second input and map it to the same column:"
-                    f" {said('map', {f'{node.name}_late': node.name})}"
-                )
+            if by:
+                _check_can_be_delayed(node, model)
+            delays = used.setdefault(node.name, set())
+            delays.add(by)
+            if node.name in model.inputs:
+                _check_single_delay(node, delays)
         for call in walk(expression.tree):
             if isinstance(call, Call) and call.function == "delay":
                 _check_delay(call, model)
+
+
+def _check_can_be_delayed(node: Name, model: PhysicalModel) -> None:
+    # a kernel looks delayed values up in the record: states have no past there
+    if node.name not in model.inputs and node.name not in model.parameters:
+        raise node.place.refuse(
+            f"delay() of {node.name!r}: what is delayed is made of inputs; that a reading is late"
+            " is the effect output-lag, that a quantity is transported a state more"
+        )
+
+
+def _check_single_delay(node: Name, delays: Collection[str]) -> None:
+    # a kernel looks an input up at one time of a step only
+    if len(delays) > 1:
+        raise node.place.refuse(
+            f"input {node.name!r} stands in the model with more than one delay; declare a second"
+            " input and map it to the same column:"
+            f" {said('map', {f'{node.name}_late': node.name})}"
+        )
 
 
 def _delayed_names(tree: Node, by: str) -> Iterator[tuple[str, Name]]:
@@ -196,6 +190,7 @@ def _is_number(text: str) -> bool:
 
 def _states_have_rates(model: PhysicalModel, tree: Table) -> None:
     declared = [tree.table(section, "model file").keys for section in ("parameters", "states")]
+    # A value for each record was declared among the parameters.
     places = dict(declared[0]) | dict(declared[1])  # of a value for each record: its parameter's
     owners: dict[str, str] = {}
     for balance in model.balances.values():
@@ -205,20 +200,24 @@ def _states_have_rates(model: PhysicalModel, tree: Table) -> None:
             raise balance.storage.place.refuse(
                 f"balance {balance.name!r}: storage has no der() of a state and is not 0"
             )
-    elsewhere = [term for b in model.balances.values() for term in b.terms.values()] + [
-        o.value for o in model.outputs.values()
-    ]
+    _no_derivative_outside_of_storages(model)
+    for name, state in model.states.items():
+        _check_rate(state, model, owners, places[name])
+
+
+def _no_derivative_outside_of_storages(model: PhysicalModel) -> None:
+    elsewhere = [term for balance in model.balances.values() for term in balance.terms.values()]
+    elsewhere += [output.value for output in model.outputs.values()]
     for expression in elsewhere:
         for node in _derivatives(expression):
             raise node.place.refuse("der() may only stand in a storage")
-    for name, state in model.states.items():
-        _check_rate(state, model, owners, places[name])
 
 
 def _check_rate(
     state: State, model: PhysicalModel, owners: Mapping[str, str], place: Place
 ) -> None:
-    name, rate = state.name, state.rate
+    name = state.name
+    rate = state.rate
     if rate is None:
         if name not in owners and state.of_record is None:
             raise place.refuse(
@@ -273,31 +272,31 @@ def _variables(model: PhysicalModel, tree: Table) -> None:
     defined: set[str] = set()
     for name, balance in model.balances.items():
         table = section.table(name, "balances")
+        declared = {*model.states, *model.inputs, *model.parameters}
         if balance.storage.text in ("0", "0.0"):
-            if balance.defines is None:
-                raise section.keys[name].refuse(
-                    f"balance {name!r}: storage is 0, so it must name the variable that it defines"
-                )
-            declared = {*model.states, *model.inputs, *model.parameters}
-            if balance.defines in declared or balance.defines in defined:
-                raise section.keys[name].refuse(
-                    f"balance {name!r}: {balance.defines!r} is defined elsewhere already"
-                )
-            if not any(balance.defines in term.names for term in balance.terms.values()):
-                raise section.keys[name].refuse(
-                    f"balance {name!r}: no term contains {balance.defines!r}, which it must define"
-                )
-            defined.add(balance.defines)
+            defined.add(_defined_variable(balance, declared | defined, section.keys[name]))
             continue
         for role, variable in balance.variables.items():
-            if (
-                variable not in model.states
-                and variable not in model.inputs
-                and variable not in model.parameters
-            ):
+            if variable not in declared:
                 raise table.scalar(role, name).place.refuse(
                     f"balance {name!r}: {role} {variable!r} is not declared"
                 )
+
+
+def _defined_variable(balance: Balance, taken: Container[str], place: Place) -> str:
+    """The variable that a balance without storage defines, which no other one may."""
+    name = balance.name
+    if balance.defines is None:
+        raise place.refuse(
+            f"balance {name!r}: storage is 0, so it must name the variable that it defines"
+        )
+    if balance.defines in taken:
+        raise place.refuse(f"balance {name!r}: {balance.defines!r} is defined elsewhere already")
+    if not any(balance.defines in term.names for term in balance.terms.values()):
+        raise place.refuse(
+            f"balance {name!r}: no term contains {balance.defines!r}, which it must define"
+        )
+    return balance.defines
 
 
 def _with_roles(model: PhysicalModel) -> PhysicalModel:
@@ -311,6 +310,8 @@ def _with_roles(model: PhysicalModel) -> PhysicalModel:
     for name, balance in model.balances.items():
         (own,) = owners_of(balance)[:1] or ("",)
         places = [state.name for state in model.states.values() if own and state.rate == own]
+        # What a balance stores the derivative of is its variable; a state whose rate that is, its
+        # position.
         roles = dict.fromkeys(("velocity", "current", "temperature", "level"), own) | {
             "position": (*places, "")[0]
         }
@@ -319,6 +320,7 @@ def _with_roles(model: PhysicalModel) -> PhysicalModel:
             for role in BALANCE_KINDS[balance.kind][1]
             if role not in balance.variables
             and roles.get(role)
+            # In the unit of that role alone: a storage of der(x) may be anything.
             and _is_in(model.states[roles[role]].unit, role, balance.kind)
         }
         balances[name] = replace(
@@ -358,34 +360,15 @@ def _defined_variables_can_be_solved(model: PhysicalModel) -> None:
     defined = {
         variable: balance for balance in model.balances.values() if (variable := balance.defines)
     }
-    needs = {
-        variable: (
-            {name for term in balance.terms.values() for name in term.names}
-            & (set(defined) - {variable})
-        )
-        for variable, balance in defined.items()
-    }
+    needs = {}
     for variable, balance in defined.items():
-        if balance.start is not None:
+        in_terms = {name for term in balance.terms.values() for name in term.names}
+        needs[variable] = in_terms & (set(defined) - {variable})
+    zero = dict.fromkeys([*model.states, *model.inputs, *defined], 0.0) | dict(model.values)
+    for variable, balance in defined.items():
+        if balance.start is not None:  # Newton's method solves it, whatever its form
             continue
-        for term in balance.terms.values():
-            if _degree(term.tree, variable) > 1:
-                raise term.place.refuse(
-                    f"algebraic loop: balance {balance.name!r} has no storage and is not linear in"
-                    f" {variable!r}, which it defines; give it a value to solve from, start: 1.0",
-                    NoExplicitEquations,
-                )
-        zero = dict.fromkeys([*model.states, *model.inputs, *defined], 0.0) | dict(model.values)
-        slope = [
-            evaluate(t.tree, zero | {variable: 1.0}) - evaluate(t.tree, zero)
-            for t in balance.terms.values()
-        ]
-        if sum(slope) == 0:
-            raise balance.storage.place.refuse(
-                f"division by zero: the terms with {variable!r}, which balance {balance.name!r}"
-                " defines, add up to 0",
-                NoExplicitEquations,
-            )
+        _check_linear(balance, variable, zero)
         if _reaches(needs, variable, variable):
             raise balance.storage.place.refuse(
                 f"algebraic loop: balance {balance.name!r} and another define each other's"
@@ -394,8 +377,34 @@ def _defined_variables_can_be_solved(model: PhysicalModel) -> None:
             )
 
 
+def _check_linear(balance: Balance, variable: str, zero: Mapping[str, float]) -> None:
+    """NoExplicitEquations where a balance is not linear in the variable that it defines, or its
+    slope by it is zero; `zero` has the parameters' values, and 0 for everything else.
+    """
+    for term in balance.terms.values():
+        if _degree(term.tree, variable) > 1:
+            raise term.place.refuse(
+                f"algebraic loop: balance {balance.name!r} has no storage and is not linear in"
+                f" {variable!r}, which it defines; give it a value to solve from, start: 1.0",
+                NoExplicitEquations,
+            )
+    # of linear terms the difference between the variable at 1 and at 0 is the slope
+    slope = [
+        evaluate(term.tree, {**zero, variable: 1.0}) - evaluate(term.tree, zero)
+        for term in balance.terms.values()
+    ]
+    if sum(slope) == 0:
+        raise balance.storage.place.refuse(
+            f"division by zero: the terms with {variable!r}, which balance {balance.name!r}"
+            " defines, add up to 0",
+            NoExplicitEquations,
+        )
+
+
 def _reaches(needs: Mapping[str, set[str]], start: str, goal: str) -> bool:
-    visited, open_ = set(), set(needs[start])
+    # Along the names, in any number of steps.
+    visited = set()
+    open_ = set(needs[start])
     while open_:
         name = open_.pop()
         if name == goal:
@@ -415,11 +424,19 @@ def _degree(tree: Node, name: str) -> int:
     if max(degrees) == 0:
         return 0
     if isinstance(tree, Call):
+        # on either side of standstill sign(v) is a constant, and abs(v) linear
         return 1 if tree.function in ("sign", "abs") and isinstance(tree.operands[0], Name) else 2
-    if tree.operator in ("+", "-", "neg"):
+    return _degree_of_operation(tree.operator, degrees)
+
+
+def _degree_of_operation(operator: str, degrees: Sequence[int]) -> int:
+    """The degree of a sum, product, quotient or power of operands of these degrees."""
+    if operator in ("+", "-", "neg"):
         return max(degrees)
-    if (tree.operator == "*" and min(degrees) == 0) or (tree.operator == "/" and degrees[1] == 0):
+    if operator == "*" and min(degrees) == 0:
         return max(degrees)
+    if operator == "/" and degrees[1] == 0:
+        return degrees[0]
     return 2
 
 
@@ -436,6 +453,7 @@ def _with_units(model: PhysicalModel) -> PhysicalModel:
             u for name in declared if (u := model.unit_of(name)) not in ("", "1", "%", "percent")
         )
     )
+    # Coefficients without a unit: normalised models hide units in them.
     plain = {name for name, parameter in model.parameters.items() if parameter.unit in ("", "1")}
     balances = {
         name: _with_unit(balance, names, units, plain) for name, balance in model.balances.items()
@@ -455,34 +473,42 @@ def _with_unit(
     to be in the balance's unit: so normalised models are written, whose coefficients hide the
     units.
     """
+    scale = _common_dimension(balance, names, plain)
+    if scale is None or balance.kind == "signal":
+        return balance
+    # the shortest spelling first: the kind's own units, then those that the model is written in
+    usual = (balance.unit, *_OTHER_UNITS[balance.kind])
+    rates = [f"{unit}/{time}" for unit in units for time in ("s", "min", "hour")]
+    for unit in (*usual, *units, *rates):
+        if scale.agrees(dimension_of_unit(unit)):
+            return replace(balance, unit=unit)
+    return replace(balance, unit=str(scale))
+
+
+def _common_dimension(
+    balance: Balance, names: Mapping[str, Dimension], plain: set[str]
+) -> Dimension | None:
+    """What storage and terms of a balance are in; None where all of them are numbers."""
     scale: Dimension | None = None
-    sides = [
-        ("storage", balance.storage),
-        *((f"term {name!r}", term) for name, term in balance.terms.items()),
-    ]
-    for side, expression in sides:
+    sides = {"storage": balance.storage}
+    sides |= {f"term {name!r}": term for name, term in balance.terms.items()}
+    for side, expression in sides.items():
         dimension = dimension_of(expression.tree, names)
         if dimension.literal:
             continue
-        if scale is not None and not dimension.agrees(scale) and not plain & set(expression.names):
+        if scale is None:
+            scale = dimension
+        elif not dimension.agrees(scale) and not plain & set(expression.names):
             raise expression.place.refuse(
                 f"unit clash: {side} of {balance.kind} balance {balance.name!r} is in {dimension};"
                 f" the balance is in {scale}"
             )
-        scale = scale or dimension
-    if scale is None or balance.kind == "signal":
-        return balance
-    usual = (balance.unit, *_OTHER_UNITS[balance.kind])
-    rates = [f"{unit}/{time}" for unit in units for time in ("s", "min", "hour")]
-    spelled = next(
-        (unit for unit in (*usual, *units, *rates) if scale.agrees(dimension_of_unit(unit))),
-        str(scale),
-    )
-    return replace(balance, unit=spelled)
+    return scale
 
 
 def _check_output(output: Output, names: Mapping[str, Dimension]) -> None:
-    dimension, declared = dimension_of(output.value.tree, names), dimension_of_unit(output.unit)
+    dimension = dimension_of(output.value.tree, names)
+    declared = dimension_of_unit(output.unit)
     if not dimension.agrees(declared):
         raise output.value.place.refuse(
             f"unit clash: the value of output {output.name!r} is in {dimension}, declared is"

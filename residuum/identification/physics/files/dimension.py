@@ -65,7 +65,8 @@ class Dimension:
         """
         if self.literal or other.literal:
             return True
-        mine, theirs = dict(self.exponents), dict(other.exponents)
+        mine = dict(self.exponents)
+        theirs = dict(other.exponents)
         odd = {base for base in {*mine, *theirs} if mine.get(base) != theirs.get(base)}
         counted = not odd or (all(map(is_own, odd)) and not (odd & {*mine} and odd & {*theirs}))
         return counted and math.isclose(self.scale, other.scale, rel_tol=1e-9)
@@ -127,21 +128,23 @@ def _of_node(tree: Node, operands: list[Dimension], names: Mapping[str, Dimensio
     return operands[0] if tree.operator == "neg" else _power(tree, operands)
 
 
+_FIRST_ALIKE = {"min": 0, "max": 0, "mod": 0, "hypot": 0, "where": 1}
+"""Functions that have the dimension of their operands, and the first operand that counts: a
+condition has none.
+"""
+
+
 def _of_call(tree: Call, operands: list[Dimension]) -> Dimension:
-    if tree.function in ("min", "max", "mod", "hypot"):
-        return _alike(tree, operands)
+    if tree.function in _FIRST_ALIKE:
+        return _alike(tree, operands[_FIRST_ALIKE[tree.function] :])
     if tree.function == "atan2":
         _alike(tree, operands)
         return PLAIN
-    if tree.function == "where":
-        return _alike(tree, operands[1:])
     if tree.function in ("table", "cubic"):
+        # the places that values are given at stand between what is looked up and the values
         return _alike(tree, operands[1 + len(operands) // 2 :])
     if tree.function == "delay":
-        if not operands[1].agrees(dimension_of_unit(_SECOND)):
-            raise tree.place.refuse(
-                f"unit clash: delay() by something in {operands[1]}; it must be a time in s"
-            )
+        _check_time(tree, operands[1])
         return operands[0]
     if tree.function == "der":
         return operands[0] / dimension_of_unit(_SECOND)
@@ -159,7 +162,13 @@ def _of_call(tree: Call, operands: list[Dimension]) -> Dimension:
     return PLAIN
 
 
+def _check_time(tree: Call, by: Dimension) -> None:
+    if not by.agrees(dimension_of_unit(_SECOND)):
+        raise tree.place.refuse(f"unit clash: delay() by something in {by}; it must be a time in s")
+
+
 def _alike(tree: Operation | Call, operands: list[Dimension]) -> Dimension:
+    # A bare number takes the dimension of what it stands beside.
     known = [operand for operand in operands if not operand.literal]
     for dimension in known[1:]:
         if not known[0].agrees(dimension):
@@ -174,6 +183,7 @@ def _power(tree: Operation, operands: list[Dimension]) -> Dimension:
         raise tree.place.refuse(
             f"unit clash: an exponent must be a plain number, not in {exponent}"
         )
+    # A plain number stays one, whatever the exponent.
     if base.agrees(PLAIN):
         return base
     power = _literal(tree.operands[1])
@@ -181,6 +191,7 @@ def _power(tree: Operation, operands: list[Dimension]) -> Dimension:
         raise tree.place.refuse(
             f"unit clash: something in {base} can only be raised to a literal number"
         )
+    # 0.3333 is meant as a third.
     return base ** Fraction(power).limit_denominator(64)
 
 

@@ -36,11 +36,11 @@ from residuum.identification.physics.effects.base import (
     Conditions,
     Contribution,
     Effect,
-    Example,
     Parameter,
     Scene,
     Site,
 )
+from residuum.identification.physics.effects.example_models import Example
 from residuum.identification.physics.files.dimension import dimension_of, dimension_of_unit
 from residuum.identification.physics.files.expression import Expression, parse
 from residuum.identification.physics.files.yaml_tree import (
@@ -85,10 +85,15 @@ class WrittenEffect(Effect):
         self._own = tuple(
             _parameter(name, entry) for name, entry in definition["parameters"].items()
         )
-        self.sizes = tuple(n for n, entry in definition["parameters"].items() if entry.get("size"))  # type: ignore[misc]
-        self.needs = tuple(role for role in ROLE_UNITS if role in _names(equation, states))  # type: ignore[misc]
+        sizes = [name for name, entry in definition["parameters"].items() if entry.get("size")]
+        self.sizes = tuple(sizes)  # type: ignore[misc]
+        needs = [role for role in ROLE_UNITS if role in _names(equation, states)]
+        self.needs = tuple(needs)  # type: ignore[misc]
+        # An exact standstill exists only once there is some friction: derivatives at zero are taken
+        # a little above.
         self.rest = 0.001 if "sign" in equation.text else 0.0  # type: ignore[misc]
-        self._equation, self._states = equation, dict(states)
+        self._equation = equation
+        self._states = dict(states)
 
     def parameters(self, site: Site) -> tuple[Parameter, ...]:
         """As the file has them, wherever it stands."""
@@ -109,7 +114,10 @@ class WrittenEffect(Effect):
         }
         names = {**variables, **scene.p, **scene.x, "signal": scene.signal}
         signs = {
-            role: scene.direction for role in ("velocity", "current") if role in scene.variables
+            # The sign of a velocity or a current is the direction that the integrator switches.
+            role: scene.direction
+            for role in ("velocity", "current")
+            if role in scene.variables
         }
         value = symbolic(self._equation.tree, names, signs)
         rates = {n: symbolic(s.rate.tree, names, signs) for n, s in self._states.items()}
@@ -126,15 +134,18 @@ class WrittenEffect(Effect):
         open_ = [name for name in self.sizes if values[name] == 0.0]
         if not open_:
             return [values]
+        # The term is taken to be proportional to its sizes: at 1 it says how large they have to be.
         unit_sizes = values | dict.fromkeys(open_, 1.0)
         largest = self._largest(unit_sizes, conditions)
         known = {p.name: p for p in self._own}
         size = _FIRST * conditions.magnitude / largest
+        # A size that may be negative is tried both ways.
         signs = (1.0, -1.0) if any(known[n].lower < 0.0 for n in open_) else (1.0,)
-        return [
-            values | {n: float(np.clip(sign * size, known[n].lower, known[n].upper)) for n in open_}
-            for sign in signs
-        ]
+        starts = []
+        for sign in signs:
+            sizes = {n: np.clip(sign * size, known[n].lower, known[n].upper) for n in open_}
+            starts.append(values | {name: float(value) for name, value in sizes.items()})
+        return starts
 
     def _largest(self, values: Mapping[str, float], conditions: Conditions) -> float:
         """Largest magnitude of the term at these values along the operation; 1 where states of its
@@ -199,6 +210,7 @@ def _effect(item: Table) -> WrittenEffect:
     if not re.fullmatch(OWN_ID, id.text):
         raise id.place.refuse(f"{label}: an id is of small letters, digits and '-'")
     acts_on = _acts_on(item, label)
+    # Paths and balances are not mixed (`_acts_on`): the first kind says which it is.
     on_path = acts_on[0] in ("input", "output")
     if ("signal" in item.entries) != on_path or ("term" in item.entries) == on_path:
         raise item.place.refuse(f"{label}: a balance gets a 'term', an input or output a 'signal'")
@@ -242,7 +254,8 @@ def _acts_on(item: Table, label: str) -> list[str]:
 def _parameters(table: Table, label: str) -> dict[str, dict[str, Any]]:
     parameters = {}
     for name in table:
-        part, entry = f"{label}, parameter {name!r}", table.table(name, label)
+        part = f"{label}, parameter {name!r}"
+        entry = table.table(name, label)
         entry.only(("value", "unit", "lower", "upper", "fixed", "size", "meaning"), part)
         given = {key: entry.scalar(key, part) for key in entry}
         numbers = {
@@ -256,6 +269,7 @@ def _parameters(table: Table, label: str) -> dict[str, dict[str, Any]]:
             if key in ("fixed", "size")
         }
         texts = {key: text.text for key, text in given.items() if key in ("unit", "meaning")}
+        # Defaults first: what the file says comes over them.
         parameters[name] = {"value": 0.0, "unit": "", "meaning": name, **texts, **numbers, **flags}
         if (
             not numbers.get("lower", -np.inf)
@@ -269,9 +283,11 @@ def _parameters(table: Table, label: str) -> dict[str, dict[str, Any]]:
 def _states(table: Table, label: str) -> dict[str, OwnState]:
     states = {}
     for name in table:
-        part, entry = f"{label}, state {name!r}", table.table(name, label)
+        part = f"{label}, state {name!r}"
+        entry = table.table(name, label)
         entry.only(("unit", "rate", "start"), part)
-        unit, start = entry.optional("unit", part), entry.optional("start", part)
+        unit = entry.optional("unit", part)
+        start = entry.optional("start", part)
         rate = entry.scalar("rate", part)
         begin = parse("0") if start is None else parse(start.text, start.place)
         states[name] = OwnState(unit.text if unit else "", parse(rate.text, rate.place), begin)
@@ -290,13 +306,9 @@ def _check(
     """
     own = {*definition["parameters"], *states}
     allowed = own | ({"signal"} if on_path else {*ROLE_UNITS, "supply"})
-    for expression in (equation, *(e for s in states.values() for e in (s.rate, s.start))):
-        if unknown := sorted(expression.names - allowed):
-            raise expression.place.refuse(
-                f"{tag}: {unknown[0]!r} is not known here;"
-                f" {known_names(unknown[0], sorted(allowed), 'there are')}"
-            )
+    _check_names(tag, equation, states, allowed)
     sizes = [name for name, entry in definition["parameters"].items() if entry.get("size")]
+    # What states do at zero sizes cannot be seen in the equation alone.
     if not sizes or states:
         return
     _check_vanishes(tag, equation, allowed, sizes, on_path)
@@ -304,11 +316,24 @@ def _check(
         _check_units(tag, equation, definition)
 
 
+def _check_names(
+    tag: str, equation: Expression, states: Mapping[str, OwnState], allowed: set[str]
+) -> None:
+    of_states = [e for state in states.values() for e in (state.rate, state.start)]
+    for expression in (equation, *of_states):
+        if unknown := sorted(expression.names - allowed):
+            raise expression.place.refuse(
+                f"{tag}: {unknown[0]!r} is not known here;"
+                f" {known_names(unknown[0], sorted(allowed), 'there are')}"
+            )
+
+
 def _check_vanishes(
     label: str, equation: Expression, allowed: Iterable[str], sizes: list[str], on_path: bool
 ) -> None:
     """Where its sizes are zero an effect adds nothing, or leaves the signal as it is."""
     names = {n: sp.Symbol(n, real=True) for n in allowed} | dict.fromkeys(sizes, sp.S.Zero)
+    # What is left with sizes of zero: nothing of a term, the signal itself of a path.
     nothing = symbolic(equation.tree, names, {}) - (names["signal"] if on_path else 0)
     if sp.simplify(nothing) != 0:
         raise equation.place.refuse(
@@ -324,6 +349,7 @@ def _check_units(label: str, equation: Expression, definition: Mapping[str, Any]
         dimension = dimension_of(
             equation.tree, {name: dimension_of_unit(unit) for name, unit in units.items()}
         )
+    # It names a role that this kind of balance has no unit for: nothing to check by.
     except KeyError:
         return
     expected = dimension_of_unit(BALANCE_KINDS[kind][0])
@@ -337,10 +363,12 @@ def _in_si(role: str, value: sp.Expr, site: Site) -> sp.Expr:
     """A variable of the model in the unit in which definitions have its role; as it is where that
     is not known.
     """
-    unit, own = site.units.get(role, ""), ROLE_UNITS.get(role, {}).get(site.kind, "")
+    unit = site.units.get(role, "")
+    own = ROLE_UNITS.get(role, {}).get(site.kind, "")
     if not (unit and own) or not compatible(unit, own):
         return value
     zero, unity = convert([0.0, 1.0], unit, own)
+    # In SI already: no factor, so that the equation stays as it was written.
     return value if (zero, unity) == (0.0, 1.0) else float(zero) + float(unity - zero) * value
 
 
@@ -353,8 +381,10 @@ def _of_si(site: Site) -> float:
 
 
 def _parameter(name: str, entry: Mapping[str, Any]) -> Parameter:
-    lower, upper = float(entry.get("lower", "-inf")), float(entry.get("upper", "inf"))
-    value, fixed = float(entry["value"]), bool(entry.get("fixed"))
+    lower = float(entry.get("lower", "-inf"))
+    upper = float(entry.get("upper", "inf"))
+    value = float(entry["value"])
+    fixed = bool(entry.get("fixed"))
     return Parameter(name, value, entry["unit"], lower, upper, fixed, entry["meaning"])
 
 

@@ -8,7 +8,8 @@ Grammar, lowest precedence first::
     sign      = ("+" | "-") sign | power
     power     = atom ("**" sign)?
     atom      = number | name | function "(" sum ("," sum)* ")" | "(" sum ")"
-              | "where" "(" condition "," sum "," sum ")" | "table" "(" sum "," list "," list ("," "cubic")? ")"
+              | "where" "(" condition "," sum "," sum ")"
+              | "table" "(" sum "," list "," list ("," "cubic")? ")"
               | "table" "(" sum "," sum "," list "," list "," "[" list ("," list)* "]" ")"
     list      = "[" sum ("," sum)* "]"
     condition = both ("or" both)*
@@ -60,6 +61,7 @@ FUNCTIONS: Mapping[str, tuple[int, int]] = {
 COMPARISONS = ("<=", ">=", "==", "!=", "<", ">")
 MOST_KNOTS, MOST_VALUES = 200, 1000
 """Of a table of one place, and of one of two places."""
+# Texts come from anybody: what one may ask of the reader is bounded.
 LONGEST_EXPRESSION = 20_000
 DEEPEST_EXPRESSION, LARGEST_EXPONENT = 60, 20
 MOST_IN_A_ROW = 200
@@ -78,7 +80,10 @@ _INSTEAD = {
     "²": "; write **2",
 }
 _TOKEN = re.compile(
-    r"\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)|(?P<name>[A-Za-z_][A-Za-z_0-9]*)|(?P<mark>\*\*|[<>=!]=|[-+*/(),<>\[\]])|(?P<bad>\S))"
+    r"\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)"
+    r"|(?P<name>[A-Za-z_][A-Za-z_0-9]*)"
+    r"|(?P<mark>\*\*|[<>=!]=|[-+*/(),<>\[\]])"
+    r"|(?P<bad>\S))"
 )
 
 
@@ -176,14 +181,17 @@ def _is_steep(node: Node) -> bool:
 
 def walk(tree: Node) -> Iterator[Node]:
     """The node and everything below it, once where it stands in several places."""
-    seen, open_ = set[int](), [tree]
+    walked = set[int]()
+    open_ = [tree]
     while open_:
         node = open_.pop()
-        if id(node) in seen:
+        # By identity: definitions are shared nodes, and equal ones may stand in many places.
+        if id(node) in walked:
             continue
-        seen.add(id(node))
+        walked.add(id(node))
         yield node
         if isinstance(node, Operation | Call):
+            # Reversed onto a stack: the first operand is walked first.
             open_ += reversed(node.operands)
 
 
@@ -191,10 +199,12 @@ def folded(tree: Node, combine: Callable[[Node, list[T]], T]) -> T:
     """What `combine(node, what its operands gave)` gives of the tree; a node that stands in several
     places is asked once.
     """
-    done, open_ = dict[int, T](), [tree]
+    done = dict[int, T]()
+    open_ = [tree]
     while open_:
         node = open_[-1]
         operands = node.operands if isinstance(node, Operation | Call) else ()
+        # A stack of its own, not Python's: a tree may be deeper than its calls may go.
         waiting = [operand for operand in operands if id(operand) not in done]
         if waiting:
             open_ += reversed(waiting)
@@ -243,11 +253,13 @@ def with_definitions(expression: Expression, definitions: Mapping[str, Expressio
     used = {name: definitions[name] for name in expression.names & definitions.keys()}
     if not used:
         return expression
-    tree = _replaced(expression.tree, {name: it.tree for name, it in used.items()})
+    tree = _replaced(expression.tree, {name: definition.tree for name, definition in used.items()})
     _check_size(tree, expression.place)
     text, where = _written_out(expression, used)
     if len(text) > LONGEST_EXPRESSION:
-        text, where = expression.text, used
+        # Formulas that name formulas grow with every level: from here on the names stay.
+        text = expression.text
+        where = used
     return Expression(text, tree, where)
 
 
@@ -259,15 +271,20 @@ def _written_out(
             "too long for a part: with its definitions it has more than"
             f" {LONGEST_EXPRESSION} characters; write what it holds into the model itself"
         )
-    texts = {name: _in_brackets(it) for name, it in used.items()}
+    texts = {name: _in_brackets(definition) for name, definition in used.items()}
     text = _NAMES.sub(lambda name: texts.get(name[0], name[0]), expression.text)
-    return text, {name: it for inner in used.values() for name, it in inner.where.items()}
+    where: dict[str, Expression] = {}
+    for definition in used.values():
+        where |= definition.where
+    return text, where
 
 
 def _check_size(tree: Node, place: Place) -> None:
     """BadModel for a tree that is too large or too deep for the questions that are asked of it."""
 
     def measures(node: Node, inner: list[tuple[int, int, int]]) -> tuple[int, int, int]:
+        # A sum in a sum is one sum to a reader: a + b + c counts as one depth, though its tree has
+        # two.
         depths = [depth + 1 for _, depth, _ in inner]
         if _is_sum(node) and _is_sum(node.operands[0]):
             depths[0] -= 1
@@ -278,11 +295,12 @@ def _check_size(tree: Node, place: Place) -> None:
     if size > MOST_NODES or depth > DEEPEST_TREE or levels > MOST_LEVELS:
         raise place.refuse(
             f"with its definitions it has {size} numbers, names and operations, {depth} within each"
-            f" other, in {levels} levels; at most {MOST_NODES}, {DEEPEST_TREE} and {MOST_LEVELS} are"
-            " allowed: make a state of a quantity that it names"
+            f" other, in {levels} levels; at most {MOST_NODES}, {DEEPEST_TREE} and {MOST_LEVELS}"
+            " are allowed: make a state of a quantity that it names"
         )
 
 
+# Not behind a digit or a dot, so that numbers stay whole.
 _NAMES = re.compile(r"(?<![\w.])[A-Za-z_]\w*")
 """Names in a text; the e of 1e5 is none."""
 
@@ -325,6 +343,7 @@ def evaluate(tree: Node, values: Mapping[str, float]) -> float:
             return float(
                 _MEANING[node.operator if isinstance(node, Operation) else node.function](*numbers)
             )
+        # TypeError: a negative number to a fractional power is complex.
         except (ZeroDivisionError, ValueError, OverflowError, TypeError):
             return math.nan
 
@@ -381,8 +400,10 @@ def interpolated(x: float, places: Sequence[float], values: Sequence[float]) -> 
     """The straight line between the values at neighbouring places; the first and the last value
     hold beyond them.
 
-    >>> interpolated(1.5, [0.0, 1.0, 2.0], [0.0, 10.0, 30.0]), interpolated(9.0, [0.0, 1.0], [0.0, 10.0])
-    (20.0, 10.0)
+    >>> interpolated(1.5, [0.0, 1.0, 2.0], [0.0, 10.0, 30.0])
+    20.0
+    >>> interpolated(9.0, [0.0, 1.0], [0.0, 10.0])
+    10.0
     """
     if x <= places[0]:
         return values[0]
@@ -415,10 +436,12 @@ def smooth(
 
     Reference: F. N. Fritsch, J. Butland, SIAM J. Sci. Stat. Comput. 5 (1984) 300.
     """
-    total, slopes = values[0], _monotone_slopes(places, values, where_positive)
+    total = values[0]
+    slopes = _monotone_slopes(places, values, where_positive)
     for (a, b), (low, high), (at_a, at_b) in zip(
         pairwise(places), pairwise(values), pairwise(slopes), strict=True
     ):
+        # Each piece adds what it rises by: outside of it t is 0 or 1, so that the sum is the curve.
         t = (within(x, a, b) - a) / (b - a)
         total += t * t * (3 - 2 * t) * (high - low) + t * (1 - t) * (b - a) * (
             (1 - t) * at_a - t * at_b
@@ -429,19 +452,24 @@ def smooth(
 def _monotone_slopes(
     places: Sequence[Any], values: Sequence[Any], where_positive: Callable[[Any, Any, Any], Any]
 ) -> list[Any]:
+    # Widths and slopes of the pieces.
     h = [b - a for a, b in pairwise(places)]
     m = [(b - a) / width for (a, b), width in zip(pairwise(values), h, strict=True)]
     if len(m) == 1:
         return [m[0], m[0]]
 
     def end(h0: Any, h1: Any, m0: Any, m1: Any) -> Any:
+        # One-sided three-point slope, cut where it would turn or overshoot.
         d = ((2 * h0 + h1) * m0 - h0 * m1) / (h0 + h1)
         bounded = where_positive(-m0 * m1, where_positive(abs(d) - 3 * abs(m0), 3 * m0, d), d)
         return where_positive(d * m0, bounded, 0 * m0)
 
     inner = []
     for (h0, h1), (m0, m1) in zip(pairwise(h), pairwise(m), strict=True):
-        w0, w1 = 2 * h1 + h0, h1 + 2 * h0
+        # Weighted harmonic mean of two slopes of one sign; 0 where the data turn: so no piece
+        # overshoots.
+        w0 = 2 * h1 + h0
+        w1 = h1 + 2 * h0
         below = w0 * m1 + w1 * m0
         inner.append(
             where_positive(
@@ -460,6 +488,7 @@ class _Token:
 
 def _tokens(text: str, start: Place) -> Iterator[_Token]:
     position = 0
+    # Blanks belong to the token behind them.
     while match := _TOKEN.match(text, position):
         kind = str(match.lastgroup)
         place = start.right(match.start(kind))
@@ -508,7 +537,8 @@ class _Parser:
         return self._row(self._sign, "*", "/")
 
     def _row(self, part: Callable[[], Node], *operators: str) -> Node:
-        tree, count = part(), 1
+        tree = part()
+        count = 1
         while token := self._accept(*operators):
             count += 1
             if count > MOST_IN_A_ROW:
@@ -537,6 +567,7 @@ class _Parser:
         tree = self._atom()
         if token := self._accept("**"):
             exponent = self._sign()
+            # M**9**9 would be a power of 387 420 489.
             if any(_is_steep(node) for node in walk(exponent)):
                 raise token.place.refuse(
                     f"an exponent is at most {LARGEST_EXPONENT}, and no power itself"
@@ -580,13 +611,15 @@ class _Parser:
     def _table(self, function: _Token) -> Node:
         first = self._sum()
         self._expect(",")
+        # A list follows: a table of one place.
         second = None if self._peek.text == "[" else self._sum()
         if second is not None:
             self._expect(",")
         places = self._list(self._sum)
         self._expect(",")
         if second is None:
-            values, name = self._list(self._sum), "table"
+            values = self._list(self._sum)
+            name = "table"
             if self._accept(","):
                 if not self._accept_word("cubic"):
                     raise self._peek.place.refuse(
@@ -596,11 +629,14 @@ class _Parser:
         else:
             inner = self._list(self._sum)
             self._expect(",")
-            rows, name = self._list(lambda: self._list(self._sum)), "table"
+            rows = self._list(lambda: self._list(self._sum))
+            name = "table"
+            # Each value is a term of the equations, with slopes of its own.
             if len(rows) * len(inner) > MOST_VALUES:
                 raise function.place.refuse(
                     f"table() has {len(rows) * len(inner)} values; must be at most {MOST_VALUES}"
                 )
+            # A map is a table of tables: its values at the first places are tables of the second.
             values = [self._looked_up(function, "table", second, inner, row) for row in rows]
         self._expect(")")
         return self._looked_up(function, name, first, places, values)
@@ -613,6 +649,7 @@ class _Parser:
                 f"table() has {len(places)} places and {len(values)} values; must be as many of"
                 f" both, 2 to {MOST_KNOTS}"
             )
+        # Without values: a name among the places is NaN, and rises nowhere.
         numbers = [evaluate(place, {}) for place in places]
         if not all(left < right for left, right in pairwise(numbers)):
             raise function.place.refuse(
@@ -657,14 +694,18 @@ class _Parser:
         return tree
 
     def _comparison(self) -> Node:
-        start, depth = self._next, self._depth
+        start = self._next
+        depth = self._depth
         if self._accept("("):  # a condition in brackets, or a sum that begins with one
             try:
                 tree = self._condition()
                 self._expect(")")
+            # It was a sum after all: read once more from the bracket on.
             except BadModel:
-                self._next, self._depth = start, depth
+                self._next = start
+                self._depth = depth
             else:
+                # An operator behind the bracket: it was the first part of a sum.
                 if self._peek.text not in (*COMPARISONS, "+", "-", "*", "/", "**"):
                     return tree
                 self._next = start

@@ -4,7 +4,8 @@ another library's object.
 A transfer function is written in the canonical form of its own time scale T, with every coefficient
 a free parameter:
 
-    T·dxᵢ/dt = xᵢ₊₁,   T·dxₙ/dt = −Σ αᵢ·xᵢ₊₁ + u,   y = Σ βᵢ·xᵢ₊₁ + δ·u,   αᵢ = aᵢ·Tⁿ⁻ⁱ,  βᵢ = bᵢ·Tⁿ⁻ⁱ
+    T·dxᵢ/dt = xᵢ₊₁,   T·dxₙ/dt = −Σ αᵢ·xᵢ₊₁ + u,   y = Σ βᵢ·xᵢ₊₁ + δ·u
+    αᵢ = aᵢ·Tⁿ⁻ⁱ,   βᵢ = bᵢ·Tⁿ⁻ⁱ
 
 so that its numbers are of one size. A state space keeps its states, and its entries are fixed: they
 cannot all be estimated. Balances are of the kind `signal`, so effects are judged on the paths of
@@ -136,20 +137,19 @@ def _system(content: Mapping[str, Any], where: str) -> tuple[Array, ...]:
         if top in content and below in content:
             return tuple(_array(content[key], 1, f"{where}, {key}") for key in (top, below))
     if all(key in content for key in "ABC"):
-        A, B, C = (_array(content[key], 2, f"{where}, {key}") for key in "ABC")
-        B = B.reshape(len(A), -1) if B.shape[0] != len(A) and B.size == len(A) else B
-        D = (
-            _array(content["D"], 2, f"{where}, D")
-            if "D" in content
-            else np.zeros((C.shape[0], B.shape[1]))
-        )
-        return (
-            A,
-            B,
-            C,
-            D.reshape(C.shape[0], B.shape[1]) if D.size == C.shape[0] * B.shape[1] else D,
-        )
+        return _state_space(content, where)
     raise BadModel(f"model {where!r}: needs numerator and denominator, or A, B, C and D")
+
+
+def _state_space(content: Mapping[str, Any], where: str) -> tuple[Array, Array, Array, Array]:
+    """A, B, C, D; without a D nothing of the inputs reaches the outputs at once."""
+    A, B, C = (_array(content[key], 2, f"{where}, {key}") for key in "ABC")
+    # a list of numbers was read as a row: it is the column of a single input
+    if B.shape[0] != len(A) and B.size == len(A):
+        B = B.reshape(len(A), -1)
+    shape = (C.shape[0], B.shape[1])
+    D = _array(content["D"], 2, f"{where}, D") if "D" in content else np.zeros(shape)
+    return A, B, C, D.reshape(shape) if D.size == shape[0] * shape[1] else D
 
 
 def _array(value: Any, dimensions: int, where: str) -> Array:
@@ -157,6 +157,7 @@ def _array(value: Any, dimensions: int, where: str) -> Array:
         array = np.atleast_1d(np.asarray(value, dtype=float))
     except (TypeError, ValueError):
         raise BadModel(f"{where}: does not hold numbers") from None
+    # A list may come as a matrix of one row or column.
     array = array.ravel() if dimensions == 1 else np.atleast_2d(array)
     if array.ndim != dimensions or not array.size or not np.isfinite(array).all():
         raise BadModel(
@@ -170,6 +171,7 @@ def of_object(system: Any) -> tuple[tuple[Array, ...], float | None]:
     python-control or SciPy.
     """
     step = getattr(system, "dt", None)
+    # 0 and None: continuous time. True: discrete without a sample time, which says nothing.
     step = float(step) if step not in (None, 0, True, False) else None
     if all(hasattr(system, key) for key in "ABCD"):
         return (
@@ -177,23 +179,29 @@ def of_object(system: Any) -> tuple[tuple[Array, ...], float | None]:
             step,
         )
     if hasattr(system, "num") and hasattr(system, "den"):
-        top, below = system.num, system.den
-        if (
-            isinstance(top, list | tuple)
-            or np.ndim(top) == 2
-            or getattr(top, "dtype", None) == np.dtype(object)
-        ):
-            if len(top) != 1 or len(top[0]) != 1:
-                raise BadModel(
-                    "a transfer function of several inputs or outputs: hand its state space over,"
-                    " ss(system)"
-                )
-            top, below = top[0][0], below[0][0]
+        top, below = _single_pair(system.num, system.den)
         return (_array(top, 1, "numerator"), _array(below, 1, "denominator")), step
     raise BadModel(
         f"{type(system).__name__}: is no transfer function and no state space (no num and den, no"
         " A, B, C, D)"
     )
+
+
+def _single_pair(top: Any, below: Any) -> tuple[Any, Any]:
+    """Numerator and denominator; python-control keeps a table of them, a row each output."""
+    is_table = (
+        isinstance(top, list | tuple)
+        or np.ndim(top) == 2
+        or getattr(top, "dtype", None) == np.dtype(object)
+    )
+    if not is_table:
+        return top, below
+    if len(top) != 1 or len(top[0]) != 1:
+        raise BadModel(
+            "a transfer function of several inputs or outputs: hand its state space over,"
+            " ss(system)"
+        )
+    return top[0][0], below[0][0]
 
 
 def linear_text(
@@ -208,39 +216,51 @@ def linear_text(
         Not proper, matrices that do not fit, a pole without a counterpart in continuous time.
     """
     if len(system) == 2:
-        top, below = (np.trim_zeros(part, "f") for part in system)
-        if not below.size or not top.size or top.size > below.size:
-            raise BadModel(
-                f"model {name!r}: a transfer function needs a numerator of at most the"
-                " denominator's degree"
-            )
+        top, below = _proper(name, *system)
         if sample_time is None:
             return _transfer_function_text(name, top / below[0], below / below[0], signals)
+        # only a state space is brought to continuous time, by a logarithm of its matrices
         system = tuple(np.asarray(part, dtype=float) for part in tf2ss(top, below))
-    A, B, C, D = system
-    if (
-        A.shape[0] != A.shape[1]
-        or B.shape[0] != len(A)
-        or C.shape[1] != len(A)
-        or D.shape != (C.shape[0], B.shape[1])
-    ):
-        raise BadModel(
-            f"model {name!r}: A {A.shape}, B {B.shape}, C {C.shape}, D {D.shape} do not fit each"
-            " other"
-        )
+    A, B, C, D = _fitting(name, *system)
     if sample_time is not None:
         A, B = _continuous(name, A, B, sample_time)
     return _state_space_text(name, (A, B, C, D), signals)
 
 
+def _proper(name: str, top: Array, below: Array) -> tuple[Array, Array]:
+    """Numerator and denominator without zeros before their highest power."""
+    top = np.trim_zeros(top, "f")
+    below = np.trim_zeros(below, "f")
+    if not below.size or not top.size or top.size > below.size:
+        raise BadModel(
+            f"model {name!r}: a transfer function needs a numerator of at most the denominator's"
+            " degree"
+        )
+    return top, below
+
+
+def _fitting(name: str, A: Array, B: Array, C: Array, D: Array) -> tuple[Array, ...]:
+    n = len(A)
+    fits = A.shape == (n, n) and B.shape[0] == n and C.shape[1] == n
+    if not fits or D.shape != (C.shape[0], B.shape[1]):
+        raise BadModel(
+            f"model {name!r}: A {A.shape}, B {B.shape}, C {C.shape}, D {D.shape} do not fit each"
+            " other"
+        )
+    return A, B, C, D
+
+
 def _continuous(name: str, A: Array, B: Array, step: float) -> tuple[Array, Array]:
     """A and B of continuous time whose input is held over each step."""
     poles = np.linalg.eigvals(A)
+    # A real pole at or left of zero has no real logarithm.
     if np.any((np.abs(poles.imag) < 1e-12) & (poles.real <= 1e-12)):
         raise BadModel(
             f"model {name!r}: has a pole at or left of zero, which no model in continuous time has"
         )
     n, m = B.shape
+    # exp([[A, B], [0, 0]]·T) = [[A_d, B_d], [0, 1]] of an input that is held (Van Loan): the
+    # logarithm goes back.
     whole = np.block([[A, B], [np.zeros((m, n)), np.eye(m)]])
     generator = np.real(logm(whole)) / step
     return generator[:n, :n], generator[:n, n:]
@@ -253,15 +273,14 @@ def _transfer_function_text(name: str, top: Array, below: Array, signals: Linear
         for given, letter in ((signals.inputs, "u"), (signals.outputs, "y"))
     )
     units = _units(signals, [u, y])
+    # a₀ … aₙ₋₁, in rising powers.
     a = below[1:][::-1]
     b = np.concatenate([top[::-1], np.zeros(n + 1 - top.size)])
-    through, b = b[n], b[:n] - b[n] * a
-    size = (
-        np.abs(a[0]) ** (1.0 / n)
-        if n and a[0]
-        else (np.max(np.abs(a) ** (1.0 / (n - np.arange(n)))) if n else 1.0)
-    )
-    T = 1.0 / size if size else 1.0
+    # The direct gain is split off: what is left is strictly proper.
+    through = b[n]
+    b = b[:n] - b[n] * a
+    T = _time_scale(a)
+    # αᵢ = aᵢ·Tⁿ⁻ⁱ and βᵢ = bᵢ·Tⁿ⁻ⁱ: coefficients of one size.
     scale = T ** (n - np.arange(n))
     parameters = {
         "T": _fixed(T, "s", "time scale"),
@@ -274,11 +293,11 @@ def _transfer_function_text(name: str, top: Array, below: Array, signals: Linear
         f"beta_{i}": _free(v, units[y], "of the numerator") for i, v in enumerate(b * scale) if v
     }
     balances = {}
-    for k in range(1, n + 1):
+    for k in range(1, n):
+        balances[f"order_{k}"] = _signal(f"T * der(x_{k})", {"next": f"x_{k + 1}"})
+    if n:
         last = {f"a_{i}": f"-alpha_{i} * x_{i + 1}" for i in range(n)} | {"input": f"one * {u}"}
-        balances[f"order_{k}"] = _signal(
-            f"T * der(x_{k})", last if k == n else {"next": f"x_{k + 1}"}
-        )
+        balances[f"order_{n}"] = _signal(f"T * der(x_{n})", last)
     total = [f"beta_{i} * x_{i + 1}" for i in range(n) if f"beta_{i}" in parameters]
     if through:
         parameters["delta"] = _free(through, _ratio(units[y], units[u]), "direct gain")
@@ -286,18 +305,29 @@ def _transfer_function_text(name: str, top: Array, below: Array, signals: Linear
     return _file(name, {u: units[u]}, n, parameters, balances, {y: (" + ".join(total), units[y])})
 
 
+def _time_scale(a: Array) -> float:
+    """T [s] of a denominator sⁿ + … + a₁s + a₀, the geometric mean of its poles' time constants;
+    with a pole at zero, where that is infinite, what makes the largest coefficient 1.
+    """
+    n = a.size
+    if n and a[0]:
+        return float(1.0 / np.abs(a[0]) ** (1.0 / n))
+    size = np.max(np.abs(a) ** (1.0 / (n - np.arange(n))), initial=0.0)
+    return float(1.0 / size) if size else 1.0
+
+
 def _state_space_text(name: str, system: tuple[Array, ...], signals: LinearSignals) -> str:
     A, B, C, D = system
     n = len(A)
-    ins, outs = (
-        signals.named(signals.inputs, "u", B.shape[1], name),
-        signals.named(signals.outputs, "y", C.shape[0], name),
-    )
+    ins = signals.named(signals.inputs, "u", B.shape[1], name)
+    outs = signals.named(signals.outputs, "y", C.shape[0], name)
     units = _units(signals, [*ins, *outs])
     parameters: dict[str, Any] = {"T": _fixed(1.0, "s", "time scale")}
-    balances, outputs = {}, {}
+    balances = {}
+    outputs = {}
     for i in range(n):
         terms = {}
+        # Zeros have no parameter: a matrix of thirty states would have nine hundred.
         for k in np.flatnonzero(A[i]):
             parameters[f"a_{i + 1}_{k + 1}"] = _fixed(float(A[i, k]), "", "")
             terms[f"state_{k + 1}"] = f"a_{i + 1}_{k + 1} * x_{k + 1}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
@@ -16,9 +16,14 @@ import yaml
 from residuum.identification.errors import BadInput, BadModel, BadUnit
 from residuum.identification.physics.effects import EFFECTS
 from residuum.identification.physics.effects.base import Parameter, Prior
-from residuum.identification.physics.files.consistency import check, definitions_of, expressions_of
+from residuum.identification.physics.files.consistency import check
 from residuum.identification.physics.files.effect_file import WrittenEffect, effects_of
-from residuum.identification.physics.files.expression import Expression, parse, with_definitions
+from residuum.identification.physics.files.expression import (
+    Expression,
+    Place,
+    parse,
+    with_definitions,
+)
 from residuum.identification.physics.files.parts import (
     MOST_PARTS,
     assembled,
@@ -162,7 +167,9 @@ def _composed(
     if "fmu" in tree.entries:
         raise tree.keys["fmu"].refuse(f"fmu: the model is an FMU; {_TAKES_FMUS}")
     tree.only(KEYS, "model file")
-    use, connect = tree.table("use", "model file"), tree.table("connect", "model file")
+    use = tree.table("use", "model file")
+    connect = tree.table("connect", "model file")
+    # A model made of parts may have no balance of its own.
     for section in ("outputs",) if list(use) else ("balances", "outputs"):
         if not list(tree.table(section, "model file", required=True)):
             raise tree.keys[section].refuse(f"{section}: is empty; a model has at least one")
@@ -172,82 +179,89 @@ def _composed(
             raise use.place.refuse(
                 f"use: more than {MOST_PARTS} parts, those of parts included; does one use itself?"
             )
-        part, of_part = _composed(text, source, folder, more)
-        for key in ("own_effects", "effects"):
-            if key in of_part.entries:
-                raise of_part.keys[key].refuse(
-                    f"{key}: a part has none; put them into the model that uses it"
-                )
-        return part
+        return _part_without_effects(text, source, folder, more)
 
     parts = parts_of(use, folder, read)
     own, let = _own_sections(tree, parts)
     assembly = assembled(parts, use, connect, own)
+    # What parts define, then what the model defines in their place.
     definitions = resolved({**assembly.definitions, **let})
     model = assembly.model
+    _check_units_of_defined(let, definitions, model)
+    balances = {name: rewritten(b, definitions) for name, b in model.balances.items()}
+    outputs = {
+        name: replace(output, value=with_definitions(output.value, definitions))
+        for name, output in own.outputs.items()
+    }
+    composed = replace(
+        model,
+        inputs=_without_defined(model.inputs, let),
+        parameters=_without_defined(model.parameters, let),
+        states=MappingProxyType(model.states),
+        initial={**model.initial, **_initial(tree, model)},
+        balances=MappingProxyType(balances),
+        outputs=MappingProxyType(outputs),
+    )
+    return composed, tree
+
+
+def _part_without_effects(
+    text: str, source: str, folder: Path | None, more: Iterator[int]
+) -> PhysicalModel:
+    """A part as `_composed` reads it. One with effects is refused: their parameters have no names
+    in the model that uses it.
+    """
+    part, tree = _composed(text, source, folder, more)
+    for key in ("own_effects", "effects"):
+        if key in tree.entries:
+            raise tree.keys[key].refuse(
+                f"{key}: a part has none; put them into the model that uses it"
+            )
+    return part
+
+
+def _check_units_of_defined(
+    let: Collection[str], definitions: Mapping[str, Expression], model: PhysicalModel
+) -> None:
+    """What the model defines in place of a part's input or parameter is in the unit of that one."""
     for name in let:
         for declared in (model.inputs, model.parameters):
             if name in declared:
                 check_unit(name, declared[name].unit, definitions[name], model)
-    return (
-        replace(
-            model,
-            inputs=_but(model.inputs, let),
-            parameters=_but(model.parameters, let),
-            states=MappingProxyType(model.states),
-            initial={**model.initial, **_initial(tree, model)},
-            balances=MappingProxyType(
-                {name: rewritten(b, definitions) for name, b in model.balances.items()}
-            ),
-            outputs=MappingProxyType(
-                {
-                    name: replace(output, value=with_definitions(output.value, definitions))
-                    for name, output in own.outputs.items()
-                }
-            ),
-        ),
-        tree,
-    )
 
 
-def _but(declared: Mapping[str, T], defined: Collection[str]) -> Mapping[str, T]:
+def _without_defined(declared: Mapping[str, T], defined: Collection[str]) -> Mapping[str, T]:
     """What a part declares, but for what the model that uses it defines."""
-    return MappingProxyType({name: it for name, it in declared.items() if name not in defined})
+    return MappingProxyType(
+        {name: entry for name, entry in declared.items() if name not in defined}
+    )
 
 
 def _own_sections(
     tree: Table, parts: Mapping[str, PhysicalModel]
 ) -> tuple[PhysicalModel, Mapping[str, Expression]]:
     """What the file itself declares, and what it defines under `let`."""
-    of_parts = {name: it for part in parts.values() for name, it in part.parameters.items()}
-    inputs = {
-        name: _input(name, tree.table("inputs", "model file")) for name in _names(tree, "inputs")
-    }
-    states = {
-        name: _state(name, tree.table("states", "model file")) for name in _names(tree, "states")
-    }
-    parameters = {
-        name: read_parameter(name, tree.table("parameters", "model file"), of_parts.get(name))
-        for name in _names(tree, "parameters")
-    }
-    parameters |= {
-        name: _constant(name, tree.table("constants", "model file"))
-        for name in _names(tree, "constants")
-    }
-    balances = {
-        name: _balance(name, tree.table("balances", "model file"))
-        for name in _names(tree, "balances")
-    }
-    outputs = {
-        name: _output(name, tree.table("outputs", "model file", required=True))
-        for name in _names(tree, "outputs")
-    }
-    of_record = {
-        name: parameters.pop(name) for name in _of_records(tree.table("parameters", "model file"))
-    }
-    states |= {name: State(name, p.unit, of_record=p) for name, p in of_record.items()}
-    let_section = tree.table("let", "model file")
-    let = {name: _expression(let_section.scalar(name, "let")) for name in _names(tree, "let")}
+    of_parts: dict[str, Parameter] = {}
+    for part in parts.values():
+        of_parts |= part.parameters
+
+    def entries(section: str, read: Callable[[str, Table], T]) -> dict[str, T]:
+        table = tree.table(section, "model file")
+        return {name: read(name, table) for name in _names(tree, section)}
+
+    inputs = entries("inputs", _input)
+    states = entries("states", _state)
+    parameters = entries(
+        "parameters", lambda name, table: read_parameter(name, table, of_parts.get(name))
+    )
+    parameters |= entries("constants", _constant)
+    balances = entries("balances", _balance)
+    outputs = entries("outputs", _output)
+    # a value for each record is a state that stands still: each experiment begins at its own
+    for name in _of_records(tree.table("parameters", "model file")):
+        of_record = parameters.pop(name)
+        states[name] = State(name, of_record.unit, of_record=of_record)
+    let = entries("let", lambda name, table: _expression(table.scalar(name, "let")))
     name = tree.scalar("name", "model file").text
     return PhysicalModel(name, inputs, states, parameters, balances, outputs), let
 
@@ -262,9 +276,8 @@ def _with_clock(model: PhysicalModel) -> PhysicalModel:
         *model.parameters,
         *(b.defines for b in model.balances.values()),
     }
-    if TIME in declared or not any(
-        TIME in expression.names for expression in expressions_of(model)
-    ):
+    # Declared by the file it is an input like any other.
+    if TIME in declared or not any(TIME in expression.names for expression in model.expressions):
         return model
     return replace(model, inputs=MappingProxyType({**model.inputs, TIME: Input(TIME, "s", CLOCK)}))
 
@@ -273,30 +286,23 @@ def write_model(model: PhysicalModel) -> str:
     """The YAML text of a model, effects and their provenance included; `read_model` gives the same
     model back.
     """
+    states = {}
+    parameters = {}
+    for name, parameter in model.parameters.items():
+        parameters[name] = written_parameter(parameter)
+    for name, state in model.states.items():
+        if state.of_record is None:
+            states[name] = _written_state(state)
+        else:
+            parameters[name] = written_parameter(state.of_record) | {"per": "record"}
     document: dict[str, Any] = {
         "name": model.name,
-        "inputs": {
-            i.name: i.unit if i.default is None else {"unit": i.unit, "default": i.default}
-            for i in model.inputs.values()
-        },
-        "states": {
-            s.name: {"unit": s.unit}
-            | ({"rate": s.rate} if s.rate else {})
-            | ({} if s.start is None else {"start": s.start})
-            for s in model.states.values()
-            if s.of_record is None
-        },
-        "parameters": {
-            name: written_parameter(parameter) for name, parameter in model.parameters.items()
-        }
-        | {
-            s.name: written_parameter(s.of_record) | {"per": "record"}
-            for s in model.states.values()
-            if s.of_record
-        },
+        "inputs": {name: _written_input(signal) for name, signal in model.inputs.items()},
+        "states": states,
+        "parameters": parameters,
     }
-    if definitions := definitions_of(model):
-        document["let"] = {name: it.text for name, it in definitions.items()}
+    if definitions := model.definitions:
+        document["let"] = {name: definition.text for name, definition in definitions.items()}
     document["balances"] = {
         balance.name: _written_balance(balance) for balance in model.balances.values()
     }
@@ -336,6 +342,21 @@ def dumped(document: dict[str, Any]) -> str:
     )
 
 
+def _written_input(signal: Input) -> str | dict[str, str]:
+    if signal.default is None:
+        return signal.unit
+    return {"unit": signal.unit, "default": signal.default}
+
+
+def _written_state(state: State) -> dict[str, Any]:
+    written: dict[str, Any] = {"unit": state.unit}
+    if state.rate:
+        written["rate"] = state.rate
+    if state.start is not None:
+        written["start"] = state.start
+    return written
+
+
 def _written_balance(balance: Balance) -> dict[str, Any]:
     terms = {name: term.text for name, term in balance.terms.items()}
     start = {} if balance.start is None else {"start": balance.start}
@@ -364,6 +385,7 @@ class _Dumper(yaml.SafeDumper):
 def _names(tree: Table, section: str) -> list[str]:
     table = tree.table(section, "model file")
     for name, place in table.keys.items():
+        # Outputs and balances are not named in expressions: they may be called as they like.
         if section not in ("outputs", "balances") and (
             not _NAME.fullmatch(name) or name in _RESERVED
         ):
@@ -397,7 +419,8 @@ def _state(name: str, section: Table) -> State:
     label = f"state {name!r}"
     table = section.table(name, "states")
     table.only(STATE_KEYS, label)
-    rate, start = table.optional("rate", label), table.optional("start", label)
+    rate = table.optional("rate", label)
+    start = table.optional("start", label)
     return State(
         name,
         _unit(table.scalar("unit", label)),
@@ -411,25 +434,25 @@ def read_parameter(name: str, section: Table, of_part: Parameter | None = None) 
     label = f"parameter {name!r}"
     entry = section.entries[name]
     if of_part is not None and isinstance(entry, Scalar):
+        # `R: 0.5` beside a part: its value alone.
         section = Table({name: _alone("value", entry)}, section.keys, section.place)
     table = section.table(name, "parameters")
     table.only(PARAMETER_KEYS, label)
+    # What the model does not say anew stays as the part has it.
     before = of_part or Parameter(name, 0.0, "")
     unit = table.optional("unit", label)
-    fixed, meaning = table.optional("fixed", label), table.optional("meaning", label)
+    fixed = table.optional("fixed", label)
+    meaning = table.optional("meaning", label)
     lower = _number(table.optional("lower", label), f"{label}: lower", before.lower)
     upper = _number(table.optional("upper", label), f"{label}: upper", before.upper)
     if of_part is not None and "value" not in table.entries:
-        number, prior, place = of_part.value, of_part.prior, table.place
+        number = of_part.value
+        prior = of_part.prior
+        place = table.place
     else:
         number, prior = _value_and_prior(table, label)
         place = table.scalar("value", label).place
-    if lower >= upper:
-        raise table.place.refuse(
-            f"{label}: lower is {lower:g} and upper is {upper:g}; lower must be below upper"
-        )
-    if not lower <= number <= upper:
-        raise place.refuse(f"{label}: value is {number:g}; must be within {lower:g} to {upper:g}")
+    _check_bounds(label, number, (lower, upper), table.place, place)
     return Parameter(
         name,
         number,
@@ -442,10 +465,25 @@ def read_parameter(name: str, section: Table, of_part: Parameter | None = None) 
     )
 
 
+def _check_bounds(
+    label: str, number: float, bounds: tuple[float, float], at_entry: Place, at_value: Place
+) -> None:
+    lower, upper = bounds
+    if lower >= upper:
+        raise at_entry.refuse(
+            f"{label}: lower is {lower:g} and upper is {upper:g}; lower must be below upper"
+        )
+    if not lower <= number <= upper:
+        raise at_value.refuse(
+            f"{label}: value is {number:g}; must be within {lower:g} to {upper:g}"
+        )
+
+
 def _of_records(section: Table) -> list[str]:
     """The parameters that have a value for each record (`per: record`)."""
     of_records = []
     for name, entry in section.entries.items():
+        # A value for each record is said by `per: record`.
         if not isinstance(entry, Table) or "per" not in entry.entries:
             continue
         label = f"parameter {name!r}"
@@ -476,38 +514,36 @@ def _number(text: Scalar | None, label: str, default: float) -> float:
     return default if text is None else text.number(label)
 
 
-def _value_and_prior(table: Table, what: str) -> tuple[float, Prior | None]:
+def _value_and_prior(table: Table, label: str) -> tuple[float, Prior | None]:
     """`value: 0.07 ± 0.01`, or a value that has left its `prior: 0.07 ± 0.01`."""
-    number, prior = _uncertain(table.scalar("value", what), f"{what}: value")
-    known = table.optional("prior", what)
+    number, prior = _uncertain(table.scalar("value", label), f"{label}: value")
+    known = table.optional("prior", label)
     if known is None:
         return number, prior
-    before = _uncertain(known, f"{what}: prior")[1]
+    before = _uncertain(known, f"{label}: prior")[1]
     if before is None:
         raise known.place.refuse(
-            f"{what}: prior is {known.text!r}; must be a value and its standard deviation, '0.07 ±"
+            f"{label}: prior is {known.text!r}; must be a value and its standard deviation, '0.07 ±"
             " 0.01'"
         )
     if prior is not None:
         raise known.place.refuse(
-            f"{what}: its value has a standard deviation and there is a 'prior'; only one may be"
+            f"{label}: its value has a standard deviation and there is a 'prior'; only one may be"
         )
     return number, before
 
 
-def _uncertain(text: Scalar, what: str) -> tuple[float, Prior | None]:
+def _uncertain(text: Scalar, label: str) -> tuple[float, Prior | None]:
     """A number, and the normal prior that it is where its standard deviation stands behind it."""
-    found = _UNCERTAIN.fullmatch(text.text.strip())
-    if found is None:
-        return text.number(what), None
-    mean, std = (
-        Scalar(found[1], text.place).number(what),
-        Scalar(found[2], text.place).number(f"{what}: standard deviation"),
-    )
+    match = _UNCERTAIN.fullmatch(text.text.strip())
+    if match is None:
+        return text.number(label), None
+    mean = Scalar(match[1], text.place).number(label)
+    std = Scalar(match[2], text.place).number(f"{label}: standard deviation")
     if std <= 0.0:
         raise text.place.refuse(
-            f"{what} is {text.text!r}; its standard deviation must be positive (fixed: true holds a"
-            " value)"
+            f"{label} is {text.text!r}; its standard deviation must be positive (fixed: true holds"
+            " a value)"
         )
     return mean, Prior(mean, std)
 
@@ -515,6 +551,7 @@ def _uncertain(text: Scalar, what: str) -> tuple[float, Prior | None]:
 def _constant(name: str, section: Table) -> Parameter:
     """`g: 9.81 m/s**2`: a number with its unit, which nothing estimates."""
     text = section.scalar(name, "constants")
+    # One text: a number, a blank, a unit, which may hold blanks itself.
     number, _, unit = text.text.partition(" ")
     value = Scalar(number, text.place).number(f"constant {name!r}")
     return Parameter(
@@ -560,10 +597,8 @@ def _balance(name: str, section: Table) -> Balance:
 def _output(name: str, section: Table) -> Output:
     table = section.table(name, "outputs")
     table.only(OUTPUT_KEYS, f"output {name!r}")
-    value, unit = (
-        table.scalar("value", f"output {name!r}"),
-        table.optional("unit", f"output {name!r}"),
-    )
+    value = table.scalar("value", f"output {name!r}")
+    unit = table.optional("unit", f"output {name!r}")
     return Output(name, _expression(value), _unit(unit) if unit else "")
 
 
@@ -580,6 +615,7 @@ def _initial(tree: Table, model: PhysicalModel) -> Mapping[str, float]:
 def with_effects(model: PhysicalModel, tree: Table) -> PhysicalModel:
     """The model with the effects that a file names."""
     if "own_effects" in tree.entries:
+        # Before the effects are read, which may name them.
         EFFECTS.use_here(*effects_of(tree.entries["own_effects"], tree))
     listing = tree.entries.get("effects")
     if listing is None:
@@ -607,7 +643,8 @@ def _with_effect(model: PhysicalModel, item: Table) -> PhysicalModel:
     priors: dict[str, Prior | None] = {}
     fixed: list[str] = []
     for name in table:
-        entry, named = table.entries[name], f"effect parameter {name!r}"
+        entry = table.entries[name]
+        named = f"effect parameter {name!r}"
         values[name], priors[name] = (
             _uncertain(entry, named)
             if isinstance(entry, Scalar)
@@ -625,6 +662,7 @@ def _with_effect(model: PhysicalModel, item: Table) -> PhysicalModel:
         return model.with_effect(
             id, target.text, values, fixed=fixed, priors=priors, provenance=provenance
         )
+    # The effect knows what is wrong, the file where.
     except BadInput as error:
         raise item.place.refuse(str(error)) from None
 
@@ -645,7 +683,9 @@ def written_parameter(parameter: Parameter) -> dict[str, Any]:
     """A parameter as `read_parameter` reads it."""
     written: dict[str, Any] = {"value": float(parameter.value), "unit": parameter.unit}
     if parameter.prior is not None:
+        # Beside the value, which an estimation has moved away from its prior.
         written["prior"] = str(parameter.prior)
+    # Infinite bounds are what a file without them means.
     if math.isfinite(parameter.lower):
         written["lower"] = float(parameter.lower)
     if math.isfinite(parameter.upper):

@@ -16,6 +16,7 @@ from residuum.identification.physics.files.model_file import (
 )
 from residuum.identification.physics.model import BALANCE_KINDS
 
+# As `model_file` reads them.
 _NAME = "^[A-Za-z_][A-Za-z_0-9]*$"
 _TEXT: dict[str, Any] = {"type": "string"}
 _NUMBER: dict[str, Any] = {
@@ -30,8 +31,9 @@ _UNCERTAIN: dict[str, Any] = {
 """A number and its standard deviation."""
 _EXPRESSION = {"type": ["string", "number"]}
 _TYPES: dict[str, dict[str, Any]] = {
-    "unit": _TEXT, "rate": _TEXT, "default": {"type": ["string", "number"]}, "value": {"anyOf": [_NUMBER, _UNCERTAIN]},
-    "lower": _NUMBER, "upper": _NUMBER, "fixed": {"type": "boolean"}, "meaning": _TEXT, "prior": _UNCERTAIN, "std": _NUMBER,
+    "unit": _TEXT, "rate": _TEXT, "default": {"type": ["string", "number"]},
+    "value": {"anyOf": [_NUMBER, _UNCERTAIN]}, "lower": _NUMBER, "upper": _NUMBER,
+    "fixed": {"type": "boolean"}, "meaning": _TEXT, "prior": _UNCERTAIN, "std": _NUMBER,
     "per": {"const": "record"}, "start": _NUMBER,
 }  # fmt: skip
 
@@ -43,7 +45,8 @@ def model_schema() -> dict[str, Any]:
     >>> sorted(model_schema()["required"]), model_schema()["then"]["required"]
     (['name', 'outputs'], ['balances'])
     """
-    parameter, of_part = _object(PARAMETER_KEYS, ["value"]), _object(PARAMETER_KEYS, [])
+    parameter = _object(PARAMETER_KEYS, ["value"])
+    of_part = _object(PARAMETER_KEYS, [])
     sections = {
         "name": _TEXT,
         "notes": {},

@@ -59,6 +59,7 @@ Read = Callable[[str, str, Path | None], PhysicalModel]
 @cache
 def library() -> Mapping[str, str]:
     """The parts that come with the product: name → text of the model file."""
+    # Read once a process: every model with parts asks for them.
     folder = files("residuum.identification.physics") / "parts"
     return {
         file.name.removesuffix(".yaml").replace("_", "-"): file.read_text(encoding="utf-8")
@@ -104,7 +105,8 @@ def assembled(
         With line and column: a name that is declared twice, no such balance, balances of different
         kinds without a ratio, a ratio that is no constant.
     """
-    model, definitions = own, dict[str, Expression]()
+    model = own
+    definitions = dict[str, Expression]()
     for name, part in parts.items():
         definitions |= {output.name: output.value for output in part.outputs.values()}
         model = _beside(model, part, use.keys[name])
@@ -117,6 +119,7 @@ def assembled(
 
 def _part(named: Scalar, folder: Path | None, read: Read) -> PhysicalModel:
     name = named.text
+    # A name without an ending is one of the library.
     if not _FILE.fullmatch(name):
         parts = library()
         if name not in parts:
@@ -142,13 +145,7 @@ def _part(named: Scalar, folder: Path | None, read: Read) -> PhysicalModel:
 
 def prefixed(model: PhysicalModel, prefix: str) -> PhysicalModel:
     """The model with the prefix before each of its names, but for the clock's."""
-    own = {
-        *model.states,
-        *model.parameters,
-        *(name for name, signal in model.inputs.items() if not signal.is_clock),
-        *(variable for balance in model.balances.values() if (variable := balance.defines)),
-    }
-    names = {name: prefix + name for name in own}
+    names = {name: prefix + name for name in _names_of_its_own(model)}
     definitions = {name: parse(new) for name, new in names.items()}
 
     def renamed(name: str | None) -> str | None:
@@ -163,12 +160,7 @@ def prefixed(model: PhysicalModel, prefix: str) -> PhysicalModel:
             for name, signal in model.inputs.items()
         },
         states={
-            names[name]: replace(
-                state,
-                name=names[name],
-                rate=renamed(state.rate),
-                of_record=state.of_record and replace(state.of_record, name=names[name]),
-            )
+            names[name]: replace(_state_called(names[name], state), rate=renamed(state.rate))
             for name, state in model.states.items()
         },
         parameters={
@@ -189,6 +181,20 @@ def prefixed(model: PhysicalModel, prefix: str) -> PhysicalModel:
     )
 
 
+def _names_of_its_own(model: PhysicalModel) -> set[str]:
+    """Names of a model's quantities. The clock is one for all parts, whatever their prefix."""
+    inputs = {name for name, signal in model.inputs.items() if not signal.is_clock}
+    defined = {balance.defines for balance in model.balances.values() if balance.defines}
+    return inputs | defined | model.states.keys() | model.parameters.keys()
+
+
+def _state_called(name: str, state: State) -> State:
+    of_record = state.of_record
+    if of_record is not None:
+        of_record = replace(of_record, name=name)
+    return replace(state, name=name, of_record=of_record)
+
+
 def rewritten(balance: Balance, definitions: Definitions) -> Balance:
     """The balance with what is defined put in for its name; a role is left out where its variable
     is then more than a name.
@@ -204,6 +210,7 @@ def rewritten(balance: Balance, definitions: Definitions) -> Balance:
             {name: with_definitions(term, definitions) for name, term in balance.terms.items()}
         ),
         variables=MappingProxyType(
+            # r·v is no variable that an effect could act through.
             {role: tree.name for role, tree in stand_for.items() if isinstance(tree, Name)}
         ),
     )
@@ -213,11 +220,14 @@ def _beside(model: PhysicalModel, part: PhysicalModel, place: Place) -> Physical
     """Both in one; what the model declares itself stands for the part's declaration."""
     declared = {**model.states, **model.parameters, **model.balances}
     own_of_record = {name for name, state in model.states.items() if state.of_record}
+    # Parameters and inputs may be declared anew, which changes them; states and balances are the
+    # part's own.
     for name in (*part.states, *part.balances):
         if name in declared:
             raise place.refuse(f"use: {name!r} of the part is declared in the model already")
     return replace(
         model,
+        # The model's own first, in order and in what they say.
         inputs={**model.inputs, **part.inputs, **model.inputs},
         states={**model.states, **part.states},
         parameters={
@@ -255,6 +265,7 @@ def _members(connect: Table, node: str, model: PhysicalModel) -> Iterator[_Membe
             " or {motor.shaft: 1, load.shaft: 1/n} with the ratio of each one's variable"
         )
     for named, ratio in texts:
+        # motor.shaft is the balance shaft of the part motor: motor_shaft.
         name = named.text.replace(".", "_")
         if name not in model.balances:
             known = known_names(name, sorted(model.balances), "there are")
@@ -284,51 +295,84 @@ def _joined(
     """The model with these balances as one of the node's name, and what their variables now stand
     for.
     """
-    first = next((m for m in members if m.balance.defines is None), members[0])
-    if node in model.balances and all(member.balance.name != node for member in members):
-        raise place.refuse(f"connect: {node!r} is the name of a balance that is not joined here")
+    _check_name_is_free(node, members, model, place)
+    first = _first_storing(members)
     v = _variable(first.balance, model, place)
+    positions = [_position(member.balance, model, place) for member in members]
+    position = _common_position(node, first, members, positions)
+    states = dict(model.states)
+    if position is not None and position not in positions:
+        unit = ROLE_UNITS["position"].get(first.balance.kind, "")
+        states[position] = State(position, unit, rate=v)
     definitions = dict[str, Expression]()
-    states, terms, storages = dict(model.states), dict[str, Expression](), list[str]()
-    positions = [(m, x) for m in members if (x := _position(m.balance, model, place))]
-    kept = next((x for m, x in positions if m is first), None)
-    if kept is None and positions:
-        kept = f"{node}_position"
-        states[kept] = State(kept, ROLE_UNITS["position"].get(first.balance.kind, ""), v)
-    for member in members:
+    terms = dict[str, Expression]()
+    storages = list[str]()
+    for member, own_position in zip(members, positions, strict=True):
         r = _relative(member, first, place)
         variable = _variable(member.balance, model, place)
         if member is not first:
             definitions[variable] = _times(r, v, place)
+            # A name of a part must not change its unit by being joined.
             check_unit(variable, model.unit_of(variable), definitions[variable], model)
             states.pop(variable, None)
-            definitions |= {
-                x: _times(r, kept, place) for m, x in positions if m is member and kept is not None
-            }
+        if own_position is not None and position not in (None, own_position):
+            definitions[own_position] = _times(r, position, place)
+            states.pop(own_position, None)
+        # Power is kept: v_j = r·v, so terms count r times and storages r² times.
         storages += _scaled_storage(member, variable, v, r)
         terms |= _scaled_terms(member.balance, r)
-    for _, x in positions:
-        if x != kept:
-            states.pop(x, None)
     joined = Balance(
         node,
         first.balance.kind,
         parse(" + ".join(storages) or "0", first.balance.storage.place),
         MappingProxyType(terms),
-        _roles(members, first, v, kept),
+        _roles(members, first, v, position),
         first.balance.unit,
         next((m.balance.start for m in members if m.balance.start is not None), None),
     )
-    gone = {member.balance.name for member in members}
-    balances = {name: b for name, b in model.balances.items() if name not in gone} | {node: joined}
-    return (
-        replace(
-            model,
-            states=states,
-            balances={name: rewritten(b, definitions) for name, b in balances.items()},
-            initial={name: x for name, x in model.initial.items() if name in states},
-        ),
-        definitions,
+    return _with_joined(model, joined, members, states, definitions), definitions
+
+
+def _check_name_is_free(
+    node: str, members: Iterable[_Member], model: PhysicalModel, place: Place
+) -> None:
+    if node in model.balances and all(member.balance.name != node for member in members):
+        raise place.refuse(f"connect: {node!r} is the name of a balance that is not joined here")
+
+
+def _first_storing(members: Sequence[_Member]) -> _Member:
+    """The first member that stores something: it has a state, which the other members' variables
+    are ratios of. The first of all where none has one.
+    """
+    return next((member for member in members if member.balance.defines is None), members[0])
+
+
+def _common_position(
+    node: str, first: _Member, members: Sequence[_Member], positions: Sequence[str | None]
+) -> str | None:
+    """The position of the first member; a new one's name where others alone have one."""
+    for member, position in zip(members, positions, strict=True):
+        if member is first and position is not None:
+            return position
+    return f"{node}_position" if any(positions) else None
+
+
+def _with_joined(
+    model: PhysicalModel,
+    joined: Balance,
+    members: Iterable[_Member],
+    states: Mapping[str, State],
+    definitions: Definitions,
+) -> PhysicalModel:
+    """The model with one balance in place of the members, and these states alone."""
+    replaced = {member.balance.name for member in members}
+    balances = {name: b for name, b in model.balances.items() if name not in replaced}
+    balances[joined.name] = joined
+    return replace(
+        model,
+        states=states,
+        balances={name: rewritten(b, definitions) for name, b in balances.items()},
+        initial={name: value for name, value in model.initial.items() if name in states},
     )
 
 
@@ -353,7 +397,9 @@ def _position(balance: Balance, model: PhysicalModel, place: Place) -> str | Non
 
 def _relative(member: _Member, first: _Member, place: Place) -> str:
     """The ratio to the first one's variable, as text; "1" where they are the same."""
-    r, of_first = member.ratio.text, first.ratio.text
+    r = member.ratio.text
+    of_first = first.ratio.text
+    # Equal ratios, a 1 of both included: no scaling.
     if r == of_first:
         if member.balance.kind != first.balance.kind:
             raise place.refuse(
@@ -369,20 +415,23 @@ def check_unit(name: str, unit: str, stands_for: Expression, model: PhysicalMode
     """BadModel where a name of a part, which is in this unit, stands for something in another; °C
     and K are two, by their zero.
     """
-    place, text = stands_for.place, stands_for.text
-    dimensions = {other: dimension_of_unit(model.unit_of(other)) for other in stands_for.names}
-    given, declared = dimension_of(stands_for.tree, dimensions), dimension_of_unit(unit)
+    place = stands_for.place
+    text = stands_for.text
+    dimensions = {used: dimension_of_unit(model.unit_of(used)) for used in stands_for.names}
+    given = dimension_of(stands_for.tree, dimensions)
+    declared = dimension_of_unit(unit)
     if not given.agrees(declared):
         raise place.refuse(
             f"unit clash: {name!r} of a part is in {unit!r}; {text!r}, which it stands for, is in"
             f" {given}"
         )
+    # °C and K have one dimension: their zeros tell them apart.
     zero = parse_unit(unit).offset
-    for other, dimension in dimensions.items():
-        if dimension.agrees(declared) and parse_unit(model.unit_of(other)).offset != zero:
+    for used, dimension in dimensions.items():
+        if dimension.agrees(declared) and parse_unit(model.unit_of(used)).offset != zero:
             raise place.refuse(
-                f"unit clash: {name!r} of a part is in {unit!r}, {other!r} in"
-                f" {model.unit_of(other)!r}; declare both in one of them, records are converted"
+                f"unit clash: {name!r} of a part is in {unit!r}, {used!r} in"
+                f" {model.unit_of(used)!r}; declare both in one of them, records are converted"
             )
 
 
@@ -397,6 +446,7 @@ def _scaled_storage(member: _Member, variable: str, v: str, r: str) -> list[str]
     text = with_definitions(storage, {variable: parse(v, storage.place)}).text
     if r == "1":
         return [text]
+    # The ratio would stand inside of such a storage, too.
     outside = folded(storage.tree, lambda node, inner: _depends_on(variable, node, inner))
     if outside:
         raise storage.place.refuse(
@@ -434,6 +484,8 @@ def _roles(
         for member in members
         if member.balance.kind == first.balance.kind
         for role, name in member.balance.variables.items()
+        # What members have in common is the node's; what else they name (an ambient temperature) is
+        # kept.
         if role not in ("position", "velocity", "current", "temperature", "level")
     }
     own = {
@@ -448,36 +500,42 @@ def with_places_of_parts(model: PhysicalModel, tree: Table) -> Table:
     """The tree with a place for each name that came from a part: where the part, or the node that
     it was joined at, stands in the file.
     """
-    use, connect = tree.table("use", "model file"), tree.table("connect", "model file")
+    use = tree.table("use", "model file")
+    connect = tree.table("connect", "model file")
     origins = {f"{name}_": place for name, place in use.keys.items()} | dict(connect.keys)
     if not origins:
         return tree
     entries = dict(tree.entries)
+    # What the model declares itself has its own place.
     own = tree.table("parameters", "model file").keys
     sections = {"inputs": model.inputs, "states": model.states, "balances": model.balances}
     for section, names in sections.items():
         table = tree.table(section, "model file")
-        keys = {
-            name: next((at for origin, at in origins.items() if name.startswith(origin)), use.place)
-            for name in names
-            if name not in own
-        }
+        keys = {name: _origin_of(name, origins, use.place) for name in names if name not in own}
         entries[section] = Table(table.entries, keys | dict(table.keys), table.place)
     return Table(entries, tree.keys, tree.place)
 
 
+def _origin_of(name: str, origins: Mapping[str, Place], otherwise: Place) -> Place:
+    """The place of the first origin that a name begins with."""
+    return next((at for origin, at in origins.items() if name.startswith(origin)), otherwise)
+
+
 def resolved(definitions: Definitions) -> dict[str, Expression]:
-    """The definitions with those that they name put in; BadModel for one that comes back to itself."""
+    """The definitions with those that they name put in; BadModel for one that comes back to
+    itself.
+    """
     done = dict[str, Expression]()
 
     def settle(name: str, above: tuple[str, ...]) -> Expression:
         if name in done:
             return done[name]
+        # Names on the way to this one: met again, it names itself.
         if name in above:
             raise definitions[name].place.refuse(f"let: {name!r} is defined by itself")
         inner = {
-            other: settle(other, (*above, name))
-            for other in sorted(definitions[name].names & definitions.keys())
+            named: settle(named, (*above, name))
+            for named in sorted(definitions[name].names & definitions.keys())
         }
         done[name] = with_definitions(definitions[name], inner)
         return done[name]

@@ -71,6 +71,7 @@ class _Text(StrPrinter):
                 "equations: the last case of a Piecewise must hold whatever else does (True)"
             )
         text = self._print(last)
+        # From the inside out: the first case stands outermost, so it is asked first.
         for value, condition in reversed(cases):
             text = f"where({self._condition(condition)}, {self._print(value)}, {text})"
         return text
@@ -102,6 +103,7 @@ def model_table(
     states, inputs, parameters = units
     printer = _Text()
     text = {state: printer.doprint(sp.sympify(rate)) for state, rate in rates.items()}
+    # A rate that is nothing but another state: that one is its velocity.
     positions = {state: rate for state, rate in text.items() if rate in states}
     table: dict[str, Any] = {
         "name": name,
@@ -140,6 +142,7 @@ def _balance(
     balance: dict[str, Any] = {"kind": kind, "storage": f"der({state})", "terms": {"rate": rate}}
     if kind in _ROLES:
         balance[_ROLES[kind]] = state
+    # The state whose rate this one is.
     position = next((name for name, rate_of in positions.items() if rate_of == state), None)
     if position is not None and _ROLES.get(kind) == "velocity":
         balance["position"] = position

@@ -11,6 +11,7 @@ from __future__ import annotations
 import csv
 import math
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TypeVar
 
@@ -33,11 +34,11 @@ def with_table_files(tree: T, folder: Path | None) -> T:
         no table in it.
     """
     if isinstance(tree, Table):
-        return Table(
-            {k: with_table_files(v, folder) for k, v in tree.entries.items()}, tree.keys, tree.place
-        )  # type: ignore[return-value]
+        entries = {key: with_table_files(value, folder) for key, value in tree.entries.items()}
+        return Table(entries, tree.keys, tree.place)  # type: ignore[return-value]
     if isinstance(tree, Listing):
-        return Listing([with_table_files(item, folder) for item in tree.items], tree.place)  # type: ignore[return-value]
+        items = [with_table_files(item, folder) for item in tree.items]
+        return Listing(items, tree.place)  # type: ignore[return-value]
     if "table(" not in tree.text:
         return tree
     return Scalar(
@@ -46,6 +47,26 @@ def with_table_files(tree: T, folder: Path | None) -> T:
 
 
 def _lists(name: str, folder: Path | None, place: Place) -> str:
+    """A file's table as the lists that stand behind what is looked up."""
+    cells = csv.reader(_lines(name, folder, place))
+    rows = [list(map(_number, row)) for row in cells]
+    if rows and len(rows[0]) == 2 and not all(map(math.isfinite, rows[0])):
+        rows = rows[1:]  # a head of names
+    if not _is_table(rows):
+        raise place.refuse(
+            f"table {name!r}: must hold rows of numbers, all as long: place,value, or the values of"
+            " two places"
+        )
+    if len(rows[0]) == 2:
+        places, values = map(list, zip(*rows, strict=True))
+        return f"{places}, {values}"
+    first_places = [row[0] for row in rows[1:]]
+    second_places = rows[0][1:]
+    return f"{first_places}, {second_places}, {[row[1:] for row in rows[1:]]}"
+
+
+def _lines(name: str, folder: Path | None, place: Place) -> list[str]:
+    """The lines of a file that are neither empty nor comments."""
     if folder is None:
         raise place.refuse(
             f"table {name!r}: a model that is given as a text has no files beside it; write the"
@@ -53,31 +74,22 @@ def _lists(name: str, folder: Path | None, place: Place) -> str:
         )
     try:
         with (folder / name).open(encoding="utf-8-sig", newline="") as file:
-            lines = [
-                line
-                for line in file.read(_LARGEST).splitlines()
-                if line.strip() and not line.startswith("#")
-            ]
+            text = file.read(_LARGEST)
     except (OSError, UnicodeDecodeError) as error:
         raise place.refuse(
             f"table {name!r}: cannot be read beside the model file ({error.__class__.__name__})"
         ) from None
-    rows = [[_number(cell) for cell in row] for row in csv.reader(lines)]
-    if rows and len(rows[0]) == 2 and not all(map(math.isfinite, rows[0])):
-        rows = rows[1:]
-    body = [row[1:] if k == 0 and len(row) > 2 else row for k, row in enumerate(rows)]
-    if (
-        len(rows) < 2
-        or {len(row) for row in rows} != {len(rows[0])}
-        or not all(math.isfinite(x) for row in body for x in row)
-    ):
-        raise place.refuse(
-            f"table {name!r}: must hold rows of numbers, all as long: place,value, or the values of"
-            " two places"
-        )
-    if len(rows[0]) == 2:
-        return f"{[x for x, _ in rows]}, {[y for _, y in rows]}"
-    return f"{[row[0] for row in rows[1:]]}, {rows[0][1:]}, {[row[1:] for row in rows[1:]]}"
+    return [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
+
+
+def _is_table(rows: Sequence[Sequence[float]]) -> bool:
+    """Whether there are two rows or more of numbers, all as long; the corner of a table of two
+    places may hold anything.
+    """
+    if len(rows) < 2 or any(len(row) != len(rows[0]) for row in rows):
+        return False
+    first = rows[0][1:] if len(rows[0]) > 2 else rows[0]
+    return all(math.isfinite(number) for row in (first, *rows[1:]) for number in row)
 
 
 def _number(cell: str) -> float:

@@ -137,6 +137,7 @@ def read_tree(
             f"longer than the {MOST_CHARACTERS} characters that a model file may have"
         )
     try:
+        # Before anything is built: aliases and deep nesting make small texts large.
         _bounded(text, source)
         node = yaml.compose(text, Loader=yaml.SafeLoader)
     except yaml.MarkedYAMLError as error:
@@ -169,6 +170,7 @@ def _bounded(text: str, source: str) -> None:
 def _tree(node: yaml.Node, source: str) -> Tree:
     place = Place(source, node.start_mark.line + 1, node.start_mark.column + 1)
     if isinstance(node, yaml.ScalarNode):
+        # A quoted text begins behind its quotation mark.
         return Scalar(str(node.value), place.right(1) if node.style in ("'", '"') else place)
     if isinstance(node, yaml.SequenceNode):
         return Listing([_tree(item, source) for item in node.value], place)
@@ -184,10 +186,13 @@ def _tree(node: yaml.Node, source: str) -> Tree:
             )
         before = entries.get(last)
         if isinstance(before, Scalar) and before.text.count("(") > before.text.count(")"):
+            # An open bracket: the text goes on behind the comma.
             # `{a: max(b, 0)}`: YAML split at the comma
             entries[last] = Scalar(f"{before.text}, {key.text}", before.place)
             continue
         if key.text in entries:
             raise key.place.refuse(f"key {key.text!r} stands twice")
-        entries[key.text], keys[key.text], last = _tree(value_node, source), key.place, key.text
+        entries[key.text] = _tree(value_node, source)
+        keys[key.text] = key.place
+        last = key.text
     return Table(entries, keys, place)

@@ -27,7 +27,8 @@ class OwnSimulation:
     """
 
     def __init__(self, instance: Instance) -> None:
-        self.instance, self.says = instance, ""
+        self.instance = instance
+        self.says = ""
         described = instance.description
         # what compiled code points to is freed with what calls it
         self._steps: Any = None
@@ -55,6 +56,7 @@ class OwnSimulation:
             self.says = "it refuses its parameters"
             return Y
         between = U.copy()
+        # The mean over a step of an input that moves evenly; one that is held keeps its value.
         between[:-1] += 0.5 * hold * np.diff(U, axis=0)
         reached = self._steps(U, between, dt, Y)
         if reached < len(U):
@@ -68,9 +70,12 @@ class OwnSimulation:
             max(2 * len(U) - 1, 1),
             dtype=[("time", float), *((v.name, float) for v in described.inputs)],
         )
-        held["time"][::2], held["time"][1::2] = time, time[1:]
+        # Each time twice, with the value before and after: fmpy interpolates, and inputs are held.
+        held["time"][::2] = time
+        held["time"][1::2] = time[1:]
         for k, variable in enumerate(described.inputs):
-            held[variable.name][::2], held[variable.name][1::2] = U[:, k], U[:-1, k]
+            held[variable.name][::2] = U[:, k]
+            held[variable.name][1::2] = U[:-1, k]
         try:
             self.instance.afresh()
             trajectory = fmpy().simulate_fmu(
@@ -88,6 +93,7 @@ class OwnSimulation:
         except Exception as error:
             self.says = in_one_line(error)
             return np.full((len(U), len(described.outputs)), np.nan)
+        # The last row at or before each sample: events may have added rows at its time.
         at = np.clip(np.searchsorted(trajectory["time"], time + 1e-3 * dt) - 1, 0, None)
         return np.stack([np.asarray(trajectory[v.name])[at] for v in described.outputs], axis=1)
 
@@ -97,9 +103,13 @@ def _compiled(instance: Instance) -> tuple[Any, tuple[Any, ...]]:
     points to.
     """
     described = instance.description
-    two, component = described.version == 2, instance.component
-    nu, ny = len(described.inputs), len(described.outputs)
-    pointer, size, double = ctypes.c_void_p, ctypes.c_size_t, ctypes.c_double
+    two = described.version == 2
+    component = instance.component
+    nu = len(described.inputs)
+    ny = len(described.outputs)
+    pointer = ctypes.c_void_p
+    size = ctypes.c_size_t
+    double = ctypes.c_double
     by = (pointer, pointer, size, pointer) + (() if two else (size,))
     functions = {
         "set": instance.function("SetReal" if two else "SetFloat64", *by),
@@ -112,8 +122,9 @@ def _compiled(instance: Instance) -> tuple[Any, tuple[Any, ...]]:
     references = np.array(
         [v.reference for v in (*described.inputs, *described.outputs)], dtype=np.uint32
     )
-    told = np.zeros(4)
-    ins, flags = references.ctypes.data, told.ctypes.data
+    replies = np.zeros(4)
+    ins = references.ctypes.data
+    flags = replies.ctypes.data
     put, take = by_reference(functions, component, (ins, nu), (ins + 4 * nu, ny))
     if two:
         step = njit(lambda t, h: do_step(component, t, h, 1))
@@ -134,9 +145,11 @@ def _compiled(instance: Instance) -> tuple[Any, tuple[Any, ...]]:
             if k + 1 == n:
                 return n
             if nu > 0:
+                # Outputs at a sample were asked for with the inputs there; the step takes their
+                # mean.
                 put(between.ctypes.data + 8 * nu * k)
             if step(k * dt, dt) > ACCEPTED:
                 return k + 1
         return n
 
-    return steps, (references, told, functions, do_step)
+    return steps, (references, replies, functions, do_step)

@@ -129,25 +129,17 @@ def describe(path: str | Path) -> Description:
 
 
 def _check_platform(path: str, version: int, held: Iterable[str]) -> None:
-    system, machine = platform.system(), _ARCHITECTURE.get(platform.machine(), platform.machine())
+    system = platform.system()
+    machine = _ARCHITECTURE.get(platform.machine(), platform.machine())
     of_three, of_two = _SYSTEM.get(system, (system.lower(), system.lower()))
     folder = f"{machine}-{of_three}" if version == 3 else f"{of_two}64"
-    platforms = sorted(
-        {
-            name.split("/")[1]
-            for name in held
-            if name.startswith("binaries/") and name.count("/") > 1 and name[-1] != "/"
-        }
-    )
+    platforms = _platforms(held)
+    # linux64 of FMI 2 is x86-64: on another processor that folder does not help.
     if folder in platforms and (version == 3 or machine == "x86_64"):
         return
-    has = (
-        f"libraries for {', '.join(platforms)}"
-        if platforms
-        else "sources only"
-        if _has_sources(held)
-        else "no library"
-    )
+    has = "sources only" if _has_sources(held) else "no library"
+    if platforms:
+        has = f"libraries for {', '.join(platforms)}"
     remedy = "compile it with its sources, or export it" if _has_sources(held) else "export it"
     raise BadModel(
         f"model {path!r}: has {has}, none for {folder}, which this platform needs; {remedy} for"
@@ -155,18 +147,21 @@ def _check_platform(path: str, version: int, held: Iterable[str]) -> None:
     )
 
 
+def _platforms(held: Iterable[str]) -> list[str]:
+    """Folders of `binaries/` that hold a file."""
+    paths = [name.split("/") for name in held if name.startswith("binaries/")]
+    # an entry of a folder itself ends with a slash: its last part is empty
+    return sorted({path[1] for path in paths if len(path) > 2 and path[-1]})
+
+
 def _has_sources(held: Iterable[str]) -> bool:
     return any(name.startswith("sources/") for name in held)
 
 
 def _description(path: str, version: int, read: Any) -> Description:
-    reals = [
-        v
-        for v in read.modelVariables
-        if v.type in ("Real", "Float64") and not getattr(v, "dimensions", None)
-    ]
+    reals = [v for v in read.modelVariables if _is_real_scalar(v)]
+    # In the order of the FMU's own vectors of states and derivatives.
     derivatives = [d.variable for d in read.derivatives if d.variable.derivative is not None]
-    exchange, simulation = read.modelExchange, read.coSimulation
     return Description(
         path,
         read.modelName,
@@ -176,16 +171,24 @@ def _description(path: str, version: int, read: Any) -> Description:
         tuple(_variable(v) for v in reals if v.causality == "output"),
         tuple(_variable(d.derivative) for d in derivatives),
         tuple(_variable(d) for d in derivatives),
-        (
-            int(getattr(read, "numberOfEventIndicators", 0) or 0)
-            if version == 2
-            else len(getattr(read, "eventIndicators", ()))
-        ),
-        _way(exchange),
-        _way(simulation),
+        _count_of_events(version, read),
+        _way(read.modelExchange),
+        _way(read.coSimulation),
         {p.name: p for v in reals if (p := _settable(v)) is not None},
         {v.name: _kind(v) for v in read.modelVariables if _settable(v) is None},
     )
+
+
+def _is_real_scalar(variable: Any) -> bool:
+    """Whether a variable is a number: FMI 2 says `Real`, FMI 3 `Float64`, which may be an array."""
+    return variable.type in ("Real", "Float64") and not getattr(variable, "dimensions", None)
+
+
+def _count_of_events(version: int, read: Any) -> int:
+    """Number of event indicators: FMI 2 says it, FMI 3 lists them."""
+    if version == 2:
+        return int(getattr(read, "numberOfEventIndicators", 0) or 0)
+    return len(getattr(read, "eventIndicators", ()))
 
 
 def _way(kind: Any) -> Way | None:
@@ -199,8 +202,7 @@ def _way(kind: Any) -> Way | None:
 def _settable(variable: Any) -> Settable | None:
     """A real parameter with a start value that is fixed or tunable; None for any other variable."""
     if (
-        variable.type not in ("Real", "Float64")
-        or getattr(variable, "dimensions", None)
+        not _is_real_scalar(variable)
         or variable.causality != "parameter"
         or variable.variability not in ("fixed", "tunable")
         or variable.start is None
@@ -209,6 +211,7 @@ def _settable(variable: Any) -> Settable | None:
     of_type = getattr(variable, "declaredType", None)
 
     def number(key: str, otherwise: float | None) -> Any:
+        # Bounds, too.
         text = getattr(variable, key, None) or getattr(of_type, key, None)
         return otherwise if text is None else float(text)
 
@@ -235,6 +238,7 @@ def _kind(variable: Any) -> str:
 
 def _variable(variable: Any) -> Variable:
     declared = getattr(variable, "declaredType", None)
+    # A unit may stand at the variable or at its declared type.
     unit = variable.unit or (declared.unit if declared is not None else None) or ""
     return Variable(variable.name, int(variable.valueReference), unit)
 
@@ -242,8 +246,8 @@ def _variable(variable: Any) -> Variable:
 def unit_of(variable: Variable) -> str:
     """A unit as we write it from one as Modelica writes it: `N.m`, `m/s2`.
 
-    >>> unit_of(Variable("a", 1, "m/s2")), unit_of(Variable("a", 1, "N.m")), unit_of(Variable("a", 1, "1"))
-    ('m/s**2', 'N*m', '')
+    >>> [unit_of(Variable("a", 1, written)) for written in ("m/s2", "N.m", "1")]
+    ['m/s**2', 'N*m', '']
     """
     unit = re.sub(
         r"(?<=[A-Za-z])(-?\d+)", r"**\1", variable.unit.strip().replace(".", "*").replace("·", "*")

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -33,6 +33,7 @@ from residuum.identification.physics.fmu.loaded_library import LoadedLibrary
 from residuum.identification.physics.model import Balance, Input, Output, PhysicalModel, State
 from residuum.identification.units import parse_unit
 
+# Points at which a rate is held against a state, and the part by which they may differ.
 _POINTS = 8
 _ALIKE = 1e-7
 
@@ -58,6 +59,7 @@ def exchange_model(
     units = [unit_of(v) for v in described.states]
     rates = _rates(library)
     arguments = (*states, *inputs, *library.parameters)
+    # Of the file: code that calls one library must not be taken for another.
     digest = hashlib.sha256(Path(described.path).read_bytes()).hexdigest()[:12]
 
     def external(k: int) -> Expression:
@@ -67,14 +69,6 @@ def exchange_model(
         # the text is a part of the key under which compiled code is kept
         return Expression(f"{EXTERNAL}_{digest}_{k}({', '.join(arguments)})", tree)
 
-    balances = {}
-    for k, (name, unit) in enumerate(zip(states, units, strict=True)):
-        if k in rates:
-            continue
-        kind, roles = _kind(name, unit, next((states[q] for q, v in rates.items() if v == k), None))
-        balances[name] = Balance(
-            name, kind, parse(f"der({name})"), {"fmu": external(k)}, roles, f"{unit or '1'}/s"
-        )
     sections: dict[str, dict[str, Any]] = {
         "inputs": {
             name: Input(name, unit_of(v)) for name, v in zip(inputs, described.inputs, strict=True)
@@ -83,7 +77,7 @@ def exchange_model(
             name: State(name, units[k], states[rates[k]] if k in rates else None)
             for k, name in enumerate(states)
         },
-        "balances": balances,
+        "balances": _balances(states, units, rates, external),
         "outputs": {
             name: Output(name, external(len(states) + k), unit_of(v))
             for k, (name, v) in enumerate(zip(outputs, described.outputs, strict=True))
@@ -91,6 +85,30 @@ def exchange_model(
     }
     held: dict[str, Any] = {key: MappingProxyType(value) for key, value in sections.items()}
     return PhysicalModel(described.name, parameters=MappingProxyType(dict(parameters)), **held)
+
+
+def _balances(
+    states: Sequence[str],
+    units: Sequence[str],
+    rates: Mapping[int, int],
+    external: Callable[[int], Expression],
+) -> dict[str, Balance]:
+    """A balance for each state, but for those whose derivative is another state: there is nothing
+    to balance.
+    """
+    positions: dict[int, str] = {}
+    for position, velocity in rates.items():
+        # of several positions with one velocity the first counts
+        positions.setdefault(velocity, states[position])
+    balances = {}
+    for k, (name, unit) in enumerate(zip(states, units, strict=True)):
+        if k in rates:
+            continue
+        kind, roles = _kind(name, unit, positions.get(k))
+        balances[name] = Balance(
+            name, kind, parse(f"der({name})"), {"fmu": external(k)}, roles, f"{unit or '1'}/s"
+        )
+    return balances
 
 
 def _rates(library: LoadedLibrary) -> dict[int, int]:
@@ -110,6 +128,7 @@ def _rates(library: LoadedLibrary) -> dict[int, int]:
             for v in range(n)
             if v != q and np.all(np.abs(values[:, q] - x[:, v]) <= _ALIKE * (1 + np.abs(x[:, v])))
         ]
+        # Two states that are each other's rate cannot be: the first stays.
         if near and near[0] not in rates:
             rates[q] = near[0]
     return rates

@@ -20,6 +20,7 @@ from residuum.identification.physics.fmu.description import Description, fmpy
 
 TOLERANCE = 1e-8
 """Relative tolerance that a solver of its own is asked for."""
+# Event iterations at the start, at most: an FMU that always asks for one more would never begin.
 _SETTLINGS = 10
 
 
@@ -37,11 +38,14 @@ class Instance:
     """
 
     def __init__(self, description: Description, *, exchanged: bool) -> None:
-        self.description, self.exchanged = description, exchanged
+        self.description = description
+        self.exchanged = exchanged
         self.begun: object = None
         """Who began it last, and with what."""
         way = description.exchange if exchanged else description.simulation
-        assert way is not None
+        if way is None:
+            asked = "model exchange" if exchanged else "co-simulation"
+            raise BadModel(f"model {description.path!r}: the FMU does not offer {asked}")
         self.folder = fmpy().extract(description.path, tempfile.mkdtemp(prefix="residuum-fmu-"))
         weakref.finalize(self, shutil.rmtree, self.folder, ignore_errors=True)
         kind = f"FMU{description.version}{'Model' if exchanged else 'Slave'}"
@@ -54,6 +58,8 @@ class Instance:
                 instanceName="residuum",
             )
             self.fmu.instantiate()
+            # The state as it was made: bringing it back costs microseconds, loading as much as
+            # thousands of steps.
             self._first: Any = self._kept() if way.keeps_state else None
             self._begin({}, ())
         except Exception as error:
@@ -106,14 +112,17 @@ class Instance:
             (self.fmu.setReal if two else self.fmu.setFloat64)(references, values)
 
     def _begin(self, values: Mapping[str, float], inputs: Sequence[float]) -> None:
-        fmu, parameters = self.fmu, self.description.parameters
+        fmu = self.fmu
+        parameters = self.description.parameters
         self._set([parameters[name].reference for name in values], list(values.values()))
+        # In model exchange the solver is ours: nothing to ask for.
         tolerance = None if self.exchanged else TOLERANCE
         if self.description.version == 2:
             fmu.setupExperiment(tolerance=tolerance, startTime=0.0)
             fmu.enterInitializationMode()
         else:
             fmu.enterInitializationMode(tolerance=tolerance, startTime=0.0)
+        # Within initialisation: an FMU may compute its first states from its inputs.
         self._set([v.reference for v in self.description.inputs[: len(inputs)]], list(inputs))
         fmu.exitInitializationMode()
         if self.exchanged:

@@ -11,25 +11,31 @@ holds a lock, and the last point is remembered: a step asks for each rate at the
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from numba import carray, cfunc, njit, types
 from numba.extending import intrinsic
 
-from residuum.identification.physics.compile.external import SYMBOLS
+from residuum.identification.physics.compile.equation_functions import SYMBOLS
 from residuum.identification.physics.compile.machine_code import ADDRESSES
 from residuum.identification.physics.fmu.description import Description
-from residuum.identification.physics.fmu.directional import differentiated
 from residuum.identification.physics.fmu.instance import Instance
 
 Array = npt.NDArray[np.float64]
+Move = Callable[[Array, float], None]
+"""Bring the FMU to a point, one variable moved by so much."""
 ACCEPTED = 1
 """The last status of a call that went well: a warning."""
 _STEP = 1e-6
+"""Step of a difference by a variable whose size is about 1."""
+_POINTS = 4
+_AGREES = 1e-3
+"""Points at which a derivative is held against a difference, and the part by which it may differ.
+"""
 _KEPT: list[Any] = []
 """What compiled code points to, and must not be freed."""
 
@@ -73,6 +79,20 @@ def _doubles(typingctx, address):
     return types.CPointer(types.float64)(types.intp), made
 
 
+class _Arrays(NamedTuple):
+    """What the compiled functions point to.
+
+    `memory` has the last point and its values, the point of the slopes, which of their columns are
+    known, and they themselves, two rows of values, a point to move, and a seed. `references` are
+    those of inputs, outputs, then of what directional derivatives are of and by. `mutex` is held
+    while the FMU is asked.
+    """
+
+    memory: Array
+    references: npt.NDArray[np.uint32]
+    mutex: npt.NDArray[np.int64]
+
+
 def load(instance: Instance, asked: Sequence[str] = ()) -> LoadedLibrary:
     """An FMU's instance for model exchange as what generated code can call.
 
@@ -86,9 +106,15 @@ def load(instance: Instance, asked: Sequence[str] = ()) -> LoadedLibrary:
         instance.reals([v.reference for v in (*description.states, *description.inputs)])
     )
     given = differentiated(instance, start, asked)
+    # Slopes by any other parameter are differences of whole simulations.
     own = tuple(name for name in asked if name in given)
-    nx, nu, ny = len(description.states), len(description.inputs), len(description.outputs)
-    n, m = 1 + nx + nu + len(own), nx + ny
+    nx = len(description.states)
+    nu = len(description.inputs)
+    ny = len(description.outputs)
+    # n: time, states, inputs, parameters; m: rates, outputs.
+    n = 1 + nx + nu + len(own)
+    m = nx + ny
+    # NaN is no point: the first question is always asked of the FMU.
     memory = np.full(3 * n + 4 * m + m * n + n, np.nan)
     variables = (
         *description.inputs,
@@ -104,15 +130,11 @@ def load(instance: Instance, asked: Sequence[str] = ()) -> LoadedLibrary:
     by_derivative = np.array([False, *known, *(True for _ in own)], dtype=np.bool_)
     mutex = np.zeros(16, dtype=np.int64)
     functions = _functions(instance)
+    # Addresses of these stand in compiled code, which Python does not count as a reference.
     _KEPT.extend([instance, functions, memory, references, mutex])
+    arrays = _Arrays(memory, references, mutex)
     value, slope = _compiled(
-        functions,
-        instance.component,
-        (nx, nu, ny, len(own)),
-        memory,
-        references,
-        mutex,
-        by_derivative,
+        functions, instance.component, (nx, nu, ny, len(own)), arrays, by_derivative
     )
     _KEPT.extend([value, slope])
     call = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_int64, ctypes.c_void_p)(value.address)
@@ -125,12 +147,15 @@ def load(instance: Instance, asked: Sequence[str] = ()) -> LoadedLibrary:
     loaded = LoadedLibrary(
         description, instance, at, start, own, (value.address, slope.address), memory
     )
+    # A process has one library at a time: code linked from now on calls this one.
     loaded.call()
     return loaded
 
 
 def _functions(instance: Instance) -> dict[str, Any]:
-    pointer, size, double = ctypes.c_void_p, ctypes.c_size_t, ctypes.c_double
+    pointer = ctypes.c_void_p
+    size = ctypes.c_size_t
+    double = ctypes.c_double
     two = instance.description.version == 2
     arrays = (pointer, pointer, size)
     by_reference = (pointer, pointer, size, pointer) + (() if two else (size,))
@@ -160,7 +185,8 @@ def by_reference(
     """What sets the inputs from an address, and what writes the outputs to one: FMI 3 asks for the
     count of values besides.
     """
-    set_reals, get_reals = f["set"], f["get"]
+    set_reals = f["set"]
+    get_reals = f["get"]
     ins, nu = inputs
     outs, ny = outputs
     if f["version"] == 2:
@@ -190,32 +216,30 @@ def _compiled(  # noqa: C901, PLR0915  compiled functions that share what they c
     f: dict[str, Any],
     component: int,
     sizes: tuple[int, int, int, int],
-    memory: Array,
-    references: Any,
-    mutex: Any,
+    arrays: _Arrays,
     by_derivative: npt.NDArray[np.bool_],
 ) -> Any:
-    """The two functions that generated code calls.
-
-    `memory` has the last point and its values, the point of the slopes, which of their columns are
-    known, and they themselves, two rows of values, a point to move, and a seed. `references` are
-    those of inputs, outputs, then of what directional derivatives are of and by.
-    """
+    """The two functions that generated code calls."""
+    memory, references, mutex = arrays
     nx, nu, ny, _ = sizes
-    n, m = 1 + nx + nu + sizes[3], nx + ny
-    set_time, set_states, rates, lock, unlock = (
-        f["time"],
-        f["states"],
-        f["rates"],
-        f["lock"],
-        f["unlock"],
-    )
-    at, guard, ins = memory.ctypes.data, mutex.ctypes.data, references.ctypes.data
-    outs, unknowns = ins + 4 * nu, ins + 4 * (nu + ny)
+    n = 1 + nx + nu + sizes[3]
+    m = nx + ny
+    set_time = f["time"]
+    set_states = f["states"]
+    rates = f["rates"]
+    lock = f["lock"]
+    unlock = f["unlock"]
+    # Offsets in bytes: value references are 4 bytes each, doubles 8.
+    at = memory.ctypes.data
+    guard = mutex.ctypes.data
+    ins = references.ctypes.data
+    outs = ins + 4 * nu
+    unknowns = ins + 4 * (nu + ny)
     knowns = unknowns + 4 * m
     room = memory.size
     exact = tuple(map(bool, by_derivative))
 
+    # Which of two signatures a call has depends on the version of FMI: settled before compiling.
     put, take = by_reference(f, component, (ins, nu), (outs, ny))
     differentiate = _by_direction(f, component, unknowns, m)
 
@@ -237,6 +261,7 @@ def _compiled(  # noqa: C901, PLR0915  compiled functions that share what they c
         if nx > 0:
             status = max(status, rates(component, values, nx))
         status = max(status, take(values + 8 * nx))
+        # A discarded or failed call leaves numbers of another point.
         if status > ACCEPTED:
             for k in range(m):
                 v[k] = np.nan
@@ -250,7 +275,8 @@ def _compiled(  # noqa: C901, PLR0915  compiled functions that share what they c
 
     @cfunc("float64(int64, CPointer(float64))", nopython=True)
     def value(k, given):
-        a, cache = carray(given, n), carray(_doubles(at), room)
+        a = carray(given, n)
+        cache = carray(_doubles(at), room)
         lock(guard)
         if not same(a, cache):
             for i in range(n):
@@ -263,8 +289,10 @@ def _compiled(  # noqa: C901, PLR0915  compiled functions that share what they c
     @njit(nogil=True)
     def column(j, cache):
         """Slopes by argument j at the point of the slopes."""
-        point, table = n + m, 3 * n + m
-        high, low = table + m * n, table + m * n + m
+        point = n + m
+        table = 3 * n + m
+        high = table + m * n
+        low = table + m * n + m
         seed = low + m
         if exact[j]:
             cache[seed] = 1.0
@@ -286,13 +314,17 @@ def _compiled(  # noqa: C901, PLR0915  compiled functions that share what they c
 
     @cfunc("float64(int64, int64, CPointer(float64))", nopython=True)
     def slope(k, j, given):
-        a, cache = carray(given, n), carray(_doubles(at), room)
-        point, known, table = n + m, 2 * n + m, 3 * n + m
+        a = carray(given, n)
+        cache = carray(_doubles(at), room)
+        point = n + m
+        known = 2 * n + m
+        table = 3 * n + m
         lock(guard)
         if not same(a, cache[point:]):
             for i in range(n):
                 cache[point + i] = a[i]
                 cache[known + i] = 0.0
+        # A column is computed when it is first asked for at a point.
         if cache[known + j] != 1.0:
             column(j, cache)
             cache[known + j] = 1.0
@@ -306,3 +338,72 @@ def _compiled(  # noqa: C901, PLR0915  compiled functions that share what they c
 @njit(nogil=True)
 def _value_at(address):
     return carray(_doubles(address), 1)[0]
+
+
+def differentiated(instance: Instance, start: Array, asked: Sequence[str]) -> set[str]:
+    """Of states, inputs and the parameters asked for, those whose derivatives agree with
+    differences of rates and outputs.
+
+    FMI 2.0 promises them by states and inputs alone; an FMU that has them by parameters shows it by
+    giving them. Where nothing moved at any point, zeros are not believed.
+    """
+    described = instance.description
+    if described.exchange is None or not described.exchange.differentiates:
+        return set()
+    rng = np.random.default_rng(0)
+    # Around the start: at one point alone a slope may be zero by chance.
+    points = [start + rng.normal(size=start.size) for _ in range(_POINTS)]
+    right = {
+        name
+        for name, reference, step, move in _moves(instance, start.size, asked)
+        if _is_right(instance, reference, step, move, points)
+    }
+    # The trial moved states and parameters: simulations begin anew.
+    instance.begin({})
+    return right
+
+
+def _moves(
+    instance: Instance, size: int, asked: Sequence[str]
+) -> Iterator[tuple[str, int, float, Move]]:
+    """Name, reference, step and how to move each of the variables."""
+    described = instance.description
+
+    def of_point(k: int) -> Move:
+        return lambda point, by: instance.place(point + by * (np.arange(size) == k))
+
+    def of_parameter(name: str) -> Move:
+        def move(point: Array, by: float) -> None:
+            instance.begin({name: described.parameters[name].start + by})
+            instance.place(point)
+
+        return move
+
+    for k, variable in enumerate((*described.states, *described.inputs)):
+        yield variable.name, variable.reference, _STEP, of_point(k)
+    for name in asked:
+        parameter = described.parameters[name]
+        size_of_it = max(abs(parameter.start), parameter.nominal or 0.0, _STEP)
+        yield name, parameter.reference, _STEP * size_of_it, of_parameter(name)
+
+
+def _is_right(
+    instance: Instance, reference: int, step: float, move: Move, points: Sequence[Array]
+) -> bool:
+    moved = False
+    for point in points:
+        try:
+            move(point, 0.0)
+            given = instance.derivative(reference)
+            move(point, step)
+            high = instance.answer()
+            move(point, -step)
+            slope = (high - instance.answer()) / (2.0 * step)
+        except Exception:
+            # fmpy raises for any status that is an error: it has no such derivative
+            return False
+        size = float(np.linalg.norm(slope))
+        if not np.linalg.norm(given - slope) <= _AGREES * size + _STEP:
+            return False
+        moved = moved or size > _STEP
+    return moved

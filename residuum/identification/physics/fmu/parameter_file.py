@@ -84,21 +84,23 @@ def named(path: str | Path) -> Named:
     return Named(described, parameters, tree)
 
 
-def _within(offered: Settable, said: Parameter) -> Parameter:
+def _within(offered: Settable, written: Parameter) -> Parameter:
     """What a file says of a parameter, within the FMU's bounds and in its unit."""
     own = parameter_of(offered)
-    if said.unit and said.unit != own.unit:
+    if written.unit and written.unit != own.unit:
         raise BadModel(
-            f"parameter {said.name!r}: unit is {said.unit!r} in the file and {own.unit!r} in the"
-            " FMU; write the value in the FMU's unit"
+            f"parameter {written.name!r}: unit is {written.unit!r} in the file and {own.unit!r} in"
+            " the FMU; write the value in the FMU's unit"
         )
-    lower, upper = max(own.lower, said.lower), min(own.upper, said.upper)
-    if not lower <= said.value <= upper:
+    # The narrower of both: the FMU refuses values beyond its own.
+    lower = max(own.lower, written.lower)
+    upper = min(own.upper, written.upper)
+    if not lower <= written.value <= upper:
         raise BadModel(
-            f"parameter {said.name!r}: value is {said.value:g}; must be within {lower:g} to"
+            f"parameter {written.name!r}: value is {written.value:g}; must be within {lower:g} to"
             f" {upper:g}"
         )
-    return replace(said, unit=own.unit, meaning=own.meaning, lower=lower, upper=upper)
+    return replace(written, unit=own.unit, meaning=own.meaning, lower=lower, upper=upper)
 
 
 def parameter_of(offered: Settable, *, fixed: bool = False) -> Parameter:
@@ -136,6 +138,7 @@ def _listed(name: str, offered: Iterable[str]) -> str:
     names = list(offered)
     if len(names) <= _SHOWN:
         return known_names(name, names, "there are")
+    # An FMU may have thousands: the nearest five, or the first where none is near.
     near = nearest_names(name, names, most=5, like=0.3)
     return f"the nearest of its {len(names)} are {', '.join(near) or ', '.join(names[:5])}"
 
@@ -159,6 +162,7 @@ def text(
     """The text of a file in this folder that names the FMU, with values of parameters and the
     model's effects.
     """
+    # Relative: the folder can be moved as one.
     path = os.path.relpath(described.path, folder)
     document: dict[str, object] = {"name": described.name, "fmu": Path(path).as_posix()}
     if parameters:

@@ -28,7 +28,8 @@ class ExchangedParameters:
     """Parameters of an FMU whose rates the model's equations call."""
 
     def __init__(self, library: LoadedLibrary) -> None:
-        self.library, self.lock = library, RLock()
+        self.library = library
+        self.lock = RLock()
         self.steps: Mapping[str, Step] = {}
 
     def settle(self, values: Mapping[str, float]) -> bool:
@@ -48,13 +49,19 @@ class SimulatedParameters:
     """
 
     def __init__(self, own: OwnSimulation, records: Sequence[tuple[FloatArray, float]]) -> None:
-        self.own, self.records, self.lock = own, list(records), RLock()
+        self.own = own
+        self.records = list(records)
+        self.lock = RLock()
         self.steps: Mapping[str, Step] = {}
+        # Where each record begins among the rows of all.
         self._first = np.concatenate([[0], np.cumsum([len(U) for U, _ in records])])
         described = own.instance.description
         # the order of inputs in `simulated_model`
-        nu, ny = len(described.inputs), len(described.outputs)
-        self._own, self._made, self._sample = slice(0, nu), slice(nu, nu + ny), nu + ny
+        nu = len(described.inputs)
+        ny = len(described.outputs)
+        self._own = slice(0, nu)
+        self._made = slice(nu, nu + ny)
+        self._sample = nu + ny
         self._runs: dict[tuple[object, ...], FloatArray] = {}
 
     def settle(self, values: Mapping[str, float]) -> bool:
@@ -71,8 +78,11 @@ class SimulatedParameters:
         rows = experiment.U[:, self._sample]
         record = int(np.searchsorted(self._first, rows[0], side="right")) - 1
         Y = self._run(record, experiment.hold[self._own], values)
-        U, at = experiment.U.copy(), rows - self._first[record]
-        begin, whole = int(at[0]), at[-1] - at[0] == len(at) - 1
+        U = experiment.U.copy()
+        at = rows - self._first[record]
+        # A window of whole samples is cut out; one at another rate lies between them.
+        begin = int(at[0])
+        whole = at[-1] - at[0] == len(at) - 1
         U[:, self._made] = (
             Y[begin : begin + len(at)]
             if whole
@@ -84,6 +94,7 @@ class SimulatedParameters:
         key = (record, hold.tobytes(), *values.values())
         if key not in self._runs:
             U, dt = self.records[record]
+            # The oldest goes first: a fit asks for the newest values only.
             while len(self._runs) >= _KEPT:
                 self._runs.pop(next(iter(self._runs)))
             self._runs[key] = self.own.along(U, hold, dt, values)
@@ -97,8 +108,11 @@ def with_steps(
     if not names:
         return {}
     simulator = Simulator(model)
+    # First states fitted, nothing else: slopes are asked for where the estimation begins.
     begun = estimate(model, experiments, free=())
-    starts, substeps, p = begun.initial, begun.substeps, simulator.p()
+    starts = begun.initial
+    substeps = begun.substeps
+    p = simulator.p()
 
     def step(name: str) -> Step:
         parameter = model.parameters[name]

@@ -41,6 +41,8 @@ def simulated_model(
     """
     _, inputs, outputs = names_of(described)
     units = [unit_of(v) for v in described.outputs]
+    # The FMU's own inputs stand in no equation: they are there to be matched with the record's
+    # columns.
     idle = {name: Input(name, unit_of(v)) for name, v in zip(inputs, described.inputs, strict=True)}
     simulated = {
         MADE + name: Input(MADE + name, unit) for name, unit in zip(outputs, units, strict=True)
@@ -81,7 +83,9 @@ def with_simulation(
     BadModel
         Its simulation fails.
     """
-    described, first, simulated = own.instance.description, 0, []
+    described = own.instance.description
+    first = 0
+    simulated = []
     _, _, names = names_of(described)
     for number, record in enumerate(records):
         U = inputs_of(described, record, mapping)
@@ -96,13 +100,15 @@ def with_simulation(
                 f"model {described.path!r}: its simulation along {record.source!r} fails"
                 f" ({own.says})"
             )
-        made = {MADE + name: Y[:, k] for k, name in enumerate(names)}
+        signals = {MADE + name: Y[:, k] for k, name in enumerate(names)}
         units = {MADE + name: unit_of(v) for name, v in zip(names, described.outputs, strict=True)}
-        made[SAMPLE], units[SAMPLE] = first + np.arange(record.n, dtype=float), ""
+        # Counted through all records: a part knows its record by its rows.
+        signals[SAMPLE] = first + np.arange(record.n, dtype=float)
+        units[SAMPLE] = ""
         first += record.n
         simulated.append(
             Record(
-                {**record.channels, **made},
+                {**record.channels, **signals},
                 {**record.units, **units},
                 record.sample_time,
                 t0=record.t0,

@@ -58,12 +58,17 @@ def central(run: Run, value: float, step: float, bounds: tuple[float, float]) ->
     >>> central(lambda v: np.array([[v**2]]), 3.0, 1e-3, (0.0, 9.0)).round(9)
     array([[6.]])
     """
-    low, high = max(value - step, bounds[0]), min(value + step, bounds[1])
-    below, above = run(low), run(high)
+    low = max(value - step, bounds[0])
+    high = min(value + step, bounds[1])
+    below = run(low)
+    above = run(high)
+    # Where the model does not exist on one side the slope is that of the other, first order only.
     if not np.isfinite(below).all():
-        low, below = value, run(value)
+        low = value
+        below = run(value)
     elif not np.isfinite(above).all():
-        high, above = value, run(value)
+        high = value
+        above = run(value)
     return (above - below) / (high - low)
 
 
@@ -88,10 +93,12 @@ def chosen_step(run: Run, value: float, size: float, bounds: tuple[float, float]
                 slopes[ratio] = central(run, value, h, bounds) / scale
         return _apart(slopes[relative], slopes[finer])
 
+    # Each slope is two simulations: where the usual step is good enough no other one is tried.
     first = error(*_FIRST)
     if first <= _ENOUGH:
         return Step(_FIRST[0], size, first)
     errors = {relative: error(relative, finer) for relative, finer in pairwise(_LADDER)}
+    # A step whose simulations failed has no error: it is the last choice.
     best = min(errors, key=lambda relative: np.nan_to_num(errors[relative], nan=np.inf))
     return Step(best, size, errors[best])
 
@@ -101,6 +108,7 @@ def _spread(Y: FloatArray) -> FloatArray:
     does not move.
     """
     spread = np.std(Y, axis=0)
+    # A constant output is measured by its size.
     spread = np.where(spread > 0.0, spread, np.max(np.abs(Y), axis=0))
     return np.where(spread > 0.0, spread, 1.0)
 

@@ -5,17 +5,21 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.errors import BadRecord
-from residuum.identification.physics.model import PhysicalModel
-from residuum.identification.physics.simulate.block_means import block_means
 from residuum.identification.record import Record
+from residuum.kept_loops import njit
 from residuum.nearest_names import known_names
 
+if TYPE_CHECKING:
+    from residuum.identification.physics.model import PhysicalModel
+
 Array = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
 PART = "(part "
 """How the name of a part of a record goes on."""
 SHORTEST_PART = 50
@@ -83,6 +87,7 @@ class Experiment:
         """These of the inputs at the other timing: those that were held move evenly, and those that
         moved are held.
         """
+        # A clock moves evenly whatever the record says of its inputs.
         clocks = np.array(self.clocks or (False,) * len(self.hold), dtype=bool)
         return replace(self, hold=np.where(which & ~clocks, 1.0 - self.hold, self.hold))
 
@@ -94,6 +99,7 @@ class Experiment:
         return (
             self.source == other.source
             and self.t0 > other.t0
+            # Half a sample: times of windows are sums of steps, which round.
             and abs(self.t0 - end) < 0.5 * self.sample_time
         )
 
@@ -103,6 +109,7 @@ class Experiment:
 
     def window(self, start: int, stop: int) -> Experiment:
         """Samples start … stop − 1."""
+        # Known is what stood at the record's begin, not at the window's.
         known = self.known if start == 0 else {}
         spare = {name: replace(s, values=s.values[start:stop]) for name, s in self.spare.items()}
         t0 = self.t0 + start * self.sample_time
@@ -143,6 +150,7 @@ def match(
         for name, signal in model.inputs.items()
         if signal.default is not None and not signal.is_clock
     ]
+    # Absent in one record means absent in all: the structure is one for all experiments.
     lacking = [name for name in optional if not all(columns[name] in r.names for r in records)]
     inputs = {
         name: replace(signal, absent=name in lacking) for name, signal in model.inputs.items()
@@ -163,11 +171,10 @@ def measured_parts(
     it is, and `match` refuses it.
     """
     inputs = [(mapping or {}).get(name, name) for name in model.inputs]
-    return [
-        part
-        for record in records
-        for part in _between_holes(record, [name for name in inputs if name in record.names])
-    ]
+    parts = []
+    for record in records:
+        parts += _between_holes(record, [name for name in inputs if name in record.names])
+    return parts
 
 
 def _between_holes(record: Record, inputs: Sequence[str]) -> list[Record]:
@@ -176,8 +183,10 @@ def _between_holes(record: Record, inputs: Sequence[str]) -> list[Record]:
         lacking |= record.missing(name)
     if not lacking.any():
         return [record]
+    # Where "missing" changes: each pair of edges bounds a part without holes.
     edges = np.flatnonzero(np.diff(np.concatenate([[True], lacking, [True]]).astype(np.int8)))
     parts = list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+    # An input that is there at every other sample only leaves no parts: `match` refuses it.
     if not parts or min(stop - start for start, stop in parts) < SHORTEST_PART:
         return [record]
     named = [
@@ -203,13 +212,42 @@ def _columns(model: PhysicalModel, mapping: Mapping[str, str]) -> dict[str, str]
 def _experiment(
     model: PhysicalModel, record: Record, columns: Mapping[str, str], hold: Mapping[str, str] | str
 ) -> Experiment:
-    U = np.zeros((record.n, len(model.inputs)))
+    U = _inputs(model, record, columns)
+    Y = _outputs(model, record, columns)
     clocks = [signal.is_clock for signal in model.inputs.values()]
+    wanted = [hold if isinstance(hold, str) else hold.get(name, "auto") for name in model.inputs]
+    linear = np.array(
+        [clocks[k] or moves_evenly(how, U[:, k]) for k, how in enumerate(wanted)], dtype=float
+    )
+    return Experiment(
+        U,
+        Y,
+        linear,
+        record.sample_time,
+        record.t0,
+        record.source,
+        spare=_spare(record, set(columns.values())),
+        clocks=tuple(clocks),
+    )
+
+
+def _inputs(model: PhysicalModel, record: Record, columns: Mapping[str, str]) -> Array:
+    """Values of the model's inputs, shape (n, inputs): those that are absent stay 0, for the
+    equations have their default in place of them.
+    """
+    U = np.zeros((record.n, len(model.inputs)))
     for k, signal in enumerate(model.inputs.values()):
-        if clocks[k]:
+        if signal.is_clock:
             U[:, k] = record.sample_time * np.arange(record.n)
         elif not signal.absent:
             U[:, k] = _input(record, columns[signal.name], signal.name, signal.unit)
+    return U
+
+
+def _outputs(model: PhysicalModel, record: Record, columns: Mapping[str, str]) -> Array:
+    """Readings of the model's outputs, shape (n, outputs), a column of NaN for one that the record
+    lacks; BadRecord where it has none at all.
+    """
     Y = np.full((record.n, len(model.outputs)), np.nan)
     for k, output in enumerate(model.outputs.values()):
         column = columns[output.name]
@@ -228,21 +266,7 @@ def _experiment(
             f"record {record.source!r}: has no output of model {model.name!r} ({hint})",
             way_on=[way],
         )
-    wanted = [hold if isinstance(hold, str) else hold.get(name, "auto") for name in model.inputs]
-    linear = np.array(
-        [clocks[k] or moves_evenly(how, U[:, k]) for k, how in enumerate(wanted)], dtype=float
-    )
-    spare = _spare(record, set(columns.values()))
-    return Experiment(
-        U,
-        Y,
-        linear,
-        record.sample_time,
-        record.t0,
-        record.source,
-        spare=spare,
-        clocks=tuple(clocks),
-    )
+    return Y
 
 
 def _spare(record: Record, used: set[str]) -> dict[str, Spare]:
@@ -252,6 +276,7 @@ def _spare(record: Record, used: set[str]) -> dict[str, Spare]:
         values = np.asarray(record.channels[name], dtype=float)
         if (
             name not in used
+            # It must be possible to name it in an expression.
             and name.isidentifier()
             and np.all(np.isfinite(values))
             and np.ptp(values) > 0
@@ -283,6 +308,7 @@ def _incomplete(missing: npt.NDArray[np.bool_], says: str) -> BadRecord:
     lines between its samples.
     """
     apart = np.diff(np.flatnonzero(~missing))
+    # Mostly every n-th sample is there: a column recorded at a lower rate.
     if apart.size and (step := int(np.median(apart))) > 1:
         way = ("resample", True, "where the record is read, to have those between")
         return BadRecord(f"{says}, it has one every {step} samples", way_on=[way])
@@ -302,7 +328,9 @@ def moves_evenly(how: str, u: Array) -> bool:
     if how != "auto":
         raise BadRecord(f"hold {how!r}: must be auto, linear or zero-order")
     steps = np.abs(np.diff(u))
-    moving, span = steps[steps > 0], float(np.ptp(u))
+    moving = steps[steps > 0]
+    span = float(np.ptp(u))
+    # Mostly small steps: a sampled motion. Large ones: a command that is switched.
     if moving.size == 0 or np.median(moving) < 0.02 * span:
         return moving.size > 0
     return moving.size > 0.9 * steps.size and _power_above(0.75, u) < 0.05
@@ -312,3 +340,37 @@ def _power_above(fraction: float, u: Array) -> float:
     """Share of a signal's power above this fraction of the Nyquist frequency."""
     spectrum = np.abs(np.fft.rfft((u - u.mean()) * np.hanning(u.size))) ** 2
     return float(np.sum(spectrum[int(fraction * spectrum.size) :]) / np.sum(spectrum))
+
+
+def block_means(values: Array, block: int) -> Array:
+    """Means along axis 0 of consecutive blocks of samples: one that lacks a sample is missing, the
+    last, incomplete one is left out.
+    """
+    return means_in_blocks(values, np.array([0, len(values)]), [block])[0]
+
+
+def means_in_blocks(
+    values: Array, starts: Integers, blocks: Sequence[int]
+) -> tuple[Array, Integers]:
+    """Means along axis 0 of several pieces. Piece k is values[starts[k]] … values[starts[k + 1] −
+    1], in blocks of blocks[k]. Also where those of each piece start and the last ones end.
+    """
+    if all(block == 1 for block in blocks):
+        return values, starts
+    sizes = np.array(blocks, dtype=np.int64)
+    block_starts = np.concatenate([[0], np.cumsum(np.diff(starts) // sizes)])
+    rows = np.ascontiguousarray(values).reshape(len(values), -1)
+    means = np.zeros((block_starts[-1], rows.shape[1]))
+    _add_means(rows, starts, sizes, block_starts, means)
+    return means.reshape(-1, *values.shape[1:]), block_starts
+
+
+@njit(error_model="numpy")
+def _add_means(rows, starts, blocks, block_starts, means):  # type: ignore[no-untyped-def]
+    for k in range(blocks.shape[0]):
+        for j in range(block_starts[k + 1] - block_starts[k]):
+            for i in range(blocks[k]):
+                for c in range(rows.shape[1]):
+                    means[block_starts[k] + j, c] += rows[starts[k] + j * blocks[k] + i, c]
+            for c in range(rows.shape[1]):
+                means[block_starts[k] + j, c] /= blocks[k]

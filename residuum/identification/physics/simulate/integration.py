@@ -29,6 +29,7 @@ from residuum.kept_loops import njit
 
 Array = npt.NDArray[np.float64]
 
+# Far below anything that counts, and far above 2e-308, where numbers lose digits and time.
 FORGOTTEN = 1e-200
 """Magnitude below which a sensitivity is zero."""
 
@@ -104,6 +105,7 @@ class Memory(NamedTuple):
 def new_memory(q, count):
     """Working arrays for `count` sensitivity columns."""
     nx, nu, n_p, ny, ns = q.sizes[0], q.sizes[1], q.sizes[2], q.sizes[3], q.surfaces.shape[0]
+    # Columns of A and B together, as `stepping_code` lays them out in its working memory.
     width = n_p + 2 * nx
     return Memory(
         np.zeros(nx),
@@ -129,9 +131,11 @@ def interpolated(U, j, position, delayed):
     """Input j at a position in samples, and its step from the sample before that to the one
     after.
     """
+    # Before the record its first sample holds, after it the last one: nothing is extrapolated.
     last = U.shape[0] - 1
     position = min(max(position, 0.0), float(last))
     i = min(int(position), max(last - 1, 0))
+    # On a sample the slope is that to the left, where a longer delay leads.
     if delayed and position == i and i > 0:
         i = i - 1
     step = U[min(i + 1, last), j] - U[i, j]
@@ -147,12 +151,15 @@ def set_inputs(delays, u, ur, U, k, c, sample_time, hold, p):
     interpolation. Before the record began, its first sample is taken to have lasted.
     """
     for j in range(U.shape[1]):
+        # A held input stays at its sample k whatever part c of the step has passed.
         position = k + c * hold[j]
         delayed = delays[j] >= 0
         if delayed:
             position = position - p[delays[j]] / sample_time
         u[j], step = interpolated(U, j, position, delayed)
+        # Before the record began the first sample lasted: no slope there.
         ur[j] = 0.0 if position <= 0.0 else step / sample_time
+    # The time is the last input: equations may name it.
     u[U.shape[1]] = (k + c) * sample_time
 
 
@@ -173,8 +180,10 @@ def lags_of(delays, sample_time, p):
 @njit(error_model="numpy", inline="always")
 def set_stages(inputs, U, k, c, ch, sample_time, hold):
     """Inputs of a step of `ch` samples from (k + c) samples on, none of them delayed."""
+    # At the last sample there is no next one: the input stays.
     following = min(k + 1, U.shape[0] - 1)
     for i in range(3):
+        # Runge and Kutta ask for the beginning, the middle and the end of a step.
         at = c + 0.5 * i * ch
         for j in range(U.shape[1]):
             inputs[i, j] = U[k, j] + at * hold[j] * (U[following, j] - U[k, j])
@@ -204,16 +213,20 @@ def slip_or_stick(rates, at_x, at_u, at_ur, at_p, at_s, at_m, at_k, at_A, at_B, 
     m[j] = 1.0
     s[j] = 1.0
     rates(at_x, at_u, at_ur, at_p, at_s, at_m, at_k, at_A, at_B)
+    # The rate on the side v > 0, that of f⁺.
     forward = k[i]
     s[j] = -1.0
     rates(at_x, at_u, at_ur, at_p, at_s, at_m, at_k, at_A, at_B)
+    # The rate on the side v < 0, that of f⁻.
     backward = k[i]
+    # Where both sides drive away from zero the stronger one decides.
     if forward > 0.0 and forward + backward >= 0.0:
         s[j] = 1.0
     elif backward < 0.0:
         s[j] = -1.0
     else:
         s[j] = 0.0
+        # Without friction at the surface there is nothing that could hold it: it passes through.
         m[j] = 1.0 if forward == backward else 0.0
     return forward, backward
 
@@ -248,6 +261,7 @@ def set_directions(x, surfaces, s, m):
     standing = False
     for j in range(surfaces.shape[0]):
         v = x[surfaces[j]]
+        # An exact zero is a standstill: the state was set to it by `land`, or begins there.
         s[j] = 1.0 if v > 0.0 else (-1.0 if v < 0.0 else 0.0)
         m[j] = 1.0
         standing = standing or v == 0.0
@@ -285,18 +299,24 @@ def land(q, w, p, columns):
     for j in range(q.surfaces.shape[0]):
         i = q.surfaces[j]
         reached, side = w.x[i], w.s[j]
+        # It rests, or is still on its side: nothing to land.
         if w.m[j] == 0.0 or side * reached >= 0.0:
             continue
         w.x[i] = 0.0
         forward, backward = resolve_standstill(q, w, p, j)
+        # The rates on the side that it came from, and on the one that it may go on to.
         left, entered = (forward, backward) if side > 0.0 else (backward, forward)
         if w.m[j] == 0.0:
+            # At rest the state is zero whatever the parameters: its derivatives are, too.
             w.S[i, :] = 0.0
         elif left * entered > 0.0:
+            # x ← reached·entered/left; so S is scaled, and the change of that ratio with the
+            # parameters is added: −reached·entered/left² ∂left and reached/left ∂entered.
             there_side = w.s[j]
             w.S[i, :] *= entered / left
             add_rate_slopes(q, w, p, columns, j, side, -reached * entered / left**2)
             add_rate_slopes(q, w, p, columns, j, there_side, reached / left)
+            # Last: the derivatives above are those at zero, where x[i] stood until here.
             w.x[i] = reached * entered / left
         else:
             w.x[i] = reached
@@ -321,6 +341,8 @@ def add_rate_slopes(q, w, p, columns, j, side, factor):
     for c in range(columns.shape[0]):
         slope = w.B[i, columns[c]]
         for state in range(w.x.shape[0]):
+            # At the crossing the own state is zero whatever the parameters: only the others carry
+            # slopes.
             if state != i:
                 slope += w.A[i, state] * w.S[state, c]
         w.S[i, c] += factor * slope
@@ -366,12 +388,15 @@ def integrate(  # noqa: PLR0912
         w.work.ctypes,
         w.seen.ctypes,
     )
+    # ch: the part of a sample that a step takes.
     recording, ch, lags = X.shape[0] > 0, 1.0 / substeps, lags_of(q.delays, sample_time, p)
     delayed = lags.shape[0] > 0
     w.step[0] = sample_time / substeps
+    # Slopes of inputs that are not delayed stay zero: no stage writes them.
     inputs[:] = 0.0
     for k in range(first, last + 1):
         if recording:
+            # A state that is not finite stays so: the rows behind keep their NaN.
             if not keep(x, X[k - first]):
                 return
             if delayed:
@@ -383,6 +408,7 @@ def integrate(  # noqa: PLR0912
             q.observe(
                 at_x, at_u, at_ur, at_p, at_s, at_m, at_seen, at_y, at_dy, at_S, at_columns, count
             )
+        # The last sample is observed, but nothing is known of the inputs after it.
         if k == last:
             return
         for step in range(substeps):
@@ -432,6 +458,7 @@ def integrate(  # noqa: PLR0912
                 set_inputs(q.delays, u, ur, U, k, c + ch, sample_time, hold, p)
                 land(q, w, p, columns)
         if count > 0:
+            # Once a sample: decayed sensitivities would slow every step down.
             forget(S)
 
 
@@ -476,6 +503,7 @@ def start(q, w, U, sample_time, hold, p, x0):
         w.A.ctypes,
         w.B.ctypes,
     )
+    # What x0 holds of an own state is its deviation from where the equation lets it begin.
     for i in q.own:
         w.x[i] += x0[i]
 
@@ -489,11 +517,13 @@ def start_slopes(q, w, columns):
     for c in range(columns.shape[0]):
         for i in range(w.x.shape[0]):
             w.S[i, c] = 1.0 if columns[c] == parameters + i else 0.0
+    # ∂x_own/∂θ = ∂init/∂θ + ∂init/∂x · S, by the chain rule.
     for i in q.own:
         for c in range(columns.shape[0]):
             w.S[i, c] += w.B[i, columns[c]]
             for j in range(w.x.shape[0]):
                 w.S[i, c] += w.A[i, j] * w.S[j, c]
+    # The stepping code reads only what it writes, and counts on zeros elsewhere.
     w.A[:] = 0.0
     w.B[:] = 0.0
 
@@ -554,6 +584,8 @@ def remember(q, w, U, sample_time, hold, p, columns, memory):
     parameters = w.B.shape[1] - w.x.shape[0]
     for number in range(q.remembered.shape[0]):
         i = q.remembered[number]
+        # One explicit step of a sample: between two experiments there is no input to integrate
+        # along.
         memory[number, columns.shape[0]] = w.x[i] + sample_time * w.k[i]
         for c in range(columns.shape[0]):
             memory[number, c] = w.S[i, c] if columns[c] < parameters else 0.0
@@ -572,10 +604,12 @@ def recall(q, w, memory):
 @njit(error_model="numpy")
 def begin(q, w, U, starts, j, p, X0, sample_times, holds, follows, columns, memory):
     """State and sensitivities at the first sample of experiment j, laid out as in `simulate`."""
+    # A window of the same record goes on where the one before ended.
     goes_on = q.remembered.shape[0] > 0 and follows[j] != 0
     if goes_on:
         before = U[starts[j - 1] : starts[j]]
         remember(q, w, before, sample_times[j - 1], holds[j - 1], p, columns, memory)
+    # What another experiment left in the working arrays must not reach this one.
     w.s[:] = 0.0
     w.m[:] = 0.0
     start(q, w, U[starts[j] : starts[j + 1]], sample_times[j], holds[j], p, X0[j])
@@ -595,6 +629,7 @@ def simulate(q, U, starts, p, X0, sample_times, substeps, holds, follows, column
     in time, what effects remember (heat, strain) goes on.
     """
     n, w = U.shape[0], new_memory(q, columns.shape[0])
+    # NaN first: what an experiment that diverges does not reach stays so.
     X, Y = np.full((n, q.sizes[0]), np.nan), np.full((n, q.sizes[3]), np.nan)
     dY = np.full((n, q.sizes[3], columns.shape[0]), np.nan)
     memory = np.zeros((q.remembered.shape[0], columns.shape[0] + 1))
@@ -666,6 +701,7 @@ def rate_slopes(q, U, starts, X, p, sample_times, holds, samples):
         for i in range(samples.shape[1]):
             k = samples[j, i]
             w.x[:] = X[a + k]
+            # At standstill the slopes are those of the direction that the forces choose.
             if set_directions(w.x, q.surfaces, w.s, w.m):
                 stand(q, w, part, k, 0.0, h, hold, p)
             set_inputs(q.delays, w.u, w.ur, part, k, 0.0, h, hold, p)

@@ -17,21 +17,25 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.nelder_mead import nelder_mead
-from residuum.identification.physics.model import PhysicalModel, missing_name
 from residuum.identification.physics.simulate.experiment import Experiment
 from residuum.identification.physics.simulate.kalman_recursions import kalman_filter, predict_ahead
 from residuum.identification.physics.simulate.kalman_recursions import smooth as adjoint_smoother
 from residuum.identification.physics.simulate.simulation import Simulator
 from residuum.identification.work import count_samples
 
+if TYPE_CHECKING:
+    from residuum.identification.physics.model import PhysicalModel
+
 Array = npt.NDArray[np.float64]
 
+# Of all experiments together: the noise is a number an output and a balance, and each of some sixty
+# evaluations is a whole filter run.
 TUNING_SAMPLES = 4000
 
 
@@ -86,10 +90,14 @@ class Filter:
 
     def __init__(self, model: PhysicalModel, noise: Noise) -> None:
         self.simulator = Simulator(model)
-        self.model, self.noise = model, noise
+        self.model = model
+        self.noise = noise
+        # A term that does not walk stays zero: as a state it would only cost time.
         self.balances = [name for name in model.balances if noise.walk.get(name, 0.0) > 0]
+        # The columns of S are first states and missing terms: together they are the slopes of what
+        # is filtered.
         names = [f"initial:{name}" for name in self.simulator.states] + [
-            missing_name(b) for b in self.balances
+            model.balances[name].missing for name in self.balances
         ]
         self.columns = self.simulator.columns(names)
 
@@ -108,6 +116,7 @@ class Filter:
         p = self.simulator.p()
         steps = substeps or self.simulator.substeps(experiment, x0, p)
         count_samples(experiment.n * steps * (1 + len(self.columns)))
+        # The unknown terms begin at zero, with the doubt of P0.
         z0 = np.concatenate([x0, np.zeros(len(self.balances))])
         P0, Q = self._covariances(
             experiment,
@@ -158,9 +167,11 @@ class Filter:
         correction.
         """
         walk = np.array([self.noise.walk[b] for b in self.balances])
+        # A walk over ten records: no first value of the term is ruled out.
         P0 = np.diag(
             np.concatenate([scale**2, walk * 10.0 * experiment.sample_time * experiment.n])
         )
+        # A trace only, which no reading feels: 1e-5 of a state's size each sample.
         Q = np.diag(np.concatenate([(1e-5 * scale) ** 2, walk * experiment.sample_time]))
         return P0, Q
 
@@ -172,6 +183,7 @@ def state_scales(simulator: Simulator, experiment: Experiment, x0: Array, subste
     largest = float(np.nanmax(np.abs(experiment.Y)))
     run = simulator.run_vectors(experiment, x0, simulator.p(), substeps=substeps)
     peak = np.nanmax(np.abs(run.X), axis=0)
+    # A peak of zero would close the state to correction.
     return np.where(np.isfinite(peak) & (peak > 0), peak, largest if largest > 0 else 1.0)
 
 
@@ -190,6 +202,8 @@ def noise_floor(Y: Array) -> Array:
                 for d in differences.T
             ]
         )
+    # 0.6745: the median of |x| of a normal x of deviation 1. 20 = 1² + 3² + 3² + 1², the squared
+    # weights of a third difference.
     return deviation / 0.6745 / np.sqrt(20.0)
 
 
@@ -200,6 +214,7 @@ def first_noise(model: PhysicalModel, experiments: Sequence[Experiment]) -> Nois
     Y = np.concatenate([e.Y for e in experiments])
     with np.errstate(invalid="ignore"):
         spread = np.array([np.nanstd(y) if np.isfinite(y).any() else 1.0 for y in Y.T])
+    # A reading in coarse steps has third differences of zero: the least is a part of the signal.
     floor = noise_floor(Y)
     r = (
         np.maximum(
@@ -218,6 +233,7 @@ def first_noise(model: PhysicalModel, experiments: Sequence[Experiment]) -> Nois
             (float(np.sqrt(np.mean(look[f"{name}.{term}"] ** 2))) for term in balance.terms),
             default=1.0,
         )
+        # The term may walk a tenth of the largest known term over a fiftieth of the record.
         walk[name] = (0.1 * (rms if np.isfinite(rms) and rms > 0 else 1.0)) ** 2 / (
             0.02 * e.n * e.sample_time
         )
@@ -234,10 +250,12 @@ def tune(
     from `first_noise`.
     """
     start = first_noise(model, experiments)
+    # The beginnings of all experiments, each as long: the noise is taken to be the same along them.
     parts = [e.window(0, max(2, min(e.n, TUNING_SAMPLES // len(experiments)))) for e in experiments]
     simulator = Simulator(model)
     steps = simulator.substeps_each(parts, initial, simulator.p())
-    balances, known = list(start.walk), list(zip(parts, initial, steps, strict=True))
+    balances = list(start.walk)
+    known = list(zip(parts, initial, steps, strict=True))
     scales = [state_scales(simulator, *run) for run in known]
 
     def noise(exponents: Array) -> Noise:
@@ -247,9 +265,12 @@ def tune(
         return Noise(start.output_variance * np.exp(exponents[len(balances) :]), walk)
 
     def cost(exponents: Array) -> float:
+        # e²⁵ = 7e10 times the first guess, up or down: nothing measured is there, and the simplex
+        # may overflow.
         if np.max(np.abs(exponents)) > 25:
             return 1e12
         kalman = Filter(model, noise(exponents))
+        # Smoothing adds nothing to the likelihood: it is left out.
         runs = zip(known, scales, strict=True)
         total = sum(
             kalman.run(e, x, substeps=n, smooth=False, scales=s).log_likelihood
@@ -258,6 +279,7 @@ def tune(
         return -total if np.isfinite(total) else 1e12
 
     size = len(balances) + len(start.output_variance)
+    # Steps of 3 in the exponent: a factor of 20.
     simplex = np.vstack([np.zeros(size), 3.0 * np.eye(size)])
     return noise(nelder_mead(cost, simplex, evaluations))
 
@@ -277,6 +299,7 @@ def missing_terms(
 
 def _log_likelihood(experiment: Experiment, e: Array, V: Array) -> float:
     used = np.isfinite(e)
+    # A reading without an innovation: the filter diverged before it.
     if int(used.sum()) < int(np.isfinite(experiment.Y).sum()):
         return -np.inf
     return float(-0.5 * np.sum(e[used] ** 2 / V[used] + np.log(2.0 * np.pi * V[used])))

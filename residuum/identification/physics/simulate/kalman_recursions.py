@@ -35,8 +35,12 @@ def update(z, P, H, y, k, Y, r, e, V, before, gain):
     for o in range(r.shape[0]):
         if not np.isfinite(Y[k, o]):
             continue
+        # Outputs of one sample have independent noises, so they may be used one after the other:
+        # each update divides by a number, and no matrix is inverted.
         residual, variance = Y[k, o] - y[o], r[o]
         for i in range(nz):
+            # y was observed at the prediction: what earlier outputs of this sample moved since is
+            # taken off in its linear part.
             residual -= H[o, i] * (z[i] - before[i])
             gain[i] = 0.0
             for j in range(nz):
@@ -47,6 +51,7 @@ def update(z, P, H, y, k, Y, r, e, V, before, gain):
         for i in range(nz):
             z[i] += gain[i] * residual / variance
             for j in range(nz):
+                # gain holds P·Hᵀ, not yet divided: so the update stays symmetric.
                 P[i, j] -= gain[i] * gain[j] / variance
 
 
@@ -61,6 +66,7 @@ def propagate(F, P, Q, work):
                 total += F[i, g] * P[g, j]
             work[i, j] = total
     for i in range(nz):
+        # Half is computed and mirrored: rounding would let the halves drift apart.
         for j in range(i + 1):
             total = Q[i, j]
             for g in range(nz):
@@ -81,7 +87,8 @@ def kalman_filter(q, U, Y, p, z0, P0, Q, r, columns, sample_time, substeps, hold
     -------
     z (n, NZ), P (n, NZ, NZ) : before the sample is used.
     F (n, NZ, NZ) : transition from sample k to k + 1.
-    H (n, NY, NZ), e (n, NY), V (n, NY) : output slopes, innovations and their variances (NaN where nothing was measured).
+    H (n, NY, NZ), e (n, NY), V (n, NY) : output slopes, innovations and their variances (NaN where
+        nothing was measured).
     filtered (n, NZ) : after the sample was used.
 
     A sample is stepped here as `integrate` does it: to call it for one sample costs three times as
@@ -140,22 +147,27 @@ def kalman_filter(q, U, Y, p, z0, P0, Q, r, columns, sample_time, substeps, hold
     ch, lags = 1.0 / substeps, lags_of(q.delays, sample_time, p)
     delayed = lags.shape[0] > 0
     w.step[0] = sample_time / substeps
+    # A sample: the prediction is kept, its readings are used, and the state is carried to the next.
     for k in range(n):
         z[k], P[k] = zk, Pk
         place(zk, x, p, columns)
         for i in range(nx):
             for j in range(nz):
+                # S begins at the identity, so that after the sample it is the transition F.
                 S[i, j] = 1.0 if i == j else 0.0
         set_inputs(q.delays, u, ur, U, k, 0.0, sample_time, hold, p)
         q.observe(at_x, at_u, at_ur, at_p, at_s, at_m, at_seen, at_y, at_H, at_S, at_columns, nz)
         update(zk, Pk, Hk, y, k, Y, r, e, V, before, gain)
         H[k], filtered[k] = Hk, zk
+        # Nothing is predicted beyond the record.
         if k == n - 1:
             break
         place(zk, x, p, columns)
         for step in range(substeps):
             c = step * ch
             if set_directions(x, surfaces, s, m):
+                # Directions at standstill are chosen by the forces in the middle of the step, as
+                # `integrate` does.
                 stand(q, w, U, k, c + 0.5 * ch, sample_time, hold, p)
             if delayed:
                 set_delayed_stages(inputs, lags, U, k, c, ch, sample_time, hold)
@@ -171,7 +183,9 @@ def kalman_filter(q, U, Y, p, z0, P0, Q, r, columns, sample_time, substeps, hold
         zk[:nx] = x
         F[k, :nx] = S
         for i in range(nx, nz):
+            # A missing term walks at random: without news it stays what it was.
             F[k, i, i] = 1.0
+        # A filter that diverges leaves NaN behind, and its likelihood says so.
         if not np.isfinite(zk.sum()):
             break
         propagate(F[k], Pk, Q, work)
@@ -202,12 +216,16 @@ def smooth(z, P, F, H, e, V):
         np.zeros((nz, nz)),
         np.zeros(nz),
     )
+    # Backwards: the adjoint gathers what all later readings say of the state at k.
     for k in range(n - 1, -1, -1):
         if k < n - 1:
             transposed_times(F[k], adjoint, beside)
             propagate(F[k].T, Adjoint, none, work)
+        # The gains of the outputs are those of the forward pass: computed anew, for to keep them
+        # would cost n·NY·NZ.
         Pk[:] = P[k]
         output_gains(Pk, H[k], e[k], V[k], gains)
+        # The last output used is the first to be passed on the way back.
         for o in range(e.shape[1] - 1, -1, -1):
             if np.isfinite(e[k, o]):
                 pass_output(adjoint, Adjoint, H[k, o], gains[o], e[k, o], V[k, o], beside)
@@ -218,6 +236,7 @@ def smooth(z, P, F, H, e, V):
                 Z[k, i] -= P[k, i, j] * adjoint[j]
                 for g in range(nz):
                     variance[k, i] -= P[k, i, j] * Adjoint[j, g] * P[k, g, i]
+            # A difference of nearly equal numbers may end below zero by rounding.
             variance[k, i] = max(variance[k, i], 0.0)
     return Z, variance
 
@@ -255,6 +274,8 @@ def output_gains(P, H, e, V, gains):
 def pass_output(adjoint, Adjoint, a, gain, e, V, Ag):
     """Carry the adjoint vector and matrix back across one used output with slope a."""
     nz = a.shape[0]
+    # λ ← λ − a·(e/V + gᵀλ) and Λ ← (I − g aᵀ)ᵀ Λ (I − g aᵀ) + a aᵀ/V, g the gain: Bryson and
+    # Frazier.
     inner = e / V
     Ag[:] = 0.0
     for i in range(nz):
@@ -279,6 +300,8 @@ def predict_ahead(q, U, filtered, p, columns, steps, sample_time, substeps, hold
     Y = np.full((n, q.sizes[3]), np.nan)
     nx, p, no_columns = w.x.shape[0], p.copy(), np.zeros(0, dtype=np.int64)
     none, none3 = np.zeros((0, 0)), np.zeros((0, 0, 0))
+    # Each prediction is a simulation of its own from the filtered state, with the terms held as
+    # they were there.
     for k in range(n - steps):
         w.x[:] = filtered[k, :nx]
         for i in range(nx, columns.shape[0]):

@@ -35,11 +35,13 @@ def conditions_at(
         variables = balance_variables(simulator, balance, experiment, X)
         terms = [variables[name] for name in variables if name.startswith("term:")]
         driving = variables.get("supply_terms", np.zeros(1))
+        # Without an input the largest of the known terms drives; 1 where nothing moves at all.
         rms = _rms(driving) or max(map(_rms, terms), default=0.0) or 1.0
         storage = (
             float(np.median(np.abs(simulator.look(experiment, X)[f"storage:{balance.name}"])))
             or 1.0
         )
+        # Last: what an effect is tied to stands behind the balance's own variables.
         variables |= _tied(simulator, effect, target, experiment, X)
         return Conditions(experiment.sample_time, duration, rms, storage, variables, missing)
     if effect.place == "input":
@@ -70,6 +72,7 @@ def _tied(
         )
         return {f"other:{role}": values for role, values in variables.items()}
     known = {name: X[:, k] for k, name in enumerate(simulator.states)}
+    # Signals that are computed are asked for only where neither a state nor an input has the name.
     known |= {name: experiment.U[:, k] for k, name in enumerate(simulator.model.inputs)}
     look = (
         simulator.look(experiment, X) if any(name not in known for name in tied_to(target)) else {}
@@ -83,7 +86,8 @@ def balance_variables(
     """A balance's variables by role along the states X: with `supply`, `supply_terms`, `term:name`,
     and effects' own states.
     """
-    model, look = simulator.model, simulator.look(experiment, X)
+    model = simulator.model
+    look = simulator.look(experiment, X)
     states = {name: X[:, k] for k, name in enumerate(simulator.states)}
     inputs = {name: experiment.U[:, k] for k, name in enumerate(model.inputs)}
     known = states | {n: look[n] for n in look if "." not in n} | inputs
@@ -94,6 +98,7 @@ def balance_variables(
         if use.effect.place == "balance" and use.place == balance.name:
             by_role |= _inside(states, f"{use.label}.")
     by_role |= _of_supply(model, balance, inputs, look)
+    # Every term of the balance, those of effects included.
     by_role |= {f"term:{name}": z for name, z in _inside(look, f"{balance.name}.").items()}
     return by_role | {name: inputs[name] for name in ("conveyor", "door") if name in inputs}
 
@@ -118,6 +123,7 @@ def _inside(values: Mapping[str, Array], prefix: str) -> dict[str, Array]:
 
 
 def _value(model: PhysicalModel, name: str, known: dict[str, Array], n: int) -> Array:
+    # An absent input stands for its default: a parameter, or a number.
     signal = model.inputs.get(name)
     if signal is not None and signal.absent and signal.default is not None:
         name = signal.default

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import Any, overload
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -16,12 +16,13 @@ import numpy.typing as npt
 from residuum.identification.errors import BadModel
 from residuum.identification.physics.compile.kernel import Kernel, kernel_of
 from residuum.identification.physics.files.expression import Expression, evaluate
-from residuum.identification.physics.model import PhysicalModel
 from residuum.identification.physics.simulate import integration
-from residuum.identification.physics.simulate.block_means import means_in_blocks
 from residuum.identification.physics.simulate.differences import central
-from residuum.identification.physics.simulate.experiment import Experiment
+from residuum.identification.physics.simulate.experiment import Experiment, means_in_blocks
 from residuum.identification.work import count_samples
+
+if TYPE_CHECKING:
+    from residuum.identification.physics.model import PhysicalModel
 
 # Which parameter values a machine can have at all: bounds across parameters, beside those that
 # each has of its own.
@@ -52,18 +53,22 @@ class Possible:
     def of(cls, model: PhysicalModel, index: Mapping[str, int]) -> Possible:
         """The bounds of a model whose parameters stand at these positions."""
         pairs = [
-            (f"{use.label}.{low}", f"{use.label}.{high}")
+            (f"{use.label}.{low.name}", f"{use.label}.{low.below}")
             for use in model.effects
-            for low, high in use.effect.ordered
+            for low in use.parameters.values()
+            if low.below
         ]
-        values, storages = model.values, []
+        values = model.values
+        storages = []
         for balance in model.balances.values():
             names = {
                 name: index[name]
                 for name in balance.storage.names
                 if name in model.parameters and name in index
             }
+            # der() counts as 1: what is left multiplies the derivative.
             now = evaluate(balance.storage.tree, values)
+            # Where a state or an input is in the storage, parameters alone say nothing of its sign.
             if names and now and math.isfinite(now):
                 storages.append((balance.storage, names, math.copysign(1.0, now)))
         return cls(tuple((index[low], index[high]) for low, high in pairs), tuple(storages))
@@ -72,10 +77,11 @@ class Possible:
         """Whether the machine with these parameters, shape (parameters,), can be."""
         if any(not p[low] < p[high] for low, high in self.pairs):
             return False
-        sizes = (
-            evaluate(s.tree, {n: float(p[k]) for n, k in names.items()}) * sign
-            for s, names, sign in self.storages
-        )
+        sizes = []
+        for storage, names, sign in self.storages:
+            values = {name: float(p[k]) for name, k in names.items()}
+            sizes.append(evaluate(storage.tree, values) * sign)
+        # Not `> 0`: a NaN (a root of a negative number) is left to the simulation.
         return all(not size <= 0.0 for size in sizes)
 
 
@@ -158,6 +164,7 @@ class Runs(Sequence[Simulation]):
         """Outputs and sensitivities are finite, and so far from overflow that sums of squares are
         finite too.
         """
+        # 1e60 squared is 1e120: sums of squares stay finite.
         arrays = [values for values in (self.Y, self.dY) if values is not None and values.size]
         return all(
             bool(values.max() < _DIVERGED and values.min() > -_DIVERGED) for values in arrays
@@ -167,6 +174,7 @@ class Runs(Sequence[Simulation]):
     def errors(self) -> Array:
         """What was measured less what was simulated, one experiment after the other."""
         measured = [e.Y for e in self.experiments]
+        # One experiment needs no copy.
         return (measured[0] if len(measured) == 1 else np.concatenate(measured)) - self.Y
 
     @property
@@ -199,7 +207,8 @@ class Simulator:
     >>> import numpy as np
     >>> from residuum.identification.physics import Experiment, Simulator, load_model
     >>> simulator = Simulator(load_model("linear-axis"))
-    >>> push = Experiment(np.full((11, 1), 95.0), np.full((11, 2), np.nan), np.zeros(1), sample_time=0.1)
+    >>> force, unmeasured = np.full((11, 1), 95.0), np.full((11, 2), np.nan)
+    >>> push = Experiment(force, unmeasured, np.zeros(1), sample_time=0.1)
     >>> float(simulator.run(push, {"q": 0.0, "v": 0.0}).Y[-1, 1].round(9))   # 1 m/s² for 1 s
     1.0
     """
@@ -209,6 +218,7 @@ class Simulator:
         self.kernel: Kernel = kernel_of(model)
         self._index = {name: k for k, name in enumerate(self.kernel.parameters)}
         self._state = {name: k for k, name in enumerate(self.kernel.states)}
+        # Missing terms are no parameters of the model: zero until a filter estimates them.
         values = model.values
         self._p = np.array([values.get(name, 0.0) for name in self.kernel.parameters])
         self.possible = Possible.of(model, self._index)
@@ -260,7 +270,8 @@ class Simulator:
         """
         x0 = self.x0(experiment.known)
         for o, output in enumerate(self.model.outputs.values()):
-            name, readings = output.value.text, experiment.Y[np.isfinite(experiment.Y[:, o]), o]
+            name = output.value.text
+            readings = experiment.Y[np.isfinite(experiment.Y[:, o]), o]
             if name in self.free_states and name not in experiment.known and readings.size:
                 x0[self._state[name]] = readings[0]
         return x0
@@ -323,7 +334,10 @@ class Simulator:
         Parameters that no machine has (`Possible`) give NaN as a model that diverges does: no
         estimation goes there.
         """
-        x0, steps, none = np.array(initial), np.array(substeps), self.columns(())
+        # none: no columns, for outputs alone.
+        x0 = np.array(initial)
+        steps = np.array(substeps)
+        none = self.columns(())
         joined = self._joined(experiments, p)
         X, Y, dY = self._simulated(joined, x0, p, steps, self.columns(slopes))
 
@@ -334,6 +348,8 @@ class Simulator:
         if not self.possible(p):
             X, Y, dY = (np.full_like(values, np.nan) for values in (X, Y, dY))
         for k, e in enumerate(experiments):
+            # What an experiment knows of its first states is not estimated there: its slope is
+            # nothing.
             if e.known and slopes:
                 of_known = [name.removeprefix("initial:") in e.known for name in slopes]
                 dY[joined.starts[k] : joined.starts[k + 1], :, of_known] = 0.0
@@ -341,6 +357,7 @@ class Simulator:
 
     def _joined(self, experiments: Sequence[Experiment], p: Array) -> Joined:
         """The experiments end to end, what is foreign simulated along them first."""
+        # What is foreign simulates itself first; its outputs are inputs here.
         if foreign := self.model.foreign:
             with foreign.lock:
                 experiments = foreign.along(experiments, self._foreign_values(p))
@@ -352,11 +369,13 @@ class Simulator:
         """Write the slopes by parameters that no equation names: differences of whole
         simulations.
         """
+        # A step for each such parameter was chosen when the model was made.
         steps = self.model.foreign.steps if self.model.foreign else {}
         for column, name in enumerate(slopes):
             if name not in steps:
                 continue
-            k, bounds = self._index[name], self.model.parameters[name]
+            k = self._index[name]
+            bounds = self.model.parameters[name]
 
             def run(value: float, k: int = k) -> Array:
                 return outputs(np.where(np.arange(len(p)) == k, value, p))
@@ -369,7 +388,9 @@ class Simulator:
     def _simulated(
         self, joined: Joined, initial: Array, p: Array, substeps: Integers, columns: Integers
     ) -> tuple[Array, Array, Array]:
-        q, at = self.kernel.system, joined
+        q = self.kernel.system
+        at = joined
+        # Columns cost about as much as the states: counted so, work is alike on all machines.
         count_samples(int(np.diff(at.starts) @ substeps) * (1 + len(columns)))
         with self._settled(p) as settled:
             X, Y, dY = integration.simulate(
@@ -384,6 +405,7 @@ class Simulator:
                 at.follows,
                 columns,
             )
+        # A library that refuses these values: no machine has them.
         if not settled:
             X, Y, dY = (np.full_like(values, np.nan) for values in (X, Y, dY))
         return X, Y, dY
@@ -421,8 +443,10 @@ class Simulator:
 
     def rate_slopes(self, experiment: Experiment, X: Array, samples: Integers) -> Array:
         """∂f/∂x along the states X at these samples, shape (samples, states, states)."""
-        joined, p = Joined.of([experiment]), self.p()
-        system, X = self.kernel.system, np.ascontiguousarray(X)
+        joined = Joined.of([experiment])
+        p = self.p()
+        system = self.kernel.system
+        X = np.ascontiguousarray(X)
         times = (joined.sample_times, joined.holds)
         with self._settled(p):
             A = integration.rate_slopes(
@@ -436,7 +460,8 @@ class Simulator:
         """What evaluates along given states; whole arrays, since for strided ones it would be
         compiled once more.
         """
-        U, X = np.ascontiguousarray(experiment.U), np.ascontiguousarray(X)
+        U = np.ascontiguousarray(experiment.U)
+        X = np.ascontiguousarray(X)
         return self.kernel.system, U, X, self.p(values), experiment.sample_time, experiment.hold
 
     def substeps(self, experiment: Experiment, x0: Array, p: Array) -> int:
@@ -453,9 +478,10 @@ class Simulator:
         """Runge–Kutta steps a sample of each experiment, from the eigenvalues of ∂f/∂x along a
         first simulation.
 
-        |λ|·h ≤ 0.25 for oscillating and 0.8 for decaying modes, at most 64; a run that diverges is tried finer, and so is one
-        whose outputs would still change by a fiftieth of the record's noise: what the integrator errs would pass for physics.
-        `modal` are those of `modal_substeps`, where they are known.
+        |λ|·h ≤ 0.25 for oscillating and 0.8 for decaying modes, at most 64; a run that diverges is
+        tried finer, and so is one whose outputs would still change by a fiftieth of the record's
+        noise: what the integrator errs would pass for physics. `modal` are those of
+        `modal_substeps`, where they are known.
         """
         first = np.array(
             self.modal_substeps(experiments, initial, p) if modal is None else modal, dtype=np.int64
@@ -468,10 +494,13 @@ class Simulator:
         """Steps a sample that the fastest mode in each experiment asks for, if they need not be
         exact.
         """
-        joined, X0, none = Joined.of(experiments, _LOOKED_AT), np.array(initial), self.columns(())
+        joined = Joined.of(experiments, _LOOKED_AT)
+        X0 = np.array(initial)
+        none = self.columns(())
         steps = np.ones(len(experiments), dtype=np.int64)
         for _ in range(4):
             X, *_ = self._simulated(joined, X0, p, steps, none)
+            # Never fewer again: the coarser run may have left out what is stiff.
             needed = np.maximum(self._needed_along(joined, X, p), steps)
             if np.all((needed <= steps) | (steps >= MOST_SUBSTEPS)):
                 break
@@ -484,7 +513,8 @@ class Simulator:
         """Steps doubled until the outputs no longer change visibly; the first where that does not
         settle.
         """
-        steps, open_ = first.copy(), np.arange(len(experiments))
+        steps = first.copy()
+        open_ = np.arange(len(experiments))
         before = np.full(len(experiments), np.inf)
         parts = [e.window(0, min(e.n, _CHECKED)) for e in experiments]
         none = self.columns(())
@@ -497,6 +527,7 @@ class Simulator:
         tolerances = [
             _EXACT * _noise(e.Y, runs[k]) + _LEAST * _spread(e.Y) for k, e in enumerate(parts)
         ]
+        # Steps are doubled for those experiments whose outputs still change visibly.
         for _ in range(_DOUBLINGS):
             open_ = open_[2 * steps[open_] <= MOST_SUBSTEPS]
             if not open_.size:
@@ -506,10 +537,15 @@ class Simulator:
                 visible = _visible(finer, runs[k], tolerances[k])
                 if not visible > 1.0:
                     continue
+                # The error of Runge and Kutta falls 16 times a doubling. Where the change hardly
+                # falls it is none of the steps: a chaotic or switching model, which finer steps do
+                # not mend.
                 if visible > _SETTLING * before[k]:
                     steps[k] = first[k]
                     continue
-                steps[k], runs[k], before[k] = 2 * steps[k], finer, visible
+                steps[k] = 2 * steps[k]
+                runs[k] = finer
+                before[k] = visible
                 still.append(k)
             open_ = np.array(still, dtype=np.int64)
         return steps
@@ -527,18 +563,18 @@ class Simulator:
         them before the next sample.
         """
         lengths = np.diff(joined.starts)
+        # Without states there is nothing to integrate.
         if not X.shape[1]:
             return np.ones(len(lengths))
         along = np.linspace(0, lengths - 1, max(_LOOKS, _ALL_LOOKS // len(lengths)), axis=1).astype(
             np.int64
         )
         far = _extremes(X, joined.starts)
-        at, before = (
-            joined.starts[:-1, None] + far,
-            joined.starts[:-1, None] + np.maximum(far - 1, 0),
-        )
+        at = joined.starts[:-1, None] + far
+        before = joined.starts[:-1, None] + np.maximum(far - 1, 0)
         beyond = X.copy()
         with np.errstate(over="ignore", invalid="ignore"):  # of a run that diverges
+            # Where the last change leads on to: a stop just behind the extreme is met there.
             beyond[at] += X[at] - X[before]
         looks = ((X, np.concatenate([along, far], axis=1)), (beyond, far))
         return np.max(
@@ -561,9 +597,11 @@ class Simulator:
                 joined.holds,
                 np.where(finite, samples, 0),
             )
+        # A sample without finite slopes tells nothing; eigenvalues of it would raise.
         finite &= np.all(np.isfinite(A), axis=(2, 3))
         A[~finite] = 0.0
         steps = np.max(_steps_for(A) * joined.sample_times[:, None], axis=1, initial=1.0)
+        # Nothing finite: the run diverged, and finer steps are tried.
         return np.where(np.any(finite, axis=1), steps, np.inf)
 
 
@@ -572,7 +610,8 @@ def _extremes(X: Array, starts: Integers) -> Integers:
     2·states).
     """
     finite = np.isfinite(X)
-    high, low = np.where(finite, X, -np.inf), np.where(finite, X, np.inf)
+    high = np.where(finite, X, -np.inf)
+    low = np.where(finite, X, np.inf)
     parts = pairwise(starts.tolist())
     return np.array(
         [[*high[a:b].argmax(axis=0), *low[a:b].argmin(axis=0)] for a, b in parts], dtype=np.int64
@@ -601,6 +640,7 @@ class Joined:
             np.concatenate([[0], np.cumsum([len(u) for u in inputs])]).astype(np.int64),
             np.array([e.sample_time for e in experiments]),
             np.array([e.hold for e in experiments]),
+            # The first follows none.
             np.array([0] + [b.follows(a) for a, b in pairwise(experiments)], dtype=np.int64),
         )
 
@@ -621,6 +661,7 @@ def _noise(measured: Array, simulated: Array) -> Array:
     """Size of each output's fast noise, from the steps of the error between samples; 0 where it was
     not measured.
     """
+    # Neighbouring errors differ by the noise: what the model lacks moves slowly.
     steps = np.abs(np.diff(measured - simulated, axis=0))
     known = np.any(np.isfinite(steps), axis=0)
     return np.where(
@@ -630,6 +671,7 @@ def _noise(measured: Array, simulated: Array) -> Array:
 
 def _spread(measured: Array) -> Array:
     """Standard deviation of each output; 0 where it was not measured."""
+    # An output that was never measured has no deviation: NumPy would warn.
     known = np.any(np.isfinite(measured), axis=0)
     return np.where(known, np.nanstd(np.where(known, measured, 0.0), axis=0), 0.0)
 
@@ -637,6 +679,7 @@ def _spread(measured: Array) -> Array:
 def _steps_for(A: Array) -> Array:
     """Steps a second that the eigenvalues of each matrix (…, NX, NX) ask for, shape (…)."""
     eigenvalues = np.linalg.eigvals(A)
+    # Nearly real eigenvalues count as decaying, for which larger steps are allowed.
     oscillating = np.abs(eigenvalues.imag) > 0.05 * np.abs(eigenvalues.real)
     return np.asarray(
         np.max(

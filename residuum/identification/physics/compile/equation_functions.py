@@ -1,4 +1,4 @@
-"""Functions that a model's equations call and that no text of ours holds: what a compiled library
+"""Functions of a model's equations that SymPy does not know: stairs, and what a compiled library
 computes.
 
 `ExternalValue(k, t, x…, u…)` is the k-th of the library's values at a time, states and inputs; its
@@ -38,3 +38,13 @@ class ExternalValue(sp.Function):
 
     def _eval_is_extended_real(self) -> bool:
         return True
+
+
+class SteppedRound(sp.Function):
+    """Rounding to the nearest integer, with the derivative of the line through the stairs: 1."""
+
+    nargs = 1
+
+    def fdiff(self, argindex: int = 1) -> sp.Expr:
+        """The line's slope."""
+        return sp.S.One

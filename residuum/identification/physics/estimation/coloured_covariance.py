@@ -48,17 +48,22 @@ def coloured_covariance(result: Estimate | Fit, experiments: Sequence[Experiment
     """
     slopes = [_reduced_slopes(result, k, e) for k, e in enumerate(experiments)]
     q = len(result.parameters)
-    H, spread = np.zeros((q, q)), np.zeros((q, q))
+    H = np.zeros((q, q))
+    spread = np.zeros((q, q))
     for o in map(int, np.flatnonzero(result.weights > 0)):
         A, variance = _colour([r[:, o] for r in result.residuals])
         for J in slopes:
+            # A⁻ᵀJ, the derivatives filtered backwards in time: Jᵀ Γ J = σ² (A⁻ᵀJ)ᵀ(A⁻ᵀJ).
             filtered = all_pole(A, J[::-1, o])
             H += J[:, o].T @ J[:, o]
             spread += variance * result.weights[o] ** 2 * filtered.T @ filtered
     H += np.diag(result.priors.precisions)
+    # A prior is news of its own: P in H, σ²P in the middle.
     spread += np.diag(result.priors.precisions) * _variance(result)
+    # Variance 1: that of the noise stands in the middle already.
     inverse, _ = covariance_of(H, 1.0, result.parameters, result.theta)
     open_ = np.isinf(np.diag(inverse))
+    # Infinity times zero would spoil the other parameters.
     finite = np.where(np.isfinite(inverse), inverse, 0.0)
     covariance = finite @ spread @ finite
     covariance[open_, open_] = np.inf
@@ -77,13 +82,16 @@ def _reduced_slopes(result: Estimate | Fit, number: int, experiment: Experiment)
     simulator = Simulator(result.model)
     states = [f"initial:{name}" for name in simulator.free_states]
     names = [*result.parameters, *states]
-    x0, steps = result.initial[number], result.substeps[number]
+    x0 = result.initial[number]
+    steps = result.substeps[number]
     run = simulator.run_vectors(experiment, x0, simulator.p(), slopes=names, substeps=steps)
     dY = np.zeros((*experiment.Y.shape, len(names))) if run.dY is None else run.dY
     known = np.isfinite(experiment.Y)
     J = np.where(known[:, :, None], dY * result.weights[:, None], 0.0)
     flat = J.reshape(-1, len(names))
-    own, wanted = flat[:, len(result.parameters) :], flat[:, : len(result.parameters)]
+    own = flat[:, len(result.parameters) :]
+    wanted = flat[:, : len(result.parameters)]
+    # What the first states can imitate tells nothing of the parameters.
     projected = wanted - own @ solve_scaled(own.T @ own, own.T @ wanted)
     return np.asarray(projected.reshape(*experiment.Y.shape, -1))
 
@@ -92,6 +100,7 @@ def _colour(residuals: Sequence[Array]) -> tuple[Array, float]:
     """Autoregression of one output's residuals, no product taken across two experiments; white
     where they are too few.
     """
+    # NaN between two experiments: no product is taken across.
     joined = np.concatenate([part for r in residuals for part in (r, [np.nan])])
     try:
         return fit_autoregression(joined)
