@@ -22,8 +22,7 @@ import numpy as np
 import orjson
 
 from benchmarks.said_probabilities import KINDS, Statement, lines_of, real_names, statements, told
-from residuum.identification.discrepancy.explain import explain
-from residuum.identification.discrepancy.explanation import Explanation
+from residuum.identification.discrepancy.explain import Explanation, explain
 from residuum.identification.discrepancy.improve import improve
 from residuum.identification.discrepancy.improvement import Improvement
 from residuum.identification.physics import PhysicalModel, candidates, estimate, load_model, match

@@ -11,8 +11,12 @@ from functools import partial
 import numpy as np
 
 from residuum.identification.blas_threads import one_thread
-from residuum.identification.discrepancy.explain import check_length, explained
-from residuum.identification.discrepancy.explanation import Explanation
+from residuum.identification.discrepancy.explain import (
+    Explanation,
+    check_length,
+    doubts_of,
+    explained,
+)
 from residuum.identification.discrepancy.improvement import Improvement, Step, with_provenance
 from residuum.identification.discrepancy.kept_aside import (
     Split,
@@ -22,7 +26,6 @@ from residuum.identification.discrepancy.kept_aside import (
     split,
     testing_of,
 )
-from residuum.identification.discrepancy.on_blocks import doubts_of
 from residuum.identification.discrepancy.policy import EXPLAINING_TIME, KEPT_RISE
 from residuum.identification.errors import BadModel, NotIdentifiable
 from residuum.identification.physics import (
@@ -35,13 +38,11 @@ from residuum.identification.physics import (
 from residuum.identification.physics.model import find_effect, fitting, tied_to
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.compare import compare
-from residuum.identification.unseen_blocks.asked import with_asked
-from residuum.identification.unseen_blocks.at_its_rate import at_its_rate, searched
 from residuum.identification.unseen_blocks.data import Data, data_of, long_enough, matched
 from residuum.identification.unseen_blocks.judged import Judged
-from residuum.identification.unseen_blocks.next_experiment import HELD, freed
 from residuum.identification.unseen_blocks.proposals import without_idle
-from residuum.identification.unseen_blocks.structure import Structure, fitted
+from residuum.identification.unseen_blocks.record_search import at_its_rate, searched, with_asked
+from residuum.identification.unseen_blocks.structure import HELD, Structure, fitted, freed
 from residuum.identification.unseen_blocks.tried import Search, Wanted, chain, with_only
 from residuum.identification.unseen_blocks.verdict import remaining
 from residuum.identification.work import Tell, at_most, part_of, untold
@@ -90,36 +91,34 @@ def joined_of(
 
     `was` is the model before values of it were set free.
     """
-    every = (
-        chain(search, [key for key in search.best.keys if key.effect != HELD])
-        if asked is None
-        else _in_order(search, asked)
-    )
-    steps = every if asked is not None else _that_hold(every, search, records, mapping)
+    if asked is None:
+        every = chain(search, [key for key in search.best.keys if key.effect != HELD])
+        steps = _that_hold(every, search, records, mapping)
+    else:
+        every = steps = _in_order(search, asked)
+    accepted = [key for key, _, _ in steps]
+    refused = [key.effect for key, _, _ in every if key not in accepted]
     rows = [(None, search.base), *((key.effect, after) for key, _, after in steps)]
-    final = steps[-1][2] if steps else search.base
     if was is not None:
         rows = [*_before(search, was), *rows[1:]]
-    noted, o = is_noted(records), _told(search)
+    noted, o = is_noted(records), _most_mended(search)
+    fits = [fit for _, fit in rows]
+    # where a user keeps a part aside it judges; else every block has been left out in turn
     errors = (
-        _on_the_rest([fit for _, fit in rows], o, search, records, mapping)
-        if noted
-        else [fit.rms[o] for _, fit in rows]
+        _on_the_rest(fits, o, search, records, mapping) if noted else [fit.rms[o] for fit in fits]
     )
     history = [
-        Step(name, float(error), remaining(rows[0][1], fit, search.court))
+        Step(name, float(error), remaining(fits[0], fit, search.court))
         for (name, fit), error in zip(rows, errors, strict=True)
     ]
-    data = (
-        _every_sample(search, records, mapping)
-        if noted
-        else search.court.data.finer or search.court.data
-    )
-    model, std = _final(search, final, data, noted=noted)
-    refused = [
-        key.effect for key, _, _ in every if key not in {accepted for accepted, _, _ in steps}
-    ]
-    aside = split(records).aside if noted else ASIDE
+    final = steps[-1][2] if steps else search.base
+    if noted:
+        model, std = _final(search, final, _every_sample(search, records, mapping), noted=True)
+        aside = split(records).aside
+    else:
+        data = search.court.data
+        model, std = _final(search, final, data.finer or data, noted=False)
+        aside = ASIDE
     return Joined(model, history, refused, std, list(search.best.model.outputs)[o], aside)
 
 
@@ -133,19 +132,21 @@ def _that_hold(
     them.
     """
     keys = [key for key, _, _ in steps]
-    tried = [
+    # all; all but one, the last that joined first; then ever fewer of the first
+    subsets = [
         keys,
-        *([k for k in keys if k != out] for out in reversed(keys)),
+        *([key for key in keys if key != out] for out in reversed(keys)),
         *(keys[:n] for n in range(len(keys) - 2, 0, -1)),
     ]
-    tried = [some for number, some in enumerate(tried) if some and some not in tried[:number]]
-    models = [
-        (some, judged.model) for some in tried if (judged := with_only(search, some)) is not None
+    distinct = [
+        subset for number, subset in enumerate(subsets) if subset and subset not in subsets[:number]
     ]
+    judged = [(subset, with_only(search, subset)) for subset in distinct]
+    known = [(subset, fit.model) for subset, fit in judged if fit is not None]
     index = first_that_holds(
-        search.base.model, [model for _, model in models], search, records, mapping
+        search.base.model, [model for _, model in known], search, records, mapping
     )
-    return [] if index is None else chain(search, models[index][0])
+    return [] if index is None else chain(search, known[index][0])
 
 
 def _in_order(search: Search, keys: Sequence[Key]) -> list[_Step]:
@@ -233,8 +234,9 @@ def _estimated(model: PhysicalModel, data: Data) -> Estimate | None:
         return None
 
 
-def _told(search: Search) -> int:
+def _most_mended(search: Search) -> int:
     """The output whose error falls most."""
+    # one that was not measured, or without any error, has no ratio
     with np.errstate(invalid="ignore", divide="ignore"):
         ratio = search.best.rms / search.base.rms
     return int(np.nanargmin(np.where(np.isfinite(ratio), ratio, np.inf)))

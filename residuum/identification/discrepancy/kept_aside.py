@@ -56,22 +56,26 @@ def split(records: Sequence[Record]) -> Split:
     if len(records) > 1:
         testing = [k for k in range(len(records)) if k % 3 == 2] or [len(records) - 1]
         return Split(
-            [r for k, r in enumerate(records) if k not in testing],
+            [record for k, record in enumerate(records) if k not in testing],
             [(records[k], 0) for k in testing],
         )
-    record = records[0]
+    return _split_of_one(records[0])
+
+
+def _split_of_one(record: Record) -> Split:
+    """The end of a record, where it moves there; else its beginning, or its middle."""
     first = int(record.n * (record.split or TRAINING_SHARE))
     aside, middle = record.n - first, first // 2
-    spans = [(first, record.n), (0, aside)]
-    wanted = spans[:1] if record.split is not None else [*spans, (middle, middle + aside)]
-    begin, stop = next((span for span in wanted if _moves(record, *span)), wanted[0])
+    spans = [(first, record.n)]
+    if record.split is None:  # what a user notes is never another part
+        spans += [(0, aside), (middle, middle + aside)]
+    begin, stop = next((span for span in spans if _moves(record, *span)), spans[0])
     if stop == record.n:
+        # the whole record is simulated, so that its end begins where the rest led
         return Split([record.window(0, begin)], [(record, begin)])
-    training = (
-        [record.window(0, begin), record.window(stop, record.n)]
-        if begin
-        else [record.window(stop, record.n)]
-    )
+    training = [record.window(stop, record.n)]
+    if begin:
+        training = [record.window(0, begin), *training]
     return Split(training, [(record.window(begin, stop), 0)])
 
 
@@ -103,11 +107,10 @@ def _moves(record: Record, begin: int, stop: int) -> bool:
     """Whether every channel that changes in the record does so in this part of it too."""
     with np.errstate(invalid="ignore"):
         for values in record.channels.values():
-            whole, part = (
-                np.nanstd(values),
-                np.nanstd(values[begin:stop]) if np.isfinite(values[begin:stop]).any() else 0.0,
-            )
-            if whole > 0.0 and part < STANDS_STILL * whole:
+            part = values[begin:stop]
+            whole_spread = np.nanstd(values)
+            part_spread = np.nanstd(part) if np.isfinite(part).any() else 0.0
+            if whole_spread > 0.0 and part_spread < STANDS_STILL * whole_spread:
                 return False
     return True
 

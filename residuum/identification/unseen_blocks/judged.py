@@ -21,8 +21,11 @@ Comput. 27 (2017) 1413 (paired differences on data kept aside).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -31,10 +34,12 @@ from residuum.array_types import FloatArray
 from residuum.identification.physics import Key, PhysicalModel
 from residuum.identification.physics.estimation.gauss_newton import Fit
 from residuum.identification.physics.estimation.least_squares import solve_scaled
-from residuum.identification.unseen_blocks.data import Data, Rung
-from residuum.identification.unseen_blocks.policy import DAMPING
-from residuum.identification.unseen_blocks.scale import Scale
-from residuum.identification.unseen_blocks.structure import Structure
+from residuum.identification.unseen_blocks.policy import DAMPING, GLANCED, LONG_LOOK
+from residuum.identification.unseen_blocks.structure import Structure, at_start, fitted
+
+if TYPE_CHECKING:
+    from residuum.identification.unseen_blocks.data import Data, Rung
+    from residuum.identification.unseen_blocks.scale import Scale
 
 Integers = npt.NDArray[np.int64]
 
@@ -123,12 +128,13 @@ class Equations:
         out = columns * self.huber[..., None]
         if not (self.states.shape[2] and out.shape[2]):
             return out
-        for a, b in pairwise(self.starts):
-            x, t = (
-                self.states[a:b].reshape(-1, self.states.shape[2]),
-                out[a:b].reshape(-1, out.shape[2]),
-            )
-            out[a:b] = (t - x @ solve_scaled(x.T @ x, x.T @ t, 1e-12)).reshape(out[a:b].shape)
+        # t − X (XᵀX)⁻¹Xᵀ t: each window's first states are fitted to it alone, so what they can do
+        # tells nothing of a value
+        for begin, end in pairwise(self.starts):
+            X = self.states[begin:end].reshape(-1, self.states.shape[2])
+            T = out[begin:end].reshape(-1, out.shape[2])
+            projected = T - X @ solve_scaled(X.T @ X, X.T @ T, 1e-12)
+            out[begin:end] = projected.reshape(out[begin:end].shape)
         return out
 
     def step(self, extra: FloatArray) -> FloatArray:
@@ -151,18 +157,21 @@ class Equations:
         further terms beside first states.
         """
         T, theta, lower, upper = self.slopes, self.theta, self.lower, self.upper
-        if extra is not None:
+        if extra is not None:  # further terms begin at zero and have no bounds
             T = np.concatenate([T, extra], axis=2)
-            none = np.zeros(extra.shape[2])
-            theta, lower, upper = (
-                np.append(v, none + b) for v, b in ((theta, 0.0), (lower, -np.inf), (upper, np.inf))
-            )
+            count = extra.shape[2]
+            theta = np.append(theta, np.zeros(count))
+            lower = np.append(lower, np.full(count, -np.inf))
+            upper = np.append(upper, np.full(count, np.inf))
         if not T.shape[2]:
             return self.errors.copy()
         row_fold, left = fold[block], self.errors.copy()
         for k, step in moved(T, self.errors * self.huber, row_fold).items():
-            at, further = row_fold == k, np.clip(theta + step, lower, upper) - theta
-            left[at] -= (T[at] / self.huber[at][..., None]) @ further
+            rows = row_fold == k
+            # a step beyond a bound would be one that no fit may take
+            taken = np.clip(theta + step, lower, upper) - theta
+            # T is weighed by √w for the normal equations; the error itself moves by the plain slope
+            left[rows] -= (T[rows] / self.huber[rows][..., None]) @ taken
         return left
 
 
@@ -190,6 +199,7 @@ def steps_without(H: FloatArray, g: FloatArray, damping: float) -> list[FloatArr
     of all.
     """
     all_H, all_g = H.sum(axis=0), g.sum(axis=0)
+    # of the curvature of all folds, so that a fold which alone tells a value is not left without any
     ridge = damping * np.diag(np.diag(all_H))
     return [
         solve_scaled(all_H - h + ridge, (all_g - b)[:, None], 1e-10)[:, 0]
@@ -209,24 +219,27 @@ def equations(fit: Fit, rung: Rung, scale: Scale) -> Equations | None:
         return None
     starts, measured = rung.starts.tolist(), scale.weights > 0.0
     known = np.isfinite(runs.errors)
-    R = scale.whitened(np.where(known, runs.errors, 0.0) * scale.weights, starts)[:, measured]
+    # a missing sample counts as no error before the filter, which would spread NaN, and after it
+    weighted_errors = np.where(known, runs.errors, 0.0) * scale.weights
+    R = scale.whitened(weighted_errors, starts)[:, measured]
     dY = np.zeros((*runs.errors.shape, 0)) if runs.dY is None else runs.dY
-    J = scale.whitened(np.where(known[..., None], dY, 0.0) * scale.weights[:, None], starts)[
-        :, measured
-    ]
+    weighted_slopes = np.where(known[..., None], dY, 0.0) * scale.weights[:, None]
+    J = scale.whitened(weighted_slopes, starts)[:, measured]
     known = known[:, measured]
     R[~known], J[~known] = 0.0, 0.0
+    # Huber's weights √w, w = c/|e| beyond the clip c: iteratively reweighted least squares
     clip = np.maximum(scale.clip[measured], 1e-300)
     huber = np.sqrt(clip / np.maximum(np.abs(R), clip))
     J *= huber[..., None]
-    values = model.all_parameters
-    theta, lower, upper = (
-        np.array([getattr(values[n], side) for n in names]) for side in ("value", "lower", "upper")
-    )
+    values = [model.all_parameters[name] for name in names]
+    theta = np.array([p.value for p in values])
+    lower = np.array([p.lower for p in values])
+    upper = np.array([p.upper for p in values])
     T, X = J[..., : len(names)] / huber[..., None], J[..., len(names) :]
+    # a value at its bound stays there: it is none of those that move with a fold
     T[..., (theta <= lower) | (theta >= upper)] = 0.0
-    at = Equations(R, known, T, X, huber, theta, lower, upper, tuple(starts))
-    return replace(at, slopes=at.beside_states(T))
+    fit_equations = Equations(R, known, T, X, huber, theta, lower, upper, tuple(starts))
+    return replace(fit_equations, slopes=fit_equations.beside_states(T))
 
 
 def judged(
@@ -246,25 +259,25 @@ def judged(
         white = scale.whitened(np.nan_to_num(rows) * scale.weights, starts)[:, measured]
         return np.where(known, np.clip(white, -scale.clip[measured], scale.clip[measured]), 0.0)
 
+    # of each fold only the rows that its fit has not seen
     unseen, left = errors.copy(), np.zeros(known.shape)
     for fold in np.unique(cell_fold).tolist():
-        at, fold_errors = (
-            row_fold == fold,
-            np.concatenate(fit.without(cell_fold == fold, DAMPING, steps).residuals),
-        )
-        unseen[at], left[at] = fold_errors[at], in_scale(fold_errors)[at]
-    power, seen_power = (
-        summed(scaled**2, rung, data.blocks) for scaled in (left, in_scale(errors))
-    )
+        rows = row_fold == fold
+        fold_fit = fit.without(cell_fold == fold, DAMPING, steps)
+        fold_errors = np.concatenate(fold_fit.residuals)
+        # filtered as a whole and cut then: the filter's past lies in blocks before it
+        unseen[rows], left[rows] = fold_errors[rows], in_scale(fold_errors)[rows]
+    power = summed(left**2, rung, data.blocks)
+    seen_power = summed(in_scale(errors) ** 2, rung, data.blocks)
     if not np.all(np.isfinite(power)):
         return None
     model = structure.model
     parameters = structure.rarity + sum(not p.fixed for p in model.parameters.values())
     parameters += sum(not p.fixed for use in model.effects for p in use.parameters.values())
+    # once more in the outputs' units and unclipped: what a user is told
     squares, count = np.zeros((2, data.blocks, len(measured)))
-    squares[:, measured] = summed(
-        np.where(known, np.nan_to_num(unseen[:, measured]), 0.0) ** 2, rung, data.blocks
-    )
+    plain_errors = np.where(known, np.nan_to_num(unseen[:, measured]), 0.0)
+    squares[:, measured] = summed(plain_errors**2, rung, data.blocks)
     count[:, measured] = summed(known.astype(float), rung, data.blocks)
     cost, seen_cost = scale.cost(power, parameters), scale.cost(seen_power, parameters)
     return Judged(structure, parameters, power, left, cost, seen_cost, squares, count, errors)
@@ -275,3 +288,63 @@ def summed(values: FloatArray, rung: Rung, blocks: int) -> FloatArray:
     return np.column_stack(
         [np.bincount(rung.block, weights=column, minlength=blocks) for column in values.T]
     )
+
+
+# What the structures of a level are fitted to and judged by.
+
+SHORT, LONG = "short", "long"
+"""Kinds of looks: on a few short windows, on the rung of the judgement. Friction in a long
+oscillation shows on the whole record only, and there a wrong phase hides everything else.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class Court:
+    """What all structures of a level are judged by: the data, the rung of the judgement, the rung
+    of short looks, the scale, and what the model as it is leaves in each window of that rung
+    (`there`, mean squares; None: not known).
+    """
+
+    data: Data
+    last: Rung
+    middle: Rung
+    scale: Scale
+    there: FloatArray | None = None
+
+    @cached_property
+    def short(self) -> tuple[Rung, Sequence[int]]:
+        """What a look at short windows sees, and which of the windows those are."""
+        return self.middle.thinned(GLANCED, self.there)
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """The looks that there are: long records are looked at in short windows alone."""
+        if self.middle is self.last:
+            return (LONG,)
+        is_long = self.last.starts[-1] > LONG_LOOK
+        return (SHORT,) if is_long else (LONG, SHORT)
+
+    def judge(self, structure: Structure, *, steps: int, tolerance: float) -> Judged | None:
+        """The structure fitted on the last rung, and judged there; None where it diverges."""
+        windows = self.last.windows
+        fit = fitted(
+            structure.model,
+            self.last,
+            structure.states.get(windows),
+            self.scale,
+            steps=steps,
+            tolerance=tolerance,
+            substeps=structure.steps.get(windows),
+        )
+        return None if fit is None else self.judge_fit(structure, fit)
+
+    def begun(self, structure: Structure, model: PhysicalModel | None = None) -> Fit | None:
+        """A structure that was found on the last rung, or a model that has more than it, at its own
+        values there; None where that diverges.
+        """
+        states, steps = structure.states[self.last.windows], structure.steps[self.last.windows]
+        return at_start(model or structure.model, self.last, states, self.scale, steps)
+
+    def judge_fit(self, structure: Structure, fit: Fit) -> Judged | None:
+        """The structure judged by a fit on the last rung."""
+        return judged(structure.at(self.last, fit), fit, self.last, self.data, self.scale)

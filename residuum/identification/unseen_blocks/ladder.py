@@ -51,11 +51,12 @@ def climb(data: Data) -> Climbed:
     powers: dict[int, FloatArray] = {}
     for rung in data.rungs:
         trial = _fitted(structure, data.model, rung, last, scale)
-        if trial is None or (
-            last is not None
-            and trial.mean > RUNG_ERROR
-            and not _is_forgotten(trial, data.model, rung, scale)
-        ):
+        if trial is None:
+            continue
+        # a rung that is followed badly is skipped, but for the first, or where first states are
+        # forgotten within a window: there no shorter window would do better
+        strays = last is not None and trial.mean > RUNG_ERROR
+        if strays and not _is_forgotten(trial, data.model, rung, scale):
             continue
         structure, last, fit = structure.at(rung, trial), rung, trial
         powers[rung.windows] = np.array(
@@ -67,6 +68,7 @@ def climb(data: Data) -> Climbed:
             f" {MAY_DIVERGE}"
         )
     ordered = [rung for rung in data.rungs if rung.windows in structure.states]
+    # clipped from here on: before the best fit is known nothing tells an event from an error
     scale = clipped(scale, fit.residuals, last)
     fit = fit.in_unit(scale).descended(6, 1e-4)
     middle = ordered[min(1, len(ordered) - 1)]
@@ -81,12 +83,9 @@ def _fitted(
     """
     begins: list[tuple[PhysicalModel, States | None]] = [(first, None)]
     if last is not None:
-        known = {
-            (number, part.t0): s
-            for number, part, s in zip(
-                last.experiment, last.parts, structure.states[last.windows], strict=True
-            )
-        }
+        # every window begins where a shorter one did, so its first states are known
+        shorter = zip(last.experiment, last.parts, structure.states[last.windows], strict=True)
+        known = {(number, part.t0): states for number, part, states in shorter}
         states = [
             known.get((number, part.t0), {})
             for number, part in zip(rung.experiment, rung.parts, strict=True)
@@ -106,36 +105,47 @@ def climb_at_likelier_timing(data: Data) -> Climbed:
     own, a delay or a lag. Where a controller answers the noise, inputs were held. All inputs are
     turned at once, then each of several alone.
     """
-
-    def climbed(variant: Data) -> Climbed | NotIdentifiable:
-        try:
-            return climb(variant)
-        except NotIdentifiable as diverges:
-            return diverges
-
-    climbs = side_by_side(climbed, [data, turned(data)])
+    climbs = side_by_side(_climbed_or_not, [data, turned(data)])
     known = [variant for variant in climbs if isinstance(variant, Climbed)]
     if not known:
         raise next(variant for variant in climbs if isinstance(variant, NotIdentifiable))
     held = [variant for variant in known if not any(e.hold.any() for e in variant.data.experiments)]
-    if (
-        len(known) > 1
-        and held
-        and feeds_back(held[0].found.model, held[0].last.parts, held[0].found.residuals)
-    ):
+    if len(known) > 1 and held and _is_fed_back(held[0]):
         return held[0]
     best = min(known, key=_preference)
-    innovation = innovations_on(best.last, best.found.model, best.structure, best.scale)
-    likelier = [
+    likelier = _with_one_turned(best)
+    alone = [
+        variant
+        for variant in side_by_side(_climbed_or_not, likelier)
+        if isinstance(variant, Climbed)
+    ]
+    return min([best, *alone], key=_preference)
+
+
+def _climbed_or_not(data: Data) -> Climbed | NotIdentifiable:
+    """`climb`, or why it cannot: at one timing a model may diverge, at the other not."""
+    try:
+        return climb(data)
+    except NotIdentifiable as diverges:
+        return diverges
+
+
+def _is_fed_back(held: Climbed) -> bool:
+    """Whether a controller answers the noise in what the model leaves with held inputs."""
+    return feeds_back(held.found.model, held.last.parts, held.found.residuals)
+
+
+def _with_one_turned(best: Climbed) -> list[Data]:
+    """The data with one of several inputs turned, where that leaves smaller innovations: only these
+    are worth a climb of their own.
+    """
+    model, windows = best.found.model, best.last.windows
+    innovation = innovations_on(best.last, model, best.structure, best.scale)
+    return [
         data
         for data in one_turned(best.data)
-        if innovations_on(
-            data.rung(best.last.windows), best.found.model, best.structure, best.scale
-        )
-        < innovation
+        if innovations_on(data.rung(windows), model, best.structure, best.scale) < innovation
     ]
-    alone = [variant for variant in side_by_side(climbed, likelier) if isinstance(variant, Climbed)]
-    return min([best, *alone], key=_preference)
 
 
 def innovations_on(rung: Rung, model: PhysicalModel, structure: Structure, scale: Scale) -> float:
@@ -173,8 +183,7 @@ def _forgets(fit: Fit, rung: Rung) -> bool:
         rung.parts, fit.initial, fit.problem.p(fit.theta), slopes=names, substeps=fit.substeps
     )
     slopes = [np.abs(run.dY) for run in runs if run.dY is not None]
-    late, peak = (
-        np.array([s[-1].max(axis=0) for s in slopes]),
-        np.array([s.max(axis=(0, 1)) for s in slopes]),
-    )
+    late = np.array([slope[-1].max(axis=0) for slope in slopes])
+    peak = np.array([slope.max(axis=(0, 1)) for slope in slopes])
+    # the median window, and of its states the one that is remembered longest
     return bool(np.median(late / np.maximum(peak, 1e-300), axis=0).max() < FORGETS)

@@ -7,88 +7,34 @@ there a wrong phase hides everything else, which shows on short windows.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from residuum.array_types import FloatArray
 from residuum.identification.physics import Key, PhysicalModel, Simulator
 from residuum.identification.physics.effects.base import Effect
 from residuum.identification.physics.estimation.gauss_newton import Fit
-from residuum.identification.unseen_blocks.data import Data, Rung
-from residuum.identification.unseen_blocks.following import Track
-from residuum.identification.unseen_blocks.judged import Judged, judged
-from residuum.identification.unseen_blocks.next_experiment import HELD
+from residuum.identification.unseen_blocks.judged import LONG, SHORT, Court, Judged
 from residuum.identification.unseen_blocks.policy import (
     ABSURD,
     FOLLOWED_STARTS,
-    GLANCED,
-    LONG_LOOK,
+    KEPT,
     PROMISING,
     RAN_OFF,
 )
 from residuum.identification.unseen_blocks.proposals import beginnings, conditions_along, starts
-from residuum.identification.unseen_blocks.scale import Scale
-from residuum.identification.unseen_blocks.structure import Structure, at_start, descended, fitted
+from residuum.identification.unseen_blocks.structure import (
+    HELD,
+    Structure,
+    at_start,
+    descended,
+)
 
-SHORT, LONG = "short", "long"
-
-
-@dataclass(frozen=True, eq=False)
-class Court:
-    """What all structures of a level are judged by: the data, the rung of the judgement, the rung
-    of short looks, the scale, and what the model as it is leaves in each window of that rung
-    (`there`, mean squares; None: not known).
-    """
-
-    data: Data
-    last: Rung
-    middle: Rung
-    scale: Scale
-    there: FloatArray | None = None
-
-    @cached_property
-    def short(self) -> tuple[Rung, Sequence[int]]:
-        """What a look at short windows sees, and which of the windows those are."""
-        return self.middle.thinned(GLANCED, self.there)
-
-    @property
-    def kinds(self) -> tuple[str, ...]:
-        """The looks that there are: long records are looked at in short windows alone."""
-        many = self.last.starts[-1] > LONG_LOOK
-        if self.middle is self.last:
-            return (LONG,)
-        return (SHORT,) if many else (LONG, SHORT)
-
-    def judge(self, structure: Structure, *, steps: int, tolerance: float) -> Judged | None:
-        """The structure fitted on the last rung, and judged there; None where it diverges."""
-        k = self.last.windows
-        known, taken = structure.states.get(k), structure.steps.get(k)
-        fit = fitted(
-            structure.model,
-            self.last,
-            known,
-            self.scale,
-            steps=steps,
-            tolerance=tolerance,
-            substeps=taken,
-        )
-        return None if fit is None else self.judge_fit(structure, fit)
-
-    def begun(self, structure: Structure, model: PhysicalModel | None = None) -> Fit | None:
-        """A structure that was found on the last rung, or a model that has more than it, at its own
-        values there; None where that diverges.
-        """
-        k = self.last.windows
-        return at_start(
-            model or structure.model, self.last, structure.states[k], self.scale, structure.steps[k]
-        )
-
-    def judge_fit(self, structure: Structure, fit: Fit) -> Judged | None:
-        """The structure judged by a fit on the last rung."""
-        return judged(structure.at(self.last, fit), fit, self.last, self.data, self.scale)
+if TYPE_CHECKING:
+    from residuum.identification.unseen_blocks.data import Rung
+    from residuum.identification.unseen_blocks.following import Track
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,17 +80,16 @@ def glance(
         rung, windows = (court.last, range(len(court.last.parts))) if kind == LONG else court.short
         states = [parent.states[rung.windows][k] for k in windows]
         steps = [parent.steps[rung.windows][k] for k in windows]
-        begun = [
-            fit
-            for model in first
-            if (fit := at_start(model, rung, states, court.scale, steps)) is not None
-        ]
+        passes = [at_start(model, rung, states, court.scale, steps) for model in first]
+        begun = [fit for fit in passes if fit is not None]
+        # by the cost that a damped step promises: a whole one promises shifts in time too much
         begun.sort(key=lambda fit: fit.cost - fit.promised(*fit.step(damping=PROMISING)))
-        if stepped := [fit.descended(1, 0.0) for fit in begun[:FOLLOWED_STARTS]]:
+        stepped = [fit.descended(1, 0.0) for fit in begun[:FOLLOWED_STARTS]]
+        if stepped:
             by_kind[kind] = sorted(stepped, key=lambda fit: fit.cost)
-    return (
-        Glance(parent, key, by_kind, _sizes(key, along, first, by_kind), along) if by_kind else None
-    )
+    if not by_kind:
+        return None
+    return Glance(parent, key, by_kind, _sizes(key, along, first, by_kind), along)
 
 
 def _sizes(
@@ -152,23 +97,20 @@ def _sizes(
 ) -> dict[str, list[float]]:
     """Magnitudes of an effect's values: as they are proposed, regressed, and after a step."""
     models = [*first, *(fit.model for fits in looks.values() for fit in fits)]
-    known = [
-        *(starts(key, along) if key.effect != HELD else ()),
-        *(_values(model, key) for model in models),
-    ]
-    return (
-        {name: [abs(values[name]) for values in known if name in values] for name in known[-1]}
-        if known
-        else {}
-    )
+    known: list[Mapping[str, float]] = [] if key.effect == HELD else list(starts(key, along))
+    known += [_values(model, key) for model in models]
+    if not known:
+        return {}
+    return {name: [abs(values[name]) for values in known if name in values] for name in known[-1]}
 
 
 def followed_on(view: Glance) -> Glance:
     """The glance after two steps more."""
-    by_kind = {kind: [fit.descended(2, 1e-3) for fit in fits] for kind, fits in view.seen.items()}
-    return replace(
-        view, seen={kind: sorted(fits, key=lambda fit: fit.cost) for kind, fits in by_kind.items()}
-    )
+    seen: dict[str, Sequence[Fit]] = {}
+    for kind, fits in view.seen.items():
+        further = [fit.descended(2, 1e-3) for fit in fits]
+        seen[kind] = sorted(further, key=lambda fit: fit.cost)
+    return replace(view, seen=seen)
 
 
 def look(view: Glance, court: Court) -> Judged | None:
@@ -176,40 +118,36 @@ def look(view: Glance, court: Court) -> Judged | None:
 
     None where all diverge, or their values refuse them.
     """
-    candidates: list[Fit] = []
+    nats, parent = court.scale.nats, view.parent
+    candidates: list[Fit | None] = []
     for kind, fits in view.seen.items():
-        # small effects of the wrong shape mislead
-        for fit in fits[: FOLLOWED_STARTS if court.scale.nats else 1]:
-            ends = (
-                [fit, descended(fit, steps=15, tolerance=1e-4)]
-                if court.scale.nats and kind == SHORT
-                else [fit]
-            )
-            rung_fits = (
-                ends
-                if kind == LONG
-                else [_on_the_last_rung(end.model, view.parent, court) for end in ends]
-            )
-            candidates += [rung_fit for rung_fit in rung_fits if rung_fit is not None]
-    return _lowest(
-        candidates,
-        Structure(view.keys, view.parent.model, view.parent.states, view.parent.steps),
-        view,
-        court,
-    )
+        # in noise small effects of the wrong shape mislead: more than the lowest is followed
+        for fit in fits[: FOLLOWED_STARTS if nats else 1]:
+            if kind == LONG:
+                candidates.append(fit)
+                continue
+            ends = [fit]
+            if nats:  # where short windows end is a further place to begin
+                ends.append(descended(fit, steps=15, tolerance=1e-4))
+            candidates += [_on_the_last_rung(end.model, parent, court) for end in ends]
+    known = [fit for fit in candidates if fit is not None]
+    structure = Structure(view.keys, parent.model, parent.states, parent.steps)
+    return _lowest(known, structure, view, court)
 
 
 def _on_the_last_rung(model: PhysicalModel, near: Structure, court: Court) -> Fit | None:
-    k = court.last.windows
-    return at_start(model, court.last, near.states.get(k), court.scale, near.steps.get(k))
+    windows = court.last.windows
+    states, steps = near.states.get(windows), near.steps.get(windows)
+    return at_start(model, court.last, states, court.scale, steps)
 
 
 def follow(
     models: Sequence[PhysicalModel], view: Glance, near: Structure, court: Court
 ) -> Judged | None:
     """The lowest of the full fits from other first values of what was glanced at."""
-    fits = [fit for model in models if (fit := _on_the_last_rung(model, near, court)) is not None]
-    return _lowest(fits, Structure(view.keys, near.model, near.states, near.steps), view, court)
+    begun = [_on_the_last_rung(model, near, court) for model in models]
+    known = [fit for fit in begun if fit is not None]
+    return _lowest(known, Structure(view.keys, near.model, near.states, near.steps), view, court)
 
 
 def _lowest(
@@ -220,7 +158,8 @@ def _lowest(
     """
     tolerance = 1e-6 if court.scale.nats else 1e-4
     fits = [descended(fit, steps=15, tolerance=tolerance) for fit in begun]
-    fits += [back for fit in fits if (back := called_back(fit, structure, court)) is not None]
+    put_back = [called_back(fit, structure, court) for fit in fits]
+    fits += [fit for fit in put_back if fit is not None]
     good = [fit for fit in fits if not _is_refused(fit.model, view, court)]
     return court.judge_fit(structure, min(good, key=lambda fit: fit.cost)) if good else None
 
@@ -241,11 +180,9 @@ def called_back(fit: Fit, near: Structure, court: Court) -> Fit | None:
         and abs(model.parameters[name].value) > RAN_OFF * abs(p.value)
     }
     begun = _on_the_last_rung(model.with_values(off), near, court) if off else None
-    return (
-        None
-        if begun is None
-        else descended(begun, steps=15, tolerance=1e-6 if court.scale.nats else 1e-4)
-    )
+    if begun is None:
+        return None
+    return descended(begun, steps=15, tolerance=1e-6 if court.scale.nats else 1e-4)
 
 
 def _is_refused(model: PhysicalModel, view: Glance, court: Court) -> bool:
@@ -260,10 +197,13 @@ def _values(model: PhysicalModel, key: Key) -> dict[str, float]:
 
 
 def shows(model: PhysicalModel, along: Track, rung: Rung) -> bool:
-    """Whether each effect can be told from an unknown load within a window of a rung: a far body on
-    a soft spring is one, and a second store that never fills.
+    """Whether each effect can be told from an unknown load within a window of a rung.
+
+    A far body on a spring so soft that no window sees it swing is told from none, nor is a second
+    store of heat that does not fill within a window.
     """
     duration = max(part.n * part.sample_time for part in rung.parts)
+    # most effects show in any window; conditions along the track are found only for those that ask
     asked = [use for use in model.effects if type(use.effect).shows is not Effect.shows]
     return all(
         use.effect.shows(
@@ -274,11 +214,86 @@ def shows(model: PhysicalModel, along: Track, rung: Rung) -> bool:
 
 
 def _is_absurd(model: PhysicalModel, view: Glance) -> bool:
-    """Whether a value left all its first values: a ripple without a period is a load."""
+    """Whether a value lies far beyond all its first values, where the effect is another one: a
+    ripple whose period is longer than the travel is a load.
+    """
     for name, value in _values(model, view.key).items():
-        known = [v for v in view.sizes.get(name, ()) if v > 0]
-        if known and (
-            abs(value) > ABSURD * max(known) or 0 < abs(value) < min(known) / (100.0 * ABSURD)
-        ):
+        known = [size for size in view.sizes.get(name, ()) if size > 0]
+        if not known:
+            continue
+        # sizes shrink to nothing where an effect is not there: that is no other effect
+        smallest = min(known) / (100.0 * ABSURD)
+        if abs(value) > ABSURD * max(known) or 0 < abs(value) < smallest:
             return True
     return not np.all(np.isfinite(list(model.values.values())))
+
+
+# Which of many glances are followed, and which proposals are worth a look beside others.
+
+
+def best_of_each(glances: Collection[Glance], count: int) -> list[Glance]:
+    """So many of each kind of look."""
+    top: dict[tuple[Key, ...], Glance] = {}
+    for kind in (SHORT, LONG):
+        top |= {view.keys: view for view in _by_error(glances, kind)[:count]}
+    return list(top.values())
+
+
+def worth_beside_others(glances: Collection[Glance]) -> set[Key]:
+    """Proposals worth a look beside others: the best of the first level, and those that hide alone
+    (own states, no slope yet).
+    """
+    viable = {view.key for view in glances if view.hides}
+    for kind in (SHORT, LONG):
+        ranked = _by_error(glances, kind)
+        viable |= {view.key for view in ranked[:KEPT]}
+        if ranked:
+            # without a slope no step changed anything: the error is that of the model as it is,
+            # which is the usual one, for most proposals change little
+            usual = float(np.median([view.error(kind) for view in ranked]))
+            viable |= {view.key for view in ranked if abs(view.error(kind) - usual) <= 1e-6 * usual}
+    return viable
+
+
+def _by_error(glances: Iterable[Glance], kind: str) -> list[Glance]:
+    """Those that were looked at in this way, the lowest error first."""
+    seen = [view for view in glances if kind in view.seen]
+    return sorted(seen, key=lambda view: view.error(kind))
+
+
+# Where windows begin in the states that no output shows: where the filter went.
+
+
+def with_unseen_states(parent: Structure, along: Track, court: Court) -> Structure:
+    """The structure whose windows of a short look begin where the filter went, in the states that
+    no output shows.
+
+    No fit moves these: the position of an axis of which the speed is measured is 0 at the begin of
+    every window, and no stop is where the axis met it.
+    """
+    rung, names = court.middle, list(Simulator(parent.model).states)
+    unseen = _unseen_states(parent, court.last)
+    if not unseen or rung.windows not in parent.states:
+        return parent
+    rows = along.X[court.data.rows(rung)[rung.starts[:-1]]]
+    filtered = [{n: float(x[names.index(n)]) for n in unseen} for x in rows]
+    states = [
+        {**known, **more} for known, more in zip(parent.states[rung.windows], filtered, strict=True)
+    ]
+    return replace(parent, states={**parent.states, rung.windows: states})
+
+
+def _unseen_states(parent: Structure, last: Rung) -> list[str]:
+    """States whose first values no measured output feels, on the first window of a rung."""
+    simulator, part = Simulator(parent.model), last.parts[0]
+    names = [f"initial:{name}" for name in simulator.free_states]
+    x0 = simulator.x0({**parent.states[last.windows][0], **part.known})
+    if not names:
+        return []
+    steps = parent.steps[last.windows][0]
+    run = simulator.run_vectors(part, x0, simulator.p(), slopes=names, substeps=steps)
+    if run.dY is None:
+        return []
+    # a slope of exactly zero: no equation leads from the state to a measured output
+    is_felt = np.any(run.dY[:, part.measured], axis=(0, 1))
+    return [name for name, felt in zip(simulator.free_states, is_felt, strict=True) if not felt]

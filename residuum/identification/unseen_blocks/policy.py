@@ -148,6 +148,9 @@ KNOTS_BY_AXIS: Mapping[str, int] = {
 }
 """Axes of the free term, and how many hat functions stand on each. Chosen."""
 
+FORMULA_TERMS = 3
+"""Functions that a formula of the free term has at most. Chosen."""
+
 UNKNOWN_LEADS = 0.5
 """Probability of something without a name from which on the verdict is that."""
 PLAINLY_A_PART = 0.7

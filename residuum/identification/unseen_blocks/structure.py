@@ -1,9 +1,12 @@
-"""A structure: a model with some effects, fitted, and where each window begins."""
+"""A structure: a model with some effects, fitted, and where each window begins; and held values
+that are freed like effects.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,16 +17,19 @@ from residuum.identification.physics.effects import EFFECTS, STRUCTURAL
 from residuum.identification.physics.effects.how_often import share_lacking
 from residuum.identification.physics.estimation.gauss_newton import Fit, Problem
 from residuum.identification.physics.model import place_of
-from residuum.identification.unseen_blocks.data import Rung
 from residuum.identification.unseen_blocks.policy import (
     COARSE,
+    HELD_REACH,
     OCCASIONAL,
     RARE,
     STIFFEST,
     USUAL_SHARE,
 )
-from residuum.identification.unseen_blocks.scale import Scale
 from residuum.identification.work import count_fit, go_on
+
+if TYPE_CHECKING:
+    from residuum.identification.unseen_blocks.data import Rung
+    from residuum.identification.unseen_blocks.scale import Scale
 
 States = Sequence[Mapping[str, float]]
 """First values of the states of each window, by name."""
@@ -74,7 +80,7 @@ def at_start(
 
     None where it diverges, or nothing can be estimated.
     """
-    go_on()
+    go_on()  # where a search is left when its work is over: before, not amid, a simulation
     try:
         simulator = Simulator(model)
         X0 = np.array(
@@ -82,6 +88,7 @@ def at_start(
             if states is None
             else _vectors(simulator, rung, states)
         )
+        # steps that were found serve a model with the same states; a further state may be stiffer
         if steps is None or not (states and set(simulator.states) <= states[0].keys()):
             needed = _steps_needed(simulator, rung, X0)
             steps = needed if steps is None else np.maximum(steps, needed).tolist()
@@ -92,6 +99,8 @@ def at_start(
         return None
     if states is not None:
         return fit
+    # of unknown first states the measured ones are a guess: they are fitted alone first, the values
+    # held at their own, so that a poor start does not move the values
     held = replace(fit.problem, lower=fit.theta, upper=fit.theta)
     return replace(replace(fit, problem=held).descended(2, 1e-2), problem=fit.problem)
 
@@ -134,9 +143,12 @@ def fitted(
     if start is None:
         return None
     fit = descended(start, steps=steps, tolerance=tolerance)
-    needed = _steps_needed(Simulator(fit.model), rung, fit.X0) if substeps is None else fit.substeps
-    if not any(n > COARSE * have for n, have in zip(needed, fit.substeps, strict=True)):
+    if substeps is not None:
         return fit
+    needed = _steps_needed(Simulator(fit.model), rung, fit.X0)
+    if not any(n > COARSE * taken for n, taken in zip(needed, fit.substeps, strict=True)):
+        return fit
+    # from the start again, not from the end: what coarse steps led to may be far from the minimum
     finer = replace(start.problem, substeps=np.maximum(needed, fit.substeps)).at(
         start.theta, start.X0
     )
@@ -162,10 +174,28 @@ def rarity(model: PhysicalModel, key: Key) -> float:
     """
     if key.effect not in (EFFECTS.keys() | STRUCTURAL.keys()) or EFFECTS.fingerprint(key.effect):
         return 0.0
-    place = model.balances.get(place_of(key.target))
-    share = share_lacking(
-        key.effect, [b.kind for b in model.balances.values()] if place is None else [place.kind]
-    )
+    balance = model.balances.get(place_of(key.target))
+    balances = model.balances.values() if balance is None else [balance]
+    share = share_lacking(key.effect, [b.kind for b in balances])
     if share is None or share >= USUAL_SHARE:
         return 0.0
     return OCCASIONAL if share > 0.0 else RARE
+
+
+# Held values: parameters that a model holds fixed, where the records ask for another value. They
+# are proposed and judged like effects, under a key of their own.
+# A mass that is a tenth too large looks like an elasticity or a load. An estimate of what is free
+# cannot mend it, and the likeliest effect stands in for it.
+
+HELD = "value"
+"""In the place of an effect's id: a parameter that the model fixes is free."""
+
+
+def freed(model: PhysicalModel, names: Iterable[str]) -> PhysicalModel:
+    """The model with these of its fixed parameters free, within reach of their values."""
+    known = dict(model.parameters)
+    for name in names:
+        p = known[name]
+        low, high = sorted(((1.0 - HELD_REACH) * p.value, (1.0 + HELD_REACH) * p.value))
+        known[name] = replace(p, fixed=False, lower=max(low, p.lower), upper=min(high, p.upper))
+    return replace(model, parameters=known)

@@ -8,19 +8,17 @@ blocks shows what else would have done the same.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
 
 from residuum.array_types import FloatArray
 from residuum.identification.physics import Key, PhysicalModel, noise_floor
 from residuum.identification.physics.model import find_effect
-from residuum.identification.unseen_blocks.comparing import evidence, is_alike, share
-from residuum.identification.unseen_blocks.free_term import BlockTerm
-from residuum.identification.unseen_blocks.judged import Judged
-from residuum.identification.unseen_blocks.looks import Court
-from residuum.identification.unseen_blocks.next_experiment import HELD
+from residuum.identification.unseen_blocks.comparing import OnBlocks, evidence, is_alike, share
 from residuum.identification.unseen_blocks.policy import (
     DOUBTED,
     DRAWS,
@@ -32,7 +30,14 @@ from residuum.identification.unseen_blocks.policy import (
     UNKNOWN_LEADS,
     WORTH,
 )
+from residuum.identification.unseen_blocks.structure import HELD
 from residuum.identification.unseen_blocks.tried import Search, chain, in_place_of
+
+if TYPE_CHECKING:
+    from residuum.identification.physics.effects.base import Parameter
+    from residuum.identification.unseen_blocks.free_term import BlockTerm
+    from residuum.identification.unseen_blocks.judged import Court, Judged
+    from residuum.identification.unseen_blocks.scale import Scale
 
 # One effect that may be missing, and what is said of it.
 
@@ -107,34 +112,36 @@ class Verdict:
 
 def steps_of(search: Search) -> list[Step]:
     """The effects that joined, in the order in which each takes away most."""
-    steps = []
-    for key, before, after in chain(search, search.best.keys):
-        earlier = set(before.keys)
-        rivals = [
-            o
-            for o in search.every.values()
-            if set(o.keys) > earlier and len(o.keys) == len(after.keys) and o.keys != after.keys
-        ]
-        rivals.sort(key=lambda rival: rival.cost)
-        alike = [o for o in rivals if is_alike(o, after, before, search.court.scale)]
-        if after.keys == search.best.keys:
-            alike += [
-                o
-                for o in search.group
-                if o.keys not in {a.keys for a in alike} and set(o.keys) > earlier
-            ]
-        alike += [
-            o
-            for o in in_place_of(search, key, before.keys)
-            if o.keys not in {a.keys for a in alike}
-        ]
-        # What does not lower the error beyond its price has no probability to share, however near
-        # it lies.
-        alike = [o for o in alike if o.cost < before.cost]
-        steps.append(
-            Step(key, before, after, tuple(alike), tuple(o for o in rivals if o not in alike))
-        )
-    return steps
+    return [_step(search, *joined) for joined in chain(search, search.best.keys)]
+
+
+def _step(search: Search, key: Key, before: Judged, after: Judged) -> Step:
+    """An effect that joined, with what does the same in its place and what else was tried there."""
+    earlier = set(before.keys)
+    rivals = [
+        rival
+        for rival in search.every.values()
+        if set(rival.keys) > earlier
+        and len(rival.keys) == len(after.keys)
+        and rival.keys != after.keys
+    ]
+    rivals.sort(key=lambda rival: rival.cost)
+    alike = [rival for rival in rivals if is_alike(rival, after, before, search.court.scale)]
+    # the last effect's group is known from the search, where all were judged beside it
+    if after.keys == search.best.keys:
+        alike += _new(alike, [rival for rival in search.group if set(rival.keys) > earlier])
+    alike += _new(alike, in_place_of(search, key, before.keys))
+    # What does not lower the error beyond its price has no probability to share, however near
+    # it lies.
+    alike = [rival for rival in alike if rival.cost < before.cost]
+    others = tuple(rival for rival in rivals if rival not in alike)
+    return Step(key, before, after, tuple(alike), others)
+
+
+def _new(known: Sequence[Judged], more: Sequence[Judged]) -> list[Judged]:
+    """Of more structures those whose effects are none of the known ones'."""
+    keys = {judged.keys for judged in known}
+    return [judged for judged in more if judged.keys not in keys]
 
 
 def counted(
@@ -146,39 +153,46 @@ def counted(
     wins nowhere: where one block tells a value alone, deletion is ahead in every draw that has that
     block.
     """
-    scale = search.court.scale
-    free = [] if adequate else free
-    fitting = [
-        rival for rival in search.every.values() if not rival.keys or rival.seen < search.base.seen
-    ]
+    scale, base = search.court.scale, search.base
+    fitting = [rival for rival in search.every.values() if not rival.keys or rival.seen < base.seen]
     tried = sorted(fitting, key=lambda rival: rival.cost)[:MOST_RIVALS]
-    powers = [scale.by_block(rival.power) for rival in tried] + [
-        scale.by_block(term.power) for term in free
-    ]
-    names: list[tuple[Key, ...] | str] = [rival.keys or NONE for rival in tried] + [UNKNOWN] * len(
-        free
-    )
-    sizes = np.array([rival.parameters for rival in tried] + [term.parameters for term in free])
-    by_block, base = np.array(powers), scale.by_block(search.base.power)
+    terms: Sequence[BlockTerm] = [] if adequate else free
+    entrants: list[OnBlocks] = [*tried, *terms]
+    names: list[tuple[Key, ...] | str] = [rival.keys or NONE for rival in tried]
+    names += [UNKNOWN] * len(terms)
+    sizes = np.array([entrant.parameters for entrant in entrants])
+    by_block = np.array([scale.by_block(entrant.power) for entrant in entrants])
+    # bootstrap over blocks: the same draws for all, so that they are compared in pairs
     pick = np.random.default_rng(0).integers(0, by_block.shape[1], (DRAWS, by_block.shape[1]))
-    costs = by_block[:, pick].sum(axis=2) + (scale.price * sizes[:, None] if scale.nats else 0.0)
-    nothing = base[pick].sum(axis=1) + (scale.price * search.base.parameters if scale.nats else 0.0)
-    lead = costs.min(axis=0)
-    near = costs < (lead + TIE if scale.nats else 1.1 * lead)
-    winner = np.argmin(
-        np.where(near, sizes[:, None] + 1e-9 * costs / np.maximum(lead, 1e-300), np.inf), axis=0
-    )
+    price = scale.price if scale.nats else 0.0
+    costs = by_block[:, pick].sum(axis=2) + price * sizes[:, None]
+    nothing = scale.by_block(base.power)[pick].sum(axis=1) + price * base.parameters
+    winner = _simplest_near_the_best(costs, sizes, scale)
     gain = nothing - costs[winner, np.arange(DRAWS)]
-    asked = (
-        np.log(max(search.tried, 1)) + TIE
-        if scale.nats
-        else np.maximum(WORTH * (nothing - scale.floor), SMALL)
-    )
+    if scale.nats:
+        asked = np.full(DRAWS, np.log(max(search.tried, 1)) + TIE)
+    else:
+        asked = np.maximum(WORTH * (nothing - scale.floor), SMALL)
+    # what is left where no name is worth its place
+    unnamed = NONE if adequate else UNKNOWN
     wins: dict[tuple[Key, ...] | str, float] = {}
     for k, worth in zip(winner.tolist(), gain > asked, strict=True):
-        name = names[k] if worth and names[k] != NONE else (NONE if adequate else UNKNOWN)
+        name = names[k] if worth and names[k] != NONE else unnamed
         wins[name] = wins.get(name, 0.0) + 1.0 / DRAWS
     return wins
+
+
+def _simplest_near_the_best(
+    costs: FloatArray, sizes: FloatArray, scale: Scale
+) -> npt.NDArray[np.intp]:
+    """Of each draw the one with the fewest parameters among those near the lowest of the costs
+    (entrants, draws), as a search chooses; of equally many parameters the lower cost.
+    """
+    lead = costs.min(axis=0)
+    near = costs < (lead + TIE if scale.nats else 1.1 * lead)
+    # the relative cost counts for so little that it decides between equal sizes alone
+    rank = sizes[:, None] + 1e-9 * costs / np.maximum(lead, 1e-300)
+    return np.argmin(np.where(near, rank, np.inf), axis=0)
 
 
 def verdict_on(
@@ -192,35 +206,53 @@ def verdict_on(
     """The verdict on the steps that `joined`; `adequate`: whether nothing is structured in what the
     best structure leaves.
     """
-    timing = {step.key for step in joined if is_timing(step.key, search)}
-    if not joined:  # what was tried, and is a shift by less than a sample, is no physics either
-        timing = {
-            fit.keys[0]
-            for fit in search.every.values()
-            if len(fit.keys) == 1 and is_timing(fit.keys[0], search, fit.model)
-        }
-    wins = _named(counted(search, free, adequate=adequate), timing, NONE if adequate else UNKNOWN)
+    nothing = NONE if adequate else UNKNOWN
+    timing = _timing(search, joined)
+    wins = _named(counted(search, free, adequate=adequate), timing, nothing)
     steps = [step for step in joined if step.key not in timing]
     if steps and (not _recorded(steps) or (not adequate and _took_a_part(search))):
         wins = _doubted(wins)
-    listed: list[Candidate] = []
-    for number, step in enumerate(step for step in steps if step.key.effect != HELD):
-        listed += _candidates(step, number, wins, stds, search)
-    if not steps:
-        listed = _undecided(search, wins, stds, timing)
+    listed = _listed(steps, wins, stds, search) if steps else _undecided(search, wins, stds, timing)
     unknown, none = wins.get(UNKNOWN, 0.0), wins.get(NONE, 0.0)
-    named = sum(c.probability for c in listed if c.step == 0)
+    # one draw counts for several where a structure of two effects wins it: probabilities of the
+    # first step, "none" and "unknown" share one
+    named = sum(candidate.probability for candidate in listed if candidate.step == 0)
     excess = max(named + none + unknown, 1.0)
-    listed = [_scaled(c, 1.0 / excess) for c in listed]
-    named_one = any(step.key.effect != HELD for step in steps)
+    listed = [_scaled(candidate, 1.0 / excess) for candidate in listed]
+    has_effect = any(step.key.effect != HELD for step in steps)
     if steps and unknown >= UNKNOWN_LEADS:
         says = "unknown-effect"
-    elif named_one and any(c.probability > 0.0 for c in listed):
+    elif has_effect and any(candidate.probability > 0.0 for candidate in listed):
         says = "missing-effect"
     else:
         says = "adequate" if adequate else "unknown-effect"
     remainder = max(0.0, 1.0 - named / excess - none / excess)
     return Verdict(says, tuple(listed), none / excess, remainder)
+
+
+def _timing(search: Search, joined: Sequence[Step]) -> set[Key]:
+    """The effects that shift time by less than a sample: of those that joined, or, where none did,
+    of those that were tried alone, for such a shift is no physics either.
+    """
+    if joined:
+        return {step.key for step in joined if is_timing(step.key, search)}
+    alone = [fit for fit in search.every.values() if len(fit.keys) == 1]
+    return {fit.keys[0] for fit in alone if is_timing(fit.keys[0], search, fit.model)}
+
+
+def _listed(
+    steps: Sequence[Step],
+    wins: Mapping[tuple[Key, ...] | str, float],
+    stds: Mapping[str, float],
+    search: Search,
+) -> list[Candidate]:
+    """The candidates of every step that is an effect; held values are told beside them."""
+    effects = [step for step in steps if step.key.effect != HELD]
+    return [
+        candidate
+        for number, step in enumerate(effects)
+        for candidate in _candidates(step, number, wins, stds, search)
+    ]
 
 
 def _named(
@@ -292,50 +324,51 @@ def _candidates(
     """The accepted effect, its group, and what else won draws in its place; a group shares what it
     wins.
 
-    What won beside the group won nothing in its place.
+    A structure that holds one of the group and another effect won for the group: the other one has
+    no part in it.
     """
     earlier = set(step.before.keys)
-    group = {step.key: step.after} | {
-        _added(rival, earlier): rival for rival in step.group if _is_one(rival, earlier)
-    }
-    rivals = {_added(rival, earlier): rival for rival in step.others if _is_one(rival, earlier)}
-    won = [(set(keys), w) for keys, w in wins.items() if not isinstance(keys, str)]
-    together = sum(w for keys, w in won if keys & group.keys())
-    shares = {
-        key: sum(w for keys, w in won if key in keys and not keys & group.keys()) for key in rivals
-    }
+    group = {step.key: step.after} | _by_added(step.group, earlier)
     named = [key for key in group if key.effect != HELD]
+    won = [(set(keys), share) for keys, share in wins.items() if not isinstance(keys, str)]
+    together = sum(share for keys, share in won if keys & group.keys())
     listed = [
         _candidate(
-            key,
-            group[key],
-            step,
+            _Entry(key, group[key], together / len(named), [k for k in named if k != key]),
+            step.before,
             number,
-            together / len(named),
-            [k for k in named if k != key],
             stds,
             search,
         )
         for key in named
     ]
-    leading = sorted(
-        (k for k in rivals if k.effect != HELD), key=lambda k: (-shares[k], rivals[k].cost)
-    )[: LISTED if number == 0 else 0]
-    listed += [
+    if number > 0:  # rivals are told of the first step alone
+        return listed
+    rivals = _by_added(step.others, earlier)
+    elsewhere = [(keys, share) for keys, share in won if not keys & group.keys()]
+    shares = {key: sum(share for keys, share in elsewhere if key in keys) for key in rivals}
+    effects = [key for key in rivals if key.effect != HELD]
+    leading = sorted(effects, key=lambda key: (-shares[key], rivals[key].cost))[:LISTED]
+    return listed + [
         _candidate(
-            key, rivals[key], step, number, 0.0 if earlier else shares[key], [], stds, search
+            _Entry(key, rivals[key], 0.0 if earlier else shares[key]),
+            step.before,
+            number,
+            stds,
+            search,
         )
         for key in leading
     ]
-    return listed
 
 
-def _is_one(rival: Judged, earlier: set[Key]) -> bool:
-    return len(set(rival.keys) - earlier) == 1
-
-
-def _added(rival: Judged, earlier: set[Key]) -> Key:
-    return next(iter(set(rival.keys) - earlier))
+def _by_added(structures: Sequence[Judged], earlier: set[Key]) -> dict[Key, Judged]:
+    """Structures with one effect more than the earlier ones, by that effect."""
+    by_added = {}
+    for judged in structures:
+        added = set(judged.keys) - earlier
+        if len(added) == 1:
+            by_added[added.pop()] = judged
+    return by_added
 
 
 def _undecided(
@@ -345,67 +378,75 @@ def _undecided(
     timing: set[Key],
 ) -> list[Candidate]:
     """Nothing is real: those that took away most are told with what they win."""
-    alone = sorted(
-        (fit for fit in search.every.values() if len(fit.keys) == 1), key=lambda fit: fit.cost
-    )[:LISTED]
-    step = Step(Key("", ""), search.base, search.base, (), ())
+    alone = [fit for fit in search.every.values() if len(fit.keys) == 1]
+    base = search.base
     listed = [
         fit
-        for fit in alone
-        if fit.keys[0].effect != HELD and fit.keys[0] not in timing and fit.cost < search.base.cost
+        for fit in sorted(alone, key=lambda fit: fit.cost)[:LISTED]
+        if fit.keys[0].effect != HELD and fit.keys[0] not in timing and fit.cost < base.cost
     ]
     return [
-        _candidate(fit.keys[0], fit, step, 0, wins.get(fit.keys, 0.0), [], stds, search)
+        _candidate(_Entry(fit.keys[0], fit, wins.get(fit.keys, 0.0)), base, 0, stds, search)
         for fit in listed
     ]
 
 
+@dataclass(frozen=True)
+class _Entry:
+    """An effect of a structure, the probability that it is told with, and which others cannot be
+    told from it.
+    """
+
+    key: Key
+    judged: Judged
+    probability: float
+    alike: Sequence[Key] = ()
+
+
 def _candidate(
-    key: Key,
-    judged: Judged,
-    step: Step,
-    number: int,
-    probability: float,
-    alike: Sequence[Key],
-    stds: Mapping[str, float],
-    search: Search,
+    entry: _Entry, base: Judged, number: int, stds: Mapping[str, float], search: Search
 ) -> Candidate:
+    """What is said of an effect that was added to the structure `base`, after `number` others."""
+    key, judged = entry.key, entry.judged
     use = next(use for use in judged.model.effects if use.key == key)
-    accepted = key in search.best.keys
-    values = (
-        next(u for u in search.best.model.effects if u.key == key).parameters
-        if accepted
-        else use.parameters
-    )
-    doubts = {
-        n: float(stds.get(f"{use.label}.{n}", 0.0)) if accepted and not p.fixed else 0.0
-        for n, p in values.items()
-    }
-    before, after = step.before.rms, judged.rms
+    parameters, doubts = use.parameters, dict.fromkeys(use.parameters, 0.0)
+    if key in search.best.keys:  # accepted: its values beside all others are told, with their doubt
+        best = next(use for use in search.best.model.effects if use.key == key)
+        parameters = best.parameters
+        doubts = {
+            name: 0.0 if p.fixed else float(stds.get(f"{use.label}.{name}", 0.0))
+            for name, p in parameters.items()
+        }
+    before, after = base.rms, judged.rms
+    # the output whose error falls most; one without any error has no ratio
     with np.errstate(invalid="ignore", divide="ignore"):
         o = int(np.nanargmin(after / before))
     output = list(judged.model.outputs.values())[o]
-    natural = find_effect(key.effect).natural_bounds
-    bounds = [
-        n
-        for n, p in values.items()
-        if not p.fixed and n not in natural and p.value in (p.lower, p.upper)
-    ]
     return Candidate(
         effect=key.effect,
         balance=key.target,
-        probability=float(probability),
-        indistinguishable_from=tuple(k.effect for k in alike),
-        parameters={n: Quantity(p.value, doubts[n], p.unit) for n, p in values.items()},
+        probability=float(entry.probability),
+        indistinguishable_from=tuple(rival.effect for rival in entry.alike),
+        parameters={
+            name: Quantity(p.value, doubts[name], p.unit) for name, p in parameters.items()
+        },
         error_before=float(before[o]),
         error_after=float(after[o]),
         error_unit=output.unit,
         output=output.name,
-        within_bounds=not bounds,
-        evidence=evidence(judged, step.before, search.court.scale),
+        within_bounds=not _at_a_bound(parameters, find_effect(key.effect).natural_bounds),
+        evidence=evidence(judged, base, search.court.scale),
         held_out=True,
-        share=share_of(step.before, judged),
+        share=share_of(base, judged),
         step=number,
+    )
+
+
+def _at_a_bound(parameters: Mapping[str, Parameter], natural: Collection[str]) -> bool:
+    """Whether an estimated value lies at a bound at which no such effect would."""
+    return any(
+        not p.fixed and name not in natural and p.value in (p.lower, p.upper)
+        for name, p in parameters.items()
     )
 
 
@@ -473,37 +514,28 @@ class BlockErrors:
     candidates: Mapping[Key, FloatArray]
 
 
-def block_errors(
-    model: PhysicalModel,
-    records: Sequence[int],
-    times: Sequence[tuple[float, float]],
-    count: FloatArray,
-    before: FloatArray,
-    after: FloatArray,
-    candidates: Mapping[Key, FloatArray],
-) -> BlockErrors:
-    """From sums of squares and how many samples they are of, arrays of shape (blocks, outputs); see
-    BlockErrors.
-    """
-    observed = count.sum(axis=0) > 0.0
-    outputs = [
-        output
-        for output, measured in zip(model.outputs.values(), observed, strict=True)
-        if measured
-    ]
+def block_errors(search: Search, candidates: Sequence[Candidate]) -> BlockErrors:
+    """Errors of a search's model as it is, of its best structure, and of each candidate alone."""
+    data, base = search.court.data, search.base
+    blocks = range(data.blocks)
+    observed = base.count.sum(axis=0) > 0.0
+    measured = zip(data.model.outputs.values(), observed, strict=True)
+    outputs = [output for output, is_observed in measured if is_observed]
+    n = base.count[:, observed]
 
     def rms(squares: FloatArray) -> FloatArray:
-        n = count[:, observed]
-        return np.sqrt(
-            np.divide(squares[:, observed], n, out=np.full(n.shape, np.nan), where=n > 0.0)
-        )
+        nothing = np.full(n.shape, np.nan)
+        return np.sqrt(np.divide(squares[:, observed], n, out=nothing, where=n > 0.0))
 
+    first = [candidate.key for candidate in candidates if candidate.step == 0]
     return BlockErrors(
         outputs=tuple(output.name for output in outputs),
         units=tuple(output.unit for output in outputs),
-        records=tuple(records),
-        times=tuple(times),
-        before=rms(before),
-        after=rms(after),
-        candidates={key: rms(squares) for key, squares in candidates.items()},
+        records=tuple(block * len(data.experiments) // data.blocks for block in blocks),
+        times=tuple(data.times_of(block) for block in blocks),
+        before=rms(base.squares),
+        after=rms(search.best.squares),
+        candidates={
+            key: rms(search.every[(key,)].squares) for key in first if (key,) in search.every
+        },
     )

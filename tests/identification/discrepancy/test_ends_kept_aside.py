@@ -7,7 +7,7 @@ from residuum.identification.physics import read_model
 from residuum.identification.record import Record
 from residuum.identification.unseen_blocks.data import matched
 from residuum.identification.unseen_blocks.ladder import climb
-from residuum.identification.unseen_blocks.settling import begun
+from residuum.identification.unseen_blocks.tried import begun
 
 CART = """
 name: cart

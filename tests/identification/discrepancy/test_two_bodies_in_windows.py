@@ -13,8 +13,8 @@ from residuum.identification.record import Record
 from residuum.identification.unseen_blocks.data import matched
 from residuum.identification.unseen_blocks.ladder import climb_at_likelier_timing
 from residuum.identification.unseen_blocks.scale import plain
-from residuum.identification.unseen_blocks.settling import begun
 from residuum.identification.unseen_blocks.structure import Structure
+from residuum.identification.unseen_blocks.tried import begun
 
 AXIS = Path(__file__).with_name("axis.yaml").read_text()
 SAMPLE_TIME, FINE, NOISE = 0.002, 80, 2e-5

@@ -6,7 +6,7 @@ from residuum.identification.physics import Key, read_model
 from residuum.identification.record import Record
 from residuum.identification.unseen_blocks.data import matched
 from residuum.identification.unseen_blocks.ladder import climb
-from residuum.identification.unseen_blocks.search import _exchanged, begun
+from residuum.identification.unseen_blocks.search import begun, exchanged
 from residuum.identification.unseen_blocks.structure import Structure
 from residuum.identification.unseen_blocks.tried import Wanted
 
@@ -52,7 +52,7 @@ def _with(found, ids):
 def test_an_effect_that_stands_for_another_goes_and_those_that_are_there_stay():
     found = begun(climb(matched(read_model(CART), [_cart()], None)))
     found.best = _with(found, ("constant-load", "coulomb-friction", "linear-spring"))
-    beam = _exchanged(found, [found.best], Wanted((*THREE, "constant-load"), held=False), None)
+    beam = exchanged(found, [found.best], Wanted((*THREE, "constant-load"), held=False), None)
     assert {key.effect for key in found.best.keys} == set(THREE) and beam[0] is found.best
-    again = _exchanged(found, beam, Wanted((*THREE, "constant-load"), held=False), None)
+    again = exchanged(found, beam, Wanted((*THREE, "constant-load"), held=False), None)
     assert again == beam and {key.effect for key in found.best.keys} == set(THREE)

@@ -8,9 +8,9 @@ import pytest
 from residuum.identification.physics import estimate, read_model
 from residuum.identification.record import Record
 from residuum.identification.unseen_blocks.data import matched
-from residuum.identification.unseen_blocks.judged import judged
+from residuum.identification.unseen_blocks.judged import Court, judged
 from residuum.identification.unseen_blocks.ladder import climb
-from residuum.identification.unseen_blocks.looks import Court, called_back
+from residuum.identification.unseen_blocks.looks import called_back
 from residuum.identification.unseen_blocks.scale import plain
 from residuum.identification.unseen_blocks.structure import Structure, fitted
 

@@ -6,7 +6,7 @@ from residuum.identification.physics import Key, read_model
 from residuum.identification.record import Record
 from residuum.identification.unseen_blocks.data import matched
 from residuum.identification.unseen_blocks.ladder import Climbed, climb
-from residuum.identification.unseen_blocks.search import _lengthened, begun
+from residuum.identification.unseen_blocks.search import begun, lengthened
 from residuum.identification.unseen_blocks.structure import Structure
 
 CART = """
@@ -52,7 +52,7 @@ def test_the_better_of_two_on_longer_windows_is_the_best_from_then_on():
         )
         found.every[key,] = one
     found.best = found.every[Key("constant-load", "body"),]  # as if short windows had preferred it
-    beam = _lengthened(found)
+    beam = lengthened(found)
     assert found.court.last.windows < shortest.windows
     assert [key.effect for key in found.best.keys] == ["linear-spring"] and beam[0] is found.best
     assert found.base.cost > 10.0 * found.best.cost

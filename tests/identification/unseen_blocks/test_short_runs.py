@@ -8,10 +8,10 @@ import pytest
 from residuum.identification.errors import BadRecord
 from residuum.identification.physics import Simulator, match, read_model
 from residuum.identification.record import Record
-from residuum.identification.unseen_blocks.at_its_rate import searched
+from residuum.identification.unseen_blocks.advice import distinguishing, power_of_test
 from residuum.identification.unseen_blocks.data import matched
-from residuum.identification.unseen_blocks.next_experiment import distinguishing, power_of_test
 from residuum.identification.unseen_blocks.policy import POWER_WANTED
+from residuum.identification.unseen_blocks.record_search import searched
 from residuum.identification.unseen_blocks.tried import Wanted
 
 CART = """name: cart

@@ -5,8 +5,8 @@ import pytest
 
 from residuum.identification.physics import read_model
 from residuum.identification.record import Record
-from residuum.identification.unseen_blocks.at_its_rate import searched
 from residuum.identification.unseen_blocks.data import coarser, matched
+from residuum.identification.unseen_blocks.record_search import searched
 from residuum.identification.unseen_blocks.tried import Wanted
 
 AXIS = """

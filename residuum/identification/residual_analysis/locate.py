@@ -118,16 +118,25 @@ def locate(
     ----------
     M. Kulldorff, *A spatial scan statistic*, Commun. Stat. 26 (1997).
     """
-    total = float(np.nansum(error**2))
+    located = _Located(error, of, noise_rms, direction)
     candidates = []
     for axis in axes:
         interval = _scan(error, axis, correlation_samples)
         if interval is not None:
-            candidates.append(_region(error, axis, interval, noise_rms, of, direction, total))
-    return sorted(
-        (region for region in candidates if region.times_noise > 1.0),
-        key=lambda region: -region.score,
-    )
+            candidates.append(_region(located, axis, interval))
+    # an error that is plainly uneven may still be too small for a word
+    above_noise = [region for region in candidates if region.times_noise > 1.0]
+    return sorted(above_noise, key=lambda region: -region.score)
+
+
+@dataclass(frozen=True, eq=False)
+class _Located:
+    """The error (n,) of an output or a balance, its noise, and the direction of movement (n,)."""
+
+    error: FloatArray
+    of: str
+    noise_rms: float
+    direction: FloatArray | None
 
 
 @dataclass(frozen=True)
@@ -159,23 +168,18 @@ def _scan(error: FloatArray, axis: Axis, correlation: float) -> _Interval | None
     )
 
 
-def _region(
-    error: FloatArray,
-    axis: Axis,
-    interval: _Interval,
-    noise_rms: float,
-    of: str,
-    direction: FloatArray | None,
-    total: float,
-) -> Region:
+def _region(located: _Located, axis: Axis, interval: _Interval) -> Region:
+    """The interval in words and figures, in one direction of movement where the error is that's."""
+    error, direction = located.error, located.direction
+    total = float(np.nansum(error**2))
     inside = np.isfinite(error) & (axis.values >= interval.start) & (axis.values <= interval.stop)
     way = _one_way(error, inside, direction)
     if way is not None and direction is not None:
         inside &= (direction > 0) == (way == "forward")
     power = float(np.sum(error[inside] ** 2))
-    times_noise = (
-        float(np.sqrt(power / max(inside.sum(), 1)) / noise_rms) if noise_rms > 0 else float("inf")
-    )
+    times_noise = float("inf")
+    if located.noise_rms > 0:
+        times_noise = float(np.sqrt(power / max(inside.sum(), 1)) / located.noise_rms)
     return Region(
         axis=axis.name,
         start=interval.start,
@@ -185,7 +189,7 @@ def _region(
         share=power / total if total > 0 else 0.0,
         time_share=float(inside.mean()),
         direction=way,
-        of=of,
+        of=located.of,
         says=_words(axis, interval, way, times_noise),
         score=interval.score,
     )

@@ -13,7 +13,7 @@ from residuum.array_types import FloatArray
 from residuum.identification.errors import BadInput
 from residuum.identification.physics import Experiment, Key, PhysicalModel, Simulator, estimate
 from residuum.identification.record import Record
-from residuum.identification.residual_analysis.places.locate import Axis, signal_axes
+from residuum.identification.residual_analysis.locate import Axis, signal_axes
 
 _FEWEST = 5
 _EFFECT_BINS = 80
