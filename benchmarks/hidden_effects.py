@@ -251,11 +251,11 @@ def chi_square(case: Case, explanation: Explanation) -> float | None:
     None where what is left is not its own noise.
     """
     found, id = explanation.found, case.hidden[0][0]
-    if not found.court.scale.nats:
+    if not found.validation.scale.nats:
         return None
     tried = [one for one in found.every.values() if len(one.keys) == 1 and one.keys[0].effect == id]
     best = min(
-        (one.cost - found.court.scale.price * one.parameters for one in tried), default=np.inf
+        (one.cost - found.validation.scale.price * one.parameters for one in tried), default=np.inf
     )
     return max(2.0 * (found.base.cost - best), 0.0) if tried else 0.0
 

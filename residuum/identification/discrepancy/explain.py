@@ -27,7 +27,7 @@ from residuum.identification.unseen_blocks.advice import (
 )
 from residuum.identification.unseen_blocks.free_term import BlockTerm, free_terms
 from residuum.identification.unseen_blocks.policy import FEWEST_TO_JUDGE, UNKNOWN_LEADS
-from residuum.identification.unseen_blocks.record_search import informed, searched
+from residuum.identification.unseen_blocks.record_search import searched, with_forgotten_inputs
 from residuum.identification.unseen_blocks.structure import HELD
 from residuum.identification.unseen_blocks.tried import Search, Wanted
 from residuum.identification.unseen_blocks.verdict import (
@@ -148,7 +148,7 @@ class Explanation:
         """Whether effects were named by the share that they take away: what they leave is more than
         its own noise.
         """
-        return not self.found.court.scale.nats
+        return not self.found.validation.scale.nats
 
 
 # The question.
@@ -239,7 +239,7 @@ def explained(
     with at_most():
         began = time.perf_counter()
         # a forgotten input is added before anything is searched: its effect needs it in the model
-        model = informed(model, records, mapping, wanted)
+        model = with_forgotten_inputs(model, records, mapping, wanted)
         left = None if seconds is None else seconds - (time.perf_counter() - began)
         search = searched(
             model, records, mapping, wanted, seconds=left, tell=part_of(tell, 0.0, 0.9)
@@ -261,14 +261,16 @@ def answer_on_blocks(
     """The answer by errors on unseen blocks."""
     best, stds, steps = search.best, doubts_of(search), steps_of(search)
     # beside the model as it is: what any smooth term would do is the measure of what names do
-    free = free_terms(search.base, search.court)
+    free = free_terms(search.base, search.validation)
     left = _left(search)
     # few answers to few steps look like a walk at random, which passes for noise in `compare`
     slow = any(times > SLOW for _, _, times in left.values())
     adequate = not slow and not compare(best.model, records, mapping, refuse_unstable=False).present
     verdict = verdict_on(search, steps, free, stds, adequate=adequate)
-    free_beside = free_terms(best, search.court) if best.keys else free
-    named = {key for step in steps for judged in (step.after, *step.group) for key in judged.keys}
+    free_beside = free_terms(best, search.validation) if best.keys else free
+    named = {
+        key for step in steps for validated in (step.after, *step.group) for key in validated.keys
+    }
     timing = [step.key for step in steps if is_timing(step.key, search)]
     effects = [step.key for step in steps if step.key.effect != HELD]
     return Explanation(
@@ -284,9 +286,9 @@ def answer_on_blocks(
         timing=tuple(timing),
         drifting=verdict.unknown > UNKNOWN_LEADS and bool(free) and free[0].axis == "time",
         left=left,
-        values=estimated_values(search.court.data.model, best.model, stds),
+        values=estimated_values(search.validation.data.model, best.model, stds),
         held=tuple(_held(step, search, stds) for step in steps if step.key.effect == HELD),
-        remaining=remaining(search.base, best, search.court),
+        remaining=remaining(search.base, best, search.validation),
         blocks=block_errors(search, verdict.candidates),
         work=begun(),
         seconds=time.perf_counter() - began,
@@ -298,10 +300,10 @@ def doubts_of(search: Search) -> dict[str, float]:
     """Standard deviations of the best structure's parameters by full name, in noise of the colour
     that is left.
     """
-    fit = search.court.begun(search.best.structure)
+    fit = search.validation.begun(search.best.structure)
     if fit is None:
         return {}
-    std = np.sqrt(np.maximum(np.diag(coloured_covariance(fit, search.court.last.parts)), 0.0))
+    std = np.sqrt(np.maximum(np.diag(coloured_covariance(fit, search.validation.last.parts)), 0.0))
     return dict(zip(fit.parameters, std.tolist(), strict=True))
 
 
@@ -316,10 +318,10 @@ def _unexplained(search: Search, terms: Sequence[BlockTerm]) -> float:
 
 def _left(search: Search) -> dict[str, tuple[float, str, float]]:
     """What the best structure leaves of each measured output; see `Explanation.left`."""
-    best, parts = search.best, np.split(search.best.errors, search.court.last.starts[1:-1])
+    best, parts = search.best, np.split(search.best.errors, search.validation.last.starts[1:-1])
     left = {}
     for o, output in enumerate(best.model.outputs.values()):
-        if search.court.data.measured[o]:
+        if search.validation.data.measured[o]:
             errors = [part[:, o] for part in parts]
             rms = float(np.sqrt(np.nanmean(np.concatenate(errors) ** 2)))
             innovations = float(np.sqrt(innovation_variance(errors)))
@@ -329,7 +331,7 @@ def _left(search: Search) -> dict[str, tuple[float, str, float]]:
 
 def _held(step: Step, search: Search, stds: Mapping[str, float]) -> HeldValue:
     """The fixed value that is doubted; of several that do as much the first of the model."""
-    model, tied = search.court.data.model, {step.key.target: search}
+    model, tied = search.validation.data.model, {step.key.target: search}
     for rival in step.group:
         for key in rival.keys:
             if key.effect == HELD and key not in search.best.keys:

@@ -38,8 +38,8 @@ from residuum.identification.physics import (
 from residuum.identification.physics.model import find_effect, fitting, tied_to
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.compare import compare
+from residuum.identification.unseen_blocks.cross_validation import ValidatedFit
 from residuum.identification.unseen_blocks.data import Data, data_of, long_enough, matched
-from residuum.identification.unseen_blocks.judged import Judged
 from residuum.identification.unseen_blocks.proposals import without_idle
 from residuum.identification.unseen_blocks.record_search import at_its_rate, searched, with_asked
 from residuum.identification.unseen_blocks.structure import HELD, Structure, fitted, freed
@@ -57,7 +57,7 @@ from residuum.nearest_names import known_names
 ASIDE = "every block in turn"
 """What is kept aside, in words, where no user says which part."""
 
-_Step = tuple[Key, Judged, Judged]
+_Step = tuple[Key, ValidatedFit, ValidatedFit]
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +108,7 @@ def joined_of(
         _on_the_rest(fits, o, search, records, mapping) if noted else [fit.rms[o] for fit in fits]
     )
     history = [
-        Step(name, float(error), remaining(fits[0], fit, search.court))
+        Step(name, float(error), remaining(fits[0], fit, search.validation))
         for (name, fit), error in zip(rows, errors, strict=True)
     ]
     final = steps[-1][2] if steps else search.base
@@ -116,7 +116,7 @@ def joined_of(
         model, std = _final(search, final, _every_sample(search, records, mapping), noted=True)
         aside = split(records).aside
     else:
-        data = search.court.data
+        data = search.validation.data
         model, std = _final(search, final, data.finer or data, noted=False)
         aside = ASIDE
     return Joined(model, history, refused, std, list(search.best.model.outputs)[o], aside)
@@ -141,8 +141,8 @@ def _that_hold(
     distinct = [
         subset for number, subset in enumerate(subsets) if subset and subset not in subsets[:number]
     ]
-    judged = [(subset, with_only(search, subset)) for subset in distinct]
-    known = [(subset, fit.model) for subset, fit in judged if fit is not None]
+    validated = [(subset, with_only(search, subset)) for subset in distinct]
+    known = [(subset, fit.model) for subset, fit in validated if fit is not None]
     index = first_that_holds(
         search.base.model, [model for _, model in known], search, records, mapping
     )
@@ -163,7 +163,7 @@ def _in_order(search: Search, keys: Sequence[Key]) -> list[_Step]:
     return steps
 
 
-def _before(search: Search, was: PhysicalModel) -> list[tuple[str | None, Judged]]:
+def _before(search: Search, was: PhysicalModel) -> list[tuple[str | None, ValidatedFit]]:
     """The model with values held that the base has free, judged like that, and the base once a
     value.
     """
@@ -174,7 +174,7 @@ def _before(search: Search, was: PhysicalModel) -> list[tuple[str | None, Judged
     ]
     held = {**search.base.model.parameters, **{name: was.parameters[name] for name in names}}
     base = search.base.structure
-    before = search.court.judge(
+    before = search.validation.validate(
         Structure((), replace(base.model, parameters=held), base.states, base.steps),
         steps=15,
         tolerance=1e-5,
@@ -183,7 +183,7 @@ def _before(search: Search, was: PhysicalModel) -> list[tuple[str | None, Judged
 
 
 def _on_the_rest(
-    fits: Sequence[Judged],
+    fits: Sequence[ValidatedFit],
     o: int,
     search: Search,
     records: Sequence[Record],
@@ -191,7 +191,7 @@ def _on_the_rest(
 ) -> list[float]:
     """Errors of an output on the part that a user keeps aside."""
     testing = testing_of(
-        search.base.model, split(records), mapping, search.court.data.experiments[0].hold
+        search.base.model, split(records), mapping, search.validation.data.experiments[0].hold
     )
     return [float(rmse_aside(fit.model, testing)[o]) for fit in fits]
 
@@ -202,13 +202,16 @@ def _every_sample(
     """All records at the input timing of the search."""
     return data_of(
         *matched_at(
-            search.court.data.model, records, mapping, search.court.data.experiments[0].hold
+            search.validation.data.model,
+            records,
+            mapping,
+            search.validation.data.experiments[0].hold,
         )
     )
 
 
 def _final(
-    search: Search, final: Judged, data: Data, *, noted: bool
+    search: Search, final: ValidatedFit, data: Data, *, noted: bool
 ) -> tuple[PhysicalModel, Mapping[str, float]]:
     """The model on all the data, and its standard deviations. One that nothing joins is estimated
     at its least simulation error over whole records, which a search in windows does not seek.
@@ -220,11 +223,13 @@ def _final(
     return final.model, doubts_of(replace(search, best=final))
 
 
-def _on_everything(search: Search, final: Judged, data: Data) -> Search | None:
+def _on_everything(search: Search, final: ValidatedFit, data: Data) -> Search | None:
     """The structure judged on all the data; None where it diverges there."""
-    court = replace(search.court, data=data, last=data.rung(search.court.last.windows))
-    best = court.judge(Structure(final.keys, final.model, {}, {}), steps=20, tolerance=1e-5)
-    return None if best is None else replace(search, court=court, best=best)
+    validation = replace(
+        search.validation, data=data, last=data.horizon(search.validation.last.windows)
+    )
+    best = validation.validate(Structure(final.keys, final.model, {}, {}), steps=20, tolerance=1e-5)
+    return None if best is None else replace(search, validation=validation, best=best)
 
 
 def _estimated(model: PhysicalModel, data: Data) -> Estimate | None:
@@ -262,7 +267,9 @@ def first_that_holds(
     windows. None where none does; the first of all where the records are too short to ask.
     """
     asked = _kept_aside(records)
-    if search.court.last.windows > 1:  # whose first states hide where a model goes in the long run
+    if (
+        search.validation.last.windows > 1
+    ):  # whose first states hide where a model goes in the long run
         asked.append(Split(list(records), [(record, 0) for record in records]))
     asked = [
         parts for parts in asked if parts.testing and long_enough([r.n for r in parts.training])
@@ -314,10 +321,15 @@ def _error(
     """Simulation error over what is kept aside, estimated on the rest, the outputs in units of the
     first model's errors; infinite where it diverges.
     """
-    hold, scale = search.court.data.experiments[0].hold, search.court.scale
+    hold, scale = search.validation.data.experiments[0].hold, search.validation.scale
     data = data_of(*matched_at(model, parts.training, mapping, hold))
     estimated = fitted(
-        data.model, data.rung(search.court.last.windows), None, scale, steps=20, tolerance=1e-5
+        data.model,
+        data.horizon(search.validation.last.windows),
+        None,
+        scale,
+        steps=20,
+        tolerance=1e-5,
     )
     if estimated is None:
         return np.inf
@@ -407,7 +419,7 @@ def _as_explained(
     # what is found beside them as they are held
     if any(key.effect == HELD for key in search.best.keys):
         held = replace(how.wanted, held=False)
-        before = _with_inputs_of(before, search.court.data.model)
+        before = _with_inputs_of(before, search.validation.data.model)
         search = searched(
             before, training, how.mapping, held, seconds=how.seconds, tell=part_of(tell, 0.8, 0.9)
         )

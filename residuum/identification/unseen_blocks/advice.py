@@ -30,8 +30,8 @@ from residuum.identification.unseen_blocks.scale import Scale, of_noise
 from residuum.identification.unseen_blocks.structure import HELD
 
 if TYPE_CHECKING:
+    from residuum.identification.unseen_blocks.cross_validation import ValidatedFit
     from residuum.identification.unseen_blocks.following import Track
-    from residuum.identification.unseen_blocks.judged import Judged
     from residuum.identification.unseen_blocks.tried import Search, Wanted
     from residuum.identification.unseen_blocks.verdict import Candidate
 
@@ -46,10 +46,12 @@ class Undetectable:
     unit: str
 
 
-def noise_of(judged: Judged, search: Search) -> Scale:
+def noise_of(validated: ValidatedFit, search: Search) -> Scale:
     """Nats of the noise that a structure leaves."""
-    last = search.court.last
-    return of_noise(np.split(judged.errors, last.starts[1:-1]), last, search.court.data.measured)
+    last = search.validation.last
+    return of_noise(
+        np.split(validated.errors, last.starts[1:-1]), last, search.validation.data.measured
+    )
 
 
 def undetectable(
@@ -101,7 +103,7 @@ def _information(model: PhysicalModel, name: str, search: Search, scale: Scale) 
     """On one parameter, the free ones of the best structure projected out; none where they do all
     that it does, or its slopes grow without bounds.
     """
-    last, simulator = search.court.last, Simulator(model)
+    last, simulator = search.validation.last, Simulator(model)
     states = search.best.structure.states[last.windows]
     initial = [simulator.x0({n: v for n, v in s.items() if n in simulator.states}) for s in states]
     steps = search.best.structure.steps[last.windows]
@@ -139,18 +141,22 @@ def next_experiments(search: Search, candidates: Sequence[Candidate]) -> tuple[N
         return _power(first, second, experiments, scale, only)
 
     return distinguishing(
-        (key.effect, rival.effect), first.model, search.court.data.experiments, power
+        (key.effect, rival.effect), first.model, search.validation.data.experiments, power
     )
 
 
 def _rivals(
     search: Search, candidates: Sequence[Candidate]
-) -> tuple[tuple[Key, Judged], tuple[Key, Judged]] | None:
+) -> tuple[tuple[Key, ValidatedFit], tuple[Key, ValidatedFit]] | None:
     if not candidates:
         return None
     first = candidates[0]
     # both alone beside the model as it is: what else joined would be in one of them only
-    alone = {judged.keys[0]: judged for judged in search.every.values() if len(judged.keys) == 1}
+    alone = {
+        validated.keys[0]: validated
+        for validated in search.every.values()
+        if len(validated.keys) == 1
+    }
     rivals = [
         candidate
         for candidate in candidates[1:]
@@ -171,7 +177,11 @@ def _is_worth_separating(candidate: Candidate, first: Candidate) -> bool:
 
 
 def _power(
-    a: Judged, b: Judged, experiments: Sequence[Experiment], scale: Scale, only: int | None
+    a: ValidatedFit,
+    b: ValidatedFit,
+    experiments: Sequence[Experiment],
+    scale: Scale,
+    only: int | None,
 ) -> float | None:
     """Power of the test on what the second structure's parameters cannot absorb; None when it could
     not be simulated.
@@ -195,9 +205,9 @@ def _power(
     return power_of_test(np.concatenate(differences), np.concatenate(slopes))
 
 
-def _first(judged: Judged) -> dict[str, float]:
-    """First states of the first window on the last rung; those that it fixes stay."""
-    states = judged.structure.states[min(judged.structure.states)]
+def _first(validated: ValidatedFit) -> dict[str, float]:
+    """First states of the first window on the last horizon; those that it fixes stay."""
+    states = validated.structure.states[min(validated.structure.states)]
     return dict(states[0])
 
 

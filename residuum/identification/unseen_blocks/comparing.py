@@ -24,7 +24,7 @@ from residuum.identification.unseen_blocks.policy import (
 from residuum.identification.unseen_blocks.structure import HELD
 
 if TYPE_CHECKING:
-    from residuum.identification.unseen_blocks.judged import Judged
+    from residuum.identification.unseen_blocks.cross_validation import ValidatedFit
     from residuum.identification.unseen_blocks.scale import Scale
 
 
@@ -98,7 +98,7 @@ def evidence(new: OnBlocks, old: OnBlocks, scale: Scale) -> float:
     return 0.5 * t * abs(t)
 
 
-def corrected(new: Judged, old: Judged) -> float:
+def corrected(new: ValidatedFit, old: ValidatedFit) -> float:
     """Standard errors by which what the new one corrects on unseen blocks goes along with the old
     one's errors. They are summed over pieces as long as the errors are correlated, and
     self-normalised: an effect may show in few places, not in one alone.
@@ -118,14 +118,16 @@ def corrected(new: Judged, old: Judged) -> float:
     return float(s.sum() / max(float(np.sqrt((s**2).sum())), 1e-300))
 
 
-def is_real(new: Judged, old: Judged, base: Judged, scale: Scale, tried: int) -> bool:
+def is_real(
+    new: ValidatedFit, old: ValidatedFit, base: ValidatedFit, scale: Scale, tried: int
+) -> bool:
     """Whether what the new one corrects on unseen blocks is real after so many were tried, and
     worth it; a rare effect more.
 
     What fits the seen blocks no better is ahead on unseen ones by chance: where one block alone
     tells a value, another value left out with it lies anywhere.
     """
-    gain = old.cost - new.cost if new.seen < old.seen else 0.0
+    gain = old.cost - new.cost if new.seen_cost < old.seen_cost else 0.0
     if scale.nats:
         # the logarithm of how many were tried is the price of the choice among them (Bonferroni);
         # and no single place may hold all of the gain
@@ -141,8 +143,8 @@ def is_real(new: Judged, old: Judged, base: Judged, scale: Scale, tried: int) ->
 
 
 def real_ones(
-    ranked: Sequence[Judged], old: Judged, base: Judged, scale: Scale, tried: int
-) -> list[Judged]:
+    ranked: Sequence[ValidatedFit], old: ValidatedFit, base: ValidatedFit, scale: Scale, tried: int
+) -> list[ValidatedFit]:
     """Those that are real, without rare ones that do no better than one that is less rare."""
     real = [fit for fit in ranked if is_real(fit, old, base, scale, tried)]
     return [
@@ -152,12 +154,12 @@ def real_ones(
     ]
 
 
-def is_nothing(left: Judged, base: Judged, scale: Scale) -> bool:
+def is_nothing(left: ValidatedFit, base: ValidatedFit, scale: Scale) -> bool:
     """Whether what is left is so small a part of the first error that nothing is sought in it."""
     return not scale.nats and left.cost - scale.floor < SMALL * (base.cost - scale.floor)
 
 
-def simplest(ranked: Sequence[Judged], scale: Scale) -> Judged:
+def simplest(ranked: Sequence[ValidatedFit], scale: Scale) -> ValidatedFit:
     """The fewest parameters among those that the best does not stand before; of what noise cannot
     tell apart the physics of a balance before the path of an input.
     """
@@ -174,7 +176,9 @@ def simplest(ranked: Sequence[Judged], scale: Scale) -> Judged:
     return _physics_first(chosen, ranked, scale) if scale.nats else chosen
 
 
-def _physics_first(chosen: Judged, ranked: Sequence[Judged], scale: Scale) -> Judged:
+def _physics_first(
+    chosen: ValidatedFit, ranked: Sequence[ValidatedFit], scale: Scale
+) -> ValidatedFit:
     """What is as likely as the chosen one, no rarer, and has a balance's effect in the place of one
     on an input.
 
@@ -192,18 +196,20 @@ def _physics_first(chosen: Judged, ranked: Sequence[Judged], scale: Scale) -> Ju
     return min([chosen, *same], key=lambda rival: (_on_inputs(rival), rival.parameters, rival.cost))
 
 
-def _on_inputs(candidate: Judged) -> int:
+def _on_inputs(candidate: ValidatedFit) -> int:
     return sum(
         key.effect != HELD and find_effect(key.effect).place == "input" for key in candidate.keys
     )
 
 
-def _beside(rival: Judged, lead: Judged, scale: Scale) -> bool:
+def _beside(rival: ValidatedFit, lead: ValidatedFit, scale: Scale) -> bool:
     mean, std = paired(lead, rival, scale)
     return mean < std and rival.cost < 1.4 * lead.cost
 
 
-def is_alike(rival: Judged, chosen: Judged, before: Judged | None, scale: Scale) -> bool:
+def is_alike(
+    rival: ValidatedFit, chosen: ValidatedFit, before: ValidatedFit | None, scale: Scale
+) -> bool:
     """Whether the data cannot tell another structure from the chosen one, both in the place of
     `before`.
     """
@@ -215,10 +221,12 @@ def is_alike(rival: Judged, chosen: Judged, before: Judged | None, scale: Scale)
     difference = 0.5 * (rival.power - chosen.power).sum(axis=1)
     doubt = float(difference.std(ddof=1) * np.sqrt(len(difference)))
     most = np.inf if before is None else 0.2 * (before.cost - chosen.cost)
-    return min(rival.cost - chosen.cost, rival.seen - chosen.seen) < max(TIE, min(doubt, most))
+    return min(rival.cost - chosen.cost, rival.seen_cost - chosen.seen_cost) < max(
+        TIE, min(doubt, most)
+    )
 
 
-def going_on(ranked: Sequence[Judged], scale: Scale) -> list[Judged]:
+def going_on(ranked: Sequence[ValidatedFit], scale: Scale) -> list[ValidatedFit]:
     """Those that a next effect is tried beside: ties have to travel."""
     lead = ranked[0]
     if scale.nats:
@@ -231,6 +239,6 @@ def going_on(ranked: Sequence[Judged], scale: Scale) -> list[Judged]:
     return near[:BEAM]
 
 
-def _within_three(rival: Judged, lead: Judged, scale: Scale) -> bool:
+def _within_three(rival: ValidatedFit, lead: ValidatedFit, scale: Scale) -> bool:
     mean, std = paired(lead, rival, scale)
     return mean < 3.0 * std

@@ -24,7 +24,7 @@ from residuum.identification.physics.simulate.kalman import Filter, Smoothed, fi
 from residuum.identification.unseen_blocks.policy import ROWS
 
 if TYPE_CHECKING:
-    from residuum.identification.unseen_blocks.data import Data, Rung
+    from residuum.identification.unseen_blocks.data import Data, Horizon
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,12 +57,15 @@ class Track:
 
 
 def followed(
-    model: PhysicalModel, data: Data, errors: FloatArray | None = None, rung: Rung | None = None
+    model: PhysicalModel,
+    data: Data,
+    errors: FloatArray | None = None,
+    horizon: Horizon | None = None,
 ) -> Track | None:
     """The model's smoothed states in every experiment, and what its balances lacked; None where the
     filter diverges.
 
-    `errors` (rows, outputs) are those of its simulation on a rung, where they are known.
+    `errors` (rows, outputs) are those of its simulation on a horizon, where they are known.
     """
     kalman, simulator = Filter(model, first_noise(model, data.experiments)), Simulator(model)
     smoothed = [kalman.run(e, simulator.x0(e.known)) for e in data.experiments]
@@ -74,8 +77,8 @@ def followed(
         for s in smoothed
     ]
     along = joined(model, data.experiments, [s.X for s in smoothed], lacks)
-    if errors is not None and rung is not None:
-        along.errors[data.rows(rung)] = np.nan_to_num(errors)
+    if errors is not None and horizon is not None:
+        along.errors[data.rows(horizon)] = np.nan_to_num(errors)
     return along
 
 

@@ -29,7 +29,13 @@ from residuum.identification.physics.simulate.integration import (
 )
 from residuum.identification.side_by_side import side_by_side
 from residuum.identification.unseen_blocks.comparing import evidence
-from residuum.identification.unseen_blocks.judged import Court, Equations, Judged, equations, summed
+from residuum.identification.unseen_blocks.cross_validation import (
+    CrossValidation,
+    Equations,
+    ValidatedFit,
+    equations,
+    summed,
+)
 from residuum.identification.unseen_blocks.policy import FORMULA_TERMS, KNOTS_BY_AXIS
 from residuum.kept_loops import njit
 
@@ -130,7 +136,7 @@ class BlockTerm:
     """One free term: where it acts, the signal it is a function of, its curve (`value` in `unit`
     over `at`), and its errors.
 
-    `power` (blocks, measured outputs) in the court's scale, on blocks that it has not seen; it has
+    `power` (blocks, measured outputs) in the scale of the validation, on blocks that it has not seen; it has
     so many `parameters` more, and `evidence` are its log odds against the structure alone.
     """
 
@@ -145,12 +151,12 @@ class BlockTerm:
     evidence: float
 
 
-def free_terms(parent: Judged, court: Court) -> list[BlockTerm]:
+def free_terms(parent: ValidatedFit, validation: CrossValidation) -> list[BlockTerm]:
     """Every free term beside a structure, the best first; none where the model diverges or has
     nowhere to put one.
     """
-    last, fit = court.last, court.begun(parent.structure)
-    at = None if fit is None else equations(fit, last, court.scale)
+    last, fit = validation.last, validation.begun(parent.structure)
+    at = None if fit is None else equations(fit, last, validation.scale)
     if fit is None or at is None:
         return []
     runs = zip(last.parts, fit.initial, fit.substeps, strict=True)
@@ -159,30 +165,30 @@ def free_terms(parent: Judged, court: Court) -> list[BlockTerm]:
         return []
     kernel = at
 
-    def judged(term: tuple[str, str, FloatArray, list[FloatArray]]) -> BlockTerm:
-        return _judged(term, parent, court, kernel, responses)
+    def validated(term: tuple[str, str, FloatArray, list[FloatArray]]) -> BlockTerm:
+        return _validated(term, parent, validation, kernel, responses)
 
     terms = list(_terms(fit.model, last.parts, responses))
-    return sorted(side_by_side(judged, terms), key=lambda term: term.cost)
+    return sorted(side_by_side(validated, terms), key=lambda term: term.cost)
 
 
-def _judged(
+def _validated(
     term: tuple[str, str, FloatArray, list[FloatArray]],
-    parent: Judged,
-    court: Court,
+    parent: ValidatedFit,
+    validation: CrossValidation,
     at: Equations,
     responses: Sequence[LinearResponse],
 ) -> BlockTerm:
     balance, axis, knots, functions = term
-    scale, last = court.scale, court.last
+    scale, last = validation.scale, validation.last
     measured = scale.weights > 0.0
     columns = np.concatenate([r.to(balance, h) for r, h in zip(responses, functions, strict=True)])
     columns = scale.whitened(columns * scale.weights[:, None], at.starts)[:, measured]
     columns[~at.known] = 0.0
     extra, clip = at.beside_states(columns), scale.clip[measured]
-    errors = (at.unseen(last.block, court.data.fold, more) for more in (None, extra))
+    errors = (at.unseen(last.block, validation.data.fold, more) for more in (None, extra))
     before, after = (
-        summed(np.where(at.known, np.clip(e, -clip, clip), 0.0) ** 2, last, court.data.blocks)
+        summed(np.where(at.known, np.clip(e, -clip, clip), 0.0) ** 2, last, validation.data.blocks)
         for e in errors
     )
     # The parent's power was found by simulated steps, that of the term is known by equations alone:

@@ -30,10 +30,10 @@ from residuum.identification.physics import Key, PhysicalModel
 from residuum.identification.physics.estimation.least_squares import solve_scaled
 from residuum.identification.physics.model import find_effect
 from residuum.identification.side_by_side import each_beside
-from residuum.identification.unseen_blocks.judged import (
-    Court,
+from residuum.identification.unseen_blocks.cross_validation import (
+    CrossValidation,
     Equations,
-    Judged,
+    ValidatedFit,
     equations,
     normal_equations,
     steps_without,
@@ -70,9 +70,11 @@ class _NormalEquations:
     columns: Sequence[npt.NDArray[np.intp]]
 
     @classmethod
-    def of(cls, own: Equations, slopes: Sequence[_Slopes], court: Court) -> _NormalEquations:
+    def of(
+        cls, own: Equations, slopes: Sequence[_Slopes], validation: CrossValidation
+    ) -> _NormalEquations:
         """Those of a fit's equations and of effects beside it, the outputs in the scale's units."""
-        scale = court.scale
+        scale = validation.scale
         unit = (
             np.ones(own.errors.shape[1]) if scale.unit is None else np.maximum(scale.unit, 1e-300)
         )
@@ -80,10 +82,10 @@ class _NormalEquations:
         columns = [own.slopes, *(trial.columns for trial in slopes)]
         T = np.concatenate(columns, axis=2) / np.sqrt(unit)[:, None]
         errors = own.errors * own.huber / np.sqrt(unit)
-        H, g = normal_equations(T, errors, court.data.fold[court.last.block])
+        H, g = normal_equations(T, errors, validation.data.fold[validation.last.block])
         ends = np.cumsum([own.slopes.shape[2], *(len(trial.names) for trial in slopes)])[:-1]
-        first, *others = np.split(np.arange(T.shape[2]), ends)
-        return cls(H, g, first, others)
+        first, *effects = np.split(np.arange(T.shape[2]), ends)
+        return cls(H, g, first, effects)
 
     def of_pair(self, i: int, j: int) -> tuple[FloatArray, FloatArray]:
         """H and g of the structure's values and of two effects."""
@@ -91,15 +93,17 @@ class _NormalEquations:
         return self.H[:, at][:, :, at], self.g[:, at]
 
 
-def pairs(parent: Judged, keys: Iterable[Key], along: Track, court: Court) -> list[Judged]:
+def pairs(
+    parent: ValidatedFit, keys: Iterable[Key], along: Track, validation: CrossValidation
+) -> list[ValidatedFit]:
     """The pairs of these effects that promise most beside a structure, fitted and judged."""
-    begun = court.begun(parent.structure)
-    own = None if begun is None else equations(begun, court.last, court.scale)
+    begun = validation.begun(parent.structure)
+    own = None if begun is None else equations(begun, validation.last, validation.scale)
     if own is None or not own.errors.any():  # nothing is left that a pair could explain
         return []
-    by_effect = each_beside(lambda key: _at_rest(key, parent, along, court), list(keys))
+    by_effect = each_beside(lambda key: _at_rest(key, parent, along, validation), list(keys))
     slopes = [trial for shapes in by_effect for trial in shapes]
-    equations_of_all = _NormalEquations.of(own, slopes, court)
+    equations_of_all = _NormalEquations.of(own, slopes, validation)
     # two shapes of one effect are no pair
     index_pairs = [
         (i, j) for i, j in combinations(range(len(slopes)), 2) if slopes[i].key != slopes[j].key
@@ -108,7 +112,7 @@ def pairs(parent: Judged, keys: Iterable[Key], along: Track, court: Court) -> li
     tasks = []
     for i, j in islice(_unlike(ranked, slopes), PAIRS_FITTED):
         step = _step(*equations_of_all.of_pair(i, j))[len(equations_of_all.own) :]
-        tasks.append(partial(_fitted, parent, (slopes[i], slopes[j]), step, court))
+        tasks.append(partial(_fitted, parent, (slopes[i], slopes[j]), step, validation))
     return [trial for trial in each_beside(lambda task: task(), tasks) if trial is not None]
 
 
@@ -128,7 +132,9 @@ def _unlike(
             yield i, j
 
 
-def _at_rest(key: Key, parent: Judged, along: Track, court: Court) -> list[_Slopes]:
+def _at_rest(
+    key: Key, parent: ValidatedFit, along: Track, validation: CrossValidation
+) -> list[_Slopes]:
     """An effect at rest beside the structure, in each of its shapes; none of one that is never at
     rest.
     """
@@ -140,11 +146,13 @@ def _at_rest(key: Key, parent: Judged, along: Track, court: Court) -> list[_Slop
         values = effect.at_rest(start)
         if values not in shapes:
             shapes.append(values)
-    slopes = [_slopes_at(key, values, parent, court) for values in shapes]
+    slopes = [_slopes_at(key, values, parent, validation) for values in shapes]
     return [trial for trial in slopes if trial is not None]
 
 
-def _slopes_at(key: Key, values: dict[str, float], parent: Judged, court: Court) -> _Slopes | None:
+def _slopes_at(
+    key: Key, values: dict[str, float], parent: ValidatedFit, validation: CrossValidation
+) -> _Slopes | None:
     """The slopes of an effect at rest beside the structure; None where it does not fit the model,
     or the model diverges.
     """
@@ -152,8 +160,8 @@ def _slopes_at(key: Key, values: dict[str, float], parent: Judged, court: Court)
         model = _unbounded(canonical(parent.model.with_effect(*key, values)), key)
     except BadInput:
         return None
-    begun = court.begun(parent.structure, model)
-    at_rest = None if begun is None else equations(begun, court.last, court.scale)
+    begun = validation.begun(parent.structure, model)
+    at_rest = None if begun is None else equations(begun, validation.last, validation.scale)
     if at_rest is None or not np.all(np.isfinite(at_rest.slopes)):
         return None
     free = list(model.free)
@@ -194,8 +202,8 @@ def _unseen(H: FloatArray, g: FloatArray) -> float:
 
 
 def _fitted(
-    parent: Judged, pair: Sequence[_Slopes], step: FloatArray, court: Court
-) -> Judged | None:
+    parent: ValidatedFit, pair: Sequence[_Slopes], step: FloatArray, validation: CrossValidation
+) -> ValidatedFit | None:
     """The structure with both, begun where the step leads."""
     model: PhysicalModel = parent.model
     for member, more in zip(pair, np.split(step, [len(pair[0].names)]), strict=True):
@@ -210,7 +218,7 @@ def _fitted(
     keys = tuple(sorted((*parent.keys, *(member.key for member in pair))))
     near = parent.structure
     structure = Structure(keys, canonical(model), near.states, near.steps)
-    return court.judge(structure, steps=15, tolerance=1e-5)
+    return validation.validate(structure, steps=15, tolerance=1e-5)
 
 
 def _within(model: PhysicalModel, key: Key, values: dict[str, float]) -> dict[str, float]:

@@ -14,12 +14,15 @@ from residuum.identification.physics.model import find_effect, fitting
 from residuum.identification.record import Record
 from residuum.identification.unseen_blocks.data import Data, coarser, data_of, long_enough, matched
 from residuum.identification.unseen_blocks.following import followed
-from residuum.identification.unseen_blocks.ladder import climb, climb_at_likelier_timing
-from residuum.identification.unseen_blocks.looks import followed_on, glance, look
+from residuum.identification.unseen_blocks.multiple_shooting import (
+    first_fit,
+    first_fit_at_likelier_timing,
+)
 from residuum.identification.unseen_blocks.policy import MOST_EFFORT
 from residuum.identification.unseen_blocks.proposals import forgotten_columns
-from residuum.identification.unseen_blocks.search import search, settled
+from residuum.identification.unseen_blocks.search import next_beam, search
 from residuum.identification.unseen_blocks.structure import Structure
+from residuum.identification.unseen_blocks.trial_fits import full_fit, quick_fit, refined
 from residuum.identification.unseen_blocks.tried import (
     Search,
     Wanted,
@@ -29,7 +32,7 @@ from residuum.identification.unseen_blocks.tried import (
 from residuum.identification.work import OutOfWork, Tell, at_most, left_out, rising, untold
 
 if TYPE_CHECKING:
-    from residuum.identification.unseen_blocks.judged import Judged
+    from residuum.identification.unseen_blocks.cross_validation import ValidatedFit
 
 
 def searched(
@@ -59,7 +62,7 @@ def searched(
             return at_its_rate(data, partial(search, wanted=wanted, tell=rising(tell)))
     except OutOfWork:
         left_out("everything beside the model as it is")
-        return begun(climb(coarser(data)))
+        return begun(first_fit(coarser(data)))
 
 
 def at_its_rate(data: Data, seek: Callable[[Data], Search]) -> Search:
@@ -68,8 +71,8 @@ def at_its_rate(data: Data, seek: Callable[[Data], Search]) -> Search:
     """
     outcome = seek(coarser(data))
     # those of the outcome: a search may have turned the input timing
-    finer = outcome.court.data.finer
-    if not outcome.court.scale.nats or finer is None:
+    finer = outcome.validation.data.finer
+    if not outcome.validation.scale.nats or finer is None:
         return outcome
     try:
         return seek(finer)
@@ -92,7 +95,7 @@ def _check_fitting(model: PhysicalModel, wanted: Wanted) -> None:
             fitting(model, id)
 
 
-def informed(
+def with_forgotten_inputs(
     model: PhysicalModel,
     records: Sequence[Record],
     mapping: Mapping[str, str] | None,
@@ -113,7 +116,7 @@ def informed(
         return model
     data = data_of(matched_model, experiments)
     try:
-        along = followed(climb_at_likelier_timing(data).structure.model, data)
+        along = followed(first_fit_at_likelier_timing(data).structure.model, data)
     except NotIdentifiable:
         return model
     if along is not None:
@@ -137,7 +140,7 @@ def with_asked(
         The model diverges on the records, as it is or with one of the effects.
     """
     tell(0.0, "estimating the model as it is")
-    outcome = begun(climb_at_likelier_timing(data) if turn else climb(data))
+    outcome = begun(first_fit_at_likelier_timing(data) if turn else first_fit(data))
     for number, key in enumerate(keys):
         tell(0.1 + 0.8 * number / len(keys), f"adding {key.effect} to {key.target}")
         after = _joined(outcome, key)
@@ -150,22 +153,22 @@ def with_asked(
         retimed = at_the_timing_it_suits(outcome) if turn else None
         if retimed is not None:
             return with_asked(retimed, keys, tell, turn=False)
-        settled(outcome, [after])
+        next_beam(outcome, [after])
     return outcome
 
 
-def _joined(outcome: Search, key: Key) -> Judged | None:
+def _joined(outcome: Search, key: Key) -> ValidatedFit | None:
     """The best structure with one effect more; None where it diverges from all first values."""
-    parent, court = outcome.best, outcome.court
-    along = followed(parent.model, court.data, parent.errors, court.last)
+    parent, validation = outcome.best, outcome.validation
+    along = followed(parent.model, validation.data, parent.errors, validation.last)
     if along is None:
         return None
-    given = None if parent.keys else followed(court.data.model, court.data)
-    glanced = glance(parent.structure, key, along, court, given)
-    if glanced is None:
+    given = None if parent.keys else followed(validation.data.model, validation.data)
+    first_steps = quick_fit(parent.structure, key, along, validation, given)
+    if first_steps is None:
         return None
-    near = followed_on(glanced)
-    lowest = min((fits[0] for fits in near.seen.values()), key=lambda fit: fit.mean)
+    near = refined(first_steps)
+    lowest = min((fits[0] for fits in near.fits.values()), key=lambda fit: fit.mean)
     # the user asks for the effect: values that a search would refuse do not keep it out
     structure = Structure(near.keys, lowest.model, parent.structure.states, parent.structure.steps)
-    return look(near, court) or court.judge(structure, steps=15, tolerance=1e-5)
+    return full_fit(near, validation) or validation.validate(structure, steps=15, tolerance=1e-5)

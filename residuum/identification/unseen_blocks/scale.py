@@ -22,7 +22,7 @@ from residuum.identification.residual_analysis.policy import NORMAL_MEDIAN
 from residuum.identification.unseen_blocks.policy import CLIPPED, WEAKEST, WHITENING
 
 if TYPE_CHECKING:
-    from residuum.identification.unseen_blocks.data import Data, Rung
+    from residuum.identification.unseen_blocks.data import Data, Horizon
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,11 +92,11 @@ def plain(data: Data) -> Scale:
     return Scale(weights, np.full(len(weights), np.inf))
 
 
-def clipped(scale: Scale, residuals: Sequence[FloatArray], rung: Rung) -> Scale:
+def clipped(scale: Scale, residuals: Sequence[FloatArray], horizon: Horizon) -> Scale:
     """The scale in which errors that stand out of these residuals count as no more than the
     limit.
     """
-    errors = scale.whitened(np.concatenate(residuals) * scale.weights, rung.starts.tolist())
+    errors = scale.whitened(np.concatenate(residuals) * scale.weights, horizon.starts.tolist())
     measured = scale.weights > 0.0
     spread = np.full(len(scale.weights), np.inf)
     # median absolute deviation: the events that are to be clipped must not widen the limit
@@ -121,7 +121,9 @@ def of_power(scale: Scale, data: Data, power: FloatArray) -> Scale:
     return replace(scale, unit=unit, floor=float(np.minimum(noise_power / unit, 0.98).mean()))
 
 
-def of_noise(residuals: Sequence[FloatArray], rung: Rung, measured: npt.NDArray[np.bool_]) -> Scale:
+def of_noise(
+    residuals: Sequence[FloatArray], horizon: Horizon, measured: npt.NDArray[np.bool_]
+) -> Scale:
     """Nats of noise that looks like the quieter half of these residuals' blocks: an effect may show
     in the others alone.
 
@@ -130,7 +132,7 @@ def of_noise(residuals: Sequence[FloatArray], rung: Rung, measured: npt.NDArray[
     # imported late: it slows the start of every command, and searches in power need none of it
     from scipy.signal import lfilter  # noqa: PLC0415
 
-    part_blocks = np.split(rung.block, rung.starts[1:-1])
+    part_blocks = np.split(horizon.block, horizon.starts[1:-1])
     weights, filters = np.zeros(len(measured)), []
     for o, is_measured in enumerate(measured):
         filters.append(np.ones(1))

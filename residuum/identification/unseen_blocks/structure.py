@@ -28,7 +28,7 @@ from residuum.identification.unseen_blocks.policy import (
 from residuum.identification.work import count_fit, go_on
 
 if TYPE_CHECKING:
-    from residuum.identification.unseen_blocks.data import Rung
+    from residuum.identification.unseen_blocks.data import Horizon
     from residuum.identification.unseen_blocks.scale import Scale
 
 States = Sequence[Mapping[str, float]]
@@ -37,7 +37,7 @@ States = Sequence[Mapping[str, float]]
 
 @dataclass(frozen=True, eq=False)
 class Structure:
-    """Effects `keys` in a `model`; by the windows a record of each rung that was visited, the first
+    """Effects `keys` in a `model`; by the windows a record of each horizon that was visited, the first
     `states` of its windows and the integration `steps` a sample there.
     """
 
@@ -53,29 +53,29 @@ class Structure:
         """
         return sum(rarity(self.model, key) for key in self.keys)
 
-    def at(self, rung: Rung, fit: Fit, keys: tuple[Key, ...] | None = None) -> Structure:
-        """The structure with what was found on a rung."""
+    def at(self, horizon: Horizon, fit: Fit, keys: tuple[Key, ...] | None = None) -> Structure:
+        """The structure with what was found on a horizon."""
         names = fit.problem.simulator.states
         states = {
             **self.states,
-            rung.windows: [dict(zip(names, x.tolist(), strict=True)) for x in fit.X0],
+            horizon.windows: [dict(zip(names, x.tolist(), strict=True)) for x in fit.X0],
         }
         return Structure(
             self.keys if keys is None else keys,
             fit.model,
             states,
-            {**self.steps, rung.windows: fit.substeps},
+            {**self.steps, horizon.windows: fit.substeps},
         )
 
 
 def at_start(
     model: PhysicalModel,
-    rung: Rung,
+    horizon: Horizon,
     states: States | None,
     scale: Scale,
     steps: Sequence[int] | None = None,
 ) -> Fit | None:
-    """The model at its own values on a rung's windows, from where states are known roughly; `steps`
+    """The model at its own values on a horizon's windows, from where states are known roughly; `steps`
     a sample, where they are known, do for a model that has no further states.
 
     None where it diverges, or nothing can be estimated.
@@ -84,15 +84,15 @@ def at_start(
     try:
         simulator = Simulator(model)
         X0 = np.array(
-            [simulator.measured_start(e) for e in rung.parts]
+            [simulator.measured_start(e) for e in horizon.parts]
             if states is None
-            else _vectors(simulator, rung, states)
+            else _vectors(simulator, horizon, states)
         )
         # steps that were found serve a model with the same states; a further state may be stiffer
         if steps is None or not (states and set(simulator.states) <= states[0].keys()):
-            needed = _steps_needed(simulator, rung, X0)
+            needed = _steps_needed(simulator, horizon, X0)
             steps = needed if steps is None else np.maximum(steps, needed).tolist()
-        fit = Problem.of(simulator, rung.cells, scale, steps).begin(X0)
+        fit = Problem.of(simulator, horizon.cells, scale, steps).begin(X0)
     except BadInput:
         return None
     if fit.cost == np.inf:
@@ -105,27 +105,27 @@ def at_start(
     return replace(replace(fit, problem=held).descended(2, 1e-2), problem=fit.problem)
 
 
-def _vectors(simulator: Simulator, rung: Rung, states: States) -> list[FloatArray]:
+def _vectors(simulator: Simulator, horizon: Horizon, states: States) -> list[FloatArray]:
     """The states in the order of a model that may have others, which begin where its kernel sets
     them.
     """
     vectors = []
-    for part, known in zip(rung.parts, states, strict=True):
+    for part, known in zip(horizon.parts, states, strict=True):
         shared = {name: value for name, value in known.items() if name in simulator.states}
         vectors.append(simulator.x0({**shared, **part.known}))
     return vectors
 
 
-def _steps_needed(simulator: Simulator, rung: Rung, X0: FloatArray) -> list[int]:
+def _steps_needed(simulator: Simulator, horizon: Horizon, X0: FloatArray) -> list[int]:
     """Integration steps a sample that the fastest mode of each window asks for."""
     return np.minimum(
-        simulator.modal_substeps(rung.parts, list(X0), simulator.p()), STIFFEST
+        simulator.modal_substeps(horizon.parts, list(X0), simulator.p()), STIFFEST
     ).tolist()
 
 
 def fitted(
     model: PhysicalModel,
-    rung: Rung,
+    horizon: Horizon,
     states: States | None,
     scale: Scale,
     *,
@@ -133,19 +133,19 @@ def fitted(
     tolerance: float,
     substeps: Sequence[int] | None = None,
 ) -> Fit | None:
-    """The model at its least error on a rung's windows in the scale's unit, as `at_start` begins.
+    """The model at its least error on a horizon's windows in the scale's unit, as `at_start` begins.
 
     Without `substeps`: a stop or a valve that the first run never reaches is stiff where it is met,
     so where what was found asks for many more integration steps a sample, it is sought again with
     those.
     """
-    start = at_start(model, rung, states, scale, substeps)
+    start = at_start(model, horizon, states, scale, substeps)
     if start is None:
         return None
     fit = descended(start, steps=steps, tolerance=tolerance)
     if substeps is not None:
         return fit
-    needed = _steps_needed(Simulator(fit.model), rung, fit.X0)
+    needed = _steps_needed(Simulator(fit.model), horizon, fit.X0)
     if not any(n > COARSE * taken for n, taken in zip(needed, fit.substeps, strict=True)):
         return fit
     # from the start again, not from the end: what coarse steps led to may be far from the minimum

@@ -15,10 +15,14 @@ from residuum.array_types import FloatArray
 from residuum.identification.errors import MAY_DIVERGE, NotIdentifiable
 from residuum.identification.physics import Key, Simulator
 from residuum.identification.residual_analysis.noise import times_the_noise
-from residuum.identification.unseen_blocks.comparing import is_alike
+from residuum.identification.unseen_blocks.comparing import is_alike, is_real
+from residuum.identification.unseen_blocks.cross_validation import (
+    CrossValidation,
+    ValidatedFit,
+    validated,
+)
 from residuum.identification.unseen_blocks.data import Data, one_turned, turned
-from residuum.identification.unseen_blocks.judged import Court, Judged, judged
-from residuum.identification.unseen_blocks.ladder import Climbed, innovations_on
+from residuum.identification.unseen_blocks.multiple_shooting import FirstFit, innovations_on
 from residuum.identification.unseen_blocks.policy import NOISY, ONE_PHYSICS, UNEVEN
 from residuum.identification.unseen_blocks.proposals import special_of
 from residuum.identification.unseen_blocks.scale import Scale, clipped, of_noise, of_power
@@ -43,22 +47,24 @@ class Wanted:
 class Search:
     """What was tried.
 
-    `base` is the model as it is, `best` with what joined, both judged by `court`; `every` structure
+    `base` is the model as it is, `best` with what joined, both judged by `validation`; `every` structure
     that was judged there by its keys; `group` those that cannot be told from the best; `tried` how
-    many proposals the last level had; `proposed` what was looked at.
+    many proposals the last level had; `proposed` what was fitted quickly.
     """
 
-    court: Court
-    base: Judged
-    best: Judged
+    validation: CrossValidation
+    base: ValidatedFit
+    best: ValidatedFit
     along: Track | None
-    every: dict[tuple[Key, ...], Judged] = field(default_factory=dict)
-    group: list[Judged] = field(default_factory=list)
+    every: dict[tuple[Key, ...], ValidatedFit] = field(default_factory=dict)
+    group: list[ValidatedFit] = field(default_factory=list)
     tried: int = 1
     proposed: set[Key] = field(default_factory=set)
 
 
-def with_only(search: Search, keys: Iterable[Key], whole: Judged | None = None) -> Judged | None:
+def with_only(
+    search: Search, keys: Iterable[Key], whole: ValidatedFit | None = None
+) -> ValidatedFit | None:
     """A structure, by default the best one, with these of its effects alone; None where that
     diverges.
     """
@@ -71,17 +77,45 @@ def with_only(search: Search, keys: Iterable[Key], whole: Judged | None = None) 
         if use.key in whole.keys and use.key not in retained:
             model = model.without_effect(use.label)
     structure = Structure(retained, model, whole.structure.states, whole.structure.steps)
-    fit = search.court.judge(structure, steps=15, tolerance=1e-5)
+    fit = search.validation.validate(structure, steps=15, tolerance=1e-5)
     if fit is not None:
         search.every[retained] = fit
     return fit
+
+
+def without_needless(outcome: Search) -> None:
+    """Take effects from the best structure that are not real beside the others: what joined first
+    may have stood for what joined after it, and led that astray.
+    """
+    for key in outcome.best.keys:
+        best = outcome.best
+        # one at a time, each beside what the one before left: two that stand for each other are
+        # both needless beside the other, and one of them has to stay
+        less = _without(outcome, key) if len(best.keys) > 1 else None
+        if less is not None and not is_real(
+            best, less, outcome.base, outcome.validation.scale, outcome.tried
+        ):
+            outcome.best, outcome.group = less, []
+
+
+def _without(outcome: Search, key: Key) -> ValidatedFit | None:
+    """The best structure without one effect, from its own values on or as it was known, whichever
+    leaves less.
+    """
+    keys = tuple(k for k in outcome.best.keys if k != key)
+    known = outcome.every.pop(keys, None)  # so that it is fitted from the best one's values, too
+    versions = [version for version in (known, with_only(outcome, keys)) if version is not None]
+    if not versions:
+        return None
+    outcome.every[keys] = min(versions, key=lambda version: version.cost)
+    return outcome.every[keys]
 
 
 # The best structure taken apart: in which order its effects take away what, and what does the
 # same in the place of each.
 
 
-def chain(search: Search, keys: Iterable[Key]) -> list[tuple[Key, Judged, Judged]]:
+def chain(search: Search, keys: Iterable[Key]) -> list[tuple[Key, ValidatedFit, ValidatedFit]]:
     """The effects `keys` of the best structure in the order in which each takes away most, with
     what was before and after it.
     """
@@ -100,11 +134,11 @@ def chain(search: Search, keys: Iterable[Key]) -> list[tuple[Key, Judged, Judged
     return order
 
 
-def in_place_of(search: Search, key: Key, context: Sequence[Key]) -> list[Judged]:
+def in_place_of(search: Search, key: Key, context: Sequence[Key]) -> list[ValidatedFit]:
     """What does the same in the place of one of the best structure's effects, the others kept; each
     as it is beside the others.
     """
-    best, retained, scale = search.best, set(search.best.keys) - {key}, search.court.scale
+    best, retained, scale = search.best, set(search.best.keys) - {key}, search.validation.scale
     without = search.every.get(tuple(sorted(retained)))
     rivals = [
         rival
@@ -126,7 +160,7 @@ def in_place_of(search: Search, key: Key, context: Sequence[Key]) -> list[Judged
 
 
 def _are_one_physics(
-    rival: Judged, best: Judged, without: Judged | None, keys: tuple[Key, Key]
+    rival: ValidatedFit, best: ValidatedFit, without: ValidatedFit | None, keys: tuple[Key, Key]
 ) -> bool:
     """Whether of two effects one generalises the other, and the one in the other's place takes away
     nearly as much.
@@ -143,12 +177,14 @@ def _are_one_physics(
 # records.
 
 
-def settle(best: Judged, court: Court) -> tuple[Court, Judged] | None:
-    """The court in nats and the structure judged there, where what it leaves is noise alike all
+def validated_in_nats(
+    best: ValidatedFit, validation: CrossValidation
+) -> tuple[CrossValidation, ValidatedFit] | None:
+    """The validation in nats and the structure judged there, where what it leaves is noise alike all
     along the records; None otherwise.
     """
-    last, data = court.last, court.data
-    fit = court.begun(best.structure)
+    last, data = validation.last, validation.data
+    fit = validation.begun(best.structure)
     if fit is None:
         return None
     # weights and filters are those of what is left, and what is left depends on them: iterated
@@ -163,22 +199,22 @@ def settle(best: Judged, court: Court) -> tuple[Court, Judged] | None:
     )
     # noise of some colour, and alike all along: an inexact machine's error may look like the first,
     # but it is larger where the machine does what the model does not know
-    if times > NOISY or _unevenness(fit.residuals, scale, court) > UNEVEN:
+    if times > NOISY or _unevenness(fit.residuals, scale, validation) > UNEVEN:
         return None
     scale = clipped(scale, fit.residuals, last)
     fit = fit.in_unit(scale)
-    in_nats = judged(best.structure.at(last, fit), fit, last, data, scale)
-    return None if in_nats is None else (replace(court, scale=scale), in_nats)
+    in_nats = validated(best.structure.at(last, fit), fit, last, data, scale)
+    return None if in_nats is None else (replace(validation, scale=scale), in_nats)
 
 
-def accurate(best: Judged, court: Court) -> Judged:
+def accurate(best: ValidatedFit, validation: CrossValidation) -> ValidatedFit:
     """The structure refitted with as many integration steps a sample as its simulation asks for; as
     it was, where that leaves more.
 
     Steps that follow the modes do for a search. In noise alone values are as sure as a fraction of
     the error of such a step: a shift in time by parts of a sample bends the input within it.
     """
-    last, structure = court.last, best.structure
+    last, structure = validation.last, best.structure
     simulator, taken = Simulator(best.model), structure.steps[last.windows]
     X0 = [
         simulator.x0({**known, **part.known})
@@ -188,20 +224,22 @@ def accurate(best: Judged, court: Court) -> Judged:
     if steps == list(taken):
         return best
     finer = replace(structure, steps={**structure.steps, last.windows: steps})
-    refitted = court.judge(finer, steps=15, tolerance=1e-6)
+    refitted = validation.validate(finer, steps=15, tolerance=1e-6)
     return best if refitted is None or refitted.cost > best.cost else refitted
 
 
-def _unevenness(residuals: Sequence[FloatArray], scale: Scale, court: Court) -> float:
+def _unevenness(
+    residuals: Sequence[FloatArray], scale: Scale, validation: CrossValidation
+) -> float:
     """Times the scatter of white noise that the powers of the blocks have, at the output where it
     is most.
     """
-    starts, measured = court.last.starts.tolist(), court.data.measured
+    starts, measured = validation.last.starts.tolist(), validation.data.measured
     white = scale.whitened(np.nan_to_num(np.concatenate(residuals)) * scale.weights, starts)[
         :, measured
     ]
-    block = court.last.block
-    n = np.bincount(block, minlength=court.data.blocks)
+    block = validation.last.block
+    n = np.bincount(block, minlength=validation.data.blocks)
     powers = [
         np.bincount(block, weights=column**2, minlength=len(n))[n > 0] / n[n > 0]
         for column in white.T
@@ -214,20 +252,20 @@ def _unevenness(residuals: Sequence[FloatArray], scale: Scale, court: Court) -> 
 # Where a search begins: the model as it is, judged.
 
 
-def begun(climbed: Climbed) -> Search:
+def begun(start: FirstFit) -> Search:
     """The model as it is, judged; in nats where all it leaves is noise."""
-    data, last = climbed.data, climbed.last
-    first = judged(climbed.structure, climbed.found, last, data, climbed.scale)
+    data, last = start.data, start.last
+    first = validated(start.structure, start.found, last, data, start.scale)
     if first is None:
         raise NotIdentifiable(f"model {data.model.name!r}: diverges on the records; {MAY_DIVERGE}")
-    scale = of_power(climbed.scale, data, first.power)
+    scale = of_power(start.scale, data, first.power)
     # infinite: whatever is tried beside the model as it is counts as fitting the seen blocks better
-    first = replace(first, cost=scale.cost(first.power, first.parameters), seen=np.inf)
-    court = Court(data, last, climbed.middle, scale, climbed.there)
-    in_noise = settle(first, court)
+    first = replace(first, cost=scale.cost(first.power, first.parameters), seen_cost=np.inf)
+    validation = CrossValidation(data, last, start.middle, scale, start.window_errors)
+    in_noise = validated_in_nats(first, validation)
     if in_noise is not None:
-        court, first = in_noise
-    return Search(court, first, first, None, {(): first})
+        validation, first = in_noise
+    return Search(validation, first, first, None, {(): first})
 
 
 # The input timing that suits what was found: the timing of the data was chosen before anything
@@ -238,18 +276,19 @@ def at_the_timing_it_suits(search: Search) -> Data | None:
     """The data at the other input timing, where the best structure fits better there; None where it
     does not, or nothing drives the machine.
     """
-    court = search.court
+    validation = search.validation
     if not search.best.model.inputs:
         return None
-    current = _innovations(search, court.data)
+    current = _innovations(search, validation.data)
     alternatives = [
-        (_innovations(search, data), data) for data in (turned(court.data), *one_turned(court.data))
+        (_innovations(search, data), data)
+        for data in (turned(validation.data), *one_turned(validation.data))
     ]
     least, likeliest = min(alternatives, key=itemgetter(0))
     return likeliest if least < current else None
 
 
 def _innovations(search: Search, data: Data) -> float:
-    court = search.court
-    rung = court.last if data is court.data else data.rung(court.last.windows)
-    return innovations_on(rung, search.best.model, search.best.structure, court.scale)
+    validation = search.validation
+    horizon = validation.last if data is validation.data else data.horizon(validation.last.windows)
+    return innovations_on(horizon, search.best.model, search.best.structure, validation.scale)

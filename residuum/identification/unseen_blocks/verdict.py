@@ -35,8 +35,8 @@ from residuum.identification.unseen_blocks.tried import Search, chain, in_place_
 
 if TYPE_CHECKING:
     from residuum.identification.physics.effects.base import Parameter
+    from residuum.identification.unseen_blocks.cross_validation import CrossValidation, ValidatedFit
     from residuum.identification.unseen_blocks.free_term import BlockTerm
-    from residuum.identification.unseen_blocks.judged import Court, Judged
     from residuum.identification.unseen_blocks.scale import Scale
 
 # One effect that may be missing, and what is said of it.
@@ -92,10 +92,10 @@ class Step:
     """
 
     key: Key
-    before: Judged
-    after: Judged
-    group: tuple[Judged, ...]
-    others: tuple[Judged, ...]
+    before: ValidatedFit
+    after: ValidatedFit
+    group: tuple[ValidatedFit, ...]
+    unlike: tuple[ValidatedFit, ...]
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,7 @@ def steps_of(search: Search) -> list[Step]:
     return [_step(search, *joined) for joined in chain(search, search.best.keys)]
 
 
-def _step(search: Search, key: Key, before: Judged, after: Judged) -> Step:
+def _step(search: Search, key: Key, before: ValidatedFit, after: ValidatedFit) -> Step:
     """An effect that joined, with what does the same in its place and what else was tried there."""
     earlier = set(before.keys)
     rivals = [
@@ -126,7 +126,7 @@ def _step(search: Search, key: Key, before: Judged, after: Judged) -> Step:
         and rival.keys != after.keys
     ]
     rivals.sort(key=lambda rival: rival.cost)
-    alike = [rival for rival in rivals if is_alike(rival, after, before, search.court.scale)]
+    alike = [rival for rival in rivals if is_alike(rival, after, before, search.validation.scale)]
     # the last effect's group is known from the search, where all were judged beside it
     if after.keys == search.best.keys:
         alike += _new(alike, [rival for rival in search.group if set(rival.keys) > earlier])
@@ -134,14 +134,14 @@ def _step(search: Search, key: Key, before: Judged, after: Judged) -> Step:
     # What does not lower the error beyond its price has no probability to share, however near
     # it lies.
     alike = [rival for rival in alike if rival.cost < before.cost]
-    others = tuple(rival for rival in rivals if rival not in alike)
-    return Step(key, before, after, tuple(alike), others)
+    unlike = tuple(rival for rival in rivals if rival not in alike)
+    return Step(key, before, after, tuple(alike), unlike)
 
 
-def _new(known: Sequence[Judged], more: Sequence[Judged]) -> list[Judged]:
+def _new(known: Sequence[ValidatedFit], more: Sequence[ValidatedFit]) -> list[ValidatedFit]:
     """Of more structures those whose effects are none of the known ones'."""
-    keys = {judged.keys for judged in known}
-    return [judged for judged in more if judged.keys not in keys]
+    keys = {validated.keys for validated in known}
+    return [validated for validated in more if validated.keys not in keys]
 
 
 def counted(
@@ -153,8 +153,12 @@ def counted(
     wins nowhere: where one block tells a value alone, deletion is ahead in every draw that has that
     block.
     """
-    scale, base = search.court.scale, search.base
-    fitting = [rival for rival in search.every.values() if not rival.keys or rival.seen < base.seen]
+    scale, base = search.validation.scale, search.base
+    fitting = [
+        rival
+        for rival in search.every.values()
+        if not rival.keys or rival.seen_cost < base.seen_cost
+    ]
     tried = sorted(fitting, key=lambda rival: rival.cost)[:MOST_RIVALS]
     terms: Sequence[BlockTerm] = [] if adequate else free
     entrants: list[OnBlocks] = [*tried, *terms]
@@ -282,7 +286,7 @@ def _took_a_part(search: Search) -> bool:
     """Whether plainly more than noise is left of the error: the nearest shape in the catalogue to
     something else does that.
     """
-    scale, base = search.court.scale, search.base
+    scale, base = search.validation.scale, search.base
     return not scale.nats and base.cost - search.best.cost < PLAINLY_A_PART * (
         base.cost - scale.floor
     )
@@ -310,7 +314,7 @@ def is_timing(key: Key, search: Search, model: PhysicalModel | None = None) -> b
         return False
     use = next(use for use in (model or search.best.model).effects if use.key == key)
     return abs(use.parameters[shift].value) < max(
-        e.sample_time for e in search.court.data.experiments
+        e.sample_time for e in search.validation.data.experiments
     )
 
 
@@ -344,7 +348,7 @@ def _candidates(
     ]
     if number > 0:  # rivals are told of the first step alone
         return listed
-    rivals = _by_added(step.others, earlier)
+    rivals = _by_added(step.unlike, earlier)
     elsewhere = [(keys, share) for keys, share in won if not keys & group.keys()]
     shares = {key: sum(share for keys, share in elsewhere if key in keys) for key in rivals}
     effects = [key for key in rivals if key.effect != HELD]
@@ -361,13 +365,13 @@ def _candidates(
     ]
 
 
-def _by_added(structures: Sequence[Judged], earlier: set[Key]) -> dict[Key, Judged]:
+def _by_added(structures: Sequence[ValidatedFit], earlier: set[Key]) -> dict[Key, ValidatedFit]:
     """Structures with one effect more than the earlier ones, by that effect."""
     by_added = {}
-    for judged in structures:
-        added = set(judged.keys) - earlier
+    for validated in structures:
+        added = set(validated.keys) - earlier
         if len(added) == 1:
-            by_added[added.pop()] = judged
+            by_added[added.pop()] = validated
     return by_added
 
 
@@ -398,17 +402,17 @@ class _Entry:
     """
 
     key: Key
-    judged: Judged
+    validated: ValidatedFit
     probability: float
     alike: Sequence[Key] = ()
 
 
 def _candidate(
-    entry: _Entry, base: Judged, number: int, stds: Mapping[str, float], search: Search
+    entry: _Entry, base: ValidatedFit, number: int, stds: Mapping[str, float], search: Search
 ) -> Candidate:
     """What is said of an effect that was added to the structure `base`, after `number` others."""
-    key, judged = entry.key, entry.judged
-    use = next(use for use in judged.model.effects if use.key == key)
+    key, validated = entry.key, entry.validated
+    use = next(use for use in validated.model.effects if use.key == key)
     parameters, doubts = use.parameters, dict.fromkeys(use.parameters, 0.0)
     if key in search.best.keys:  # accepted: its values beside all others are told, with their doubt
         best = next(use for use in search.best.model.effects if use.key == key)
@@ -417,11 +421,11 @@ def _candidate(
             name: 0.0 if p.fixed else float(stds.get(f"{use.label}.{name}", 0.0))
             for name, p in parameters.items()
         }
-    before, after = base.rms, judged.rms
+    before, after = base.rms, validated.rms
     # the output whose error falls most; one without any error has no ratio
     with np.errstate(invalid="ignore", divide="ignore"):
         o = int(np.nanargmin(after / before))
-    output = list(judged.model.outputs.values())[o]
+    output = list(validated.model.outputs.values())[o]
     return Candidate(
         effect=key.effect,
         balance=key.target,
@@ -435,9 +439,9 @@ def _candidate(
         error_unit=output.unit,
         output=output.name,
         within_bounds=not _at_a_bound(parameters, find_effect(key.effect).natural_bounds),
-        evidence=evidence(judged, base, search.court.scale),
+        evidence=evidence(validated, base, search.validation.scale),
         held_out=True,
-        share=share_of(base, judged),
+        share=share_of(base, validated),
         step=number,
     )
 
@@ -450,7 +454,7 @@ def _at_a_bound(parameters: Mapping[str, Parameter], natural: Collection[str]) -
     )
 
 
-def share_of(before: Judged, after: Judged) -> Quantity:
+def share_of(before: ValidatedFit, after: ValidatedFit) -> Quantity:
     """Part of the error's power that is taken away on unseen blocks, the outputs alike, with its
     scatter over blocks.
     """
@@ -472,13 +476,13 @@ class Remaining:
     where: tuple[float, float]
 
 
-def remaining(base: Judged, best: Judged, court: Court) -> Remaining:
+def remaining(base: ValidatedFit, best: ValidatedFit, validation: CrossValidation) -> Remaining:
     """What `best` leaves of what `base` left."""
-    data = court.data
+    data = validation.data
     noise = np.nan_to_num(noise_floor(np.concatenate([e.Y for e in data.experiments])))
     times = best.rms[data.measured] / np.where(noise > 0.0, noise, np.nan)[data.measured]
     largest = float(np.nanmax(times)) if np.isfinite(times).any() else float("inf")
-    where = int(np.argmax(court.scale.by_block(best.power)))
+    where = int(np.argmax(validation.scale.by_block(best.power)))
     return Remaining(1.0 - share_of(base, best).value, largest, data.times_of(where))
 
 
@@ -516,7 +520,7 @@ class BlockErrors:
 
 def block_errors(search: Search, candidates: Sequence[Candidate]) -> BlockErrors:
     """Errors of a search's model as it is, of its best structure, and of each candidate alone."""
-    data, base = search.court.data, search.base
+    data, base = search.validation.data, search.base
     blocks = range(data.blocks)
     observed = base.count.sum(axis=0) > 0.0
     measured = zip(data.model.outputs.values(), observed, strict=True)

@@ -57,7 +57,7 @@ def test_runs_of_sixty_samples_name_the_friction():
     )
     assert [key.effect for key in found.best.keys] == ["coulomb-friction"]
     assert found.best.model.values["coulomb-friction@axis.tau_c"] == pytest.approx(1.2, rel=0.1)
-    assert len(set(found.court.data.fold)) == 4  # whole runs are kept aside
+    assert len(set(found.validation.data.fold)) == 4  # whole runs are kept aside
 
 
 def test_few_samples_are_refused_with_what_would_do():
@@ -81,7 +81,7 @@ def rubbing(torque, samples=60, seed=0):
 @pytest.mark.parametrize("seed", range(5))
 def test_one_record_of_sixty_samples_names_the_friction_and_nothing_where_nothing_is_missing(seed):
     found = searched(read_model(FAN), [rubbing(0.15, seed=seed)], None, Wanted())
-    assert found.court.data.blocks == 12
+    assert found.validation.data.blocks == 12
     assert [key.effect for key in found.best.keys] == ["coulomb-friction"]
     assert searched(read_model(FAN), [rubbing(0.0, seed=seed)], None, Wanted()).best.keys == ()
 

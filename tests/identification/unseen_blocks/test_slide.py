@@ -62,7 +62,7 @@ def test_both_frictions_are_named_and_sized_at_a_lower_rate():
     assert dry == pytest.approx([DRY], rel=0.15) and np.mean(viscous) == pytest.approx(
         VISCOUS, rel=0.1
     ), found.best.keys
-    assert found.court.data.finer is not None
+    assert found.validation.data.finer is not None
 
 
 def test_a_lower_rate_moves_the_model_s_outputs_by_nothing():

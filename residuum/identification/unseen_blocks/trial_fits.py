@@ -1,7 +1,7 @@
-"""Looks at a proposal beside a structure: a glance from every first value, then the fit of the most
+"""Fits of a proposal beside a structure: a quick one from every first value, then a full one of the most
 promising.
 
-Both kinds of glance are needed. Friction in a long oscillation shows on the whole record only, and
+Both kinds of quick fit are needed. Friction in a long oscillation shows on the whole record only, and
 there a wrong phase hides everything else, which shows on short windows.
 """
 
@@ -16,7 +16,12 @@ import numpy as np
 from residuum.identification.physics import Key, PhysicalModel, Simulator
 from residuum.identification.physics.effects.base import Effect
 from residuum.identification.physics.estimation.gauss_newton import Fit
-from residuum.identification.unseen_blocks.judged import LONG, SHORT, Court, Judged
+from residuum.identification.unseen_blocks.cross_validation import (
+    LONG,
+    SHORT,
+    CrossValidation,
+    ValidatedFit,
+)
 from residuum.identification.unseen_blocks.policy import (
     ABSURD,
     FOLLOWED_STARTS,
@@ -33,19 +38,19 @@ from residuum.identification.unseen_blocks.structure import (
 )
 
 if TYPE_CHECKING:
-    from residuum.identification.unseen_blocks.data import Rung
+    from residuum.identification.unseen_blocks.data import Horizon
     from residuum.identification.unseen_blocks.following import Track
 
 
 @dataclass(frozen=True, eq=False)
-class Glance:
-    """A proposal beside a parent: by kind of look its best fits after a step or more, the lowest
+class QuickFit:
+    """A proposal beside a parent: by kind of quick fit its best fits after a step or more, the lowest
     first; `sizes` are its first values, `along` is where the parent's filter went.
     """
 
     parent: Structure
     key: Key
-    seen: Mapping[str, Sequence[Fit]]
+    fits: Mapping[str, Sequence[Fit]]
     sizes: Mapping[str, Sequence[float]]
     along: Track
 
@@ -54,33 +59,48 @@ class Glance:
         """The parent's and its own."""
         return tuple(sorted((*self.parent.keys, self.key)))
 
+    def is_of(self, candidate: ValidatedFit, stand_in: Key | None) -> bool:
+        """Whether a structure holds the same effects, but for another one in the place of the
+        proposal.
+        """
+        retained = set(candidate.keys) - {stand_in}
+        return stand_in in candidate.keys and retained == set(self.keys) - {self.key}
+
     @property
     def hides(self) -> bool:
         """Whether it has states of its own: beside others it may do what it does not do alone."""
-        fits = next(iter(self.seen.values()))
+        fits = next(iter(self.fits.values()))
         return len(fits[0].problem.simulator.states) > len(Simulator(self.parent.model).states)
 
     def error(self, kind: str) -> float:
         """Mean cost of a sample in the lowest fit of a kind."""
-        return self.seen[kind][0].mean
+        return self.fits[kind][0].mean
 
 
-def glance(
-    parent: Structure, key: Key, along: Track, court: Court, given: Track | None = None
-) -> Glance | None:
+def quick_fit(
+    parent: Structure,
+    key: Key,
+    along: Track,
+    validation: CrossValidation,
+    given: Track | None = None,
+) -> QuickFit | None:
     """One pass from each first value, and a step from those that promise most, on short windows and
-    on the last rung; None where all diverge.
+    on the last horizon; None where all diverge.
 
     `given` is the track of the model as it was given: what is missing may have driven the values
     that were fitted far away.
     """
     first = beginnings(key, along) + ([] if given is None else beginnings(key, given))
     by_kind: dict[str, Sequence[Fit]] = {}
-    for kind in court.kinds:
-        rung, windows = (court.last, range(len(court.last.parts))) if kind == LONG else court.short
-        states = [parent.states[rung.windows][k] for k in windows]
-        steps = [parent.steps[rung.windows][k] for k in windows]
-        passes = [at_start(model, rung, states, court.scale, steps) for model in first]
+    for kind in validation.kinds:
+        horizon, windows = (
+            (validation.last, range(len(validation.last.parts)))
+            if kind == LONG
+            else validation.short
+        )
+        states = [parent.states[horizon.windows][k] for k in windows]
+        steps = [parent.steps[horizon.windows][k] for k in windows]
+        passes = [at_start(model, horizon, states, validation.scale, steps) for model in first]
         begun = [fit for fit in passes if fit is not None]
         # by the cost that a damped step promises: a whole one promises shifts in time too much
         begun.sort(key=lambda fit: fit.cost - fit.promised(*fit.step(damping=PROMISING)))
@@ -89,14 +109,14 @@ def glance(
             by_kind[kind] = sorted(stepped, key=lambda fit: fit.cost)
     if not by_kind:
         return None
-    return Glance(parent, key, by_kind, _sizes(key, along, first, by_kind), along)
+    return QuickFit(parent, key, by_kind, _sizes(key, along, first, by_kind), along)
 
 
 def _sizes(
-    key: Key, along: Track, first: Sequence[PhysicalModel], looks: Mapping[str, Sequence[Fit]]
+    key: Key, along: Track, first: Sequence[PhysicalModel], trial_fits: Mapping[str, Sequence[Fit]]
 ) -> dict[str, list[float]]:
     """Magnitudes of an effect's values: as they are proposed, regressed, and after a step."""
-    models = [*first, *(fit.model for fits in looks.values() for fit in fits)]
+    models = [*first, *(fit.model for fits in trial_fits.values() for fit in fits)]
     known: list[Mapping[str, float]] = [] if key.effect == HELD else list(starts(key, along))
     known += [_values(model, key) for model in models]
     if not known:
@@ -104,23 +124,23 @@ def _sizes(
     return {name: [abs(values[name]) for values in known if name in values] for name in known[-1]}
 
 
-def followed_on(view: Glance) -> Glance:
-    """The glance after two steps more."""
-    seen: dict[str, Sequence[Fit]] = {}
-    for kind, fits in view.seen.items():
+def refined(trial: QuickFit) -> QuickFit:
+    """The quick fit after two steps more."""
+    by_kind: dict[str, Sequence[Fit]] = {}
+    for kind, fits in trial.fits.items():
         further = [fit.descended(2, 1e-3) for fit in fits]
-        seen[kind] = sorted(further, key=lambda fit: fit.cost)
-    return replace(view, seen=seen)
+        by_kind[kind] = sorted(further, key=lambda fit: fit.cost)
+    return replace(trial, fits=by_kind)
 
 
-def look(view: Glance, court: Court) -> Judged | None:
-    """The full fit from the best of each kind of glance; the best one judged.
+def full_fit(trial: QuickFit, validation: CrossValidation) -> ValidatedFit | None:
+    """The full fit from the best of each kind of quick fit; the best one judged.
 
     None where all diverge, or their values refuse them.
     """
-    nats, parent = court.scale.nats, view.parent
+    nats, parent = validation.scale.nats, trial.parent
     candidates: list[Fit | None] = []
-    for kind, fits in view.seen.items():
+    for kind, fits in trial.fits.items():
         # in noise small effects of the wrong shape mislead: more than the lowest is followed
         for fit in fits[: FOLLOWED_STARTS if nats else 1]:
             if kind == LONG:
@@ -129,49 +149,53 @@ def look(view: Glance, court: Court) -> Judged | None:
             ends = [fit]
             if nats:  # where short windows end is a further place to begin
                 ends.append(descended(fit, steps=15, tolerance=1e-4))
-            candidates += [_on_the_last_rung(end.model, parent, court) for end in ends]
+            candidates += [_on_last_horizon(end.model, parent, validation) for end in ends]
     known = [fit for fit in candidates if fit is not None]
-    structure = Structure(view.keys, parent.model, parent.states, parent.steps)
-    return _lowest(known, structure, view, court)
+    structure = Structure(trial.keys, parent.model, parent.states, parent.steps)
+    return _lowest(known, structure, trial, validation)
 
 
-def _on_the_last_rung(model: PhysicalModel, near: Structure, court: Court) -> Fit | None:
-    windows = court.last.windows
+def _on_last_horizon(
+    model: PhysicalModel, near: Structure, validation: CrossValidation
+) -> Fit | None:
+    windows = validation.last.windows
     states, steps = near.states.get(windows), near.steps.get(windows)
-    return at_start(model, court.last, states, court.scale, steps)
+    return at_start(model, validation.last, states, validation.scale, steps)
 
 
-def follow(
-    models: Sequence[PhysicalModel], view: Glance, near: Structure, court: Court
-) -> Judged | None:
-    """The lowest of the full fits from other first values of what was glanced at."""
-    begun = [_on_the_last_rung(model, near, court) for model in models]
+def fit_from(
+    models: Sequence[PhysicalModel], trial: QuickFit, near: Structure, validation: CrossValidation
+) -> ValidatedFit | None:
+    """The lowest of the full fits from other first values of what was fitted quickly."""
+    begun = [_on_last_horizon(model, near, validation) for model in models]
     known = [fit for fit in begun if fit is not None]
-    return _lowest(known, Structure(view.keys, near.model, near.states, near.steps), view, court)
+    return _lowest(
+        known, Structure(trial.keys, near.model, near.states, near.steps), trial, validation
+    )
 
 
 def _lowest(
-    begun: Sequence[Fit], structure: Structure, view: Glance, court: Court
-) -> Judged | None:
+    begun: Sequence[Fit], structure: Structure, trial: QuickFit, validation: CrossValidation
+) -> ValidatedFit | None:
     """The lowest of the full fits from where these begin, judged; without those whose values refuse
     them.
     """
-    tolerance = 1e-6 if court.scale.nats else 1e-4
+    tolerance = 1e-6 if validation.scale.nats else 1e-4
     fits = [descended(fit, steps=15, tolerance=tolerance) for fit in begun]
-    put_back = [called_back(fit, structure, court) for fit in fits]
+    put_back = [called_back(fit, structure, validation) for fit in fits]
     fits += [fit for fit in put_back if fit is not None]
-    good = [fit for fit in fits if not _is_refused(fit.model, view, court)]
-    return court.judge_fit(structure, min(good, key=lambda fit: fit.cost)) if good else None
+    good = [fit for fit in fits if not _is_refused(fit.model, trial, validation)]
+    return validation.validate_fit(structure, min(good, key=lambda fit: fit.cost)) if good else None
 
 
-def called_back(fit: Fit, near: Structure, court: Court) -> Fit | None:
+def called_back(fit: Fit, near: Structure, validation: CrossValidation) -> Fit | None:
     """The fit once more with the model's values that ran off put back to where they were given;
     None where none did.
 
     What is missing drives a value away (a resistance to infinity), and from there nothing draws it
     back when the effect is there.
     """
-    given, model = court.data.model.parameters, fit.model
+    given, model = validation.data.model.parameters, fit.model
     off = {
         name: p.value
         for name, p in given.items()
@@ -179,14 +203,14 @@ def called_back(fit: Fit, near: Structure, court: Court) -> Fit | None:
         and p.value != 0.0
         and abs(model.parameters[name].value) > RAN_OFF * abs(p.value)
     }
-    begun = _on_the_last_rung(model.with_values(off), near, court) if off else None
+    begun = _on_last_horizon(model.with_values(off), near, validation) if off else None
     if begun is None:
         return None
-    return descended(begun, steps=15, tolerance=1e-6 if court.scale.nats else 1e-4)
+    return descended(begun, steps=15, tolerance=1e-6 if validation.scale.nats else 1e-4)
 
 
-def _is_refused(model: PhysicalModel, view: Glance, court: Court) -> bool:
-    return _is_absurd(model, view) or not shows(model, view.along, court.last)
+def _is_refused(model: PhysicalModel, trial: QuickFit, validation: CrossValidation) -> bool:
+    return _is_absurd(model, trial) or not shows(model, trial.along, validation.last)
 
 
 def _values(model: PhysicalModel, key: Key) -> dict[str, float]:
@@ -196,13 +220,13 @@ def _values(model: PhysicalModel, key: Key) -> dict[str, float]:
     return {name: p.value for name, p in use.parameters.items()}
 
 
-def shows(model: PhysicalModel, along: Track, rung: Rung) -> bool:
-    """Whether each effect can be told from an unknown load within a window of a rung.
+def shows(model: PhysicalModel, along: Track, horizon: Horizon) -> bool:
+    """Whether each effect can be told from an unknown load within a window of a horizon.
 
     A far body on a spring so soft that no window sees it swing is told from none, nor is a second
     store of heat that does not fill within a window.
     """
-    duration = max(part.n * part.sample_time for part in rung.parts)
+    duration = max(part.n * part.sample_time for part in horizon.parts)
     # most effects show in any window; conditions along the track are found only for those that ask
     asked = [use for use in model.effects if type(use.effect).shows is not Effect.shows]
     return all(
@@ -213,12 +237,12 @@ def shows(model: PhysicalModel, along: Track, rung: Rung) -> bool:
     )
 
 
-def _is_absurd(model: PhysicalModel, view: Glance) -> bool:
+def _is_absurd(model: PhysicalModel, trial: QuickFit) -> bool:
     """Whether a value lies far beyond all its first values, where the effect is another one: a
     ripple whose period is longer than the travel is a load.
     """
-    for name, value in _values(model, view.key).items():
-        known = [size for size in view.sizes.get(name, ()) if size > 0]
+    for name, value in _values(model, trial.key).items():
+        known = [size for size in trial.sizes.get(name, ()) if size > 0]
         if not known:
             continue
         # sizes shrink to nothing where an effect is not there: that is no other effect
@@ -228,63 +252,66 @@ def _is_absurd(model: PhysicalModel, view: Glance) -> bool:
     return not np.all(np.isfinite(list(model.values.values())))
 
 
-# Which of many glances are followed, and which proposals are worth a look beside others.
+# Which of many quick fits are refined, and which proposals are worth one beside others.
 
 
-def best_of_each(glances: Collection[Glance], count: int) -> list[Glance]:
-    """So many of each kind of look."""
-    top: dict[tuple[Key, ...], Glance] = {}
+def best_of_each(quick_fits: Collection[QuickFit], count: int) -> list[QuickFit]:
+    """So many of each kind of quick fit."""
+    top: dict[tuple[Key, ...], QuickFit] = {}
     for kind in (SHORT, LONG):
-        top |= {view.keys: view for view in _by_error(glances, kind)[:count]}
+        top |= {trial.keys: trial for trial in _by_error(quick_fits, kind)[:count]}
     return list(top.values())
 
 
-def worth_beside_others(glances: Collection[Glance]) -> set[Key]:
-    """Proposals worth a look beside others: the best of the first level, and those that hide alone
+def worth_beside_others(quick_fits: Collection[QuickFit]) -> set[Key]:
+    """Proposals worth a quick fit beside others: the best of the first level, and those that hide alone
     (own states, no slope yet).
     """
-    viable = {view.key for view in glances if view.hides}
+    viable = {trial.key for trial in quick_fits if trial.hides}
     for kind in (SHORT, LONG):
-        ranked = _by_error(glances, kind)
-        viable |= {view.key for view in ranked[:KEPT]}
+        ranked = _by_error(quick_fits, kind)
+        viable |= {trial.key for trial in ranked[:KEPT]}
         if ranked:
             # without a slope no step changed anything: the error is that of the model as it is,
             # which is the usual one, for most proposals change little
-            usual = float(np.median([view.error(kind) for view in ranked]))
-            viable |= {view.key for view in ranked if abs(view.error(kind) - usual) <= 1e-6 * usual}
+            usual = float(np.median([trial.error(kind) for trial in ranked]))
+            viable |= {
+                trial.key for trial in ranked if abs(trial.error(kind) - usual) <= 1e-6 * usual
+            }
     return viable
 
 
-def _by_error(glances: Iterable[Glance], kind: str) -> list[Glance]:
-    """Those that were looked at in this way, the lowest error first."""
-    seen = [view for view in glances if kind in view.seen]
-    return sorted(seen, key=lambda view: view.error(kind))
+def _by_error(quick_fits: Iterable[QuickFit], kind: str) -> list[QuickFit]:
+    """Those that were fitted in this way, the lowest error first."""
+    of_kind = [trial for trial in quick_fits if kind in trial.fits]
+    return sorted(of_kind, key=lambda trial: trial.error(kind))
 
 
 # Where windows begin in the states that no output shows: where the filter went.
 
 
-def with_unseen_states(parent: Structure, along: Track, court: Court) -> Structure:
-    """The structure whose windows of a short look begin where the filter went, in the states that
+def with_unseen_states(parent: Structure, along: Track, validation: CrossValidation) -> Structure:
+    """The structure whose windows of a quick fit begin where the filter went, in the states that
     no output shows.
 
     No fit moves these: the position of an axis of which the speed is measured is 0 at the begin of
     every window, and no stop is where the axis met it.
     """
-    rung, names = court.middle, list(Simulator(parent.model).states)
-    unseen = _unseen_states(parent, court.last)
-    if not unseen or rung.windows not in parent.states:
+    horizon, names = validation.middle, list(Simulator(parent.model).states)
+    unseen = _unseen_states(parent, validation.last)
+    if not unseen or horizon.windows not in parent.states:
         return parent
-    rows = along.X[court.data.rows(rung)[rung.starts[:-1]]]
+    rows = along.X[validation.data.rows(horizon)[horizon.starts[:-1]]]
     filtered = [{n: float(x[names.index(n)]) for n in unseen} for x in rows]
     states = [
-        {**known, **more} for known, more in zip(parent.states[rung.windows], filtered, strict=True)
+        {**known, **more}
+        for known, more in zip(parent.states[horizon.windows], filtered, strict=True)
     ]
-    return replace(parent, states={**parent.states, rung.windows: states})
+    return replace(parent, states={**parent.states, horizon.windows: states})
 
 
-def _unseen_states(parent: Structure, last: Rung) -> list[str]:
-    """States whose first values no measured output feels, on the first window of a rung."""
+def _unseen_states(parent: Structure, last: Horizon) -> list[str]:
+    """States whose first values no measured output feels, on the first window of a horizon."""
     simulator, part = Simulator(parent.model), last.parts[0]
     names = [f"initial:{name}" for name in simulator.free_states]
     x0 = simulator.x0({**parent.states[last.windows][0], **part.known})

@@ -34,18 +34,18 @@ from residuum.array_types import FloatArray
 from residuum.identification.physics import Key, PhysicalModel
 from residuum.identification.physics.estimation.gauss_newton import Fit
 from residuum.identification.physics.estimation.least_squares import solve_scaled
-from residuum.identification.unseen_blocks.policy import DAMPING, GLANCED, LONG_LOOK
+from residuum.identification.unseen_blocks.policy import DAMPING, LONG_RECORDS, QUICKLY_FITTED
 from residuum.identification.unseen_blocks.structure import Structure, at_start, fitted
 
 if TYPE_CHECKING:
-    from residuum.identification.unseen_blocks.data import Data, Rung
+    from residuum.identification.unseen_blocks.data import Data, Horizon
     from residuum.identification.unseen_blocks.scale import Scale
 
 Integers = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
-class Judged:
+class ValidatedFit:
     """A structure and its errors on blocks that it has not seen.
 
     Attributes
@@ -59,7 +59,7 @@ class Judged:
     left : array, shape (rows, measured outputs)
         The errors in the scale, clipped; 0 where nothing was measured.
     cost : float
-        Of power; `seen` the same on the blocks that the fit has seen.
+        Of power; `seen_cost` the same on the blocks that the fit has seen.
     squares, count : arrays, shape (blocks, outputs)
         Sums of squares in the outputs' units, and of how many samples.
     errors : array, shape (rows, outputs)
@@ -71,7 +71,7 @@ class Judged:
     power: FloatArray
     left: FloatArray
     cost: float
-    seen: float
+    seen_cost: float
     squares: FloatArray
     count: FloatArray
     errors: FloatArray
@@ -207,17 +207,17 @@ def steps_without(H: FloatArray, g: FloatArray, damping: float) -> list[FloatArr
     ]
 
 
-def equations(fit: Fit, rung: Rung, scale: Scale) -> Equations | None:
+def equations(fit: Fit, horizon: Horizon, scale: Scale) -> Equations | None:
     """Errors and slopes of a fit; None where it diverges."""
     simulator, model = fit.problem.simulator, fit.model
     names, free_states = list(model.free), [f"initial:{name}" for name in simulator.free_states]
     columns = [*names, *free_states]
     runs = simulator.run_each(
-        rung.parts, fit.initial, fit.problem.p(fit.theta), slopes=columns, substeps=fit.substeps
+        horizon.parts, fit.initial, fit.problem.p(fit.theta), slopes=columns, substeps=fit.substeps
     )
     if not runs.bounded:
         return None
-    starts, measured = rung.starts.tolist(), scale.weights > 0.0
+    starts, measured = horizon.starts.tolist(), scale.weights > 0.0
     known = np.isfinite(runs.errors)
     # a missing sample counts as no error before the filter, which would spread NaN, and after it
     weighted_errors = np.where(known, runs.errors, 0.0) * scale.weights
@@ -242,16 +242,16 @@ def equations(fit: Fit, rung: Rung, scale: Scale) -> Equations | None:
     return replace(fit_equations, slopes=fit_equations.beside_states(T))
 
 
-def judged(
-    structure: Structure, fit: Fit, rung: Rung, data: Data, scale: Scale, *, steps: int = 1
-) -> Judged | None:
-    """The structure's errors on unseen blocks, from its fit on a rung in that scale; None where it
+def validated(
+    structure: Structure, fit: Fit, horizon: Horizon, data: Data, scale: Scale, *, steps: int = 1
+) -> ValidatedFit | None:
+    """The structure's errors on unseen blocks, from its fit on a horizon in that scale; None where it
     diverges.
 
     So many steps to the values without each fold are simulated.
     """
-    measured, starts = scale.weights > 0.0, rung.starts.tolist()
-    row_fold, cell_fold = data.fold[rung.block], data.fold[rung.cells.block]
+    measured, starts = scale.weights > 0.0, horizon.starts.tolist()
+    row_fold, cell_fold = data.fold[horizon.block], data.fold[horizon.cells.block]
     errors = np.concatenate(fit.residuals)
     known = np.isfinite(errors)[:, measured]
 
@@ -267,8 +267,8 @@ def judged(
         fold_errors = np.concatenate(fold_fit.residuals)
         # filtered as a whole and cut then: the filter's past lies in blocks before it
         unseen[rows], left[rows] = fold_errors[rows], in_scale(fold_errors)[rows]
-    power = summed(left**2, rung, data.blocks)
-    seen_power = summed(in_scale(errors) ** 2, rung, data.blocks)
+    power = summed(left**2, horizon, data.blocks)
+    seen_power = summed(in_scale(errors) ** 2, horizon, data.blocks)
     if not np.all(np.isfinite(power)):
         return None
     model = structure.model
@@ -277,55 +277,58 @@ def judged(
     # once more in the outputs' units and unclipped: what a user is told
     squares, count = np.zeros((2, data.blocks, len(measured)))
     plain_errors = np.where(known, np.nan_to_num(unseen[:, measured]), 0.0)
-    squares[:, measured] = summed(plain_errors**2, rung, data.blocks)
-    count[:, measured] = summed(known.astype(float), rung, data.blocks)
+    squares[:, measured] = summed(plain_errors**2, horizon, data.blocks)
+    count[:, measured] = summed(known.astype(float), horizon, data.blocks)
     cost, seen_cost = scale.cost(power, parameters), scale.cost(seen_power, parameters)
-    return Judged(structure, parameters, power, left, cost, seen_cost, squares, count, errors)
+    return ValidatedFit(structure, parameters, power, left, cost, seen_cost, squares, count, errors)
 
 
-def summed(values: FloatArray, rung: Rung, blocks: int) -> FloatArray:
+def summed(values: FloatArray, horizon: Horizon, blocks: int) -> FloatArray:
     """Sums over the rows of each block, shape (blocks, columns)."""
     return np.column_stack(
-        [np.bincount(rung.block, weights=column, minlength=blocks) for column in values.T]
+        [np.bincount(horizon.block, weights=column, minlength=blocks) for column in values.T]
     )
 
 
 # What the structures of a level are fitted to and judged by.
 
 SHORT, LONG = "short", "long"
-"""Kinds of looks: on a few short windows, on the rung of the judgement. Friction in a long
+"""Kinds of quick fits: on a few short windows, on the horizon of the validation. Friction in a long
 oscillation shows on the whole record only, and there a wrong phase hides everything else.
 """
 
 
 @dataclass(frozen=True, eq=False)
-class Court:
-    """What all structures of a level are judged by: the data, the rung of the judgement, the rung
-    of short looks, the scale, and what the model as it is leaves in each window of that rung
-    (`there`, mean squares; None: not known).
+class CrossValidation:
+    """What all structures of a level are validated by: the data, the `last` horizon, on which they are
+    fitted and judged, the `middle` one of quick fits on short windows, the scale of errors, and what
+    the model as it is leaves in each window of the middle one (`window_errors`, mean squares; None:
+    not known).
     """
 
     data: Data
-    last: Rung
-    middle: Rung
+    last: Horizon
+    middle: Horizon
     scale: Scale
-    there: FloatArray | None = None
+    window_errors: FloatArray | None = None
 
     @cached_property
-    def short(self) -> tuple[Rung, Sequence[int]]:
-        """What a look at short windows sees, and which of the windows those are."""
-        return self.middle.thinned(GLANCED, self.there)
+    def short(self) -> tuple[Horizon, Sequence[int]]:
+        """What a quick fit on short windows sees, and which of the windows those are."""
+        return self.middle.thinned(QUICKLY_FITTED, self.window_errors)
 
     @property
     def kinds(self) -> tuple[str, ...]:
-        """The looks that there are: long records are looked at in short windows alone."""
+        """The quick fits that there are: long records are fitted quickly in short windows alone."""
         if self.middle is self.last:
             return (LONG,)
-        is_long = self.last.starts[-1] > LONG_LOOK
+        is_long = self.last.starts[-1] > LONG_RECORDS
         return (SHORT,) if is_long else (LONG, SHORT)
 
-    def judge(self, structure: Structure, *, steps: int, tolerance: float) -> Judged | None:
-        """The structure fitted on the last rung, and judged there; None where it diverges."""
+    def validate(
+        self, structure: Structure, *, steps: int, tolerance: float
+    ) -> ValidatedFit | None:
+        """The structure fitted on the last horizon, and judged there; None where it diverges."""
         windows = self.last.windows
         fit = fitted(
             structure.model,
@@ -336,15 +339,15 @@ class Court:
             tolerance=tolerance,
             substeps=structure.steps.get(windows),
         )
-        return None if fit is None else self.judge_fit(structure, fit)
+        return None if fit is None else self.validate_fit(structure, fit)
 
     def begun(self, structure: Structure, model: PhysicalModel | None = None) -> Fit | None:
-        """A structure that was found on the last rung, or a model that has more than it, at its own
+        """A structure that was found on the last horizon, or a model that has more than it, at its own
         values there; None where that diverges.
         """
         states, steps = structure.states[self.last.windows], structure.steps[self.last.windows]
         return at_start(model or structure.model, self.last, states, self.scale, steps)
 
-    def judge_fit(self, structure: Structure, fit: Fit) -> Judged | None:
-        """The structure judged by a fit on the last rung."""
-        return judged(structure.at(self.last, fit), fit, self.last, self.data, self.scale)
+    def validate_fit(self, structure: Structure, fit: Fit) -> ValidatedFit | None:
+        """The structure judged by a fit on the last horizon."""
+        return validated(structure.at(self.last, fit), fit, self.last, self.data, self.scale)
