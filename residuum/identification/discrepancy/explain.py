@@ -1,5 +1,5 @@
-"""Explain: which physical effect is missing in a model? What is answered, and how the answer is made
-of what a search tried.
+"""Explain: which physical effect is missing in a model? What is answered, and how the answer is
+made of what a search tried.
 """
 
 from __future__ import annotations
@@ -187,7 +187,8 @@ def explain(
 
     Returns
     -------
-    The answer; its verdict is `adequate` only where `compare` finds no structure in what the re-estimated model leaves.
+    The answer; its verdict is `adequate` only where `compare` finds no structure in what the
+    re-estimated model leaves.
 
     Raises
     ------
@@ -199,8 +200,8 @@ def explain(
 
     Notes
     -----
-    Effects are named by what they take away on blocks of the records that no fit has seen: in power while what is left is not its
-    own noise, in the likelihood of that noise from there on.
+    Effects are named by what they take away on blocks of the records that no fit has seen: in power
+    while what is left is not its own noise, in the likelihood of that noise from there on.
 
     Fails where a disturbance is synchronous with the input, and where two effects act alike in this
     experiment (they are then named as a group).
@@ -268,11 +269,9 @@ def answer_on_blocks(
     adequate = not slow and not compare(best.model, records, mapping, refuse_unstable=False).present
     verdict = verdict_on(search, steps, free, stds, adequate=adequate)
     free_beside = free_terms(best, search.validation) if best.keys else free
-    named = {
-        key for step in steps for validated in (step.after, *step.group) for key in validated.keys
-    }
     timing = [step.key for step in steps if is_timing(step.key, search)]
-    effects = [step.key for step in steps if step.key.effect != HELD]
+    held = [step for step in steps if step.key.effect == HELD]
+    accepted = [step.key for step in steps if step.key.effect != HELD and step.key not in timing]
     return Explanation(
         verdict=verdict.verdict,
         candidates=verdict.candidates,
@@ -280,20 +279,31 @@ def answer_on_blocks(
         probability_unknown=verdict.unknown,
         unexplained_share=_unexplained(search, free_beside),
         free=next(iter(free_beside), None),
-        undetectable=undetectable(search, wanted, search.along, named),
+        undetectable=undetectable(search, wanted, search.along, _named_by(steps)),
         next_experiment=next_experiments(search, verdict.candidates),
-        accepted=tuple(key for key in effects if key not in timing),
+        accepted=tuple(accepted),
         timing=tuple(timing),
-        drifting=verdict.unknown > UNKNOWN_LEADS and bool(free) and free[0].axis == "time",
+        drifting=verdict.unknown > UNKNOWN_LEADS and _drifts(free),
         left=left,
         values=estimated_values(search.validation.data.model, best.model, stds),
-        held=tuple(_held(step, search, stds) for step in steps if step.key.effect == HELD),
+        held=tuple(_held(step, search, stds) for step in held),
         remaining=remaining(search.base, best, search.validation),
         blocks=block_errors(search, verdict.candidates),
         work=begun(),
         seconds=time.perf_counter() - began,
         found=search,
     )
+
+
+def _drifts(free: Sequence[BlockTerm]) -> bool:
+    """Whether the best free term is a function of time: a load that drifts."""
+    return bool(free) and free[0].axis == "time"
+
+
+def _named_by(steps: Sequence[Step]) -> set[Key]:
+    """The effects that joined, and what does the same in their place."""
+    fits = [fit for step in steps for fit in (step.after, *step.group)]
+    return {key for fit in fits for key in fit.keys}
 
 
 def doubts_of(search: Search) -> dict[str, float]:

@@ -96,30 +96,32 @@ def joined_of(
         steps = _that_hold(every, search, records, mapping)
     else:
         every = steps = _in_order(search, asked)
-    accepted = [key for key, _, _ in steps]
-    refused = [key.effect for key, _, _ in every if key not in accepted]
     rows = [(None, search.base), *((key.effect, after) for key, _, after in steps)]
+    final = rows[-1][1]
     if was is not None:
         rows = [*_before(search, was), *rows[1:]]
-    noted, o = is_noted(records), _most_mended(search)
-    fits = [fit for _, fit in rows]
+    fits, o = [fit for _, fit in rows], _most_mended(search)
     # where a user keeps a part aside it judges; else every block has been left out in turn
-    errors = (
-        _on_the_rest(fits, o, search, records, mapping) if noted else [fit.rms[o] for fit in fits]
-    )
-    history = [
-        Step(name, float(error), remaining(fits[0], fit, search.validation))
-        for (name, fit), error in zip(rows, errors, strict=True)
-    ]
-    final = steps[-1][2] if steps else search.base
-    if noted:
+    if is_noted(records):
+        errors = _on_the_rest(fits, o, search, records, mapping)
         model, std = _final(search, final, _every_sample(search, records, mapping), noted=True)
         aside = split(records).aside
     else:
-        data = search.validation.data
+        errors, data = [float(fit.rms[o]) for fit in fits], search.validation.data
         model, std = _final(search, final, data.finer or data, noted=False)
         aside = ASIDE
-    return Joined(model, history, refused, std, list(search.best.model.outputs)[o], aside)
+    history = [
+        Step(name, error, remaining(fits[0], fit, search.validation))
+        for (name, fit), error in zip(rows, errors, strict=True)
+    ]
+    output = list(search.best.model.outputs)[o]
+    return Joined(model, history, _refused(every, steps), std, output, aside)
+
+
+def _refused(every: Sequence[_Step], steps: Sequence[_Step]) -> list[str]:
+    """The effects of all steps that are none of the accepted ones."""
+    accepted = [key for key, _, _ in steps]
+    return [key.effect for key, _, _ in every if key not in accepted]
 
 
 def _that_hold(
@@ -131,22 +133,25 @@ def _that_hold(
     """All steps where they hold at the ends kept aside; else all but one effect, or the first of
     them.
     """
-    keys = [key for key, _, _ in steps]
-    # all; all but one, the last that joined first; then ever fewer of the first
-    subsets = [
-        keys,
-        *([key for key in keys if key != out] for out in reversed(keys)),
-        *(keys[:n] for n in range(len(keys) - 2, 0, -1)),
-    ]
-    distinct = [
-        subset for number, subset in enumerate(subsets) if subset and subset not in subsets[:number]
-    ]
-    validated = [(subset, with_only(search, subset)) for subset in distinct]
+    subsets = _subsets([key for key, _, _ in steps])
+    validated = [(subset, with_only(search, subset)) for subset in subsets]
     known = [(subset, fit.model) for subset, fit in validated if fit is not None]
     index = first_that_holds(
         search.base.model, [model for _, model in known], search, records, mapping
     )
     return [] if index is None else chain(search, known[index][0])
+
+
+def _subsets(keys: Sequence[Key]) -> list[Sequence[Key]]:
+    """All keys; all but one, without the last one first; then ever fewer of the first ones."""
+    subsets = [
+        keys,
+        *([key for key in keys if key != out] for out in reversed(keys)),
+        *(keys[:n] for n in range(len(keys) - 2, 0, -1)),
+    ]
+    return [
+        subset for number, subset in enumerate(subsets) if subset and subset not in subsets[:number]
+    ]
 
 
 def _in_order(search: Search, keys: Sequence[Key]) -> list[_Step]:

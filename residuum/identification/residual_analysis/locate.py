@@ -112,7 +112,8 @@ def locate(
 
     Returns
     -------
-    Regions, the most telling first, at most one an axis, none whose error is within the noise; empty when no axis beats chance.
+    Regions, the most telling first, at most one an axis, none whose error is within the noise;
+    empty when no axis beats chance.
 
     References
     ----------

@@ -349,8 +349,8 @@ def fit_coloured_noise(
 
     References
     ----------
-    J. P. Burg, *Maximum entropy spectral analysis*, Stanford 1975: the lattice recursion is stable by construction,
-    and less biased near the unit circle than Yule–Walker.
+    J. P. Burg, *Maximum entropy spectral analysis*, Stanford 1975: the lattice recursion is stable
+    by construction, and less biased near the unit circle than Yule–Walker.
     """
     limit = highest_order if order is None else order
     usable = [np.asarray(segment, dtype=float) for segment in segments if len(segment) > 2 * limit]
@@ -504,12 +504,13 @@ def noise_floor(
 
     Returns
     -------
-    σ in the channel's unit, at most the RMS of the residuals; 0 for an error without a fast part; the RMS itself for
-    fewer than 64 samples in a row.
+    σ in the channel's unit, at most the RMS of the residuals; 0 for an error without a fast part;
+    the RMS itself for fewer than 64 samples in a row.
 
     Notes
     -----
-    Fast errors of the model (ripple, switching) count as noise. For noise slower than ρ ≈ 0.99 it is a lower bound.
+    Fast errors of the model (ripple, switching) count as noise. For noise slower than ρ ≈ 0.99 it
+    is a lower bound.
 
     References
     ----------

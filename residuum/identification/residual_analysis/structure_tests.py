@@ -224,17 +224,13 @@ def structured_errors(
     signal that may predict the error; the other arguments are those of `test_structured_error`.
     """
     block = max(1, sum(e.n for e in experiments) // TEST_SAMPLES)
-    later = 0
-    if feeds_back(model, experiments, residuals):
-        later = 1 if block == 1 else 2
+    known_late = 1 if block == 1 else 2
+    later = known_late if feeds_back(model, experiments, residuals) else 0
     designs = _designs(axes, block)
     by_output = {}
     for k, name in enumerate(model.outputs):
         errors = [block_means(residual[:, k], block) for residual in residuals]
-        own = designs
-        if refitted:
-            changes = [block_means(change[:, k : k + 1], block) for change in refitted]
-            own = [np.hstack(pair) for pair in zip(designs, changes, strict=True)]
+        own = designs if refitted is None else _beside(designs, refitted, k, block)
         try:
             by_output[name] = test_structured_error(
                 errors,
@@ -255,6 +251,14 @@ def _designs(axes: Sequence[Sequence[Axis]], block: int) -> list[FloatArray]:
     # that moves in one record alone keeps its columns in all
     alive = np.any([np.any(design, axis=0) for design in every], axis=0)
     return [block_means(design[:, alive], block) for design in every]
+
+
+def _beside(
+    designs: Sequence[FloatArray], refitted: Sequence[FloatArray], output: int, block: int
+) -> list[FloatArray]:
+    """The features and what other parameter values would change in an output."""
+    changes = [block_means(change[:, output : output + 1], block) for change in refitted]
+    return [np.hstack(pair) for pair in zip(designs, changes, strict=True)]
 
 
 def _delayed(design: FloatArray, blocks: int) -> FloatArray:
@@ -452,7 +456,8 @@ def local_structure(
 
     Notes
     -----
-    Fails where noise itself depends on the place (a reading that gets coarser with speed); blind to what is spread evenly.
+    Fails where noise itself depends on the place (a reading that gets coarser with speed); blind to
+    what is spread evenly.
     """
     known = [np.isfinite(r) for r in residuals]
     r = _where_known(residuals, known)

@@ -89,12 +89,14 @@ def test_structured_error(
 
     Notes
     -----
-    Fails (cries wolf) when the features are made from the measured, noisy output, and when a disturbance is
-    synchronous with the input. Power is lost when the structured error is itself smooth and broadband.
+    Fails (cries wolf) when the features are made from the measured, noisy output, and when a
+    disturbance is synchronous with the input. Power is lost when the structured error is itself
+    smooth and broadband.
 
     References
     ----------
-    Cochrane & Orcutt, J. Am. Stat. Assoc. 44 (1949); Efron & Tibshirani, *An Introduction to the Bootstrap*, ch. 16.
+    Cochrane & Orcutt, J. Am. Stat. Assoc. 44 (1949); Efron & Tibshirani, *An Introduction to the
+    Bootstrap*, ch. 16.
     """
     q = features[0].shape[1]
     segments, designs = _complete(residuals, features)
@@ -109,12 +111,10 @@ def test_structured_error(
     statistic, coefficients, noise = _likelihood_ratio(segments, designs, null, drifting)
     predicted = [design @ coefficients for design in designs]
     total = sum(float(segment @ segment) for segment in segments)
-    left_power = sum(
-        float(np.sum((segment - part) ** 2))
-        for segment, part in zip(segments, predicted, strict=True)
-    )
+    pairs = zip(segments, predicted, strict=True)
+    left_power = sum(float(np.sum((segment - part) ** 2)) for segment, part in pairs)
     share = max(0.0, 1.0 - left_power / total) if total > 0 else 0.0
-    lengths = [len(segment) for segment in segments]
+    lengths = list(map(len, segments))
     rng = np.random.default_rng(seed)
     draws, p_value = np.zeros(0), np.nan
     # a few at a time, until more of them would not change the answer

@@ -37,8 +37,9 @@ def at_likeliest_values(
 
     Notes
     -----
-    Fails where two outputs contradict each other about one value within its doubt by one of them alone: either takes its own. The
-    doubt is that of the estimate, and not of its difference from the likeliest values, which is less: a generous bound.
+    Fails where two outputs contradict each other about one value within its doubt by one of them
+    alone: either takes its own. The doubt is that of the estimate, and not of its difference from
+    the likeliest values, which is less: a generous bound.
     """
     slopes = [
         _slopes(model, *run)

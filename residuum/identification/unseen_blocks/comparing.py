@@ -226,6 +226,15 @@ def is_alike(
     )
 
 
+def all_alike(
+    ranked: Sequence[ValidatedFit], chosen: ValidatedFit, before: ValidatedFit | None, scale: Scale
+) -> list[ValidatedFit]:
+    """Those that the data cannot tell from the chosen one, in the place of `before`."""
+    return [
+        rival for rival in ranked if rival is not chosen and is_alike(rival, chosen, before, scale)
+    ]
+
+
 def going_on(ranked: Sequence[ValidatedFit], scale: Scale) -> list[ValidatedFit]:
     """Those that a next effect is tried beside: ties have to travel."""
     lead = ranked[0]

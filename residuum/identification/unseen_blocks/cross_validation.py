@@ -15,8 +15,8 @@ each block b, the fit without a fold of blocks moves by
 
 References
 ----------
-R. D. Cook, S. Weisberg, *Residuals and Influence in Regression*, 1982, ch. 2 (deletion); A. Vehtari, A. Gelman, J. Gabry, Stat.
-Comput. 27 (2017) 1413 (paired differences on data kept aside).
+R. D. Cook, S. Weisberg, *Residuals and Influence in Regression*, 1982, ch. 2 (deletion); A.
+Vehtari, A. Gelman, J. Gabry, Stat. Comput. 27 (2017) 1413 (paired differences on data kept aside).
 """
 
 from __future__ import annotations
@@ -199,7 +199,8 @@ def steps_without(H: FloatArray, g: FloatArray, damping: float) -> list[FloatArr
     of all.
     """
     all_H, all_g = H.sum(axis=0), g.sum(axis=0)
-    # of the curvature of all folds, so that a fold which alone tells a value is not left without any
+    # of the curvature of all folds, so that a fold which alone tells a value is not left without
+    # any
     ridge = damping * np.diag(np.diag(all_H))
     return [
         solve_scaled(all_H - h + ridge, (all_g - b)[:, None], 1e-10)[:, 0]
@@ -245,8 +246,8 @@ def equations(fit: Fit, horizon: Horizon, scale: Scale) -> Equations | None:
 def validated(
     structure: Structure, fit: Fit, horizon: Horizon, data: Data, scale: Scale, *, steps: int = 1
 ) -> ValidatedFit | None:
-    """The structure's errors on unseen blocks, from its fit on a horizon in that scale; None where it
-    diverges.
+    """The structure's errors on unseen blocks, from its fit on a horizon in that scale; None where
+    it diverges.
 
     So many steps to the values without each fold are simulated.
     """
@@ -300,10 +301,10 @@ oscillation shows on the whole record only, and there a wrong phase hides everyt
 
 @dataclass(frozen=True, eq=False)
 class CrossValidation:
-    """What all structures of a level are validated by: the data, the `last` horizon, on which they are
-    fitted and judged, the `middle` one of quick fits on short windows, the scale of errors, and what
-    the model as it is leaves in each window of the middle one (`window_errors`, mean squares; None:
-    not known).
+    """What all structures of a level are validated by: the data, the `last` horizon, on which they
+    are fitted and judged, the `middle` one of quick fits on short windows, the scale of errors, and
+    what the model as it is leaves in each window of the middle one (`window_errors`, mean squares;
+    None: not known).
     """
 
     data: Data
@@ -313,9 +314,12 @@ class CrossValidation:
     window_errors: FloatArray | None = None
 
     @cached_property
-    def short(self) -> tuple[Horizon, Sequence[int]]:
-        """What a quick fit on short windows sees, and which of the windows those are."""
+    def _short(self) -> tuple[Horizon, Sequence[int]]:
         return self.middle.thinned(QUICKLY_FITTED, self.window_errors)
+
+    def windows_of(self, kind: str) -> tuple[Horizon, Sequence[int]]:
+        """What a quick fit of a kind sees, and which windows of its horizon those are."""
+        return (self.last, range(len(self.last.parts))) if kind == LONG else self._short
 
     @property
     def kinds(self) -> tuple[str, ...]:
@@ -342,8 +346,8 @@ class CrossValidation:
         return None if fit is None else self.validate_fit(structure, fit)
 
     def begun(self, structure: Structure, model: PhysicalModel | None = None) -> Fit | None:
-        """A structure that was found on the last horizon, or a model that has more than it, at its own
-        values there; None where that diverges.
+        """A structure that was found on the last horizon, or a model that has more than it, at its
+        own values there; None where that diverges.
         """
         states, steps = structure.states[self.last.windows], structure.steps[self.last.windows]
         return at_start(model or structure.model, self.last, states, self.scale, steps)

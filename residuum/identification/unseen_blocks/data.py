@@ -105,8 +105,8 @@ class Data:
         return len(self.fold)
 
     def horizon(self, windows: int) -> Horizon:
-        """The horizon with so many windows a record; whole records, where these are too short for so
-        many.
+        """The horizon with so many windows a record; whole records, where these are too short for
+        so many.
         """
         return next(
             (horizon for horizon in self.horizons if horizon.windows == windows), self.horizons[-1]

@@ -139,14 +139,12 @@ def regressed(
     own = own_terms(model, place, few)
     lack = beside(own, few.missing[place])
     sizes = {name: start[name] for name in effect.sizes if start.get(name)}
-    columns = {}
-    for name in sizes:
-        term = _column(key, start, name, few)
-        if term is not None and np.any(term):
-            columns[name] = beside(own, term)
+    terms = {name: _column(key, start, name, few) for name in sizes}
+    columns = {name: beside(own, z) for name, z in terms.items() if z is not None and np.any(z)}
     known = {p.name: p for p in effect.parameters(site)}
-    solution, power = _inside_bounds(columns, lack, sizes, known), float(lack @ lack)
-    if solution is None or not power > 0.0:
+    power = float(lack @ lack)
+    solution = _inside_bounds(columns, lack, sizes, known) if power > 0.0 else None
+    if solution is None:
         return None
     values, left = solution
     # sizes that would lie outside of their bounds are none
@@ -188,7 +186,8 @@ def own_terms(model: PhysicalModel, balance: str, along: Track) -> FloatArray:
     scaled = [z / np.abs(z).max() for z in terms]
     columns = np.column_stack([z / np.linalg.norm(z) for z in scaled])
     u, s, _ = np.linalg.svd(columns, full_matrices=False)
-    # terms that depend on each other (a viscous loss and a gain of the same speed) are one direction
+    # terms that depend on each other (a viscous loss and a gain of the same speed) are one
+    # direction
     return np.asarray(u[:, s > 1e-9 * s[0]])
 
 

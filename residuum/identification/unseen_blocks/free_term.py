@@ -136,8 +136,9 @@ class BlockTerm:
     """One free term: where it acts, the signal it is a function of, its curve (`value` in `unit`
     over `at`), and its errors.
 
-    `power` (blocks, measured outputs) in the scale of the validation, on blocks that it has not seen; it has
-    so many `parameters` more, and `evidence` are its log odds against the structure alone.
+    `power` (blocks, measured outputs) in the scale of the validation, on blocks that it has not
+    seen; it has so many `parameters` more, and `evidence` are its log odds against the structure
+    alone.
     """
 
     balance: str

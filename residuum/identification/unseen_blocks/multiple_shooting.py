@@ -1,8 +1,8 @@
 """The first model on ever longer windows, each horizon begun where the one before ended.
 
 Long simulations of oscillating or integrating machines lock in wrongly from a poor start. The last
-horizon is the whole record, unless the model does not forget its first state within a window (a plant
-that integrates, a closed loop) and follows little there.
+horizon is the whole record, unless the model does not forget its first state within a window (a
+plant that integrates, a closed loop) and follows little there.
 """
 
 from __future__ import annotations
@@ -98,8 +98,8 @@ def _fitted(
 
 
 def first_fit_at_likelier_timing(data: Data) -> FirstFit:
-    """`first_fit` with inputs held over their samples or moving evenly between them, whichever leaves
-    the smaller innovations.
+    """`first_fit` with inputs held over their samples or moving evenly between them, whichever
+    leaves the smaller innovations.
 
     The two differ by half a sample. A good record shows the wrong one as a structured error of its
     own, a delay or a lag. Where a controller answers the noise, inputs were held. All inputs are

@@ -61,8 +61,8 @@ EXCHANGED, EXCHANGED_IN_NOISE = 3, 2
 alone, but not in nats. Chosen.
 """
 FOLLOWED, FULLY_FITTED = 14, 8
-"""Candidates of each kind of quick fit that take two further steps, and those that are fitted fully after them
-at a level. Chosen.
+"""Candidates of each kind of quick fit that take two further steps, and those that are fitted fully
+after them at a level. Chosen.
 """
 PAIRS_FITTED, EACH_IN_PAIRS = 6, 2
 """Pairs of effects that are fitted where none joins alone, and in how many of them an effect may

@@ -268,9 +268,7 @@ def _curves(model: PhysicalModel, along: Track) -> list[Key]:
     """
     present = {use.key for use in model.effects}
     learned = [effect.id for effect in STRUCTURAL.values() if effect.curve]
-    signals = dict(zip(model.states, along.X.T, strict=False))
-    signals |= dict(zip(model.inputs, along.experiment.U.T, strict=False))
-    moving = {name: signal for name, signal in signals.items() if np.ptp(signal) > 0}
+    moving = _moving_signals(model, along)
     ranked = []
     for balance in model.balances:
         basis = own_terms(model, balance, along)
@@ -281,6 +279,13 @@ def _curves(model: PhysicalModel, along: Track) -> list[Key]:
                 share = _explained(basis, along.missing[balance], signal)
                 ranked += [(share, key) for key in new]
     return [key for share, key in sorted(ranked, reverse=True)[:MOST_CURVES] if share > 0.0]
+
+
+def _moving_signals(model: PhysicalModel, along: Track) -> dict[str, FloatArray]:
+    """States and inputs along the track, those that change."""
+    signals = dict(zip(model.states, along.X.T, strict=False))
+    signals |= dict(zip(model.inputs, along.experiment.U.T, strict=False))
+    return {name: signal for name, signal in signals.items() if np.ptp(signal) > 0}
 
 
 def _explained(basis: FloatArray, lack: FloatArray, signal: FloatArray) -> float:

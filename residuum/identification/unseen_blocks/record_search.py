@@ -1,5 +1,5 @@
-"""The search in records: at a lower rate first where that loses nothing, with inputs that a model may
-have forgotten, and with effects that a user asks for in the place of a search.
+"""The search in records: at a lower rate first where that loses nothing, with inputs that a model
+may have forgotten, and with effects that a user asks for in the place of a search.
 """
 
 from __future__ import annotations
@@ -114,15 +114,18 @@ def with_forgotten_inputs(
     has_spare = any(e.spare for e in experiments)
     if not (may_be_forgotten and has_spare and long_enough([e.n for e in experiments])):
         return model
-    data = data_of(matched_model, experiments)
+    for name in _forgotten(data_of(matched_model, experiments)):
+        model = model.with_input(name, experiments[0].spare[name].unit)
+    return model
+
+
+def _forgotten(data: Data) -> list[str]:
+    """Spare columns that what a balance lacks resembles; none where nothing follows the data."""
     try:
         along = followed(first_fit_at_likelier_timing(data).structure.model, data)
     except NotIdentifiable:
-        return model
-    if along is not None:
-        for name in forgotten_columns(data.model, along):
-            model = model.with_input(name, experiments[0].spare[name].unit)
-    return model
+        return []
+    return [] if along is None else forgotten_columns(data.model, along)
 
 
 # Effects that a user asks for: each joins the model, real or not, from where it promises most.

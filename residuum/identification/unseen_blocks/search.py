@@ -2,8 +2,8 @@
 alone may be told apart beside another.
 
 At every level each proposal beside each structure of the beam is fitted quickly, the best of every
-kind of quick fit are fitted fully and judged on unseen blocks, and the simplest within chance of the best
-leads. After each effect that joined, the unit of the error is asked again.
+kind of quick fit are fitted fully and judged on unseen blocks, and the simplest within chance of
+the best leads. After each effect that joined, the unit of the error is asked again.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from residuum.identification.physics import Key
+from residuum.identification.physics import Key, PhysicalModel
 from residuum.identification.side_by_side import each_beside
 from residuum.identification.unseen_blocks.comparing import (
+    all_alike,
     corrected,
     going_on,
-    is_alike,
     is_nothing,
     real_ones,
     simplest,
@@ -98,17 +98,8 @@ def joins(outcome: Search, ranked: Sequence[ValidatedFit]) -> bool:
         return False
     chosen = simplest(real, scale)
     outcome.best = chosen
-    outcome.group = _alike(ranked, chosen, before, scale)
+    outcome.group = all_alike(ranked, chosen, before, scale)
     return True
-
-
-def _alike(
-    ranked: Sequence[ValidatedFit], chosen: ValidatedFit, before: ValidatedFit | None, scale: Scale
-) -> list[ValidatedFit]:
-    """Those that the data cannot tell from the chosen one, in the place of `before`."""
-    return [
-        rival for rival in ranked if rival is not chosen and is_alike(rival, chosen, before, scale)
-    ]
 
 
 def _leaving_noise(outcome: Search, ranked: Sequence[ValidatedFit]) -> list[ValidatedFit]:
@@ -163,11 +154,7 @@ def _relatives(
 ) -> list[Callable[[], ValidatedFit | None]]:
     """The fits of what is related to the effects of a structure, to be made."""
     general = [trial for trial in quick_fits if trial.is_of(lead, generalised(trial.key))]
-    special = [
-        trial
-        for trial in quick_fits
-        if any(special_of(key) == trial.key and trial.is_of(lead, key) for key in lead.keys)
-    ]
+    special = [trial for trial in quick_fits if trial.is_special_case_in(lead)]
     # special cases that were proposed and are not among these quick fits: they were tried alone,
     # at another level, and nobody asked for them beside what has joined since
     elsewhere = outcome.proposed.difference(lead.keys, (trial.key for trial in special))
@@ -177,12 +164,25 @@ def _relatives(
     along = followed(lead.model, outcome.validation.data, lead.errors, outcome.validation.last)
     if along is None:
         return []
-    begins = [(trial, grown(trial.key, along)) for trial in general]
-    begins += [(trial, specialised(trial.key, along)) for trial in special]
+    return [
+        *_fits_from(grown, general, along, lead, outcome),
+        *_fits_from(specialised, special, along, lead, outcome),
+        *(partial(_in_place, lead.structure, key, along, outcome) for key in replaceable),
+    ]
+
+
+def _fits_from(
+    first_models: Callable[[Key, Track], list[PhysicalModel]],
+    trials: Sequence[QuickFit],
+    along: Track,
+    lead: ValidatedFit,
+    outcome: Search,
+) -> list[Callable[[], ValidatedFit | None]]:
+    """Full fits of proposals near a structure, begun where its own effect leads."""
+    begins = [(trial, first_models(trial.key, along)) for trial in trials]
     near, validation = lead.structure, outcome.validation
     return [
-        *(partial(fit_from, models, trial, near, validation) for trial, models in begins if models),
-        *(partial(_in_place, near, key, along, outcome) for key in replaceable),
+        partial(fit_from, models, trial, near, validation) for trial, models in begins if models
     ]
 
 
@@ -226,6 +226,14 @@ class _Beam:
         """Whether next to nothing of the first error is left."""
         return is_nothing(self.outcome.best, self.outcome.base, self.outcome.validation.scale)
 
+    @property
+    def answer(self) -> Search:
+        """What was found: what joined below next to nothing counts only where it left noise
+        alone.
+        """
+        in_noise = self.outcome.validation.scale.nats
+        return self.outcome if self.enough is None or in_noise else self.enough
+
     def progress(self, level_done: float) -> None:
         """Tell how far the search is: what is left of it nobody knows, so levels count."""
         self.tell(0.1 + 0.6 * (self.depth + level_done) / DEEPEST, _beside(self.outcome.best.keys))
@@ -268,8 +276,7 @@ def search(data: Data, wanted: Wanted, tell: Tell = untold, *, turns: int = TURN
             )
     except OutOfWork:
         left_out(f"effects {_beside(outcome.best.keys)}")
-    # what joined below next to nothing counts only where it left noise alone
-    return outcome if beam.enough is None or outcome.validation.scale.nats else beam.enough
+    return beam.answer
 
 
 def _next_level(beam: _Beam) -> list[ValidatedFit]:
@@ -278,14 +285,8 @@ def _next_level(beam: _Beam) -> list[ValidatedFit]:
     """
     outcome = beam.outcome
     beam.progress(0.0)
+    _lengthen_what_leaves_nothing(beam)
     nothing = beam.nothing
-    # what leaves next to nothing in short windows may leave much in long ones
-    longer = lengthened(outcome) if nothing and outcome.best.keys else []
-    while longer:
-        beam.structures = longer
-        beam.progress(0.0)
-        nothing = beam.nothing
-        longer = lengthened(outcome) if nothing else []
     if nothing and beam.enough is None:
         beam.enough = replace(outcome, every=dict(outcome.every), group=list(outcome.group))
     near_noise = outcome.best.cost < NEAR_NOISE * outcome.validation.scale.floor
@@ -299,6 +300,16 @@ def _next_level(beam: _Beam) -> list[ValidatedFit]:
     beam.together = []
     outcome.tried = len(quick_fits) or outcome.tried
     return sorted(ranked, key=lambda rival: rival.cost)
+
+
+def _lengthen_what_leaves_nothing(beam: _Beam) -> None:
+    """What leaves next to nothing in short windows may leave much in long ones."""
+    while beam.nothing and beam.outcome.best.keys:
+        longer = lengthened(beam.outcome)
+        if not longer:
+            return
+        beam.structures = longer
+        beam.progress(0.0)
 
 
 def _go_deeper(beam: _Beam, ranked: Sequence[ValidatedFit]) -> None:
@@ -426,7 +437,7 @@ def next_beam(outcome: Search, ranked: Sequence[ValidatedFit]) -> list[Validated
     outcome.every = {rival.keys: rival for rival in [*fits, base]}
     # one that holds all of the chosen one and more is no stand-in for it
     rivals = [rival for rival in fits if not set(rival.keys) >= set(chosen.keys)]
-    outcome.group = _alike(rivals, chosen, None, validation.scale)
+    outcome.group = all_alike(rivals, chosen, None, validation.scale)
     return [chosen, *outcome.group][:BEAM]
 
 
@@ -462,7 +473,7 @@ def exchanged(
         return beam
     outcome.best = simplest([before, *better], scale)
     rivals = sorted([before, *ranked, *outcome.group], key=lambda rival: rival.cost)
-    outcome.group = _alike(rivals, outcome.best, None, scale)
+    outcome.group = all_alike(rivals, outcome.best, None, scale)
     return _led_by(outcome.best, beam)
 
 
@@ -515,7 +526,7 @@ def _on_next_windows(outcome: Search) -> list[ValidatedFit]:
     outcome.best = simplest(ranked, scale)
     # errors on other windows compare with none of these
     outcome.every = {(): first} | {rival.keys: rival for rival in ranked}
-    outcome.group = _alike(ranked, outcome.best, None, scale)
+    outcome.group = all_alike(ranked, outcome.best, None, scale)
     return _led_by(outcome.best, going_on(ranked, scale))
 
 

@@ -37,8 +37,8 @@ States = Sequence[Mapping[str, float]]
 
 @dataclass(frozen=True, eq=False)
 class Structure:
-    """Effects `keys` in a `model`; by the windows a record of each horizon that was visited, the first
-    `states` of its windows and the integration `steps` a sample there.
+    """Effects `keys` in a `model`; by the windows a record of each horizon that was visited, the
+    first `states` of its windows and the integration `steps` a sample there.
     """
 
     keys: tuple[Key, ...]
@@ -75,8 +75,8 @@ def at_start(
     scale: Scale,
     steps: Sequence[int] | None = None,
 ) -> Fit | None:
-    """The model at its own values on a horizon's windows, from where states are known roughly; `steps`
-    a sample, where they are known, do for a model that has no further states.
+    """The model at its own values on a horizon's windows, from where states are known roughly;
+    `steps` a sample, where they are known, do for a model that has no further states.
 
     None where it diverges, or nothing can be estimated.
     """
@@ -133,7 +133,8 @@ def fitted(
     tolerance: float,
     substeps: Sequence[int] | None = None,
 ) -> Fit | None:
-    """The model at its least error on a horizon's windows in the scale's unit, as `at_start` begins.
+    """The model at its least error on a horizon's windows in the scale's unit, as `at_start`
+    begins.
 
     Without `substeps`: a stop or a valve that the first run never reaches is stiff where it is met,
     so where what was found asks for many more integration steps a sample, it is sought again with

@@ -1,8 +1,8 @@
-"""Fits of a proposal beside a structure: a quick one from every first value, then a full one of the most
-promising.
+"""Fits of a proposal beside a structure: a quick one from every first value, then a full one of the
+most promising.
 
-Both kinds of quick fit are needed. Friction in a long oscillation shows on the whole record only, and
-there a wrong phase hides everything else, which shows on short windows.
+Both kinds of quick fit are needed. Friction in a long oscillation shows on the whole record only,
+and there a wrong phase hides everything else, which shows on short windows.
 """
 
 from __future__ import annotations
@@ -29,7 +29,12 @@ from residuum.identification.unseen_blocks.policy import (
     PROMISING,
     RAN_OFF,
 )
-from residuum.identification.unseen_blocks.proposals import beginnings, conditions_along, starts
+from residuum.identification.unseen_blocks.proposals import (
+    beginnings,
+    conditions_along,
+    special_of,
+    starts,
+)
 from residuum.identification.unseen_blocks.structure import (
     HELD,
     Structure,
@@ -44,8 +49,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class QuickFit:
-    """A proposal beside a parent: by kind of quick fit its best fits after a step or more, the lowest
-    first; `sizes` are its first values, `along` is where the parent's filter went.
+    """A proposal beside a parent: by kind of quick fit its best fits after a step or more, the
+    lowest first; `sizes` are its first values, `along` is where the parent's filter went.
     """
 
     parent: Structure
@@ -65,6 +70,12 @@ class QuickFit:
         """
         retained = set(candidate.keys) - {stand_in}
         return stand_in in candidate.keys and retained == set(self.keys) - {self.key}
+
+    def is_special_case_in(self, candidate: ValidatedFit) -> bool:
+        """Whether the proposal is a special case of an effect of a structure, in its place."""
+        return any(
+            special_of(key) == self.key and self.is_of(candidate, key) for key in candidate.keys
+        )
 
     @property
     def hides(self) -> bool:
@@ -93,23 +104,27 @@ def quick_fit(
     first = beginnings(key, along) + ([] if given is None else beginnings(key, given))
     by_kind: dict[str, Sequence[Fit]] = {}
     for kind in validation.kinds:
-        horizon, windows = (
-            (validation.last, range(len(validation.last.parts)))
-            if kind == LONG
-            else validation.short
-        )
-        states = [parent.states[horizon.windows][k] for k in windows]
-        steps = [parent.steps[horizon.windows][k] for k in windows]
-        passes = [at_start(model, horizon, states, validation.scale, steps) for model in first]
-        begun = [fit for fit in passes if fit is not None]
-        # by the cost that a damped step promises: a whole one promises shifts in time too much
-        begun.sort(key=lambda fit: fit.cost - fit.promised(*fit.step(damping=PROMISING)))
-        stepped = [fit.descended(1, 0.0) for fit in begun[:FOLLOWED_STARTS]]
+        stepped = _stepped(first, parent, kind, validation)
         if stepped:
-            by_kind[kind] = sorted(stepped, key=lambda fit: fit.cost)
+            by_kind[kind] = stepped
     if not by_kind:
         return None
     return QuickFit(parent, key, by_kind, _sizes(key, along, first, by_kind), along)
+
+
+def _stepped(
+    models: Sequence[PhysicalModel], parent: Structure, kind: str, validation: CrossValidation
+) -> list[Fit]:
+    """The models that promise most after a step, on the windows of a kind, the lowest first."""
+    horizon, windows = validation.windows_of(kind)
+    states = [parent.states[horizon.windows][k] for k in windows]
+    steps = [parent.steps[horizon.windows][k] for k in windows]
+    passes = [at_start(model, horizon, states, validation.scale, steps) for model in models]
+    begun = [fit for fit in passes if fit is not None]
+    # by the cost that a damped step promises: a whole one promises shifts in time too much
+    begun.sort(key=lambda fit: fit.cost - fit.promised(*fit.step(damping=PROMISING)))
+    stepped = [fit.descended(1, 0.0) for fit in begun[:FOLLOWED_STARTS]]
+    return sorted(stepped, key=lambda fit: fit.cost)
 
 
 def _sizes(
@@ -264,8 +279,8 @@ def best_of_each(quick_fits: Collection[QuickFit], count: int) -> list[QuickFit]
 
 
 def worth_beside_others(quick_fits: Collection[QuickFit]) -> set[Key]:
-    """Proposals worth a quick fit beside others: the best of the first level, and those that hide alone
-    (own states, no slope yet).
+    """Proposals worth a quick fit beside others: the best of the first level, and those that hide
+    alone (own states, no slope yet).
     """
     viable = {trial.key for trial in quick_fits if trial.hides}
     for kind in (SHORT, LONG):

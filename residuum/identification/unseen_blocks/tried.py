@@ -47,9 +47,9 @@ class Wanted:
 class Search:
     """What was tried.
 
-    `base` is the model as it is, `best` with what joined, both judged by `validation`; `every` structure
-    that was judged there by its keys; `group` those that cannot be told from the best; `tried` how
-    many proposals the last level had; `proposed` what was fitted quickly.
+    `base` is the model as it is, `best` with what joined, both judged by `validation`; `every`
+    structure that was judged there by its keys; `group` those that cannot be told from the best;
+    `tried` how many proposals the last level had; `proposed` what was fitted quickly.
     """
 
     validation: CrossValidation
@@ -180,8 +180,8 @@ def _are_one_physics(
 def validated_in_nats(
     best: ValidatedFit, validation: CrossValidation
 ) -> tuple[CrossValidation, ValidatedFit] | None:
-    """The validation in nats and the structure judged there, where what it leaves is noise alike all
-    along the records; None otherwise.
+    """The validation in nats and the structure judged there, where what it leaves is noise alike
+    all along the records; None otherwise.
     """
     last, data = validation.last, validation.data
     fit = validation.begun(best.structure)

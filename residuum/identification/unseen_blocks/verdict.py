@@ -154,16 +154,10 @@ def counted(
     block.
     """
     scale, base = search.validation.scale, search.base
-    fitting = [
-        rival
-        for rival in search.every.values()
-        if not rival.keys or rival.seen_cost < base.seen_cost
-    ]
-    tried = sorted(fitting, key=lambda rival: rival.cost)[:MOST_RIVALS]
+    tried = _entrants(search)
     terms: Sequence[BlockTerm] = [] if adequate else free
     entrants: list[OnBlocks] = [*tried, *terms]
-    names: list[tuple[Key, ...] | str] = [rival.keys or NONE for rival in tried]
-    names += [UNKNOWN] * len(terms)
+    names: list[tuple[Key, ...] | str] = [rival.keys for rival in tried] + [UNKNOWN] * len(terms)
     sizes = np.array([entrant.parameters for entrant in entrants])
     by_block = np.array([scale.by_block(entrant.power) for entrant in entrants])
     # bootstrap over blocks: the same draws for all, so that they are compared in pairs
@@ -173,17 +167,37 @@ def counted(
     nothing = scale.by_block(base.power)[pick].sum(axis=1) + price * base.parameters
     winner = _simplest_near_the_best(costs, sizes, scale)
     gain = nothing - costs[winner, np.arange(DRAWS)]
-    if scale.nats:
-        asked = np.full(DRAWS, np.log(max(search.tried, 1)) + TIE)
-    else:
-        asked = np.maximum(WORTH * (nothing - scale.floor), SMALL)
-    # what is left where no name is worth its place
+    worth = gain > _least_gain(nothing, search)
+    # what is left where no name is worth its place, or the model as it is, without any, wins
     unnamed = NONE if adequate else UNKNOWN
     wins: dict[tuple[Key, ...] | str, float] = {}
-    for k, worth in zip(winner.tolist(), gain > asked, strict=True):
-        name = names[k] if worth and names[k] != NONE else unnamed
+    for k, is_worth in zip(winner.tolist(), worth, strict=True):
+        name = (names[k] if is_worth else ()) or unnamed
         wins[name] = wins.get(name, 0.0) + 1.0 / DRAWS
     return wins
+
+
+def _entrants(search: Search) -> list[ValidatedFit]:
+    """The model as it is and the best of the structures that fit the blocks which they have seen
+    better than it does.
+    """
+    base = search.base
+    fitting = [
+        rival
+        for rival in search.every.values()
+        if not rival.keys or rival.seen_cost < base.seen_cost
+    ]
+    return sorted(fitting, key=lambda rival: rival.cost)[:MOST_RIVALS]
+
+
+def _least_gain(nothing: FloatArray, search: Search) -> FloatArray | float:
+    """What a winner has to take away of the cost of the model as it is in each draw, `nothing`
+    (draws,), as when an effect joins.
+    """
+    scale = search.validation.scale
+    if scale.nats:
+        return float(np.log(max(search.tried, 1)) + TIE)
+    return np.maximum(WORTH * (nothing - scale.floor), SMALL)
 
 
 def _simplest_near_the_best(
@@ -214,7 +228,7 @@ def verdict_on(
     timing = _timing(search, joined)
     wins = _named(counted(search, free, adequate=adequate), timing, nothing)
     steps = [step for step in joined if step.key not in timing]
-    if steps and (not _recorded(steps) or (not adequate and _took_a_part(search))):
+    if steps and _is_doubtful(steps, search, adequate=adequate):
         wins = _doubted(wins)
     listed = _listed(steps, wins, stds, search) if steps else _undecided(search, wins, stds, timing)
     unknown, none = wins.get(UNKNOWN, 0.0), wins.get(NONE, 0.0)
@@ -222,16 +236,20 @@ def verdict_on(
     # first step, "none" and "unknown" share one
     named = sum(candidate.probability for candidate in listed if candidate.step == 0)
     excess = max(named + none + unknown, 1.0)
-    listed = [_scaled(candidate, 1.0 / excess) for candidate in listed]
-    has_effect = any(step.key.effect != HELD for step in steps)
+    listed = [replace(entry, probability=entry.probability * (1.0 / excess)) for entry in listed]
+    remainder = max(0.0, 1.0 - named / excess - none / excess)
+    says = _without_doubt(steps, listed, adequate=adequate)
     if steps and unknown >= UNKNOWN_LEADS:
         says = "unknown-effect"
-    elif has_effect and any(candidate.probability > 0.0 for candidate in listed):
-        says = "missing-effect"
-    else:
-        says = "adequate" if adequate else "unknown-effect"
-    remainder = max(0.0, 1.0 - named / excess - none / excess)
     return Verdict(says, tuple(listed), none / excess, remainder)
+
+
+def _without_doubt(steps: Sequence[Step], listed: Sequence[Candidate], *, adequate: bool) -> str:
+    """The verdict where nothing without a name leads."""
+    has_effect = any(step.key.effect != HELD for step in steps)
+    if has_effect and any(candidate.probability > 0.0 for candidate in listed):
+        return "missing-effect"
+    return "adequate" if adequate else "unknown-effect"
 
 
 def _timing(search: Search, joined: Sequence[Step]) -> set[Key]:
@@ -275,11 +293,13 @@ def _named(
     return named
 
 
-def _recorded(steps: Sequence[Step]) -> bool:
-    """Whether the records say when the effects that joined act: a load that came and went once may
-    have been anything.
+def _is_doubtful(steps: Sequence[Step], search: Search, *, adequate: bool) -> bool:
+    """Whether something without a name may stand behind the effects that joined: where they took a
+    part of what is structured, or where no record says when one acts, for a load that came and went
+    once may have been anything.
     """
-    return all(step.key.effect == HELD or step.after.model.records(step.key) for step in steps)
+    recorded = all(step.key.effect == HELD or step.after.model.records(step.key) for step in steps)
+    return not recorded or (not adequate and _took_a_part(search))
 
 
 def _took_a_part(search: Search) -> bool:
@@ -299,10 +319,6 @@ def _doubted(wins: Mapping[tuple[Key, ...] | str, float]) -> dict[tuple[Key, ...
         keys: won if isinstance(keys, str) else (1.0 - DOUBTED) * won for keys, won in wins.items()
     }
     return {**less, UNKNOWN: less.get(UNKNOWN, 0.0) + DOUBTED * named}
-
-
-def _scaled(candidate: Candidate, factor: float) -> Candidate:
-    return replace(candidate, probability=candidate.probability * factor)
 
 
 def is_timing(key: Key, search: Search, model: PhysicalModel | None = None) -> bool:
@@ -336,33 +352,24 @@ def _candidates(
     named = [key for key in group if key.effect != HELD]
     won = [(set(keys), share) for keys, share in wins.items() if not isinstance(keys, str)]
     together = sum(share for keys, share in won if keys & group.keys())
-    listed = [
-        _candidate(
-            _Entry(key, group[key], together / len(named), [k for k in named if k != key]),
-            step.before,
-            number,
-            stds,
-            search,
-        )
+    entries = [
+        _Entry(key, group[key], together / len(named), [k for k in named if k != key])
         for key in named
     ]
-    if number > 0:  # rivals are told of the first step alone
-        return listed
+    if number == 0:  # rivals are told of the first step alone
+        elsewhere = [(keys, share) for keys, share in won if not keys & group.keys()]
+        entries += _rivals(step, elsewhere)
+    return [_candidate(entry, step.before, number, stds, search) for entry in entries]
+
+
+def _rivals(step: Step, won: Sequence[tuple[set[Key], float]]) -> list[_Entry]:
+    """What else was tried at a step, the most probable first, with the draws that it `won`."""
+    earlier = set(step.before.keys)
     rivals = _by_added(step.unlike, earlier)
-    elsewhere = [(keys, share) for keys, share in won if not keys & group.keys()]
-    shares = {key: sum(share for keys, share in elsewhere if key in keys) for key in rivals}
+    shares = {key: sum(share for keys, share in won if key in keys) for key in rivals}
     effects = [key for key in rivals if key.effect != HELD]
     leading = sorted(effects, key=lambda key: (-shares[key], rivals[key].cost))[:LISTED]
-    return listed + [
-        _candidate(
-            _Entry(key, rivals[key], 0.0 if earlier else shares[key]),
-            step.before,
-            number,
-            stds,
-            search,
-        )
-        for key in leading
-    ]
+    return [_Entry(key, rivals[key], 0.0 if earlier else shares[key]) for key in leading]
 
 
 def _by_added(structures: Sequence[ValidatedFit], earlier: set[Key]) -> dict[Key, ValidatedFit]:
