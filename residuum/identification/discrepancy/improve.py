@@ -19,14 +19,14 @@ from residuum.identification.discrepancy.explain import (
 )
 from residuum.identification.discrepancy.improvement import Improvement, Step, with_provenance
 from residuum.identification.discrepancy.kept_aside import (
-    Split,
+    first_that_holds,
     is_noted,
     matched_at,
     rmse_aside,
     split,
     testing_of,
 )
-from residuum.identification.discrepancy.policy import EXPLAINING_TIME, KEPT_RISE
+from residuum.identification.discrepancy.policy import EXPLAINING_TIME
 from residuum.identification.errors import BadModel, NotIdentifiable
 from residuum.identification.physics import (
     Estimate,
@@ -39,10 +39,10 @@ from residuum.identification.physics.model import find_effect, fitting, tied_to
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.compare import compare
 from residuum.identification.unseen_blocks.cross_validation import ValidatedFit
-from residuum.identification.unseen_blocks.data import Data, data_of, long_enough, matched
+from residuum.identification.unseen_blocks.data import Data, data_of, matched
 from residuum.identification.unseen_blocks.proposals import without_idle
 from residuum.identification.unseen_blocks.record_search import at_its_rate, searched, with_asked
-from residuum.identification.unseen_blocks.structure import HELD, Structure, fitted, freed
+from residuum.identification.unseen_blocks.structure import HELD, Structure, freed
 from residuum.identification.unseen_blocks.tried import Search, Wanted, chain, with_only
 from residuum.identification.unseen_blocks.verdict import remaining
 from residuum.identification.work import Tell, at_most, part_of, untold
@@ -179,11 +179,9 @@ def _before(search: Search, was: PhysicalModel) -> list[tuple[str | None, Valida
     ]
     held = {**search.base.model.parameters, **{name: was.parameters[name] for name in names}}
     base = search.base.structure
-    before = search.validation.validate(
-        Structure((), replace(base.model, parameters=held), base.states, base.steps),
-        steps=15,
-        tolerance=1e-5,
-    )
+    structure = Structure((), replace(base.model, parameters=held), base.states, base.steps)
+    before = search.validation.validate(structure, steps=15, tolerance=1e-5)
+    # what freeing takes away is no effect's: it has a line of its own in the history
     return [(None, before or search.base), *((f"{name} freed", search.base) for name in names)]
 
 
@@ -195,9 +193,8 @@ def _on_the_rest(
     mapping: Mapping[str, str] | None,
 ) -> list[float]:
     """Errors of an output on the part that a user keeps aside."""
-    testing = testing_of(
-        search.base.model, split(records), mapping, search.validation.data.experiments[0].hold
-    )
+    hold = search.validation.data.experiments[0].hold
+    testing = testing_of(search.base.model, split(records), mapping, hold)
     return [float(rmse_aside(fit.model, testing)[o]) for fit in fits]
 
 
@@ -205,14 +202,8 @@ def _every_sample(
     search: Search, records: Sequence[Record], mapping: Mapping[str, str] | None
 ) -> Data:
     """All records at the input timing of the search."""
-    return data_of(
-        *matched_at(
-            search.validation.data.model,
-            records,
-            mapping,
-            search.validation.data.experiments[0].hold,
-        )
-    )
+    data = search.validation.data
+    return data_of(*matched_at(data.model, records, mapping, data.experiments[0].hold))
 
 
 def _final(
@@ -221,9 +212,12 @@ def _final(
     """The model on all the data, and its standard deviations. One that nothing joins is estimated
     at its least simulation error over whole records, which a search in windows does not seek.
     """
-    if not final.keys and (alone := _estimated(final.model, data)) is not None:
+    alone = None if final.keys else _estimated(final.model, data)
+    if alone is not None:
         return alone.model, dict(zip(alone.parameters, alone.std.tolist(), strict=True))
-    if noted and (whole := _on_everything(search, final, data)) is not None:
+    # a search on the part for training has not seen the rest, which the written model may learn from
+    whole = _on_everything(search, final, data) if noted else None
+    if whole is not None:
         return whole.best.model, doubts_of(whole)
     return final.model, doubts_of(replace(search, best=final))
 
@@ -252,95 +246,7 @@ def _most_mended(search: Search) -> int:
     return int(np.nanargmin(np.where(np.isfinite(ratio), ratio, np.inf)))
 
 
-# The last question to an improvement: does it simulate better what none of it was estimated on, the
-# end of a record, or of several the most different one?
-#
-# Blocks between others are interpolated. Values that go astray outside of what was seen show at the
-# end of a record, or on another one, so the model is estimated without it once more, with the
-# effects and without them.
-
-
-def first_that_holds(
-    base: PhysicalModel,
-    models: Sequence[PhysicalModel],
-    search: Search,
-    records: Sequence[Record],
-    mapping: Mapping[str, str] | None,
-) -> int | None:
-    """The first of the `models` that leaves no more error than `base` where data are kept aside: at
-    the end, and on the most different record; nor over whole records, where they were judged in
-    windows. None where none does; the first of all where the records are too short to ask.
-    """
-    asked = _kept_aside(records)
-    if (
-        search.validation.last.windows > 1
-    ):  # whose first states hide where a model goes in the long run
-        asked.append(Split(list(records), [(record, 0) for record in records]))
-    asked = [
-        parts for parts in asked if parts.testing and long_enough([r.n for r in parts.training])
-    ]
-    most = [KEPT_RISE * _error(base, search, parts, mapping) for parts in asked]
-    for number, model in enumerate(models):
-        if all(
-            _error(model, search, parts, mapping) <= limit
-            for parts, limit in zip(asked, most, strict=True)
-        ):
-            return number
-    return None
-
-
-def _kept_aside(records: Sequence[Record]) -> list[Split]:
-    """The usual part, and of several records the one that goes furthest beyond the others, where
-    the usual part is not that.
-    """
-    usual = split(records)
-    if len(records) < 2:
-        return [usual]
-    most = max(
-        records,
-        key=lambda record: _beyond(record, [peer for peer in records if peer is not record]),
-    )
-    if [record for record, _ in usual.testing] == [most]:
-        return [usual]
-    return [usual, Split([record for record in records if record is not most], [(most, 0)])]
-
-
-def _beyond(record: Record, peers: Sequence[Record]) -> float:
-    """By how much a record's signals leave the range of the same signals of the others, in units of
-    that range, at most.
-    """
-    far = 0.0
-    for name, values in record.channels.items():
-        known = [peer.channels[name] for peer in peers if name in peer.channels]
-        peer_values = np.concatenate(known) if known else np.empty(0)
-        if np.isfinite(values).any() and np.isfinite(peer_values).any():
-            low, high = float(np.nanmin(peer_values)), float(np.nanmax(peer_values))
-            out = max(low - float(np.nanmin(values)), float(np.nanmax(values)) - high)
-            far = max(far, out / max(high - low, 1e-300))
-    return far
-
-
-def _error(
-    model: PhysicalModel, search: Search, parts: Split, mapping: Mapping[str, str] | None
-) -> float:
-    """Simulation error over what is kept aside, estimated on the rest, the outputs in units of the
-    first model's errors; infinite where it diverges.
-    """
-    hold, scale = search.validation.data.experiments[0].hold, search.validation.scale
-    data = data_of(*matched_at(model, parts.training, mapping, hold))
-    estimated = fitted(
-        data.model,
-        data.horizon(search.validation.last.windows),
-        None,
-        scale,
-        steps=20,
-        tolerance=1e-5,
-    )
-    if estimated is None:
-        return np.inf
-    return scale.error(
-        rmse_aside(estimated.model, testing_of(estimated.model, parts, mapping, hold))
-    )
+# The question.
 
 
 @dataclass(frozen=True)

@@ -229,9 +229,10 @@ def without_odd(
     The model is simulated without any of them, and then says which rows it jumps at itself and
     which spans it moves in. A model that diverges tells no spans; whoever simulates it says so.
     """
-    without, readings = _left_out(
-        model, experiments, [np.full_like(experiment.Y, np.nan) for experiment in experiments]
-    )
+    # first without a simulation, for codes and single rows have to be gone before one is made: no
+    # spans, for the model is not known to move anywhere
+    unknown = [np.full_like(experiment.Y, np.nan) for experiment in experiments]
+    without, readings = _left_out(model, experiments, unknown)
     try:
         simulated = estimate(model, without, free=()).predicted
     except NotIdentifiable:
@@ -328,23 +329,29 @@ def far_beside(
     """
     known = np.flatnonzero(np.isfinite(y))
     every = y[known]
+    # equal values that follow one another are one reading, or a code in several rows would be the
+    # median of its own neighbourhood
     begins = np.r_[True, every[1:] != every[:-1]][: len(every)]
     values, lengths = every[begins], np.diff(np.flatnonzero(np.r_[begins, True]))
     if len(values) < _ABOUT:
         return known[:0], (), every[:0]
     off = _beside_neighbours(values)
+    # 1.4826 = 1/Φ⁻¹(¾): a spread of the steps that outliers do not move
     far = off > _SPREADS * 1.4826 * float(np.median(np.abs(np.diff(values))))
     low, high = np.quantile(values[~far], [0.005, 0.995]) if not far.all() else (0.0, 0.0)
     apart = _OF_RANGE * float(high - low)
+    # 85 °C is a thermometer's value before its first conversion only where a record begins with it
     first = np.arange(len(values)) == 0
     out = ((values < low - apart) | (values > high + apart)) & (
         is_mark(values) | (first & _is_power_on(values, unit))
     )
     large = far & (off > apart) & ((lengths == 1) | out)
+    # no plant gives the very same number twice where it should give none
     read = Counter(np.repeat(values[large], lengths[large]).tolist())
     codes = tuple(sorted(value for value, count in read.items() if count > 1))
     # one near what the sensor should show is one, too
     coded = np.isin(values, codes) & (out | (far & (lengths == 1)))
+    # of too many rows none is an exception: then it is the plant that jumps
     unusual = (large | coded) & ~(coded & out)
     if lengths[unusual].sum() > _MOST * len(every) or lengths[coded].sum() > _MOST_CODED * len(
         every
@@ -434,14 +441,16 @@ def _jumps_on(
     """
     known = np.flatnonzero(np.isfinite(y))
     after = known[known > span[1]]
-    if not after.size:
+    if not after.size:  # it stands until the record ends: nothing tells a held sensor
         return False
+    # usual steps without those out of still spans, which are what is asked
     follows = ~np.isin(known, _rows_of([(first, last + 1) for first, last in still]))
     usual = (
         float(np.quantile(np.abs(np.diff(y[known[follows]])), 0.99))
         if follows.sum() > _FEWEST
         else np.inf
     )
+    # a machine that sticks sets out as fast as the model does there
     driven = np.abs(np.diff(simulated[max(span[1] - 1, 0) : after[0] + 2]))
     usual = max(usual, float(np.nanmax(driven, initial=0.0)))
     return bool(abs(float(y[after[0]] - y[span[0]])) > _JUMP * usual > 0)

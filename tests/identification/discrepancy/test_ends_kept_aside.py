@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from residuum.identification.discrepancy.improve import first_that_holds
+from residuum.identification.discrepancy.kept_aside import first_that_holds
 from residuum.identification.physics import read_model
 from residuum.identification.record import Record
 from residuum.identification.unseen_blocks.data import matched
