@@ -215,7 +215,8 @@ def _final(
     alone = None if final.keys else _estimated(final.model, data)
     if alone is not None:
         return alone.model, dict(zip(alone.parameters, alone.std.tolist(), strict=True))
-    # a search on the part for training has not seen the rest, which the written model may learn from
+    # a search on the part for training has not seen the rest, which the written model may learn
+    # from
     whole = _on_everything(search, final, data) if noted else None
     if whole is not None:
         return whole.best.model, doubts_of(whole)

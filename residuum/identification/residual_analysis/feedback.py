@@ -171,6 +171,7 @@ def _answers(e: FloatArray, u: FloatArray) -> bool:
     known = np.isfinite(e) & np.isfinite(u)
     if not known.any():
         return False
-    # the squared correlation: large enough to matter, and beyond what so many samples give by chance
+    # the squared correlation: large enough to matter, and beyond what so many samples give by
+    # chance
     share = np.mean(e[known] * u[known]) ** 2 / (np.mean(e[known] ** 2) * np.mean(u[known] ** 2))
     return bool(share > ANSWER_SHARE and share * known.sum() > ANSWER_CERTAIN)

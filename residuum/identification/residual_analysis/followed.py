@@ -28,7 +28,8 @@ from residuum.identification.physics.simulate.simulation import Simulator
 _MOST_GROWTH = np.log(1e3)
 """Of a difference over half a record: a millionfold over the whole."""
 _LOOKS = 2000
-"""Places along a record at which the model is linearised, at most: bounds the time of a long one."""
+"""Places along a record at which the model is linearised, at most: bounds the time of a long one.
+"""
 
 
 def check_followed(

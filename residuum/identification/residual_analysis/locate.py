@@ -162,6 +162,7 @@ def _scan(error: FloatArray, axis: Axis, correlation: float) -> _Interval | None
         np.bincount(index, weights=squares, minlength=len(edges) - 1), dtype=np.float64
     )
     first, last, score = _best_interval(count, power, correlation)
+    # beside twice the logarithm of the number of bins, the price of having looked at all of them
     if score < LOCATION_SCORE + 2.0 * np.log(len(count)):
         return None
     return _Interval(
@@ -225,6 +226,7 @@ def _bin_edges(values: FloatArray) -> FloatArray:
         return np.array([low])
     quantiles = np.quantile(values, np.linspace(0, 1, LOCATION_BINS // 2 + 1))
     edges = np.unique(np.concatenate([quantiles, np.linspace(low, high, LOCATION_BINS // 2 + 1)]))
+    # an edge stays where enough samples lie on either side of it
     merged = [edges[0]]
     position = np.searchsorted(values, edges)
     start = 0
@@ -241,6 +243,8 @@ def _best_interval(
     """(first bin, last bin, twice the log-likelihood ratio) of the interval with the largest
     variance contrast.
     """
+    # −2 log of the likelihood ratio: n_in log(s²_in/s²) + n_out log(s²_out/s²), of all intervals at
+    # once by differences of cumulative sums
     n, total = count.sum(), power.sum()
     cumulative_n, cumulative_p = np.r_[0.0, np.cumsum(count)], np.r_[0.0, np.cumsum(power)]
     inside_n = cumulative_n[None, 1:] - cumulative_n[:-1, None]
@@ -251,6 +255,8 @@ def _best_interval(
             outside_p / outside_n / (total / n)
         )
         higher = inside_p / inside_n > outside_p / outside_n
+    # intervals with their ends in order that hold more than the rest does, and not nearly
+    # everything
     allowed = (
         (np.triu(np.ones_like(inside_n)) > 0)
         & (inside_n > 0)
@@ -258,6 +264,7 @@ def _best_interval(
         & higher
         & (inside_n <= WIDEST_REGION * n)
     )
+    # samples that noise ties together count as one
     score = np.where(allowed, -ratio, -np.inf) / max(correlation, 1.0)
     first, last = np.unravel_index(int(np.argmax(score)), score.shape)
     return int(first), int(last), float(score[first, last])
@@ -335,11 +342,8 @@ def signal_axes(
             )
     if record is not None:
         axes += _recorded_temperatures(record, {axis.name for axis in axes})
-    axes.append(
-        Axis(
-            "time", "s", "time", experiment.sample_time * np.arange(experiment.n, dtype=np.float64)
-        )
-    )
+    seconds = experiment.sample_time * np.arange(experiment.n, dtype=np.float64)
+    axes.append(Axis("time", "s", "time", seconds))
     return axes
 
 
@@ -348,13 +352,9 @@ def direction_of_movement(axes: Sequence[Axis]) -> FloatArray | None:
     velocity = next((axis.values for axis in axes if axis.kind == "velocity"), None)
     if velocity is None or not np.any(np.isfinite(velocity)):
         return None
-    return np.asarray(
-        np.where(
-            np.abs(velocity) > STANDSTILL_SPEED * np.nanmax(np.abs(velocity)),
-            np.sign(velocity),
-            0.0,
-        )
-    )
+    # near standstill noise alone turns the sign
+    moves = np.abs(velocity) > STANDSTILL_SPEED * np.nanmax(np.abs(velocity))
+    return np.asarray(np.where(moves, np.sign(velocity), 0.0))
 
 
 def _roles(model: PhysicalModel) -> Mapping[str, str]:
@@ -414,29 +414,27 @@ def regions(
     located: list[Region] = []
     for name in present:
         errors = [residual[:, list(model.outputs).index(name)] for residual in residuals]
-        memory = max(structured[name].noise.time_constant, 1.0)
-        error = np.concatenate(errors)
         located += locate(
-            error,
+            np.concatenate(errors),
             joined,
             noise_rms=floors[name],
             of=name,
             direction=direction,
-            correlation_samples=memory,
+            correlation_samples=max(structured[name].noise.time_constant, 1.0),
         )
         amplitude, frequency = _spectrum(errors, experiments)
         located += locate(amplitude, [frequency], noise_rms=floors[name], of=name)
     for balance in smoothed[0].missing:
+        # no test says what of a missing term is noise: its own band and memory stand for it
         term = np.concatenate([s.missing[balance].value for s in smoothed])
         band = float(np.median(np.concatenate([s.missing[balance].std for s in smoothed])))
-        memory = _correlation_samples(term)
         located += locate(
             term,
             joined,
             noise_rms=band,
             of=balance,
             direction=direction,
-            correlation_samples=memory,
+            correlation_samples=_correlation_samples(term),
         )
     return tuple(sorted(located, key=lambda region: -region.score)[:MOST_REGIONS])
 

@@ -157,6 +157,7 @@ def _noise(segments: list[FloatArray], order: int, drifting: bool) -> ColouredNo
     a = forgetting(noise.a, longest_memory(sum(map(len, segments)), max(map(len, segments))))
     if a is noise.a:
         return noise
+    # poles that were moved leave other innovations
     limited = ColouredNoise(a, 1.0)
     e = np.concatenate([limited.whiten(segment) for segment in segments])
     return ColouredNoise(a, float(np.mean(e**2)))
@@ -199,6 +200,7 @@ def _spread(
 
 def _orthonormal(designs: list[FloatArray]) -> list[FloatArray]:
     """The same column space with well-conditioned columns (dependent ones dropped)."""
+    # T is the same for every basis of the column space; a well-conditioned one keeps its digits
     stacked = np.concatenate(designs)
     scale = np.linalg.norm(stacked, axis=0)
     stacked = stacked[:, scale > 0] / scale[scale > 0]
@@ -266,6 +268,7 @@ def _null_draw(
     drifting: bool,
     rng: np.random.Generator,
 ) -> float:
+    # with noise fitted to the draw itself, as it was to the residuals
     segments = [null.simulate(n, rng) for n in lengths]
     refitted = _noise(segments, null.order, drifting)
     return _likelihood_ratio(segments, designs, refitted, drifting)[0]
@@ -278,5 +281,6 @@ def _tail(statistic: float, draws: FloatArray, q: int) -> float:
     χ² is what the ratio has where noise is hardly coloured; few draws that happen to lie close
     together would tell a tail far below it.
     """
+    # gamma of shape k = m²/v and scale v/m: P(T ≥ t) = Γ(k, t m/v)/Γ(k)
     mean, variance = max(float(draws.mean()), float(q)), max(float(draws.var(ddof=1)), 2.0 * q)
     return float(gammaincc(mean**2 / variance, max(statistic, 0.0) * mean / variance))

@@ -72,6 +72,7 @@ def _told(curve: Binned, x: FloatArray, term: FloatArray) -> float:
     """
     if len(curve.at) < 2:
         return 0.0
+    # halves that lie in each other: both see all places and times
     rows = np.flatnonzero(np.isfinite(x) & np.isfinite(term))
     drawn, held_out = rows[::2], rows[1::2]
     half = binned(x[drawn], term[drawn], len(curve.at))

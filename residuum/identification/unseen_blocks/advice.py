@@ -80,6 +80,7 @@ def _smallest(
     if not first:
         return None
     size, start = effect.sizes[0], first[-1]
+    # where the size is zero, its slope tells how far a small one would be seen
     try:
         model = search.best.model.with_effect(*key, effect.at_rest(start))
         at = model.effects[-1]
@@ -88,9 +89,10 @@ def _smallest(
         return None
     if not information > 0.0:
         return None
-    needed = (
-        np.log(max(count, 1)) + TIE + scale.price * sum(not p.fixed for p in at.parameters.values())
-    )
+    # what an effect has to gain to join in nats: the price of the choice among so many, the odds of
+    # a tie, and its parameters
+    parameters = sum(not p.fixed for p in at.parameters.values())
+    needed = np.log(max(count, 1)) + TIE + scale.price * parameters
     return Undetectable(
         key.effect,
         key.target,
@@ -111,12 +113,15 @@ def _information(model: PhysicalModel, name: str, search: Search, scale: Scale) 
     runs = simulator.run_each(last.parts, initial, simulator.p(), slopes=columns, substeps=steps)
     if runs.dY is None or not runs.bounded:
         return 0.0
+    # slopes may overflow where the best structure is near diverging: then nothing is known
     with np.errstate(over="ignore", invalid="ignore"):
         J = scale.whitened(runs.dY * scale.weights[:, None], last.starts.tolist())
         J = J[:, scale.weights > 0.0].reshape(-1, len(columns))
         size = np.linalg.norm(J, axis=0)
     if not np.all(np.isfinite(size)):
         return 0.0
+    # I = |j − Q Qᵀ j|² of the effect's slope j, Q an orthonormal basis of the free parameters'
+    # slopes
     Q, R = np.linalg.qr(J[:, 1:][:, size[1:] > 0.0] / size[1:][size[1:] > 0.0])
     Q = Q[:, np.abs(np.diag(R)) > 1e-9]
     residual = J[:, 0] - Q @ (Q.T @ J[:, 0])
@@ -252,12 +257,10 @@ def distinguishing(
     proposals = [NextExperiment(do, separates, p) for do, p in powers.items() if p is not None]
     best = sorted(proposals, key=lambda p: -p.power)[:MOST_PROPOSALS]
     times = _times_as_much(power(experiments, None))
-    more = (
-        []
-        if times is None
-        else [NextExperiment(f"record {times} times as much of the same", separates, POWER_WANTED)]
-    )
-    return (*best, *more)
+    if times is None:
+        return tuple(best)
+    more = f"record {times} times as much of the same"
+    return (*best, NextExperiment(more, separates, POWER_WANTED))
 
 
 def power_of_test(r: FloatArray, J: FloatArray) -> float:
@@ -280,6 +283,7 @@ def _times_as_much(power: float | None) -> int | None:
     """
     if power is None or not 0.0 < power < POWER_WANTED:
         return None
+    # the shift of the test's normal variable grows with the root of the number of samples
     normal = NormalDist()
     threshold = normal.inv_cdf(1.0 - DISTINCTION_LEVEL / 2.0)
     shift = threshold + normal.inv_cdf(power)
@@ -309,24 +313,19 @@ def _profiles(
     low, high = e.U.min(axis=0), e.U.max(axis=0)
     phase = np.linspace(0.0, 1.0, e.n)[:, None]
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
+    # three periods between −1 and 1; forty levels, by a fixed sequence that looks random, so that
+    # every answer proposes the same
+    triangles = 2.0 * np.abs(2.0 * ((3.0 * phase) % 1.0) - 1.0) - 1.0
+    levels = np.sin(97.0 * np.floor(40.0 * phase) ** 2 + 1.0)
     cycles = {
-        "drive slow triangles over the range of the input": (
-            middle + half * (2.0 * np.abs(2.0 * ((3.0 * phase) % 1.0) - 1.0) - 1.0)
-        ),
-        "drive steps of many levels over the range of the input": (
-            middle + half * np.sin(97.0 * np.floor(40.0 * phase) ** 2 + 1.0)
-        ),
+        "drive slow triangles over the range of the input": middle + half * triangles,
+        "drive steps of many levels over the range of the input": middle + half * levels,
         "repeat at half the amplitude": middle + 0.5 * (e.U - middle),
     }
-    one_way = (
-        (low * high >= 0.0)
-        & (low < high)
-        & [signal.unit in _BOTH_WAYS for signal in model.inputs.values()]
-    )
+    reversible = [signal.unit in _BOTH_WAYS for signal in model.inputs.values()]
+    one_way = (low * high >= 0.0) & (low < high) & reversible
     if one_way.any():
-        triangles = 2.0 * np.abs(2.0 * ((3.0 * phase) % 1.0) - 1.0) - 1.0
         peak = np.maximum(np.abs(low), np.abs(high))
-        cycles["drive slow triangles both ways, forwards and backwards"] = np.where(
-            one_way, peak * triangles, e.U
-        )
+        both_ways = np.where(one_way, peak * triangles, e.U)
+        cycles["drive slow triangles both ways, forwards and backwards"] = both_ways
     return {do: [replace(e, U=np.ascontiguousarray(U))] for do, U in cycles.items()}

@@ -57,18 +57,17 @@ class Horizon:
         """About so many samples of the parts, and which parts those are: evenly, or, where these
         hold little of the errors (parts,), those that hold most.
         """
-        every = np.arange(len(self.parts))[
-            :: max(1, round(sum(part.n for part in self.parts) / samples))
-        ]
-        if errors is not None and np.mean(errors[every] - errors.min()) < BLIND * np.mean(
-            errors - errors.min()
-        ):
-            every = np.sort(np.argsort(-errors)[: len(every)])
-        rows = np.isin(np.repeat(np.arange(len(self.parts)), np.diff(self.starts)), every)
-        parts = [self.parts[k] for k in every]
-        return Horizon(
-            self.windows, parts, self.block[rows], self.experiment[every]
-        ), every.tolist()
+        stride = max(1, round(sum(part.n for part in self.parts) / samples))
+        chosen = np.arange(len(self.parts))[::stride]
+        # a stop that the machine meets in few windows shows in none of those chosen evenly
+        if errors is not None:
+            above_least = errors - errors.min()
+            if np.mean(above_least[chosen]) < BLIND * np.mean(above_least):
+                chosen = np.sort(np.argsort(-errors)[: len(chosen)])
+        rows = np.isin(np.repeat(np.arange(len(self.parts)), np.diff(self.starts)), chosen)
+        parts = [self.parts[k] for k in chosen]
+        thinned = Horizon(self.windows, parts, self.block[rows], self.experiment[chosen])
+        return thinned, chosen.tolist()
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,6 +121,7 @@ class Data:
 
     def rows(self, horizon: Horizon) -> Integers:
         """Of each row of a horizon the row among all experiments, one after the other."""
+        # a window knows where it begins by its time alone
         begins = np.cumsum([0, *(e.n for e in self.experiments)])
         indices = []
         for part, number in zip(horizon.parts, horizon.experiment, strict=True):
@@ -166,9 +166,11 @@ def data_of(model: PhysicalModel, experiments: list[Experiment]) -> Data:
     """Blocks and windows of experiments."""
     Y = np.concatenate([e.Y for e in experiments])
     measured = np.isfinite(Y).any(axis=0)
+    # a unit for each output; of one that stands still any unit does
     spread = np.ones(Y.shape[1])
     spread[measured] = np.nanstd(Y[:, measured], axis=0)
     spread[~(spread > 0.0)] = 1.0
+    # windows as short as the shortest record allows, and whole records in any case
     shortest = min(e.n for e in experiments)
     per_experiment, fold = folds_of(len(experiments), shortest)
     horizons = tuple(
@@ -183,10 +185,12 @@ def folds_of(count: int, shortest: int) -> tuple[int, Integers]:
     """How many blocks each of so many experiments has, the shortest with so many samples, and which
     blocks are left out together (blocks,).
     """
+    # so many in all, a multiple of the folds in each experiment, none shorter than a block may be
     blocks = BLOCKS if count == 1 else FOLDS * -(-BLOCKS // (FOLDS * count))
     blocks = max(FOLDS, min(blocks, FOLDS * (shortest // (FOLDS * BLOCK_SAMPLES))))
     block = np.arange(blocks * count)
-    # whole records where there are several
+    # Whole records are left out where there are several. Else every fourth block: each fold sees
+    # all times of the record.
     return (blocks, (block // blocks if count >= FOLDS - 1 else block) % FOLDS)
 
 

@@ -139,8 +139,7 @@ def regressed(
     own = own_terms(model, place, few)
     lack = beside(own, few.missing[place])
     sizes = {name: start[name] for name in effect.sizes if start.get(name)}
-    terms = {name: _column(key, start, name, few) for name in sizes}
-    columns = {name: beside(own, z) for name, z in terms.items() if z is not None and np.any(z)}
+    columns = {name: beside(own, term) for name, term in _terms(key, start, few).items()}
     known = {p.name: p for p in effect.parameters(site)}
     power = float(lack @ lack)
     solution = _inside_bounds(columns, lack, sizes, known) if power > 0.0 else None
@@ -196,7 +195,17 @@ def beside(basis: FloatArray, v: FloatArray) -> FloatArray:
     return np.asarray(v - basis @ (basis.T @ v))
 
 
-def _column(key: Key, start: Mapping[str, float], size: str, along: Track) -> FloatArray | None:
+def _terms(key: Key, start: Mapping[str, float], along: Track) -> dict[str, FloatArray]:
+    """The effect's term with each of its sizes alone, where that is known and not zero."""
+    terms = {}
+    for name in find_effect(key.effect).sizes:
+        term = _term(key, start, name, along) if start.get(name) else None
+        if term is not None and np.any(term):
+            terms[name] = term
+    return terms
+
+
+def _term(key: Key, start: Mapping[str, float], size: str, along: Track) -> FloatArray | None:
     """The effect's term with one of its sizes alone."""
     alone = {
         n: 0.0 if n in find_effect(key.effect).sizes and n != size else value

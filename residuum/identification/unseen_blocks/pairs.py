@@ -109,6 +109,7 @@ def pairs(
         (i, j) for i, j in combinations(range(len(slopes)), 2) if slopes[i].key != slopes[j].key
     ]
     ranked = sorted((_unseen(*equations_of_all.of_pair(i, j)), i, j) for i, j in index_pairs)
+    # the step that all folds ask for says where a full fit begins
     tasks = []
     for i, j in islice(_unlike(ranked, slopes), PAIRS_FITTED):
         step = _step(*equations_of_all.of_pair(i, j))[len(equations_of_all.own) :]
@@ -197,6 +198,7 @@ def _unseen(H: FloatArray, g: FloatArray) -> float:
     """What all folds leave, each with the values that the others ask for, above what the structure
     alone leaves.
     """
+    # Σ_f |e_f − T_f δ_f|² − |e_f|² = Σ_f δ_fᵀH_f δ_f − 2 δ_fᵀg_f
     steps = zip(H, g, steps_without(H, g, PAIR_DAMPING), strict=True)
     return float(sum(step @ h @ step - 2.0 * step @ b for h, b, step in steps))
 
@@ -210,6 +212,7 @@ def _fitted(
         moved = {
             name: member.values[name] + float(d) for name, d in zip(member.names, more, strict=True)
         }
+        # the step knows no bounds, the model does
         try:
             at_rest = model.with_effect(*member.key, member.values)
             model = model.with_effect(*member.key, _within(at_rest, member.key, moved))

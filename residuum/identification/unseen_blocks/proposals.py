@@ -109,9 +109,9 @@ def grown(key: Key, special: Track) -> list[PhysicalModel]:
     found and followed.
     """
     effect = find_effect(key.effect)
-    use = next(
-        use for use in special.model.effects if use.key == Key(effect.generalises, key.target)
-    )
+    special_key = Key(effect.generalises, key.target)
+    use = next(use for use in special.model.effects if use.key == special_key)
+    # the special case goes: beside the general one it would have nothing left to do
     less = special.model.without_effect(use.label)
     values = {name: p.value for name, p in use.parameters.items()}
     try:
@@ -213,19 +213,20 @@ def forgotten_columns(model: PhysicalModel, along: Track) -> list[str]:
     """Spare columns that what a balance lacks resembles, the most alike first."""
     own = _told_by_outputs(along)
     taken = {*model.states, *model.parameters, *model.inputs, *model.balances}
+    # a column that the outputs tell is a reference or a filtered output, and acts on nothing
     columns = {
-        n: s.values
-        for n, s in along.experiment.spare.items()
-        if n not in taken and _share_of(own, s.values - s.values.mean()) < TOLD_BY_OUTPUTS
+        name: spare.values
+        for name, spare in along.experiment.spare.items()
+        if name not in taken
+        and _share_of(own, spare.values - spare.values.mean()) < TOLD_BY_OUTPUTS
     }
     bases = {balance: own_terms(model, balance, along) for balance in model.balances}
     alike = {
-        n: max(_alike(basis, along.missing[b], s) for b, basis in bases.items())
-        for n, s in columns.items()
+        name: max(_alike(basis, along.missing[balance], column) for balance, basis in bases.items())
+        for name, column in columns.items()
     }
-    return sorted((n for n in alike if alike[n] > RESEMBLES), key=lambda n: -alike[n])[
-        :COLUMNS_TRIED
-    ]
+    resembling = [name for name in alike if alike[name] > RESEMBLES]
+    return sorted(resembling, key=lambda name: -alike[name])[:COLUMNS_TRIED]
 
 
 def without_idle(model: PhysicalModel, like: PhysicalModel) -> PhysicalModel:
