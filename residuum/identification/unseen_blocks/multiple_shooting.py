@@ -20,7 +20,13 @@ from residuum.identification.side_by_side import side_by_side
 from residuum.identification.unseen_blocks.data import Data, Horizon, one_turned, turned
 from residuum.identification.unseen_blocks.policy import FOLLOWED_ERROR, FORGETS
 from residuum.identification.unseen_blocks.scale import Scale, clipped, plain
-from residuum.identification.unseen_blocks.structure import States, Structure, at_start, fitted
+from residuum.identification.unseen_blocks.structure import (
+    States,
+    Structure,
+    at_start,
+    fitted,
+    innovations_on,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,17 +152,6 @@ def _with_one_turned(best: FirstFit) -> list[Data]:
         for data in one_turned(best.data)
         if innovations_on(data.horizon(windows), model, best.structure, best.scale) < innovation
     ]
-
-
-def innovations_on(
-    horizon: Horizon, model: PhysicalModel, structure: Structure, scale: Scale
-) -> float:
-    """Innovations that a structure leaves on a horizon, its values fitted to it in a few steps;
-    infinite where it diverges.
-    """
-    states, taken = structure.states[horizon.windows], structure.steps[horizon.windows]
-    fit = fitted(model, horizon, states, scale, steps=10, tolerance=1e-4, substeps=taken)
-    return np.inf if fit is None else innovations_of(fit.residuals)
 
 
 def _preference(start: FirstFit) -> tuple[int, float]:

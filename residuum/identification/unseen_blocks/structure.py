@@ -17,6 +17,7 @@ from residuum.identification.physics.effects import EFFECTS, STRUCTURAL
 from residuum.identification.physics.effects.how_often import share_lacking
 from residuum.identification.physics.estimation.gauss_newton import Fit, Problem
 from residuum.identification.physics.model import place_of
+from residuum.identification.residual_analysis.feedback import innovations_of
 from residuum.identification.unseen_blocks.policy import (
     COARSE,
     HELD_REACH,
@@ -160,6 +161,17 @@ def descended(begun: Fit, *, steps: int, tolerance: float) -> Fit:
     """The least error from where a fit begins, with the integration steps that it has."""
     count_fit()
     return begun.descended(steps, tolerance)
+
+
+def innovations_on(
+    horizon: Horizon, model: PhysicalModel, structure: Structure, scale: Scale
+) -> float:
+    """Innovations that a structure leaves on a horizon, its values fitted to it in a few steps;
+    infinite where it diverges.
+    """
+    states, taken = structure.states[horizon.windows], structure.steps[horizon.windows]
+    fit = fitted(model, horizon, states, scale, steps=10, tolerance=1e-4, substeps=taken)
+    return np.inf if fit is None else innovations_of(fit.residuals)
 
 
 # What is usual comes first among equals: a rare effect has to earn more than one that machines of

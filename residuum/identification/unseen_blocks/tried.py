@@ -22,14 +22,14 @@ from residuum.identification.unseen_blocks.cross_validation import (
     validated,
 )
 from residuum.identification.unseen_blocks.data import Data, one_turned, turned
-from residuum.identification.unseen_blocks.multiple_shooting import FirstFit, innovations_on
 from residuum.identification.unseen_blocks.policy import NOISY, ONE_PHYSICS, UNEVEN
 from residuum.identification.unseen_blocks.proposals import special_of
 from residuum.identification.unseen_blocks.scale import Scale, clipped, of_noise, of_power
-from residuum.identification.unseen_blocks.structure import Structure, descended
+from residuum.identification.unseen_blocks.structure import Structure, descended, innovations_on
 
 if TYPE_CHECKING:
     from residuum.identification.unseen_blocks.following import Track
+    from residuum.identification.unseen_blocks.multiple_shooting import FirstFit
 
 
 @dataclass(frozen=True)
