@@ -35,15 +35,15 @@ def at_lower_rate(
     outputs = _outputs(model, experiments, initial) if most >= 2 else None
     best, step = (list(experiments), 1), 2
     while outputs is not None and step <= most:
-        coarse = [_at_every(e, step) for e in experiments]
+        coarse = [at_every(e, step) for e in experiments]
         if not _loses_nothing(outputs, coarse, _outputs(model, coarse, initial), step):
             break
         best, step = (coarse, step), 2 * step
     return best
 
 
-def _at_every(e: Experiment, k: int) -> Experiment:
-    """Every k-th sample of an experiment."""
+def at_every(e: Experiment, k: int) -> Experiment:
+    """Every k-th sample of an experiment, its inputs as means over the k samples there."""
     n = e.n // k
     U = e.U[: n * k : k].copy()
     # an input acts with its mean over the k samples; a clock tells the time of the first one
