@@ -22,8 +22,7 @@ import numpy as np
 import orjson
 
 from benchmarks.said_probabilities import KINDS, Statement, lines_of, real_names, statements, told
-from residuum.identification.discrepancy.explain import explain
-from residuum.identification.discrepancy.explanation import Explanation
+from residuum.identification.discrepancy.explain import Explanation, explain
 from residuum.identification.discrepancy.improve import improve
 from residuum.identification.discrepancy.improvement import Improvement
 from residuum.identification.physics import PhysicalModel, candidates, estimate, load_model, match
@@ -252,11 +251,11 @@ def chi_square(case: Case, explanation: Explanation) -> float | None:
     None where what is left is not its own noise.
     """
     found, id = explanation.found, case.hidden[0][0]
-    if not found.court.scale.nats:
+    if not found.validation.scale.nats:
         return None
     tried = [one for one in found.every.values() if len(one.keys) == 1 and one.keys[0].effect == id]
     best = min(
-        (one.cost - found.court.scale.price * one.parameters for one in tried), default=np.inf
+        (one.cost - found.validation.scale.price * one.parameters for one in tried), default=np.inf
     )
     return max(2.0 * (found.base.cost - best), 0.0) if tried else 0.0
 

@@ -32,7 +32,7 @@ def numbers() -> list[str]:
 def scaled(name: str, factor: float) -> Any:
     """A number of the policy times a factor; what is counted stays a count of at least one."""
     value = getattr(policy, name)
-    if name == "LADDER":
+    if name == "WINDOWS_A_RECORD":
         return RUNGS[factor]
     if isinstance(value, Mapping):
         return {key: _times(number, factor) for key, number in value.items()}

@@ -8,11 +8,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from benchmarks.watched_machines import PENDULUM, windows
-from residuum.identification.discrepancy.explanation import Explanation
-from residuum.identification.discrepancy.on_blocks import answer_on_blocks
+from residuum.identification.discrepancy.explain import Explanation, answer_on_blocks
 from residuum.identification.physics import PhysicalModel, load_model
 from residuum.identification.record import Record
-from residuum.identification.unseen_blocks.at_its_rate import searched
+from residuum.identification.unseen_blocks.record_search import searched
 from residuum.identification.unseen_blocks.tried import Wanted
 from residuum.simulation import MACHINES
 

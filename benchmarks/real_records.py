@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 from scipy.io import loadmat
 
-from residuum.identification.discrepancy.explain import explain
-from residuum.identification.discrepancy.explanation import Explanation
+from residuum.identification.discrepancy.explain import Explanation, explain
 from residuum.identification.discrepancy.improve import improve
 from residuum.identification.physics import PhysicalModel, estimate, load_model, match, read_model
 from residuum.identification.record import Record

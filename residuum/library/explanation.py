@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from residuum.identification.discrepancy.explanation import Explanation as Explained
-from residuum.identification.residual_analysis.places.locate import Axis
-from residuum.identification.residual_analysis.places.term_curves import (
+from residuum.identification.discrepancy.explain import Explanation as Explained
+from residuum.identification.residual_analysis.locate import Axis
+from residuum.identification.residual_analysis.term_curves import (
     binned,
     effect_curves,
     joined,

@@ -1,6 +1,6 @@
 """Training: healthy records and a model → a baseline.
 
-The model's values over all windows together, climbed along the ladder of horizons; the model mended
+The model's values over all windows together, fitted over ever longer horizons; the model mended
 by what every window lacks; then each window's own estimate, whose mean and scatter carry all that
 is inexact.
 """
@@ -54,7 +54,10 @@ from residuum.identification.physics.estimation import gauss_newton
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.feedback import turned_timing
 from residuum.identification.unseen_blocks.data import Data, data_of
-from residuum.identification.unseen_blocks.ladder import climb, climb_at_likelier_timing
+from residuum.identification.unseen_blocks.multiple_shooting import (
+    first_fit,
+    first_fit_at_likelier_timing,
+)
 from residuum.identification.unseen_blocks.policy import TIE
 from residuum.identification.unseen_blocks.search import search
 from residuum.identification.unseen_blocks.tried import Search, Wanted
@@ -356,14 +359,14 @@ def train(
     for use in known:
         if use.key not in [own.key for own in asked.effects]:
             base = base.with_effect(*use.key, {name: p.value for name, p in use.parameters.items()})
-    climbed = climb_at_likelier_timing(data_of(base, experiments))
-    data, fit = climbed.data, climbed.found
+    start = first_fit_at_likelier_timing(data_of(base, experiments))
+    data, fit = start.data, start.found
     while wide := [name for name in _open(fit) if name in asked.parameters]:
         if not fix_undetermined:
             raise _refusal(asked, data, wide)
         # with the widest one held, others may be determined
         data = data_of(held(data.model, wide[:1]), data.experiments)
-        fit = climb(data).found
+        fit = first_fit(data).found
     better, experiments = mended(fit.model, data.experiments, _sized(fit.model, data.experiments))
     return _calibrated(
         _learned(asked, better, experiments, [record.source for record in records]), experiments

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.array_types import FloatArray
-from residuum.identification.residual_analysis.places.locate import Axis
+from residuum.identification.residual_analysis.locate import Axis
 
 STANDSTILL, STEADY, GAINING, LOSING = "standstill", "steady", "speeding up", "slowing down"
 _SLOW = 0.02  # of the largest speed: below it the machine stands, as `direction_of_movement` has it

@@ -1,21 +1,157 @@
-"""Explain: which physical effect is missing in a model?"""
+"""Explain: which physical effect is missing in a model? What is answered, and how the answer is
+made of what a search tried.
+"""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from residuum.identification.blas_threads import one_thread
-from residuum.identification.discrepancy.explanation import Explanation
-from residuum.identification.discrepancy.on_blocks import answer_on_blocks
+from residuum.identification.discrepancy.policy import OTHER_VALUE
 from residuum.identification.errors import BadRecord
-from residuum.identification.physics import PhysicalModel
+from residuum.identification.physics import Key, PhysicalModel
+from residuum.identification.physics.estimation.coloured_covariance import coloured_covariance
 from residuum.identification.record import Record
-from residuum.identification.unseen_blocks.at_its_rate import searched
-from residuum.identification.unseen_blocks.forgotten_inputs import informed
-from residuum.identification.unseen_blocks.policy import FEWEST_TO_JUDGE
-from residuum.identification.unseen_blocks.tried import Wanted
-from residuum.identification.work import Tell, at_most, part_of, untold
+from residuum.identification.residual_analysis.compare import compare
+from residuum.identification.residual_analysis.feedback import innovation_variance
+from residuum.identification.residual_analysis.policy import SLOW
+from residuum.identification.unseen_blocks.advice import (
+    NextExperiment,
+    Undetectable,
+    next_experiments,
+    undetectable,
+)
+from residuum.identification.unseen_blocks.free_term import BlockTerm, free_terms
+from residuum.identification.unseen_blocks.policy import FEWEST_TO_JUDGE, UNKNOWN_LEADS
+from residuum.identification.unseen_blocks.record_search import searched, with_forgotten_inputs
+from residuum.identification.unseen_blocks.structure import HELD
+from residuum.identification.unseen_blocks.tried import Search, Wanted
+from residuum.identification.unseen_blocks.verdict import (
+    BlockErrors,
+    Candidate,
+    Remaining,
+    Step,
+    block_errors,
+    is_timing,
+    remaining,
+    steps_of,
+    verdict_on,
+)
+from residuum.identification.work import Tell, Work, at_most, begun, part_of, untold
+
+# What is answered.
+
+
+@dataclass(frozen=True)
+class HeldValue:
+    """A parameter's value in the model, where it is fixed, and the one that the records ask for,
+    with its standard deviation.
+
+    Of the parameters in `indistinguishable_from` another value would do as much (a mass, or the
+    area that drives it).
+    """
+
+    name: str
+    held: float
+    value: float
+    std: float
+    unit: str
+    indistinguishable_from: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class EstimatedValue:
+    """A free parameter of the model: its value in the file, and as estimated, with the standard
+    deviation.
+    """
+
+    name: str
+    file: float
+    value: float
+    std: float
+    unit: str
+
+    @property
+    def differs(self) -> bool:
+        """Whether the records plainly contradict the file's value."""
+        return abs(self.value - self.file) > OTHER_VALUE * self.std
+
+
+@dataclass(frozen=True, eq=False)
+class Explanation:
+    """The answer.
+
+    Attributes
+    ----------
+    verdict : str
+        `missing-effect`, `adequate` or `unknown-effect`.
+    candidates : tuple of Candidate
+        The accepted effects first, the verdict's before all; probabilities of one step sum with
+        those of "nothing" and "unknown" to at most one.
+    probability_none, probability_unknown : float
+    unexplained_share : float
+        Part of what could be explained that no candidate explains.
+    free : BlockTerm or None
+        The smooth term that best explains the rest.
+    undetectable, next_experiment
+        What this experiment cannot show, and what would.
+    accepted, timing : tuple of Key
+        The effects that joined, and shifts in time by less than a sample: how the record was taken.
+    drifting : bool
+        Whether an unknown load or offset that drifts is taken to be there, whatever else is.
+    left : mapping of output
+        What the model with the accepted effects leaves of each measured output: RMS error, its
+        unit, and how often that is what its own past cannot predict (`SLOW` and more: something
+        slow is missing, or drifts).
+    values : tuple of EstimatedValue
+        The model's own free parameters, estimated with the accepted effects, beside the file's.
+    held : tuple of HeldValue
+        Parameters that the model holds fixed and that were freed, for another value does more than
+        any effect.
+    remaining : Remaining
+        What that model leaves on unseen blocks.
+    blocks : BlockErrors
+        Errors block by block before and after, and with each candidate alone.
+    work : Work
+        Samples simulated, fits made, and what was not tried, since the work or the user's seconds
+        were over.
+    found : Search
+        What was tried.
+    """
+
+    verdict: str
+    candidates: tuple[Candidate, ...]
+    probability_none: float
+    probability_unknown: float
+    unexplained_share: float
+    free: BlockTerm | None
+    undetectable: tuple[Undetectable, ...]
+    next_experiment: tuple[NextExperiment, ...]
+    accepted: tuple[Key, ...]
+    timing: tuple[Key, ...]
+    drifting: bool
+    left: Mapping[str, tuple[float, str, float]]
+    values: tuple[EstimatedValue, ...]
+    held: tuple[HeldValue, ...]
+    remaining: Remaining
+    blocks: BlockErrors
+    work: Work
+    seconds: float
+    found: Search
+
+    @property
+    def by_share(self) -> bool:
+        """Whether effects were named by the share that they take away: what they leave is more than
+        its own noise.
+        """
+        return not self.found.validation.scale.nats
+
+
+# The question.
 
 
 @one_thread()
@@ -51,7 +187,8 @@ def explain(
 
     Returns
     -------
-    The answer; its verdict is `adequate` only where `compare` finds no structure in what the re-estimated model leaves.
+    The answer; its verdict is `adequate` only where `compare` finds no structure in what the
+    re-estimated model leaves.
 
     Raises
     ------
@@ -63,8 +200,8 @@ def explain(
 
     Notes
     -----
-    Effects are named by what they take away on blocks of the records that no fit has seen: in power while what is left is not its
-    own noise, in the likelihood of that noise from there on.
+    Effects are named by what they take away on blocks of the records that no fit has seen: in power
+    while what is left is not its own noise, in the likelihood of that noise from there on.
 
     Fails where a disturbance is synchronous with the input, and where two effects act alike in this
     experiment (they are then named as a group).
@@ -102,10 +239,135 @@ def explained(
     """The answer by what takes away most on unseen blocks of the records."""
     with at_most():
         began = time.perf_counter()
-        model = informed(model, records, mapping, wanted)
+        # a forgotten input is added before anything is searched: its effect needs it in the model
+        model = with_forgotten_inputs(model, records, mapping, wanted)
         left = None if seconds is None else seconds - (time.perf_counter() - began)
         search = searched(
             model, records, mapping, wanted, seconds=left, tell=part_of(tell, 0.0, 0.9)
         )
         tell(0.9, "drawing what no effect explains")
         return answer_on_blocks(search, wanted, records, mapping, began)
+
+
+# The answer, made of what a search tried.
+
+
+def answer_on_blocks(
+    search: Search,
+    wanted: Wanted,
+    records: Sequence[Record],
+    mapping: Mapping[str, str] | None,
+    began: float,
+) -> Explanation:
+    """The answer by errors on unseen blocks."""
+    best, stds, steps = search.best, doubts_of(search), steps_of(search)
+    # beside the model as it is: what any smooth term would do is the measure of what names do
+    free = free_terms(search.base, search.validation)
+    left = _left(search)
+    # few answers to few steps look like a walk at random, which passes for noise in `compare`
+    slow = any(times > SLOW for _, _, times in left.values())
+    adequate = not slow and not compare(best.model, records, mapping, refuse_unstable=False).present
+    verdict = verdict_on(search, steps, free, stds, adequate=adequate)
+    free_beside = free_terms(best, search.validation) if best.keys else free
+    timing = [step.key for step in steps if is_timing(step.key, search)]
+    held = [step for step in steps if step.key.effect == HELD]
+    accepted = [step.key for step in steps if step.key.effect != HELD and step.key not in timing]
+    return Explanation(
+        verdict=verdict.verdict,
+        candidates=verdict.candidates,
+        probability_none=verdict.none,
+        probability_unknown=verdict.unknown,
+        unexplained_share=_unexplained(search, free_beside),
+        free=next(iter(free_beside), None),
+        undetectable=undetectable(search, wanted, search.along, _named_by(steps)),
+        next_experiment=next_experiments(search, verdict.candidates),
+        accepted=tuple(accepted),
+        timing=tuple(timing),
+        drifting=verdict.unknown > UNKNOWN_LEADS and _drifts(free),
+        left=left,
+        values=estimated_values(search.validation.data.model, best.model, stds),
+        held=tuple(_held(step, search, stds) for step in held),
+        remaining=remaining(search.base, best, search.validation),
+        blocks=block_errors(search, verdict.candidates),
+        work=begun(),
+        seconds=time.perf_counter() - began,
+        found=search,
+    )
+
+
+def _drifts(free: Sequence[BlockTerm]) -> bool:
+    """Whether the best free term is a function of time: a load that drifts."""
+    return bool(free) and free[0].axis == "time"
+
+
+def _named_by(steps: Sequence[Step]) -> set[Key]:
+    """The effects that joined, and what does the same in their place."""
+    fits = [fit for step in steps for fit in (step.after, *step.group)]
+    return {key for fit in fits for key in fit.keys}
+
+
+def doubts_of(search: Search) -> dict[str, float]:
+    """Standard deviations of the best structure's parameters by full name, in noise of the colour
+    that is left.
+    """
+    fit = search.validation.begun(search.best.structure)
+    if fit is None:
+        return {}
+    std = np.sqrt(np.maximum(np.diag(coloured_covariance(fit, search.validation.last.parts)), 0.0))
+    return dict(zip(fit.parameters, std.tolist(), strict=True))
+
+
+def _unexplained(search: Search, terms: Sequence[BlockTerm]) -> float:
+    """Part of what could be explained that only the best free term explains."""
+    if not terms:
+        return 0.0
+    named = max(search.base.cost - search.best.cost, 0.0)
+    more = max(search.best.cost - terms[0].cost, 0.0)
+    return more / (more + named) if more > 0.0 else 0.0
+
+
+def _left(search: Search) -> dict[str, tuple[float, str, float]]:
+    """What the best structure leaves of each measured output; see `Explanation.left`."""
+    best, parts = search.best, np.split(search.best.errors, search.validation.last.starts[1:-1])
+    left = {}
+    for o, output in enumerate(best.model.outputs.values()):
+        if search.validation.data.measured[o]:
+            errors = [part[:, o] for part in parts]
+            rms = float(np.sqrt(np.nanmean(np.concatenate(errors) ** 2)))
+            innovations = float(np.sqrt(innovation_variance(errors)))
+            left[output.name] = (rms, output.unit, rms / max(innovations, 1e-300))
+    return left
+
+
+def _held(step: Step, search: Search, stds: Mapping[str, float]) -> HeldValue:
+    """The fixed value that is doubted; of several that do as much the first of the model."""
+    model, tied = search.validation.data.model, {step.key.target: search}
+    for rival in step.group:
+        for key in rival.keys:
+            if key.effect == HELD and key not in search.best.keys:
+                tied[key.target] = replace(search, best=rival)
+    # which of them led is chance: the first of the model is the same for every record
+    first, *alike = sorted(tied, key=list(model.parameters).index)
+    doubt = stds if tied[first] is search else doubts_of(tied[first])
+    before, now = model.parameters[first], tied[first].best.model.parameters[first]
+    return HeldValue(
+        first, before.value, now.value, float(doubt.get(first, 0.0)), now.unit, tuple(alike)
+    )
+
+
+def estimated_values(
+    model: PhysicalModel, best: PhysicalModel, stds: Mapping[str, float]
+) -> tuple[EstimatedValue, ...]:
+    """Free parameters of `model` in the structure that was found best.
+
+    Where they explain the error without any effect, the machine or the file has changed, and no
+    physics is missing.
+    """
+    values = best.values
+    return tuple(
+        EstimatedValue(
+            name, model.values[name], values[name], stds[name], model.all_parameters[name].unit
+        )
+        for name in model.free
+        if name in values and name in stds
+    )

@@ -11,19 +11,22 @@ from functools import partial
 import numpy as np
 
 from residuum.identification.blas_threads import one_thread
-from residuum.identification.discrepancy.explain import check_length, explained
-from residuum.identification.discrepancy.explanation import Explanation
+from residuum.identification.discrepancy.explain import (
+    Explanation,
+    check_length,
+    doubts_of,
+    explained,
+)
 from residuum.identification.discrepancy.improvement import Improvement, Step, with_provenance
 from residuum.identification.discrepancy.kept_aside import (
-    Split,
+    first_that_holds,
     is_noted,
     matched_at,
     rmse_aside,
     split,
     testing_of,
 )
-from residuum.identification.discrepancy.on_blocks import doubts_of
-from residuum.identification.discrepancy.policy import EXPLAINING_TIME, KEPT_RISE
+from residuum.identification.discrepancy.policy import EXPLAINING_TIME
 from residuum.identification.errors import BadModel, NotIdentifiable
 from residuum.identification.physics import (
     Estimate,
@@ -35,13 +38,11 @@ from residuum.identification.physics import (
 from residuum.identification.physics.model import fitting, takes_columns, tied_to
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.compare import compare
-from residuum.identification.unseen_blocks.asked import with_asked
-from residuum.identification.unseen_blocks.at_its_rate import at_its_rate, searched
-from residuum.identification.unseen_blocks.data import Data, data_of, long_enough, matched
-from residuum.identification.unseen_blocks.judged import Judged
-from residuum.identification.unseen_blocks.next_experiment import HELD, freed
+from residuum.identification.unseen_blocks.cross_validation import ValidatedFit
+from residuum.identification.unseen_blocks.data import Data, data_of, matched
 from residuum.identification.unseen_blocks.proposals import without_idle
-from residuum.identification.unseen_blocks.structure import Structure, fitted
+from residuum.identification.unseen_blocks.record_search import at_its_rate, searched, with_asked
+from residuum.identification.unseen_blocks.structure import HELD, Structure, freed
 from residuum.identification.unseen_blocks.tried import Search, Wanted, chain, with_only
 from residuum.identification.unseen_blocks.verdict import remaining
 from residuum.identification.work import Tell, at_most, part_of, untold
@@ -56,7 +57,7 @@ from residuum.nearest_names import known_names
 ASIDE = "every block in turn"
 """What is kept aside, in words, where no user says which part."""
 
-_Step = tuple[Key, Judged, Judged]
+_Step = tuple[Key, ValidatedFit, ValidatedFit]
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,37 +91,37 @@ def joined_of(
 
     `was` is the model before values of it were set free.
     """
-    every = (
-        chain(search, [key for key in search.best.keys if key.effect != HELD])
-        if asked is None
-        else _in_order(search, asked)
-    )
-    steps = every if asked is not None else _that_hold(every, search, records, mapping)
+    if asked is None:
+        every = chain(search, [key for key in search.best.keys if key.effect != HELD])
+        steps = _that_hold(every, search, records, mapping)
+    else:
+        every = steps = _in_order(search, asked)
     rows = [(None, search.base), *((key.effect, after) for key, _, after in steps)]
-    final = steps[-1][2] if steps else search.base
+    final = rows[-1][1]
     if was is not None:
         rows = [*_before(search, was), *rows[1:]]
-    noted, o = is_noted(records), _told(search)
-    errors = (
-        _on_the_rest([fit for _, fit in rows], o, search, records, mapping)
-        if noted
-        else [fit.rms[o] for _, fit in rows]
-    )
+    fits, o = [fit for _, fit in rows], _most_mended(search)
+    # where a user keeps a part aside it judges; else every block has been left out in turn
+    if is_noted(records):
+        errors = _on_the_rest(fits, o, search, records, mapping)
+        model, std = _final(search, final, _every_sample(search, records, mapping), noted=True)
+        aside = split(records).aside
+    else:
+        errors, data = [float(fit.rms[o]) for fit in fits], search.validation.data
+        model, std = _final(search, final, data.finer or data, noted=False)
+        aside = ASIDE
     history = [
-        Step(name, float(error), remaining(rows[0][1], fit, search.court))
+        Step(name, error, remaining(fits[0], fit, search.validation))
         for (name, fit), error in zip(rows, errors, strict=True)
     ]
-    data = (
-        _every_sample(search, records, mapping)
-        if noted
-        else search.court.data.finer or search.court.data
-    )
-    model, std = _final(search, final, data, noted=noted)
-    refused = [
-        key.effect for key, _, _ in every if key not in {accepted for accepted, _, _ in steps}
-    ]
-    aside = split(records).aside if noted else ASIDE
-    return Joined(model, history, refused, std, list(search.best.model.outputs)[o], aside)
+    output = list(search.best.model.outputs)[o]
+    return Joined(model, history, _refused(every, steps), std, output, aside)
+
+
+def _refused(every: Sequence[_Step], steps: Sequence[_Step]) -> list[str]:
+    """The effects of all steps that are none of the accepted ones."""
+    accepted = [key for key, _, _ in steps]
+    return [key.effect for key, _, _ in every if key not in accepted]
 
 
 def _that_hold(
@@ -132,20 +133,25 @@ def _that_hold(
     """All steps where they hold at the ends kept aside; else all but one effect, or the first of
     them.
     """
-    keys = [key for key, _, _ in steps]
-    tried = [
+    subsets = _subsets([key for key, _, _ in steps])
+    validated = [(subset, with_only(search, subset)) for subset in subsets]
+    known = [(subset, fit.model) for subset, fit in validated if fit is not None]
+    index = first_that_holds(
+        search.base.model, [model for _, model in known], search, records, mapping
+    )
+    return [] if index is None else chain(search, known[index][0])
+
+
+def _subsets(keys: Sequence[Key]) -> list[Sequence[Key]]:
+    """All keys; all but one, without the last one first; then ever fewer of the first ones."""
+    subsets = [
         keys,
-        *([k for k in keys if k != out] for out in reversed(keys)),
+        *([key for key in keys if key != out] for out in reversed(keys)),
         *(keys[:n] for n in range(len(keys) - 2, 0, -1)),
     ]
-    tried = [some for number, some in enumerate(tried) if some and some not in tried[:number]]
-    models = [
-        (some, judged.model) for some in tried if (judged := with_only(search, some)) is not None
+    return [
+        subset for number, subset in enumerate(subsets) if subset and subset not in subsets[:number]
     ]
-    index = first_that_holds(
-        search.base.model, [model for _, model in models], search, records, mapping
-    )
-    return [] if index is None else chain(search, models[index][0])
 
 
 def _in_order(search: Search, keys: Sequence[Key]) -> list[_Step]:
@@ -162,7 +168,7 @@ def _in_order(search: Search, keys: Sequence[Key]) -> list[_Step]:
     return steps
 
 
-def _before(search: Search, was: PhysicalModel) -> list[tuple[str | None, Judged]]:
+def _before(search: Search, was: PhysicalModel) -> list[tuple[str | None, ValidatedFit]]:
     """The model with values held that the base has free, judged like that, and the base once a
     value.
     """
@@ -173,25 +179,22 @@ def _before(search: Search, was: PhysicalModel) -> list[tuple[str | None, Judged
     ]
     held = {**search.base.model.parameters, **{name: was.parameters[name] for name in names}}
     base = search.base.structure
-    before = search.court.judge(
-        Structure((), replace(base.model, parameters=held), base.states, base.steps),
-        steps=15,
-        tolerance=1e-5,
-    )
+    structure = Structure((), replace(base.model, parameters=held), base.states, base.steps)
+    before = search.validation.validate(structure, steps=15, tolerance=1e-5)
+    # what freeing takes away is no effect's: it has a line of its own in the history
     return [(None, before or search.base), *((f"{name} freed", search.base) for name in names)]
 
 
 def _on_the_rest(
-    fits: Sequence[Judged],
+    fits: Sequence[ValidatedFit],
     o: int,
     search: Search,
     records: Sequence[Record],
     mapping: Mapping[str, str] | None,
 ) -> list[float]:
     """Errors of an output on the part that a user keeps aside."""
-    testing = testing_of(
-        search.base.model, split(records), mapping, search.court.data.experiments[0].hold
-    )
+    hold = search.validation.data.experiments[0].hold
+    testing = testing_of(search.base.model, split(records), mapping, hold)
     return [float(rmse_aside(fit.model, testing)[o]) for fit in fits]
 
 
@@ -199,31 +202,34 @@ def _every_sample(
     search: Search, records: Sequence[Record], mapping: Mapping[str, str] | None
 ) -> Data:
     """All records at the input timing of the search."""
-    return data_of(
-        *matched_at(
-            search.court.data.model, records, mapping, search.court.data.experiments[0].hold
-        )
-    )
+    data = search.validation.data
+    return data_of(*matched_at(data.model, records, mapping, data.experiments[0].hold))
 
 
 def _final(
-    search: Search, final: Judged, data: Data, *, noted: bool
+    search: Search, final: ValidatedFit, data: Data, *, noted: bool
 ) -> tuple[PhysicalModel, Mapping[str, float]]:
     """The model on all the data, and its standard deviations. One that nothing joins is estimated
     at its least simulation error over whole records, which a search in windows does not seek.
     """
-    if not final.keys and (alone := _estimated(final.model, data)) is not None:
+    alone = None if final.keys else _estimated(final.model, data)
+    if alone is not None:
         return alone.model, dict(zip(alone.parameters, alone.std.tolist(), strict=True))
-    if noted and (whole := _on_everything(search, final, data)) is not None:
+    # a search on the part for training has not seen the rest, which the written model may learn
+    # from
+    whole = _on_everything(search, final, data) if noted else None
+    if whole is not None:
         return whole.best.model, doubts_of(whole)
     return final.model, doubts_of(replace(search, best=final))
 
 
-def _on_everything(search: Search, final: Judged, data: Data) -> Search | None:
+def _on_everything(search: Search, final: ValidatedFit, data: Data) -> Search | None:
     """The structure judged on all the data; None where it diverges there."""
-    court = replace(search.court, data=data, last=data.rung(search.court.last.windows))
-    best = court.judge(Structure(final.keys, final.model, {}, {}), steps=20, tolerance=1e-5)
-    return None if best is None else replace(search, court=court, best=best)
+    validation = replace(
+        search.validation, data=data, last=data.horizon(search.validation.last.windows)
+    )
+    best = validation.validate(Structure(final.keys, final.model, {}, {}), steps=20, tolerance=1e-5)
+    return None if best is None else replace(search, validation=validation, best=best)
 
 
 def _estimated(model: PhysicalModel, data: Data) -> Estimate | None:
@@ -233,95 +239,15 @@ def _estimated(model: PhysicalModel, data: Data) -> Estimate | None:
         return None
 
 
-def _told(search: Search) -> int:
+def _most_mended(search: Search) -> int:
     """The output whose error falls most."""
+    # one that was not measured, or without any error, has no ratio
     with np.errstate(invalid="ignore", divide="ignore"):
         ratio = search.best.rms / search.base.rms
     return int(np.nanargmin(np.where(np.isfinite(ratio), ratio, np.inf)))
 
 
-# The last question to an improvement: does it simulate better what none of it was estimated on, the
-# end of a record, or of several the most different one?
-#
-# Blocks between others are interpolated. Values that go astray outside of what was seen show at the
-# end of a record, or on another one, so the model is estimated without it once more, with the
-# effects and without them.
-
-
-def first_that_holds(
-    base: PhysicalModel,
-    models: Sequence[PhysicalModel],
-    search: Search,
-    records: Sequence[Record],
-    mapping: Mapping[str, str] | None,
-) -> int | None:
-    """The first of the `models` that leaves no more error than `base` where data are kept aside: at
-    the end, and on the most different record; nor over whole records, where they were judged in
-    windows. None where none does; the first of all where the records are too short to ask.
-    """
-    asked = _kept_aside(records)
-    if search.court.last.windows > 1:  # whose first states hide where a model goes in the long run
-        asked.append(Split(list(records), [(record, 0) for record in records]))
-    asked = [
-        parts for parts in asked if parts.testing and long_enough([r.n for r in parts.training])
-    ]
-    most = [KEPT_RISE * _error(base, search, parts, mapping) for parts in asked]
-    for number, model in enumerate(models):
-        if all(
-            _error(model, search, parts, mapping) <= limit
-            for parts, limit in zip(asked, most, strict=True)
-        ):
-            return number
-    return None
-
-
-def _kept_aside(records: Sequence[Record]) -> list[Split]:
-    """The usual part, and of several records the one that goes furthest beyond the others, where
-    the usual part is not that.
-    """
-    usual = split(records)
-    if len(records) < 2:
-        return [usual]
-    most = max(
-        records,
-        key=lambda record: _beyond(record, [peer for peer in records if peer is not record]),
-    )
-    if [record for record, _ in usual.testing] == [most]:
-        return [usual]
-    return [usual, Split([record for record in records if record is not most], [(most, 0)])]
-
-
-def _beyond(record: Record, peers: Sequence[Record]) -> float:
-    """By how much a record's signals leave the range of the same signals of the others, in units of
-    that range, at most.
-    """
-    far = 0.0
-    for name, values in record.channels.items():
-        known = [peer.channels[name] for peer in peers if name in peer.channels]
-        peer_values = np.concatenate(known) if known else np.empty(0)
-        if np.isfinite(values).any() and np.isfinite(peer_values).any():
-            low, high = float(np.nanmin(peer_values)), float(np.nanmax(peer_values))
-            out = max(low - float(np.nanmin(values)), float(np.nanmax(values)) - high)
-            far = max(far, out / max(high - low, 1e-300))
-    return far
-
-
-def _error(
-    model: PhysicalModel, search: Search, parts: Split, mapping: Mapping[str, str] | None
-) -> float:
-    """Simulation error over what is kept aside, estimated on the rest, the outputs in units of the
-    first model's errors; infinite where it diverges.
-    """
-    hold, scale = search.court.data.experiments[0].hold, search.court.scale
-    data = data_of(*matched_at(model, parts.training, mapping, hold))
-    estimated = fitted(
-        data.model, data.rung(search.court.last.windows), None, scale, steps=20, tolerance=1e-5
-    )
-    if estimated is None:
-        return np.inf
-    return scale.error(
-        rmse_aside(estimated.model, testing_of(estimated.model, parts, mapping, hold))
-    )
+# The question.
 
 
 @dataclass(frozen=True)
@@ -405,7 +331,7 @@ def _as_explained(
     # what is found beside them as they are held
     if any(key.effect == HELD for key in search.best.keys):
         held = replace(how.wanted, held=False)
-        before = _with_inputs_of(before, search.court.data.model)
+        before = _with_inputs_of(before, search.validation.data.model)
         search = searched(
             before, training, how.mapping, held, seconds=how.seconds, tell=part_of(tell, 0.8, 0.9)
         )

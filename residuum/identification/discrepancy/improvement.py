@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from residuum.identification.discrepancy.explanation import Explanation
+from residuum.identification.discrepancy.explain import Explanation
 from residuum.identification.physics import EffectUse, PhysicalModel
 from residuum.identification.record import Record
 from residuum.identification.unseen_blocks.verdict import Candidate, Quantity, Remaining

@@ -1,5 +1,5 @@
-"""Which data a model is estimated from, which are kept aside to judge it, and its error on
-those.
+"""Which data a model is estimated from, which are kept aside to judge it, its error on those, and
+which of several models hold there.
 """
 
 from __future__ import annotations
@@ -11,7 +11,11 @@ from pathlib import Path
 import numpy as np
 
 from residuum.array_types import FloatArray
-from residuum.identification.discrepancy.policy import STATES_ITERATIONS, STATES_TOLERANCE
+from residuum.identification.discrepancy.policy import (
+    KEPT_RISE,
+    STATES_ITERATIONS,
+    STATES_TOLERANCE,
+)
 from residuum.identification.errors import NotIdentifiable
 from residuum.identification.physics import (
     Experiment,
@@ -23,6 +27,9 @@ from residuum.identification.physics import (
 )
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.policy import STANDS_STILL, TRAINING_SHARE
+from residuum.identification.unseen_blocks.data import data_of, long_enough
+from residuum.identification.unseen_blocks.structure import fitted
+from residuum.identification.unseen_blocks.tried import Search
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,22 +63,26 @@ def split(records: Sequence[Record]) -> Split:
     if len(records) > 1:
         testing = [k for k in range(len(records)) if k % 3 == 2] or [len(records) - 1]
         return Split(
-            [r for k, r in enumerate(records) if k not in testing],
+            [record for k, record in enumerate(records) if k not in testing],
             [(records[k], 0) for k in testing],
         )
-    record = records[0]
+    return _split_of_one(records[0])
+
+
+def _split_of_one(record: Record) -> Split:
+    """The end of a record, where it moves there; else its beginning, or its middle."""
     first = int(record.n * (record.split or TRAINING_SHARE))
     aside, middle = record.n - first, first // 2
-    spans = [(first, record.n), (0, aside)]
-    wanted = spans[:1] if record.split is not None else [*spans, (middle, middle + aside)]
-    begin, stop = next((span for span in wanted if _moves(record, *span)), wanted[0])
+    spans = [(first, record.n)]
+    if record.split is None:  # what a user notes is never another part
+        spans += [(0, aside), (middle, middle + aside)]
+    begin, stop = next((span for span in spans if _moves(record, *span)), spans[0])
     if stop == record.n:
+        # the whole record is simulated, so that its end begins where the rest led
         return Split([record.window(0, begin)], [(record, begin)])
-    training = (
-        [record.window(0, begin), record.window(stop, record.n)]
-        if begin
-        else [record.window(stop, record.n)]
-    )
+    training = [record.window(stop, record.n)]
+    if begin:
+        training = [record.window(0, begin), *training]
     return Split(training, [(record.window(begin, stop), 0)])
 
 
@@ -103,11 +114,10 @@ def _moves(record: Record, begin: int, stop: int) -> bool:
     """Whether every channel that changes in the record does so in this part of it too."""
     with np.errstate(invalid="ignore"):
         for values in record.channels.values():
-            whole, part = (
-                np.nanstd(values),
-                np.nanstd(values[begin:stop]) if np.isfinite(values[begin:stop]).any() else 0.0,
-            )
-            if whole > 0.0 and part < STANDS_STILL * whole:
+            part = values[begin:stop]
+            whole_spread = np.nanstd(values)
+            part_spread = np.nanstd(part) if np.isfinite(part).any() else 0.0
+            if whole_spread > 0.0 and part_spread < STANDS_STILL * whole_spread:
                 return False
     return True
 
@@ -134,3 +144,87 @@ def rmse_aside(model: PhysicalModel, testing: Sequence[tuple[Experiment, int]]) 
     )
     count = np.isfinite(joined).sum(axis=0)
     return np.where(count > 0, np.sqrt(np.nansum(joined**2, axis=0) / np.maximum(count, 1)), np.nan)
+
+
+# The last question to an improvement: does it simulate better what none of it was estimated on, the
+# end of a record, or of several the most different one?
+#
+# Blocks between others are interpolated. Values that go astray outside of what was seen show at the
+# end of a record, or on another one, so the model is estimated without it once more, with the
+# effects and without them.
+
+
+def first_that_holds(
+    base: PhysicalModel,
+    models: Sequence[PhysicalModel],
+    search: Search,
+    records: Sequence[Record],
+    mapping: Mapping[str, str] | None,
+) -> int | None:
+    """The first of the `models` that leaves no more error than `base` where data are kept aside: at
+    the end, and on the most different record; nor over whole records, where they were judged in
+    windows. None where none does; the first of all where the records are too short to ask.
+    """
+    splits = _kept_aside(records)
+    if search.validation.last.windows > 1:
+        # the first states of windows hide where a model goes in the long run
+        splits.append(Split(list(records), [(record, 0) for record in records]))
+    splits = [
+        parts for parts in splits if parts.testing and long_enough([r.n for r in parts.training])
+    ]
+    limits = [KEPT_RISE * _error(base, search, parts, mapping) for parts in splits]
+    for number, model in enumerate(models):
+        if all(
+            _error(model, search, parts, mapping) <= limit
+            for parts, limit in zip(splits, limits, strict=True)
+        ):
+            return number
+    return None
+
+
+def _kept_aside(records: Sequence[Record]) -> list[Split]:
+    """The usual part, and of several records the one that goes furthest beyond the others, where
+    the usual part is not that.
+    """
+    usual = split(records)
+    if len(records) < 2:
+        return [usual]
+    # what a model learnt is asked where it has not been: beyond the range of the other records
+    beyond = [
+        _beyond(record, [peer for peer in records if peer is not record]) for record in records
+    ]
+    furthest = records[int(np.argmax(beyond))]
+    if [record for record, _ in usual.testing] == [furthest]:
+        return [usual]
+    return [usual, Split([record for record in records if record is not furthest], [(furthest, 0)])]
+
+
+def _beyond(record: Record, peers: Sequence[Record]) -> float:
+    """By how much a record's signals leave the range of the same signals of the others, in units of
+    that range, at most.
+    """
+    far = 0.0
+    for name, values in record.channels.items():
+        known = [peer.channels[name] for peer in peers if name in peer.channels]
+        peer_values = np.concatenate(known) if known else np.empty(0)
+        if np.isfinite(values).any() and np.isfinite(peer_values).any():
+            low, high = float(np.nanmin(peer_values)), float(np.nanmax(peer_values))
+            out = max(low - float(np.nanmin(values)), float(np.nanmax(values)) - high)
+            far = max(far, out / max(high - low, 1e-300))
+    return far
+
+
+def _error(
+    model: PhysicalModel, search: Search, parts: Split, mapping: Mapping[str, str] | None
+) -> float:
+    """Simulation error over what is kept aside, estimated on the rest, the outputs in units of the
+    first model's errors; infinite where it diverges.
+    """
+    hold, scale = search.validation.data.experiments[0].hold, search.validation.scale
+    data = data_of(*matched_at(model, parts.training, mapping, hold))
+    horizon = data.horizon(search.validation.last.windows)
+    estimated = fitted(data.model, horizon, None, scale, steps=20, tolerance=1e-5)
+    if estimated is None:
+        return np.inf
+    testing = testing_of(estimated.model, parts, mapping, hold)
+    return scale.error(rmse_aside(estimated.model, testing))

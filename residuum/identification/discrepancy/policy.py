@@ -4,8 +4,6 @@ or a count), its meaning, and what set it.
 
 OTHER_VALUE = 2.0
 """[standard errors] From which on a value is another than the file's. Chosen."""
-FORMULA_TERMS = 3
-"""Functions that a formula of the free term has at most. Chosen."""
 KEPT_RISE = 1.002
 """Factor of the error on data kept aside above which an effect is not kept. Chosen."""
 EXPLAINING_TIME = 0.5

@@ -24,18 +24,13 @@ from residuum.identification.physics.simulate.record_checks import begins_elsewh
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.feedback import at_likelier_timing
 from residuum.identification.residual_analysis.followed import check_followed
+from residuum.identification.residual_analysis.locate import Axis, Region, regions, signal_axes
 from residuum.identification.residual_analysis.noise import Floor, floor_under_drift, noise_floor
 from residuum.identification.residual_analysis.odd_readings import (
     OddReadings,
     codes_of_inputs,
     odd_readings,
     without_odd,
-)
-from residuum.identification.residual_analysis.places.locate import (
-    Axis,
-    Region,
-    regions,
-    signal_axes,
 )
 from residuum.identification.residual_analysis.policy import (
     BEYOND_NOISE,
@@ -108,16 +103,7 @@ def output_errors(
         y = np.concatenate([e.Y[:, k] for e in experiments])[known]
         rmse = float(np.sqrt(np.mean(error[known] ** 2)))
         spread = float(np.sqrt(np.mean((y - y.mean()) ** 2)))
-        test = structured.get(output.name)
-        if test is not None and test.present:
-            floor = floor_under_drift(errors)
-            least = min(
-                noise_floor(errors, lowest=UNDER_STRUCTURE), _unstructured(rmse, test), floor.rms
-            )
-        else:
-            least = noise_floor(errors)
-            least = rmse if test is not None and rmse < BEYOND_NOISE * least else least
-            floor = Floor(least, at_most=False)
+        floor, least = _floors(errors, rmse, structured.get(output.name))
         by_output[output.name] = OutputError(
             unit=output.unit,
             rmse=rmse,
@@ -129,6 +115,23 @@ def output_errors(
             k_step={steps: float(errors_ahead[k]) for steps, errors_ahead in ahead.items()},
         )
     return by_output
+
+
+def _floors(
+    errors: Sequence[FloatArray], rmse: float, test: StructuredError | None
+) -> tuple[Floor, float]:
+    """The noise of an output as it is told, and the least that any reading of its error gives."""
+    if test is not None and test.present:
+        # a structured error reaches into the fast part, too: read under its tail, from higher up,
+        # and by what the test leaves
+        floor = floor_under_drift(errors)
+        from_higher_up = noise_floor(errors, lowest=UNDER_STRUCTURE)
+        return floor, min(from_higher_up, _unstructured(rmse, test), floor.rms)
+    least = noise_floor(errors)
+    # not structured, and near the noise of its fast part: all of it is noise
+    if test is not None and rmse < BEYOND_NOISE * least:
+        least = rmse
+    return Floor(least, at_most=False), least
 
 
 def _unstructured(rmse: float, test: StructuredError) -> float:
@@ -173,10 +176,8 @@ def _ahead(
     """
     length = min(experiment.n, max(most, 2 * steps))
     start = (experiment.n - length) // 2
-    part, filtered = (
-        experiment.window(start, start + length),
-        smoothed.filtered[start : start + length],
-    )
+    part = experiment.window(start, start + length)
+    filtered = smoothed.filtered[start : start + length]
     return part.Y - kalman.predict(part, replace(smoothed, filtered=filtered), steps)
 
 
@@ -197,6 +198,7 @@ def balance_errors(
             for term, value in balance.terms.items()
             if _is_driven(model, value.tree)
         ]
+        # a balance that nothing drives has a drive of one sample of zero, and no relative error
         drive = np.concatenate(
             [sum((look[key] for key in driven), np.zeros(1)) * np.ones(1) for look in looks]
         )
@@ -247,27 +249,16 @@ class Comparison:
             odd = whole = 0.0
             for source, residuals in zip(self.records, self.simulation.residuals, strict=True):
                 error = np.nan_to_num(residuals[:, k]) ** 2
-                readings = (
-                    reading
-                    for reading in self.odd
-                    if (reading.output, reading.source) == (name, source)
-                )
-                odd += float(
-                    error[
-                        sorted(
-                            {
-                                row
-                                for reading in readings
-                                for row in reading.rows
-                                if row < len(error)
-                            }
-                        )
-                    ].sum()
-                )
+                odd += float(error[self._odd_rows(name, source, len(error))].sum())
                 whole += float(error.sum())
             if odd > 0.5 * whole:
                 return True
         return False
+
+    def _odd_rows(self, output: str, source: str, n: int) -> list[int]:
+        """Of one output in one record of n samples, each once."""
+        readings = [odd for odd in self.odd if (odd.output, odd.source) == (output, source)]
+        return sorted({row for odd in readings for row in odd.rows if row < n})
 
     @property
     def present(self) -> bool:
@@ -321,11 +312,11 @@ class Comparison:
         """Part of the residual's power that is structured, outputs weighted by their error in units
         of noise.
         """
-        errors = [self.outputs[name] for name in self.structured]
+        # an output that is met without any noise must not rule for its floor of zero
         times = np.array(
             [
                 output.rmse / max(output.least_floor, 1e-12 * output.rmse, 1e-300)
-                for output in errors
+                for output in (self.outputs[name] for name in self.structured)
             ]
         )
         shares = [test.share for test in self.structured.values()]
@@ -364,6 +355,7 @@ def compare(
         The model diverges on a record, or is unstable along it.
     """
     model, experiments = match(model, records, mapping)
+    # before anything is judged: a code that no sensor measured would be most of the error
     experiments, odd = without_odd(model, experiments)
     try:
         experiments, simulation = at_likelier_timing(
@@ -382,11 +374,14 @@ def compare(
         signal_axes(model, run[0], simulated_states(model, *run), r)
         for run, r in zip(runs, records, strict=True)
     ]
+    # values within their doubt are no structure, wrong ones are: the error is tested at the
+    # likeliest values, and what a refit mends is one of the signals that may predict it
     refitted = refitted_difference(model, experiments, simulation)
     tested = at_likeliest_values(model, experiments, simulation)
     structured = structured_errors(
         experiments, tested, axes, model, refitted, level=level, seed=seed
     )
+    # a plant that integrates is judged in windows; for any other what is too large for noise counts
     in_parts = structured_in_windows(model, experiments, structured, level, seed)
     structured |= in_parts or beyond_noise(
         model, experiments, simulation.residuals, axes, structured

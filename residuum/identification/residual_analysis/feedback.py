@@ -71,6 +71,7 @@ def at_likelier_timing(
             return diverges
 
     first, alternative = side_by_side(tried, [list(experiments), turned_timing(experiments)])
+    # a model that diverges at the timing it was given is refused, whatever it does at the other one
     if isinstance(first, NotIdentifiable):
         raise first
     best = _likelier([first, alternative])
@@ -116,6 +117,8 @@ def feeds_back(
     there only later answers count.
     """
     at_once, most = _felt_at_once(model, experiments[0]), -(-ANSWER_SAMPLES // len(experiments))
+    # innovations of both: signals themselves correlate wherever the plant is driven, what their own
+    # past does not predict only where one answers the other
     inputs = _innovations([e.U[:most] for e in experiments])
     for o, e in enumerate(_innovations([r[:most] for r in residuals])):
         for u in inputs:
@@ -127,6 +130,8 @@ def feeds_back(
 
 def _felt_at_once(model: PhysicalModel, experiment: Experiment) -> npt.NDArray[np.bool_]:
     """Which outputs change with the inputs of the same sample."""
+    # two samples, once with the inputs stepped by their spread: what differs at the first one is
+    # felt at once
     simulator, first = Simulator(model), experiment.window(0, 2)
     stepped = replace(first, U=first.U + np.std(experiment.U, axis=0))
     runs = [
@@ -166,5 +171,7 @@ def _answers(e: FloatArray, u: FloatArray) -> bool:
     known = np.isfinite(e) & np.isfinite(u)
     if not known.any():
         return False
+    # the squared correlation: large enough to matter, and beyond what so many samples give by
+    # chance
     share = np.mean(e[known] * u[known]) ** 2 / (np.mean(e[known] ** 2) * np.mean(u[known] ** 2))
     return bool(share > ANSWER_SHARE and share * known.sum() > ANSWER_CERTAIN)

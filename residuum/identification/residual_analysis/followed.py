@@ -28,6 +28,8 @@ from residuum.identification.physics.simulate.simulation import Simulator
 _MOST_GROWTH = np.log(1e3)
 """Of a difference over half a record: a millionfold over the whole."""
 _LOOKS = 2000
+"""Places along a record at which the model is linearised, at most: bounds the time of a long one.
+"""
 
 
 def check_followed(
@@ -40,7 +42,7 @@ def check_followed(
     """
     try:
         simulated = simulated or estimate(model, experiments, free=())
-    except NotIdentifiable:
+    except NotIdentifiable:  # diverges: no simulation is near
         near = [False] * len(experiments)
     else:
         near = [
@@ -67,10 +69,8 @@ def check_followed(
 def _is_near(measured: FloatArray, residual: FloatArray) -> bool:
     """Whether the simulation of some output is nearer to it than its mean."""
     with np.errstate(over="ignore", invalid="ignore"):
-        error, spread = (
-            np.nansum(residual**2, axis=0),
-            np.nansum((measured - _means(measured)) ** 2, axis=0),
-        )
+        error = np.nansum(residual**2, axis=0)
+        spread = np.nansum((measured - _means(measured)) ** 2, axis=0)
     return bool(np.any(error < spread))
 
 
@@ -89,12 +89,14 @@ def growth_over_second_half(model: PhysicalModel, experiment: Experiment) -> flo
     simulator = Simulator(model)
     if not simulator.states:
         return 0.0
+    # along the filtered states, for a simulation has left the record; smoothing adds nothing here
     kalman = Filter(model, first_noise(model, [experiment]))
     X = kalman.run(experiment, simulator.measured_start(experiment), smooth=False).X
     at = np.unique(np.linspace(0, experiment.n - 1, _LOOKS).astype(np.int64))
     A = simulator.rate_slopes(experiment, X, at)
     if not np.all(np.isfinite(A)):
         return 0.0
+    # Φ = Π exp(A Δt), its size taken out at each step, so that nothing overflows
     spans = np.diff(at, append=experiment.n) * experiment.sample_time
     difference, growth = np.eye(len(simulator.states)), 0.0
     for k, step in enumerate(expm(A * spans[:, None, None])):

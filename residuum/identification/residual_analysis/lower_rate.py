@@ -29,22 +29,24 @@ def at_lower_rate(
     samples; and how many samples one of it stands for. The model begins at its own first states, or
     at those `initial`.
     """
+    # ever halved, as long as nothing is lost and enough samples are left: short records keep theirs
     counts = [e.n for e in experiments]
     most = min(sum(counts) // ENOUGH_SAMPLES, min(counts) // FEWEST_AT_A_RATE)
     outputs = _outputs(model, experiments, initial) if most >= 2 else None
     best, step = (list(experiments), 1), 2
     while outputs is not None and step <= most:
-        coarse = [_at_every(e, step) for e in experiments]
+        coarse = [at_every(e, step) for e in experiments]
         if not _loses_nothing(outputs, coarse, _outputs(model, coarse, initial), step):
             break
         best, step = (coarse, step), 2 * step
     return best
 
 
-def _at_every(e: Experiment, k: int) -> Experiment:
-    """Every k-th sample of an experiment."""
+def at_every(e: Experiment, k: int) -> Experiment:
+    """Every k-th sample of an experiment, its inputs as means over the k samples there."""
     n = e.n // k
     U = e.U[: n * k : k].copy()
+    # an input acts with its mean over the k samples; a clock tells the time of the first one
     for j, hold in enumerate(e.hold):
         if not (e.clocks and e.clocks[j]):
             U[:, j] = _means(e.U[:, j], k, n, centred=hold > 0.0)
@@ -79,10 +81,9 @@ def _loses_nothing(
         return False
     for e, y, z in zip(coarse, (y[::k] for y in fine), slow, strict=True):
         error, lost = e.Y - y[: e.n], z - y[: e.n]
-        if np.any(
-            np.nansum(np.where(np.isfinite(error), lost, 0.0) ** 2, axis=0)
-            > LOST * np.nansum(error**2, axis=0)
-        ):
+        lost_power = np.nansum(np.where(np.isfinite(error), lost, 0.0) ** 2, axis=0)
+        # of each output: one that is followed well must not lose behind one that is not
+        if np.any(lost_power > LOST * np.nansum(error**2, axis=0)):
             return False
     return True
 
@@ -92,14 +93,12 @@ def _outputs(
 ) -> list[FloatArray] | None:
     """The model's outputs along experiments; None where it diverges."""
     simulator = Simulator(model)
-    p, first = (
-        simulator.p(),
-        initial if initial is not None else [simulator.x0(e.known) for e in experiments],
-    )
+    p = simulator.p()
+    first = [simulator.x0(e.known) for e in experiments] if initial is None else initial
     try:
-        runs = simulator.run_each(
-            experiments, first, p, substeps=simulator.substeps_each(experiments, first, p)
-        )
+        # each rate with the integration steps that it needs, or coarse samples would lose by these
+        substeps = simulator.substeps_each(experiments, first, p)
+        runs = simulator.run_each(experiments, first, p, substeps=substeps)
     except BadInput:
         return None
     return [run.Y for run in runs] if runs.bounded else None

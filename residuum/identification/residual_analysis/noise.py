@@ -148,6 +148,7 @@ def add_lag_products(v, a, variance, G, g):  # type: ignore[no-untyped-def]  # c
         e = innovations[t]
         complete = np.isfinite(e)
         rows += complete
+        # Student's weight (ν + 1)/(ν + e²/s²); without a scale yet all count alike
         w[t] = (
             0.0
             if not complete
@@ -348,8 +349,8 @@ def fit_coloured_noise(
 
     References
     ----------
-    J. P. Burg, *Maximum entropy spectral analysis*, Stanford 1975: the lattice recursion is stable by construction,
-    and less biased near the unit circle than Yule–Walker.
+    J. P. Burg, *Maximum entropy spectral analysis*, Stanford 1975: the lattice recursion is stable
+    by construction, and less biased near the unit circle than Yule–Walker.
     """
     limit = highest_order if order is None else order
     usable = [np.asarray(segment, dtype=float) for segment in segments if len(segment) > 2 * limit]
@@ -358,31 +359,39 @@ def fit_coloured_noise(
             f"coloured noise of order {limit}: needs a stretch of more than {2 * limit} samples"
             " without a gap"
         )
-    power = sum(float(segment @ segment) for segment in usable) / sum(map(len, usable))
-    forward, backward = usable, usable
-    a = np.zeros(0)
-    candidates = [(a, power)]
-    n = sum(map(len, usable))
-    for _ in range(limit):
-        forward = [f[1:] for f in forward]
-        backward = [b[:-1] for b in backward]
-        cross = sum(float(f @ b) for f, b in zip(forward, backward, strict=True))
-        energy = sum(float(f @ f) + float(b @ b) for f, b in zip(forward, backward, strict=True))
-        k = -2.0 * cross / energy if energy > 0 else 0.0
-        a = np.r_[a, 0.0] + k * np.r_[a[::-1], 1.0]
-        power *= 1.0 - k * k
-        forward, backward = (
-            [f + k * b for f, b in zip(forward, backward, strict=True)],
-            [b + k * f for f, b in zip(forward, backward, strict=True)],
-        )
-        candidates.append((a, power))
+    candidates = _burg(usable, limit)
     if order is not None:
         return ColouredNoise(*candidates[order])
+    n = sum(map(len, usable))
     akaike = [
         n * np.log(max(variance, 1e-300)) + 2 * len(coefficients)
         for coefficients, variance in candidates
     ]
     return ColouredNoise(*candidates[int(np.argmin(akaike))])
+
+
+def _burg(segments: list[FloatArray], highest_order: int) -> list[tuple[FloatArray, float]]:
+    """Coefficients and innovation variance of every order from 0 on, by Burg's lattice."""
+    power = sum(float(segment @ segment) for segment in segments) / sum(map(len, segments))
+    forward, backward = segments, segments
+    a = np.zeros(0)
+    models = [(a, power)]
+    for _ in range(highest_order):
+        # errors of the predictions forwards f(t) and backwards b(t − 1), where both are there
+        forward = [f[1:] for f in forward]
+        backward = [b[:-1] for b in backward]
+        pairs = list(zip(forward, backward, strict=True))
+        # the reflection coefficient with the least Σ f² + b² of the next order: |k| ≤ 1, so stable
+        cross = sum(float(f @ b) for f, b in pairs)
+        energy = sum(float(f @ f) + float(b @ b) for f, b in pairs)
+        k = -2.0 * cross / energy if energy > 0 else 0.0
+        # Levinson's recursion to the coefficients of the next order
+        a = np.r_[a, 0.0] + k * np.r_[a[::-1], 1.0]
+        power *= 1.0 - k * k
+        forward = [f + k * b for f, b in pairs]
+        backward = [b + k * f for f, b in pairs]
+        models.append((a, power))
+    return models
 
 
 def stretches(present: npt.NDArray[np.bool_]) -> list[slice]:
@@ -455,11 +464,9 @@ def _fit(
     if known == 0:
         return None
     longest = max(map(len, signals))
-    a, variance, turns = (
-        np.zeros(max(0, min(order, longest // 4, known // 20))),
-        0.0,
-        NOISE_REWEIGHTINGS,
-    )
+    # twenty samples a coefficient, four times as long a signal: of fewer the order is lowered
+    a = np.zeros(max(0, min(order, longest // 4, known // 20)))
+    variance, turns = 0.0, NOISE_REWEIGHTINGS
     if near is not None and near.order == a.size:
         a, variance, turns = near.a, near.innovation_variance, NOISE_REWEIGHTINGS - 1
     radius = pole_radius(DRIFT_MEMORY if drifting else longest_memory(known, longest))
@@ -497,12 +504,13 @@ def noise_floor(
 
     Returns
     -------
-    σ in the channel's unit, at most the RMS of the residuals; 0 for an error without a fast part; the RMS itself for
-    fewer than 64 samples in a row.
+    σ in the channel's unit, at most the RMS of the residuals; 0 for an error without a fast part;
+    the RMS itself for fewer than 64 samples in a row.
 
     Notes
     -----
-    Fast errors of the model (ripple, switching) count as noise. For noise slower than ρ ≈ 0.99 it is a lower bound.
+    Fast errors of the model (ripple, switching) count as noise. For noise slower than ρ ≈ 0.99 it
+    is a lower bound.
 
     References
     ----------
@@ -558,6 +566,7 @@ def floor_under_drift(residuals: Sequence[FloatArray]) -> Floor:
     parts, rms = _parts_and_rms(residuals)
     if not parts:
         return Floor(rms, at_most=True)
+    # shorter windows than those of the floor: how likely a reading is needs many of them
     length = min(SPECTRUM_SAMPLES // 2, *(len(part) for part in parts))
     windows = np.concatenate([_windows(part, length) for part in parts])
     frequency, fast = _fast_frequencies(length, ABOVE_A_DRIFT)
@@ -568,11 +577,9 @@ def floor_under_drift(residuals: Sequence[FloatArray]) -> Floor:
     independent = len(windows) / 1.05 * fast.sum() / 1.5
     believed = np.minimum(sizes[2.0 * independent * (cost - cost.min()) < STILL_LIKELY], rms)
     least, largest = float(believed.min()), float(believed.max())
-    return (
-        Floor(largest, at_most=True)
-        if largest > AGREED * least
-        else Floor(float(np.sqrt(least * largest)), at_most=False)
-    )
+    if largest > AGREED * least:
+        return Floor(largest, at_most=True)
+    return Floor(float(np.sqrt(least * largest)), at_most=False)
 
 
 def _parts_and_rms(residuals: Sequence[FloatArray]) -> tuple[list[FloatArray], float]:
@@ -588,9 +595,12 @@ def _whittle_sizes(frequency: FloatArray, power: FloatArray) -> tuple[FloatArray
     """
     step = np.abs(1.0 - np.exp(-2j * np.pi * frequency)) ** 2
     sizes, costs = [], []
+    # tails with the powers −2 and −4 of the frequency, beside noise of every second colour
     for slow in (DRIFTS[:, None] / step, DRIFTS[:, None] / step**2):
         for rho in COLOURS[::2]:
             shape = (1 - rho**2) / np.abs(1 - rho * np.exp(-2j * np.pi * frequency)) ** 2 + slow
+            # the likeliest σ² of a shape is the mean ratio (halved: the spectrum is one-sided), and
+            # with it Whittle's −log L is Σ log shape + n log σ²
             variance = np.mean(power / shape, axis=1) / 2.0
             if np.all(variance > 0):
                 sizes.append(np.sqrt(variance))
@@ -607,10 +617,8 @@ def fast_floor(residuals: Sequence[FloatArray]) -> float:
 
 def times_the_noise(residuals: Sequence[FloatArray]) -> float:
     """RMS of an output's residuals over its `fast_floor`; 0 if not measured."""
-    known, floor = (
-        np.concatenate([residual[np.isfinite(residual)] for residual in residuals]),
-        fast_floor(residuals),
-    )
+    known = np.concatenate([residual[np.isfinite(residual)] for residual in residuals])
+    floor = fast_floor(residuals)
     return float(np.sqrt(np.mean(known**2))) / floor if floor > 0 else 0.0
 
 

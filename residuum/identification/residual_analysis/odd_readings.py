@@ -143,10 +143,8 @@ class OddReadings:
 
 
 def _told_rows(rows: npt.NDArray[np.intp], kind: str) -> str:
-    shown, many = (
-        ", ".join(map(str, rows[:_SHOWN])) + ", …" * (len(rows) > _SHOWN),
-        "s" * (len(rows) > 1),
-    )
+    shown = ", ".join(map(str, rows[:_SHOWN])) + ", …" * (len(rows) > _SHOWN)
+    many = "s" * (len(rows) > 1)
     return f"{len(rows)} {kind}sample{many} (number{many} {shown})"
 
 
@@ -173,42 +171,53 @@ def odd_readings(
     readings = []
     for experiment, beside in zip(experiments, simulated, strict=True):
         for k, name in enumerate(model.outputs):
-            y = experiment.Y[:, k]
-            if np.isfinite(y).sum() < _FEWEST:
-                continue
-            rows, codes, off = far_beside(y, model.outputs[name].unit)
-            coded = rows[np.isin(y[rows], codes)]
-            alone = off[~np.isin(rows, coded)]
-            distance = (float(alone.min()), float(alone.max())) if alone.size else (0.0, 0.0)
-            single = np.where(np.isin(np.arange(len(y)), rows), np.nan, y)
-            still = _still(single, beside[:, k])
-            noisy = _never_repeats(single, still)
-            held = tuple(
-                s
-                for s in still
-                if (noisy and single[s[0]] != 0.0) or _jumps_on(single, beside[:, k], s, still)
-            )
-            still = tuple(
-                span for span in still if span in held or not _may_rest(model, name, single, span)
-            )
-            if rows.size or still:
-                unit = str(model.outputs[name].unit)
-                spikes = np.setdiff1d(rows[~_jumps(beside[:, k], rows, off)], coded)
-                readings.append(
-                    OddReadings(
-                        name,
-                        unit,
-                        experiment.source,
-                        rows,
-                        codes,
-                        coded,
-                        still,
-                        distance,
-                        held,
-                        spikes,
-                    )
-                )
+            odd = _odd_of_output(model, name, experiment, beside[:, k])
+            if odd is not None:
+                readings.append(odd)
     return readings
+
+
+def _odd_of_output(
+    model: PhysicalModel, name: str, experiment: Experiment, simulated: FloatArray
+) -> OddReadings | None:
+    """What stands out of one output, beside its simulation (n,); None where nothing does, or too
+    few samples tell.
+    """
+    y = experiment.Y[:, list(model.outputs).index(name)]
+    if np.isfinite(y).sum() < _FEWEST:
+        return None
+    unit = model.outputs[name].unit
+    rows, codes, off = far_beside(y, unit)
+    coded = rows[np.isin(y[rows], codes)]
+    alone = off[~np.isin(rows, coded)]
+    distance = (float(alone.min()), float(alone.max())) if alone.size else (0.0, 0.0)
+    # spans are sought without the rows far beside: one in a span would break it
+    single = np.where(np.isin(np.arange(len(y)), rows), np.nan, y)
+    still = _still(single, simulated)
+    noisy = _never_repeats(single, still)
+    held = tuple(
+        span
+        for span in still
+        # a speed of exactly 0 is what a machine at rest reads, however noisy it is else
+        if (noisy and single[span[0]] != 0.0) or _jumps_on(single, simulated, span, still)
+    )
+    still = tuple(
+        span for span in still if span in held or not _may_rest(model, name, single, span)
+    )
+    if not (rows.size or still):
+        return None
+    return OddReadings(
+        output=name,
+        unit=str(unit),
+        source=experiment.source,
+        beside=rows,
+        codes=codes,
+        coded=coded,
+        still=still,
+        distance=distance,
+        held=held,
+        spikes=np.setdiff1d(rows[~_jumps(simulated, rows, off)], coded),
+    )
 
 
 def without_odd(
@@ -220,9 +229,10 @@ def without_odd(
     The model is simulated without any of them, and then says which rows it jumps at itself and
     which spans it moves in. A model that diverges tells no spans; whoever simulates it says so.
     """
-    without, readings = _left_out(
-        model, experiments, [np.full_like(experiment.Y, np.nan) for experiment in experiments]
-    )
+    # first without a simulation, for codes and single rows have to be gone before one is made: no
+    # spans, for the model is not known to move anywhere
+    unknown = [np.full_like(experiment.Y, np.nan) for experiment in experiments]
+    without, readings = _left_out(model, experiments, unknown)
     try:
         simulated = estimate(model, without, free=()).predicted
     except NotIdentifiable:
@@ -319,23 +329,29 @@ def far_beside(
     """
     known = np.flatnonzero(np.isfinite(y))
     every = y[known]
+    # equal values that follow one another are one reading, or a code in several rows would be the
+    # median of its own neighbourhood
     begins = np.r_[True, every[1:] != every[:-1]][: len(every)]
     values, lengths = every[begins], np.diff(np.flatnonzero(np.r_[begins, True]))
     if len(values) < _ABOUT:
         return known[:0], (), every[:0]
     off = _beside_neighbours(values)
+    # 1.4826 = 1/Φ⁻¹(¾): a spread of the steps that outliers do not move
     far = off > _SPREADS * 1.4826 * float(np.median(np.abs(np.diff(values))))
     low, high = np.quantile(values[~far], [0.005, 0.995]) if not far.all() else (0.0, 0.0)
     apart = _OF_RANGE * float(high - low)
+    # 85 °C is a thermometer's value before its first conversion only where a record begins with it
     first = np.arange(len(values)) == 0
     out = ((values < low - apart) | (values > high + apart)) & (
         is_mark(values) | (first & _is_power_on(values, unit))
     )
     large = far & (off > apart) & ((lengths == 1) | out)
+    # no plant gives the very same number twice where it should give none
     read = Counter(np.repeat(values[large], lengths[large]).tolist())
     codes = tuple(sorted(value for value, count in read.items() if count > 1))
     # one near what the sensor should show is one, too
     coded = np.isin(values, codes) & (out | (far & (lengths == 1)))
+    # of too many rows none is an exception: then it is the plant that jumps
     unusual = (large | coded) & ~(coded & out)
     if lengths[unusual].sum() > _MOST * len(every) or lengths[coded].sum() > _MOST_CODED * len(
         every
@@ -385,11 +401,9 @@ def _never_repeats(y: FloatArray, still: Sequence[tuple[int, int]]) -> bool:
     y = y[np.isfinite(y)]
     if len(y) < _FEWEST:
         return False
-    steps = np.abs(np.diff(y))
-    digit = float(steps[steps > 0].min()) if (steps > 0).any() else 0.0
-    return bool(
-        np.mean(steps == 0) < _REPEATED and np.median(np.abs(np.diff(y, 2))) > _NOISY * digit > 0
-    )
+    repeated, digit = np.mean(np.diff(y) == 0), _digit(y)
+    second_difference = np.median(np.abs(np.diff(y, 2)))
+    return bool(repeated < _REPEATED and second_difference > _NOISY * digit > 0)
 
 
 def _is_power_on(values: FloatArray, unit: str) -> npt.NDArray[np.bool_]:
@@ -415,9 +429,8 @@ def _may_rest(model: PhysicalModel, output: str, y: FloatArray, span: tuple[int,
         for role, name in balance.variables.items()
         if name in names
     }
-    steps = np.abs(np.diff(y[np.isfinite(y)]))
-    digit = float(steps[steps > 0].min()) if (steps > 0).any() else 0.0
-    return moves == {"position"} or ("velocity" in moves and abs(float(y[span[0]])) <= digit)
+    rests = abs(float(y[span[0]])) <= _digit(y[np.isfinite(y)])
+    return moves == {"position"} or ("velocity" in moves and rests)
 
 
 def _jumps_on(
@@ -428,14 +441,16 @@ def _jumps_on(
     """
     known = np.flatnonzero(np.isfinite(y))
     after = known[known > span[1]]
-    if not after.size:
+    if not after.size:  # it stands until the record ends: nothing tells a held sensor
         return False
+    # usual steps without those out of still spans, which are what is asked
     follows = ~np.isin(known, _rows_of([(first, last + 1) for first, last in still]))
     usual = (
         float(np.quantile(np.abs(np.diff(y[known[follows]])), 0.99))
         if follows.sum() > _FEWEST
         else np.inf
     )
+    # a machine that sticks sets out as fast as the model does there
     driven = np.abs(np.diff(simulated[max(span[1] - 1, 0) : after[0] + 2]))
     usual = max(usual, float(np.nanmax(driven, initial=0.0)))
     return bool(abs(float(y[after[0]] - y[span[0]])) > _JUMP * usual > 0)
@@ -443,26 +458,40 @@ def _jumps_on(
 
 def _still(y: FloatArray, simulated: FloatArray) -> tuple[tuple[int, int], ...]:
     """First and last row of spans that stand still while the model moves."""
-    filled = y.copy()
     known = np.flatnonzero(np.isfinite(y))
     if len(known) < _FEWEST:
         return ()
     if not np.ptp(y[known]):  # it never moves: no digit of it is known
-        beside = simulated[np.isfinite(simulated)]
-        moves = beside.size > 0 and np.ptp(beside) > _RESTS * np.abs(beside).max()
-        return ((int(known[0]), int(known[-1])),) if moves else ()
+        return ((int(known[0]), int(known[-1])),) if _moves_at_all(simulated) else ()
+    filled = y.copy()
     filled[np.isnan(y)] = np.interp(np.flatnonzero(np.isnan(y)), known, y[known])
     starts = np.flatnonzero(np.r_[True, filled[1:] != filled[:-1]])
     lengths = np.diff(np.r_[starts, len(filled)])
-    steps = np.abs(np.diff(filled))
-    digit = float(steps[steps > 0].min()) if (steps > 0).any() else 0.0
-    usual = float(np.quantile(lengths, 0.9))
+    digit = _digit(filled)
+    if not digit:
+        return ()
+    long = max(_LONG, _TIMES * float(np.quantile(lengths, 0.9)))
     spans = []
     for first, length in zip(starts, lengths, strict=True):
-        part = simulated[first : first + length]
-        moves = (
-            np.isfinite(part).any() and float(np.nanmax(part) - np.nanmin(part)) > _DIGITS * digit
-        )
-        if length >= max(_LONG, _TIMES * usual) and digit and moves:
+        if length >= long and _moves_by(simulated[first : first + length], _DIGITS * digit):
             spans.append((int(first), int(first + length - 1)))
     return tuple(spans)
+
+
+def _digit(y: FloatArray) -> float:
+    """The least step of a reading; 0 where it makes none."""
+    steps = np.abs(np.diff(y))
+    return float(steps[steps > 0].min()) if (steps > 0).any() else 0.0
+
+
+def _moves_at_all(simulated: FloatArray) -> bool:
+    """Whether a simulation moves by more than rounding."""
+    known = simulated[np.isfinite(simulated)]
+    return bool(known.size > 0 and np.ptp(known) > _RESTS * np.abs(known).max())
+
+
+def _moves_by(simulated: FloatArray, least: float) -> bool:
+    """Whether a part of a simulation moves by more than this; not where nothing is known of it."""
+    if not np.isfinite(simulated).any():
+        return False
+    return float(np.nanmax(simulated) - np.nanmin(simulated)) > least

@@ -4,14 +4,16 @@ one place.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
+from scipy.special import chdtrc
 
 from residuum.array_types import FloatArray
 from residuum.identification.errors import BadInput, NotIdentifiable
+from residuum.identification.linear_models.recursive_filter import all_pole
 from residuum.identification.physics import (
     Estimate,
     Experiment,
@@ -23,27 +25,33 @@ from residuum.identification.physics import (
 )
 from residuum.identification.physics.simulate.kalman import Filter, first_noise
 from residuum.identification.residual_analysis.feedback import feeds_back
+from residuum.identification.residual_analysis.locate import Axis, signal_axes
 from residuum.identification.residual_analysis.lower_rate import at_lower_rate
 from residuum.identification.residual_analysis.noise import (
     fast_floor,
+    fit_coloured_noise,
     forgetting,
     longest_memory,
+    stretches,
     times_the_noise,
 )
-from residuum.identification.residual_analysis.places.local_structure import (
-    features,
-    local_structure,
-)
-from residuum.identification.residual_analysis.places.locate import Axis, signal_axes
 from residuum.identification.residual_analysis.policy import (
     BEYOND_NOISE,
     BEYOND_NOISE_CHANCE,
+    BINS_OF_AN_AXIS,
     COARSE_EVENNESS,
     COARSE_REPEATS,
+    COUNTED_IN_A_PLACE,
+    FEWEST_FOR_A_PLACE,
     LASTING,
+    LOCAL_LEVEL,
+    LOCAL_OUTLIER,
+    LOCAL_TIMES_NOISE,
     LONGEST_PREDICTED,
+    NOISE_ORDER,
     REVALUED,
     SHORTEST_PREDICTED,
+    SIGNAL_MEMORIES,
     STRUCTURE_LEVEL,
     TEST_SAMPLES,
     VALUES_ERR,
@@ -54,6 +62,11 @@ from residuum.identification.residual_analysis.structured_error import (
     test_structured_error,
 )
 from residuum.identification.residual_analysis.value_doubt import at_likeliest_values
+
+# Features: simple functions of a model's noise-free signals that a structured error may follow.
+
+Shape = Callable[[FloatArray], FloatArray]
+
 
 # Outputs that are read in steps so coarse that most samples repeat the one before.
 
@@ -77,10 +90,10 @@ def _step(changes: FloatArray) -> float:
     moving = known[known > 0.0]
     if not moving.size or moving.size > (1.0 - COARSE_REPEATS) * known.size:
         return 0.0
-    steps = moving / np.min(moving)
-    return (
-        float(np.min(moving)) if np.max(np.abs(steps - np.round(steps))) < COARSE_EVENNESS else 0.0
-    )
+    smallest = float(np.min(moving))
+    steps = moving / smallest
+    is_even = np.max(np.abs(steps - np.round(steps))) < COARSE_EVENNESS
+    return smallest if is_even else 0.0
 
 
 # Plants that integrate are judged by prediction over windows, each with its own initial states.
@@ -103,14 +116,13 @@ def in_windows(
     windowed: list[Experiment] = []
     for e in experiments:
         samples = int(np.clip(e.n // WINDOWS, SHORTEST_PREDICTED, LONGEST_PREDICTED)) // finer
-        felt = _lasting(model, e) if e.n > 2 * samples else None
-        if felt is None or not any(share > LASTING for share in felt.values()):
+        lasting = _lasting(model, e) if e.n > 2 * samples else None
+        if lasting is None or not any(share > LASTING for share in lasting.values()):
             windowed.append(e)
             continue
-        unfelt = [name for name, share in felt.items() if share == 0.0]
-        windowed += (
-            _anchored(model, e, windows(e, samples), unfelt) if unfelt else windows(e, samples)
-        )
+        parts = windows(e, samples)
+        unfelt = [name for name, share in lasting.items() if share == 0.0]
+        windowed += _anchored(model, e, parts, unfelt) if unfelt else parts
     return windowed
 
 
@@ -119,11 +131,8 @@ def _anchored(
 ) -> list[Experiment]:
     """The windows with these states known from the Kalman filter over the whole experiment."""
     simulator = Simulator(model)
-    X = (
-        Filter(model, first_noise(model, [experiment]))
-        .run(experiment, simulator.x0(experiment.known))
-        .X
-    )
+    kalman = Filter(model, first_noise(model, [experiment]))
+    X = kalman.run(experiment, simulator.x0(experiment.known)).X
     if not np.all(np.isfinite(X)):
         return parts
     rows = [round((part.t0 - experiment.t0) / experiment.sample_time) for part in parts]
@@ -164,6 +173,7 @@ def refitted_difference(
     """
     nothing = [np.zeros_like(residual) for residual in simulation.residuals]
     try:
+        # whether a few values mend half of the error shows at any rate that loses nothing
         coarse, step = at_lower_rate(model, experiments, simulation.initial)
         refit = estimate(model, coarse, initial=simulation.initial, settings=REVALUED)
         after = refit.residuals if step == 1 else _left(refit, experiments)
@@ -202,7 +212,6 @@ def structured_errors(
     *,
     level: float = STRUCTURE_LEVEL,
     seed: int = 0,
-    least_share: float = 0.0,
 ) -> dict[str, StructuredError]:
     """The structured-error test of every measured output, on block means of about `TEST_SAMPLES`
     samples in all.
@@ -214,33 +223,48 @@ def structured_errors(
     `refitted` (n, outputs) an experiment is what other parameter values would change, one more
     signal that may predict the error; the other arguments are those of `test_structured_error`.
     """
-    how: dict[str, Any] = {
-        "level": level,
-        "seed": seed,
-        "drifting": False,
-        "least_share": least_share,
-    }
-    total = sum(e.n for e in experiments)
-    block = max(1, total // TEST_SAMPLES)
-    every = [features(record_axes) for record_axes in axes]
-    alive = np.any([np.any(design, axis=0) for design in every], axis=0)
-    later = (1 if block == 1 else 2) * int(feeds_back(model, experiments, residuals))
-    designs = [block_means(design[:, alive], block) for design in every]
+    block = max(1, sum(e.n for e in experiments) // TEST_SAMPLES)
+    known_late = 1 if block == 1 else 2
+    later = known_late if feeds_back(model, experiments, residuals) else 0
+    designs = _designs(axes, block)
     by_output = {}
     for k, name in enumerate(model.outputs):
         errors = [block_means(residual[:, k], block) for residual in residuals]
-        changes = [block_means(change[:, k : k + 1], block) for change in refitted or ()]
-        own = (
-            [np.hstack(pair) for pair in zip(designs, changes, strict=True)] if changes else designs
-        )
-        known = [
-            np.vstack([np.full((later, X.shape[1]), np.nan), X[: len(X) - later]]) for X in own
-        ]
+        own = designs if refitted is None else _beside(designs, refitted, k, block)
         try:
-            by_output[name] = test_structured_error(errors, known, **how)
+            by_output[name] = test_structured_error(
+                errors,
+                [_delayed(design, later) for design in own],
+                level=level,
+                seed=seed,
+                drifting=False,
+            )
         except BadInput:  # not measured, or too short a record for the test: no claim is made
             continue
     return by_output
+
+
+def _designs(axes: Sequence[Sequence[Axis]], block: int) -> list[FloatArray]:
+    """Means over blocks of the features of every record, (blocks, q) a record."""
+    every = [features(record_axes) for record_axes in axes]
+    # a signal that rests in all records has columns of zeros, which would count as features; one
+    # that moves in one record alone keeps its columns in all
+    alive = np.any([np.any(design, axis=0) for design in every], axis=0)
+    return [block_means(design[:, alive], block) for design in every]
+
+
+def _beside(
+    designs: Sequence[FloatArray], refitted: Sequence[FloatArray], output: int, block: int
+) -> list[FloatArray]:
+    """The features and what other parameter values would change in an output."""
+    changes = [block_means(change[:, output : output + 1], block) for change in refitted]
+    return [np.hstack(pair) for pair in zip(designs, changes, strict=True)]
+
+
+def _delayed(design: FloatArray, blocks: int) -> FloatArray:
+    """Features so many blocks later; NaN where nothing went before."""
+    before = np.full((blocks, design.shape[1]), np.nan)
+    return np.vstack([before, design[: len(design) - blocks]])
 
 
 def structured_in_windows(
@@ -341,3 +365,179 @@ def simulated_states(
     """The states of a simulation from x0, shape (n, states)."""
     simulator = Simulator(model)
     return simulator.run_vectors(experiment, x0, simulator.p(), substeps=substeps).X
+
+
+# What the signals say of an error: everywhere, by functions of them, and at one place.
+#
+# Noise of any colour has innovations that are alike at all places (near standstill, at one end of
+# the travel, after a step). So their mean square in a bin of a signal (speed, position, input,
+# temperature, time) is that of all times χ²(n)/n. A bin far above that, in which the error itself
+# stands far above that of the quiet half of the record, is structure.
+
+
+def _smooth_sign(z: FloatArray) -> FloatArray:
+    return np.tanh(z / 0.03)
+
+
+_ODD: tuple[Shape, ...] = (
+    lambda z: z,
+    _smooth_sign,
+    lambda z: z * np.abs(z),
+    lambda z: z * np.exp(-((z / 0.15) ** 2)),
+    np.abs,
+)
+_SMOOTH: tuple[Shape, ...] = (lambda z: z, np.square, lambda z: z**3)
+_SHAPES: Mapping[str, tuple[Shape, ...]] = {
+    "velocity": _ODD,
+    "current": _ODD[:3],
+    "input": (*_ODD[:3], np.square),
+    "position": (*_SMOOTH, lambda z: np.sin(2 * np.pi * z), lambda z: np.cos(2 * np.pi * z)),
+    "temperature": _SMOOTH,
+    "level": (*_SMOOTH, lambda z: np.sqrt(np.abs(z))),
+}
+
+
+def features(axes: Sequence[Axis]) -> FloatArray:
+    """Shapes of every axis that has some for its kind, each through three first-order lags, and a
+    constant; shape (n, q).
+
+    Signals are scaled by their largest magnitude first, so a shape means the same for every unit.
+    """
+    n = axes[0].values.shape[0]
+    columns = [np.ones(n)]
+    for axis in axes:
+        largest = float(np.nanmax(np.abs(axis.values), initial=0.0))
+        # what rests has columns too: it may move in another record
+        scaled = np.nan_to_num(axis.values) / (largest or 1.0)
+        columns += [
+            _lagged(shape(scaled), pole)
+            for shape in _SHAPES.get(axis.kind, ())
+            for pole in SIGNAL_MEMORIES
+        ]
+    return np.stack(columns, axis=1)
+
+
+def _lagged(x: FloatArray, pole: float) -> FloatArray:
+    return x if pole == 0 else all_pole([1.0, -pole], (1.0 - pole) * x)
+
+
+@dataclass(frozen=True)
+class LocalStructure:
+    """Where the error stands out most: `axis`, from `low` to `high`, `times_noise` there, and the
+    p-value of all places.
+    """
+
+    axis: str
+    low: float
+    high: float
+    times_noise: float
+    p_value: float
+
+    @property
+    def present(self) -> bool:
+        """Whether noise does not stand there."""
+        return self.p_value < LOCAL_LEVEL and self.times_noise > LOCAL_TIMES_NOISE
+
+
+def local_structure(
+    residuals: Sequence[FloatArray], axes: Sequence[Sequence[Axis]], step: float = 0.0
+) -> LocalStructure | None:
+    """The place where one output's error stands out most; None where the records are too short or
+    their quiet half has no noise.
+
+    Parameters
+    ----------
+    residuals : sequence of arrays, shapes (n_r,)
+        Measured minus modelled output, one array a record; NaN where missing.
+    axes : sequence of sequence of Axis
+        The signals of each record, the same in all.
+    step : float
+        The step of a coarse reading: noise that it hides is no larger.
+
+    Notes
+    -----
+    Fails where noise itself depends on the place (a reading that gets coarser with speed); blind to
+    what is spread evenly.
+    """
+    known = [np.isfinite(r) for r in residuals]
+    r = _where_known(residuals, known)
+    if r.size < FEWEST_FOR_A_PLACE:
+        return None
+    # spreads by medians (1.4826 = 1/Φ⁻¹(¾)): those of the quiet half, whatever the rest does
+    quiet = max(1.4826 * float(np.median(np.abs(r - np.median(r)))), step / np.sqrt(12.0))
+    innovations = _innovations(residuals, known)
+    usual = 1.4826 * float(np.median(np.abs(innovations)))
+    if quiet <= 0.0 or usual <= 0.0:
+        return None
+    error = np.clip(r - np.median(r), -LOCAL_OUTLIER * quiet, LOCAL_OUTLIER * quiet) ** 2
+    power = np.clip(innovations, -LOCAL_OUTLIER * usual, LOCAL_OUTLIER * usual) ** 2
+    places = []
+    names = [axis.name for axis in axes[0]]
+    for k, name in enumerate(names):
+        values = _where_known([record_axes[k].values for record_axes in axes], known)
+        loudest = _loudest_place(power, error, values, BINS_OF_AN_AXIS * len(names))
+        if loudest is not None:
+            low, high, p_value, mean = loudest
+            times_noise = float(np.sqrt(mean)) / quiet
+            places.append(LocalStructure(name, low, high, times_noise, p_value))
+    return max(places, key=_telling, default=None)
+
+
+def _where_known(
+    signals: Sequence[FloatArray], known: Sequence[npt.NDArray[np.bool_]]
+) -> FloatArray:
+    """Signals of all records end to end, at the samples that are there."""
+    return np.concatenate([signal[finite] for signal, finite in zip(signals, known, strict=True)])
+
+
+def _telling(place: LocalStructure) -> tuple[bool, float]:
+    """Places where noise does not stand before others, the loudest first."""
+    certain = place.p_value < LOCAL_LEVEL
+    return certain, place.times_noise if certain else -place.p_value
+
+
+def _loudest_place(
+    power: FloatArray, error: FloatArray, values: FloatArray, looks: int
+) -> tuple[float, float, float, float] | None:
+    """(from, to, p-value of the innovations' `power`, mean square `error`) of the bin that stands
+    out most; None where the signal does not move.
+    """
+    edges = np.unique(
+        np.quantile(values[np.isfinite(values)], np.linspace(0.0, 1.0, BINS_OF_AN_AXIS + 1))
+    )
+    if len(edges) < 3:
+        return None
+    place = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
+    count = np.bincount(place, minlength=len(edges) - 1).astype(float)
+    loud, mean = (
+        np.bincount(place, z, minlength=len(edges) - 1) / np.maximum(count, 1.0)
+        for z in (power, error)
+    )
+    freedom = np.maximum(count * COUNTED_IN_A_PLACE, 1.0)
+    # Bonferroni: the p-value of the least likely of all bins that are looked at
+    chance = np.minimum(chdtrc(freedom, freedom * loud / float(power.mean())) * looks, 1.0)
+    chance[count == 0] = 1.0
+    # of several places where noise does not stand the one with the largest error is told
+    certain = chance < LOCAL_LEVEL
+    largest = np.argmax(np.where(certain, mean, -1.0)) if np.any(certain) else np.argmin(chance)
+    worst = int(largest)
+    return float(edges[worst]), float(edges[worst + 1]), float(chance[worst]), float(mean[worst])
+
+
+def _innovations(
+    residuals: Sequence[FloatArray], known: Sequence[npt.NDArray[np.bool_]]
+) -> FloatArray:
+    """What each sample's past does not predict of it, sample by sample of those that are there; 0
+    where nothing went before.
+    """
+    parts = [
+        residual[part]
+        for residual, finite in zip(residuals, known, strict=True)
+        for part in stretches(finite)
+    ]
+    noise = fit_coloured_noise(parts, min(NOISE_ORDER, max(map(len, parts)) // 20))
+    padded = []
+    for part in parts:
+        e = noise.whiten(part)
+        padded.append(np.concatenate([np.zeros(len(part) - len(e)), e]))
+    return np.concatenate(padded)

@@ -58,11 +58,9 @@ def test_structured_error(
     features: Sequence[FloatArray],
     *,
     level: float = STRUCTURE_LEVEL,
-    order: int = NOISE_ORDER,
     n_bootstrap: int = MOST_STRUCTURE_DRAWS,
     seed: int = 0,
     drifting: bool = True,
-    least_share: float = 0.0,
 ) -> StructuredError:
     """Test whether `features` predict `residuals` beyond what coloured noise would allow.
 
@@ -80,61 +78,55 @@ def test_structured_error(
         Functions of the model's noise-free signals (inputs, simulated states, time profiles).
     level : float
         False-alarm probability of `present`.
-    order : int
-        AR order of the noise.
     drifting : bool
         Whether noise may be integrated. It then explains every slow error; otherwise it forgets
         within the data.
-    least_share : float
-        Of no interest is what takes less of the error's power: then not `present`, and without a
-        p-value (NaN).
 
     Raises
     ------
     BadInput
-        Fewer than 4 (q + order) samples.
+        Fewer than 4 (q + p) samples, p the order of the noise.
 
     Notes
     -----
-    Fails (cries wolf) when the features are made from the measured, noisy output, and when a disturbance is
-    synchronous with the input. Power is lost when the structured error is itself smooth and broadband.
+    Fails (cries wolf) when the features are made from the measured, noisy output, and when a
+    disturbance is synchronous with the input. Power is lost when the structured error is itself
+    smooth and broadband.
 
     References
     ----------
-    Cochrane & Orcutt, J. Am. Stat. Assoc. 44 (1949); Efron & Tibshirani, *An Introduction to the Bootstrap*, ch. 16.
+    Cochrane & Orcutt, J. Am. Stat. Assoc. 44 (1949); Efron & Tibshirani, *An Introduction to the
+    Bootstrap*, ch. 16.
     """
     q = features[0].shape[1]
     segments, designs = _complete(residuals, features)
     n = sum(map(len, segments))
-    if n < 4 * (q + order):
+    if n < 4 * (q + NOISE_ORDER):
         raise BadInput(
-            f"structured-error test: has {n} samples; {q} features with noise of order {order} need"
-            f" {4 * (q + order)}"
+            f"structured-error test: has {n} samples; {q} features with noise of order {NOISE_ORDER} need"
+            f" {4 * (q + NOISE_ORDER)}"
         )
     designs = _orthonormal(designs)
-    null = _noise(segments, order, drifting)
+    null = _noise(segments, NOISE_ORDER, drifting)
     statistic, coefficients, noise = _likelihood_ratio(segments, designs, null, drifting)
     predicted = [design @ coefficients for design in designs]
     total = sum(float(segment @ segment) for segment in segments)
-    left_power = sum(
-        float(np.sum((segment - part) ** 2))
-        for segment, part in zip(segments, predicted, strict=True)
-    )
-    share, p_value = max(0.0, 1.0 - left_power / total) if total > 0 else 0.0, np.nan
-    if share >= least_share:
-        rng = np.random.default_rng(seed)
-        lengths, draws = [len(segment) for segment in segments], np.zeros(0)
-        while draws.size < n_bootstrap and not (
-            p_value < RARE_DRAW * level or p_value > ORDINARY_DRAW
-        ):
-            more = [
-                _null_draw(null, lengths, designs, drifting, rng)
-                for _ in range(min(STRUCTURE_DRAWS, n_bootstrap))
-            ]
-            draws = np.r_[draws, more]
-            p_value = _tail(statistic, draws, designs[0].shape[1])
-        # what pure noise would also have given
-        share *= max(statistic - float(draws.mean()), 0.0) / max(statistic, 1e-300)
+    pairs = zip(segments, predicted, strict=True)
+    left_power = sum(float(np.sum((segment - part) ** 2)) for segment, part in pairs)
+    share = max(0.0, 1.0 - left_power / total) if total > 0 else 0.0
+    lengths = list(map(len, segments))
+    rng = np.random.default_rng(seed)
+    draws, p_value = np.zeros(0), np.nan
+    # a few at a time, until more of them would not change the answer
+    while draws.size < n_bootstrap and not (p_value < RARE_DRAW * level or p_value > ORDINARY_DRAW):
+        more = [
+            _null_draw(null, lengths, designs, drifting, rng)
+            for _ in range(min(STRUCTURE_DRAWS, n_bootstrap))
+        ]
+        draws = np.r_[draws, more]
+        p_value = _tail(statistic, draws, designs[0].shape[1])
+    # without what pure noise would also have given
+    share *= max(statistic - float(draws.mean()), 0.0) / max(statistic, 1e-300)
     return StructuredError(
         present=bool(p_value < level),
         p_value=p_value,
@@ -165,6 +157,7 @@ def _noise(segments: list[FloatArray], order: int, drifting: bool) -> ColouredNo
     a = forgetting(noise.a, longest_memory(sum(map(len, segments)), max(map(len, segments))))
     if a is noise.a:
         return noise
+    # poles that were moved leave other innovations
     limited = ColouredNoise(a, 1.0)
     e = np.concatenate([limited.whiten(segment) for segment in segments])
     return ColouredNoise(a, float(np.mean(e**2)))
@@ -207,6 +200,7 @@ def _spread(
 
 def _orthonormal(designs: list[FloatArray]) -> list[FloatArray]:
     """The same column space with well-conditioned columns (dependent ones dropped)."""
+    # T is the same for every basis of the column space; a well-conditioned one keeps its digits
     stacked = np.concatenate(designs)
     scale = np.linalg.norm(stacked, axis=0)
     stacked = stacked[:, scale > 0] / scale[scale > 0]
@@ -227,7 +221,7 @@ def _likelihood_ratio(
     than the null; T counts the null's own noise too.
     """
     n = sum(max(len(segment) - null.order, 0) for segment in segments)
-    before = sum(float(np.sum(null.whiten(segment) ** 2)) for segment in segments)
+    before = _innovation_power(segments, null)
     best = least = (before, np.zeros(designs[0].shape[1]), null)
     white = ColouredNoise(np.zeros(0), 1.0)
     for noise in (white, null):
@@ -238,19 +232,23 @@ def _likelihood_ratio(
                 for segment, design in zip(segments, designs, strict=True)
             ]
             beside, noise = noise, _noise(residuals, null.order, drifting)
-            after = sum(float(np.sum(noise.whiten(part) ** 2)) for part in residuals)
+            after = _innovation_power(residuals, noise)
             if after < best[0]:
                 best = (after, coefficients, noise)
             # Burg's noise of the rest is not always likelier than that before it
             if beside.order == null.order:
-                same = sum(float(np.sum(beside.whiten(part) ** 2)) for part in residuals)
+                same = _innovation_power(residuals, beside)
                 least = min(least, (same, coefficients, beside), key=itemgetter(0))
     _, coefficients, noise = best if best[0] < before else least
-    return (
-        n * float(np.log(max(before, 1e-300) / max(min(least[0], best[0]), 1e-300))),
-        coefficients,
-        noise,
-    )
+    # T = N log(σ₀²/σ₁²), σ² by the sums of squared innovations
+    after = min(least[0], best[0])
+    statistic = n * float(np.log(max(before, 1e-300) / max(after, 1e-300)))
+    return statistic, coefficients, noise
+
+
+def _innovation_power(segments: Sequence[FloatArray], noise: ColouredNoise) -> float:
+    """Sum of the squared innovations of segments whitened by a noise."""
+    return sum(float(np.sum(noise.whiten(segment) ** 2)) for segment in segments)
 
 
 def _generalised_least_squares(
@@ -270,6 +268,7 @@ def _null_draw(
     drifting: bool,
     rng: np.random.Generator,
 ) -> float:
+    # with noise fitted to the draw itself, as it was to the residuals
     segments = [null.simulate(n, rng) for n in lengths]
     refitted = _noise(segments, null.order, drifting)
     return _likelihood_ratio(segments, designs, refitted, drifting)[0]
@@ -282,5 +281,6 @@ def _tail(statistic: float, draws: FloatArray, q: int) -> float:
     χ² is what the ratio has where noise is hardly coloured; few draws that happen to lie close
     together would tell a tail far below it.
     """
+    # gamma of shape k = m²/v and scale v/m: P(T ≥ t) = Γ(k, t m/v)/Γ(k)
     mean, variance = max(float(draws.mean()), float(q)), max(float(draws.var(ddof=1)), 2.0 * q)
     return float(gammaincc(mean**2 / variance, max(statistic, 0.0) * mean / variance))

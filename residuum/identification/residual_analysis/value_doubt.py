@@ -37,8 +37,9 @@ def at_likeliest_values(
 
     Notes
     -----
-    Fails where two outputs contradict each other about one value within its doubt by one of them alone: either takes its own. The
-    doubt is that of the estimate, and not of its difference from the likeliest values, which is less: a generous bound.
+    Fails where two outputs contradict each other about one value within its doubt by one of them
+    alone: either takes its own. The doubt is that of the estimate, and not of its difference from
+    the likeliest values, which is less: a generous bound.
     """
     slopes = [
         _slopes(model, *run)
@@ -47,9 +48,8 @@ def at_likeliest_values(
     residuals = [residual.copy() for residual in simulation.residuals]
     if not slopes[0].shape[-1]:  # nothing is free
         return residuals
-    for o in map(
-        int, np.flatnonzero(np.any([np.isfinite(r).any(axis=0) for r in residuals], axis=0))
-    ):
+    measured = np.any([np.isfinite(r).any(axis=0) for r in residuals], axis=0)
+    for o in np.flatnonzero(measured).tolist():
         errors = [
             _Slope(r[:, o], J[:, o], len(model.free))
             for r, J in zip(residuals, slopes, strict=True)
@@ -71,6 +71,7 @@ class _Slope:
 
     def whitened(self, noise: ColouredNoise) -> _Slope:
         e, J = noise.innovations(self.e), noise.innovations(self.J)
+        # a missing sample takes those with it whose innovations it is part of
         known = np.isfinite(e) & np.isfinite(J).all(axis=1)
         return _Slope(e[known], J[known], self.values)
 
@@ -94,6 +95,7 @@ def _slopes(
     simulator = Simulator(model)
     names = [*model.free, *(f"initial:{name}" for name in simulator.free_states)]
     run = simulator.run_vectors(experiment, x0, simulator.p(), slopes=names, substeps=substeps)
+    # slopes that overflow tell no likelier value, and take nothing of the error away
     if run.dY is None or not np.isfinite(run.dY).all():
         return np.zeros((*experiment.Y.shape, len(names)))
     return run.dY
@@ -105,6 +107,7 @@ def _changes(errors: Sequence[_Slope]) -> list[FloatArray]:
     """
     missing = [np.where(np.isfinite(slope.e), 0.0, np.nan) for slope in errors]
     changes = missing
+    # twice: the noise is that of what the likelier values leave, and they are likelier beside it
     for _ in range(2):
         try:
             noise = lasting_noise(
@@ -126,6 +129,7 @@ def _values(errors: Sequence[_Slope], white: Sequence[_Slope], noise: ColouredNo
     """By how much the likeliest values differ; zero where that is beyond the doubt of values that
     were estimated.
     """
+    # generalised least squares: H = Σ JᵀJ and g = Σ Jᵀe of whitened slopes and errors
     projected = [slope.without_states() for slope in white]
     H, g = sum(J.T @ J for _, J in projected), sum(J.T @ e for e, J in projected)
     change = np.asarray(np.linalg.lstsq(H, g, rcond=None)[0])
@@ -133,6 +137,7 @@ def _values(errors: Sequence[_Slope], white: Sequence[_Slope], noise: ColouredNo
     for slope in errors:
         known = np.isfinite(slope.e)
         _, J = _Slope(slope.e[known], slope.J[known], slope.values).without_states()
+        # JᵀΓJ with Γ = σ² A⁻¹A⁻ᵀ, the covariance of the noise: A⁻ᵀJ filters J backwards in time
         backwards = all_pole(np.r_[1.0, noise.a], J[::-1])
         squares += J.T @ J
         spread += noise.innovation_variance * backwards.T @ backwards

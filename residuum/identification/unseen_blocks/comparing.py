@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from residuum.array_types import FloatArray
 from residuum.identification.physics.model import find_effect
-from residuum.identification.unseen_blocks.judged import Judged
-from residuum.identification.unseen_blocks.next_experiment import HELD
 from residuum.identification.unseen_blocks.policy import (
     BEAM,
     DRAWS,
@@ -23,7 +21,11 @@ from residuum.identification.unseen_blocks.policy import (
     WINDOW_SAMPLES,
     WORTH,
 )
-from residuum.identification.unseen_blocks.scale import Scale
+from residuum.identification.unseen_blocks.structure import HELD
+
+if TYPE_CHECKING:
+    from residuum.identification.unseen_blocks.cross_validation import ValidatedFit
+    from residuum.identification.unseen_blocks.scale import Scale
 
 
 def share(before: FloatArray, after: FloatArray) -> tuple[float, float]:
@@ -38,11 +40,15 @@ def share(before: FloatArray, after: FloatArray) -> tuple[float, float]:
 
 
 class OnBlocks(Protocol):
-    """What has a power on unseen blocks, and a cost."""
+    """What has a power on unseen blocks, parameters, and a cost."""
 
     @property
     def power(self) -> FloatArray:
         """Sums of squares in the scale, shape (blocks, measured outputs)."""
+
+    @property
+    def parameters(self) -> float:
+        """How many it has that are estimated, or counts as."""
 
     @property
     def cost(self) -> float:
@@ -54,6 +60,8 @@ def paired(new: OnBlocks, old: OnBlocks, scale: Scale) -> tuple[float, float]:
     error.
     """
     p, q = scale.by_block(new.power), scale.by_block(old.power)
+    # logarithms, for block powers have heavy tails, to which a t-test of power itself is deaf; with
+    # a floor, for a block in which both leave next to nothing would have the largest say
     floor = MERITLESS * min(float(p.mean()), float(q.mean())) + 1e-300
     d = 0.5 * (np.log(q + floor) - np.log(p + floor))
     return float(d.mean()), float(d.std(ddof=1) / np.sqrt(len(d)))
@@ -65,6 +73,7 @@ def ahead(new: OnBlocks, old: OnBlocks, scale: Scale) -> float:
     in the others).
     """
     p, q = scale.by_block(new.power), scale.by_block(old.power)
+    # the scatter of the ratio of totals by a bootstrap over blocks
     pick = np.random.default_rng(0).integers(0, len(p), (DRAWS, len(p)))
     ratios = 0.5 * np.log((q[pick].sum(axis=1) + 1e-300) / (p[pick].sum(axis=1) + 1e-300))
     total = 0.5 * np.log((q.sum() + 1e-300) / (p.sum() + 1e-300))
@@ -89,36 +98,44 @@ def evidence(new: OnBlocks, old: OnBlocks, scale: Scale) -> float:
     return 0.5 * t * abs(t)
 
 
-def corrected(new: Judged, old: Judged) -> float:
+def corrected(new: ValidatedFit, old: ValidatedFit) -> float:
     """Standard errors by which what the new one corrects on unseen blocks goes along with the old
     one's errors. They are summed over pieces as long as the errors are correlated, and
     self-normalised: an effect may show in few places, not in one alone.
     """
     rows = (old.left * (old.left - new.left)).sum(axis=1)
+    # autocorrelation ρ of the errors, padded so that the ends do not meet
     e = old.left.sum(axis=1)
     e = e - e.mean()
     rho = np.fft.irfft(np.abs(np.fft.rfft(e, 2 * len(e))) ** 2)[: max(len(e) // 20, 2)]
     rho = rho / max(float(rho[0]), 1e-300)
+    # pieces of ten correlation times, 1 + 2 Σ ρ up to where it has decayed
     until = int(np.argmax(rho < 0.05)) or len(rho)
     shortest = min(WINDOW_SAMPLES, max(len(e) // PIECES, 1))
     length = int(np.clip(10 * (1 + 2 * rho[1:until].sum()), shortest, max(len(e) // 20, shortest)))
+    # Σs/√Σs²: of one piece that holds everything this is 1, however large it is
     s = np.add.reduceat(rows, np.arange(0, len(rows), length))
     return float(s.sum() / max(float(np.sqrt((s**2).sum())), 1e-300))
 
 
-def is_real(new: Judged, old: Judged, base: Judged, scale: Scale, tried: int) -> bool:
+def is_real(
+    new: ValidatedFit, old: ValidatedFit, base: ValidatedFit, scale: Scale, tried: int
+) -> bool:
     """Whether what the new one corrects on unseen blocks is real after so many were tried, and
     worth it; a rare effect more.
 
     What fits the seen blocks no better is ahead on unseen ones by chance: where one block alone
     tells a value, another value left out with it lies anywhere.
     """
-    gain = old.cost - new.cost if new.seen < old.seen else 0.0
+    gain = old.cost - new.cost if new.seen_cost < old.seen_cost else 0.0
     if scale.nats:
+        # the logarithm of how many were tried is the price of the choice among them (Bonferroni);
+        # and no single place may hold all of the gain
         return (
             gain > np.log(max(tried, 1)) + TIE
             and max(corrected(new, old), block_by_block(new, old, scale)) > EVERYWHERE
         )
+    # a share of what is left above the noise, and for the first ones also of the first error
     left, rarer = max(old.cost - scale.floor, 1e-9), max(new.rarity - old.rarity, 0.0)
     least = 0.0 if is_nothing(old, base, scale) else SMALL * (base.cost - scale.floor)
     worth = max(WORTH * (1.0 + rarer) * left, least)
@@ -126,8 +143,8 @@ def is_real(new: Judged, old: Judged, base: Judged, scale: Scale, tried: int) ->
 
 
 def real_ones(
-    ranked: Sequence[Judged], old: Judged, base: Judged, scale: Scale, tried: int
-) -> list[Judged]:
+    ranked: Sequence[ValidatedFit], old: ValidatedFit, base: ValidatedFit, scale: Scale, tried: int
+) -> list[ValidatedFit]:
     """Those that are real, without rare ones that do no better than one that is less rare."""
     real = [fit for fit in ranked if is_real(fit, old, base, scale, tried)]
     return [
@@ -137,12 +154,12 @@ def real_ones(
     ]
 
 
-def is_nothing(left: Judged, base: Judged, scale: Scale) -> bool:
+def is_nothing(left: ValidatedFit, base: ValidatedFit, scale: Scale) -> bool:
     """Whether what is left is so small a part of the first error that nothing is sought in it."""
     return not scale.nats and left.cost - scale.floor < SMALL * (base.cost - scale.floor)
 
 
-def simplest(ranked: Sequence[Judged], scale: Scale) -> Judged:
+def simplest(ranked: Sequence[ValidatedFit], scale: Scale) -> ValidatedFit:
     """The fewest parameters among those that the best does not stand before; of what noise cannot
     tell apart the physics of a balance before the path of an input.
     """
@@ -159,7 +176,9 @@ def simplest(ranked: Sequence[Judged], scale: Scale) -> Judged:
     return _physics_first(chosen, ranked, scale) if scale.nats else chosen
 
 
-def _physics_first(chosen: Judged, ranked: Sequence[Judged], scale: Scale) -> Judged:
+def _physics_first(
+    chosen: ValidatedFit, ranked: Sequence[ValidatedFit], scale: Scale
+) -> ValidatedFit:
     """What is as likely as the chosen one, no rarer, and has a balance's effect in the place of one
     on an input.
 
@@ -177,32 +196,46 @@ def _physics_first(chosen: Judged, ranked: Sequence[Judged], scale: Scale) -> Ju
     return min([chosen, *same], key=lambda rival: (_on_inputs(rival), rival.parameters, rival.cost))
 
 
-def _on_inputs(candidate: Judged) -> int:
+def _on_inputs(candidate: ValidatedFit) -> int:
     return sum(
         key.effect != HELD and find_effect(key.effect).place == "input" for key in candidate.keys
     )
 
 
-def _beside(rival: Judged, lead: Judged, scale: Scale) -> bool:
+def _beside(rival: ValidatedFit, lead: ValidatedFit, scale: Scale) -> bool:
     mean, std = paired(lead, rival, scale)
     return mean < std and rival.cost < 1.4 * lead.cost
 
 
-def is_alike(rival: Judged, chosen: Judged, before: Judged | None, scale: Scale) -> bool:
+def is_alike(
+    rival: ValidatedFit, chosen: ValidatedFit, before: ValidatedFit | None, scale: Scale
+) -> bool:
     """Whether the data cannot tell another structure from the chosen one, both in the place of
     `before`.
     """
     if not scale.nats:
         mean, std = paired(chosen, rival, scale)
         return mean <= 2.0 * std and rival.cost < 1.5 * chosen.cost
-    # deletion has a scatter of its own: alike where seen or unseen blocks say so
+    # deletion has a scatter of its own: two structures that the seen blocks cannot tell apart are
+    # alike, too, whatever it says of the unseen ones
     difference = 0.5 * (rival.power - chosen.power).sum(axis=1)
     doubt = float(difference.std(ddof=1) * np.sqrt(len(difference)))
     most = np.inf if before is None else 0.2 * (before.cost - chosen.cost)
-    return min(rival.cost - chosen.cost, rival.seen - chosen.seen) < max(TIE, min(doubt, most))
+    return min(rival.cost - chosen.cost, rival.seen_cost - chosen.seen_cost) < max(
+        TIE, min(doubt, most)
+    )
 
 
-def going_on(ranked: Sequence[Judged], scale: Scale) -> list[Judged]:
+def all_alike(
+    ranked: Sequence[ValidatedFit], chosen: ValidatedFit, before: ValidatedFit | None, scale: Scale
+) -> list[ValidatedFit]:
+    """Those that the data cannot tell from the chosen one, in the place of `before`."""
+    return [
+        rival for rival in ranked if rival is not chosen and is_alike(rival, chosen, before, scale)
+    ]
+
+
+def going_on(ranked: Sequence[ValidatedFit], scale: Scale) -> list[ValidatedFit]:
     """Those that a next effect is tried beside: ties have to travel."""
     lead = ranked[0]
     if scale.nats:
@@ -215,6 +248,6 @@ def going_on(ranked: Sequence[Judged], scale: Scale) -> list[Judged]:
     return near[:BEAM]
 
 
-def _within_three(rival: Judged, lead: Judged, scale: Scale) -> bool:
+def _within_three(rival: ValidatedFit, lead: ValidatedFit, scale: Scale) -> bool:
     mean, std = paired(lead, rival, scale)
     return mean < 3.0 * std

@@ -25,15 +25,15 @@ from residuum.identification.unseen_blocks.policy import (
     BLOCKS,
     FEWEST_TO_JUDGE,
     FOLDS,
-    LADDER,
     WINDOW_SAMPLES,
+    WINDOWS_A_RECORD,
 )
 
 Integers = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
-class Rung:
+class Horizon:
     """All records in so many `windows` each; `block` (rows,) is each row's block, `experiment`
     (parts,) where a part lies.
     """
@@ -53,20 +53,21 @@ class Rung:
         """The rows of each window in each block."""
         return Cells.of(self.parts, self.block)
 
-    def thinned(self, samples: int, errors: FloatArray | None = None) -> tuple[Rung, list[int]]:
+    def thinned(self, samples: int, errors: FloatArray | None = None) -> tuple[Horizon, list[int]]:
         """About so many samples of the parts, and which parts those are: evenly, or, where these
         hold little of the errors (parts,), those that hold most.
         """
-        every = np.arange(len(self.parts))[
-            :: max(1, round(sum(part.n for part in self.parts) / samples))
-        ]
-        if errors is not None and np.mean(errors[every] - errors.min()) < BLIND * np.mean(
-            errors - errors.min()
-        ):
-            every = np.sort(np.argsort(-errors)[: len(every)])
-        rows = np.isin(np.repeat(np.arange(len(self.parts)), np.diff(self.starts)), every)
-        parts = [self.parts[k] for k in every]
-        return Rung(self.windows, parts, self.block[rows], self.experiment[every]), every.tolist()
+        stride = max(1, round(sum(part.n for part in self.parts) / samples))
+        chosen = np.arange(len(self.parts))[::stride]
+        # a stop that the machine meets in few windows shows in none of those chosen evenly
+        if errors is not None:
+            above_least = errors - errors.min()
+            if np.mean(above_least[chosen]) < BLIND * np.mean(above_least):
+                chosen = np.sort(np.argsort(-errors)[: len(chosen)])
+        rows = np.isin(np.repeat(np.arange(len(self.parts)), np.diff(self.starts)), chosen)
+        parts = [self.parts[k] for k in chosen]
+        thinned = Horizon(self.windows, parts, self.block[rows], self.experiment[chosen])
+        return thinned, chosen.tolist()
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +82,7 @@ class Data:
     measured : array, shape (outputs,)
     spread : array, shape (outputs,)
         Standard deviation of each output; 1 where it was not measured or stands still.
-    rungs : tuple of Rung
+    horizons : tuple of Horizon
         From the shortest windows to whole records.
     fold : array, shape (blocks,)
         Which blocks are left out together.
@@ -93,7 +94,7 @@ class Data:
     experiments: list[Experiment]
     measured: npt.NDArray[np.bool_]
     spread: FloatArray
-    rungs: tuple[Rung, ...]
+    horizons: tuple[Horizon, ...]
     fold: Integers
     finer: Data | None = None
 
@@ -102,11 +103,13 @@ class Data:
         """How many there are."""
         return len(self.fold)
 
-    def rung(self, windows: int) -> Rung:
-        """The rung with so many windows a record; whole records, where these are too short for so
-        many.
+    def horizon(self, windows: int) -> Horizon:
+        """The horizon with so many windows a record; whole records, where these are too short for
+        so many.
         """
-        return next((rung for rung in self.rungs if rung.windows == windows), self.rungs[-1])
+        return next(
+            (horizon for horizon in self.horizons if horizon.windows == windows), self.horizons[-1]
+        )
 
     def times_of(self, block: int) -> tuple[float, float]:
         """Begin and end of a block [s], in its record's time."""
@@ -116,11 +119,12 @@ class Data:
             e.t0 + e.sample_time * np.ceil(e.n * edge / per_experiment) for edge in (k, k + 1)
         )
 
-    def rows(self, rung: Rung) -> Integers:
-        """Of each row of a rung the row among all experiments, one after the other."""
+    def rows(self, horizon: Horizon) -> Integers:
+        """Of each row of a horizon the row among all experiments, one after the other."""
+        # a window knows where it begins by its time alone
         begins = np.cumsum([0, *(e.n for e in self.experiments)])
         indices = []
-        for part, number in zip(rung.parts, rung.experiment, strict=True):
+        for part, number in zip(horizon.parts, horizon.experiment, strict=True):
             e = self.experiments[number]
             indices.append(
                 begins[number] + round((part.t0 - e.t0) / e.sample_time) + np.arange(part.n)
@@ -162,43 +166,51 @@ def data_of(model: PhysicalModel, experiments: list[Experiment]) -> Data:
     """Blocks and windows of experiments."""
     Y = np.concatenate([e.Y for e in experiments])
     measured = np.isfinite(Y).any(axis=0)
+    # a unit for each output; of one that stands still any unit does
     spread = np.ones(Y.shape[1])
     spread[measured] = np.nanstd(Y[:, measured], axis=0)
     spread[~(spread > 0.0)] = 1.0
+    # windows as short as the shortest record allows, and whole records in any case
     shortest = min(e.n for e in experiments)
     per_experiment, fold = folds_of(len(experiments), shortest)
-    rungs = tuple(
-        _rung(experiments, k, per_experiment)
-        for k in LADDER
-        if shortest // k >= WINDOW_SAMPLES or k == LADDER[-1]
+    horizons = tuple(
+        _horizon(experiments, k, per_experiment)
+        for k in WINDOWS_A_RECORD
+        if shortest // k >= WINDOW_SAMPLES or k == WINDOWS_A_RECORD[-1]
     )
-    return Data(model, experiments, measured, spread, rungs, fold)
+    return Data(model, experiments, measured, spread, horizons, fold)
 
 
 def folds_of(count: int, shortest: int) -> tuple[int, Integers]:
     """How many blocks each of so many experiments has, the shortest with so many samples, and which
     blocks are left out together (blocks,).
     """
+    # so many in all, a multiple of the folds in each experiment, none shorter than a block may be
     blocks = BLOCKS if count == 1 else FOLDS * -(-BLOCKS // (FOLDS * count))
     blocks = max(FOLDS, min(blocks, FOLDS * (shortest // (FOLDS * BLOCK_SAMPLES))))
     block = np.arange(blocks * count)
-    # whole records where there are several
+    # Whole records are left out where there are several. Else every fourth block: each fold sees
+    # all times of the record.
     return (blocks, (block // blocks if count >= FOLDS - 1 else block) % FOLDS)
 
 
-def _rung(experiments: Sequence[Experiment], count: int, blocks: int) -> Rung:
+def _horizon(experiments: Sequence[Experiment], count: int, blocks: int) -> Horizon:
     parts: list[Experiment] = []
     block, at = [], []
     for number, e in enumerate(experiments):
-        shortest = -(-e.n // LADDER[0])  # so that every window begins where a shorter one does
+        shortest = -(
+            -e.n // WINDOWS_A_RECORD[0]
+        )  # so that every window begins where a shorter one does
         for part in (
-            windows(e, shortest * (LADDER[0] // count)) if count > 1 else [replace(e, block=1)]
+            windows(e, shortest * (WINDOWS_A_RECORD[0] // count))
+            if count > 1
+            else [replace(e, block=1)]
         ):
             row = round((part.t0 - e.t0) / e.sample_time) + np.arange(part.n)
             block.append(np.minimum(row * blocks // e.n, blocks - 1) + number * blocks)
             parts.append(part)
             at.append(number)
-    return Rung(count, parts, np.concatenate(block), np.array(at))
+    return Horizon(count, parts, np.concatenate(block), np.array(at))
 
 
 def check_moves(experiments: Sequence[Experiment]) -> None:

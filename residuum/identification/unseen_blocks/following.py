@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,9 +20,11 @@ from residuum.identification.physics import Experiment, Key, PhysicalModel, Simu
 from residuum.identification.physics.effects.base import Parameter
 from residuum.identification.physics.model import find_effect, place_of, term_name
 from residuum.identification.physics.simulate.experiment import Spare
-from residuum.identification.physics.simulate.kalman import Filter, first_noise
-from residuum.identification.unseen_blocks.data import Data, Rung
+from residuum.identification.physics.simulate.kalman import Filter, Smoothed, first_noise
 from residuum.identification.unseen_blocks.policy import ROWS
+
+if TYPE_CHECKING:
+    from residuum.identification.unseen_blocks.data import Data, Horizon
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,28 +57,34 @@ class Track:
 
 
 def followed(
-    model: PhysicalModel, data: Data, errors: FloatArray | None = None, rung: Rung | None = None
+    model: PhysicalModel,
+    data: Data,
+    errors: FloatArray | None = None,
+    horizon: Horizon | None = None,
 ) -> Track | None:
     """The model's smoothed states in every experiment, and what its balances lacked; None where the
     filter diverges.
 
-    `errors` (rows, outputs) are those of its simulation on a rung, where they are known.
+    `errors` (rows, outputs) are those of its simulation on a horizon, where they are known.
     """
     kalman, simulator = Filter(model, first_noise(model, data.experiments)), Simulator(model)
     smoothed = [kalman.run(e, simulator.x0(e.known)) for e in data.experiments]
-    if not all(
-        np.all(np.isfinite(s.X)) and all(np.all(np.isfinite(m.value)) for m in s.missing.values())
-        for s in smoothed
-    ):
+    if not all(map(_is_finite, smoothed)):
         return None
+    # of a balance whose missing term was not estimated nothing is known to lack
     lacks = [
         {b: s.missing[b].value if b in s.missing else np.zeros(len(s.X)) for b in model.balances}
         for s in smoothed
     ]
     along = joined(model, data.experiments, [s.X for s in smoothed], lacks)
-    if errors is not None and rung is not None:
-        along.errors[data.rows(rung)] = np.nan_to_num(errors)
+    if errors is not None and horizon is not None:
+        along.errors[data.rows(horizon)] = np.nan_to_num(errors)
     return along
+
+
+def _is_finite(smoothed: Smoothed) -> bool:
+    missing = [term.value for term in smoothed.missing.values()]
+    return all(np.all(np.isfinite(values)) for values in (smoothed.X, *missing))
 
 
 def joined(
@@ -121,26 +130,25 @@ def regressed(
     without sizes or with none inside its bounds.
     """
     effect, model = find_effect(key.effect), along.model
-    if (
-        effect.place != "balance"
-        or not effect.sizes
-        or effect.states(model.site(key.target, effect))
-    ):
+    if effect.place != "balance" or not effect.sizes:
+        return None
+    site = model.site(key.target, effect)
+    if effect.states(site):  # its term depends on where its own states are, which no track knows
         return None
     few, place = along.thinned, place_of(key.target)
     own = own_terms(model, place, few)
     lack = beside(own, few.missing[place])
-    sizes = {n: start[n] for n in effect.sizes if start.get(n)}
-    columns = {n: c for n in sizes if (c := _column(key, start, n, few)) is not None and np.any(c)}
-    columns = {n: beside(own, c) for n, c in columns.items()}
-    known = {p.name: p for p in effect.parameters(model.site(key.target, effect))}
-    solution, power = _inside_bounds(columns, lack, sizes, known), float(lack @ lack)
-    if solution is None or not power > 0.0:
+    sizes = {name: start[name] for name in effect.sizes if start.get(name)}
+    columns = {name: beside(own, term) for name, term in _terms(key, start, few).items()}
+    known = {p.name: p for p in effect.parameters(site)}
+    power = float(lack @ lack)
+    solution = _inside_bounds(columns, lack, sizes, known) if power > 0.0 else None
+    if solution is None:
         return None
     values, left = solution
-    return 1.0 - float(left @ left) / power, model.with_effect(
-        *key, dict(start) | dict.fromkeys(sizes, 0.0) | values
-    )
+    # sizes that would lie outside of their bounds are none
+    regressed_values = dict(start) | dict.fromkeys(sizes, 0.0) | values
+    return 1.0 - float(left @ left) / power, model.with_effect(*key, regressed_values)
 
 
 def _inside_bounds(
@@ -173,11 +181,12 @@ def own_terms(model: PhysicalModel, balance: str, along: Track) -> FloatArray:
     ]
     if not terms or not np.all(np.isfinite(terms)):
         return np.zeros((len(along.X), 0))
-    # the squares of what is next to nothing would be nothing
+    # scaled by the largest first: the squares of what is next to nothing would be nothing
     scaled = [z / np.abs(z).max() for z in terms]
-    u, s, _ = np.linalg.svd(
-        np.column_stack([z / np.linalg.norm(z) for z in scaled]), full_matrices=False
-    )
+    columns = np.column_stack([z / np.linalg.norm(z) for z in scaled])
+    u, s, _ = np.linalg.svd(columns, full_matrices=False)
+    # terms that depend on each other (a viscous loss and a gain of the same speed) are one
+    # direction
     return np.asarray(u[:, s > 1e-9 * s[0]])
 
 
@@ -186,7 +195,17 @@ def beside(basis: FloatArray, v: FloatArray) -> FloatArray:
     return np.asarray(v - basis @ (basis.T @ v))
 
 
-def _column(key: Key, start: Mapping[str, float], size: str, along: Track) -> FloatArray | None:
+def _terms(key: Key, start: Mapping[str, float], along: Track) -> dict[str, FloatArray]:
+    """The effect's term with each of its sizes alone, where that is known and not zero."""
+    terms = {}
+    for name in find_effect(key.effect).sizes:
+        term = _term(key, start, name, along) if start.get(name) else None
+        if term is not None and np.any(term):
+            terms[name] = term
+    return terms
+
+
+def _term(key: Key, start: Mapping[str, float], size: str, along: Track) -> FloatArray | None:
     """The effect's term with one of its sizes alone."""
     alone = {
         n: 0.0 if n in find_effect(key.effect).sizes and n != size else value

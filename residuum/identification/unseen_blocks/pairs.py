@@ -19,8 +19,10 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations, islice
+from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
 
 from residuum.array_types import FloatArray
 from residuum.identification.errors import BadInput
@@ -28,18 +30,20 @@ from residuum.identification.physics import Key, PhysicalModel
 from residuum.identification.physics.estimation.least_squares import solve_scaled
 from residuum.identification.physics.model import find_effect
 from residuum.identification.side_by_side import each_beside
-from residuum.identification.unseen_blocks.following import Track
-from residuum.identification.unseen_blocks.judged import (
-    Judged,
+from residuum.identification.unseen_blocks.cross_validation import (
+    CrossValidation,
+    Equations,
+    ValidatedFit,
     equations,
     normal_equations,
     steps_without,
 )
-from residuum.identification.unseen_blocks.looks import Court
-from residuum.identification.unseen_blocks.next_experiment import HELD
 from residuum.identification.unseen_blocks.policy import EACH_IN_PAIRS, PAIR_DAMPING, PAIRS_FITTED
 from residuum.identification.unseen_blocks.proposals import canonical, starts
-from residuum.identification.unseen_blocks.structure import Structure
+from residuum.identification.unseen_blocks.structure import HELD, Structure
+
+if TYPE_CHECKING:
+    from residuum.identification.unseen_blocks.following import Track
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,43 +58,62 @@ class _Slopes:
     columns: FloatArray
 
 
-def pairs(parent: Judged, keys: Iterable[Key], along: Track, court: Court) -> list[Judged]:
+@dataclass(frozen=True, eq=False)
+class _NormalEquations:
+    """H (folds, q, q) and g (folds, q) of a structure's own values and of all effects at rest;
+    `own` are the columns of those values, `columns` those of each effect.
+    """
+
+    H: FloatArray
+    g: FloatArray
+    own: npt.NDArray[np.intp]
+    columns: Sequence[npt.NDArray[np.intp]]
+
+    @classmethod
+    def of(
+        cls, own: Equations, slopes: Sequence[_Slopes], validation: CrossValidation
+    ) -> _NormalEquations:
+        """Those of a fit's equations and of effects beside it, the outputs in the scale's units."""
+        scale = validation.scale
+        unit = (
+            np.ones(own.errors.shape[1]) if scale.unit is None else np.maximum(scale.unit, 1e-300)
+        )
+        # units are of power: slopes and errors are divided by their roots
+        columns = [own.slopes, *(trial.columns for trial in slopes)]
+        T = np.concatenate(columns, axis=2) / np.sqrt(unit)[:, None]
+        errors = own.errors * own.huber / np.sqrt(unit)
+        H, g = normal_equations(T, errors, validation.data.fold[validation.last.block])
+        ends = np.cumsum([own.slopes.shape[2], *(len(trial.names) for trial in slopes)])[:-1]
+        first, *effects = np.split(np.arange(T.shape[2]), ends)
+        return cls(H, g, first, effects)
+
+    def of_pair(self, i: int, j: int) -> tuple[FloatArray, FloatArray]:
+        """H and g of the structure's values and of two effects."""
+        at = np.concatenate([self.own, self.columns[i], self.columns[j]])
+        return self.H[:, at][:, :, at], self.g[:, at]
+
+
+def pairs(
+    parent: ValidatedFit, keys: Iterable[Key], along: Track, validation: CrossValidation
+) -> list[ValidatedFit]:
     """The pairs of these effects that promise most beside a structure, fitted and judged."""
-    begun = court.begun(parent.structure)
-    own = None if begun is None else equations(begun, court.last, court.scale)
+    begun = validation.begun(parent.structure)
+    own = None if begun is None else equations(begun, validation.last, validation.scale)
     if own is None or not own.errors.any():  # nothing is left that a pair could explain
         return []
-    by_effect = each_beside(lambda key: _at_rest(key, parent, along, court), list(keys))
+    by_effect = each_beside(lambda key: _at_rest(key, parent, along, validation), list(keys))
     slopes = [trial for shapes in by_effect for trial in shapes]
-    unit = (
-        np.ones(own.errors.shape[1])
-        if court.scale.unit is None
-        else np.maximum(court.scale.unit, 1e-300)
-    )
-    T = (
-        np.concatenate([own.slopes, *(trial.columns for trial in slopes)], axis=2)
-        / np.sqrt(unit)[:, None]
-    )
-    H, g = normal_equations(
-        T, own.errors * own.huber / np.sqrt(unit), court.data.fold[court.last.block]
-    )
-    places = np.split(
-        np.arange(T.shape[2]),
-        np.cumsum([own.slopes.shape[2], *(len(trial.names) for trial in slopes)])[:-1],
-    )
-
-    def of_pair(i: int, j: int) -> tuple[FloatArray, FloatArray]:
-        at = np.concatenate([places[0], places[i + 1], places[j + 1]])
-        return H[:, at][:, :, at], g[:, at]
-
+    equations_of_all = _NormalEquations.of(own, slopes, validation)
+    # two shapes of one effect are no pair
     index_pairs = [
         (i, j) for i, j in combinations(range(len(slopes)), 2) if slopes[i].key != slopes[j].key
     ]
-    ranked = sorted((_unseen(*of_pair(i, j)), i, j) for i, j in index_pairs)
+    ranked = sorted((_unseen(*equations_of_all.of_pair(i, j)), i, j) for i, j in index_pairs)
+    # the step that all folds ask for says where a full fit begins
     tasks = []
     for i, j in islice(_unlike(ranked, slopes), PAIRS_FITTED):
-        step = _step(*of_pair(i, j))[len(places[0]) :]
-        tasks.append(partial(_fitted, parent, (slopes[i], slopes[j]), step, court))
+        step = _step(*equations_of_all.of_pair(i, j))[len(equations_of_all.own) :]
+        tasks.append(partial(_fitted, parent, (slopes[i], slopes[j]), step, validation))
     return [trial for trial in each_beside(lambda task: task(), tasks) if trial is not None]
 
 
@@ -110,95 +133,95 @@ def _unlike(
             yield i, j
 
 
-def _at_rest(key: Key, parent: Judged, along: Track, court: Court) -> list[_Slopes]:
+def _at_rest(
+    key: Key, parent: ValidatedFit, along: Track, validation: CrossValidation
+) -> list[_Slopes]:
     """An effect at rest beside the structure, in each of its shapes; none of one that is never at
     rest.
     """
-    if key.effect == HELD or not find_effect(key.effect).vanishes or find_effect(key.effect).shifts:
+    effect = None if key.effect == HELD else find_effect(key.effect)
+    if effect is None or not effect.vanishes or effect.shifts:
         return []
-    effect, slopes, shapes = find_effect(key.effect), [], []
+    shapes: list[dict[str, float]] = []
     for start in starts(key, along):
         values = effect.at_rest(start)
-        if values in shapes:
-            continue
-        shapes.append(values)
-        try:
-            model = _unbounded(canonical(parent.model.with_effect(*key, values)), key)
-        except BadInput:
-            continue
-        begun = court.begun(parent.structure, model)
-        at = None if begun is None else equations(begun, court.last, court.scale)
-        if at is not None and np.all(np.isfinite(at.slopes)):
-            new = [k for k, name in enumerate(model.free) if name not in parent.model.free]
-            slopes.append(
-                _Slopes(
-                    key,
-                    values,
-                    [list(model.free)[k].rpartition(".")[2] for k in new],
-                    at.slopes[..., new],
-                )
-            )
-    return slopes
+        if values not in shapes:
+            shapes.append(values)
+    slopes = [_slopes_at(key, values, parent, validation) for values in shapes]
+    return [trial for trial in slopes if trial is not None]
+
+
+def _slopes_at(
+    key: Key, values: dict[str, float], parent: ValidatedFit, validation: CrossValidation
+) -> _Slopes | None:
+    """The slopes of an effect at rest beside the structure; None where it does not fit the model,
+    or the model diverges.
+    """
+    try:
+        model = _unbounded(canonical(parent.model.with_effect(*key, values)), key)
+    except BadInput:
+        return None
+    begun = validation.begun(parent.structure, model)
+    at_rest = None if begun is None else equations(begun, validation.last, validation.scale)
+    if at_rest is None or not np.all(np.isfinite(at_rest.slopes)):
+        return None
+    free = list(model.free)
+    new = [k for k, name in enumerate(free) if name not in parent.model.free]
+    names = [free[k].rpartition(".")[2] for k in new]
+    return _Slopes(key, values, names, at_rest.slopes[..., new])
 
 
 def _unbounded(model: PhysicalModel, key: Key) -> PhysicalModel:
-    """The model with an effect's values free of their bounds, at which it rests."""
-    free = [
-        (
-            replace(
-                use,
-                parameters={
-                    n: replace(p, lower=-np.inf, upper=np.inf) for n, p in use.parameters.items()
-                },
-            )
-            if use.key == key
-            else use
-        )
-        for use in model.effects
-    ]
-    return replace(model, effects=tuple(free))
+    """The model with an effect's values free of their bounds, at which it rests: a value at its
+    bound has no slope in a fit's equations.
+    """
+    effects = []
+    for use in model.effects:
+        if use.key == key:
+            parameters = {
+                name: replace(p, lower=-np.inf, upper=np.inf) for name, p in use.parameters.items()
+            }
+            effects.append(replace(use, parameters=parameters))
+        else:
+            effects.append(use)
+    return replace(model, effects=tuple(effects))
 
 
 def _step(H: FloatArray, g: FloatArray) -> FloatArray:
     """The step that all folds together ask for."""
     all_H = H.sum(axis=0)
-    return np.asarray(
-        solve_scaled(all_H + PAIR_DAMPING * np.diag(np.diag(all_H)), g.sum(axis=0)[:, None], 1e-10)[
-            :, 0
-        ]
-    )
+    damped = all_H + PAIR_DAMPING * np.diag(np.diag(all_H))
+    return np.asarray(solve_scaled(damped, g.sum(axis=0)[:, None], 1e-10)[:, 0])
 
 
 def _unseen(H: FloatArray, g: FloatArray) -> float:
     """What all folds leave, each with the values that the others ask for, above what the structure
     alone leaves.
     """
+    # Σ_f |e_f − T_f δ_f|² − |e_f|² = Σ_f δ_fᵀH_f δ_f − 2 δ_fᵀg_f
     steps = zip(H, g, steps_without(H, g, PAIR_DAMPING), strict=True)
     return float(sum(step @ h @ step - 2.0 * step @ b for h, b, step in steps))
 
 
 def _fitted(
-    parent: Judged, pair: Sequence[_Slopes], step: FloatArray, court: Court
-) -> Judged | None:
+    parent: ValidatedFit, pair: Sequence[_Slopes], step: FloatArray, validation: CrossValidation
+) -> ValidatedFit | None:
     """The structure with both, begun where the step leads."""
     model: PhysicalModel = parent.model
     for member, more in zip(pair, np.split(step, [len(pair[0].names)]), strict=True):
         moved = {
             name: member.values[name] + float(d) for name, d in zip(member.names, more, strict=True)
         }
+        # the step knows no bounds, the model does
         try:
-            model = model.with_effect(
-                *member.key,
-                _within(model.with_effect(*member.key, member.values), member.key, moved),
-            )
+            at_rest = model.with_effect(*member.key, member.values)
+            model = model.with_effect(*member.key, _within(at_rest, member.key, moved))
         except BadInput:
             return None
     keys = tuple(sorted((*parent.keys, *(member.key for member in pair))))
-    return court.judge(
-        Structure(keys, canonical(model), parent.structure.states, parent.structure.steps),
-        steps=15,
-        tolerance=1e-5,
-    )
+    near = parent.structure
+    structure = Structure(keys, canonical(model), near.states, near.steps)
+    return validation.validate(structure, steps=15, tolerance=1e-5)
 
 
 def _within(model: PhysicalModel, key: Key, values: dict[str, float]) -> dict[str, float]:

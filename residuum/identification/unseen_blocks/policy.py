@@ -4,14 +4,14 @@ its meaning, and what set it.
 
 from collections.abc import Mapping
 
-LADDER = (27, 9, 3, 1)
+WINDOWS_A_RECORD = (27, 9, 3, 1)
 """Windows a record, from short horizons to the whole: long simulations lock in wrongly from a poor
 start. Chosen.
 """
 WINDOW_SAMPLES = 25
 """[samples] Of a window, and of the pieces over which corrections are summed. Chosen."""
-RUNG_ERROR = 0.1
-"""[of the outputs' variance] Error up to which a rung of the ladder is followed. Chosen."""
+FOLLOWED_ERROR = 0.1
+"""[of the outputs' variance] Error up to which a horizon is followed. Chosen."""
 BLOCKS, FOLDS = 20, 4
 """Blocks of all records, and of how many one is left out at a time. Chosen."""
 BLOCK_SAMPLES, FEWEST_TO_JUDGE = 5, 40
@@ -34,7 +34,7 @@ few. Chosen.
 """
 
 STARTS_LOOKED_AT, SHAPES, FOLLOWED_STARTS = 6, 4, 2
-"""First values of an effect that are known, those of unlike shape that are looked at, and those
+"""First values of an effect that are known, those of unlike shape that are tried, and those
 that take a step. Chosen.
 """
 PROMISING = 0.1
@@ -57,12 +57,12 @@ TURNS = 2
 a wrong effect. Chosen.
 """
 EXCHANGED, EXCHANGED_IN_NOISE = 3, 2
-"""Effects from which on each is tried to be exchanged for another: of two, each was looked at
+"""Effects from which on each is tried to be exchanged for another: of two, each was tried
 alone, but not in nats. Chosen.
 """
 FOLLOWED, FULLY_FITTED = 14, 8
-"""Candidates of each look that take two further steps, and those that are fitted fully after them
-at a level. Chosen.
+"""Candidates of each kind of quick fit that take two further steps, and those that are fitted fully
+after them at a level. Chosen.
 """
 PAIRS_FITTED, EACH_IN_PAIRS = 6, 2
 """Pairs of effects that are fitted where none joins alone, and in how many of them an effect may
@@ -72,16 +72,16 @@ PAIR_DAMPING = 1e-4
 """[of the curvature] Damping of the step by which pairs are ranked: what gains together only is
 nearly collinear with what stood for it. Chosen.
 """
-GLANCED, LONG_LOOK = 2000, 6000
-"""[samples] Of a look at short windows, and of the records up to which they are looked at whole,
+QUICKLY_FITTED, LONG_RECORDS = 2000, 6000
+"""[samples] Of a quick fit on short windows, and of the records up to which they are taken whole,
 too. Chosen.
 """
 BLIND = 0.5
 """[of the mean over all windows] Of their errors above the least, below which windows chosen evenly
-are not looked at. Chosen.
+are not taken. Chosen.
 """
 KEPT = 20
-"""Candidates of the first level that are looked at again beside others. Chosen."""
+"""Candidates of the first level that are tried again beside others. Chosen."""
 ABSURD = 100.0
 """Times all its first values at which a value is refused; small ones go a hundred times further.
 Chosen.
@@ -147,6 +147,9 @@ KNOTS_BY_AXIS: Mapping[str, int] = {
     "time": 17,
 }
 """Axes of the free term, and how many hat functions stand on each. Chosen."""
+
+FORMULA_TERMS = 3
+"""Functions that a formula of the free term has at most. Chosen."""
 
 UNKNOWN_LEADS = 0.5
 """Probability of something without a name from which on the verdict is that."""

@@ -24,7 +24,6 @@ from residuum.identification.physics.effects import STRUCTURAL
 from residuum.identification.physics.effects.base import Conditions, Effect
 from residuum.identification.physics.model import find_effect, idle_inputs, is_curve, place_of
 from residuum.identification.unseen_blocks.following import Track, beside, own_terms, regressed
-from residuum.identification.unseen_blocks.next_experiment import HELD, freed
 from residuum.identification.unseen_blocks.policy import (
     COLUMNS_TRIED,
     CURVE_KNOTS,
@@ -35,6 +34,7 @@ from residuum.identification.unseen_blocks.policy import (
     TOLD_BY_OUTPUTS,
 )
 from residuum.identification.unseen_blocks.scale import innovations
+from residuum.identification.unseen_blocks.structure import HELD, freed
 
 
 def proposed(
@@ -53,6 +53,7 @@ def proposed(
     keys = candidates(model, wanted)
     if wanted is None:
         keys = [key for key in keys if model.records(key)]
+    # curves fit anywhere: they are proposed only where a signal explains what a balance lacks
     keys = [key for key in keys if not is_curve(key.effect)]
     if learned and along is not None:
         keys += _curves(model, along)
@@ -72,26 +73,35 @@ def beginnings(key: Key, along: Track) -> list[PhysicalModel]:
     if key.effect == HELD:
         return [freed(along.model, [key.target])]
     effect = find_effect(key.effect)
-    zero, models = effect.vanishes and not effect.shifts, []
-    shapes: list[Mapping[str, float]] = []
-    for start in starts(key, along):
-        shape = {
-            name: value for name, value in start.items() if not (zero and name in effect.sizes)
-        }
-        if shape in shapes or len(shapes) == SHAPES:
-            continue
-        shapes.append(shape)
+    begins_at_zero = effect.vanishes and not effect.shifts
+    models: list[PhysicalModel] = []
+    for start in _unlike_starts(key, along, begins_at_zero):
         try:
             regression = regressed(key, start, along)
             if regression is not None:
                 models.append(regression[1])
+            # a learned curve is nothing but its regression: at rest it has no shape
             if not is_curve(effect.id) or regression is None:
-                models.append(
-                    along.model.with_effect(*key, effect.at_rest(start) if zero else start)
-                )
+                first = effect.at_rest(start) if begins_at_zero else start
+                models.append(along.model.with_effect(*key, first))
         except BadInput:
             continue
     return [canonical(model) for model in models]
+
+
+def _unlike_starts(key: Key, along: Track, begins_at_zero: bool) -> list[Mapping[str, float]]:
+    """First values of an effect, the first of each shape; where it begins at zero its sizes are
+    none of its shape.
+    """
+    sizes = find_effect(key.effect).sizes if begins_at_zero else ()
+    shapes: list[Mapping[str, float]] = []
+    unlike = []
+    for start in starts(key, along):
+        shape = {name: value for name, value in start.items() if name not in sizes}
+        if shape not in shapes and len(shapes) < SHAPES:
+            shapes.append(shape)
+            unlike.append(start)
+    return unlike
 
 
 def grown(key: Key, special: Track) -> list[PhysicalModel]:
@@ -99,9 +109,9 @@ def grown(key: Key, special: Track) -> list[PhysicalModel]:
     found and followed.
     """
     effect = find_effect(key.effect)
-    use = next(
-        use for use in special.model.effects if use.key == Key(effect.generalises, key.target)
-    )
+    special_key = Key(effect.generalises, key.target)
+    use = next(use for use in special.model.effects if use.key == special_key)
+    # the special case goes: beside the general one it would have nothing left to do
     less = special.model.without_effect(use.label)
     values = {name: p.value for name, p in use.parameters.items()}
     try:
@@ -118,18 +128,20 @@ def specialised(key: Key, general: Track) -> list[PhysicalModel]:
     one was found and followed.
     """
     uses = [
-        u
-        for u in general.model.effects
-        if u.target == key.target and u.effect.generalises == key.effect and u.id != key.effect
+        use
+        for use in general.model.effects
+        if use.target == key.target
+        and use.effect.generalises == key.effect
+        and use.id != key.effect
     ]
     models = []
     for use in uses:
         less = general.model.without_effect(use.label)
         values = {name: p.value for name, p in use.parameters.items()}
         try:
-            if special := use.effect.specialised(
-                values, conditions_along(Key(use.id, use.target), general)
-            ):
+            conditions = conditions_along(Key(use.id, use.target), general)
+            special = use.effect.specialised(values, conditions)
+            if special:
                 models.append(canonical(less.with_effect(*key, special)))
         except BadInput:
             continue
@@ -157,6 +169,7 @@ def starts(key: Key, along: Track) -> list[Mapping[str, float]]:
         list(effect.starts(conditions_along(key, along, missing)))
         for missing in _lacks(effect, key.target, along)
     ]
+    # in turn: of the few that are looked at each thing has its first ones
     turns = [start for turn in zip_longest(*by_lack) for start in turn if start is not None]
     return [start for k, start in enumerate(turns) if start not in turns[:k]][:STARTS_LOOKED_AT]
 
@@ -185,8 +198,8 @@ def conditions_along(key: Key, along: Track, missing: FloatArray | None = None) 
 
 
 def canonical(model: PhysicalModel) -> PhysicalModel:
-    """The model with the terms of its balances in one order (one kernel for {A, B} and {B, A});
-    stages of a path stay.
+    """The model with the terms of its balances in one order, so that {A, B} and {B, A} are one
+    kernel, which takes 60 to 150 ms to compile; stages of a path stay, for their order counts.
     """
     return replace(model, effects=tuple(sorted(model.effects, key=_rank)))
 
@@ -200,19 +213,20 @@ def forgotten_columns(model: PhysicalModel, along: Track) -> list[str]:
     """Spare columns that what a balance lacks resembles, the most alike first."""
     own = _told_by_outputs(along)
     taken = {*model.states, *model.parameters, *model.inputs, *model.balances}
+    # a column that the outputs tell is a reference or a filtered output, and acts on nothing
     columns = {
-        n: s.values
-        for n, s in along.experiment.spare.items()
-        if n not in taken and _share_of(own, s.values - s.values.mean()) < TOLD_BY_OUTPUTS
+        name: spare.values
+        for name, spare in along.experiment.spare.items()
+        if name not in taken
+        and _share_of(own, spare.values - spare.values.mean()) < TOLD_BY_OUTPUTS
     }
     bases = {balance: own_terms(model, balance, along) for balance in model.balances}
     alike = {
-        n: max(_alike(basis, along.missing[b], s) for b, basis in bases.items())
-        for n, s in columns.items()
+        name: max(_alike(basis, along.missing[balance], column) for balance, basis in bases.items())
+        for name, column in columns.items()
     }
-    return sorted((n for n in alike if alike[n] > RESEMBLES), key=lambda n: -alike[n])[
-        :COLUMNS_TRIED
-    ]
+    resembling = [name for name in alike if alike[name] > RESEMBLES]
+    return sorted(resembling, key=lambda name: -alike[name])[:COLUMNS_TRIED]
 
 
 def without_idle(model: PhysicalModel, like: PhysicalModel) -> PhysicalModel:
@@ -229,11 +243,11 @@ def _told_by_outputs(along: Track) -> FloatArray:
     """Orthonormal basis of the measured outputs, the states and their slopes."""
     Y = along.experiment.Y[:, along.experiment.measured]
     signals = np.column_stack([np.nan_to_num(Y, nan=0.0), along.X])
+    # slopes, too: a differentiated output is what a controller feeds back
     every = np.column_stack([signals, np.gradient(signals, axis=0)])
     every = every - every.mean(axis=0)
-    u, s, _ = np.linalg.svd(
-        every / np.maximum(np.linalg.norm(every, axis=0), 1e-300), full_matrices=False
-    )
+    scaled = every / np.maximum(np.linalg.norm(every, axis=0), 1e-300)
+    u, s, _ = np.linalg.svd(scaled, full_matrices=False)
     return np.asarray(u[:, s > 1e-9 * s[0]])
 
 
@@ -253,20 +267,26 @@ def _curves(model: PhysicalModel, along: Track) -> list[Key]:
     """Learned curves: the signals of which a smooth function explains most of what a balance
     lacks.
     """
-    ranked, present = [], {use.key for use in model.effects}
-    names = [*model.states, *model.inputs]
+    present = {use.key for use in model.effects}
     learned = [id for id in STRUCTURAL if is_curve(id)]
-    known = dict(zip(model.states, along.X.T, strict=False)) | dict(
-        zip(model.inputs, along.experiment.U.T, strict=False)
-    )
+    moving = _moving_signals(model, along)
+    ranked = []
     for balance in model.balances:
         basis = own_terms(model, balance, along)
-        for name in names:
-            keys = [key for id in learned if (key := Key(id, f"{balance}({name})")) not in present]
-            if keys and name in known and np.ptp(known[name]) > 0:
-                share = _explained(basis, along.missing[balance], known[name])
-                ranked += [(share, key) for key in keys]
+        for name, signal in moving.items():
+            keys = [Key(id, f"{balance}({name})") for id in learned]
+            new = [key for key in keys if key not in present]
+            if new:
+                share = _explained(basis, along.missing[balance], signal)
+                ranked += [(share, key) for key in new]
     return [key for share, key in sorted(ranked, reverse=True)[:MOST_CURVES] if share > 0.0]
+
+
+def _moving_signals(model: PhysicalModel, along: Track) -> dict[str, FloatArray]:
+    """States and inputs along the track, those that change."""
+    signals = dict(zip(model.states, along.X.T, strict=False))
+    signals |= dict(zip(model.inputs, along.experiment.U.T, strict=False))
+    return {name: signal for name, signal in signals.items() if np.ptp(signal) > 0}
 
 
 def _explained(basis: FloatArray, lack: FloatArray, signal: FloatArray) -> float:
@@ -278,6 +298,7 @@ def _explained(basis: FloatArray, lack: FloatArray, signal: FloatArray) -> float
         return 0.0
     hats: Sequence[FloatArray] = [np.interp(signal, at, row) for row in np.eye(len(at))]
     every = np.column_stack([basis, *hats])
+    # ten stretches fit, ten judge: neighbouring samples would tell each other
     aside = (np.arange(len(lack)) * 20 // len(lack)) % 2 == 1
     weights = np.linalg.lstsq(every[~aside], lack[~aside], rcond=1e-6)[0]
     power = float(lack[aside] @ lack[aside])

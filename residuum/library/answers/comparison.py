@@ -9,7 +9,7 @@ from typing import Any
 from residuum.identification.errors import said
 from residuum.identification.physics.simulate.experiment import PART
 from residuum.identification.residual_analysis.compare import Comparison
-from residuum.identification.residual_analysis.places.locate import Region
+from residuum.identification.residual_analysis.locate import Region
 from residuum.library.answers.plain import chance
 
 

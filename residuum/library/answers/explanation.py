@@ -10,14 +10,11 @@ from typing import Any
 import numpy as np
 
 from residuum.array_types import FloatArray
-from residuum.identification.discrepancy.estimated_values import EstimatedValue
-from residuum.identification.discrepancy.explanation import Explanation
-from residuum.identification.discrepancy.suggestion import nearest_formula
+from residuum.identification.discrepancy.explain import EstimatedValue, Explanation, HeldValue
 from residuum.identification.errors import said
 from residuum.identification.physics.model import place_of, tied_to
 from residuum.identification.residual_analysis.policy import SLOW
-from residuum.identification.unseen_blocks.free_term import BlockTerm
-from residuum.identification.unseen_blocks.next_experiment import HeldValue
+from residuum.identification.unseen_blocks.free_term import BlockTerm, nearest_formula
 from residuum.identification.unseen_blocks.verdict import (
     BlockErrors,
     Candidate,

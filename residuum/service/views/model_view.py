@@ -32,10 +32,10 @@ from residuum.identification.physics import (
 from residuum.identification.physics.effects.base import Parameter
 from residuum.identification.physics.files.expression import Call, Name, Node, Number
 from residuum.identification.record import Record
+from residuum.identification.residual_analysis import term_curves
 from residuum.identification.residual_analysis.compare import Comparison, compare
 from residuum.identification.residual_analysis.feedback import at_likelier_timing
-from residuum.identification.residual_analysis.places import term_curves
-from residuum.identification.residual_analysis.places.locate import Axis
+from residuum.identification.residual_analysis.locate import Axis
 from residuum.library.answers.comparison import comparison_json
 from residuum.library.questions.compare import Compare
 from residuum.nearest_names import known_names

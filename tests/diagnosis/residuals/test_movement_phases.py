@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from residuum.diagnosis.residuals.movement_phases import phase_cells
-from residuum.identification.residual_analysis.places.locate import Axis
+from residuum.identification.residual_analysis.locate import Axis
 
 DT = 0.01
 

@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from residuum.identification.discrepancy.improve import first_that_holds
+from residuum.identification.discrepancy.kept_aside import first_that_holds
 from residuum.identification.physics import read_model
 from residuum.identification.record import Record
 from residuum.identification.unseen_blocks.data import matched
-from residuum.identification.unseen_blocks.ladder import climb
-from residuum.identification.unseen_blocks.settling import begun
+from residuum.identification.unseen_blocks.multiple_shooting import first_fit
+from residuum.identification.unseen_blocks.tried import begun
 
 CART = """
 name: cart
@@ -36,7 +36,7 @@ def cart_record(load, n=1500, strength=6.0, seed=4):
 
 def kept(load):
     model, record = read_model(CART), cart_record(load)
-    found = begun(climb(matched(model, [record], None)))
+    found = begun(first_fit(matched(model, [record], None)))
     models = [
         found.base.model,
         found.base.model.with_effect("constant-load", "body", {"tau_0": 1.0}),
@@ -57,7 +57,7 @@ def test_a_load_that_the_most_different_record_does_not_have_is_not_kept():
     it the other way round."""
     model, load = read_model(CART), np.full(600, 1.5)
     records = [cart_record(load if k else -load, 600, 6.0 if k else 12.0, seed=k) for k in range(4)]
-    found = begun(climb(matched(model, records, None)))
+    found = begun(first_fit(matched(model, records, None)))
     models = [
         found.base.model,
         found.base.model.with_effect("constant-load", "body", {"tau_0": 1.0}),

@@ -149,7 +149,7 @@ def test_a_delay_of_half_a_sample_that_the_timing_of_the_inputs_feigned_goes_wit
     ]
     found = explain(read_model(WOOFER), [record], effects=effects)
     assert {id for id, _ in found.accepted} == {"coulomb-friction", "inductance"}
-    assert not any(e.hold.any() for e in found.found.court.data.experiments)
+    assert not any(e.hold.any() for e in found.found.validation.data.experiments)
     # a lag of 9 µs takes a part
     assert abs(found.found.best.model.values["inductance@coil.L"] - 1.09e-3) < 7e-5
 
@@ -169,6 +169,6 @@ def test_two_bodies_on_a_spring_are_not_half_a_sample_late_because_the_timing_wa
         list(found.accepted) == [("elastic-transmission", "shaft")]
         and found.candidates[0].probability > 0.9
     )
-    assert not any(e.hold.any() for e in found.found.court.data.experiments)
+    assert not any(e.hold.any() for e in found.found.validation.data.experiments)
     assert max(times for _, _, times in found.left.values()) < 1.3
     assert abs(found.candidates[0].parameters["share"].value - 2.46e-4 / 2.812e-4) < 2e-3

@@ -8,7 +8,7 @@ import pytest
 
 import residuum as rs
 from residuum.identification.discrepancy.improve import joined_of
-from residuum.identification.unseen_blocks.at_its_rate import searched
+from residuum.identification.unseen_blocks.record_search import searched
 from residuum.identification.unseen_blocks.tried import Wanted
 
 RIG = Path(__file__).parents[3] / "docs" / "tutorials" / "fan_rig"

@@ -88,7 +88,7 @@ def test_a_delay_is_not_half_a_sample_off_because_the_timing_was_chosen_without_
     )
     found = explain(read_model(MASS), [record])
     assert list(found.accepted) == [("input-delay", "force")]
-    assert found.found.court.data.experiments[0].hold[0] == (0.0 if held else 1.0)
+    assert found.found.validation.data.experiments[0].hold[0] == (0.0 if held else 1.0)
     assert abs(found.candidates[0].parameters["delay"].value - delay) < 2e-4
     improved = improve(read_model(MASS), [record])
     assert abs(improved.model.values["input-delay@force.delay"] - delay) < 2e-4

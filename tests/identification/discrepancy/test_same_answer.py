@@ -11,8 +11,8 @@ from residuum.simulation import MACHINES
 
 CUT = """
 import sys
-from residuum.identification.unseen_blocks import at_its_rate
-at_its_rate.MOST_EFFORT = 2_000_000
+from residuum.identification.unseen_blocks import record_search
+record_search.MOST_EFFORT = 2_000_000
 from residuum.service.cli import main
 sys.exit(main())
 """

@@ -11,7 +11,7 @@ from residuum.identification.errors import BadModel
 from residuum.identification.physics import candidates, estimate, match, read_model, write_model
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.compare import compare
-from residuum.identification.unseen_blocks.at_its_rate import searched
+from residuum.identification.unseen_blocks.record_search import searched
 from residuum.identification.unseen_blocks.tried import Wanted
 
 TANK = """

@@ -11,10 +11,10 @@ from residuum.identification.physics.effects import EFFECTS
 from residuum.identification.physics.effects.base import Conditions
 from residuum.identification.record import Record
 from residuum.identification.unseen_blocks.data import matched
-from residuum.identification.unseen_blocks.ladder import climb_at_likelier_timing
+from residuum.identification.unseen_blocks.multiple_shooting import first_fit_at_likelier_timing
 from residuum.identification.unseen_blocks.scale import plain
-from residuum.identification.unseen_blocks.settling import begun
 from residuum.identification.unseen_blocks.structure import Structure
+from residuum.identification.unseen_blocks.tried import begun
 
 AXIS = Path(__file__).with_name("axis.yaml").read_text()
 SAMPLE_TIME, FINE, NOISE = 0.002, 80, 2e-5
@@ -44,11 +44,13 @@ def axis(play, k=4.0e4, d=60.0, seed=2, n=6000):
 
 
 def fitted(record, *effect):
-    climbed = climb_at_likelier_timing(matched(read_model(AXIS, "axis.yaml"), [record], None))
-    court = replace(begun(climbed).court, last=climbed.data.rung(9), scale=plain(climbed.data))
-    model = climbed.found.model.with_effect(*effect)
-    return court.judge(
-        Structure((Key(*effect[:2]),), model, climbed.structure.states, {}),
+    start = first_fit_at_likelier_timing(matched(read_model(AXIS, "axis.yaml"), [record], None))
+    validation = replace(
+        begun(start).validation, last=start.data.horizon(9), scale=plain(start.data)
+    )
+    model = start.found.model.with_effect(*effect)
+    return validation.validate(
+        Structure((Key(*effect[:2]),), model, start.structure.states, {}),
         steps=40,
         tolerance=1e-7,
     )

@@ -10,7 +10,7 @@ from residuum.identification.physics import Simulator, estimate, match, read_mod
 from residuum.identification.physics.export import EXPORTS, explicit
 from residuum.identification.physics.files.model_file import write_model
 from residuum.identification.residual_analysis.feedback import turned_timing
-from residuum.identification.residual_analysis.lower_rate import _at_every
+from residuum.identification.residual_analysis.lower_rate import at_every
 
 DUFFING = """
 name: duffing
@@ -54,7 +54,7 @@ def test_time_goes_on_in_windows_and_is_exact_at_either_timing_and_at_a_lower_ra
     assert np.abs(again.Y - whole.Y[700:]).max() < 1e-12
     (other,) = turned_timing([e])
     assert other.hold.tolist() == [1.0, 1.0] and e.hold.tolist() == [0.0, 1.0]
-    assert _at_every(late, 2).U[:, 1] == pytest.approx(STEP * (700 + 2 * np.arange(250)))
+    assert at_every(late, 2).U[:, 1] == pytest.approx(STEP * (700 + 2 * np.arange(250)))
 
 
 def test_what_the_clock_drives_is_estimated_in_windows():

@@ -59,8 +59,8 @@ def test_noise_that_a_controller_answers_is_no_missing_effect():
     """Over means of three samples a lag of the speed seemed to be missing, with p = 1."""
     found = explain(read_model(DRIVE), [record(0.3)])
     assert (found.verdict, list(found.accepted), list(found.timing)) == ("adequate", [], [])
-    assert found.found.court.data.experiments[0].block == 1
-    assert not found.found.court.data.experiments[0].hold.any()
+    assert found.found.validation.data.experiments[0].block == 1
+    assert not found.found.validation.data.experiments[0].hold.any()
 
 
 def test_noise_that_is_remembered_over_blocks_is_no_structure_of_a_complete_model():

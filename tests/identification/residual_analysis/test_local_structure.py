@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from residuum.identification.residual_analysis.places.local_structure import local_structure
-from residuum.identification.residual_analysis.places.locate import Axis
+from residuum.identification.residual_analysis.locate import Axis
+from residuum.identification.residual_analysis.structure_tests import local_structure
 
 
 def _signals(rng, n):

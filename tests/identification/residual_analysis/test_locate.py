@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from residuum.identification.residual_analysis.places.locate import Axis, locate
+from residuum.identification.residual_analysis.locate import Axis, locate
 
 
 def drive(seed=0, n=6000):

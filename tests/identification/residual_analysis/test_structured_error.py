@@ -105,16 +105,6 @@ def test_colour_is_recovered_from_segments():
     assert found.whiten(true.simulate(4000, rng)).std() == pytest.approx(np.sqrt(2.0), rel=0.05)
 
 
-def test_a_share_of_no_interest_is_not_drawn_for():
-    rng = np.random.default_rng(6)
-    X, x = features(3000, rng)
-    error = lfilter([0.05], [1, -0.95], np.sign(x)) + coloured(3000, 0.5, rng)
-    share = structured_error([error], [X], n_bootstrap=25).share
-    small = structured_error([error], [X], n_bootstrap=25, least_share=min(1.0, 2.0 * share))
-    assert not small.present and np.isnan(small.p_value)
-    assert structured_error([error], [X], n_bootstrap=25, least_share=0.5 * share).present
-
-
 def test_noise_beside_one_feature_is_as_likely_as_noise_is():
     """The few draws of the null may lie close together by chance; no p-value comes of their spread alone."""
     rng = np.random.default_rng(4)

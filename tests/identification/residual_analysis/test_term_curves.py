@@ -5,12 +5,8 @@ import pytest
 
 from residuum.identification.physics import Key, load_model, match
 from residuum.identification.record import Record
-from residuum.identification.residual_analysis.places.locate import Axis
-from residuum.identification.residual_analysis.places.term_curves import (
-    binned,
-    effect_curves,
-    telling,
-)
+from residuum.identification.residual_analysis.locate import Axis
+from residuum.identification.residual_analysis.term_curves import binned, effect_curves, telling
 from residuum.simulation import MACHINES
 
 RNG = np.random.default_rng(5)

@@ -39,7 +39,7 @@ class One:
         return self.scale.cost(self.power, self.parameters)
 
     @property
-    def seen(self):
+    def seen_cost(self):
         return self.cost
 
 

@@ -17,7 +17,7 @@ def structure(keys, power, parameters):
     scale = Scale(np.ones(1), np.ones(1), unit=np.array([20.0]))
     cost = scale.cost(power[:, None], parameters)
     return SimpleNamespace(
-        keys=keys, power=power[:, None], parameters=parameters, cost=cost, seen=cost
+        keys=keys, power=power[:, None], parameters=parameters, cost=cost, seen_cost=cost
     )
 
 
@@ -28,7 +28,7 @@ def wins(one, other, base=None, adequate=False):
     }
     scale = Scale(np.ones(1), np.ones(1), unit=np.array([20.0]))
     found = SimpleNamespace(
-        court=SimpleNamespace(scale=scale), base=known[()], every=known, tried=3
+        validation=SimpleNamespace(scale=scale), base=known[()], every=known, tried=3
     )
     return counted(found, [], adequate=adequate)
 
@@ -52,12 +52,12 @@ def test_what_fits_all_blocks_no_better_wins_no_draw():
     base = np.where(np.arange(20) == 3, 30.0, 0.1)
     known = {(): structure((), base, 0), ONE: structure(ONE, np.full(20, 0.1), 1)}
     found = SimpleNamespace(
-        court=SimpleNamespace(scale=Scale(np.ones(1), np.ones(1), unit=np.array([20.0]))),
+        validation=SimpleNamespace(scale=Scale(np.ones(1), np.ones(1), unit=np.array([20.0]))),
         base=known[()],
     )
     found.every, found.tried = known, 2
     assert counted(found, [], adequate=True)[ONE] > 0.5
-    known[()].seen = known[ONE].seen = 2.0
+    known[()].seen_cost = known[ONE].seen_cost = 2.0
     assert counted(found, [], adequate=True) == {"none": pytest.approx(1.0)}
 
 
@@ -72,7 +72,7 @@ def test_a_free_term_that_does_plainly_more_wins_as_unknown():
     scale = Scale(np.ones(1), np.ones(1), unit=np.array([20.0]))
     known = {(): structure((), np.ones(20), 0), ONE: structure(ONE, np.full(20, 0.6), 1)}
     found = SimpleNamespace(
-        court=SimpleNamespace(scale=scale), base=known[()], every=known, tried=2
+        validation=SimpleNamespace(scale=scale), base=known[()], every=known, tried=2
     )
     free = replace(_term(), power=np.full((20, 1), 0.1), parameters=9)
     assert counted(found, [free], adequate=False) == {"unknown": pytest.approx(1.0)}

@@ -5,8 +5,8 @@ import numpy as np
 from residuum.identification.physics import Key, read_model
 from residuum.identification.record import Record
 from residuum.identification.unseen_blocks.data import matched
-from residuum.identification.unseen_blocks.ladder import climb
-from residuum.identification.unseen_blocks.search import _exchanged, begun
+from residuum.identification.unseen_blocks.multiple_shooting import first_fit
+from residuum.identification.unseen_blocks.search import begun, exchanged
 from residuum.identification.unseen_blocks.structure import Structure
 from residuum.identification.unseen_blocks.tried import Wanted
 
@@ -38,11 +38,11 @@ def _cart(n=2000, h=0.02):
 
 def _with(found, ids):
     keys = tuple(sorted(Key(id, "body") for id in ids))
-    model = found.court.data.model
+    model = found.validation.data.model
     for key in keys:
         model = model.with_effect(*key)
     start = found.base.structure
-    one = found.court.judge(
+    one = found.validation.validate(
         Structure(keys, model, start.states, start.steps), steps=30, tolerance=1e-6
     )
     found.every[keys] = one
@@ -50,9 +50,9 @@ def _with(found, ids):
 
 
 def test_an_effect_that_stands_for_another_goes_and_those_that_are_there_stay():
-    found = begun(climb(matched(read_model(CART), [_cart()], None)))
+    found = begun(first_fit(matched(read_model(CART), [_cart()], None)))
     found.best = _with(found, ("constant-load", "coulomb-friction", "linear-spring"))
-    beam = _exchanged(found, [found.best], Wanted((*THREE, "constant-load"), held=False), None)
+    beam = exchanged(found, [found.best], Wanted((*THREE, "constant-load"), held=False), None)
     assert {key.effect for key in found.best.keys} == set(THREE) and beam[0] is found.best
-    again = _exchanged(found, beam, Wanted((*THREE, "constant-load"), held=False), None)
+    again = exchanged(found, beam, Wanted((*THREE, "constant-load"), held=False), None)
     assert again == beam and {key.effect for key in found.best.keys} == set(THREE)

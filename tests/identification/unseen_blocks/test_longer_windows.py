@@ -5,8 +5,8 @@ import numpy as np
 from residuum.identification.physics import Key, read_model
 from residuum.identification.record import Record
 from residuum.identification.unseen_blocks.data import matched
-from residuum.identification.unseen_blocks.ladder import Climbed, climb
-from residuum.identification.unseen_blocks.search import _lengthened, begun
+from residuum.identification.unseen_blocks.multiple_shooting import FirstFit, first_fit
+from residuum.identification.unseen_blocks.search import begun, lengthened
 from residuum.identification.unseen_blocks.structure import Structure
 
 CART = """
@@ -36,23 +36,25 @@ def _pulled_by_a_spring(n=2000, h=0.02):
 
 def test_the_better_of_two_on_longer_windows_is_the_best_from_then_on():
     data = matched(read_model(CART), [_pulled_by_a_spring()], None)
-    shortest = data.rungs[0]
-    short = climb(
+    shortest = data.horizons[0]
+    short = first_fit(
         type(data)(data.model, data.experiments, data.measured, data.spread, (shortest,), data.fold)
     )
     found = begun(
-        Climbed(data, short.structure, short.found, shortest, shortest, short.scale, short.there)
+        FirstFit(
+            data, short.structure, short.found, shortest, shortest, short.scale, short.window_errors
+        )
     )
     start = found.base.structure
     for id in ("constant-load", "linear-spring"):
         key = Key(id, "body")
         model = data.model.with_effect(*key)
-        one = found.court.judge(
+        one = found.validation.validate(
             Structure((key,), model, start.states, start.steps), steps=15, tolerance=1e-6
         )
         found.every[key,] = one
     found.best = found.every[Key("constant-load", "body"),]  # as if short windows had preferred it
-    beam = _lengthened(found)
-    assert found.court.last.windows < shortest.windows
+    beam = lengthened(found)
+    assert found.validation.last.windows < shortest.windows
     assert [key.effect for key in found.best.keys] == ["linear-spring"] and beam[0] is found.best
     assert found.base.cost > 10.0 * found.best.cost

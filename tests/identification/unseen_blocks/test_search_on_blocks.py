@@ -6,7 +6,7 @@ import pytest
 from residuum.identification.physics import find_effect, read_model
 from residuum.identification.physics.effects.base import Conditions
 from residuum.identification.record import Record
-from residuum.identification.unseen_blocks.at_its_rate import searched
+from residuum.identification.unseen_blocks.record_search import searched
 from residuum.identification.unseen_blocks.tried import Wanted
 from residuum.identification.unseen_blocks.verdict import share_of
 

@@ -8,10 +8,10 @@ import pytest
 from residuum.identification.errors import BadRecord
 from residuum.identification.physics import Simulator, match, read_model
 from residuum.identification.record import Record
-from residuum.identification.unseen_blocks.at_its_rate import searched
+from residuum.identification.unseen_blocks.advice import distinguishing, power_of_test
 from residuum.identification.unseen_blocks.data import matched
-from residuum.identification.unseen_blocks.next_experiment import distinguishing, power_of_test
 from residuum.identification.unseen_blocks.policy import POWER_WANTED
+from residuum.identification.unseen_blocks.record_search import searched
 from residuum.identification.unseen_blocks.tried import Wanted
 
 CART = """name: cart
@@ -57,7 +57,7 @@ def test_runs_of_sixty_samples_name_the_friction():
     )
     assert [key.effect for key in found.best.keys] == ["coulomb-friction"]
     assert found.best.model.values["coulomb-friction@axis.tau_c"] == pytest.approx(1.2, rel=0.1)
-    assert len(set(found.court.data.fold)) == 4  # whole runs are kept aside
+    assert len(set(found.validation.data.fold)) == 4  # whole runs are kept aside
 
 
 def test_few_samples_are_refused_with_what_would_do():
@@ -81,7 +81,7 @@ def rubbing(torque, samples=60, seed=0):
 @pytest.mark.parametrize("seed", range(5))
 def test_one_record_of_sixty_samples_names_the_friction_and_nothing_where_nothing_is_missing(seed):
     found = searched(read_model(FAN), [rubbing(0.15, seed=seed)], None, Wanted())
-    assert found.court.data.blocks == 12
+    assert found.validation.data.blocks == 12
     assert [key.effect for key in found.best.keys] == ["coulomb-friction"]
     assert searched(read_model(FAN), [rubbing(0.0, seed=seed)], None, Wanted()).best.keys == ()
 

@@ -5,8 +5,8 @@ import pytest
 
 from residuum.identification.physics import read_model
 from residuum.identification.record import Record
-from residuum.identification.unseen_blocks.at_its_rate import searched
 from residuum.identification.unseen_blocks.data import coarser, matched
+from residuum.identification.unseen_blocks.record_search import searched
 from residuum.identification.unseen_blocks.tried import Wanted
 
 AXIS = """
@@ -62,7 +62,7 @@ def test_both_frictions_are_named_and_sized_at_a_lower_rate():
     assert dry == pytest.approx([DRY], rel=0.15) and np.mean(viscous) == pytest.approx(
         VISCOUS, rel=0.1
     ), found.best.keys
-    assert found.court.data.finer is not None
+    assert found.validation.data.finer is not None
 
 
 def test_a_lower_rate_moves_the_model_s_outputs_by_nothing():

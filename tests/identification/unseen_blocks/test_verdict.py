@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from residuum.identification.physics import Key, read_model
-from residuum.identification.unseen_blocks.judged import Judged
+from residuum.identification.unseen_blocks.cross_validation import ValidatedFit
 from residuum.identification.unseen_blocks.policy import DOUBTED
 from residuum.identification.unseen_blocks.scale import Scale
 from residuum.identification.unseen_blocks.structure import Structure
@@ -29,13 +29,13 @@ SCALE = Scale(np.ones(1), np.ones(1), unit=np.array([20.0]))
 EVEN = 1.0 + 0.1 * np.sin(np.arange(20.0))
 
 
-def judged(power, *keys):
+def validated(power, *keys):
     model = read_model(CART)
     for key in keys:
         model = model.with_effect(key.effect, key.target)
     power, parameters = np.asarray(power)[:, None], len(keys)
     rows, cost = np.zeros((20, 1)), SCALE.cost(power, parameters)
-    return Judged(
+    return ValidatedFit(
         Structure(keys, model, {}, {}),
         parameters,
         power,
@@ -50,12 +50,12 @@ def judged(power, *keys):
 
 def said(*tried, best=0, adequate=False, sample_time=1e-3):
     """The verdict on these structures beside the model as it is, of which one joined (none: -1)."""
-    base = judged(EVEN)
+    base = validated(EVEN)
     every = {one.keys: one for one in (base, *tried)}
-    court = SimpleNamespace(
+    validation = SimpleNamespace(
         scale=SCALE, data=SimpleNamespace(experiments=[SimpleNamespace(sample_time=sample_time)])
     )
-    found = Search(court, base, base if best < 0 else tried[best], None, every)
+    found = Search(validation, base, base if best < 0 else tried[best], None, every)
     return verdict_on(found, steps_of(found), (), {}, adequate=adequate), counted(
         found, (), adequate=adequate
     )
@@ -66,7 +66,7 @@ def probabilities(verdict):
 
 
 def test_the_plain_winner_is_certain_and_what_loses_every_draw_is_not_believed():
-    verdict, _ = said(judged(0.1 * EVEN, FRICTION), judged(0.5 * EVEN, DRAG))
+    verdict, _ = said(validated(0.1 * EVEN, FRICTION), validated(0.5 * EVEN, DRAG))
     assert verdict.verdict == "missing-effect"
     assert probabilities(verdict) == {FRICTION: pytest.approx(1.0), DRAG: 0.0}
     assert (verdict.none, verdict.unknown) == pytest.approx((0.0, 0.0))
@@ -75,7 +75,9 @@ def test_the_plain_winner_is_certain_and_what_loses_every_draw_is_not_believed()
 def test_what_cannot_be_told_apart_shares_what_it_wins():
     rng = np.random.default_rng(3)
     one, other = 0.1 + 0.15 * rng.random((2, 20))
-    verdict, wins = said(judged(one, FRICTION), judged(other, DRAG), judged(0.9 * EVEN, LOAD))
+    verdict, wins = said(
+        validated(one, FRICTION), validated(other, DRAG), validated(0.9 * EVEN, LOAD)
+    )
     first = verdict.candidates[0]
     assert first.indistinguishable_from == ("quadratic-drag",)
     shares = probabilities(verdict)
@@ -92,7 +94,7 @@ def test_what_is_told_apart_is_said_with_what_it_wins():
     """A load that is better in one block of twenty, and far worse in the others."""
     rare = np.arange(20) < 1
     verdict, wins = said(
-        judged(np.where(rare, 3.0, 0.1), FRICTION), judged(np.where(rare, 0.01, 0.4), LOAD)
+        validated(np.where(rare, 3.0, 0.1), FRICTION), validated(np.where(rare, 0.01, 0.4), LOAD)
     )
     shares = probabilities(verdict)
     assert shares == {FRICTION: pytest.approx(wins[FRICTION,]), LOAD: pytest.approx(wins[LOAD,])}
@@ -102,9 +104,12 @@ def test_what_is_told_apart_is_said_with_what_it_wins():
 
 def test_two_effects_of_one_structure_do_not_take_belief_from_each_other():
     """The structure of both wins every draw: neither stood in the other's place."""
-    both = judged(0.05 * EVEN, FRICTION, DRAG)
+    both = validated(0.05 * EVEN, FRICTION, DRAG)
     verdict, wins = said(
-        both, judged(0.5 * EVEN, FRICTION), judged(0.7 * EVEN, DRAG), judged(0.9 * EVEN, LOAD)
+        both,
+        validated(0.5 * EVEN, FRICTION),
+        validated(0.7 * EVEN, DRAG),
+        validated(0.9 * EVEN, LOAD),
     )
     assert wins == {both.keys: pytest.approx(1.0)}
     accepted = [(c.key, c.step) for c in verdict.candidates if c.probability > 0.0]
@@ -119,7 +124,9 @@ def test_two_effects_of_one_structure_do_not_take_belief_from_each_other():
 def test_a_name_for_a_part_of_what_is_structured_leaves_room_for_one_that_nobody_has(
     left, adequate, doubt
 ):
-    verdict, _ = said(judged(left * EVEN, FRICTION), judged(0.9 * EVEN, DRAG), adequate=adequate)
+    verdict, _ = said(
+        validated(left * EVEN, FRICTION), validated(0.9 * EVEN, DRAG), adequate=adequate
+    )
     assert probabilities(verdict)[FRICTION] == pytest.approx(1.0 - doubt)
     assert (verdict.verdict, verdict.unknown) == ("missing-effect", pytest.approx(doubt))
 
@@ -128,7 +135,7 @@ def test_a_name_for_a_part_of_what_is_structured_leaves_room_for_one_that_nobody
 def test_how_the_record_was_taken_is_no_candidate_and_takes_no_belief(adequate, says):
     """A lag of less than a sample joined, and nothing else: what is left says whether something is missing."""
     verdict, wins = said(
-        judged(0.1 * EVEN, LAG), judged(0.9 * EVEN, LOAD), sample_time=10.0, adequate=adequate
+        validated(0.1 * EVEN, LAG), validated(0.9 * EVEN, LOAD), sample_time=10.0, adequate=adequate
     )
     assert wins == {(LAG,): pytest.approx(1.0)}
     assert verdict.verdict == says
@@ -138,7 +145,7 @@ def test_how_the_record_was_taken_is_no_candidate_and_takes_no_belief(adequate, 
 
 @pytest.mark.parametrize(("adequate", "says"), [(True, "adequate"), (False, "unknown-effect")])
 def test_where_nothing_takes_anything_away_nothing_or_something_unknown_is_certain(adequate, says):
-    verdict, _ = said(judged(0.99 * EVEN, FRICTION), best=-1, adequate=adequate)
+    verdict, _ = said(validated(0.99 * EVEN, FRICTION), best=-1, adequate=adequate)
     assert verdict.verdict == says
     assert (verdict.none, verdict.unknown) == pytest.approx((1.0, 0.0) if adequate else (0.0, 1.0))
     assert all(c.probability == 0.0 for c in verdict.candidates)

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from residuum.identification.unseen_blocks.next_experiment import HeldValue
+from residuum.identification.discrepancy.explain import HeldValue
 from residuum.identification.unseen_blocks.verdict import Quantity
 from residuum.identification.work import Work
 from residuum.library.answers.explanation import explanation_text

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from residuum.identification.discrepancy.suggestion import nearest_formula
+from residuum.identification.unseen_blocks.free_term import nearest_formula
 
 
 def test_the_functions_that_made_the_curve_are_found():

@@ -112,22 +112,32 @@ def locate(
 
     Returns
     -------
-    Regions, the most telling first, at most one an axis, none whose error is within the noise; empty when no axis beats chance.
+    Regions, the most telling first, at most one an axis, none whose error is within the noise;
+    empty when no axis beats chance.
 
     References
     ----------
     M. Kulldorff, *A spatial scan statistic*, Commun. Stat. 26 (1997).
     """
-    total = float(np.nansum(error**2))
+    located = _Located(error, of, noise_rms, direction)
     candidates = []
     for axis in axes:
         interval = _scan(error, axis, correlation_samples)
         if interval is not None:
-            candidates.append(_region(error, axis, interval, noise_rms, of, direction, total))
-    return sorted(
-        (region for region in candidates if region.times_noise > 1.0),
-        key=lambda region: -region.score,
-    )
+            candidates.append(_region(located, axis, interval))
+    # an error that is plainly uneven may still be too small for a word
+    above_noise = [region for region in candidates if region.times_noise > 1.0]
+    return sorted(above_noise, key=lambda region: -region.score)
+
+
+@dataclass(frozen=True, eq=False)
+class _Located:
+    """The error (n,) of an output or a balance, its noise, and the direction of movement (n,)."""
+
+    error: FloatArray
+    of: str
+    noise_rms: float
+    direction: FloatArray | None
 
 
 @dataclass(frozen=True)
@@ -152,6 +162,7 @@ def _scan(error: FloatArray, axis: Axis, correlation: float) -> _Interval | None
         np.bincount(index, weights=squares, minlength=len(edges) - 1), dtype=np.float64
     )
     first, last, score = _best_interval(count, power, correlation)
+    # beside twice the logarithm of the number of bins, the price of having looked at all of them
     if score < LOCATION_SCORE + 2.0 * np.log(len(count)):
         return None
     return _Interval(
@@ -159,23 +170,18 @@ def _scan(error: FloatArray, axis: Axis, correlation: float) -> _Interval | None
     )
 
 
-def _region(
-    error: FloatArray,
-    axis: Axis,
-    interval: _Interval,
-    noise_rms: float,
-    of: str,
-    direction: FloatArray | None,
-    total: float,
-) -> Region:
+def _region(located: _Located, axis: Axis, interval: _Interval) -> Region:
+    """The interval in words and figures, in one direction of movement where the error is that's."""
+    error, direction = located.error, located.direction
+    total = float(np.nansum(error**2))
     inside = np.isfinite(error) & (axis.values >= interval.start) & (axis.values <= interval.stop)
     way = _one_way(error, inside, direction)
     if way is not None and direction is not None:
         inside &= (direction > 0) == (way == "forward")
     power = float(np.sum(error[inside] ** 2))
-    times_noise = (
-        float(np.sqrt(power / max(inside.sum(), 1)) / noise_rms) if noise_rms > 0 else float("inf")
-    )
+    times_noise = float("inf")
+    if located.noise_rms > 0:
+        times_noise = float(np.sqrt(power / max(inside.sum(), 1)) / located.noise_rms)
     return Region(
         axis=axis.name,
         start=interval.start,
@@ -185,7 +191,7 @@ def _region(
         share=power / total if total > 0 else 0.0,
         time_share=float(inside.mean()),
         direction=way,
-        of=of,
+        of=located.of,
         says=_words(axis, interval, way, times_noise),
         score=interval.score,
     )
@@ -220,6 +226,7 @@ def _bin_edges(values: FloatArray) -> FloatArray:
         return np.array([low])
     quantiles = np.quantile(values, np.linspace(0, 1, LOCATION_BINS // 2 + 1))
     edges = np.unique(np.concatenate([quantiles, np.linspace(low, high, LOCATION_BINS // 2 + 1)]))
+    # an edge stays where enough samples lie on either side of it
     merged = [edges[0]]
     position = np.searchsorted(values, edges)
     start = 0
@@ -236,6 +243,8 @@ def _best_interval(
     """(first bin, last bin, twice the log-likelihood ratio) of the interval with the largest
     variance contrast.
     """
+    # −2 log of the likelihood ratio: n_in log(s²_in/s²) + n_out log(s²_out/s²), of all intervals at
+    # once by differences of cumulative sums
     n, total = count.sum(), power.sum()
     cumulative_n, cumulative_p = np.r_[0.0, np.cumsum(count)], np.r_[0.0, np.cumsum(power)]
     inside_n = cumulative_n[None, 1:] - cumulative_n[:-1, None]
@@ -246,6 +255,8 @@ def _best_interval(
             outside_p / outside_n / (total / n)
         )
         higher = inside_p / inside_n > outside_p / outside_n
+    # intervals with their ends in order that hold more than the rest does, and not nearly
+    # everything
     allowed = (
         (np.triu(np.ones_like(inside_n)) > 0)
         & (inside_n > 0)
@@ -253,6 +264,7 @@ def _best_interval(
         & higher
         & (inside_n <= WIDEST_REGION * n)
     )
+    # samples that noise ties together count as one
     score = np.where(allowed, -ratio, -np.inf) / max(correlation, 1.0)
     first, last = np.unravel_index(int(np.argmax(score)), score.shape)
     return int(first), int(last), float(score[first, last])
@@ -330,11 +342,8 @@ def signal_axes(
             )
     if record is not None:
         axes += _recorded_temperatures(record, {axis.name for axis in axes})
-    axes.append(
-        Axis(
-            "time", "s", "time", experiment.sample_time * np.arange(experiment.n, dtype=np.float64)
-        )
-    )
+    seconds = experiment.sample_time * np.arange(experiment.n, dtype=np.float64)
+    axes.append(Axis("time", "s", "time", seconds))
     return axes
 
 
@@ -343,13 +352,9 @@ def direction_of_movement(axes: Sequence[Axis]) -> FloatArray | None:
     velocity = next((axis.values for axis in axes if axis.kind == "velocity"), None)
     if velocity is None or not np.any(np.isfinite(velocity)):
         return None
-    return np.asarray(
-        np.where(
-            np.abs(velocity) > STANDSTILL_SPEED * np.nanmax(np.abs(velocity)),
-            np.sign(velocity),
-            0.0,
-        )
-    )
+    # near standstill noise alone turns the sign
+    moves = np.abs(velocity) > STANDSTILL_SPEED * np.nanmax(np.abs(velocity))
+    return np.asarray(np.where(moves, np.sign(velocity), 0.0))
 
 
 def _roles(model: PhysicalModel) -> Mapping[str, str]:
@@ -409,29 +414,27 @@ def regions(
     located: list[Region] = []
     for name in present:
         errors = [residual[:, list(model.outputs).index(name)] for residual in residuals]
-        memory = max(structured[name].noise.time_constant, 1.0)
-        error = np.concatenate(errors)
         located += locate(
-            error,
+            np.concatenate(errors),
             joined,
             noise_rms=floors[name],
             of=name,
             direction=direction,
-            correlation_samples=memory,
+            correlation_samples=max(structured[name].noise.time_constant, 1.0),
         )
         amplitude, frequency = _spectrum(errors, experiments)
         located += locate(amplitude, [frequency], noise_rms=floors[name], of=name)
     for balance in smoothed[0].missing:
+        # no test says what of a missing term is noise: its own band and memory stand for it
         term = np.concatenate([s.missing[balance].value for s in smoothed])
         band = float(np.median(np.concatenate([s.missing[balance].std for s in smoothed])))
-        memory = _correlation_samples(term)
         located += locate(
             term,
             joined,
             noise_rms=band,
             of=balance,
             direction=direction,
-            correlation_samples=memory,
+            correlation_samples=_correlation_samples(term),
         )
     return tuple(sorted(located, key=lambda region: -region.score)[:MOST_REGIONS])
 

@@ -13,7 +13,7 @@ from residuum.array_types import FloatArray
 from residuum.identification.errors import BadInput
 from residuum.identification.physics import Experiment, Key, PhysicalModel, Simulator, estimate
 from residuum.identification.record import Record
-from residuum.identification.residual_analysis.places.locate import Axis, signal_axes
+from residuum.identification.residual_analysis.locate import Axis, signal_axes
 
 _FEWEST = 5
 _EFFECT_BINS = 80
@@ -72,16 +72,16 @@ def _told(curve: Binned, x: FloatArray, term: FloatArray) -> float:
     """
     if len(curve.at) < 2:
         return 0.0
+    # halves that lie in each other: both see all places and times
     rows = np.flatnonzero(np.isfinite(x) & np.isfinite(term))
     drawn, held_out = rows[::2], rows[1::2]
     half = binned(x[drawn], term[drawn], len(curve.at))
     power = float(np.sum((term[held_out] - term[held_out].mean()) ** 2))
     if len(half.at) < 2 or not power > 0.0:
         return 0.0
-    return (
-        1.0
-        - float(np.sum((term[held_out] - np.interp(x[held_out], half.at, half.mean)) ** 2)) / power
-    )
+    # on the samples that the curve has not seen: a curve of many bins follows the noise of its own
+    missed = term[held_out] - np.interp(x[held_out], half.at, half.mean)
+    return 1.0 - float(np.sum(missed**2)) / power
 
 
 def effect_curves(

@@ -7,12 +7,12 @@ import pytest
 
 from residuum.identification.physics import estimate, read_model
 from residuum.identification.record import Record
+from residuum.identification.unseen_blocks.cross_validation import CrossValidation, validated
 from residuum.identification.unseen_blocks.data import matched
-from residuum.identification.unseen_blocks.judged import judged
-from residuum.identification.unseen_blocks.ladder import climb
-from residuum.identification.unseen_blocks.looks import Court, called_back
+from residuum.identification.unseen_blocks.multiple_shooting import first_fit
 from residuum.identification.unseen_blocks.scale import plain
 from residuum.identification.unseen_blocks.structure import Structure, fitted
+from residuum.identification.unseen_blocks.trial_fits import called_back
 
 CART = """
 name: cart
@@ -44,18 +44,18 @@ def cart_record(n=1200, friction=0.0, noise=0.02, seed=1):
 @pytest.mark.parametrize("friction", [0.0, 1.5])
 def test_blocks_left_out_are_judged_as_by_a_fit_without_them(friction):
     data = matched(read_model(CART), [cart_record(n=2000, friction=friction)], None)
-    climbed = climb(data)
-    one = judged(climbed.structure, climbed.found, climbed.last, data, climbed.scale)
+    start = first_fit(data)
+    one = validated(start.structure, start.found, start.last, data, start.scale)
     # where it began is not what is judged
-    (part,), begins = (climbed.last.parts, {"v": climbed.found.initial[0][0]})
+    (part,), begins = (start.last.parts, {"v": start.found.initial[0][0]})
     left = np.zeros(data.blocks)
     for fold in np.unique(data.fold):
-        out = data.fold[climbed.last.block] == fold
+        out = data.fold[start.last.block] == fold
         masked = replace(part, Y=np.where(out[:, None], np.nan, part.Y), known=begins)
-        rest = estimate(climbed.structure.model, [masked], initial=climbed.found.initial)
+        rest = estimate(start.structure.model, [masked], initial=start.found.initial)
         errors = np.where(out, (part.Y - rest.predicted[0])[:, 0], 0.0) / data.spread[0]
-        left += np.bincount(climbed.last.block, weights=errors**2, minlength=data.blocks)
-    seen = float(np.sum((climbed.found.residuals[0] / data.spread) ** 2))
+        left += np.bincount(start.last.block, weights=errors**2, minlength=data.blocks)
+    seen = float(np.sum((start.found.residuals[0] / data.spread) ** 2))
     assert left.sum() > seen  # what the fit has not seen is more
     assert one.power.sum() == pytest.approx(left.sum(), rel=0.01)
     assert one.power.sum() - seen == pytest.approx(left.sum() - seen, rel=0.1)
@@ -84,13 +84,18 @@ def test_a_value_that_ran_off_is_put_back_where_it_was_given():
         600.0,
     )
     data = matched(read_model(RESISTANCE), [record], None)
-    rung, scale = data.rungs[-1], plain(data)
-    gone = fitted(data.model.with_values({"R": 1e80}), rung, None, scale, steps=15, tolerance=1e-6)
+    horizon, scale = data.horizons[-1], plain(data)
+    gone = fitted(
+        data.model.with_values({"R": 1e80}), horizon, None, scale, steps=15, tolerance=1e-6
+    )
     assert gone.model.parameters["R"].value > 1e70
-    court, near = Court(data, rung, rung, scale), Structure((), gone.model, {}, {})
-    back = called_back(gone, near, court)
+    validation, near = (
+        CrossValidation(data, horizon, horizon, scale),
+        Structure((), gone.model, {}, {}),
+    )
+    back = called_back(gone, near, validation)
     assert (
         back.model.parameters["R"].value == pytest.approx(0.01, rel=0.05)
         and back.cost < 0.1 * gone.cost
     )
-    assert called_back(back, near, court) is None
+    assert called_back(back, near, validation) is None

@@ -15,14 +15,17 @@ each block b, the fit without a fold of blocks moves by
 
 References
 ----------
-R. D. Cook, S. Weisberg, *Residuals and Influence in Regression*, 1982, ch. 2 (deletion); A. Vehtari, A. Gelman, J. Gabry, Stat.
-Comput. 27 (2017) 1413 (paired differences on data kept aside).
+R. D. Cook, S. Weisberg, *Residuals and Influence in Regression*, 1982, ch. 2 (deletion); A.
+Vehtari, A. Gelman, J. Gabry, Stat. Comput. 27 (2017) 1413 (paired differences on data kept aside).
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -31,16 +34,18 @@ from residuum.array_types import FloatArray
 from residuum.identification.physics import Key, PhysicalModel
 from residuum.identification.physics.estimation.gauss_newton import Fit
 from residuum.identification.physics.estimation.least_squares import solve_scaled
-from residuum.identification.unseen_blocks.data import Data, Rung
-from residuum.identification.unseen_blocks.policy import DAMPING
-from residuum.identification.unseen_blocks.scale import Scale
-from residuum.identification.unseen_blocks.structure import Structure
+from residuum.identification.unseen_blocks.policy import DAMPING, LONG_RECORDS, QUICKLY_FITTED
+from residuum.identification.unseen_blocks.structure import Structure, at_start, fitted
+
+if TYPE_CHECKING:
+    from residuum.identification.unseen_blocks.data import Data, Horizon
+    from residuum.identification.unseen_blocks.scale import Scale
 
 Integers = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
-class Judged:
+class ValidatedFit:
     """A structure and its errors on blocks that it has not seen.
 
     Attributes
@@ -54,7 +59,7 @@ class Judged:
     left : array, shape (rows, measured outputs)
         The errors in the scale, clipped; 0 where nothing was measured.
     cost : float
-        Of power; `seen` the same on the blocks that the fit has seen.
+        Of power; `seen_cost` the same on the blocks that the fit has seen.
     squares, count : arrays, shape (blocks, outputs)
         Sums of squares in the outputs' units, and of how many samples.
     errors : array, shape (rows, outputs)
@@ -66,7 +71,7 @@ class Judged:
     power: FloatArray
     left: FloatArray
     cost: float
-    seen: float
+    seen_cost: float
     squares: FloatArray
     count: FloatArray
     errors: FloatArray
@@ -123,12 +128,13 @@ class Equations:
         out = columns * self.huber[..., None]
         if not (self.states.shape[2] and out.shape[2]):
             return out
-        for a, b in pairwise(self.starts):
-            x, t = (
-                self.states[a:b].reshape(-1, self.states.shape[2]),
-                out[a:b].reshape(-1, out.shape[2]),
-            )
-            out[a:b] = (t - x @ solve_scaled(x.T @ x, x.T @ t, 1e-12)).reshape(out[a:b].shape)
+        # t − X (XᵀX)⁻¹Xᵀ t: each window's first states are fitted to it alone, so what they can do
+        # tells nothing of a value
+        for begin, end in pairwise(self.starts):
+            X = self.states[begin:end].reshape(-1, self.states.shape[2])
+            T = out[begin:end].reshape(-1, out.shape[2])
+            projected = T - X @ solve_scaled(X.T @ X, X.T @ T, 1e-12)
+            out[begin:end] = projected.reshape(out[begin:end].shape)
         return out
 
     def step(self, extra: FloatArray) -> FloatArray:
@@ -151,18 +157,21 @@ class Equations:
         further terms beside first states.
         """
         T, theta, lower, upper = self.slopes, self.theta, self.lower, self.upper
-        if extra is not None:
+        if extra is not None:  # further terms begin at zero and have no bounds
             T = np.concatenate([T, extra], axis=2)
-            none = np.zeros(extra.shape[2])
-            theta, lower, upper = (
-                np.append(v, none + b) for v, b in ((theta, 0.0), (lower, -np.inf), (upper, np.inf))
-            )
+            count = extra.shape[2]
+            theta = np.append(theta, np.zeros(count))
+            lower = np.append(lower, np.full(count, -np.inf))
+            upper = np.append(upper, np.full(count, np.inf))
         if not T.shape[2]:
             return self.errors.copy()
         row_fold, left = fold[block], self.errors.copy()
         for k, step in moved(T, self.errors * self.huber, row_fold).items():
-            at, further = row_fold == k, np.clip(theta + step, lower, upper) - theta
-            left[at] -= (T[at] / self.huber[at][..., None]) @ further
+            rows = row_fold == k
+            # a step beyond a bound would be one that no fit may take
+            taken = np.clip(theta + step, lower, upper) - theta
+            # T is weighed by √w for the normal equations; the error itself moves by the plain slope
+            left[rows] -= (T[rows] / self.huber[rows][..., None]) @ taken
         return left
 
 
@@ -190,6 +199,8 @@ def steps_without(H: FloatArray, g: FloatArray, damping: float) -> list[FloatArr
     of all.
     """
     all_H, all_g = H.sum(axis=0), g.sum(axis=0)
+    # of the curvature of all folds, so that a fold which alone tells a value is not left without
+    # any
     ridge = damping * np.diag(np.diag(all_H))
     return [
         solve_scaled(all_H - h + ridge, (all_g - b)[:, None], 1e-10)[:, 0]
@@ -197,48 +208,51 @@ def steps_without(H: FloatArray, g: FloatArray, damping: float) -> list[FloatArr
     ]
 
 
-def equations(fit: Fit, rung: Rung, scale: Scale) -> Equations | None:
+def equations(fit: Fit, horizon: Horizon, scale: Scale) -> Equations | None:
     """Errors and slopes of a fit; None where it diverges."""
     simulator, model = fit.problem.simulator, fit.model
     names, free_states = list(model.free), [f"initial:{name}" for name in simulator.free_states]
     columns = [*names, *free_states]
     runs = simulator.run_each(
-        rung.parts, fit.initial, fit.problem.p(fit.theta), slopes=columns, substeps=fit.substeps
+        horizon.parts, fit.initial, fit.problem.p(fit.theta), slopes=columns, substeps=fit.substeps
     )
     if not runs.bounded:
         return None
-    starts, measured = rung.starts.tolist(), scale.weights > 0.0
+    starts, measured = horizon.starts.tolist(), scale.weights > 0.0
     known = np.isfinite(runs.errors)
-    R = scale.whitened(np.where(known, runs.errors, 0.0) * scale.weights, starts)[:, measured]
+    # a missing sample counts as no error before the filter, which would spread NaN, and after it
+    weighted_errors = np.where(known, runs.errors, 0.0) * scale.weights
+    R = scale.whitened(weighted_errors, starts)[:, measured]
     dY = np.zeros((*runs.errors.shape, 0)) if runs.dY is None else runs.dY
-    J = scale.whitened(np.where(known[..., None], dY, 0.0) * scale.weights[:, None], starts)[
-        :, measured
-    ]
+    weighted_slopes = np.where(known[..., None], dY, 0.0) * scale.weights[:, None]
+    J = scale.whitened(weighted_slopes, starts)[:, measured]
     known = known[:, measured]
     R[~known], J[~known] = 0.0, 0.0
+    # Huber's weights √w, w = c/|e| beyond the clip c: iteratively reweighted least squares
     clip = np.maximum(scale.clip[measured], 1e-300)
     huber = np.sqrt(clip / np.maximum(np.abs(R), clip))
     J *= huber[..., None]
-    values = model.all_parameters
-    theta, lower, upper = (
-        np.array([getattr(values[n], side) for n in names]) for side in ("value", "lower", "upper")
-    )
+    values = [model.all_parameters[name] for name in names]
+    theta = np.array([p.value for p in values])
+    lower = np.array([p.lower for p in values])
+    upper = np.array([p.upper for p in values])
     T, X = J[..., : len(names)] / huber[..., None], J[..., len(names) :]
+    # a value at its bound stays there: it is none of those that move with a fold
     T[..., (theta <= lower) | (theta >= upper)] = 0.0
-    at = Equations(R, known, T, X, huber, theta, lower, upper, tuple(starts))
-    return replace(at, slopes=at.beside_states(T))
+    fit_equations = Equations(R, known, T, X, huber, theta, lower, upper, tuple(starts))
+    return replace(fit_equations, slopes=fit_equations.beside_states(T))
 
 
-def judged(
-    structure: Structure, fit: Fit, rung: Rung, data: Data, scale: Scale, *, steps: int = 1
-) -> Judged | None:
-    """The structure's errors on unseen blocks, from its fit on a rung in that scale; None where it
-    diverges.
+def validated(
+    structure: Structure, fit: Fit, horizon: Horizon, data: Data, scale: Scale, *, steps: int = 1
+) -> ValidatedFit | None:
+    """The structure's errors on unseen blocks, from its fit on a horizon in that scale; None where
+    it diverges.
 
     So many steps to the values without each fold are simulated.
     """
-    measured, starts = scale.weights > 0.0, rung.starts.tolist()
-    row_fold, cell_fold = data.fold[rung.block], data.fold[rung.cells.block]
+    measured, starts = scale.weights > 0.0, horizon.starts.tolist()
+    row_fold, cell_fold = data.fold[horizon.block], data.fold[horizon.cells.block]
     errors = np.concatenate(fit.residuals)
     known = np.isfinite(errors)[:, measured]
 
@@ -246,32 +260,98 @@ def judged(
         white = scale.whitened(np.nan_to_num(rows) * scale.weights, starts)[:, measured]
         return np.where(known, np.clip(white, -scale.clip[measured], scale.clip[measured]), 0.0)
 
+    # of each fold only the rows that its fit has not seen
     unseen, left = errors.copy(), np.zeros(known.shape)
     for fold in np.unique(cell_fold).tolist():
-        at, fold_errors = (
-            row_fold == fold,
-            np.concatenate(fit.without(cell_fold == fold, DAMPING, steps).residuals),
-        )
-        unseen[at], left[at] = fold_errors[at], in_scale(fold_errors)[at]
-    power, seen_power = (
-        summed(scaled**2, rung, data.blocks) for scaled in (left, in_scale(errors))
-    )
+        rows = row_fold == fold
+        fold_fit = fit.without(cell_fold == fold, DAMPING, steps)
+        fold_errors = np.concatenate(fold_fit.residuals)
+        # filtered as a whole and cut then: the filter's past lies in blocks before it
+        unseen[rows], left[rows] = fold_errors[rows], in_scale(fold_errors)[rows]
+    power = summed(left**2, horizon, data.blocks)
+    seen_power = summed(in_scale(errors) ** 2, horizon, data.blocks)
     if not np.all(np.isfinite(power)):
         return None
     model = structure.model
     parameters = structure.rarity + sum(not p.fixed for p in model.parameters.values())
     parameters += sum(not p.fixed for use in model.effects for p in use.parameters.values())
+    # once more in the outputs' units and unclipped: what a user is told
     squares, count = np.zeros((2, data.blocks, len(measured)))
-    squares[:, measured] = summed(
-        np.where(known, np.nan_to_num(unseen[:, measured]), 0.0) ** 2, rung, data.blocks
-    )
-    count[:, measured] = summed(known.astype(float), rung, data.blocks)
+    plain_errors = np.where(known, np.nan_to_num(unseen[:, measured]), 0.0)
+    squares[:, measured] = summed(plain_errors**2, horizon, data.blocks)
+    count[:, measured] = summed(known.astype(float), horizon, data.blocks)
     cost, seen_cost = scale.cost(power, parameters), scale.cost(seen_power, parameters)
-    return Judged(structure, parameters, power, left, cost, seen_cost, squares, count, errors)
+    return ValidatedFit(structure, parameters, power, left, cost, seen_cost, squares, count, errors)
 
 
-def summed(values: FloatArray, rung: Rung, blocks: int) -> FloatArray:
+def summed(values: FloatArray, horizon: Horizon, blocks: int) -> FloatArray:
     """Sums over the rows of each block, shape (blocks, columns)."""
     return np.column_stack(
-        [np.bincount(rung.block, weights=column, minlength=blocks) for column in values.T]
+        [np.bincount(horizon.block, weights=column, minlength=blocks) for column in values.T]
     )
+
+
+# What the structures of a level are fitted to and judged by.
+
+SHORT, LONG = "short", "long"
+"""Kinds of quick fits: on a few short windows, on the horizon of the validation. Friction in a long
+oscillation shows on the whole record only, and there a wrong phase hides everything else.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class CrossValidation:
+    """What all structures of a level are validated by: the data, the `last` horizon, on which they
+    are fitted and judged, the `middle` one of quick fits on short windows, the scale of errors, and
+    what the model as it is leaves in each window of the middle one (`window_errors`, mean squares;
+    None: not known).
+    """
+
+    data: Data
+    last: Horizon
+    middle: Horizon
+    scale: Scale
+    window_errors: FloatArray | None = None
+
+    @cached_property
+    def _short(self) -> tuple[Horizon, Sequence[int]]:
+        return self.middle.thinned(QUICKLY_FITTED, self.window_errors)
+
+    def windows_of(self, kind: str) -> tuple[Horizon, Sequence[int]]:
+        """What a quick fit of a kind sees, and which windows of its horizon those are."""
+        return (self.last, range(len(self.last.parts))) if kind == LONG else self._short
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """The quick fits that there are: long records are fitted quickly in short windows alone."""
+        if self.middle is self.last:
+            return (LONG,)
+        is_long = self.last.starts[-1] > LONG_RECORDS
+        return (SHORT,) if is_long else (LONG, SHORT)
+
+    def validate(
+        self, structure: Structure, *, steps: int, tolerance: float
+    ) -> ValidatedFit | None:
+        """The structure fitted on the last horizon, and judged there; None where it diverges."""
+        windows = self.last.windows
+        fit = fitted(
+            structure.model,
+            self.last,
+            structure.states.get(windows),
+            self.scale,
+            steps=steps,
+            tolerance=tolerance,
+            substeps=structure.steps.get(windows),
+        )
+        return None if fit is None else self.validate_fit(structure, fit)
+
+    def begun(self, structure: Structure, model: PhysicalModel | None = None) -> Fit | None:
+        """A structure that was found on the last horizon, or a model that has more than it, at its
+        own values there; None where that diverges.
+        """
+        states, steps = structure.states[self.last.windows], structure.steps[self.last.windows]
+        return at_start(model or structure.model, self.last, states, self.scale, steps)
+
+    def validate_fit(self, structure: Structure, fit: Fit) -> ValidatedFit | None:
+        """The structure judged by a fit on the last horizon."""
+        return validated(structure.at(self.last, fit), fit, self.last, self.data, self.scale)

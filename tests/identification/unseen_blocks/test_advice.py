@@ -5,7 +5,7 @@ import pytest
 
 from residuum.identification.physics import load_model, match, read_model
 from residuum.identification.record import Record
-from residuum.identification.unseen_blocks.next_experiment import distinguishing
+from residuum.identification.unseen_blocks.advice import distinguishing
 
 
 @pytest.mark.parametrize(("least", "both_ways"), [(30.0, True), (-30.0, False)])
