@@ -21,8 +21,8 @@ from residuum.identification.unit_spellings import KNOWN_SYMBOLS, LOOKALIKES
 
 _REGISTRY: pint.UnitRegistry[float] = pint.UnitRegistry(autoconvert_offset_to_baseunit=True)
 _WORD = re.compile(r"[A-Za-z_µΔ][A-Za-z_µΔ0-9]*")
+# letters of a name that is written out, at least
 _NAME = 4
-"""Letters of a name that is written out, at least."""
 
 
 def factors(text: str) -> tuple[tuple[NamedUnit, float], ...]:

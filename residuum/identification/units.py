@@ -24,8 +24,9 @@ from residuum.identification.unit_grammar import LARGEST_POWER
 from residuum.identification.unit_spellings import canonical
 
 _LONGEST = 80
+# base units without a dimension
 _COUNTS = {"radian", "bit", "count", "decibel"}
-"""Base units without a dimension."""
+# what units that are known are made of, by name and, where `dimension` shortens it, by symbol
 _BASES = frozenset(
     (
         *(
@@ -44,7 +45,6 @@ _BASES = frozenset(
         *("pixel", "refractive_index_unit", "A", "K", "kg", "m", "rad", "s"),
     )
 )
-"""What units that are known are made of, by name and, where `dimension` shortens it, by symbol."""
 _FACTOR = re.compile(r"([*/]?)(1|[A-Za-zµ%_]+)(?:\*\*(-?\d+(?:\.\d+)?))?")
 _REGISTRY = "residuum.identification.unit_registry"
 

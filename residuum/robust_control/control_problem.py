@@ -142,8 +142,8 @@ _MORE_PLANTS, _MOST_PLANTS = 4, 12_800
 _PROMISED_SHARE = 0.95
 _PLANTS_IN_SEARCH, _PLANTS_OF_PROMISE = 100, 400
 _MORE_ORDER = 2
+# steps are followed for so many of the settling times that are asked for or promised
 _FOLLOWED = 1.5
-"""Steps are followed for so many of the settling times that are asked for or promised."""
 
 
 @dataclass(frozen=True)

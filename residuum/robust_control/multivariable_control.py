@@ -104,8 +104,8 @@ def _recent(values: FloatArray, weights: FloatArray, k: int, first: int) -> Floa
     return np.asarray(values[:, stop - used : stop][:, ::-1] @ weights[:used])
 
 
+# steps are followed for so many of the longest promised settling times
 _FOLLOWED = 3.0
-"""Steps are followed for so many of the longest promised settling times."""
 _FIRST_PLANTS, _MORE_PLANTS, _MOST_PLANTS = 200, 4, 3200
 SHARE = 0.95
 

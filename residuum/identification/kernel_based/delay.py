@@ -26,8 +26,8 @@ from residuum.identification.kernel_based.lagged_data import lagged_data
 from residuum.identification.kernel_based.marginal_likelihood import marginal_likelihood
 from residuum.identification.record import Record
 
+# nats: one seventh of the probability
 _ABOUT_AS_LIKELY = 2.0
-"""Nats: one seventh of the probability."""
 
 
 @dataclass(frozen=True, eq=False)

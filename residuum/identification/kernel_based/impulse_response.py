@@ -43,8 +43,8 @@ NoiseVariance = float | str
 NOISE_VARIANCE_METHODS = ("marginal", "least-squares")
 _LONGEST_ORDER = 5000
 _WALL = 1e100
+# of a level's square, below which a movement about it is rounding
 _ROUNDING = 1e-20
-"""Of a level's square, below which a movement about it is rounding."""
 
 
 @dataclass(frozen=True, eq=False)

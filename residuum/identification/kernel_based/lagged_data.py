@@ -18,13 +18,12 @@ from residuum.identification.errors import BadRecord, NotIdentifiable
 from residuum.identification.kernel_based.gram import RegressionSums, regression_sums
 from residuum.identification.record import Record
 
+# part of its size by which an input must differ from what the others add up to
 _APART = 1e-3
-"""Part of its size by which an input must differ from what the others add up to."""
 _PART = 0.1
+# samples at the begin by which an input is seen to stand still; the part of its movement that
+# must not be left out
 _STILL, _LEFT_OUT = 3, 0.5
-"""Samples at the begin by which an input is seen to stand still; the part of its movement that must
-not be left out.
-"""
 
 
 @dataclass(frozen=True, eq=False)

@@ -245,8 +245,8 @@ def dead_time(regression: LongAutoregression) -> int | None:
 
 _LAGS, _SAMPLES_A_LAG_OF_AN_INPUT, _FEWEST_LAGS = 60, 6, 4
 _MOST_SAMPLES = 10_000
+# standard deviations of a gain that is there: 0.1 %, two-sided
 _THERE = 3.3
-"""Standard deviations of a gain that is there: 0.1 %, two-sided."""
 
 
 @dataclass(frozen=True)
@@ -405,8 +405,8 @@ def _sums_over_innovations(u: FloatArray, e: FloatArray) -> RegressionSums:
 
 DICKEY_FULLER = 3.43
 """1 % level of Dickey's and Fuller's statistic with a constant, long records."""
+# standard deviations of a sum of input weights that is there: 0.1 %, two-sided
 _INPUT_ACTS = 3.3
-"""Standard deviations of a sum of input weights that is there: 0.1 %, two-sided."""
 
 
 @dataclass(frozen=True)
@@ -541,12 +541,10 @@ def _explained(residual: FloatArray, u: FloatArray, lags: int) -> float:
 # Fails where the loop answers without noise or set point, so that A cannot be told from the
 # controller's answer.
 
+# standard deviations outside the unit circle
 _OUTSIDE = 5.0
-"""Standard deviations outside the unit circle."""
+# e-folds within the record that a root at least means: a slower one is as good as an integrator's
 _GROWTH = 3.0
-"""e-folds within the record that a root at least means: a slower one is as good as an
-integrator's.
-"""
 
 
 @dataclass(frozen=True)

@@ -161,8 +161,8 @@ def _distance(root: complex, cosine: FloatArray) -> FloatArray:
 
 WEIGHT_ORDER = 2
 """Order of W_T where nothing else is asked for, as in the source."""
+# a pole turns as sharply as so many lags
 _LAGS_A_POLE = 20
-"""A pole turns as sharply as so many lags."""
 
 
 @dataclass(frozen=True, eq=False)

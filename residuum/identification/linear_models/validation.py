@@ -618,8 +618,8 @@ def _memory(numerator: FloatArray) -> int:
 # that a prediction needs is a good part of a block, for every block lacks it at its beginning.
 
 Fit = Callable[[Sequence[Record]], IdentifiedModel]
+# 1 − 1/e: the share of the data that a bootstrap sample holds
 _REACH = 0.632
-"""1 − 1/e: the share of the data that a bootstrap sample holds."""
 _BLOCKS, _FEWEST_BLOCKS = 20, 6
 _PASTS_A_BLOCK = 3
 

@@ -12,16 +12,15 @@ FloatArray = npt.NDArray[np.float64]
 JITTER = 0.01  # of the step
 HOLE = 3.0
 """Of a channel's own median step: over a longer stretch without a value nothing is interpolated."""
+# part of the step by which stamps may lie beside even instants that their samples were taken at:
+# what writes them is late
 _NEAR = 0.2
-"""Part of the step by which stamps may lie beside even instants that their samples were taken at:
-what writes them is late.
-"""
 RESAMPLED = "resampled to"
 """How a note tells of it."""
 _MOST = 1e8
 _MOST_DECIMALS = 7
+# samples for each value of a stepped signal (a gear, a state), at least
 _FEW = 4
-"""Samples for each value of a stepped signal (a gear, a state), at least."""
 
 
 def even_columns(

@@ -30,8 +30,8 @@ HISTORIES: Mapping[str, tuple[str, str]] = {
     "influxs": _INFLUX,
 }
 """Scheme of an address → module and class of the history, loaded when one is asked for."""
+# scheme of servers that keep the history of nodes: these have no windows
 _NODES = ("opc.tcp",)
-"""Scheme of servers that keep the history of nodes: these have no windows."""
 _MOST_WINDOWS = 10_000_000
 
 

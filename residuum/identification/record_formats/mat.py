@@ -115,10 +115,8 @@ def _kind(value: Any) -> str:
 
 
 _TIME = re.compile(r"(?i)(time|t|tout|zeit|timestamps?)(?:_?(s|sec|seconds|ms|msec|us|min|h))?")
+# names of times of some channels only (`t_fast`); they are taken for times where they rise evenly
 _OWN_TIME = re.compile(r"(?i)(time|t)_\w+|\w+_(time|t)")
-"""Names of times of some channels only (`t_fast`); they are taken for times where they rise
-evenly.
-"""
 _RATE = ("fs", "Fs", "FS", "sampling_rate", "samplingRate", "SamplingRate", "sr", "SR")
 _STEP = ("sample_time", "sampleTime", "SampleTime", "Ts", "dt")
 _HDF5 = b"\x89HDF\r\n\x1a\n"

@@ -31,8 +31,8 @@ from residuum.identification.record_formats.npz import keep_plain, load_plain
 from residuum.identification.record_formats.options import ReadOptions
 
 _REFUSED = 2
+# where this package is found: the process imports the same one
 _HERE = str(Path(__file__).resolve().parents[3])
-"""Where this package is found: the process imports the same one."""
 
 
 def read_mapped(

@@ -19,10 +19,9 @@ from residuum.identification.record_formats.even_time import (
 )
 from residuum.identification.record_formats.options import ReadOptions
 
+# samples of all channels: a file of few in far-apart places would fill the memory with missing
+# ones
 _MOST, _THINNEST = 2e7, 8
-"""Samples of all channels: a file of few in far-apart places would fill the memory with missing
-ones.
-"""
 _LISTED = 8
 NOT_READ = "not read: "
 """How a note begins that lists what a reader leaves out."""

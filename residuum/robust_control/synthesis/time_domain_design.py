@@ -37,19 +37,17 @@ from residuum.robust_control.weights.performance_weight import (
     shortest_settling_time,
 )
 
+# share of the plants in the search that must keep the limits, so that `TimeAim.share` of others
+# do
 _SHARE_IN_DESIGN = 0.98
-"""Share of the plants in the search that must keep the limits, so that `TimeAim.share` of others
-do.
-"""
 _DAMPINGS, _BANDWIDTHS = (1.0, 1e-2, 1e-4), 6
 _SEARCHES, _EVALUATIONS = 2, 250
 _FEW = 20
+# parts of the overshoot that the search aims at, one after the other, until plants that it has
+# not seen keep the whole
 _MARGINS = (0.97, 0.8, 0.6)
-"""Parts of the overshoot that the search aims at, one after the other, until plants that it has not
-seen keep the whole.
-"""
+# part of the plants allowed to fail that may fail among those that the promise is read from
 _CAUTION = 0.4
-"""Part of the plants allowed to fail that may fail among those that the promise is read from."""
 _STIFF = 20.0
 
 

@@ -52,8 +52,8 @@ _STRENGTHS = {
     "lasso": np.geomspace(1e-6, 1.0, 49),
     "elastic-net": np.geomspace(1e-6, 1.0, 25),
 }
+# ρ that cross-validation chooses from
 _MIXES = (0.1, 0.5, 0.9)
-"""ρ that cross-validation chooses from."""
 _SWEEPS = 20_000
 
 

@@ -53,20 +53,19 @@ from residuum.nearest_names import nearest_names
 _TIME_NAME = re.compile(
     r"(?i)(.*\b|_)?(time|timestamps?|zeit|zeitstempel|date|datum|datetime|t|elapsed|uhrzeit|epoch|heure|millis|micros|datenum)(\b.*|_.*|)"
 )
+# names of a first column that is the time where it has a unit of time
 _AXIS = re.compile(r"(?i)x|x[-_ ]?(axis|value|achse)|abscissa|source")
-"""Names of a first column that is the time where it has a unit of time."""
+# rows, evenly spread, that tell which columns may have a unit behind every number
 _LOOKED_AT = 50
-"""Rows, evenly spread, that tell which columns may have a unit behind every number."""
+# part of a column's cells that are of a kind where single ones are bad: those are refused with
+# their row
 _MOSTLY = 0.9
-"""Part of a column's cells that are of a kind where single ones are bad: those are refused with
-their row.
-"""
 _SIGNAL_NAME = re.compile(
     r"(?i)_?(var|variable|tag|signal|channel|sensor|item|point|field|measurement|metric|series|entity|parameter|kanal|messstelle)"
     r"[ _]?(name|id)?|name"
 )
+# what a form may be that is one of two; dates are the others
 _EITHER = {"hh:mm or mm:ss": ("hh:mm", "mm:ss")}
-"""What a form may be that is one of two; dates are the others."""
 _SENTINELS = (-999.0, -9999.0, -99999.0, 9999.0, 99999.0, -32768.0, 1e30)
 
 

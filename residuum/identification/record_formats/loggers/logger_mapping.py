@@ -49,19 +49,19 @@ DUPLICATES = (
 )
 """The way on where rows of one stamp differ."""
 _REORDERED = ("refuse", "sort", "bridge")
+# rows on both sides of a step back in which a shuffled one would have left its hole
 _AROUND = 60
-"""Rows on both sides of a step back in which a shuffled one would have left its hole."""
 _ZONE = re.compile(r".*\d\s*[A-Z]{3,5}", re.DOTALL)
 FloatArray = npt.NDArray[np.float64]
 
 
+# what may be said beside a mapping: how it is called, and its values
 _TOLD = {
     "decimal": ("decimal", (".", ",")),
     "time_form": ("time", FORMS),
     "duplicates": ("duplicates", _DUPLICATES),
     "reordered": ("reordered", _REORDERED),
 }
-"""What may be said beside a mapping: how it is called, and its values."""
 
 
 def check_told(choices: Mapping[str, str | None]) -> None:

@@ -44,6 +44,7 @@ _GROUPED = {
     ",": re.compile(r"[+-]?[1-9]\d{0,2}(\.\d{3})+(,\d*)?"),
     ".": re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+(\.\d*)?"),
 }
+# numbers that can be read with this decimal sign only; `1,234` and `1.234` are not among them
 _SURE = {
     sign: re.compile(
         rf"[+-]?((0|\d{{4,}})?{at}\d+|\d*{at}(\d{{1,2}}|\d{{4,}})|\d+{at}|[1-9]\d{{0,2}}({by}\d{{3}})+{at}\d*"
@@ -51,14 +52,12 @@ _SURE = {
     )
     for sign, at, by in ((",", ",", r"\."), (".", r"\.", ","))
 }
-"""Numbers that can be read with this decimal sign only; `1,234` and `1.234` are not among them."""
 _WITH_UNIT = re.compile(r"([+-]?[\d.,]+(?:[eE][+-]?\d+)?)\s*([A-Za-zµΩ°%][^\s\d:;,]{0,11})")
 _SCANNED = 2000
 _BLANK_BETTER = 0.1
+# what stands between thousands beside point and comma: blanks that do not break, Swiss
+# apostrophes
 _BLANKS = "\u00a0\u202f\u2009 '’"
-"""What stands between thousands beside point and comma: blanks that do not break, Swiss
-apostrophes.
-"""
 _BY_BLANKS = re.compile(rf"[+-]?[1-9]\d{{0,2}}([{_BLANKS}]\d{{3}})+([.,]\d*)?")
 
 

@@ -71,10 +71,10 @@ _NAMED = re.compile(
     r" ,:]+(.*))?"
 )
 _MINUTES = re.compile(r"(\d+):([0-5]\d)(?:[.,](\d+))?", re.ASCII)
+# years of two digits from here on are of the twentieth century (POSIX has 69)
 _CENTURY = 70
-"""Years of two digits from here on are of the twentieth century (POSIX has 69)."""
+# MATLAB's day number of 1970-01-01
 _DATENUM_1970 = 719_529
-"""MATLAB's day number of 1970-01-01."""
 _DAY = 86_400 * 10**9
 _DATE = re.compile(r"(\d{1,4})[-/.](\d{1,2})[-/.](\d{1,4})(?:[T ,]+(.*))?", re.ASCII)
 _CLOCK = re.compile(
@@ -82,10 +82,11 @@ _CLOCK = re.compile(
     re.ASCII | re.IGNORECASE,
 )
 _1904 = "seconds since 1904"
+# seconds from 1904-01-01, where LabVIEW and old Macintoshes begin to count, to 1970-01-01 (both
+# UTC)
 _SINCE_1904 = 2_082_844_800
-"""Seconds from 1904-01-01, where LabVIEW and old Macintoshes begin to count, to 1970-01-01 (both
-UTC).
-"""
+# forms of numbers that count from an epoch, and the numbers that are then of our days: these do
+# not overlap
 _EPOCHS = (
     ("epoch s", 1e9, 2.2e9),
     (_1904, 1e9 + _SINCE_1904, 2.2e9 + _SINCE_1904),
@@ -93,9 +94,6 @@ _EPOCHS = (
     ("epoch us", 1e15, 2.2e15),
     ("epoch ns", 1e18, 2.2e18),
 )
-"""Forms of numbers that count from an epoch, and the numbers that are then of our days: these do
-not overlap.
-"""
 
 
 def seconds_of(unit: str) -> float | None:
