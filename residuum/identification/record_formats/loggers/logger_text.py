@@ -53,8 +53,8 @@ _SURE = {
     for sign, at, by in ((",", ",", r"\."), (".", r"\.", ","))
 }
 _WITH_UNIT = re.compile(r"([+-]?[\d.,]+(?:[eE][+-]?\d+)?)\s*([A-Za-zµΩ°%][^\s\d:;,]{0,11})")
-_SCANNED = 2000
-_BLANK_BETTER = 0.1
+_SCANNED = 2000  # lines by which the delimiter is found
+_BLANK_BETTER = 0.1  # of a row that is cut into values, by which the blank must be better
 # what stands between thousands beside point and comma: blanks that do not break, Swiss
 # apostrophes
 _BLANKS = "\u00a0\u202f\u2009 '’"
@@ -168,20 +168,16 @@ def find_delimiter(text: str, source: str, missing: Collection[str] = ()) -> tup
     be better by a tenth: a few words that mean no value must not make it the delimiter.
     """
     lines = [line for line in text.splitlines()[:_SCANNED] if line.strip()]
+    # the later half: the head's lines are cut otherwise than the samples
     sample = "\n".join(lines[len(lines) // 2 :])
     best = (0.0, "", "")
     for delimiter in DELIMITERS:
         rows = cells_of(sample, delimiter)
         width, count = Counter(map(len, rows)).most_common(1)[0]
-        filled = [
-            cell
-            for row in rows
-            for cell in row
-            if cell.lower() not in MISSING and cell.lower() not in missing
-        ]
-        share = sum(is_value(cell) or with_unit(cell) is not None for cell in filled) / max(
-            1, len(filled)
-        )
+        cells = [cell for row in rows for cell in row]
+        filled = [cell for cell in cells if cell.lower() not in (*MISSING, *missing)]
+        n_values = sum(is_value(cell) or with_unit(cell) is not None for cell in filled)
+        share = n_values / max(1, len(filled))
         score = share * count / len(rows)
         if width >= 2 and score > best[0] + (_BLANK_BETTER if delimiter == " " else 1e-9):
             best = (
@@ -207,12 +203,11 @@ def find_decimal(rows: list[list[str]], source: str, first_row: int) -> tuple[st
     unsure: tuple[int, str] | None = None
     for row, cells in enumerate(rows, start=first_row):
         for cell in map(ungrouped, cells):
-            if not _NUMBER.fullmatch(cell) or not ("," in cell or "." in cell):
-                continue
-            signs = [sign for sign, pattern in _SURE.items() if pattern.fullmatch(cell)]
+            signs = _signs_of(cell)
             if len(signs) == 1:
                 by_sign.setdefault(signs[0], (row, cell))
-            elif "," in cell and unsure is None:
+            elif signs and "," in cell and unsure is None:
+                # a point that may be either is one: only a comma has to be asked for
                 unsure = (row, cell)
     if len(by_sign) == 2:
         says = " and ".join(f"{cell!r} in row {row}" for row, cell in by_sign.values())
@@ -227,6 +222,14 @@ def find_decimal(rows: list[list[str]], source: str, first_row: int) -> tuple[st
             way_on=[_SIGN],
         )
     return ".", "no cell says otherwise"
+
+
+def _signs_of(cell: str) -> list[str]:
+    """The decimal signs with which a number that holds a sign can be read; none for other cells."""
+    if not _NUMBER.fullmatch(cell) or not ("," in cell or "." in cell):
+        return []
+    sure = [sign for sign, pattern in _SURE.items() if pattern.fullmatch(cell)]
+    return sure if len(sure) == 1 else [*_SURE]
 
 
 def number(cell: str, decimal: str) -> float:
