@@ -260,22 +260,20 @@ def resampled(
     even: FloatArray = step * np.arange(count + 1, dtype=np.float64)
     if near:  # the first stamp is late or early like any other
         even = np.clip(even + time[0] - near[2][0], time[0], time[-1])
-    pairs = [
-        on_instants(time[held], column[held], even, step)
-        for column in values
-        for held in [~np.isnan(column)]
-    ]
+    resampled_channels = []
+    for column in values:
+        held = ~np.isnan(column)
+        resampled_channels.append(on_instants(time[held], column[held], even, step))
     if near:
         alone = _stamps_alone_late(time, near[1], values)
-        pairs = [
-            _at_its_places(pair, column, *near, alone)
-            for pair, column in zip(pairs, values, strict=True)
+        resampled_channels = [
+            _at_its_places(channel, column, *near, alone)
+            for channel, column in zip(resampled_channels, values, strict=True)
         ]
-    return (
-        step,
-        np.array([signal for signal, _ in pairs]).reshape(len(values), len(even)),
-        [outcome for _, outcome in pairs],
-    )
+    signals = np.array([signal for signal, _ in resampled_channels])
+    outcomes = [outcome for _, outcome in resampled_channels]
+    # of no channel at all the shape is still (0, n)
+    return step, signals.reshape(len(values), len(even)), outcomes
 
 
 def _stamps_alone_late(time: FloatArray, place: npt.NDArray[np.int64], values: FloatArray) -> bool:

@@ -123,16 +123,16 @@ def understand(
     )
     guesses["decimal"] = (sign, why)
     if heads:
-        names, own = _said_heads(heads, width, guesses, source)
+        names, units = _said_heads(heads, width, guesses, source)
     else:
-        names, own = _heads(rows, first, width, guesses, source)
-    units = [(told_units or {}).get(name, unit) for name, unit in zip(names, own, strict=True)]
+        names, units = _heads(rows, first, width, guesses, source)
+    own_units = told_units or {}
+    units = [own_units.get(name, unit) for name, unit in zip(names, units, strict=True)]
     samples = _Samples(source, body, first, names, units, sign)
     _refuse_long_form(samples)
-    time: tuple[int, ...] = ()
-    form = "seconds"
-    rows_are_even = sample_time is not None and time_column is None
-    if rows_are_even and not _has_time(samples):
+    if sample_time is not None and time_column is None and not _has_time(samples):
+        time: tuple[int, ...] = ()
+        form = "seconds"
         guesses["time"] = (
             f"rows of {sample_time:g} s",
             f"said with {said('sample_time')}; no column is a time",
@@ -256,7 +256,8 @@ def _first_row(rows: list[list[str]], source: str) -> tuple[int, int]:
     whole = [row for row in rows if len(row) == width and any(row)]
     # the later half: heads and settings stand above the samples
     late = whole[len(whole) // 2 :]
-    numeric = [column for column in range(width) if _are_values([row[column] for row in late])]
+    columns = [[row[column] for row in late] for column in range(width)]
+    numeric = [column for column, cells in enumerate(columns) if _are_values(cells)]
     for position, row in enumerate(rows, start=1):
         if len(row) != width:
             continue
@@ -289,12 +290,7 @@ def _heads(
 ) -> tuple[list[str], list[str]]:
     above = [(k, row) for k, row in enumerate(rows[: first - 1], start=1) if _may_head(row, width)]
     if not above:
-        like = ["time [s]", *(f"name{k}" for k in range(2, width + 1))]
-        raise BadRecord(
-            f"{source}, row {first}: no line of {width} column names stands above it; write"
-            " one, or",
-            way_on=[("names", like)],
-        )
+        raise _no_heads(f"{source}, row {first}", width)
     at, line = above[-1]
     units = [""] * width
     # the last line may hold the units of the names above it
@@ -314,6 +310,14 @@ def _heads(
     )
     units = [of_line or own for of_line, (_, own) in zip(units, heads, strict=True)]
     return names, ["" if unit == "-" else unit for unit in units]
+
+
+def _no_heads(where: str, width: int) -> BadRecord:
+    example = ["time [s]", *(f"name{k}" for k in range(2, width + 1))]
+    return BadRecord(
+        f"{where}: no line of {width} column names stands above it; write one, or",
+        way_on=[("names", example)],
+    )
 
 
 def _may_head(row: list[str], width: int) -> bool:
@@ -584,14 +588,27 @@ def _with_samples(
             f"{source}: all rows have one time stamp, {stamp[:40]!r}; export the times with more"
             " digits, or write the seconds since the start into a column 'time [s]'"
         )
+    samples = _samples_of(mapping, stamps, values, rows, notes)
+    return LoggerFile(mapping, guesses, samples | {"duplicates": len(same_stamp)})
+
+
+def _samples_of(
+    mapping: LoggerMapping,
+    stamps: npt.NDArray[np.int64],
+    values: npt.NDArray[np.float64],
+    rows: list[int],
+    notes: list[str],
+) -> dict[str, Any]:
+    """Rate, gaps and signals of samples at stamps [ns], and how many of them are missing."""
+    steps = np.diff(stamps)
     step, even = usual_step(np.unique(stamps - stamps.min()) / 1e9)
     names = [*mapping.names.values()]
     cleaned = [without_overload(name, column) for name, column in zip(names, values, strict=True)]
     values = np.stack([column for column, _ in cleaned])
     for _, remarks in cleaned:
-        notes += remarks
+        notes = [*notes, *remarks]
     gaps = np.flatnonzero(steps / 1e9 > 1.5 * step)
-    samples = {
+    return {
         "rows": len(rows),
         "sample_time": step,
         "rate": 1 / step,
@@ -599,7 +616,6 @@ def _with_samples(
         "gaps": [_gap(rows[k], float(steps[k]) / 1e9, step) for k in gaps[:_GAPS]],
         "gap_count": len(gaps),
         "reordered": int((steps < 0).sum()),
-        "duplicates": len(same_stamp),
         "signals": dict(zip(names, values, strict=True)),
         "notes": notes,
         "first_rows": first_rows(stamps / 1e9, values),
@@ -607,7 +623,6 @@ def _with_samples(
             name: int(np.isnan(column).sum()) for name, column in zip(names, values, strict=True)
         },
     }
-    return LoggerFile(mapping, guesses, samples)
 
 
 def _settle_order(

@@ -245,17 +245,13 @@ def table(
                 f"{source}, row {row}: {len(cells)} cells; {mapping.width} are needed, mend or cut"
                 " the row"
             )
-        stamps.append(_stamp(cells, mapping, len(stamps), f"{source}, row {row}"))
-        where = f"{source}, row {row}, column"
-        values.append(
-            [
-                _value(cells[k - 1], mapping, k, f"{where} {name!r}")
-                for k, name in mapping.names.items()
-            ]
-        )
+        where = f"{source}, row {row}"
+        stamps.append(_stamp(cells, mapping, len(stamps), where))
+        values.append(_values(cells, mapping, where))
         rows.append(row)
     if len(rows) < 2:
         raise BadRecord(f"{source}: has {len(rows)} data rows; at least 2 are needed")
+    # beyond 64 bits of nanoseconds
     if max(stamps) - min(stamps) >= 2**63 or max(map(abs, stamps)) >= 2**63:
         raise BadRecord(
             f"{source}: time stamps beyond the years 1678 to 2262; check the time's form"
@@ -289,6 +285,13 @@ def no_number(cell: str, where: str) -> BadRecord:
         f"{where}: {cell[:40]!r} is not a number",
         way_on=[("missing", [cell[:40]], "if it means no value")],
     )
+
+
+def _values(cells: list[str], mapping: LoggerMapping, where: str) -> list[float]:
+    return [
+        _value(cells[column - 1], mapping, column, f"{where}, column {name!r}")
+        for column, name in mapping.names.items()
+    ]
 
 
 def _value(cell: str, mapping: LoggerMapping, column: int, where: str) -> float:
@@ -341,6 +344,7 @@ def parse_logger(
     text = decoded(content, source, mapping.encoding)[0]
     stamps, values, rows = table(text, mapping, source, notes)
     stamps, values = _ordered(stamps, values, rows, mapping, notes, source)
+    # from the first stamp: seconds since 1970 as a double would be rounded to 2e-7 s
     time = (stamps - stamps[0]) / 1e9
     names = [*mapping.names.values()]
     columns = np.stack([time, *values])

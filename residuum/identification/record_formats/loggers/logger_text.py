@@ -174,10 +174,7 @@ def find_delimiter(text: str, source: str, missing: Collection[str] = ()) -> tup
     for delimiter in DELIMITERS:
         rows = cells_of(sample, delimiter)
         width, count = Counter(map(len, rows)).most_common(1)[0]
-        cells = [cell for row in rows for cell in row]
-        filled = [cell for cell in cells if cell.lower() not in (*MISSING, *missing)]
-        n_values = sum(is_value(cell) or with_unit(cell) is not None for cell in filled)
-        share = n_values / max(1, len(filled))
+        share = _share_of_values([cell for row in rows for cell in row], {*MISSING, *missing})
         score = share * count / len(rows)
         if width >= 2 and score > best[0] + (_BLANK_BETTER if delimiter == " " else 1e-9):
             best = (
@@ -195,6 +192,13 @@ def find_delimiter(text: str, source: str, missing: Collection[str] = ()) -> tup
     return best[1], best[2]
 
 
+def _share_of_values(cells: list[str], missing: Collection[str]) -> float:
+    """Part of the cells that hold something which are values, with a unit behind them or none."""
+    filled = [cell for cell in cells if cell.lower() not in missing]
+    n_values = sum(is_value(cell) or with_unit(cell) is not None for cell in filled)
+    return n_values / max(1, len(filled))
+
+
 def find_decimal(rows: list[list[str]], source: str, first_row: int) -> tuple[str, str]:
     """(decimal sign, reason); BadRecord where `1,234` may be either, or where both signs are
     used.
@@ -209,7 +213,7 @@ def find_decimal(rows: list[list[str]], source: str, first_row: int) -> tuple[st
             elif signs and "," in cell and unsure is None:
                 # a point that may be either is one: only a comma has to be asked for
                 unsure = (row, cell)
-    if len(by_sign) == 2:
+    if len(by_sign) == 2:  # both signs are sure somewhere
         says = " and ".join(f"{cell!r} in row {row}" for row, cell in by_sign.values())
         raise BadRecord(f"{source}: both decimal signs are used, {says}", way_on=[_SIGN])
     if by_sign:
