@@ -278,7 +278,7 @@ def design_for_robust_performance(
         tried.append(design)
         return design if design.certified < 1.0 and design.stable else None
 
-    front = bisected_front([float(h) for h in gains], [float(w) for w in frequencies], meets)
+    front = bisected_front(gains.tolist(), frequencies.tolist(), meets)
     if not front:
         least = tried[-1]
         raise Infeasible(

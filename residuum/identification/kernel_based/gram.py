@@ -19,7 +19,8 @@ from scipy import fft
 from residuum.array_types import FloatArray
 from residuum.identification.errors import BadRecord, NotIdentifiable
 
-_BLOCKS_AT_ONCE = 64
+# both bound the memory, whatever the length of the record
+_BLOCKS_AT_ONCE = 64  # of one transform each
 _ROWS_AT_ONCE = 1 << 18
 
 
@@ -142,14 +143,8 @@ def regression_sums(
         for k in range(start, stop, _ROWS_AT_ONCE):
             end = min(k + _ROWS_AT_ONCE, stop)
             past = [
-                np.subtract(signal[k - reach : end - delay], level, dtype=float)
-                for signal, level in zip(signals, levels, strict=True)
-            ]
-            # Beyond its own lags a signal may be missing; what stands there is in columns that are
-            # left out.
-            past = [
-                stretch if own == order else np.nan_to_num(stretch)
-                for stretch, own in zip(past, lags, strict=True)
+                _stretch(signal[k - reach : end - delay], level, complete=own == order)
+                for signal, level, own in zip(signals, levels, lags, strict=True)
             ]
             total = total + _run_sums(past, np.subtract(y[k:end], output_level, dtype=float), order)
     if total.rows == 0:
@@ -160,6 +155,14 @@ def regression_sums(
     if orders is None:
         return total
     return total.columns(np.concatenate([j * order + np.arange(own) for j, own in enumerate(lags)]))
+
+
+def _stretch(signal: FloatArray, level: float, *, complete: bool) -> FloatArray:
+    """A signal about its level; zero where it is missing, which only beyond its own lags it may be:
+    what stands there is in columns that are left out.
+    """
+    stretch = np.subtract(signal, level, dtype=float)
+    return stretch if complete else np.nan_to_num(stretch)
 
 
 def _complete_runs(
@@ -180,6 +183,7 @@ def _complete_runs(
         first = order - own
         complete[reach:] &= missing[order : n - delay + 1] == missing[first : first + n - reach]
     edges = np.flatnonzero(np.diff(np.concatenate([[0], complete.astype(np.int8), [0]])))
+    # one edge up and one down a run
     return [(int(start), int(stop)) for start, stop in edges.reshape(-1, 2)]
 
 

@@ -281,6 +281,16 @@ def multivariable_from(content: dict[str, Any], path: Path) -> MultivariableMode
         tuple(identified_from(encoded, path) for encoded in row) for row in content["models"]
     )
     covariances = tuple(np.asarray(encoded, dtype=float) for encoded in content["covariances"])
+    _check_grid(models, covariances, path)
+    # files of older versions have none
+    longer = tuple(_longer_from(encoded, path) for encoded in content.get("longer", []))
+    _check_longer(models, longer, path)
+    return MultivariableModel(models, covariances, longer)
+
+
+def _check_grid(
+    models: Sequence[Sequence[IdentifiedModel]], covariances: Sequence[FloatArray], path: Path
+) -> None:
     if not models or len({len(row) for row in models}) != 1 or len(covariances) != len(models):
         raise BadModel(f"{path}: models must be a full grid, with one covariance an output")
     for row, covariance in zip(models, covariances, strict=True):
@@ -290,20 +300,24 @@ def multivariable_from(content: dict[str, Any], path: Path) -> MultivariableMode
                 f"{path}: covariance of {row[0].output_name!r} has shape {covariance.shape}; must"
                 f" be ({size}, {size})"
             )
-    # files of older versions have none
-    longer = tuple(_longer_from(encoded, path) for encoded in content.get("longer", []))
-    if longer and len(longer) != len(models):
+
+
+def _check_longer(
+    models: Sequence[Sequence[IdentifiedModel]], longer: Sequence[Longer | None], path: Path
+) -> None:
+    if not longer:
+        return
+    if len(longer) != len(models):
         raise BadModel(f"{path}: longer must have an entry an output")
-    for row, model in zip(models, longer, strict=False):
-        if model is not None and (
-            len(model.mean) % len(row)
-            or model.covariance.shape != (len(model.mean), len(model.mean))
-        ):
+    for row, response in zip(models, longer, strict=True):
+        if response is None:
+            continue
+        size = len(response.mean)
+        if size % len(row) or response.covariance.shape != (size, size):
             raise BadModel(
                 f"{path}: longer responses of {row[0].output_name!r} do not fit {len(row)} inputs"
                 " and their covariance"
             )
-    return MultivariableModel(models, covariances, longer)
 
 
 def _longer_object(longer: Longer | None) -> dict[str, Any] | None:

@@ -684,8 +684,29 @@ def block_bootstrap(
     apparent, outputs = _errors(model, blocks)
     energy = [float(np.nanmean(y**2)) for y in outputs]  # about each block's level
     predicted = [float(np.nanmean((y - e) ** 2)) for y, e in zip(outputs, apparent, strict=True)]
-    left: list[list[float]] = [[] for _ in blocks]
+    trained, mean_squares = _left_out(fit, blocks, repeats, seed)
+    counted = [float(np.mean(block)) for block in mean_squares if block]
+    if not counted:
+        raise NotIdentifiable(
+            "bootstrap: no sample of blocks has enough data for the model; record longer, or take a"
+            " smaller order"
+        )
+    own = float(np.mean([np.nanmean(e**2) for e in apparent]))
+    out_of_bag = float(np.mean(counted))
+    # outputs and predictions of different blocks: their errors if nothing were learnt
+    no_information = float(np.mean(energy) + np.mean(predicted))
+    error, overfitting = weighed(own, out_of_bag, no_information)
+    return BlockBootstrap(error, own, out_of_bag, no_information, overfitting, trained, len(blocks))
+
+
+def _left_out(
+    fit: Fit, blocks: Sequence[Record], repeats: int, seed: int
+) -> tuple[int, list[list[float]]]:
+    """(models trained, mean square errors of each block by the models that were trained without
+    it).
+    """
     rng, trained = np.random.default_rng(seed), 0
+    mean_squares: list[list[float]] = [[] for _ in blocks]
     for _ in range(repeats):
         drawn = rng.integers(0, len(blocks), len(blocks))
         out = np.setdiff1d(np.arange(len(blocks)), drawn)
@@ -695,23 +716,12 @@ def block_bootstrap(
             refit = fit([blocks[k] for k in drawn])
             errors, _ = _errors(refit, [blocks[k] for k in out])
         except BadInput:
+            # a sample of blocks may hold too little for the model
             continue
         trained += 1
         for k, e in zip(out, errors, strict=True):
-            left[k].append(float(np.nanmean(e**2)))
-    counted = [float(np.mean(block_mse)) for block_mse in left if block_mse]
-    if not counted:
-        raise NotIdentifiable(
-            "bootstrap: no sample of blocks has enough data for the model; record longer, or take a"
-            " smaller order"
-        )
-    own = float(np.mean([np.nanmean(e**2) for e in apparent]))
-    out_of_bag, no_information = (
-        float(np.mean(counted)),
-        float(np.mean(energy) + np.mean(predicted)),
-    )
-    error, overfitting = weighed(own, out_of_bag, no_information)
-    return BlockBootstrap(error, own, out_of_bag, no_information, overfitting, trained, len(blocks))
+            mean_squares[k].append(float(np.nanmean(e**2)))
+    return trained, mean_squares
 
 
 def cut_into_blocks(model: IdentifiedModel, records: Sequence[Record]) -> list[Record]:

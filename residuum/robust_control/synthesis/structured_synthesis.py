@@ -305,22 +305,19 @@ def stabilising_starts(
         return []
 
     def radius(rho: FloatArray) -> float:
+        """The largest modulus of a closed-loop pole of any plant."""
         controller = structure.transfer_function(rho)
-        return float(
-            max(
-                np.abs(np.roots(characteristic(plant, controller))).max(initial=0.0)
-                for plant in plants
-            )
-        )
+        poles = [np.roots(characteristic(plant, controller)) for plant in plants]
+        return float(max(np.abs(of_plant).max(initial=0.0) for of_plant in poles))
 
     low, high = _box(structure)
-    scaled = [
-        (np.clip(rho, low, high), sizes)
-        for k in _crossings(loop)
-        for rho, sizes in _scaled(loop, structure, k)
-    ]
+    scaled = []
+    for k in _crossings(loop):
+        for rho, sizes in _scaled(loop, structure, k):
+            scaled.append((np.clip(rho, low, high), sizes))
     ranked = sorted((radius(rho), n) for n, (rho, _) in enumerate(scaled))
-    if stable := [scaled[n] for modulus, n in ranked if modulus < _INSIDE]:
+    stable = [scaled[n] for modulus, n in ranked if modulus < _INSIDE]
+    if stable:
         return stable
     lowered = [_lowered(radius, *scaled[n], low, high) for _, n in ranked[:_DESCENTS]]
     return [start for start in lowered if start is not None]
@@ -464,14 +461,31 @@ def synthesise(
     ----------
     P. Apkarian, D. Noll, *Nonsmooth H∞ synthesis*, IEEE Trans. Autom. Control 51 (2006).
     """
+    usable = _usable_starts(loop, structure, starts)
+    descents = [Descent(loop, weights, structure, rho, sizes) for rho, sizes in usable]
+    best = _search(_valleys(descents), target)
+    for _ in range(_EXCHANGES):
+        fine_cost = _fine_cost(loop, weights, structure, best.here.rho)
+        # descents hold the logarithm of the cost
+        enough = np.exp(best.here.peak) * (1.0 + _GAP)
+        if target is not None:
+            enough = max(target, enough)
+        if fine_cost.max() <= enough:
+            break
+        loop, weights = _with_peaks(loop, weights, fine_cost)
+        best = _search([Descent(loop, weights, structure, best.here.rho, best.sizes)], target)
+    return _result(loop, weights, structure, best)
+
+
+def _usable_starts(
+    loop: Loop, structure: ControllerStructure, starts: Iterable[FloatArray] | None
+) -> list[tuple[FloatArray, FloatArray]]:
+    """First values that stabilise every plant, each with the typical sizes of the parameters."""
     sizes = structure.sizes(*loop.gain_and_time_constant)
-    first = [
-        (rho, sizes) for rho in (starts if starts is not None else default_starts(loop, structure))
-    ]
-    usable = [
-        (rho, sizes) for rho, sizes in first if loop.stabilised_by(*structure.polynomials(rho))
-    ]
+    first = [*(default_starts(loop, structure) if starts is None else starts)]
+    usable = [(rho, sizes) for rho in first if loop.stabilised_by(*structure.polynomials(rho))]
     if starts is None and (not usable or not loop.plants_are_stable):
+        # a search of its own, kept with the loop: each design of a front asks for the same
         if structure not in loop.stabilising:
             loop.stabilising[structure] = stabilising_starts(loop, structure)
         usable += loop.stabilising[structure]
@@ -481,20 +495,7 @@ def synthesise(
             " plant, nor any found by moving the closed-loop poles inwards; take a structure with"
             " more freedom"
         )
-    descents = [Descent(loop, weights, structure, rho, sizes) for rho, sizes in usable]
-    best = _search(_valleys(descents), target)
-    for _ in range(_EXCHANGES):
-        fine_cost = _fine_cost(loop, weights, structure, best.here.rho)
-        enough = (
-            np.exp(best.here.peak) * (1.0 + _GAP)
-            if target is None
-            else max(target, np.exp(best.here.peak) * (1.0 + _GAP))
-        )
-        if fine_cost.max() <= enough:
-            break
-        loop, weights = _with_peaks(loop, weights, fine_cost)
-        best = _search([Descent(loop, weights, structure, best.here.rho, best.sizes)], target)
-    return _result(loop, weights, structure, best)
+    return usable
 
 
 def _search(descents: list[Descent], target: float | None) -> Descent:

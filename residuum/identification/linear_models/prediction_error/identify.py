@@ -96,17 +96,18 @@ def identify(
             f"criterion {criterion!r}: {known_names(criterion, CRITERIA, 'must be one of')}"
         )
     data = signals(records, input if structure.has_input else None, output, offset=offset)
-    wanted = (
-        [orders]
-        if orders is not None
-        else [structure.orders(k, delay) for k in ([order] if order is not None else candidates)]
-    )
+    if orders is not None:
+        wanted = [orders]
+    else:
+        numbers = candidates if order is None else [order]
+        wanted = [structure.orders(number, delay) for number in numbers]
     with one_thread_if_small(max(o.count for o in wanted) + 200):
         held_out = _folds(data, criterion, folds) if len(wanted) > 1 else []
         possible = _possible(wanted, data, held_out, records)
         if structure.has_input:
             _check_excitation(data, min(o.nb + max(o.na, o.nf) for o in possible), input)
-        first = FirstValues(data, possible[0].delay, max(max(o.nf, o.na, o.nb) for o in possible))
+        longest = max(max(o.nf, o.na, o.nb) for o in possible)
+        first = FirstValues(data, possible[0].delay, longest)
         scores = _scores(structure, data, held_out, possible, first, criterion, offset)
         best = int(np.argmin(scores)) if scores.size else 0
         fit = best_fit(structure, data, possible[best], first, offset=offset)
