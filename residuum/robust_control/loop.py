@@ -72,8 +72,7 @@ class MeasuredPlant:
         if not self.sample_time > 0:
             raise BadInput(f"MeasuredPlant, sample_time: is {self.sample_time!r}; must be positive")
         nyquist = np.pi / self.sample_time
-        rises = omega[0] > 0 and (np.diff(omega) > 0).all()
-        if not rises or omega[-1] > nyquist * (1 + 1e-9):
+        if not (np.diff(omega, prepend=0.0) > 0).all() or omega[-1] > nyquist * (1 + 1e-9):
             raise BadInput(
                 f"MeasuredPlant, omega: must increase within 0 … π/Ts = {nyquist:.6g} rad/s"
             )

@@ -62,7 +62,7 @@ def signals(records: Sequence[Record], input: str | None, output: str, *, offset
             f"{where}, channel {output!r}: does not move; there is nothing to identify: take one"
             " that answers the input"
         )
-    if input is not None and u_scale == 0.0:
+    if u_scale == 0.0 and input is not None:
         raise NotIdentifiable(
             f"{where}, channel {input!r}: does not move (excites order 0): record while it is moved"
         )

@@ -252,11 +252,11 @@ def _first_row(rows: list[list[str]], source: str) -> tuple[int, int]:
     """(file row of the first sample, cells of a row): the first row whose columns of values hold
     nothing else.
     """
-    width = Counter(len(row) for row in rows if any(row)).most_common(1)[0][0]
-    whole = [row for row in rows if len(row) == width and any(row)]
+    filled_rows = [row for row in rows if any(row)]
+    width = Counter(map(len, filled_rows)).most_common(1)[0][0]
+    whole = [row for row in filled_rows if len(row) == width]
     # the later half: heads and settings stand above the samples
-    late = whole[len(whole) // 2 :]
-    columns = [[row[column] for row in late] for column in range(width)]
+    columns = list(zip(*whole[len(whole) // 2 :], strict=True))
     numeric = [column for column, cells in enumerate(columns) if _are_values(cells)]
     for position, row in enumerate(rows, start=1):
         if len(row) != width:
@@ -267,7 +267,7 @@ def _first_row(rows: list[list[str]], source: str) -> tuple[int, int]:
     raise BadRecord(f"{source}: no row of numbers found among rows of {width} cells")
 
 
-def _are_values(cells: list[str]) -> bool:
+def _are_values(cells: Sequence[str]) -> bool:
     filled = [cell for cell in cells if cell.lower() not in MISSING]
     return bool(filled) and sum(map(is_value, filled)) >= _MOSTLY * len(filled)
 
@@ -292,11 +292,9 @@ def _heads(
     if not above:
         raise _no_heads(f"{source}, row {first}", width)
     at, line = above[-1]
-    units = [""] * width
     # the last line may hold the units of the names above it
     unit_line = _unit_line(line, above[-2][1]) if len(above) > 1 else None
     if unit_line:
-        units = unit_line
         guesses["unit line"] = (f"row {at}", "its cells are units, those above it names")
         at, line = above[-2]
     guesses["header"] = (
@@ -308,8 +306,13 @@ def _heads(
     names = _distinct(
         _told_apart(plain, [row for k, row in above if k < at]), f"{source}, row {at}"
     )
-    units = [of_line or own for of_line, (_, own) in zip(units, heads, strict=True)]
-    return names, ["" if unit == "-" else unit for unit in units]
+    units = zip(unit_line or [""] * width, heads, strict=True)
+    return names, [_without_dash(of_line or in_head) for of_line, (_, in_head) in units]
+
+
+def _without_dash(unit: str) -> str:
+    """A unit; "" for the dash that some write for none."""
+    return "" if unit == "-" else unit
 
 
 def _no_heads(where: str, width: int) -> BadRecord:

@@ -383,14 +383,8 @@ def _ordered(
     how.
     """
     was_set = clock_steps(stamps)
-    changed = sorted([*was_set, *_hours_ahead(stamps)]) if mapping.reordered == "bridge" else []
-    if changed:
-        stamps = _bridged(stamps, changed)
-        notes.append(
-            f"the clock was set {len(changed)} time{'s' * (len(changed) > 1)}, first at row"
-            f" {rows[changed[0]]}; bridged by the usual step: what was lost in that moment cannot"
-            " be seen"
-        )
+    if mapping.reordered == "bridge":
+        stamps = _over_settings(stamps, was_set, rows, notes)
     backward = np.diff(stamps) < 0
     if backward.any():
         if mapping.reordered != "sort" or was_set:
@@ -412,6 +406,21 @@ def _ordered(
     if mapping.duplicates == "first":
         return stamps[starts], values[:, starts]
     return stamps[starts], _means(values, starts)
+
+
+def _over_settings(
+    stamps: npt.NDArray[np.int64], was_set: list[int], rows: list[int], notes: list[str]
+) -> npt.NDArray[np.int64]:
+    """The stamps as if nobody had set the clock, back or an hour ahead; `notes` tell how often."""
+    changed = sorted([*was_set, *_hours_ahead(stamps)])
+    if not changed:
+        return stamps
+    notes.append(
+        f"the clock was set {len(changed)} time{'s' * (len(changed) > 1)}, first at row"
+        f" {rows[changed[0]]}; bridged by the usual step: what was lost in that moment cannot"
+        " be seen"
+    )
+    return _bridged(stamps, changed)
 
 
 def _goes_back(

@@ -210,16 +210,16 @@ def find_decimal(rows: list[list[str]], source: str, first_row: int) -> tuple[st
             signs = _signs_of(cell)
             if len(signs) == 1:
                 by_sign.setdefault(signs[0], (row, cell))
-            elif signs and "," in cell and unsure is None:
+            elif signs and "," in cell:
                 # a point that may be either is one: only a comma has to be asked for
-                unsure = (row, cell)
+                unsure = unsure or (row, cell)
     if len(by_sign) == 2:  # both signs are sure somewhere
         says = " and ".join(f"{cell!r} in row {row}" for row, cell in by_sign.values())
         raise BadRecord(f"{source}: both decimal signs are used, {says}", way_on=[_SIGN])
     if by_sign:
         sign, (row, cell) = next(iter(by_sign.items()))
         return sign, f"{cell!r} in row {row} reads only so"
-    if unsure is not None:
+    if unsure:
         row, cell = unsure
         raise BadRecord(
             f"{source}, row {row}: {cell!r} may hold a decimal comma or a thousands sign",

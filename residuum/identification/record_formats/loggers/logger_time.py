@@ -165,10 +165,10 @@ def stamp_form(cells: list[str]) -> tuple[str, str] | None:
     if all(_numbered(cell) != cell for cell in cells):
         return "day first", f"months by name, {cells[0]!r}"
     dates = [_DATE.fullmatch(cell) for cell in cells]
-    if not all(dates):
-        return None
     parts = [match.groups() for match in dates if match]
-    if all(len(first) <= 2 and len(third) <= 2 for first, _, third, _ in parts):
+    if len(parts) < len(cells):
+        return None
+    if max(len(outer) for first, _, third, _ in parts for outer in (first, third)) <= 2:
         return _short_year(cells, parts)
     return _long_year(cells, parts)
 
