@@ -174,11 +174,13 @@ def _complete_runs(
     n, reach = len(y), delay + order - 1
     if n <= reach:
         return []
+    # a sum tells a NaN in one pass, without an array of flags
     if not any(np.isnan(signal.sum()) for signal in (*inputs, y)):
         return [(reach, n)]
     complete = ~np.isnan(y)
     complete[:reach] = False
     for signal, own in zip(inputs, lags, strict=True):
+        # a window without a missing sample: the count at its end is that at its begin
         missing = np.concatenate([[0], np.cumsum(np.isnan(signal))])
         first = order - own
         complete[reach:] &= missing[order : n - delay + 1] == missing[first : first + n - reach]
@@ -254,6 +256,7 @@ def _lagged_products(signals: list[FloatArray], x: list[FloatArray], order: int)
     blocks.
     """
     rows = len(signals[0])
+    # blocks eight times as long as the overlap, so that an eighth of each transform is lost to it
     size = fft.next_fast_len(min(max(1024, 8 * order), rows + order - 1), real=True)
     step = size - order + 1
     spectrum = np.zeros((len(signals), len(x), size // 2 + 1), dtype=complex)

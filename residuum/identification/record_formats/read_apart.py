@@ -92,7 +92,8 @@ def _ending(status: int) -> str:
 
 def main(file: str, folder: str, arguments: str) -> int:
     """Read a file and leave its record in the folder; gives the exit status."""
-    out, sys.stdout = sys.stdout, sys.stderr  # a library's chatter is no refusal
+    # a library's chatter is no refusal
+    out, sys.stdout = sys.stdout, sys.stderr
     try:
         keep_plain(read_record(file, ReadOptions(**json.loads(arguments))), Path(folder))
     except BadInput as error:

@@ -120,7 +120,7 @@ def _times(channel: Any, clock: Any, options: ReadOptions, source: str) -> np.nd
 
 def _instants(clock: Any, source: str) -> np.ndarray:
     values = np.asarray(clock[:])
-    if values.dtype.kind == "M":
+    if values.dtype.kind == "M":  # stamps
         return (values - values[0]) / np.timedelta64(1, "ns") * 1e-9
     if (seconds := seconds_of(_unit(clock))) is None:
         values = values.astype(float)

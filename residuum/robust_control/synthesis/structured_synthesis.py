@@ -117,7 +117,9 @@ def _inverse_of_lower(L):  # type: ignore[no-untyped-def]  # compiled
 # Descent of the largest weighted cost over plants and frequencies, by the parameters of a
 # controller.
 
-_SAME, _SMALLEST, _IDLE = 1e-6, 1e-4, 0.7
+_SAME = 1e-6  # promised gain in ln cost below which a descent is finished
+_SMALLEST = 1e-4  # box, in units of the parameters' scale, below which it is finished
+_IDLE = 0.7  # in ln cost below the peak: points further down leave the working set
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,9 +169,8 @@ class Descent:
         self.working = _peaks(self.here.log_cost, self.here.peak)
         self.multipliers = np.zeros(loop.G.shape)
         self.curvature = 0.01 * np.eye(len(rho))
-        self.last: tuple[FloatArray, FloatArray] | None = (
-            None  # step, slope of the Lagrangian before it
-        )
+        # step, and slope of the Lagrangian before it
+        self.last: tuple[FloatArray, FloatArray] | None = None
         self.radius = 1.0
         self.finished = False
 
@@ -208,13 +209,14 @@ class Descent:
             self.multipliers[at] = multipliers
             self.last = (d, multipliers @ slopes)
             self.here = trial
+            # a point with a multiplier shapes the step, however far below the peak it lies now
             self.working &= (trial.log_cost > trial.peak - _IDLE) | (self.multipliers > 0.0)
-            self.radius = (
-                min(1.0, 2.5 * self.radius)
-                if gained > 0.6
-                else self.radius * (0.5 if gained < 0.2 else 1.0)
-            )
+            if gained > 0.6:
+                self.radius = min(1.0, 2.5 * self.radius)
+            elif gained < 0.2:
+                self.radius *= 0.5
             return
+        # the step may have been shorter than the box: half of what was tried
         self.radius = 0.5 * min(self.radius, float(np.abs(d / reach).max()))
         self.finished = self.radius < _SMALLEST
 
@@ -311,6 +313,7 @@ def stabilising_starts(
         return float(max(np.abs(of_plant).max(initial=0.0) for of_plant in poles))
 
     low, high = _box(structure)
+    # scaled to a crossing, a start may leave the structure's bounds
     scaled = []
     for k in _crossings(loop):
         for rho, sizes in _scaled(loop, structure, k):
