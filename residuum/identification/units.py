@@ -18,9 +18,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from residuum.identification.common_units import COMMON_UNITS, NamedUnit
+from residuum.identification.common_units import COMMON_UNITS, LARGEST_POWER, NamedUnit
 from residuum.identification.errors import BadUnit
-from residuum.identification.unit_grammar import LARGEST_POWER
 from residuum.identification.unit_spellings import canonical
 
 _LONGEST = 80
