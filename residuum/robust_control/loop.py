@@ -27,8 +27,10 @@ from residuum.robust_control.weights.weighted_cost import (
 # A plant that is known only by its measured frequency response, and the stability of its loop by
 # Nyquist's criterion.
 
-_LONGEST_TURN = 0.5 * np.pi
-_FURTHEST_FROM_AXIS = np.pi / 4
+_LONGEST_TURN = (
+    0.5 * np.pi
+)  # [rad] of 1 + L between two frequencies: more may be the other way round
+_FURTHEST_FROM_AXIS = np.pi / 4  # [rad] of 1 + L at the ends of the grid from its asymptote
 _AROUND_A_PEAK = np.array([-4.0, -2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0, 4.0])  # half widths
 
 
@@ -166,13 +168,12 @@ def interconnect(
         The loop without delay has gain 1 (I − F D is singular): it has no solution.
     """
     A, B, C, D = (block_diag(*[getattr(block, name) for block in blocks]) for name in "ABCD")
-    direct = np.eye(len(between)) - between @ D
+    direct = np.eye(len(between)) - between @ D  # I − F D
     if abs(np.linalg.det(direct)) < 1e-12:
         raise BadInput("state space: the loop is not well posed; its direct feedthrough equals −1")
-    from_states, from_input = (
-        np.linalg.solve(direct, between @ C),
-        np.linalg.solve(direct, external),
-    )
+    # v = (I − F D)⁻¹ (F C x + E r), from v = F w + E r and w = C x + D v
+    from_states = np.linalg.solve(direct, between @ C)
+    from_input = np.linalg.solve(direct, external)
     C, D = outputs @ (C + D @ from_states), outputs @ D @ from_input
     return StateSpace(A + B @ from_states, B @ from_input, C, D, blocks[0].sample_time)
 
@@ -298,6 +299,7 @@ class Loop:
         the same grid.
         """
         fine, position = self.finer
+        # not by the constructor, which computes the plants' responses
         part = object.__new__(Loop)
         part.plants, part.sample_time = self.plants, self.sample_time
         part.stabilising = self.stabilising
@@ -314,7 +316,7 @@ class Loop:
         steps = np.arange(len(self.omega))
         position = np.linspace(0, steps[-1], 20 * int(steps[-1]) + 1)
         omega = np.exp(np.interp(position, steps, np.log(self.omega)))
-        omega[-1] = self.omega[-1]
+        omega[-1] = self.omega[-1]  # rounding could put it beyond the Nyquist frequency
         return Loop(self.plants, omega), position
 
     @cached_property
@@ -410,11 +412,9 @@ class Loop:
             raise TypeError("only a measured plant is judged by Nyquist's criterion")
         poles = np.roots(den)
         integrators = int(np.sum(np.abs(poles - 1.0) < 1e-6))
-        outside = (
-            int(np.sum(np.abs(poles) > 1.0))
-            if not integrators
-            else int(np.sum(np.abs(poles) > 1.0 + 1e-6))
-        )
+        # an integrator that rounding puts outside the circle is counted once, as an integrator
+        largest = 1.0 + 1e-6 if integrators else 1.0
+        outside = int(np.sum(np.abs(poles) > largest))
         L = self.G[k] * self.controller_response(num, den)
         unstable = closed_loop_unstable_poles(
             L, plant.unstable_poles + outside, plant.integrators + integrators

@@ -135,7 +135,7 @@ def regression_sums(
             f"inputs of {[len(signal) for signal in signals]} samples and an output of {len(y)}:"
             " lengths must be equal"
         )
-    reach = delay + order - 1
+    reach = delay + order - 1  # samples of the past that a row needs
     levels = [0.0] * len(signals) if input_levels is None else input_levels
     lags = [order] * len(signals) if orders is None else list(orders)
     total = RegressionSums.zero(len(signals) * order)

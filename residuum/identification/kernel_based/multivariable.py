@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -124,6 +124,7 @@ def _drawn(
     n: int, mean: FloatArray, covariance: FloatArray, rng: np.random.Generator, n_inputs: int
 ) -> FloatArray:
     """`n` stacked responses, shape (n, n_inputs, length)."""
+    # a root by eigenvalues, for a covariance that is singular but for rounding
     eigenvalues, vectors = np.linalg.eigh(covariance)
     deviation = (
         rng.standard_normal((n, len(mean))) @ (vectors * np.sqrt(np.maximum(eigenvalues, 0.0))).T
@@ -172,7 +173,12 @@ def identify_multivariable(
         covariances.append(fit.covariance)
         longer = None
         if cover_cut:
-            refit = _refit(records, inputs, output, kernel, delay, noise_variance, offset)
+
+            def refit(length: int, output: str = output) -> tuple[FloatArray, FloatArray]:
+                sums = lagged_data(records, inputs, output, length, delay, offset=offset).sums
+                again = fit_impulse_response(sums, kernel, len(inputs), noise_variance)
+                return again.mean, again.covariance
+
             longer = longer_response(
                 (fit.mean, fit.covariance), order, data.sums.rows, refit, len(inputs)
             )
@@ -180,6 +186,7 @@ def identify_multivariable(
         paths = []
         for j, name in enumerate(inputs):
             block = slice(j * order, (j + 1) * order)
+            # of a path its part of the stacked longer responses
             M = 0 if longer is None else len(longer.mean) // len(inputs)
             long = slice(j * M, (j + 1) * M)
             paths.append(
@@ -206,23 +213,6 @@ def identify_multivariable(
             )
         rows.append(tuple(paths))
     return MultivariableModel(tuple(rows), tuple(covariances), tuple(longest))
-
-
-def _refit(
-    records: Record | Sequence[Record],
-    inputs: Sequence[str],
-    output: str,
-    kernel: str,
-    delay: int,
-    noise_variance: NoiseVariance,
-    offset: bool,
-) -> Callable[[int], tuple[FloatArray, FloatArray]]:
-    def fit(length: int) -> tuple[FloatArray, FloatArray]:
-        sums = lagged_data(records, inputs, output, length, delay, offset=offset).sums
-        again = fit_impulse_response(sums, kernel, len(inputs), noise_variance)
-        return again.mean, again.covariance
-
-    return fit
 
 
 # The JSON file of a model with several inputs or outputs: its paths as identified models, and

@@ -65,8 +65,8 @@ class InfluxHistory:
         ends = []
         # each field by itself: several of these functions in one question have no instant
         for tag in at.tags or fields:
-            for which in ("FIRST", "LAST"):
-                query = f"SELECT {which}({_name(fields[tag])}) {_from(at)}"
+            for function in ("FIRST", "LAST"):
+                query = f"SELECT {function}({_name(fields[tag])}) {_from(at)}"
                 ends += [series["values"][0][0] for series in _answers(at, query)]
         if not ends:
             return None

@@ -307,10 +307,7 @@ def stabilising_starts(
         return []
 
     def radius(rho: FloatArray) -> float:
-        """The largest modulus of a closed-loop pole of any plant."""
-        controller = structure.transfer_function(rho)
-        poles = [np.roots(characteristic(plant, controller)) for plant in plants]
-        return float(max(np.abs(of_plant).max(initial=0.0) for of_plant in poles))
+        return _spectral_radius(plants, structure.transfer_function(rho))
 
     low, high = _box(structure)
     # scaled to a crossing, a start may leave the structure's bounds
@@ -324,6 +321,12 @@ def stabilising_starts(
         return stable
     lowered = [_lowered(radius, *scaled[n], low, high) for _, n in ranked[:_DESCENTS]]
     return [start for start in lowered if start is not None]
+
+
+def _spectral_radius(plants: list[TransferFunction], controller: TransferFunction) -> float:
+    """The largest modulus of a closed-loop pole of any plant."""
+    poles = [np.roots(characteristic(plant, controller)) for plant in plants]
+    return float(max(np.abs(of_plant).max(initial=0.0) for of_plant in poles))
 
 
 def _box(structure: ControllerStructure) -> tuple[FloatArray, FloatArray]:

@@ -158,15 +158,11 @@ class _Search:
         aim: TimeAim,
         margin: float,
     ) -> None:
-        self.loop, self.plants, self.W_T, self.structure, self.aim = (
-            loop,
-            list(plants),
-            W_T,
-            structure,
-            aim,
-        )
-        self.margin, self.weights = margin, Weights(np.zeros(len(W_T)), W_T)
-        self.duration = 1.5 * aim.settling_time
+        self.loop, self.plants, self.structure = loop, list(plants), structure
+        self.W_T, self.aim, self.margin = W_T, aim, margin
+        # the cost with W_S = 0 is |W_T T| alone
+        self.weights = Weights(np.zeros(len(W_T)), W_T)
+        self.duration = 1.5 * aim.settling_time  # [s] that steps are followed for
         self.nominal = next(plant for plant in loop.plants if isinstance(plant, TransferFunction))
         bounds = structure.bounds()
         self.low = np.array([-np.inf if low is None else low for low, _ in bounds])
@@ -186,6 +182,7 @@ class _Search:
                 W_S = ReferenceModel(overshoot, float(settling_time)).weight_magnitude(
                     self.loop.omega
                 )
+                # from the controller of the reference model before it, which is near
                 starts = rhos[-1:] or None
                 try:
                     rhos.append(
@@ -207,6 +204,7 @@ class _Search:
                 f"aim in time: no controller {self.structure.name!r} that stabilises the plant was"
                 " found"
             )
+        # ranked by a few plants, searched by all
         ranked = sorted(candidates, key=lambda rho: self.merit(rho, _FEW))
         minima = [
             nelder_mead(self.merit, self.simplex(rho), _EVALUATIONS) for rho in ranked[:_SEARCHES]
@@ -231,11 +229,10 @@ class _Search:
             return 1e6
         overshoot, settling_time = self.reached(rho, plants)
         norm = self.norm(rho)
-        late = (
-            settling_time / self.aim.settling_time
-            if math.isfinite(settling_time)
-            else 2.0 + self._error(rho)
-        )
+        late = settling_time / self.aim.settling_time
+        # where a loop does not settle, its error is what can fall
+        if not math.isfinite(late):
+            late = 2.0 + self._error(rho)
         over = max(0.0, math.log(max(overshoot, 1e-12) / (self.margin * self.aim.overshoot)))
         return late + _STIFF * over + _STIFF * max(0.0, math.log(max(norm, 1e-12) / 0.999))
 

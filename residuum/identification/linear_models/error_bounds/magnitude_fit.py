@@ -376,11 +376,15 @@ def _checked(
         )
     if sample_time is not None:
         _check_nyquist(float(omega[-1]), sample_time)
+    _check_choices(order, bound)
+    return omega, magnitude
+
+
+def _check_choices(order: int | None, bound: str) -> None:
     if order is not None and not 0 <= order <= _HIGHEST_ORDER:
         raise BadInput(f"fit_magnitude, order: is {order}; must lie between 0 and {_HIGHEST_ORDER}")
     if bound not in ("above", "at", "below"):
         raise BadInput(f"fit_magnitude, bound: {bound!r}; must be above, at or below")
-    return omega, magnitude
 
 
 def _check_nyquist(highest: float, sample_time: float) -> None:

@@ -56,21 +56,26 @@ def signals(records: Sequence[Record], input: str | None, output: str, *, offset
     ]
     u_level, u_scale = _level_and_scale(us, offset)
     y_level, y_scale = _level_and_scale(ys, offset)
-    where = records[0].source or "record"
-    if y_scale == 0.0:
-        raise NotIdentifiable(
-            f"{where}, channel {output!r}: does not move; there is nothing to identify: take one"
-            " that answers the input"
-        )
-    if u_scale == 0.0 and input is not None:
-        raise NotIdentifiable(
-            f"{where}, channel {input!r}: does not move (excites order 0): record while it is moved"
-        )
+    _check_movement(records[0].source or "record", (input, u_scale), (output, y_scale))
     u_scale = u_scale or 1.0  # the zero input of a time series stays zero
     pairs = tuple(
         ((u - u_level) / u_scale, (y - y_level) / y_scale) for u, y in zip(us, ys, strict=True)
     )
     return Signals(pairs, u_level, y_level, u_scale, y_scale)
+
+
+def _check_movement(where: str, input: tuple[str | None, float], output: tuple[str, float]) -> None:
+    """Refuse an output or an input, name and scale of each, that does not move."""
+    if output[1] == 0.0:
+        raise NotIdentifiable(
+            f"{where}, channel {output[0]!r}: does not move; there is nothing to identify: take one"
+            " that answers the input"
+        )
+    if input[0] is not None and input[1] == 0.0:
+        raise NotIdentifiable(
+            f"{where}, channel {input[0]!r}: does not move (excites order 0): record while it is"
+            " moved"
+        )
 
 
 def _check_sample_times(records: Sequence[Record]) -> None:

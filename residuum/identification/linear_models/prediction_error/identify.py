@@ -96,11 +96,8 @@ def identify(
             f"criterion {criterion!r}: {known_names(criterion, CRITERIA, 'must be one of')}"
         )
     data = signals(records, input if structure.has_input else None, output, offset=offset)
-    if orders is not None:
-        wanted = [orders]
-    else:
-        numbers = candidates if order is None else [order]
-        wanted = [structure.orders(number, delay) for number in numbers]
+    numbers = candidates if order is None else [order]
+    wanted = [orders] if orders else [structure.orders(number, delay) for number in numbers]
     with one_thread_if_small(max(o.count for o in wanted) + 200):
         held_out = _folds(data, criterion, folds) if len(wanted) > 1 else []
         possible = _possible(wanted, data, held_out, records)
@@ -136,6 +133,7 @@ def _scores(
         return cross_validation(structure, held_out, possible, offset=offset)
     if len(possible) == 1:
         return np.zeros(0)
+    # information compares candidates by a rough fit each; only the chosen one is fitted to the end
     fits = [rough_fit(structure, data, orders, first, offset=offset) for orders in possible]
     return np.array(
         [
