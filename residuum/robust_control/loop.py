@@ -27,9 +27,7 @@ from residuum.robust_control.weights.weighted_cost import (
 # A plant that is known only by its measured frequency response, and the stability of its loop by
 # Nyquist's criterion.
 
-_LONGEST_TURN = (
-    0.5 * np.pi
-)  # [rad] of 1 + L between two frequencies: more may be the other way round
+_LONGEST_TURN = 0.5 * np.pi  # [rad] of 1 + L between two frequencies: more is ambiguous
 _FURTHEST_FROM_AXIS = np.pi / 4  # [rad] of 1 + L at the ends of the grid from its asymptote
 _AROUND_A_PEAK = np.array([-4.0, -2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0, 4.0])  # half widths
 

@@ -97,7 +97,9 @@ def identify(
         )
     data = signals(records, input if structure.has_input else None, output, offset=offset)
     numbers = candidates if order is None else [order]
-    wanted = [orders] if orders else [structure.orders(number, delay) for number in numbers]
+    wanted = (
+        [orders] if orders is not None else [structure.orders(number, delay) for number in numbers]
+    )
     with one_thread_if_small(max(o.count for o in wanted) + 200):
         held_out = _folds(data, criterion, folds) if len(wanted) > 1 else []
         possible = _possible(wanted, data, held_out, records)
