@@ -90,7 +90,8 @@ def descend(
 
     References
     ----------
-    J. J. Moré, *The Levenberg–Marquardt algorithm*, LNM 630 (1978): damping scaled by the diagonal of JᵀJ.
+    J. J. Moré, *The Levenberg–Marquardt algorithm*, LNM 630 (1978): damping scaled by the diagonal
+    of JᵀJ.
     """
     damping, refused = FIRST_DAMPING, False
     for step in range(steps):

@@ -62,7 +62,8 @@ def disk_margin(
 
     References
     ----------
-    P. Seiler, A. Packard, P. Gahinet, *An introduction to disk margins*, IEEE Control Systems Magazine 40 (2020) 78–95.
+    P. Seiler, A. Packard, P. Gahinet, *An introduction to disk margins*, IEEE Control Systems
+    Magazine 40 (2020) 78–95.
 
     Examples
     --------
@@ -130,14 +131,16 @@ def h_infinity_norm(system: StateSpace, *, tolerance: float = 1e-8) -> tuple[flo
 
     Notes
     -----
-    Eigenvalues within 1e-4 of the circle count as possible crossings and are examined by the gain there, so rounding
-    adds candidates and loses none unless it moves an eigenvalue by more than that.
+    Eigenvalues within 1e-4 of the circle count as possible crossings and are examined by the gain
+    there, so rounding adds candidates and loses none unless it moves an eigenvalue by more than
+    that.
 
     References
     ----------
-    N. A. Bruinsma, M. Steinbuch, *A fast algorithm to compute the H∞-norm of a transfer function matrix*, Systems &
-    Control Letters 14 (1990) 287–293; the pencil for discrete time: B. Hinrichsen, N. K. Son, *Stability radii of linear
-    discrete-time systems and symplectic pencils*, Int. J. Robust Nonlinear Control 1 (1991) 79–97.
+    N. A. Bruinsma, M. Steinbuch, *A fast algorithm to compute the H∞-norm of a transfer function
+    matrix*, Systems & Control Letters 14 (1990) 287–293; the pencil for discrete time: B.
+    Hinrichsen, N. K. Son, *Stability radii of linear discrete-time systems and symplectic pencils*,
+    Int. J. Robust Nonlinear Control 1 (1991) 79–97.
 
     Examples
     --------

@@ -117,8 +117,9 @@ def closed_loop_unstable_poles(
 
     Notes
     -----
-    None when 1 + L turns by more than 90° from one frequency to the next (the grid is too coarse to count), or is more than 45°
-    from its asymptote at the ends (the grid ends too early). A resonance that stands between two frequencies cannot be seen.
+    None when 1 + L turns by more than 90° from one frequency to the next (the grid is too coarse to
+    count), or is more than 45° from its asymptote at the ends (the grid ends too early). A
+    resonance that stands between two frequencies cannot be seen.
 
     Examples
     --------

@@ -129,9 +129,10 @@ def identify_impulse_response(
 
     Notes
     -----
-    `covariance` is at the estimated hyper-parameters (with their first-order effect), and what frequency responses and random
-    models are made from; `std` is of single coefficients, with the hyper-parameters marginalised (`marginal_bands`), up to 1000
-    coefficients. The coverage of both is measured in benchmarks/results/identification.md.
+    `covariance` is at the estimated hyper-parameters (with their first-order effect), and what
+    frequency responses and random models are made from; `std` is of single coefficients, with the
+    hyper-parameters marginalised (`marginal_bands`), up to 1000 coefficients. The coverage of both
+    is measured in benchmarks/results/identification.md.
 
     Examples
     --------

@@ -46,10 +46,11 @@ class MarginalLikelihood(ABC):
 
         log|Z| = n ln σ² + 2 Σ ln L_ii,    yᵀZ⁻¹y = q/σ²,    q = yᵀy − zᵀz
 
-    so one evaluation costs m³ whatever n is. When σ² is a hyper-parameter, its optimum q/n is inserted. For any change
-    of the prior with E = F⁻¹ dK F⁻ᵀ, and s = L⁻ᵀz:  d log|Z| = tr((I − A⁻¹) E),  dq = −sᵀ E s. Neither P nor ΦᵀΦ is inverted,
-    so decays that underflow and inputs that do not excite stay finite. The search variables are, input by input,
-    the kernel's free variables and ln κ_j.
+    so one evaluation costs m³ whatever n is. When σ² is a hyper-parameter, its optimum q/n is
+    inserted. For any change of the prior with E = F⁻¹ dK F⁻ᵀ, and s = L⁻ᵀz:  d log|Z| = tr((I −
+    A⁻¹) E),  dq = −sᵀ E s. Neither P nor ΦᵀΦ is inverted, so decays that underflow and inputs that
+    do not excite stay finite. The search variables are, input by input, the kernel's free variables
+    and ln κ_j.
 
     Parameters
     ----------

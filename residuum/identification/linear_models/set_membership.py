@@ -86,7 +86,8 @@ def feasible_set(
 
     References
     ----------
-    M. Milanese, A. Vicino, *Optimal estimation theory for dynamic systems with set membership uncertainty*, Automatica 27 (1991).
+    M. Milanese, A. Vicino, *Optimal estimation theory for dynamic systems with set membership
+    uncertainty*, Automatica 27 (1991).
 
     Examples
     --------

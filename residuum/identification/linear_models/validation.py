@@ -356,8 +356,9 @@ def model_error_model(
 
     Notes
     -----
-    A prior that is zero in the mean shrinks errors that the data hardly show; such errors are not falsified. On the estimation
-    data a kernel model's own error is invisible, hence the records should be new.
+    A prior that is zero in the mean shrinks errors that the data hardly show; such errors are not
+    falsified. On the estimation data a kernel model's own error is invisible, hence the records
+    should be new.
 
     Examples
     --------

@@ -2,8 +2,8 @@
 
 `SCHEME://user@host/database/table?tags=speed,torque&start=2026-03-01&end=2026-03-08` names rows of
 times and values. `&window=600` are the windows of so many seconds in that time, and `&each=pump`
-those of each value of a column, which `rescore` and `reidentify` take one by one. No message repeats
-a password.
+those of each value of a column, which `rescore` and `reidentify` take one by one. No message
+repeats a password.
 """
 
 from __future__ import annotations

@@ -52,7 +52,8 @@ def minimax_step(
 
     References
     ----------
-    C. L. Lawson, R. J. Hanson, *Solving Least Squares Problems*, chapter 23 (least distance programming).
+    C. L. Lawson, R. J. Hanson, *Solving Least Squares Problems*, chapter 23 (least distance
+    programming).
 
     Examples
     --------
@@ -150,7 +151,8 @@ class Descent:
 
     References
     ----------
-    J. Nocedal, S. Wright, *Numerical Optimization*, 2nd ed., chapter 18 (SQP, second-order correction, damped BFGS).
+    J. Nocedal, S. Wright, *Numerical Optimization*, 2nd ed., chapter 18 (SQP, second-order
+    correction, damped BFGS).
     """
 
     def __init__(
@@ -300,7 +302,8 @@ def stabilising_starts(
 
     Notes
     -----
-    The spectral radius is neither convex nor smooth: an empty list does not prove that no controller of the structure stabilises.
+    The spectral radius is neither convex nor smooth: an empty list does not prove that no
+    controller of the structure stabilises.
     """
     plants = [plant for plant in loop.plants if isinstance(plant, TransferFunction)]
     if len(plants) < len(loop.plants):
@@ -461,7 +464,8 @@ def synthesise(
 
     Notes
     -----
-    The problem is not convex: several starts are searched and the best kept; a global optimum is not certified.
+    The problem is not convex: several starts are searched and the best kept; a global optimum is
+    not certified.
 
     References
     ----------

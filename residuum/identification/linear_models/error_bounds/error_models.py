@@ -83,7 +83,8 @@ def refined_grid(
 
     Notes
     -----
-    Halving ends after `_ROUNDS` rounds or `_MOST` points; what is left between them is the caller's to check.
+    Halving ends after `_ROUNDS` rounds or `_MOST` points; what is left between them is the caller's
+    to check.
     """
     nyquist = math.pi / sample_time
     given = (

@@ -1,7 +1,8 @@
 """Bounded magnitude fit: the stable, proper, minimum-phase transfer function at, above or below
 magnitude samples.
 
-|W|² is a ratio of two positive cosine polynomials N/D of the angle θ. The best fit in the log-Chebyshev sense minimises
+|W|² is a ratio of two positive cosine polynomials N/D of the angle θ. The best fit in the
+log-Chebyshev sense minimises
 
     t = max_i max(N_i / (M_i² D_i), M_i² D_i / N_i)
 

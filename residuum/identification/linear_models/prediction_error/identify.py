@@ -88,7 +88,8 @@ def identify(
 
     Notes
     -----
-    The covariance holds for the right structure only: a model of too low an order has a bias that it does not show.
+    The covariance holds for the right structure only: a model of too low an order has a bias that
+    it does not show.
     """
     started = time.perf_counter()
     if criterion not in CRITERIA:
