@@ -125,7 +125,8 @@ def _even_times(
         raise BadRecord(
             f"{source}: says neither times nor a Delta_X above 0; write one into its head"
         )
-    return start + step * np.arange(n)
+    times: FloatArray = start + step * np.arange(n, dtype=np.float64)
+    return times
 
 
 def _not_read(samples: Sequence[str], cut: str, width: int, heads: list[str]) -> tuple[str, ...]:
