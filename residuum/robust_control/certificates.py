@@ -98,8 +98,8 @@ def loop_responses(
 # The H∞ norm of a discrete-time system from the eigenvalues of a symplectic pencil, not from a
 # grid.
 
-_ITERATIONS = 60
-_NEAR_CIRCLE = 1e-4
+_ITERATIONS = 60  # at most; levels converge quadratically
+_NEAR_CIRCLE = 1e-4  # distance of an eigenvalue from the unit circle that counts as a crossing
 
 
 @one_thread_if_small(LARGEST_FOR_ONE_THREAD)
@@ -378,7 +378,8 @@ def over_plants(
     ]
 
 
-_NARROW, _OVERSHOOT_STEP = 0.1, 0.005
+_NARROW = 0.1  # of an indicator's quantile, within which its confidence interval is sure enough
+_OVERSHOOT_STEP = 0.005  # of overshoot, within which it is sure in any case
 
 
 @dataclass(frozen=True)

@@ -267,8 +267,8 @@ def _check(lags: int, level: float) -> None:
 # 7157–7162; Reinelt, Garulli, Ljung, Automatica 38 (2002) 787–803; (1.125) of the source, which
 # names the kernel-based form as future work.
 
-_DRAWS = 4000
-_PASSES = 2
+_DRAWS = 4000  # random models that a quantile is taken of
+_PASSES = 2  # of whitening: the second fits what the first leaves
 
 
 @dataclass(frozen=True, eq=False)
@@ -486,9 +486,9 @@ def _simultaneous_limit(
 
 LEVEL = 0.01
 """Share of right models that one of the tests speaks against."""
-_LAGS, _SAMPLES_A_LAG = 25, 10
-_MOST_OF_A_RESPONSE, _BEYOND = 50, 10
-_SETTLED = 1e-3
+_LAGS, _SAMPLES_A_LAG = 25, 10  # lags at most, and samples for each at least
+_MOST_OF_A_RESPONSE, _BEYOND = 50, 10  # lags of the input: those of the model, and behind them
+_SETTLED = 1e-3  # of its beginning, to which a response has decayed
 
 
 @dataclass(frozen=True, eq=False)
@@ -621,8 +621,8 @@ def _memory(numerator: FloatArray) -> int:
 Fit = Callable[[Sequence[Record]], IdentifiedModel]
 # 1 − 1/e: the share of the data that a bootstrap sample holds
 _REACH = 0.632
-_BLOCKS, _FEWEST_BLOCKS = 20, 6
-_PASTS_A_BLOCK = 3
+_BLOCKS, _FEWEST_BLOCKS = 20, 6  # about, and at least
+_PASTS_A_BLOCK = 3  # lengths of the past that a prediction needs, in a block at least
 
 
 def weighed(apparent: float, out_of_bag: float, no_information: float) -> tuple[float, float]:

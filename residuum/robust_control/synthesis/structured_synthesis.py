@@ -22,7 +22,7 @@ from residuum.robust_control.synthesis.constrained_structure import ControllerSt
 
 # One step of a minimax problem: the quadratic programme in its epigraph form.
 
-_SMALLEST_PIVOT = 1e-12
+_SMALLEST_PIVOT = 1e-12  # of a diagonal element: below it the curvature is taken for singular
 
 
 def minimax_step(
@@ -285,8 +285,10 @@ def _peaks(log_cost: FloatArray, highest: float) -> npt.NDArray[np.bool_]:
 # First values of a controller for plants that the structure's usual ones do not stabilise:
 # unstable and integrating plants.
 
-_CROSSINGS, _DESCENTS, _EVALUATIONS = 12, 6, 300
-_INSIDE = 1.0 - 1e-9
+_CROSSINGS = 12  # crossover frequencies that starts are scaled to
+_DESCENTS = 6  # simplex searches from the best of them
+_EVALUATIONS = 300  # of the closed-loop poles in each
+_INSIDE = 1.0 - 1e-9  # modulus of a closed-loop pole that counts as stable
 
 
 def stabilising_starts(
@@ -382,9 +384,11 @@ def _scaled(
     return starts
 
 
-_STEPS, _FIRST_STEPS, _STARTS, _EXCHANGES = 80, 8, 4, 3
-_LEFT_BEHIND = 0.05
-_GAP = 3e-5
+_STEPS, _FIRST_STEPS = 80, 8  # of a descent, and before it is compared with the others
+_STARTS = 4  # that are searched, of different signs of the parameters
+_EXCHANGES = 3  # times that peaks between the grid's frequencies join it
+_LEFT_BEHIND = 0.05  # in ln cost above the best: a descent that stands higher ends there
+_GAP = 3e-5  # relative, between the peak on the grid and that on the finer one
 
 
 @dataclass(frozen=True, eq=False)

@@ -40,15 +40,16 @@ from residuum.robust_control.weights.performance_weight import (
 # share of the plants in the search that must keep the limits, so that `TimeAim.share` of others
 # do
 _SHARE_IN_DESIGN = 0.98
+# reference models that first controllers are made for: parts of the overshoot, settling times
 _DAMPINGS, _BANDWIDTHS = (1.0, 1e-2, 1e-4), 6
-_SEARCHES, _EVALUATIONS = 2, 250
-_FEW = 20
+_SEARCHES, _EVALUATIONS = 2, 250  # simplex searches from the best of them, and evaluations of each
+_FEW = 20  # plants by which controllers are ranked
 # parts of the overshoot that the search aims at, one after the other, until plants that it has
 # not seen keep the whole
 _MARGINS = (0.97, 0.8, 0.6)
 # part of the plants allowed to fail that may fail among those that the promise is read from
 _CAUTION = 0.4
-_STIFF = 20.0
+_STIFF = 20.0  # price of a limit that is broken by a factor e, in longest settling times
 
 
 @dataclass(frozen=True)
