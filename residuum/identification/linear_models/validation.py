@@ -268,7 +268,7 @@ def _check(lags: int, level: float) -> None:
 # names the kernel-based form as future work.
 
 _DRAWS = 4000  # random models that a quantile is taken of
-_PASSES = 2  # of whitening: the second fits what the first leaves
+_PASSES = 2  # of whitening: the second by the colour of what the first fit leaves
 
 
 @dataclass(frozen=True, eq=False)

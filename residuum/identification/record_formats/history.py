@@ -161,7 +161,8 @@ def instant_of(text: str, key: str, shown: str) -> datetime | None:
         instant = datetime.fromisoformat(text)
     except ValueError:
         raise BadRecord(
-            f"{shown}: {key} is {text!r}; must be a date or an instant, as 2026-03-01T06:00:00+01:00"
+            f"{shown}: {key} is {text!r}; must be a date or an instant, as"
+            " 2026-03-01T06:00:00+01:00"
         ) from None
     return instant if instant.tzinfo else instant.replace(tzinfo=UTC)
 

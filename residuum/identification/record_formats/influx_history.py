@@ -154,7 +154,8 @@ def _kinds_of_fields(at: Address) -> dict[str, str]:
         str(name) for series in _answers(at, "SHOW MEASUREMENTS") for (name,) in series["values"]
     ]
     raise BadRecord(
-        f"{at.shown}: no measurement {measurement!r}; {known_names(measurement, known, 'there are')}"
+        f"{at.shown}: no measurement {measurement!r};"
+        f" {known_names(measurement, known, 'there are')}"
     )
 
 

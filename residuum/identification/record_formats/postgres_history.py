@@ -96,7 +96,7 @@ class PostgresHistory:
         )
 
     def _asked(self, at: Address, ask: Callable[[Any, dict[str, _Column]], Answer]) -> Answer:
-        """The answer to a question; a connection that the server closed meanwhile is opened anew."""
+        """The answer to a question; a connection that the server closed is opened anew."""
         psycopg = need("psycopg", at.shown, "postgres")
         try:
             if self._connection is not None:
@@ -239,7 +239,8 @@ def _of_columns(
     for tag in wanted:
         if tag not in by_name:
             raise BadRecord(
-                f"{at.shown}: no column of numbers {tag!r}; {known_names(tag, by_name, 'there are')}"
+                f"{at.shown}: no column of numbers {tag!r};"
+                f" {known_names(tag, by_name, 'there are')}"
             )
     chosen = [columns[by_name[tag]] for tag in wanted]
     time = _column(at, columns, "time", _OF_TIME)

@@ -50,8 +50,11 @@ from residuum.identification.record_formats.loggers.logger_time import (
 from residuum.identification.record_formats.loggers.no_value import without_overload
 from residuum.nearest_names import nearest_names
 
+# what a column of times is called, in English, German and French, with or without words beside it
 _TIME_NAME = re.compile(
-    r"(?i)(.*\b|_)?(time|timestamps?|zeit|zeitstempel|date|datum|datetime|t|elapsed|uhrzeit|epoch|heure|millis|micros|datenum)(\b.*|_.*|)"
+    r"(?i)(.*\b|_)?"
+    r"(time|timestamps?|zeit|zeitstempel|date|datum|datetime|t|elapsed|uhrzeit|epoch|heure|millis"
+    r"|micros|datenum)(\b.*|_.*|)"
 )
 # names of a first column that is the time where it has a unit of time
 _AXIS = re.compile(r"(?i)x|x[-_ ]?(axis|value|achse)|abscissa|source")
@@ -60,9 +63,10 @@ _LOOKED_AT = 50
 # part of a column's cells that are of a kind where single ones are bad: those are refused with
 # their row
 _MOSTLY = 0.9
+# what a column is called that names the signal of each row
 _SIGNAL_NAME = re.compile(
-    r"(?i)_?(var|variable|tag|signal|channel|sensor|item|point|field|measurement|metric|series|entity|parameter|kanal|messstelle)"
-    r"[ _]?(name|id)?|name"
+    r"(?i)_?(var|variable|tag|signal|channel|sensor|item|point|field|measurement|metric|series"
+    r"|entity|parameter|kanal|messstelle)[ _]?(name|id)?|name"
 )
 # what a form may be that is one of two; dates are the others
 _EITHER = {"hh:mm or mm:ss": ("hh:mm", "mm:ss")}
@@ -633,7 +637,7 @@ def _settle_order(
 ) -> tuple[LoggerMapping, str]:
     """The mapping for rows out of order, and why: sorted only where nothing else explains them."""
     steps = np.diff(stamps)
-    # times since a start begin anew after a restart, and a far step back may be a clock that was set
+    # times since a start begin anew with each; a far step back may be a clock that was set
     is_far = int(-steps.min()) > 60 * int(np.median(np.abs(steps)))
     is_safe = mapping.time_form not in SINCE_START and not is_far
     why = (

@@ -34,12 +34,15 @@ MISSING = (
 )
 """Cells that loggers write for a value that is not there, in lower case."""
 _SIGN = ("decimal", "SIGN")
+# whatever sign and grouping: which of them holds is found, or said
 _NUMBER = re.compile(r"[+-]?(\d[\d.,]*|[.,]\d+)([eE][+-]?\d+)?")
+# a date with the year first or last, a time of day, or a month by name
 _STAMP = re.compile(
     r"(\d{4}[-/.]\d\d?[-/.]\d\d?|\d\d?[-/.]\d\d?[-/.](\d{4}|\d\d)|\d+:\d\d|\d\d?[-."
     r" /]+[A-Za-zä]{3,9}[-. ,/]+\d{4}"
     r"|[A-Za-zä]{3,9}[. ]+\d\d?,? +\d{4})([T :,.][^|;\t]*)?"
 )
+# by the decimal sign, numbers with the other sign between their thousands
 _GROUPED = {
     ",": re.compile(r"[+-]?[1-9]\d{0,2}(\.\d{3})+(,\d*)?"),
     ".": re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+(\.\d*)?"),
@@ -52,6 +55,7 @@ _SURE = {
     )
     for sign, at, by in ((",", ",", r"\."), (".", r"\.", ","))
 }
+# a number and a word of at most twelve letters behind it
 _WITH_UNIT = re.compile(r"([+-]?[\d.,]+(?:[eE][+-]?\d+)?)\s*([A-Za-zµΩ°%][^\s\d:;,]{0,11})")
 _SCANNED = 2000  # lines by which the delimiter is found
 _BLANK_BETTER = 0.1  # of a row that is cut into values, by which the blank must be better
@@ -99,6 +103,7 @@ def _encoding(content: bytes) -> tuple[str, str]:
         return "utf-32", "byte-order mark of UTF-32"
     if content.startswith((b"\xff\xfe", b"\xfe\xff")):
         return "utf-16", "byte-order mark of UTF-16"
+    # without a mark: letters of ASCII have a zero byte beside them in UTF-16
     head = content[:4000]
     if len(head) > 3 and head[1::2].count(0) > 0.4 * len(head[1::2]):
         return "utf-16-le", "every second byte is zero"
@@ -108,6 +113,7 @@ def _encoding(content: bytes) -> tuple[str, str]:
         content.decode("utf-8")
         return "utf-8", "all bytes are valid UTF-8"
     except UnicodeDecodeError as error:
+        # which has a character for every byte
         return "latin-1", f"byte {error.start} is not valid UTF-8; one byte a character"
 
 

@@ -150,7 +150,8 @@ def _plain(form: str) -> str:
 
 def _date(value: float, form: str) -> str:
     if form == "datenum":
-        return f"{datetime(1970, 1, 1, tzinfo=UTC) + timedelta(days=value - _DATENUM_1970):%Y-%m-%d %H:%M}"
+        instant = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(days=value - _DATENUM_1970)
+        return f"{instant:%Y-%m-%d %H:%M}"
     since = _SINCE_1904 if form == _1904 else 0
     return f"{datetime.fromtimestamp(value * float(PER_SECOND[form]) - since, UTC):%Y-%m-%d %H:%M}"
 
