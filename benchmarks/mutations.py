@@ -86,8 +86,8 @@ MUTATIONS = (
     Mutation(
         "a gradient of the prediction error has the wrong sign",
         "residuum/identification/linear_models/prediction_error/criterion.py",
-        "(-filtered(p.d, by_fc, w) if",
-        "(filtered(p.d, by_fc, w) if",
+        "(p.d, by_fc, w, -1.0, 1, o.nf),",
+        "(p.d, by_fc, w, 1.0, 1, o.nf),",
         "tests/identification/linear_models/prediction_error/test_prediction_error.py",
         "gradient",
     ),
@@ -176,8 +176,8 @@ MUTATIONS = (
     Mutation(
         "a controller needs no certificate",
         "residuum/robust_control/weights/performance_weight.py",
-        "return found if found.certified < limit and found.stable else None",
-        "return found",
+        "return design if design.certified < limit and design.stable else None",
+        "return design",
         "tests/robust_control/synthesis/test_structured_synthesis.py",
         "nominal or impossible",
     ),

@@ -8,7 +8,7 @@ from functools import lru_cache
 
 from threadpoolctl import ThreadpoolController
 
-LARGEST_FOR_ONE_THREAD = 400
+LARGEST_FOR_ONE_THREAD = 400  # rows
 
 
 @contextmanager

@@ -8,6 +8,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+LARGEST_POWER = 16.0
+"""Exponent of a word of a unit, all parentheses around it included; the largest in use is the
+fourth power of a temperature.
+"""
+
 
 @dataclass(frozen=True)
 class NamedUnit:

@@ -7,8 +7,8 @@ from __future__ import annotations
 from enum import Enum
 from typing import Generic, NamedTuple, Protocol, TypeVar
 
-FIRST_DAMPING, LEAST_DAMPING = 1e-3, 1e-12
-HARDER, SOFTER = 6.0, 10.0
+FIRST_DAMPING, LEAST_DAMPING = 1e-3, 1e-12  # fractions of the diagonal of JᵀJ
+HARDER, SOFTER = 6.0, 10.0  # factors of the damping after a refused and an accepted step
 ATTEMPTS = 12
 """Dampings tried before nothing near a point is taken to be lower: the last shortens a step a
 millionfold.
@@ -90,7 +90,8 @@ def descend(
 
     References
     ----------
-    J. J. Moré, *The Levenberg–Marquardt algorithm*, LNM 630 (1978): damping scaled by the diagonal of JᵀJ.
+    J. J. Moré, *The Levenberg–Marquardt algorithm*, LNM 630 (1978): damping scaled by the diagonal
+    of JᵀJ.
     """
     damping, refused = FIRST_DAMPING, False
     for step in range(steps):
@@ -99,6 +100,7 @@ def descend(
         lower, used = _lower(landscape, point, damping, refused)
         if lower is None:
             return Descent(point, step, End.STUCK)
+        # of the cost before the step: the one after it may be zero
         enough = max(fall, relative * abs(point.cost))
         refused, fallen = used > damping, point.cost - lower.cost
         point, damping = lower, max(used / SOFTER, LEAST_DAMPING)
@@ -115,6 +117,7 @@ def _lower(
         trial = landscape.trial(point, damping)
         if trial is None:
             break
+        # slopes cost more than a value: after a refusal the value decides whether they are needed
         if not refused or landscape.cost(trial) < point.cost:
             lower = landscape.point(trial)
             if lower.cost < point.cost:

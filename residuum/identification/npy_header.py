@@ -63,6 +63,7 @@ def npy_header(data: bytes | memoryview) -> NpyHeader:
         raise NotNpy(
             f"is not an .npy array (it begins with {bytes(data[:6])!r}); numpy.save writes one"
         )
+    # magic 6 bytes, version 2, then the header's length in 2 bytes, from version 2 on in 4
     start = 12 if data[6] >= 2 else 10
     length = int.from_bytes(data[8:start], "little")
     if length > LONGEST_HEADER:

@@ -328,6 +328,7 @@ def _signal(values: npt.ArrayLike, where: str) -> Signal:
             f"{where}, sample {int(np.argmax(infinite))}: is infinite; must be finite or missing"
             " (nan)"
         )
+    # a view, so that the caller's own array stays writable
     array = array.view()
     array.flags.writeable = False
     return array

@@ -30,7 +30,7 @@ def beside(function: Callable[[], R]) -> Callable[[], R]:
     part = begun().part()
     pool = ThreadPoolExecutor(1)
     running = pool.submit(copy_context().run, _counted, part, function)
-    pool.shutdown(wait=False)
+    pool.shutdown(wait=False)  # the thread ends with its piece; nothing else is given to it
 
     def result() -> R:
         try:
@@ -66,6 +66,7 @@ def each_beside(function: Callable[[T], R], items: Sequence[T]) -> list[R]:
                 pool.submit(copy_context().run, _counted, part, lambda item=item: function(item))
                 for part, item in zip(parts, several, strict=True)
             ]
+            # an error is raised after all pieces of the batch are done, so that all are counted
             try:
                 results += [future.result() for future in running]
             finally:

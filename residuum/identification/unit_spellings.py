@@ -25,16 +25,16 @@ _SAME = str.maketrans(
         **dict(zip("⁰¹²³⁴⁵⁶⁷⁸⁹⁻", "0123456789-", strict=True)),
     }
 )
+# a short word with its exponent right behind it: `m3`, `s-2`, `min^-1`, `cm**2`
 _POWER = re.compile(
     r"(?<![A-Za-z_\d.])([A-Za-zµ]{1,4})\s?(?:\^|\*\*)?(?:\((-?[1-9])\)|(-?[1-9]))(?![\dA-Za-z.*])"
 )
-"""A short word with its exponent right behind it: `m3`, `s-2`, `min^-1`, `cm**2`."""
 _DOT = re.compile(r"(?<=[A-Za-z])\.(?=[A-Za-z])")
+# a force and a length that are written as one word: `Nm`, `kNm`, `Ncm`
 _JOINED = re.compile(r"(?<![A-Za-zµ])((?:da|[kMmµ])?N)(m{1,2}|cm)(?![A-Za-z0-9])")
-"""A force and a length that are written as one word: `Nm`, `kNm`, `Ncm`."""
 _BELOW = re.compile(r"/" + _JOINED.pattern)
+# what says behind a unit that a value is an effective one: the unit is the same
 _EFFECTIVE = re.compile(r"(?<=[A-Za-zµ²)\d])(?:[_ ](?:rms|RMS)|[_ ]?\((?:rms|RMS)\))$")
-"""What says behind a unit that a value is an effective one: the unit is the same."""
 _WORD = re.compile(r"[A-Za-zµ°Ω%\"_][A-Za-zµ°Ω%_]*")
 _BLANK = re.compile(r"\s+")
 
@@ -43,6 +43,7 @@ def _each(words: str, meant: str) -> dict[str, str]:
     return dict.fromkeys(words.split(), meant)
 
 
+# texts that mean something as a whole only; a blank is written `_` here
 _WHOLE = {
     **_each("1 - -- none unitless dimensionless raw bool boolean count", "dimensionless"),
     **_each(
@@ -144,7 +145,6 @@ _WHOLE = {
     **_each("hp HP Hp bhp", "horsepower"),
     **_each("PS", "metric_horsepower"),
 }
-"""Texts that mean something as a whole only; a blank is written `_` here."""
 _WORDS = {
     **_each("volt Volt VOLT volts Volts VDC Vdc VAC Vac Vrms", "V"),
     **_each("mVolt millivolt millivolts mVDC", "mV"),

@@ -18,14 +18,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from residuum.identification.common_units import COMMON_UNITS, NamedUnit
+from residuum.identification.common_units import COMMON_UNITS, LARGEST_POWER, NamedUnit
 from residuum.identification.errors import BadUnit
-from residuum.identification.unit_grammar import LARGEST_POWER
 from residuum.identification.unit_spellings import canonical
 
-_LONGEST = 80
+_LONGEST = 80  # characters of a unit
+# base units without a dimension
 _COUNTS = {"radian", "bit", "count", "decibel"}
-"""Base units without a dimension."""
+# what units that are known are made of, by name and, where `dimension` shortens it, by symbol
 _BASES = frozenset(
     (
         *(
@@ -44,8 +44,9 @@ _BASES = frozenset(
         *("pixel", "refractive_index_unit", "A", "K", "kg", "m", "rad", "s"),
     )
 )
-"""What units that are known are made of, by name and, where `dimension` shortens it, by symbol."""
+# a factor of a product of common units, with the sign before it and its exponent
 _FACTOR = re.compile(r"([*/]?)(1|[A-Za-zµ%_]+)(?:\*\*(-?\d+(?:\.\d+)?))?")
+# by name: pint is loaded when the first unit comes that is not common
 _REGISTRY = "residuum.identification.unit_registry"
 
 
@@ -124,6 +125,7 @@ def parse_unit(text: str) -> Unit:
             raise BadUnit(
                 f"unit {text!r}: not a known unit: an exponent is larger than {LARGEST_POWER:g}"
             )
+        # a scale beyond double precision converts to nothing but zero and infinity
         if not 0 < unit.scale < np.inf:
             raise OverflowError(spelled)
     except BadUnit as error:  # it shows the registry's spelling, or one word of it
@@ -144,6 +146,7 @@ def _common(spelled: str) -> list[tuple[NamedUnit, float]] | None:
         match = _FACTOR.match(spelled, place)
         if (
             match is None
+            # a sign before every factor but the first
             or bool(match[1]) != bool(place)
             or (match[2] not in COMMON_UNITS and match[2] != "1")
         ):
@@ -258,6 +261,7 @@ def convert(
             f"if the column is in {target!r}" + ("" if own else " all the same"),
         )
         raise BadUnit(f"{what}: {says}{when}", way_on=[way] if column else ())
+    # without an offset one product, which rounds once
     if given.offset == wanted.offset:
         return np.asarray(array * (given.scale / wanted.scale))
     return np.asarray((array * given.scale + (given.offset - wanted.offset)) / wanted.scale)

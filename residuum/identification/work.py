@@ -87,11 +87,9 @@ class Work:
 
     def part(self, most: float = float("inf"), seconds: float | None = None) -> Work:
         """Work of its own that ends with this one at the latest; `take` adds it."""
-        ends = (
-            self.ends
-            if seconds is None
-            else min(self.ends, time.perf_counter() + max(seconds, 0.0))
-        )
+        ends = self.ends
+        if seconds is not None:
+            ends = min(ends, time.perf_counter() + max(seconds, 0.0))
         return Work(most=min(most, self.most - self.effort), ends=ends)
 
     def take(self, part: Work) -> None:

@@ -16,6 +16,7 @@ FASTEST: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 """libyaml's parser where PyYAML was built with it, as its wheels are: ten times as fast as the one
 in Python.
 """
+# what YAML 1.1 reads as octal, and to the base of 60
 _LEADING_ZERO = re.compile(r"[-+]?0[0-9][0-9_]*")
 _BASE_60 = re.compile(r"[-+]?[0-9][0-9_]*(:[0-5]?[0-9])+(\.[0-9_]*)?")
 LONGEST_TEXT = 1_000_000

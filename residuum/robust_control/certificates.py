@@ -62,7 +62,8 @@ def disk_margin(
 
     References
     ----------
-    P. Seiler, A. Packard, P. Gahinet, *An introduction to disk margins*, IEEE Control Systems Magazine 40 (2020) 78–95.
+    P. Seiler, A. Packard, P. Gahinet, *An introduction to disk margins*, IEEE Control Systems
+    Magazine 40 (2020) 78–95.
 
     Examples
     --------
@@ -97,8 +98,8 @@ def loop_responses(
 # The H∞ norm of a discrete-time system from the eigenvalues of a symplectic pencil, not from a
 # grid.
 
-_ITERATIONS = 60
-_NEAR_CIRCLE = 1e-4
+_ITERATIONS = 60  # at most; levels converge quadratically
+_NEAR_CIRCLE = 1e-4  # distance of an eigenvalue from the unit circle that counts as a crossing
 
 
 @one_thread_if_small(LARGEST_FOR_ONE_THREAD)
@@ -130,14 +131,16 @@ def h_infinity_norm(system: StateSpace, *, tolerance: float = 1e-8) -> tuple[flo
 
     Notes
     -----
-    Eigenvalues within 1e-4 of the circle count as possible crossings and are examined by the gain there, so rounding
-    adds candidates and loses none unless it moves an eigenvalue by more than that.
+    Eigenvalues within 1e-4 of the circle count as possible crossings and are examined by the gain
+    there, so rounding adds candidates and loses none unless it moves an eigenvalue by more than
+    that.
 
     References
     ----------
-    N. A. Bruinsma, M. Steinbuch, *A fast algorithm to compute the H∞-norm of a transfer function matrix*, Systems &
-    Control Letters 14 (1990) 287–293; the pencil for discrete time: B. Hinrichsen, N. K. Son, *Stability radii of linear
-    discrete-time systems and symplectic pencils*, Int. J. Robust Nonlinear Control 1 (1991) 79–97.
+    N. A. Bruinsma, M. Steinbuch, *A fast algorithm to compute the H∞-norm of a transfer function
+    matrix*, Systems & Control Letters 14 (1990) 287–293; the pencil for discrete time: B.
+    Hinrichsen, N. K. Son, *Stability radii of linear discrete-time systems and symplectic pencils*,
+    Int. J. Robust Nonlinear Control 1 (1991) 79–97.
 
     Examples
     --------
@@ -151,6 +154,7 @@ def h_infinity_norm(system: StateSpace, *, tolerance: float = 1e-8) -> tuple[flo
             "H-infinity norm: the system is not stable, its largest pole has modulus"
             f" {np.abs(poles).max():.9g}"
         )
+    # near lightly damped poles the gain has its peaks: a high first level saves iterations
     angles = np.unique(
         np.abs(np.concatenate([np.angle(poles), np.geomspace(1e-6, np.pi, 60), [0.0]]))
     )
@@ -161,6 +165,7 @@ def h_infinity_norm(system: StateSpace, *, tolerance: float = 1e-8) -> tuple[flo
         level = lower * (1.0 + 2.0 * tolerance)
         crossings = _crossings(system, level)
         ends = np.unique(np.concatenate([[0.0, np.pi], crossings]))
+        # between two crossings the gain lies above the level or below it throughout
         gain, at = _largest(system, np.concatenate([ends, 0.5 * (ends[1:] + ends[:-1])]))
         if gain <= level:
             return level, peak
@@ -273,12 +278,13 @@ def design_for_robust_performance(
         weights = Weights(W_S, W_T, "1")
         starts = None if warm is None else [warm.rho]
         design = synthesise(loop, weights, structure, starts=starts, target=0.995)
+        # a search from its neighbour's end may be stuck where one from the starts is not
         if warm is not None and design.certified >= 1.0:
             design = synthesise(loop, weights, structure, target=0.995)
         tried.append(design)
         return design if design.certified < 1.0 and design.stable else None
 
-    front = bisected_front([float(h) for h in gains], [float(w) for w in frequencies], meets)
+    front = bisected_front(gains.tolist(), frequencies.tolist(), meets)
     if not front:
         least = tried[-1]
         raise Infeasible(
@@ -372,7 +378,8 @@ def over_plants(
     ]
 
 
-_NARROW, _OVERSHOOT_STEP = 0.1, 0.005
+_NARROW = 0.1  # of an indicator's quantile, within which its confidence interval is sure enough
+_OVERSHOOT_STEP = 0.005  # of overshoot, within which it is sure in any case
 
 
 @dataclass(frozen=True)

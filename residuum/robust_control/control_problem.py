@@ -137,13 +137,15 @@ STRUCTURES: dict[str, type[ControllerStructure]] = {
     "lead-lag": LeadLag,
     "rational": Rational,
 }
-_VALIDATION_PLANTS = 200
+_VALIDATION_PLANTS = 200  # that a design is held against at first
+# four times as many where these do not tell its figures narrowly enough, at most so many
 _MORE_PLANTS, _MOST_PLANTS = 4, 12_800
-_PROMISED_SHARE = 0.95
+_PROMISED_SHARE = 0.95  # of the plants, that a promise is made for
+# drawn plants that a search in time follows, and others that its promise is read from
 _PLANTS_IN_SEARCH, _PLANTS_OF_PROMISE = 100, 400
-_MORE_ORDER = 2
+_MORE_ORDER = 2  # of the weight, where one of the chosen order does not do
+# steps are followed for so many of the settling times that are asked for or promised
 _FOLLOWED = 1.5
-"""Steps are followed for so many of the settling times that are asked for or promised."""
 
 
 @dataclass(frozen=True)

@@ -27,8 +27,9 @@ from residuum.robust_control.weights.weighted_cost import (
 # A plant that is known only by its measured frequency response, and the stability of its loop by
 # Nyquist's criterion.
 
-_LONGEST_TURN = 0.5 * np.pi
-_FURTHEST_FROM_AXIS = np.pi / 4
+_LONGEST_TURN = 0.5 * np.pi  # [rad] of 1 + L between two frequencies: more is ambiguous
+_FURTHEST_FROM_AXIS = np.pi / 4  # [rad] of 1 + L at the ends of the grid from its asymptote
+_AROUND_A_PEAK = np.array([-4.0, -2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0, 4.0])  # half widths
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,10 +60,8 @@ class MeasuredPlant:
     integrators: int = 0
 
     def __post_init__(self) -> None:
-        omega, response = (
-            np.asarray(self.omega, dtype=float),
-            np.asarray(self.response, dtype=complex),
-        )
+        omega = np.asarray(self.omega, dtype=float)
+        response = np.asarray(self.response, dtype=complex)
         if omega.ndim != 1 or len(omega) < 2 or response.shape != omega.shape:
             raise BadInput(
                 f"MeasuredPlant: {omega.shape} frequencies and {response.shape} values; needs two"
@@ -72,14 +71,10 @@ class MeasuredPlant:
             raise BadInput("MeasuredPlant: a frequency or a value is not finite")
         if not self.sample_time > 0:
             raise BadInput(f"MeasuredPlant, sample_time: is {self.sample_time!r}; must be positive")
-        if (
-            omega[0] <= 0
-            or np.any(np.diff(omega) <= 0)
-            or omega[-1] > np.pi / self.sample_time * (1 + 1e-9)
-        ):
+        nyquist = np.pi / self.sample_time
+        if not (np.diff(omega, prepend=0.0) > 0).all() or omega[-1] > nyquist * (1 + 1e-9):
             raise BadInput(
-                "MeasuredPlant, omega: must increase within 0 … π/Ts ="
-                f" {np.pi / self.sample_time:.6g} rad/s"
+                f"MeasuredPlant, omega: must increase within 0 … π/Ts = {nyquist:.6g} rad/s"
             )
         if min(self.unstable_poles, self.integrators) < 0:
             raise BadInput("MeasuredPlant: numbers of poles must not be negative")
@@ -122,8 +117,9 @@ def closed_loop_unstable_poles(
 
     Notes
     -----
-    None when 1 + L turns by more than 90° from one frequency to the next (the grid is too coarse to count), or is more than 45°
-    from its asymptote at the ends (the grid ends too early). A resonance that stands between two frequencies cannot be seen.
+    None when 1 + L turns by more than 90° from one frequency to the next (the grid is too coarse to
+    count), or is more than 45° from its asymptote at the ends (the grid ends too early). A
+    resonance that stands between two frequencies cannot be seen.
 
     Examples
     --------
@@ -171,13 +167,12 @@ def interconnect(
         The loop without delay has gain 1 (I − F D is singular): it has no solution.
     """
     A, B, C, D = (block_diag(*[getattr(block, name) for block in blocks]) for name in "ABCD")
-    direct = np.eye(len(between)) - between @ D
+    direct = np.eye(len(between)) - between @ D  # I − F D
     if abs(np.linalg.det(direct)) < 1e-12:
         raise BadInput("state space: the loop is not well posed; its direct feedthrough equals −1")
-    from_states, from_input = (
-        np.linalg.solve(direct, between @ C),
-        np.linalg.solve(direct, external),
-    )
+    # v = (I − F D)⁻¹ (F C x + E r), from v = F w + E r and w = C x + D v
+    from_states = np.linalg.solve(direct, between @ C)
+    from_input = np.linalg.solve(direct, external)
     C, D = outputs @ (C + D @ from_states), outputs @ D @ from_input
     return StateSpace(A + B @ from_states, B @ from_input, C, D, blocks[0].sample_time)
 
@@ -303,6 +298,7 @@ class Loop:
         the same grid.
         """
         fine, position = self.finer
+        # not by the constructor, which computes the plants' responses
         part = object.__new__(Loop)
         part.plants, part.sample_time = self.plants, self.sample_time
         part.stabilising = self.stabilising
@@ -319,7 +315,7 @@ class Loop:
         steps = np.arange(len(self.omega))
         position = np.linspace(0, steps[-1], 20 * int(steps[-1]) + 1)
         omega = np.exp(np.interp(position, steps, np.log(self.omega)))
-        omega[-1] = self.omega[-1]
+        omega[-1] = self.omega[-1]  # rounding could put it beyond the Nyquist frequency
         return Loop(self.plants, omega), position
 
     @cached_property
@@ -415,11 +411,9 @@ class Loop:
             raise TypeError("only a measured plant is judged by Nyquist's criterion")
         poles = np.roots(den)
         integrators = int(np.sum(np.abs(poles - 1.0) < 1e-6))
-        outside = (
-            int(np.sum(np.abs(poles) > 1.0))
-            if not integrators
-            else int(np.sum(np.abs(poles) > 1.0 + 1e-6))
-        )
+        # an integrator that rounding puts outside the circle is counted once, as an integrator
+        largest = 1.0 + 1e-6 if integrators else 1.0
+        outside = int(np.sum(np.abs(poles) > largest))
         L = self.G[k] * self.controller_response(num, den)
         unstable = closed_loop_unstable_poles(
             L, plant.unstable_poles + outside, plant.integrators + integrators
@@ -438,29 +432,41 @@ def frequency_grid(
     """
     measured = [plant for plant in plants if isinstance(plant, MeasuredPlant)]
     if measured:
-        grid = np.unique(np.concatenate([plant.omega for plant in measured]))
-        low, high = (
-            max(plant.omega[0] for plant in measured),
-            min(plant.omega[-1] for plant in measured),
-        )
-        return np.asarray(grid[(grid >= low) & (grid <= high)])
+        return _common_frequencies(measured)
     sample_time = float(plants[0].sample_time or 0.0)
     nyquist = np.pi / sample_time
-    grids = [np.geomspace(lowest if lowest is not None else nyquist / 10**5.5, nyquist, points)]
+    if lowest is None:
+        lowest = nyquist / 10**5.5
+    grids = [np.geomspace(lowest, nyquist, points)]
     for plant in plants:
-        if isinstance(plant, MeasuredPlant):
-            continue
-        for root in np.concatenate([plant.poles, plant.zeros]):
-            if root.imag > 0 and 0.9 < abs(root) < 1.1:
-                centre, width = (
-                    np.angle(root) / sample_time,
-                    abs(np.log(abs(root))) / sample_time + 1e-6 * nyquist,
-                )
-                grids.append(
-                    centre + width * np.array([-4.0, -2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0, 4.0])
-                )
+        if isinstance(plant, TransferFunction):
+            grids += _about_resonances(plant, sample_time)
     whole = np.unique(np.concatenate(grids))
     return np.asarray(whole[(whole >= grids[0][0]) & (whole <= nyquist)])
+
+
+def _common_frequencies(measured: Sequence[MeasuredPlant]) -> FloatArray:
+    """All frequencies [rad/s] at which any plant was measured, within the span of every one."""
+    grid = np.unique(np.concatenate([plant.omega for plant in measured]))
+    low = max(plant.omega[0] for plant in measured)
+    high = min(plant.omega[-1] for plant in measured)
+    return np.asarray(grid[(grid >= low) & (grid <= high)])
+
+
+def _about_resonances(plant: TransferFunction, sample_time: float) -> list[FloatArray]:
+    """Frequencies [rad/s] about every lightly damped pole and zero, spaced by its half width.
+
+    A root r = e^{sTs} stands for s with Im s = ∠r/Ts and |Re s| = |ln|r||/Ts, the half width of its
+    peak; one on the unit circle itself is taken as a millionth of the band wide.
+    """
+    nyquist = np.pi / sample_time
+    grids = []
+    for root in np.concatenate([plant.poles, plant.zeros]):
+        if root.imag > 0 and 0.9 < abs(root) < 1.1:
+            centre = np.angle(root) / sample_time
+            width = abs(np.log(abs(root))) / sample_time + 1e-6 * nyquist
+            grids.append(centre + width * _AROUND_A_PEAK)
+    return grids
 
 
 def characteristic(plant: TransferFunction, controller: TransferFunction) -> FloatArray:

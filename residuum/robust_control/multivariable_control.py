@@ -72,6 +72,7 @@ def closed_loop_steps(
         Index of the output whose reference steps.
     """
     count, p, q, length = taps.shape
+    # the convolution of each sample as one product over all inputs and lags
     rows = taps[..., ::-1].reshape(count, p, q * length)  # oldest input first
     y, e, v = (np.zeros((count, p, n)) for _ in range(3))
     u = np.zeros((count, q, n + length - 1))
@@ -104,8 +105,9 @@ def _recent(values: FloatArray, weights: FloatArray, k: int, first: int) -> Floa
     return np.asarray(values[:, stop - used : stop][:, ::-1] @ weights[:used])
 
 
+# steps are followed for so many of the longest promised settling times
 _FOLLOWED = 3.0
-"""Steps are followed for so many of the longest promised settling times."""
+# plants that are drawn at first, by which factor more while they do not tell, and at most
 _FIRST_PLANTS, _MORE_PLANTS, _MOST_PLANTS = 200, 4, 3200
 SHARE = 0.95
 

@@ -361,22 +361,37 @@ def _mesh_torque(s, a, teeth, damage, shaft, dt):  # type: ignore[no-untyped-def
 
 
 @njit()
+def _start(s, draw):  # type: ignore[no-untyped-def]
+    """A movement the other way than the last one, with a friction of its own."""
+    s.phase = OPENING if s.last_phase == CLOSING else CLOSING
+    s.last_phase = s.phase
+    s.timer, s.command, s.overload, s.start, s.event_time = 0.0, 0.0, 0.0, s.x, 0.0
+    s.braking = False
+    s.friction = 1.0 + 0.03 * draw
+
+
+@njit()
+def _is_to_brake(s, a):  # type: ignore[no-untyped-def]
+    """Whether the way that is left is what a ramp from this speed takes, or the movement is cut
+    short.
+    """
+    to_go = a.travel - s.x if s.phase == OPENING else s.x
+    whole = a.travel - s.start if s.phase == OPENING else s.start
+    # a ramp down covers half of its time at this speed; 15 mm are left to spare
+    if to_go < 0.5 * a.ramp * abs(s.v) + 0.015:
+        return True
+    return s.event == _CUT_SHORT and to_go < (1.0 - s.event_size) * whole
+
+
+@njit()
 def _move_on(s, a, dt, draw):  # type: ignore[no-untyped-def]
     """The controller: pause, start, ramp, brake before the end, stop."""
     s.timer += dt
     if s.phase == PAUSE:
         if s.timer >= a.pause:
-            s.phase = OPENING if s.last_phase == CLOSING else CLOSING
-            s.last_phase = s.phase
-            s.timer, s.command, s.overload, s.start, s.event_time = 0.0, 0.0, 0.0, s.x, 0.0
-            s.braking = False
-            s.friction = 1.0 + 0.03 * draw
+            _start(s, draw)
         return
-    to_go = a.travel - s.x if s.phase == OPENING else s.x
-    whole = a.travel - s.start if s.phase == OPENING else s.start
-    if to_go < 0.5 * a.ramp * abs(s.v) + 0.015 or (
-        s.event == _CUT_SHORT and to_go < (1.0 - s.event_size) * whole
-    ):
+    if _is_to_brake(s, a):
         s.braking = True
     step = a.supply / a.ramp * dt
     s.command = max(s.command - step, 0.0) if s.braking else min(s.command + step, a.supply)

@@ -433,11 +433,11 @@ def _step(y, d, u, walk, table, h, work, hard):  # type: ignore[no-untyped-def]
 
 
 @njit()
-def _live(out, y, d, seen, walk, table, h):  # type: ignore[no-untyped-def]
+def _live(out, y, d, applied, walk, table, h):  # type: ignore[no-untyped-def]
     hard = d.tau_c + d.tau_s + abs(d.asymmetry) + d.mu > 0.0
     work = np.empty((5, 8))
     for k in range(out.shape[1]):
         out[0, k] = y[_LAG] if d.T_lag > 0.0 else y[_OMEGA]
-        out[1, k] = y[_CURRENT] if d.L > 0.0 else _current(y, d, seen[k, 0])
-        for j in range(seen.shape[1]):
-            _step(y, d, seen[k, j], walk[k], table, h, work, hard)
+        out[1, k] = y[_CURRENT] if d.L > 0.0 else _current(y, d, applied[k, 0])
+        for j in range(applied.shape[1]):
+            _step(y, d, applied[k, j], walk[k], table, h, work, hard)

@@ -10,9 +10,10 @@ import httpx
 import pytest
 
 from benchmarks.unit_bombs import KNOWN, MODEL, ask, bombs, by_broker
+from residuum.identification.common_units import LARGEST_POWER
 from residuum.identification.errors import BadUnit
 from residuum.identification.record import MOST_UNITS, Record
-from residuum.identification.unit_grammar import DEEPEST, LARGEST_POWER, MOST_FACTORS
+from residuum.identification.unit_registry import DEEPEST, MOST_FACTORS
 from residuum.identification.units import parse_unit, read_registry
 from residuum.service.window_queue.set_aside import ATTEMPTS, Attempts, SetAside
 

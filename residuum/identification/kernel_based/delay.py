@@ -26,8 +26,7 @@ from residuum.identification.kernel_based.lagged_data import lagged_data
 from residuum.identification.kernel_based.marginal_likelihood import marginal_likelihood
 from residuum.identification.record import Record
 
-_ABOUT_AS_LIKELY = 2.0
-"""Nats: one seventh of the probability."""
+_ABOUT_AS_LIKELY = 2.0  # [nat]: one seventh of the probability
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +81,9 @@ def estimate_delay(
     with one_thread_if_small(order):
         for delay in range(longest + 1):
             candidate = scaled_sums(sums.columns(np.arange(delay, delay + order)), 1)[0]
+            # from where the search for the delay before it ended: neighbours have a like optimum
             start, value = maximise(marginal_likelihood(candidate, KERNELS[kernel]), start)
             values.append(value)
+    # the first of those that are about as likely as the best
     about = np.array(values) <= min(values) + _ABOUT_AS_LIKELY
     return DelayEstimate(int(np.argmax(about)), np.array(values))

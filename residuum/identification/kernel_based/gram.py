@@ -19,7 +19,8 @@ from scipy import fft
 from residuum.array_types import FloatArray
 from residuum.identification.errors import BadRecord, NotIdentifiable
 
-_BLOCKS_AT_ONCE = 64
+# both bound the memory, whatever the length of the record
+_BLOCKS_AT_ONCE = 64  # of one transform each
 _ROWS_AT_ONCE = 1 << 18
 
 
@@ -134,7 +135,7 @@ def regression_sums(
             f"inputs of {[len(signal) for signal in signals]} samples and an output of {len(y)}:"
             " lengths must be equal"
         )
-    reach = delay + order - 1
+    reach = delay + order - 1  # samples of the past that a row needs
     levels = [0.0] * len(signals) if input_levels is None else input_levels
     lags = [order] * len(signals) if orders is None else list(orders)
     total = RegressionSums.zero(len(signals) * order)
@@ -142,14 +143,8 @@ def regression_sums(
         for k in range(start, stop, _ROWS_AT_ONCE):
             end = min(k + _ROWS_AT_ONCE, stop)
             past = [
-                np.subtract(signal[k - reach : end - delay], level, dtype=float)
-                for signal, level in zip(signals, levels, strict=True)
-            ]
-            # Beyond its own lags a signal may be missing; what stands there is in columns that are
-            # left out.
-            past = [
-                stretch if own == order else np.nan_to_num(stretch)
-                for stretch, own in zip(past, lags, strict=True)
+                _stretch(signal[k - reach : end - delay], level, complete=own == order)
+                for signal, level, own in zip(signals, levels, lags, strict=True)
             ]
             total = total + _run_sums(past, np.subtract(y[k:end], output_level, dtype=float), order)
     if total.rows == 0:
@@ -162,6 +157,14 @@ def regression_sums(
     return total.columns(np.concatenate([j * order + np.arange(own) for j, own in enumerate(lags)]))
 
 
+def _stretch(signal: FloatArray, level: float, *, complete: bool) -> FloatArray:
+    """A signal about its level; zero where it is missing, which only beyond its own lags it may be:
+    what stands there is in columns that are left out.
+    """
+    stretch = np.subtract(signal, level, dtype=float)
+    return stretch if complete else np.nan_to_num(stretch)
+
+
 def _complete_runs(
     inputs: Sequence[FloatArray], lags: Sequence[int], y: FloatArray, order: int, delay: int
 ) -> list[tuple[int, int]]:
@@ -171,15 +174,18 @@ def _complete_runs(
     n, reach = len(y), delay + order - 1
     if n <= reach:
         return []
+    # a sum tells a NaN in one pass, without an array of flags
     if not any(np.isnan(signal.sum()) for signal in (*inputs, y)):
         return [(reach, n)]
     complete = ~np.isnan(y)
     complete[:reach] = False
     for signal, own in zip(inputs, lags, strict=True):
+        # a window without a missing sample: the count at its end is that at its begin
         missing = np.concatenate([[0], np.cumsum(np.isnan(signal))])
         first = order - own
         complete[reach:] &= missing[order : n - delay + 1] == missing[first : first + n - reach]
     edges = np.flatnonzero(np.diff(np.concatenate([[0], complete.astype(np.int8), [0]])))
+    # one edge up and one down a run
     return [(int(start), int(stop)) for start, stop in edges.reshape(-1, 2)]
 
 
@@ -250,6 +256,7 @@ def _lagged_products(signals: list[FloatArray], x: list[FloatArray], order: int)
     blocks.
     """
     rows = len(signals[0])
+    # blocks eight times as long as the overlap, so that an eighth of each transform is lost to it
     size = fft.next_fast_len(min(max(1024, 8 * order), rows + order - 1), real=True)
     step = size - order + 1
     spectrum = np.zeros((len(signals), len(x), size // 2 + 1), dtype=complex)

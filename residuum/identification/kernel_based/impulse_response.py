@@ -43,8 +43,8 @@ NoiseVariance = float | str
 NOISE_VARIANCE_METHODS = ("marginal", "least-squares")
 _LONGEST_ORDER = 5000
 _WALL = 1e100
+# of a level's square, below which a movement about it is rounding
 _ROUNDING = 1e-20
-"""Of a level's square, below which a movement about it is rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,9 +129,10 @@ def identify_impulse_response(
 
     Notes
     -----
-    `covariance` is at the estimated hyper-parameters (with their first-order effect), and what frequency responses and random
-    models are made from; `std` is of single coefficients, with the hyper-parameters marginalised (`marginal_bands`), up to 1000
-    coefficients. The coverage of both is measured in benchmarks/results/identification.md.
+    `covariance` is at the estimated hyper-parameters (with their first-order effect), and what
+    frequency responses and random models are made from; `std` is of single coefficients, with the
+    hyper-parameters marginalised (`marginal_bands`), up to 1000 coefficients. The coverage of both
+    is measured in benchmarks/results/identification.md.
 
     Examples
     --------
@@ -285,6 +286,7 @@ def maximise(
             " response: record while the input moves, or scale the signals to about 1"
         )
     decay = [item.bounds for item in likelihood.kernel.parameters]
+    # ln κ may move by a factor e⁴⁰ both ways: no estimate, but no overflow either
     kappa = [(value - 40.0, value + 40.0) for value in x.reshape(likelihood.n_inputs, -1)[:, -1]]
     bounds = [pair for input_kappa in kappa for pair in [*decay, input_kappa]]
     optimum = optimize.minimize(
@@ -318,6 +320,8 @@ def _finite(value: float, gradient: FloatArray) -> tuple[float, FloatArray]:
 
 def _starts(likelihood: MarginalLikelihood) -> list[FloatArray]:
     starts = []
+    # four time constants from a sample to the length of the response, at two ratios of signal to
+    # noise: the likelihood may have several maxima
     for time_constant in np.geomspace(min(2.0, likelihood.order), max(likelihood.order, 4.0), 4):
         alpha = math.exp(-1.0 / time_constant)
         free = [
@@ -328,6 +332,7 @@ def _starts(likelihood: MarginalLikelihood) -> list[FloatArray]:
         gain = likelihood.gain(x)
         for signal_to_noise in (1.0, 100.0):
             x = x.copy()
+            # κ last of each input's variables, so that κ tr(ΦᵀΦ K)/n is the ratio
             x[len(free) :: len(free) + 1] = np.log(
                 signal_to_noise / np.maximum(gain, np.finfo(float).tiny)
             )
@@ -342,8 +347,10 @@ def scaled_sums(sums: RegressionSums, n_inputs: int) -> tuple[RegressionSums, Fl
     n = sums.degrees_of_freedom
     power = np.diag(sums.gram).reshape(n_inputs, -1).mean(axis=1) / n
     level = np.square(sums.regressor_sum / max(sums.rows, 1)).reshape(n_inputs, -1).mean(axis=1)
+    # what moves about a level by no more than rounding does not move
     input_scale = np.sqrt(np.where(power > _ROUNDING * level, power, 0.0))
     output_scale = math.sqrt(max(sums.energy, 0.0) / n)
+    # squares may underflow to zero where the value itself does not
     if not (output_scale > 0 and output_scale**2 > 0):
         raise NotIdentifiable("the output does not move: an impulse response needs a response")
     if not np.all(np.square(input_scale) > 0):
@@ -402,6 +409,7 @@ def _warnings(
         if likelihood.noise_variance is None
         else likelihood.noise_variance
     )
+    # −log p of the output as noise alone
     silent = 0.5 * (likelihood.energy / variance + likelihood.n * math.log(2 * math.pi * variance))
     if silent - value < 3.0 + math.log(likelihood.n):
         texts.append("the output shows no significant response to the input")

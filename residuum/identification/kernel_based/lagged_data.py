@@ -18,13 +18,12 @@ from residuum.identification.errors import BadRecord, NotIdentifiable
 from residuum.identification.kernel_based.gram import RegressionSums, regression_sums
 from residuum.identification.record import Record
 
+# part of its size by which an input must differ from what the others add up to
 _APART = 1e-3
-"""Part of its size by which an input must differ from what the others add up to."""
 _PART = 0.1
+# samples at the begin by which an input is seen to stand still, and the part of its movement that
+# must not be left out
 _STILL, _LEFT_OUT = 3, 0.5
-"""Samples at the begin by which an input is seen to stand still; the part of its movement that must
-not be left out.
-"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,6 +124,7 @@ def record_sums(
     input_levels = np.array([_mean(record[name]) if offset else 0.0 for name in inputs])
     output_level = _mean(record[output]) if offset else 0.0
     signals, answer = [record[name] for name in inputs], record[output]
+    # an output before the record is not known, so these rows only give later ones their past
     if before := past_at_rest(signals, delay + order - 1):
         signals = [np.concatenate([np.full(before, signal[0]), signal]) for signal in signals]
         answer = np.concatenate([np.full(before, np.nan), answer])
@@ -181,6 +181,7 @@ def _check_apart(records: Sequence[Record], inputs: Sequence[str], *, offset: bo
     size = np.linalg.norm(centred, axis=0)
     if not np.all(size > 0):
         return  # one that moves only where another is missing: the rows tell
+    # the smallest eigenvalue of the correlations is the square of what one input has of its own
     eigenvalues, vectors = np.linalg.eigh((centred / size).T @ (centred / size))
     if eigenvalues[0] > _APART**2:
         return
@@ -202,6 +203,7 @@ def _check_moves(records: Sequence[Record], name: str, helps: str, *, offset: bo
         lowest, highest = float(np.fmin.reduce(record[name])), float(np.fmax.reduce(record[name]))
         if not math.isnan(lowest):
             size = max(abs(lowest), abs(highest))
+            # rounding of a constant is no movement
             spans.append(highest - lowest > 1e-13 * size if offset else size > 0)
     if not any(spans):
         defect = "is constant" if spans and offset else "is zero" if spans else "has no sample"

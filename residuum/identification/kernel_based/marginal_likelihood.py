@@ -46,10 +46,11 @@ class MarginalLikelihood(ABC):
 
         log|Z| = n ln σ² + 2 Σ ln L_ii,    yᵀZ⁻¹y = q/σ²,    q = yᵀy − zᵀz
 
-    so one evaluation costs m³ whatever n is. When σ² is a hyper-parameter, its optimum q/n is inserted. For any change
-    of the prior with E = F⁻¹ dK F⁻ᵀ, and s = L⁻ᵀz:  d log|Z| = tr((I − A⁻¹) E),  dq = −sᵀ E s. Neither P nor ΦᵀΦ is inverted,
-    so decays that underflow and inputs that do not excite stay finite. The search variables are, input by input,
-    the kernel's free variables and ln κ_j.
+    so one evaluation costs m³ whatever n is. When σ² is a hyper-parameter, its optimum q/n is
+    inserted. For any change of the prior with E = F⁻¹ dK F⁻ᵀ, and s = L⁻ᵀz:  d log|Z| = tr((I −
+    A⁻¹) E),  dq = −sᵀ E s. Neither P nor ΦᵀΦ is inverted, so decays that underflow and inputs that
+    do not excite stay finite. The search variables are, input by input, the kernel's free variables
+    and ln κ_j.
 
     Parameters
     ----------
@@ -119,11 +120,14 @@ class MarginalLikelihood(ABC):
         flat directions finite.
         """
         x = np.asarray(x, dtype=float)
+        # forward differences: the gradient is exact, so one step a variable gives a row of H and J
         gradient, mean = self._gradient_and_mean(x)
         moved = [self._gradient_and_mean(x + step) for step in _STEP * np.eye(len(x))]
         H = np.array([(shifted - gradient) / _STEP for shifted, _ in moved])
         J = np.array([(shifted - mean) / _STEP for _, shifted in moved])
+        # differences leave H not quite symmetric
         curvature, axes = np.linalg.eigh(0.5 * (H + H.T))
+        # a curvature below zero, as at a bound, counts as none: there the wide prior alone holds
         directions = (axes.T @ J) / np.sqrt(np.maximum(curvature, 0.0) + 1 / _WIDEST**2)[:, None]
         return np.asarray(directions.T @ directions)
 
@@ -170,7 +174,9 @@ class MarginalLikelihood(ABC):
         return self._inverted[1]
 
     def _combine(self, q: float, log_det: float) -> tuple[float, float]:
+        # rounding can leave q below what double precision resolves of yᵀy
         n, q = self.n, max(q, RESOLUTION * self.energy)
+        # the variance of largest likelihood is q/n: it is eliminated where nobody says it
         variance = q / n if self.noise_variance is None else self.noise_variance
         return 0.5 * (q / variance + log_det + n * (math.log(variance) + _LOG_2PI)), variance
 
@@ -200,6 +206,7 @@ class DiagonalLikelihood(MarginalLikelihood):
         super().__init__(sums, kernel, n_inputs, noise_variance)
         self._prior = kernel
         self.cross = self._blockwise(kernel.to_basis, sums.cross)
+        # from the left, then from the right as the left of its transpose: ΦᵀΦ is symmetric
         half = self._blockwise(kernel.to_basis, sums.gram)
         self.gram = self._blockwise(kernel.to_basis, half.T)
 
@@ -268,6 +275,7 @@ class DenseLikelihood(MarginalLikelihood):
         """A = I + FᵀΦᵀΦF."""
         F = self._prior(x)[0]
         A = F.T @ self.gram @ F
+        # symmetric but for rounding, which a Cholesky factorisation reads from one half alone
         A = 0.5 * (A + A.T)
         np.einsum("ii->i", A)[...] += 1.0
         return A, F.T @ self.cross
@@ -282,6 +290,7 @@ class DenseLikelihood(MarginalLikelihood):
             zip(self._prior(x)[1], self._free_slopes(x), strict=True)
         ):
             block = slice(j * self.order, (j + 1) * self.order)
+            # the kernel's own variables, then ln κ, whose E is the identity
             for E, slope in zip(changes, free, strict=True):
                 dq.append(-slope * float(solved[block] @ E @ solved[block]))
                 dlog_det.append(slope * float(np.vdot(spread[block, block], E)))
@@ -343,7 +352,7 @@ def cholesky(A: FloatArray) -> FloatArray:
             L, info = lapack.dpotrf(A + raised * np.eye(len(A)) if raised else A, lower=1, clean=1)
             if info == 0:
                 return np.asarray(L)
-            raised = 100 * raised or 1e-16 * size
+            raised = 100 * raised or 1e-16 * size  # first by less than one rounding of the trace
     raise NotIdentifiable(
         "the sums of the regression are no Gram matrix: the signals are too large or too small to"
         " tell"

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -124,6 +124,7 @@ def _drawn(
     n: int, mean: FloatArray, covariance: FloatArray, rng: np.random.Generator, n_inputs: int
 ) -> FloatArray:
     """`n` stacked responses, shape (n, n_inputs, length)."""
+    # a root by eigenvalues, for a covariance that is singular but for rounding
     eigenvalues, vectors = np.linalg.eigh(covariance)
     deviation = (
         rng.standard_normal((n, len(mean))) @ (vectors * np.sqrt(np.maximum(eigenvalues, 0.0))).T
@@ -172,7 +173,12 @@ def identify_multivariable(
         covariances.append(fit.covariance)
         longer = None
         if cover_cut:
-            refit = _refit(records, inputs, output, kernel, delay, noise_variance, offset)
+
+            def refit(length: int, output: str = output) -> tuple[FloatArray, FloatArray]:
+                sums = lagged_data(records, inputs, output, length, delay, offset=offset).sums
+                again = fit_impulse_response(sums, kernel, len(inputs), noise_variance)
+                return again.mean, again.covariance
+
             longer = longer_response(
                 (fit.mean, fit.covariance), order, data.sums.rows, refit, len(inputs)
             )
@@ -180,6 +186,7 @@ def identify_multivariable(
         paths = []
         for j, name in enumerate(inputs):
             block = slice(j * order, (j + 1) * order)
+            # of a path its part of the stacked longer responses
             M = 0 if longer is None else len(longer.mean) // len(inputs)
             long = slice(j * M, (j + 1) * M)
             paths.append(
@@ -206,23 +213,6 @@ def identify_multivariable(
             )
         rows.append(tuple(paths))
     return MultivariableModel(tuple(rows), tuple(covariances), tuple(longest))
-
-
-def _refit(
-    records: Record | Sequence[Record],
-    inputs: Sequence[str],
-    output: str,
-    kernel: str,
-    delay: int,
-    noise_variance: NoiseVariance,
-    offset: bool,
-) -> Callable[[int], tuple[FloatArray, FloatArray]]:
-    def fit(length: int) -> tuple[FloatArray, FloatArray]:
-        sums = lagged_data(records, inputs, output, length, delay, offset=offset).sums
-        again = fit_impulse_response(sums, kernel, len(inputs), noise_variance)
-        return again.mean, again.covariance
-
-    return fit
 
 
 # The JSON file of a model with several inputs or outputs: its paths as identified models, and
@@ -281,6 +271,16 @@ def multivariable_from(content: dict[str, Any], path: Path) -> MultivariableMode
         tuple(identified_from(encoded, path) for encoded in row) for row in content["models"]
     )
     covariances = tuple(np.asarray(encoded, dtype=float) for encoded in content["covariances"])
+    _check_grid(models, covariances, path)
+    # files of older versions have none
+    longer = tuple(_longer_from(encoded, path) for encoded in content.get("longer", []))
+    _check_longer(models, longer, path)
+    return MultivariableModel(models, covariances, longer)
+
+
+def _check_grid(
+    models: Sequence[Sequence[IdentifiedModel]], covariances: Sequence[FloatArray], path: Path
+) -> None:
     if not models or len({len(row) for row in models}) != 1 or len(covariances) != len(models):
         raise BadModel(f"{path}: models must be a full grid, with one covariance an output")
     for row, covariance in zip(models, covariances, strict=True):
@@ -290,20 +290,24 @@ def multivariable_from(content: dict[str, Any], path: Path) -> MultivariableMode
                 f"{path}: covariance of {row[0].output_name!r} has shape {covariance.shape}; must"
                 f" be ({size}, {size})"
             )
-    # files of older versions have none
-    longer = tuple(_longer_from(encoded, path) for encoded in content.get("longer", []))
-    if longer and len(longer) != len(models):
+
+
+def _check_longer(
+    models: Sequence[Sequence[IdentifiedModel]], longer: Sequence[Longer | None], path: Path
+) -> None:
+    if not longer:
+        return
+    if len(longer) != len(models):
         raise BadModel(f"{path}: longer must have an entry an output")
-    for row, model in zip(models, longer, strict=False):
-        if model is not None and (
-            len(model.mean) % len(row)
-            or model.covariance.shape != (len(model.mean), len(model.mean))
-        ):
+    for row, response in zip(models, longer, strict=True):
+        if response is None:
+            continue
+        size = len(response.mean)
+        if size % len(row) or response.covariance.shape != (size, size):
             raise BadModel(
                 f"{path}: longer responses of {row[0].output_name!r} do not fit {len(row)} inputs"
                 " and their covariance"
             )
-    return MultivariableModel(models, covariances, longer)
 
 
 def _longer_object(longer: Longer | None) -> dict[str, Any] | None:

@@ -17,9 +17,10 @@ from residuum.array_types import FloatArray
 
 NEGLIGIBLE = 0.5
 """What the last fifth may add to a frequency response, in standard deviations of that response."""
-_GROWTH = 1.5
-_LONGEST, _ROWS_A_COEFFICIENT = 600, 3
-_LAST = 5
+_GROWTH = 1.5  # from one length that is tried to the next
+_LONGEST = 600  # coefficients of all inputs together, at most
+_ROWS_A_COEFFICIENT = 3  # at least
+_LAST = 5  # a fifth of the coefficients is what decay is judged by
 Posterior = tuple[FloatArray, FloatArray]
 
 
@@ -47,8 +48,10 @@ def outlasting(mean: FloatArray, covariance: FloatArray) -> float:
     (True, True)
     """
     m = len(mean)
+    # four points or more a coefficient, so that the maximum over ω lies near one of them
     points = 1 << (4 * m).bit_length()
     last = np.fft.rfft(mean[m - max(1, m // _LAST) :], points)
+    # φᴴ Σ φ is a cosine series: its coefficients are the sums along the diagonals of Σ
     apart = np.abs(np.subtract.outer(np.arange(m), np.arange(m)))
     diagonals = np.bincount(apart.ravel(), weights=covariance.ravel(), minlength=m)
     variance = np.fft.rfft(diagonals, points).real

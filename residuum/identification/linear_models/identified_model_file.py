@@ -18,6 +18,13 @@ _NAMES = tuple(item.name for item in fields(IdentifiedModel) if item.name != "ba
 _REQUIRED = ("method", "sample_time", "impulse_response", "covariance", "noise_variance")
 _TEXTS = ("method", "input_name", "input_unit", "output_name", "output_unit")
 _MAPPINGS = ("hyper_parameters", "provenance")
+# of fields whose kind no conversion settles: the kind, and how a refusal calls it
+_KINDS: dict[str, tuple[type, str]] = {
+    **dict.fromkeys(_TEXTS, (str, "a text")),
+    **dict.fromkeys(_MAPPINGS, (dict, "an object")),
+    "delay": (int, "a whole number"),
+    "integrates": (bool, "true or false"),
+}
 
 
 def save_identified(model: IdentifiedModel, path: str | Path) -> None:
@@ -94,16 +101,12 @@ def _parse(path: Path) -> dict[str, Any]:
 
 def _typed(name: str, value: Any) -> Any:
     """The value as its field wants it; TypeError when it is of another kind."""
-    if name in _TEXTS and not isinstance(value, str):
-        raise TypeError(f"field {name!r} must be a text")
-    if name in _MAPPINGS and not isinstance(value, dict):
-        raise TypeError(f"field {name!r} must be an object")
-    if name == "delay" and not isinstance(value, int):
-        raise TypeError("field 'delay' must be a whole number")
-    if name == "integrates" and not isinstance(value, bool):
-        raise TypeError("field 'integrates' must be true or false")
+    if name in _KINDS:
+        kind, called = _KINDS[name]
+        if not isinstance(value, kind):
+            raise TypeError(f"field {name!r} must be {called}")
     if name == "negative_log_likelihood" and value is None:
-        return float("nan")
+        return float("nan")  # JSON has no NaN
     if name in ("sample_time", "noise_variance", "offset", "negative_log_likelihood"):
         return float(value)
     return value

@@ -37,8 +37,9 @@ OUTPUT_LAGS = (2, 4, 8, 16, 30)
 """Candidates for P."""
 SHORT_REACH, LONG_REACH = 120, 600
 """Input lags Q of a first look, and at most."""
-_SAMPLES_A_LAG = 12
-_FEWEST, _MOST_ROWS = 120, 20_000
+_SAMPLES_A_LAG = 12  # at least, of an input's lags
+_FEWEST, _MOST_ROWS = 120, 20_000  # samples of all records: fewer are refused, more left out
+# parts of a diagonal element that keep a factor finite, and of the output's power that tell noise
 _RIDGE, _RESOLUTION = 1e-10, 1e-10
 
 
@@ -214,7 +215,7 @@ def _innovations(
 # dead time is the first k that is refused at .1 %. A response that begins gently is found a
 # little late, by what drowns in the noise anyway.
 
-_LEVEL_OF_DEAD_TIME = 1e-3
+_LEVEL_OF_DEAD_TIME = 1e-3  # at which leading lags are there
 
 
 def dead_time(regression: LongAutoregression) -> int | None:
@@ -243,10 +244,11 @@ def dead_time(regression: LongAutoregression) -> int | None:
 # digits say. The static gain is told where its standard deviation stays below one, or it is there
 # by more than chance.
 
+# lags of each input: at most, samples for each at least, and at least
 _LAGS, _SAMPLES_A_LAG_OF_AN_INPUT, _FEWEST_LAGS = 60, 6, 4
-_MOST_SAMPLES = 10_000
+_MOST_SAMPLES = 10_000  # of all records
+# standard deviations of a gain that is there: 0.1 %, two-sided
 _THERE = 3.3
-"""Standard deviations of a gain that is there: 0.1 %, two-sided."""
 
 
 @dataclass(frozen=True)
@@ -327,10 +329,11 @@ def excitation_test(
 # Fails to see a loop whose noise is small beside what its set point moves, which then does little
 # harm either.
 
-_INPUT_PAST, _NOISE_PAST = 30, 10
+_INPUT_PAST, _NOISE_PAST = 30, 10  # lags of its own past and of the noise that an input may answer
+# feedback is there below this level, where it explains at least this share of the input's news
 _LEVEL_OF_FEEDBACK, _LEAST_SHARE = 1e-4, 0.003
-_FEWEST_A_COLUMN = 3
-_LEAST_NEWS = 1e-8
+_FEWEST_A_COLUMN = 3  # rows for each lag
+_LEAST_NEWS = 1e-8  # of the input's power, which its own past does not tell
 
 
 @dataclass(frozen=True)
@@ -405,8 +408,8 @@ def _sums_over_innovations(u: FloatArray, e: FloatArray) -> RegressionSums:
 
 DICKEY_FULLER = 3.43
 """1 % level of Dickey's and Fuller's statistic with a constant, long records."""
+# standard deviations of a sum of input weights that is there: 0.1 %, two-sided
 _INPUT_ACTS = 3.3
-"""Standard deviations of a sum of input weights that is there: 0.1 %, two-sided."""
 
 
 @dataclass(frozen=True)
@@ -455,9 +458,10 @@ def integrator_test(regression: LongAutoregression) -> IntegratorTest:
 
 KEPT_ASIDE = 0.3
 """The last part of a record that no split note divides."""
-_MOST_LAGS, _SAMPLES_A_LAG_KEPT_ASIDE = 80, 12
+_MOST_LAGS, _SAMPLES_A_LAG_KEPT_ASIDE = 80, 12  # lags at most, and samples for each at least
+# what the model misses of the output is too much below this level, and above this share
 _LEVEL_KEPT_ASIDE, _TOO_MUCH = 1e-4, 0.1
-_WORSE_THAN_A_CONSTANT = -5.0
+_WORSE_THAN_A_CONSTANT = -5.0  # [%] of fit: a constant has 0
 
 
 @dataclass(frozen=True)
@@ -541,12 +545,10 @@ def _explained(residual: FloatArray, u: FloatArray, lags: int) -> float:
 # Fails where the loop answers without noise or set point, so that A cannot be told from the
 # controller's answer.
 
+# standard deviations outside the unit circle
 _OUTSIDE = 5.0
-"""Standard deviations outside the unit circle."""
+# e-folds within the record that a root at least means: a slower one is as good as an integrator's
 _GROWTH = 3.0
-"""e-folds within the record that a root at least means: a slower one is as good as an
-integrator's.
-"""
 
 
 @dataclass(frozen=True)

@@ -86,7 +86,8 @@ def feasible_set(
 
     References
     ----------
-    M. Milanese, A. Vicino, *Optimal estimation theory for dynamic systems with set membership uncertainty*, Automatica 27 (1991).
+    M. Milanese, A. Vicino, *Optimal estimation theory for dynamic systems with set membership
+    uncertainty*, Automatica 27 (1991).
 
     Examples
     --------
@@ -181,8 +182,8 @@ LAGS, MOST_LAGS = 20, 60
 """Length of the response that nobody chose, and the longest: each coefficient costs two linear
 programs.
 """
-_ROWS = 4000
-_ROOM = 1.1
+_ROWS = 4000  # that count, at most
+_ROOM = 1.1  # times the smallest bound that leaves any response: the bound that nobody chose
 
 
 def identify_set_membership(
@@ -238,6 +239,7 @@ def identify_set_membership(
             f"set-membership: {len(y)} complete rows for {m} coefficients; at least"
             f" {2 * Phi.shape[1]} are needed: record longer, or take a smaller order"
         )
+    # a bound that nothing meets: the Chebyshev fit tells the smallest one, no interval is computed
     smallest = feasible_set(Phi, y, 1e-12 * (float(np.abs(y).max()) or 1.0)).smallest_bound
     bound = _ROOM * smallest if noise_bound is None else noise_bound
     feasible = feasible_set(Phi, y, bound)
@@ -249,6 +251,7 @@ def identify_set_membership(
             f" {smallest:.4g}{unit}"
         )
     residual = y - Phi @ feasible.centre
+    # the last coefficient is not zero for certain
     lasts = abs(feasible.centre[m - 1]) > feasible.radius[m - 1]
     return IdentifiedModel(
         method="set-membership",
@@ -263,7 +266,7 @@ def identify_set_membership(
         delay=delay,
         offset=float(feasible.centre[m]) if offset else 0.0,
         hyper_parameters={"noise_bound": float(bound), "smallest_noise_bound": smallest},
-        warnings=_said(
+        warnings=_warnings(
             bound, smallest, unit, given=noise_bound is not None, outlasts=m if lasts else None
         ),
         provenance={
@@ -274,7 +277,7 @@ def identify_set_membership(
     )
 
 
-def _said(
+def _warnings(
     bound: float, smallest: float, unit: str, *, given: bool, outlasts: int | None
 ) -> tuple[str, ...]:
     known = (

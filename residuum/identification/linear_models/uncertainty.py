@@ -36,9 +36,10 @@ from residuum.identification.linear_models.transfer_function import TransferFunc
 
 ABOVE_THE_SEEN = 0.005
 """By how much the bound may lie above the largest value that was seen, in parts."""
+# halvings of the intervals between frequencies, and intervals that are open at a time
 _MOST_ROUNDS, _MOST_INTERVALS = 40, 200_000
-_VALUES_AT_ONCE = 1_000_000
-_ROUNDING = 1e-9
+_VALUES_AT_ONCE = 1_000_000  # which bounds the memory
+_ROUNDING = 1e-9  # relative, by which a bound is raised
 
 
 @dataclass(frozen=True)
@@ -161,8 +162,8 @@ def _distance(root: complex, cosine: FloatArray) -> FloatArray:
 
 WEIGHT_ORDER = 2
 """Order of W_T where nothing else is asked for, as in the source."""
+# a pole turns as sharply as so many lags
 _LAGS_A_POLE = 20
-"""A pole turns as sharply as so many lags."""
 
 
 @dataclass(frozen=True, eq=False)

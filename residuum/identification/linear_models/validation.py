@@ -267,8 +267,8 @@ def _check(lags: int, level: float) -> None:
 # 7157–7162; Reinelt, Garulli, Ljung, Automatica 38 (2002) 787–803; (1.125) of the source, which
 # names the kernel-based form as future work.
 
-_DRAWS = 4000
-_PASSES = 2
+_DRAWS = 4000  # random models that a quantile is taken of
+_PASSES = 2  # of whitening: the second by the colour of what the first fit leaves
 
 
 @dataclass(frozen=True, eq=False)
@@ -356,8 +356,9 @@ def model_error_model(
 
     Notes
     -----
-    A prior that is zero in the mean shrinks errors that the data hardly show; such errors are not falsified. On the estimation
-    data a kernel model's own error is invisible, hence the records should be new.
+    A prior that is zero in the mean shrinks errors that the data hardly show; such errors are not
+    falsified. On the estimation data a kernel model's own error is invisible, hence the records
+    should be new.
 
     Examples
     --------
@@ -485,9 +486,9 @@ def _simultaneous_limit(
 
 LEVEL = 0.01
 """Share of right models that one of the tests speaks against."""
-_LAGS, _SAMPLES_A_LAG = 25, 10
-_MOST_OF_A_RESPONSE, _BEYOND = 50, 10
-_SETTLED = 1e-3
+_LAGS, _SAMPLES_A_LAG = 25, 10  # lags at most, and samples for each at least
+_MOST_OF_A_RESPONSE, _BEYOND = 50, 10  # lags of the input: those of the model, and behind them
+_SETTLED = 1e-3  # of its beginning, to which a response has decayed
 
 
 @dataclass(frozen=True, eq=False)
@@ -618,10 +619,10 @@ def _memory(numerator: FloatArray) -> int:
 # that a prediction needs is a good part of a block, for every block lacks it at its beginning.
 
 Fit = Callable[[Sequence[Record]], IdentifiedModel]
+# 1 − 1/e: the share of the data that a bootstrap sample holds
 _REACH = 0.632
-"""1 − 1/e: the share of the data that a bootstrap sample holds."""
-_BLOCKS, _FEWEST_BLOCKS = 20, 6
-_PASTS_A_BLOCK = 3
+_BLOCKS, _FEWEST_BLOCKS = 20, 6  # about, and at least
+_PASTS_A_BLOCK = 3  # lengths of the past that a prediction needs, in a block at least
 
 
 def weighed(apparent: float, out_of_bag: float, no_information: float) -> tuple[float, float]:
@@ -684,8 +685,29 @@ def block_bootstrap(
     apparent, outputs = _errors(model, blocks)
     energy = [float(np.nanmean(y**2)) for y in outputs]  # about each block's level
     predicted = [float(np.nanmean((y - e) ** 2)) for y, e in zip(outputs, apparent, strict=True)]
-    left: list[list[float]] = [[] for _ in blocks]
+    trained, mean_squares = _left_out(fit, blocks, repeats, seed)
+    counted = [float(np.mean(block)) for block in mean_squares if block]
+    if not counted:
+        raise NotIdentifiable(
+            "bootstrap: no sample of blocks has enough data for the model; record longer, or take a"
+            " smaller order"
+        )
+    own = float(np.mean([np.nanmean(e**2) for e in apparent]))
+    out_of_bag = float(np.mean(counted))
+    # outputs and predictions of different blocks: their errors if nothing were learnt
+    no_information = float(np.mean(energy) + np.mean(predicted))
+    error, overfitting = weighed(own, out_of_bag, no_information)
+    return BlockBootstrap(error, own, out_of_bag, no_information, overfitting, trained, len(blocks))
+
+
+def _left_out(
+    fit: Fit, blocks: Sequence[Record], repeats: int, seed: int
+) -> tuple[int, list[list[float]]]:
+    """(models trained, mean square errors of each block by the models that were trained without
+    it).
+    """
     rng, trained = np.random.default_rng(seed), 0
+    mean_squares: list[list[float]] = [[] for _ in blocks]
     for _ in range(repeats):
         drawn = rng.integers(0, len(blocks), len(blocks))
         out = np.setdiff1d(np.arange(len(blocks)), drawn)
@@ -695,23 +717,12 @@ def block_bootstrap(
             refit = fit([blocks[k] for k in drawn])
             errors, _ = _errors(refit, [blocks[k] for k in out])
         except BadInput:
+            # a sample of blocks may hold too little for the model
             continue
         trained += 1
         for k, e in zip(out, errors, strict=True):
-            left[k].append(float(np.nanmean(e**2)))
-    counted = [float(np.mean(block_mse)) for block_mse in left if block_mse]
-    if not counted:
-        raise NotIdentifiable(
-            "bootstrap: no sample of blocks has enough data for the model; record longer, or take a"
-            " smaller order"
-        )
-    own = float(np.mean([np.nanmean(e**2) for e in apparent]))
-    out_of_bag, no_information = (
-        float(np.mean(counted)),
-        float(np.mean(energy) + np.mean(predicted)),
-    )
-    error, overfitting = weighed(own, out_of_bag, no_information)
-    return BlockBootstrap(error, own, out_of_bag, no_information, overfitting, trained, len(blocks))
+            mean_squares[k].append(float(np.nanmean(e**2)))
+    return trained, mean_squares
 
 
 def cut_into_blocks(model: IdentifiedModel, records: Sequence[Record]) -> list[Record]:

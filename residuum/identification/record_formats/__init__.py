@@ -52,8 +52,8 @@ WRITERS: dict[str, Callable[[Record, str | Path], None]] = {
     ".uff": write_uff,
 }
 
+# characters of a refusal: some libraries repeat the file in it
 _LONGEST = 1000
-"""Characters of a refusal: some libraries repeat the file in it."""
 
 
 def read_record(path: str | Path, options: ReadOptions = ReadOptions()) -> Record:

@@ -22,11 +22,12 @@ from residuum.identification.record_formats.options import ReadOptions
 from residuum.identification.record_formats.scope_csv import is_scope_csv, parse_scope_csv
 
 MOST_COLUMNS = 1000
-_LONGEST_HEADER = 100_000
+_LONGEST_HEADER = 100_000  # bytes
 _HEAD = re.compile(r"^(?P<name>.*?)\s*(?:\[(?P<unit>[^\[\]]*)\])?$")
 AS_LOGGER = "read as a logger's file"
 """How the note begins that tells what was guessed."""
 _OURS = re.compile(rb"\s*time\s*\[s\]\s*,")
+# places between two separators, at the end of a line and at its begin
 _EMPTY_CELL = re.compile(rb"(?<=,)(?=[ \t]*(?:,|\r?\n|$))|(?<=\n)(?=,)")
 
 
@@ -221,6 +222,7 @@ def write_csv(record: Record, path: str | Path) -> None:
         f"{name} [{unit}]" if unit else name for name, unit in record.units.items()
     ]
     lines = [f"# {note}" for note in record.notes] + [",".join(heads)]
+    # four digits beyond the first of the sample time, so that rounded times stay even
     decimals = max(6, int(np.ceil(-np.log10(record.sample_time))) + 4)
     formats = [f"%.{decimals}f"] + ["%.10g"] * len(record.names)
     table = np.column_stack([record.time, *record.channels.values()])
@@ -262,6 +264,7 @@ def _numbers(body: bytes, width: int, first_row: int, source: str) -> npt.NDArra
         lines.pop()
     if len(lines) < 2:
         raise BadRecord(f"{source}: has {len(lines)} data rows; at least 2 are needed")
+    # one pass in C over all lines; where it refuses, `_bad_cell` looks which cell it was
     try:
         table = np.loadtxt(lines, delimiter=",", comments=None, ndmin=2, dtype=np.float64)
     except ValueError:

@@ -12,16 +12,15 @@ FloatArray = npt.NDArray[np.float64]
 JITTER = 0.01  # of the step
 HOLE = 3.0
 """Of a channel's own median step: over a longer stretch without a value nothing is interpolated."""
+# part of the step by which stamps may lie beside even instants that their samples were taken at:
+# what writes them is late
 _NEAR = 0.2
-"""Part of the step by which stamps may lie beside even instants that their samples were taken at:
-what writes them is late.
-"""
 RESAMPLED = "resampled to"
 """How a note tells of it."""
-_MOST = 1e8
-_MOST_DECIMALS = 7
+_MOST = 1e8  # samples on even instants
+_MOST_DECIMALS = 7  # of seconds, that stamps are looked at for having been rounded to
+# samples for each value of a stepped signal (a gear, a state), at least
 _FEW = 4
-"""Samples for each value of a stepped signal (a gear, a state), at least."""
 
 
 def even_columns(
@@ -55,8 +54,10 @@ def even_columns(
             f"{source}, row {row}: time does not increase; rows must be in order of time"
         )
     median = float(np.median(steps))
+    # beside the jitter that is allowed, what doubles of this size are rounded by
     uneven = np.abs(steps - median) > JITTER * median + 4 * float(np.spacing(np.abs(time).max()))
     if not uneven.any() or _only_rounded(time):
+        # of the whole span, in which the jitter of single stamps cancels
         step = float((time[-1] - time[0]) / (len(time) - 1))
         if resample:
             signals, filled = _between_slower(columns[1:], step)
@@ -162,27 +163,35 @@ def _beside_a_line(time: FloatArray) -> tuple[float, float]:
     Where they lie at most one apart, rounding alone explains it.
     """
     last, exact = len(time) - 1, 4.0 * float(np.spacing(np.abs(time).max()))
-    units, late = (10.0**-d for d in range(_MOST_DECIMALS)), time[-max(2, len(time) // 10) :]
-    unit = next(
-        (u for u in units if np.all(np.abs(late - u * np.rint(late / u)) <= 1e-4 * u + exact)), None
-    )
+    unit = _last_decimal(time, exact)
     span = time[-1] - time[0]
+    # a step that is a multiple of the unit needs no rounding: then the stamps are uneven
     if unit is None or abs(span - last * unit * np.rint(span / (last * unit))) < 1.5 * unit:
         return np.inf, 0.0
-    beside, turn = (
-        time - time[0] - span / last * np.arange(len(time)),
-        unit / last * np.arange(len(time)),
-    )
+    # the line of least range: between the ends, turned by at most two units over the whole
+    beside = time - time[0] - span / last * np.arange(len(time))
+    turn = unit / last * np.arange(len(time))
     line = minimize_scalar(
         lambda by: float(np.ptp(beside - by * turn)), bounds=(-2.0, 2.0), method="bounded"
     )
     return float((line.fun - exact) / (unit * (1.0 + 1e-3))), float(span / last / unit)
 
 
+def _last_decimal(time: FloatArray, exact: float) -> float | None:
+    """The unit of the last decimal that stamps are written with; None beyond `_MOST_DECIMALS`."""
+    late = time[-max(2, len(time) // 10) :]
+    for decimals in range(_MOST_DECIMALS):
+        unit = 10.0**-decimals
+        if np.all(np.abs(late - unit * np.rint(late / unit)) <= 1e-4 * unit + exact):
+            return unit
+    return None
+
+
 def on_grid(time: FloatArray) -> tuple[float, npt.NDArray[np.int64]] | None:
     """(step [s], place of each instant) of even instants of which some are absent; None for any
     others.
     """
+    # the median step, for a mean would count the gaps in
     median = float(np.median(np.diff(time)))
     if not median > 0 or (time[-1] - time[0]) / median > _MOST:
         return None
@@ -261,22 +270,20 @@ def resampled(
     even: FloatArray = step * np.arange(count + 1, dtype=np.float64)
     if near:  # the first stamp is late or early like any other
         even = np.clip(even + time[0] - near[2][0], time[0], time[-1])
-    pairs = [
-        on_instants(time[held], column[held], even, step)
-        for column in values
-        for held in [~np.isnan(column)]
-    ]
+    resampled_channels = []
+    for column in values:
+        held = ~np.isnan(column)
+        resampled_channels.append(on_instants(time[held], column[held], even, step))
     if near:
         alone = _stamps_alone_late(time, near[1], values)
-        pairs = [
-            _at_its_places(pair, column, *near, alone)
-            for pair, column in zip(pairs, values, strict=True)
+        resampled_channels = [
+            _at_its_places(channel, column, *near, alone)
+            for channel, column in zip(resampled_channels, values, strict=True)
         ]
-    return (
-        step,
-        np.array([signal for signal, _ in pairs]).reshape(len(values), len(even)),
-        [outcome for _, outcome in pairs],
-    )
+    signals = np.array([signal for signal, _ in resampled_channels])
+    outcomes = [outcome for _, outcome in resampled_channels]
+    # of no channel at all the shape is still (0, n)
+    return step, signals.reshape(len(values), len(even)), outcomes
 
 
 def _stamps_alone_late(time: FloatArray, place: npt.NDArray[np.int64], values: FloatArray) -> bool:
@@ -287,8 +294,10 @@ def _stamps_alone_late(time: FloatArray, place: npt.NDArray[np.int64], values: F
     for column in values:
         held = ~np.isnan(column)
         if held.sum() > 2 and not is_stepped(column[held]):
-            over = [_linear_error(at[held].astype(float), column[held]) for at in (place, time)]
-            smoother += float(np.log(max(over[0], 1e-300) / max(over[1], 1e-300)))
+            over_places = _linear_error(place[held].astype(float), column[held])
+            over_stamps = _linear_error(time[held], column[held])
+            # summed as logarithms, so that each signal counts alike, whatever its unit
+            smoother += float(np.log(max(over_places, 1e-300) / max(over_stamps, 1e-300)))
     return smoother <= 0.0
 
 
@@ -335,10 +344,12 @@ def on_instants(
     at, taken = at[held], taken[held]
     if len(at) < 2:
         return np.full_like(even, np.nan), ("too few samples", len(even))
+    # an instant that rounding puts beside the first or last sample is that sample's
     ends: FloatArray = np.clip(even, at[0], at[-1])
     even = np.where(np.abs(ends - even) <= 1e-6 * step, ends, even)
     after = np.clip(np.searchsorted(at, even - 1e-9 * step), 1, len(at) - 1)
     own = float(np.median(np.diff(at)))
+    # an instant at either end of a hole is a sample's own and is not missing
     hole = (at[after] - at[after - 1] > HOLE * own) & (np.abs(even - at[after]) > 1e-6 * step)
     hole &= np.abs(even - at[after - 1]) > 1e-6 * step
     hole |= (even < at[0]) | (even > at[-1])
@@ -366,6 +377,8 @@ def is_stepped(taken: FloatArray) -> bool:
 def _linear_error(at: FloatArray, taken: FloatArray) -> float:
     if len(at) < 3:
         return float("nan")
+    # each sample as the line between its neighbours has it; the error of a line grows with the
+    # square of the distance, which here is twice as long: a quarter
     weight = (at[1:-1] - at[:-2]) / (at[2:] - at[:-2])
     left_out = taken[1:-1] - ((1 - weight) * taken[:-2] + weight * taken[2:])
     return float(np.sqrt(np.mean(left_out**2)) / 4)

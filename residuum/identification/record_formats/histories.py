@@ -30,9 +30,9 @@ HISTORIES: Mapping[str, tuple[str, str]] = {
     "influxs": _INFLUX,
 }
 """Scheme of an address → module and class of the history, loaded when one is asked for."""
+# scheme of servers that keep the history of nodes: these have no windows
 _NODES = ("opc.tcp",)
-"""Scheme of servers that keep the history of nodes: these have no windows."""
-_MOST_WINDOWS = 10_000_000
+_MOST_WINDOWS = 10_000_000  # whose addresses are made before the first is read
 
 
 def is_history(path: object) -> bool:
@@ -99,6 +99,7 @@ def windows_of(address: str) -> list[str]:
     with closing(_history(at.scheme)) as history:
         start, end = _span(at, history)
         machines = [{}] if at.each is None else _machines(at, at.each, history)
+    # rounded up: the last window may be shorter
     count = -((start - end) // at.window)
     if count * len(machines) > _MOST_WINDOWS:
         raise BadRecord(

@@ -2,8 +2,8 @@
 
 `SCHEME://user@host/database/table?tags=speed,torque&start=2026-03-01&end=2026-03-08` names rows of
 times and values. `&window=600` are the windows of so many seconds in that time, and `&each=pump`
-those of each value of a column, which `rescore` and `reidentify` take one by one. No message repeats
-a password.
+those of each value of a column, which `rescore` and `reidentify` take one by one. No message
+repeats a password.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from typing import Any, Protocol
-from urllib.parse import parse_qsl, unquote, urlencode, urlsplit
+from urllib.parse import SplitResult, parse_qsl, unquote, urlencode, urlsplit
 
 from residuum.identification.errors import BadRecord
 from residuum.identification.record import Record
 from residuum.identification.record_formats.options import ReadOptions
 
+# one slash is enough: a `Path` made of an address keeps one of its two
 _ADDRESS = re.compile(r"([\w.]+):/+(.+)", re.DOTALL)
-"""A path, which some have made of the address before, keeps one of its two slashes."""
 ROLES = ("time", "tag", "value")
 """Columns that an address may name where they are not clear."""
 
@@ -61,8 +61,15 @@ class Address:
 
 def is_address_of(path: object, schemes: Sequence[str]) -> bool:
     """Whether this is an address of one of these schemes."""
-    matched = _ADDRESS.fullmatch(str(path))
-    return matched is not None and matched[1].lower() in schemes
+    return split_address(str(path), schemes) is not None
+
+
+def split_address(text: str, schemes: Sequence[str]) -> SplitResult | None:
+    """Scheme, server, path and query of an address; None where it has none of these schemes."""
+    matched = _ADDRESS.fullmatch(text)
+    if matched is None or matched[1].lower() not in schemes:
+        return None
+    return urlsplit(f"{matched[1].lower()}://{matched[2]}")
 
 
 def parse_address(text: str, schemes: Sequence[str]) -> Address:
@@ -78,40 +85,59 @@ def parse_address(text: str, schemes: Sequence[str]) -> Address:
     BadRecord
         No database and table in it; a start or end that is no date.
     """
-    matched = _ADDRESS.fullmatch(text)
-    if matched is None or matched[1].lower() not in schemes:
+    parts = split_address(text, schemes)
+    if parts is None:
         raise BadRecord(f"{text}: is no address of a history")
-    scheme, rest = matched[1].lower(), matched[2]
-    parts = urlsplit(f"{scheme}://{rest}")
-    user = f"{parts.username}@" if parts.username else ""
-    place = parts.hostname or ""
+    shown, server, table = _table_of(parts)
+    asked = dict(parse_qsl(parts.query, keep_blank_values=True))
+    return Address(
+        scheme=parts.scheme,
+        shown=shown,
+        server=server,
+        table=table,
+        tags=listed(asked.pop("tags", "")),
+        start=instant_of(asked.pop("start", ""), "start", shown),
+        end=instant_of(asked.pop("end", ""), "end", shown),
+        columns={role: asked.pop(role) for role in ROLES if role in asked},
+        window=_window_length(asked.pop("window", ""), shown),
+        each=asked.pop("each", None),
+        # what remains: a key without a meaning of its own chooses rows by a column of its name
+        where=asked,
+    )
+
+
+def _table_of(parts: SplitResult) -> tuple[str, dict[str, Any], tuple[str, ...]]:
+    """(address without password and query, what a connection takes, parts of the table's name)."""
+    host = parts.hostname or ""
     try:
         port = parts.port
     except ValueError:
-        raise BadRecord(f"{scheme}://{place}: its port is no number") from None
-    shown = f"{scheme}://{user}{place}{f':{port}' if port else ''}{parts.path}"
+        raise BadRecord(f"{parts.scheme}://{host}: its port is no number") from None
+    user = f"{parts.username}@" if parts.username else ""
+    shown = f"{parts.scheme}://{user}{host}{f':{port}' if port else ''}{parts.path}"
     names = [unquote(name) for name in parts.path.split("/") if name]
     if len(names) != 2:
         raise BadRecord(
-            f"{shown}: must name a database and a table, {scheme}://host/database/table?tags=a,b"
+            f"{shown}: must name a database and a table,"
+            f" {parts.scheme}://host/database/table?tags=a,b"
         )
+    database, table = names
     server = {
         "host": parts.hostname,
         "port": port,
         "user": parts.username and unquote(parts.username),
         "password": parts.password and unquote(parts.password),
-        "dbname": names[0],
+        "dbname": database,
     }
-    asked = dict(parse_qsl(parts.query, keep_blank_values=True))
-    tags = tuple(tag.strip() for tag in asked.pop("tags", "").split(",") if tag.strip())
-    start, end = (instant_of(asked.pop(key, ""), key, shown) for key in ("start", "end"))
-    columns = {role: asked.pop(role) for role in ROLES if role in asked}
-    table = tuple(names[1].split("."))
-    window, each = _length(asked.pop("window", ""), shown), asked.pop("each", None)
-    return Address(scheme, shown, server, table, tags, start, end, columns, asked, window, each)
+    return shown, server, tuple(table.split("."))
 
 
-def _length(text: str, shown: str) -> timedelta | None:
+def listed(text: str) -> tuple[str, ...]:
+    """The names of a list that commas part."""
+    return tuple(name.strip() for name in text.split(",") if name.strip())
+
+
+def _window_length(text: str, shown: str) -> timedelta | None:
     if not text:
         return None
     try:
@@ -135,7 +161,8 @@ def instant_of(text: str, key: str, shown: str) -> datetime | None:
         instant = datetime.fromisoformat(text)
     except ValueError:
         raise BadRecord(
-            f"{shown}: {key} is {text!r}; must be a date or an instant, as 2026-03-01T06:00:00+01:00"
+            f"{shown}: {key} is {text!r}; must be a date or an instant, as"
+            " 2026-03-01T06:00:00+01:00"
         ) from None
     return instant if instant.tzinfo else instant.replace(tzinfo=UTC)
 

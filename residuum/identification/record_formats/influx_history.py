@@ -32,29 +32,41 @@ from residuum.identification.record_formats.time_bases import TimedChannel, on_o
 from residuum.nearest_names import known_names
 
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
-_PORT = 8086
-_CHUNK = 10_000
-"""Rows that the server sends at a time."""
-_PATIENCE = 60
-"""Seconds until a server that does not answer is given up."""
-_LISTED = 6
+_PORT = 8086  # on which InfluxDB listens where nothing else is set
+_CHUNK = 10_000  # rows that the server sends at a time; bytes that are read of a refusal
+_PATIENCE = 60  # [s] until a server that does not answer is given up
+_LISTED = 6  # sources that a refusal lists
+# types of fields whose values are numbers; "string" is the other one
 _NUMBERS = ("float", "integer", "unsigned", "boolean")
 
 
 class InfluxHistory:
-    """A server of InfluxDB, asked by a request for each address."""
+    """A server of InfluxDB, asked by a request for each address.
+
+    The fields of a measurement are asked for once, not with each of its windows.
+    """
+
+    def __init__(self) -> None:
+        self._kinds_of_fields: dict[str, dict[str, str]] = {}
 
     def close(self) -> None:
-        """Nothing is kept open."""
+        """Forget the fields of measurements; no connection is kept open."""
+        self._kinds_of_fields = {}
+
+    def _fields(self, at: Address) -> dict[str, str]:
+        """Names of the measurement's fields of numbers, without units → as the server has them."""
+        if at.shown not in self._kinds_of_fields:
+            self._kinds_of_fields[at.shown] = _kinds_of_fields(at)
+        return _fields_of_numbers(at, self._kinds_of_fields[at.shown])
 
     def span(self, at: Address) -> tuple[datetime, datetime] | None:
         """The instants of the first and the last row."""
-        fields = _fields(at)
+        fields = self._fields(at)
         ends = []
         # each field by itself: several of these functions in one question have no instant
         for tag in at.tags or fields:
-            for which in ("FIRST", "LAST"):
-                query = f"SELECT {which}({_name(fields[tag])}) {_from(at)}"
+            for function in ("FIRST", "LAST"):
+                query = f"SELECT {function}({_name(fields[tag])}) {_from(at)}"
                 ends += [series["values"][0][0] for series in _answers(at, query)]
         if not ends:
             return None
@@ -89,11 +101,11 @@ class InfluxHistory:
         HistoryAway
             A server that does not answer.
         """
-        fields = _fields(at)
+        fields = self._fields(at)
         tags = at.tags or tuple(fields)
         sources, instants, values = _rows(at, [fields[tag] for tag in tags])
         if len(sources) > 1:
-            listed = "; ".join(_said(labels) for labels in sources[:_LISTED])
+            listed = "; ".join(_written(labels) for labels in sources[:_LISTED])
             example = next(iter(sources[0].items()))
             raise BadRecord(
                 f"{at.shown}: holds rows of several sources ({listed}); say which, as"
@@ -112,14 +124,13 @@ def _instant(microseconds: float) -> datetime:
     return _EPOCH + timedelta(microseconds=int(microseconds))
 
 
-def _said(labels: Mapping[str, str]) -> str:
+def _written(labels: Mapping[str, str]) -> str:
     return ", ".join(f"{name}={value}" for name, value in labels.items())
 
 
-def _fields(at: Address) -> dict[str, str]:
-    """Names of the measurement's fields of numbers, without their units → as the server has them."""
-    kinds = _kinds_of_fields(at)
+def _fields_of_numbers(at: Address, kinds: Mapping[str, str]) -> dict[str, str]:
     numbers = [name for name, kind in kinds.items() if kind in _NUMBERS]
+    # a field is asked for by its name alone or, as in the database, with its unit
     by_name = {unit_of_head(name)[0]: name for name in numbers}
     wanted = by_name | {name: name for name in numbers if name in at.tags}
     for tag in at.tags:
@@ -143,7 +154,8 @@ def _kinds_of_fields(at: Address) -> dict[str, str]:
         str(name) for series in _answers(at, "SHOW MEASUREMENTS") for (name,) in series["values"]
     ]
     raise BadRecord(
-        f"{at.shown}: no measurement {measurement!r}; {known_names(measurement, known, 'there are')}"
+        f"{at.shown}: no measurement {measurement!r};"
+        f" {known_names(measurement, known, 'there are')}"
     )
 
 
@@ -151,6 +163,7 @@ def _rows(at: Address, fields: list[str]) -> tuple[list[dict[str, str]], FloatAr
     """The tags that tell rows apart, instants [s since 1970], values (fields, n); NaN where there
     is no value.
     """
+    # by all of Influx's tags: rows of two sources would else come as one, mixed
     query = f"SELECT {', '.join(map(_name, fields))} {_from(at)} GROUP BY *"
     sources: list[dict[str, str]] = []
     blocks = []
@@ -158,6 +171,7 @@ def _rows(at: Address, fields: list[str]) -> tuple[list[dict[str, str]], FloatAr
         labels = {name: value for name, value in series.get("tags", {}).items() if value}
         if labels not in sources:
             sources.append(labels)
+        # microseconds since 1970 stay below 2^53, so a double holds them exactly; null is NaN
         blocks.append(np.array(series["values"], dtype=np.float64))
     table = np.concatenate(blocks) if blocks else np.empty((0, 1 + len(fields)))
     return sources, 1e-6 * table[:, 0], np.ascontiguousarray(table[:, 1:].T)
@@ -218,6 +232,7 @@ def _series(at: Address, answer: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
 
 
 def _credentials(at: Address) -> dict[str, str]:
+    # a user and a password before a token: the address says more than the environment
     password = at.server.get("password") or os.environ.get("INFLUX_PASSWORD")
     if at.server.get("user") and password:
         both = f"{at.server['user']}:{password}".encode()
@@ -229,7 +244,8 @@ def _credentials(at: Address) -> dict[str, str]:
 def _refusal(error: HTTPError) -> str:
     """What a server says in its body, else the reason of its status."""
     try:
-        said = json.loads(error.read(_CHUNK))
-        return str(said.get("error") or said.get("message") or error.reason)
+        answer = json.loads(error.read(_CHUNK))
+        # versions 1 and 3 call it `error`, version 2 `message`
+        return str(answer.get("error") or answer.get("message") or error.reason)
     except (ValueError, AttributeError):
         return str(error.reason)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from residuum.array_types import FloatArray
 from residuum.identification.errors import BadRecord
 from residuum.identification.record import Record
 from residuum.identification.record_formats.csv import read_csv
@@ -66,8 +67,32 @@ def parse_lvm(content: bytes, source: str, options: ReadOptions = ReadOptions())
             f"{source}: has {max(0, len(ends) - 1)} segments; one is read, save one file a segment"
         )
     general = _keys(lines[: ends[0]], None)
+    cut, decimal = _signs(general, source)
+    segment = _keys(lines[ends[0] + 1 : ends[1]], cut)
+    # behind the second head: a line of names, then the samples
+    heads = [cell.strip() for cell in "".join(lines[ends[1] + 1 : ends[1] + 2]).split(cut)]
+    samples = lines[ends[1] + 2 :]
+    count_cell = segment.get("Channels", ["0"])[0]
+    n_channels = int(count_cell) if count_cell.isdigit() else 0
+    places = _places(general.get("X_Columns", ["No"])[0].lower().strip("\t,; "), n_channels, source)
+    width = max(map(max, places)) + 1
+    table = _table(samples, cut, decimal, width, ends[1] + 3, source)
+    channels = []
+    for k, (at_x, at_y) in enumerate(places):
+        name, unit = _name_and_unit(heads, segment, k, at_y)
+        times = table[:, at_x]
+        if np.isnan(times).all():
+            times = _even_times(segment, k, decimal, len(table), source)
+        known = ~np.isnan(times)
+        channels.append(TimedChannel(name, unit, times[known], table[known, at_y]))
+    return on_one_base(channels, source, options, _not_read(samples, cut, width, heads))
+
+
+def _signs(general: dict[str, list[str]], source: str) -> tuple[str, str]:
+    """(what cuts cells, decimal sign) as the general head says them."""
     separator = general.get("Separator", ["tab"])[0].strip("\t,; ")
-    if (cut := _SEPARATORS.get(separator.lower())) is None:
+    cut = _SEPARATORS.get(separator.lower())
+    if cut is None:
         raise BadRecord(
             f"{source}: its head says the separator {separator!r}; it must be one of"
             f" {', '.join(_SEPARATORS)}"
@@ -77,35 +102,38 @@ def parse_lvm(content: bytes, source: str, options: ReadOptions = ReadOptions())
         raise BadRecord(
             f"{source}: its head says the decimal sign {decimal!r}; it must be a point or a comma"
         )
-    segment = _keys(lines[ends[0] + 1 : ends[1]], cut)
-    heads = [cell.strip() for cell in "".join(lines[ends[1] + 1 : ends[1] + 2]).split(cut)]
-    count_cell = segment.get("Channels", ["0"])[0]
-    n_channels = int(count_cell) if count_cell.isdigit() else 0
-    places = _places(general.get("X_Columns", ["No"])[0].lower().strip("\t,; "), n_channels, source)
-    width = max(map(max, places)) + 1
-    table = _table(lines[ends[1] + 2 :], cut, decimal, width, ends[1] + 3, source)
-    channels = []
-    for k, (at_x, at_y) in enumerate(places):
-        name, unit = unit_of_head((heads[at_y] if at_y < len(heads) else "") or f"channel {k + 1}")
-        labels = segment.get("Y_Unit_Label", [])
-        own = unit_word(labels[k]) if k < len(labels) and labels[k] else unit
-        times = table[:, at_x]
-        if np.isnan(times).all():
-            start, step = (_said(segment, key, k, decimal, source) for key in ("X0", "Delta_X"))
-            if not step > 0:
-                raise BadRecord(
-                    f"{source}: says neither times nor a Delta_X above 0; write one into its head"
-                )
-            times = start + step * np.arange(len(table))
-        known = ~np.isnan(times)
-        channels.append(TimedChannel(name, own, times[known], table[known, at_y]))
-    beside = any(any(map(str.strip, line.split(cut)[width:])) for line in lines[ends[1] + 2 :])
-    notes = (
-        (f"{NOT_READ}{', '.join(heads[width:]) or 'what stands beside the channels'} (text)",)
-        if beside
-        else ()
-    )
-    return on_one_base(channels, source, options, notes)
+    return cut, decimal
+
+
+def _name_and_unit(
+    heads: list[str], segment: dict[str, list[str]], k: int, column: int
+) -> tuple[str, str]:
+    """Name and unit of channel k; a label of the segment's head goes before brackets in a name."""
+    head = heads[column] if column < len(heads) else ""
+    name, unit = unit_of_head(head or f"channel {k + 1}")
+    labels = segment.get("Y_Unit_Label", [])
+    return name, unit_word(labels[k]) if k < len(labels) and labels[k] else unit
+
+
+def _even_times(
+    segment: dict[str, list[str]], k: int, decimal: str, n: int, source: str
+) -> FloatArray:
+    """The instants [s] of channel k by start and step of the segment's head, shape (n,)."""
+    start = _number_of(segment, "X0", k, decimal, source)
+    step = _number_of(segment, "Delta_X", k, decimal, source)
+    if not step > 0:
+        raise BadRecord(
+            f"{source}: says neither times nor a Delta_X above 0; write one into its head"
+        )
+    times: FloatArray = start + step * np.arange(n, dtype=np.float64)
+    return times
+
+
+def _not_read(samples: Sequence[str], cut: str, width: int, heads: list[str]) -> tuple[str, ...]:
+    """The note on what stands beside the channels, where something does."""
+    if not any(any(map(str.strip, line.split(cut)[width:])) for line in samples):
+        return ()
+    return (f"{NOT_READ}{', '.join(heads[width:]) or 'what stands beside the channels'} (text)",)
 
 
 def _keys(lines: Sequence[str], cut: str | None) -> dict[str, list[str]]:
@@ -158,7 +186,7 @@ def _table(
     return np.array(rows)
 
 
-def _said(segment: dict[str, list[str]], key: str, k: int, decimal: str, source: str) -> float:
+def _number_of(segment: dict[str, list[str]], key: str, k: int, decimal: str, source: str) -> float:
     """What the head says of channel k; 0 where it says nothing."""
     values = segment.get(key, [])
     cell = values[k] if k < len(values) else ""

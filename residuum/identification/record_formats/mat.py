@@ -19,6 +19,7 @@ from residuum.identification.record_formats.time_bases import NOT_READ, TimedCha
 # What a MAT file holds, by name: vectors, columns of matrices, numbers and texts, structs and
 # Simulink's logs taken apart.
 
+_NUMERIC = "fiub"  # kinds of NumPy: floats, integers with and without sign, logical values
 SHORTEST_SIGNAL = 3
 """Samples of a signal, at least: fewer are a setting."""
 
@@ -71,40 +72,54 @@ def _simulink(path: str, log: dict[str, Any]) -> Iterator[tuple[str, Any]]:
     """
     yield f"{path}.time", log.get("time", np.empty(0))
     signals = log["signals"]
-    for number, signal in enumerate(
-        [signals] if isinstance(signals, dict) else list(signals), start=1
-    ):
+    # one signal alone is not in a list
+    signals = [signals] if isinstance(signals, dict) else list(signals)
+    for number, signal in enumerate(signals, start=1):
         values = np.asarray(signal.get("values", np.empty(0)))
         columns = values.reshape(len(values), -1).T if values.ndim == 2 else [values]
-        labels = [part.strip(" <>") for part in str(signal.get("label", "")).split(",")]
-        single = labels[0] or f"signal{number}"
-        named = (
-            labels
-            if len(labels) == len(columns) > 1 and all(labels)
-            else [f"{single}_{k}" for k in range(1, len(columns) + 1)]
-        )
-        for name, column in zip([single] if len(columns) == 1 else named, columns, strict=True):
+        names = _labels(str(signal.get("label", "")), number, len(columns))
+        for name, column in zip(names, columns, strict=True):
             yield f"{path}.{name.replace('.', '_')}", column
 
 
+def _labels(label: str, number: int, n_columns: int) -> list[str]:
+    """The names of a signal's columns: by its label, which may name each of them."""
+    labels = [part.strip(" <>") for part in label.split(",")]
+    single = labels[0] or f"signal{number}"
+    if n_columns == 1:
+        return [single]
+    if len(labels) == n_columns and all(labels):
+        return labels
+    return [f"{single}_{k}" for k in range(1, n_columns + 1)]
+
+
 def _sort(saved: MatVariables, name: str, value: Any) -> None:
+    """Put a value among the variables of its kind; an empty one among none."""
     if isinstance(value, str):
         saved.texts[name] = value
-    elif isinstance(value, bool | int | float | np.number) or (
-        isinstance(value, np.ndarray) and value.ndim == 0
-    ):
+    elif _is_scalar(value):
         array = np.asarray(value)
-        if array.dtype.kind in "fiub":
+        if array.dtype.kind in _NUMERIC:
             saved.numbers[name] = float(array)
-    elif not isinstance(value, np.ndarray) or value.dtype.kind not in "fiub":
-        if isinstance(value, np.ndarray | list) and np.size(value):
-            saved.rest.append(f"{name} ({_kind(value)})")
-    elif value.size >= SHORTEST_SIGNAL and value.size == max(value.shape):
-        saved.vectors[name] = np.ravel(value)
-    elif value.ndim == 2 and value.size >= SHORTEST_SIGNAL:
-        saved.matrices[name] = value
-    elif value.ndim > 2:
-        saved.rest.append(f"{name} ({' × '.join(map(str, value.shape))} values)")
+    elif isinstance(value, np.ndarray) and value.dtype.kind in _NUMERIC:
+        _sort_array(saved, name, value)
+    elif isinstance(value, np.ndarray | list) and np.size(value):
+        saved.rest.append(f"{name} ({_kind(value)})")
+
+
+def _sort_array(saved: MatVariables, name: str, array: np.ndarray) -> None:
+    if array.size >= SHORTEST_SIGNAL and array.size == max(array.shape):
+        saved.vectors[name] = np.ravel(array)
+    elif array.ndim == 2 and array.size >= SHORTEST_SIGNAL:
+        saved.matrices[name] = array
+    elif array.ndim > 2:
+        saved.rest.append(f"{name} ({' × '.join(map(str, array.shape))} values)")
+
+
+def _is_scalar(value: Any) -> bool:
+    if isinstance(value, np.ndarray):
+        return value.ndim == 0
+    return isinstance(value, bool | int | float | np.number)
 
 
 def _kind(value: Any) -> str:
@@ -115,10 +130,8 @@ def _kind(value: Any) -> str:
 
 
 _TIME = re.compile(r"(?i)(time|t|tout|zeit|timestamps?)(?:_?(s|sec|seconds|ms|msec|us|min|h))?")
+# names of times of some channels only (`t_fast`); they are taken for times where they rise evenly
 _OWN_TIME = re.compile(r"(?i)(time|t)_\w+|\w+_(time|t)")
-"""Names of times of some channels only (`t_fast`); they are taken for times where they rise
-evenly.
-"""
 _RATE = ("fs", "Fs", "FS", "sampling_rate", "samplingRate", "SamplingRate", "sr", "SR")
 _STEP = ("sample_time", "sampleTime", "SampleTime", "Ts", "dt")
 _HDF5 = b"\x89HDF\r\n\x1a\n"
@@ -242,19 +255,22 @@ def _timed_record(
         raise BadRecord(
             f"{source}: holds time ({', '.join(times)}) but no channel of its length{lengths}"
         )
-    step = _scalar_step(saved, source)
+    # before anything is resampled: scalars that contradict each other are refused in any case
+    scalar = _scalar_step(saved, source)
     record = on_one_base(channels, source, options, _left_out(saved, read))
-    if (
-        step is not None
-        and len(times) == 1
-        and options.sample_time is None
-        and abs(step - record.sample_time) > 0.01 * step
-    ):
+    # with several times, or where the caller says it, a scalar need not be of this one
+    if len(times) == 1 and options.sample_time is None:
+        _refuse_other_step(scalar, record.sample_time, source)
+    return record
+
+
+def _refuse_other_step(scalar: float | None, step: float, source: str) -> None:
+    """Refuse a scalar sample time [s] that differs by more than 1 % from that of the times."""
+    if scalar is not None and abs(scalar - step) > 0.01 * scalar:
         raise BadRecord(
-            f"{source}: its time says {record.sample_time:.6g} s a sample, its scalar {step:.6g} s",
+            f"{source}: its time says {step:.6g} s a sample, its scalar {scalar:.6g} s",
             way_on=[("sample_time", "SECONDS")],
         )
-    return record
 
 
 def _clock(

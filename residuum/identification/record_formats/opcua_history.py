@@ -8,33 +8,29 @@ stamp of its source and its status; one that is not good is missing.
 from __future__ import annotations
 
 import logging
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
-from urllib.parse import parse_qsl, unquote, urlsplit
+from urllib.parse import parse_qsl, unquote
 
 import numpy as np
 
 from residuum.array_types import FloatArray
 from residuum.identification.errors import BadRecord, in_one_line
 from residuum.identification.record import Record
-from residuum.identification.record_formats.history import instant_of
+from residuum.identification.record_formats.history import instant_of, listed, split_address
 from residuum.identification.record_formats.loggers.logger_head import is_unit
 from residuum.identification.record_formats.optional_package import need
 from residuum.identification.record_formats.options import ReadOptions
 from residuum.identification.record_formats.time_bases import TimedChannel, on_one_base
 from residuum.nearest_names import known_names
 
-_ADDRESS = re.compile(r"(?i)opc\.tcp:/+(.+)", re.DOTALL)
-"""A path, which some have made of the address before, keeps one of its two slashes."""
+_SCHEMES = ("opc.tcp",)
 _KEYS = ("nodes", "start", "end")
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
-_EPOCH_IN_UTC = datetime(1970, 1, 1)
-"""For stamps that do not say it."""
-_PATIENCE = 10
-"""Seconds until a server that does not answer is given up."""
+_EPOCH_WITHOUT_ZONE = datetime(1970, 1, 1)  # a stamp without zone cannot be taken from one with
+_PATIENCE = 10  # [s] until a server that does not answer is given up
 
 
 @dataclass(frozen=True)
@@ -61,16 +57,16 @@ def parse_address(text: str) -> Address:
     BadRecord
         No nodes, no start or no end in it; a start or end that is no date; a key that there is not.
     """
-    matched = _ADDRESS.fullmatch(text)
-    if matched is None:
+    parts = split_address(text, _SCHEMES)
+    if parts is None:
         raise BadRecord(f"{text}: is no address of an OPC UA server")
-    parts = urlsplit(f"opc.tcp://{matched[1]}")
     host = parts.netloc.rpartition("@")[2]
     shown = f"opc.tcp://{host}{parts.path}"
     asked = dict(parse_qsl(parts.query, keep_blank_values=True))
-    if unknown := [key for key in asked if key not in _KEYS]:
-        raise BadRecord(f"{shown}: no key {unknown[0]!r}; {known_names(unknown[0], _KEYS)}")
-    nodes = tuple(node.strip() for node in asked.get("nodes", "").split(",") if node.strip())
+    for key in asked:
+        if key not in _KEYS:
+            raise BadRecord(f"{shown}: no key {key!r}; {known_names(key, _KEYS)}")
+    nodes = listed(asked.get("nodes", ""))
     if not nodes:
         raise BadRecord(f"{shown}: name the nodes to read, ?nodes=ns=2;s=Speed,ns=2;s=Torque")
     start, end = (instant_of(asked.get(key, ""), key, shown) for key in ("start", "end"))
@@ -107,18 +103,19 @@ def read_opcua_history(address: str, options: ReadOptions = ReadOptions()) -> Re
                 _channel(client.get_node(node), name if names.count(name) == 1 else node, at, ua)
                 for node, name in zip(at.nodes, names, strict=True)
             ]
+    except BadRecord:  # a ValueError itself, which says already what is wrong
+        raise
     except (ua.UaError, OSError, TimeoutError, ValueError) as error:
-        if isinstance(error, BadRecord):
-            raise
         raise BadRecord(f"{at.shown}: {in_one_line(error)}") from None
     return on_one_base(channels, at.shown, options)
 
 
 def _channel(node: Any, name: str, at: Address, ua: Any) -> TimedChannel:
     """The values of a node, in order of their sources' time stamps."""
-    kept = node.read_raw_history(at.start, at.end, 0, False)
-    stamped = [value for value in kept if value.SourceTimestamp is not None]
+    history = node.read_raw_history(at.start, at.end, 0, False)
+    stamped = [value for value in history if value.SourceTimestamp is not None]
     instants = np.array([_seconds(value.SourceTimestamp) for value in stamped])
+    # half open, so that a value at `end` is in the next span alone
     within = (instants >= at.start.timestamp()) & (instants < at.end.timestamp())
     if not within.any():
         raise BadRecord(f"{at.shown}: no values of {name!r} in that time")
@@ -129,16 +126,18 @@ def _channel(node: Any, name: str, at: Address, ua: Any) -> TimedChannel:
 
 def _seconds(stamp: datetime) -> float:
     """Seconds since 1970; stamps without a zone are UTC, as the standard has them."""
-    return (stamp - _EPOCH if stamp.tzinfo else stamp - _EPOCH_IN_UTC).total_seconds()
+    return (stamp - _EPOCH if stamp.tzinfo else stamp - _EPOCH_WITHOUT_ZONE).total_seconds()
 
 
 def _numbers(stamped: Sequence[Any], name: str, at: Address) -> FloatArray:
     """Values as numbers, NaN where the status is not good."""
-    good = [value.Value.Value if _is_good(value) else None for value in stamped]
-    others = {type(number).__name__ for number in good} - {"bool", "int", "float", "NoneType"}
-    if others:
-        raise BadRecord(f"{at.shown}: {name!r} holds no numbers but {min(others)}; leave it out")
-    return np.array(good, dtype=np.float64)
+    numbers = [value.Value.Value if _is_good(value) else None for value in stamped]
+    kinds = {type(number).__name__ for number in numbers}
+    if no_numbers := kinds - {"bool", "int", "float", "NoneType"}:
+        raise BadRecord(
+            f"{at.shown}: {name!r} holds no numbers but {min(no_numbers)}; leave it out"
+        )
+    return np.array(numbers, dtype=np.float64)  # None becomes NaN
 
 
 def _is_good(value: Any) -> bool:

@@ -30,43 +30,52 @@ from residuum.identification.record_formats.time_bases import TimedChannel, on_o
 from residuum.nearest_names import known_names
 
 Answer = TypeVar("Answer")
+# types as `pg_type` calls them
 _OF_TIME = ("timestamptz", "timestamp", "date")
 _OF_NUMBERS = ("float4", "float8", "int2", "int4", "int8", "numeric", "bool")
 _OF_TEXT = ("text", "varchar", "bpchar", "name")
+# names by which a column is known for what it holds, where several could be
 _USUAL = {
     "time": ("time", "ts", "timestamp", "datetime", "bucket"),
     "tag": ("tag", "name", "signal", "channel", "tag_name", "metric", "item", "point"),
     "value": ("value", "val", "reading"),
 }
-"""Names by which a column is known for what it holds, where several could be."""
-_EPOCH = 946_684_800.0
-"""Seconds from 1970 to 2000, from which PostgreSQL counts microseconds."""
-_HEADER, _BLOCK = 19, 1 << 10
-"""Bytes before the first row of a binary COPY; rows that are turned into numbers at a time."""
-_LISTED = 12
-_PATIENCE = 10
-"""Seconds until a server that does not answer is given up."""
+_EPOCH = 946_684_800.0  # [s] from 1970 to 2000, from which PostgreSQL counts microseconds
+# bytes before the first row of a binary COPY: signature 11, flags 4, length of extensions 4
+_HEADER = 19
+_BLOCK = 1 << 10  # messages of a COPY, a row each, that are turned into numbers at a time
+_LISTED = 12  # tags that a refusal lists
+_PATIENCE = 10  # [s] until a server that does not answer is given up
 
 
 class PostgresHistory:
-    """A server of PostgreSQL, asked over a connection that stays open."""
+    """A server of PostgreSQL, asked over a connection that stays open.
+
+    The columns of a table are asked for once a connection, not with each of its windows.
+    """
 
     def __init__(self) -> None:
         self._connection: Any = None
+        self._columns: dict[str, dict[str, _Column]] = {}
 
     def close(self) -> None:
-        """Let go of the connection; what is asked next opens another."""
+        """Let go of the connection and of what is known of tables; what is asked next opens
+        another.
+        """
         if self._connection is not None:
             self._connection.close()
         self._connection = None
+        self._columns = {}
 
     def span(self, at: Address) -> tuple[datetime, datetime] | None:
         """The instants of the first and the last row."""
-        return self._asked(at, lambda connection: _span(connection, at))
+        return self._asked(at, lambda connection, columns: _span(connection, at, columns))
 
     def values_of(self, at: Address, column: str) -> list[str]:
         """What a column holds, in order; BadRecord where the table has none of this name."""
-        return self._asked(at, lambda connection: _values_of(connection, at, column))
+        return self._asked(
+            at, lambda connection, columns: _values_of(connection, at, columns, column)
+        )
 
     def record(self, at: Address, options: ReadOptions) -> Record:
         """The record of an address.
@@ -82,40 +91,52 @@ class PostgresHistory:
         HistoryAway
             A server that does not answer.
         """
-        return self._asked(at, lambda connection: _record(connection, at, options))
+        return self._asked(
+            at, lambda connection, columns: _record(connection, at, columns, options)
+        )
 
-    def _asked(self, at: Address, ask: Callable[[Any], Answer]) -> Answer:
-        """The answer to a question; a connection that the server closed meanwhile is opened anew."""
+    def _asked(self, at: Address, ask: Callable[[Any, dict[str, _Column]], Answer]) -> Answer:
+        """The answer to a question; a connection that the server closed is opened anew."""
         psycopg = need("psycopg", at.shown, "postgres")
         try:
             if self._connection is not None:
                 try:
-                    with self._connection.transaction():
-                        return ask(self._connection)
+                    return self._answer(at, ask)
                 except psycopg.OperationalError:
                     self.close()
             self._connection = psycopg.connect(
                 **{key: value for key, value in at.server.items() if value is not None},
                 connect_timeout=_PATIENCE,
+                # stamps without a zone are taken as UTC; nothing here can write
                 options="-c default_transaction_read_only=on -c timezone=UTC",
             )
-            with self._connection.transaction():
-                return ask(self._connection)
+            return self._answer(at, ask)
         except psycopg.Error as error:
             kind = HistoryAway if isinstance(error, psycopg.OperationalError) else BadRecord
             raise kind(f"{at.shown}: {_without_secret(in_one_line(error), at)}") from None
 
+    def _answer(self, at: Address, ask: Callable[[Any, dict[str, _Column]], Answer]) -> Answer:
+        # one transaction, so that columns, tags and rows are of one state of the database
+        with self._connection.transaction():
+            if at.shown not in self._columns:
+                self._columns[at.shown] = _columns_of(self._connection, at)
+            return ask(self._connection, self._columns[at.shown])
 
-def _record(connection: Any, at: Address, options: ReadOptions) -> Record:
-    channels = _channels(connection, at, _table_of(connection, at))
+
+def _record(
+    connection: Any, at: Address, columns: Mapping[str, _Column], options: ReadOptions
+) -> Record:
+    channels = _channels(connection, at, columns)
     if not len(channels[0].time):
         raise BadRecord(f"{at.shown}: no rows in that time")
     return on_one_base(channels, at.shown, options)
 
 
-def _span(connection: Any, at: Address) -> tuple[datetime, datetime] | None:
+def _span(
+    connection: Any, at: Address, columns: Mapping[str, _Column]
+) -> tuple[datetime, datetime] | None:
     sql = import_module("psycopg.sql")
-    time = _column(at, _table_of(connection, at), "time", _OF_TIME)
+    time = _column(at, columns, "time", _OF_TIME)
     query = sql.SQL(
         "SELECT min({time}::timestamptz), max({time}::timestamptz) FROM {table} WHERE {rows}"
     ).format(
@@ -127,9 +148,10 @@ def _span(connection: Any, at: Address) -> tuple[datetime, datetime] | None:
     return None if first is None else (first, last)
 
 
-def _values_of(connection: Any, at: Address, column: str) -> list[str]:
+def _values_of(
+    connection: Any, at: Address, columns: Mapping[str, _Column], column: str
+) -> list[str]:
     sql = import_module("psycopg.sql")
-    columns = _table_of(connection, at)
     if column not in columns:
         raise BadRecord(
             f"{at.shown}: no column {column!r} to part rows by;"
@@ -154,8 +176,8 @@ class _Column:
     comment: str
 
 
-def _table_of(connection: Any, at: Address) -> dict[str, _Column]:
-    """The columns of the table."""
+def _columns_of(connection: Any, at: Address) -> dict[str, _Column]:
+    """The columns of the table, by name."""
     sql = import_module("psycopg.sql")
     quoted = sql.Identifier(*at.table).as_string(connection)
     rows = connection.execute(
@@ -178,33 +200,47 @@ def _table_of(connection: Any, at: Address) -> dict[str, _Column]:
 
 
 def _channels(connection: Any, at: Address, columns: Mapping[str, _Column]) -> list[TimedChannel]:
-    if unknown := [name for name in at.where if name not in columns]:
-        raise BadRecord(
-            f"{at.shown}: no column {unknown[0]!r} to choose rows by;"
-            f" {known_names(unknown[0], columns, 'there are')}"
-        )
+    for name in at.where:
+        if name not in columns:
+            raise BadRecord(
+                f"{at.shown}: no column {name!r} to choose rows by;"
+                f" {known_names(name, columns, 'there are')}"
+            )
     free = [column for column in columns.values() if column.name not in at.where]
     numbers = [column.name for column in free if column.kind in _OF_NUMBERS]
-    by_name = {unit_of_head(name)[0]: name for name in numbers} | {name: name for name in numbers}
-    # rows of a long table are told apart by a column of texts; a wide one may have such, too
-    may_be_long = "tag" in at.columns or any(column.kind in _OF_TEXT for column in free)
-    if may_be_long and not (set(at.tags) & by_name.keys() and "tag" not in at.columns):
+    # a column is asked for by its name alone or, as in the table, with its unit
+    by_name = {unit_of_head(name)[0]: name for name in numbers}
+    by_name |= {name: name for name in numbers}
+    if _is_long(at, free, by_name):
         return _of_rows(connection, at, columns)
     return _of_columns(connection, at, columns, by_name)
+
+
+def _is_long(at: Address, free: Sequence[_Column], numbers: Mapping[str, str]) -> bool:
+    """Whether the table is a long one, whose rows a column of texts tells apart.
+
+    A wide table may have such a column, too: it is wide where a tag that is asked for names one of
+    its columns of numbers.
+    """
+    if "tag" in at.columns:
+        return True
+    has_texts = any(column.kind in _OF_TEXT for column in free)
+    return has_texts and numbers.keys().isdisjoint(at.tags)
 
 
 def _of_columns(
     connection: Any, at: Address, columns: Mapping[str, _Column], by_name: Mapping[str, str]
 ) -> list[TimedChannel]:
     """The tags of a wide table: those that are named, else all columns of numbers."""
-    all_of_them = dict.fromkeys(unit_of_head(name)[0] for name in by_name.values())
-    wanted = at.tags or tuple(all_of_them)
+    all_tags = dict.fromkeys(unit_of_head(name)[0] for name in by_name.values())
+    wanted = at.tags or tuple(all_tags)
     if not wanted:
         raise BadRecord(f"{at.shown}: has no column of numbers; there are {', '.join(columns)}")
     for tag in wanted:
         if tag not in by_name:
             raise BadRecord(
-                f"{at.shown}: no column of numbers {tag!r}; {known_names(tag, by_name, 'there are')}"
+                f"{at.shown}: no column of numbers {tag!r};"
+                f" {known_names(tag, by_name, 'there are')}"
             )
     chosen = [columns[by_name[tag]] for tag in wanted]
     time = _column(at, columns, "time", _OF_TIME)
@@ -256,8 +292,8 @@ def _of_rows(connection: Any, at: Address, columns: Mapping[str, _Column]) -> li
                 f"{at.shown}: no rows of tag {name!r} in that time;"
                 f" {known_names(name, known, 'there are')}"
             )
-        of_tag = "" if unit is None else _said_unit(connection, at, unit, time, {tag: name})
-        channels.append(TimedChannel(name, of_tag, instants, values))
+        own_unit = "" if unit is None else _unit_in_rows(connection, at, unit, time, {tag: name})
+        channels.append(TimedChannel(name, own_unit, instants, values))
     return channels
 
 
@@ -274,7 +310,9 @@ def _tags(connection: Any, at: Address, tag: str) -> list[str]:
     return sorted(str(name) for (name,) in connection.execute(query) if name is not None)
 
 
-def _said_unit(connection: Any, at: Address, unit: str, time: str, where: Mapping[str, str]) -> str:
+def _unit_in_rows(
+    connection: Any, at: Address, unit: str, time: str, where: Mapping[str, str]
+) -> str:
     """What stands in the column of units in all these rows."""
     sql = import_module("psycopg.sql")
     query = sql.SQL("SELECT DISTINCT {unit} FROM {table} WHERE {rows} AND {unit} <> '' LIMIT 2")
@@ -296,6 +334,7 @@ def _conditions(at: Address, time: str, where: Mapping[str, str]) -> Any:
         for name, value in {**at.where, **where}.items()
     ]
     column = sql.Identifier(time)
+    # PostgreSQL has the instants 'infinity' and '-infinity', which no time base holds
     parts.append(sql.SQL("isfinite({})").format(column))
     parts += [
         sql.SQL("{}::timestamptz {} {}").format(column, sql.SQL(sign), sql.Literal(instant))
@@ -316,6 +355,7 @@ def _copied(
     is no value.
     """
     sql = import_module("psycopg.sql")
+    # NULL as NaN, so that every row has the same length; a bool becomes a float by way of an int
     values = [
         sql.SQL("coalesce({}{}::float8, 'NaN')").format(
             sql.Identifier(column.name), sql.SQL("::int" if column.kind == "bool" else "")
@@ -331,6 +371,7 @@ def _copied(
         table=sql.Identifier(*at.table),
         where=_conditions(at, time, where),
     )
+    # a row: number of its fields, then of each its length in bytes and its value, big-endian
     fields = [("fields", ">i2"), ("long", ">i4"), ("time", ">i8")]
     for k in range(len(columns)):
         fields += [(f"long{k}", ">i4"), (f"value{k}", ">f8")]
@@ -350,13 +391,14 @@ def _numbers(rows: npt.NDArray[Any], columns: int) -> FloatArray:
 
 
 def _rows(connection: Any, query: Any, layout: np.dtype[Any]) -> Iterator[npt.NDArray[Any]]:
-    """The rows of a binary COPY, so many at a time, as they arrive; two bytes end them."""
-    waiting, begins = b"", _HEADER
+    """The rows of a binary COPY, so many at a time, as they arrive."""
+    unread, begins = b"", _HEADER
     with connection.cursor() as cursor, cursor.copy(query) as copy:
         messages = iter(copy)
         while block := b"".join(islice(messages, _BLOCK)):
-            waiting += block
-            rows = max(len(waiting) - begins, 0) // layout.itemsize
+            unread += block
+            # messages need not end with a row, and two bytes that are none end the last one
+            rows = max(len(unread) - begins, 0) // layout.itemsize
             if rows:
-                yield np.frombuffer(waiting, layout, rows, begins)
-                waiting, begins = waiting[begins + rows * layout.itemsize :], 0
+                yield np.frombuffer(unread, layout, rows, begins)
+                unread, begins = unread[begins + rows * layout.itemsize :], 0

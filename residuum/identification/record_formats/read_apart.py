@@ -31,8 +31,8 @@ from residuum.identification.record_formats.npz import keep_plain, load_plain
 from residuum.identification.record_formats.options import ReadOptions
 
 _REFUSED = 2
+# where this package is found: the process imports the same one
 _HERE = str(Path(__file__).resolve().parents[3])
-"""Where this package is found: the process imports the same one."""
 
 
 def read_mapped(
@@ -92,7 +92,8 @@ def _ending(status: int) -> str:
 
 def main(file: str, folder: str, arguments: str) -> int:
     """Read a file and leave its record in the folder; gives the exit status."""
-    out, sys.stdout = sys.stdout, sys.stderr  # a library's chatter is no refusal
+    # a library's chatter is no refusal
+    out, sys.stdout = sys.stdout, sys.stderr
     try:
         keep_plain(read_record(file, ReadOptions(**json.loads(arguments))), Path(folder))
     except BadInput as error:

@@ -15,7 +15,7 @@ from residuum.identification.record_formats.time_bases import TimedChannel, on_o
 
 _COUNTED = re.compile(rb"\s*\"?X\"?,[^\r\n]*\bStart,Increment")
 _BESIDE = re.compile(rb"\s*\"?Record Length\"?,[^\r\n,]*,\"?Points\"?,[^\r\n,]+,[^\r\n,]+")
-_TIME, _VALUE = 3, 4
+_TIME, _VALUE = 3, 4  # columns beside the head's three
 LONGEST_HEAD = 1 << 16
 """Bytes within which the head ends."""
 

@@ -35,29 +35,29 @@ def read_tdms(path: str | Path, options: ReadOptions = ReadOptions()) -> Record:
     Raises BadRecord when the file is no TDMS file, or nothing says the times of a channel.
     """
     groups = _groups(path)
-    plain = [channel.name for channels in groups.values() for channel in channels]
+    names = [channel.name for channels in groups.values() for channel in channels]
     timed, left_out = [], []
     for group, channels in groups.items():
         clock = _clock(channels, str(path))
         for channel in channels:
             if channel is clock:
                 continue
-            name = channel.name if plain.count(channel.name) == 1 else f"{group}.{channel.name}"
-            if _is_signal(channel):
-                values = np.asarray(channel[:], dtype=float)
-                timed.append(
-                    TimedChannel(
-                        name, _unit(channel), _times(channel, clock, options, str(path)), values
-                    )
-                )
-            else:
-                left_out.append(
-                    f"{name} ({'no numbers' if len(channel) > 1 else f'{len(channel)} samples'})"
-                )
+            is_alone = names.count(channel.name) == 1
+            name = channel.name if is_alone else f"{group}.{channel.name}"
+            if not _is_signal(channel):
+                left_out.append(f"{name} ({_why_not(channel)})")
+                continue
+            times = _times(channel, clock, options, str(path))
+            values = np.asarray(channel[:], dtype=float)
+            timed.append(TimedChannel(name, _unit(channel), times, values))
     if not timed:
         raise BadRecord(f"{path}: holds no numeric channel{among(left_out)}")
     notes = (f"{NOT_READ}{', '.join(left_out)}",) if left_out else ()
     return on_one_base(timed, str(path), options, notes)
+
+
+def _why_not(channel: Any) -> str:
+    return "no numbers" if len(channel) > 1 else f"{len(channel)} samples"
 
 
 def _groups(path: str | Path) -> dict[str, list[Any]]:
@@ -120,11 +120,13 @@ def _times(channel: Any, clock: Any, options: ReadOptions, source: str) -> np.nd
 
 def _instants(clock: Any, source: str) -> np.ndarray:
     values = np.asarray(clock[:])
-    if values.dtype.kind == "M":
+    if values.dtype.kind == "M":  # stamps
         return (values - values[0]) / np.timedelta64(1, "ns") * 1e-9
     if (seconds := seconds_of(_unit(clock))) is None:
         values = values.astype(float)
         step = float(np.median(np.diff(values)))
+        # steps of a second and more may be milliseconds or a count of rows, and numbers above 1e9
+        # may be of any epoch
         if step >= 1 or values[0] > 1e9:
             says = f"{source}: nothing says the unit of channel {clock.name!r} of times"
             raise BadRecord(says, way_on=[("sample_time", "SECONDS", "without it")])

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from residuum.identification.errors import BadRecord
 from residuum.identification.record import Record
@@ -19,11 +20,11 @@ from residuum.identification.record_formats.even_time import (
 )
 from residuum.identification.record_formats.options import ReadOptions
 
+# samples of all channels on the base, and base samples for each one that was measured: a file of
+# few samples in far-apart places would fill the memory with missing ones
 _MOST, _THINNEST = 2e7, 8
-"""Samples of all channels: a file of few in far-apart places would fill the memory with missing
-ones.
-"""
-_LISTED = 8
+_LISTED = 8  # channels that a refusal lists
+IndexArray = npt.NDArray[np.int64]
 NOT_READ = "not read: "
 """How a note begins that lists what a reader leaves out."""
 MEASURED_AT = "measured at"
@@ -68,42 +69,22 @@ def on_one_base(
         bases.setdefault(id(channel.time), channel)
     for channel in bases.values():
         _check(channel, source)
-    finest = min(
-        bases.values(),
-        key=lambda channel: (float(np.median(np.diff(channel.time))), -len(channel.time)),
-    )
+    finest = min(bases.values(), key=_fineness)
     step = _step(finest, source, options)
     begin, n = _span(channels, finest, step, source)
     even: FloatArray = begin + step * np.arange(n, dtype=np.float64)
     by_base = {base: _places(channel.time, begin, step) for base, channel in bases.items()}
-    places = [by_base[id(channel.time)] for channel in channels]
-    if not options.resample and any(place is None for place in places):
+    if not options.resample and any(place is None for place in by_base.values()):
         listed = "; ".join(channel.says for channel in channels[:_LISTED])
+        how = "to bring them onto the finest: what was not measured stays missing"
         raise BadRecord(
             f"{source}: channels have several time bases ({listed})",
-            way_on=[
-                (
-                    "resample",
-                    True,
-                    "to bring them onto the finest: what was not measured stays missing",
-                )
-            ],
+            way_on=[("resample", True, how)],
         )
     signals, log = {}, list(notes)
-    for channel, place in zip(channels, places, strict=True):
-        if place is None:
-            signals[channel.name], (how, holes) = on_instants(
-                channel.time, channel.values, even, step
-            )
-            log.append(f"{channel.name} {resampling(step, how, holes)}")
-        else:
-            signals[channel.name] = np.full(n, np.nan)
-            signals[channel.name][place] = channel.values
-            if len(place) < n:
-                log.append(
-                    f"{channel.name}: {MEASURED_AT} {len(place)} of {n} instants, missing at the"
-                    f" others ({channel.says})"
-                )
+    for channel in channels:
+        signals[channel.name], remark = _on_base(channel, by_base[id(channel.time)], even, step)
+        log += remark
     units = {channel.name: options.unit_of(channel.name, channel.unit) for channel in channels}
     return Record(
         signals,
@@ -113,6 +94,31 @@ def on_one_base(
         notes=tuple(log),
         source=source,
     )
+
+
+def _fineness(channel: TimedChannel) -> tuple[float, int]:
+    """What the finest channel has least of: step [s]; of several, the longest one is taken."""
+    return float(np.median(np.diff(channel.time))), -len(channel.time)
+
+
+def _on_base(
+    channel: TimedChannel, place: IndexArray | None, even: FloatArray, step: float
+) -> tuple[FloatArray, list[str]]:
+    """A channel on the instants of the base, and what is to say of it: interpolated where its own
+    do not lie on it.
+    """
+    if place is None:
+        signal, (how, holes) = on_instants(channel.time, channel.values, even, step)
+        return signal, [f"{channel.name} {resampling(step, how, holes)}"]
+    n = len(even)
+    signal = np.full(n, np.nan)
+    signal[place] = channel.values
+    if len(place) == n:
+        return signal, []
+    return signal, [
+        f"{channel.name}: {MEASURED_AT} {len(place)} of {n} instants, missing at the others"
+        f" ({channel.says})"
+    ]
 
 
 def _check(channel: TimedChannel, source: str) -> None:
@@ -161,18 +167,14 @@ def _span(
     return begin, n
 
 
-def _places(
-    time: FloatArray, begin: float, step: float
-) -> np.ndarray[tuple[int], np.dtype[np.int64]] | None:
+def _places(time: FloatArray, begin: float, step: float) -> IndexArray | None:
     """The place of each instant on the base, or None where one lies between two places."""
     exact = (time - begin) / step
     place = np.rint(exact).astype(np.int64)
+    # times since 1970 are rounded to 2e-7 s, which of a short step is more than the jitter
     slack = JITTER + 4 * float(np.spacing(np.abs(time).max())) / step
-    return (
-        place
-        if bool((np.abs(exact - place) <= slack).all()) and bool((np.diff(place) > 0).all())
-        else None
-    )
+    fits = bool((np.abs(exact - place) <= slack).all()) and bool((np.diff(place) > 0).all())
+    return place if fits else None
 
 
 def among(left_out: Sequence[str]) -> str:

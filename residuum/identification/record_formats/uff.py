@@ -34,9 +34,7 @@ def read_uff(path: str | Path, options: ReadOptions = ReadOptions()) -> Record:
             f"{path}: responses differ in sample time {sorted(steps)}; one record has one; export"
             " them as files of their own"
         )
-    names = [_name(data, position) for position, data in enumerate(sets)]
-    if len(set(names)) != len(names):
-        names = [f"{name}.{position}" for position, name in enumerate(names)]
+    names = _names(sets)
     return Record(
         {name: np.real(np.asarray(data["data"])) for name, data in zip(names, sets, strict=True)},
         {name: options.unit_of(name, _unit(data)) for name, data in zip(names, sets, strict=True)},
@@ -70,12 +68,12 @@ def write_uff(record: Record, path: str | Path) -> None:
             id1=name,
             data=np.asarray(signal, dtype=float),
             x=record.time,
-            ord_data_type=4,
-            abscissa_spacing=1,
+            ord_data_type=4,  # real, double precision
+            abscissa_spacing=1,  # even
             abscissa_min=record.t0,
             abscissa_inc=record.sample_time,
             num_pts=record.n,
-            abscissa_spec_data_type=17,
+            abscissa_spec_data_type=17,  # time; 0 is unknown
             ordinate_spec_data_type=0,
             orddenom_spec_data_type=0,
             z_axis_spec_data_type=0,
@@ -99,6 +97,14 @@ def _data_sets(path: str | Path) -> list[dict[str, Any]]:
             f"{path}: is not a UFF file: {' '.join(str(error).split())[:120]}"
         ) from None
     return sets if isinstance(sets, list) else [sets]
+
+
+def _names(sets: list[dict[str, Any]]) -> list[str]:
+    """A name a response, numbered where two are the same."""
+    names = [_name(data, position) for position, data in enumerate(sets)]
+    if len(set(names)) != len(names):
+        return [f"{name}.{position}" for position, name in enumerate(names)]
+    return names
 
 
 def _name(data: dict[str, Any], position: int) -> str:

@@ -48,6 +48,7 @@ def write_wav(record: Record, path: str | Path) -> None:
 def _full_scale(data: np.ndarray) -> np.ndarray:
     if data.dtype.kind == "f":
         return data
+    # samples of 8 bits have no sign: 128 is zero
     if data.dtype == np.uint8:
         return (data.astype(float) - 128.0) / 128.0
     return data / float(-np.iinfo(data.dtype).min)

@@ -22,7 +22,7 @@ from residuum.robust_control.synthesis.constrained_structure import ControllerSt
 
 # One step of a minimax problem: the quadratic programme in its epigraph form.
 
-_SMALLEST_PIVOT = 1e-12
+_SMALLEST_PIVOT = 1e-12  # of a diagonal element: below it the curvature is taken for singular
 
 
 def minimax_step(
@@ -52,7 +52,8 @@ def minimax_step(
 
     References
     ----------
-    C. L. Lawson, R. J. Hanson, *Solving Least Squares Problems*, chapter 23 (least distance programming).
+    C. L. Lawson, R. J. Hanson, *Solving Least Squares Problems*, chapter 23 (least distance
+    programming).
 
     Examples
     --------
@@ -117,7 +118,9 @@ def _inverse_of_lower(L):  # type: ignore[no-untyped-def]  # compiled
 # Descent of the largest weighted cost over plants and frequencies, by the parameters of a
 # controller.
 
-_SAME, _SMALLEST, _IDLE = 1e-6, 1e-4, 0.7
+_SAME = 1e-6  # promised gain in ln cost below which a descent is finished
+_SMALLEST = 1e-4  # box, in units of the parameters' scale, below which it is finished
+_IDLE = 0.7  # in ln cost below the peak: points further down leave the working set
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,7 +151,8 @@ class Descent:
 
     References
     ----------
-    J. Nocedal, S. Wright, *Numerical Optimization*, 2nd ed., chapter 18 (SQP, second-order correction, damped BFGS).
+    J. Nocedal, S. Wright, *Numerical Optimization*, 2nd ed., chapter 18 (SQP, second-order
+    correction, damped BFGS).
     """
 
     def __init__(
@@ -167,9 +171,8 @@ class Descent:
         self.working = _peaks(self.here.log_cost, self.here.peak)
         self.multipliers = np.zeros(loop.G.shape)
         self.curvature = 0.01 * np.eye(len(rho))
-        self.last: tuple[FloatArray, FloatArray] | None = (
-            None  # step, slope of the Lagrangian before it
-        )
+        # step, and slope of the Lagrangian before it
+        self.last: tuple[FloatArray, FloatArray] | None = None
         self.radius = 1.0
         self.finished = False
 
@@ -208,13 +211,14 @@ class Descent:
             self.multipliers[at] = multipliers
             self.last = (d, multipliers @ slopes)
             self.here = trial
+            # a point with a multiplier shapes the step, however far below the peak it lies now
             self.working &= (trial.log_cost > trial.peak - _IDLE) | (self.multipliers > 0.0)
-            self.radius = (
-                min(1.0, 2.5 * self.radius)
-                if gained > 0.6
-                else self.radius * (0.5 if gained < 0.2 else 1.0)
-            )
+            if gained > 0.6:
+                self.radius = min(1.0, 2.5 * self.radius)
+            elif gained < 0.2:
+                self.radius *= 0.5
             return
+        # the step may have been shorter than the box: half of what was tried
         self.radius = 0.5 * min(self.radius, float(np.abs(d / reach).max()))
         self.finished = self.radius < _SMALLEST
 
@@ -281,8 +285,10 @@ def _peaks(log_cost: FloatArray, highest: float) -> npt.NDArray[np.bool_]:
 # First values of a controller for plants that the structure's usual ones do not stabilise:
 # unstable and integrating plants.
 
-_CROSSINGS, _DESCENTS, _EVALUATIONS = 12, 6, 300
-_INSIDE = 1.0 - 1e-9
+_CROSSINGS = 12  # crossover frequencies that starts are scaled to
+_DESCENTS = 6  # simplex searches from the best of them
+_EVALUATIONS = 300  # of the closed-loop poles in each
+_INSIDE = 1.0 - 1e-9  # modulus of a closed-loop pole that counts as stable
 
 
 def stabilising_starts(
@@ -298,32 +304,34 @@ def stabilising_starts(
 
     Notes
     -----
-    The spectral radius is neither convex nor smooth: an empty list does not prove that no controller of the structure stabilises.
+    The spectral radius is neither convex nor smooth: an empty list does not prove that no
+    controller of the structure stabilises.
     """
     plants = [plant for plant in loop.plants if isinstance(plant, TransferFunction)]
     if len(plants) < len(loop.plants):
         return []
 
     def radius(rho: FloatArray) -> float:
-        controller = structure.transfer_function(rho)
-        return float(
-            max(
-                np.abs(np.roots(characteristic(plant, controller))).max(initial=0.0)
-                for plant in plants
-            )
-        )
+        return _spectral_radius(plants, structure.transfer_function(rho))
 
     low, high = _box(structure)
-    scaled = [
-        (np.clip(rho, low, high), sizes)
-        for k in _crossings(loop)
-        for rho, sizes in _scaled(loop, structure, k)
-    ]
+    # scaled to a crossing, a start may leave the structure's bounds
+    scaled = []
+    for k in _crossings(loop):
+        for rho, sizes in _scaled(loop, structure, k):
+            scaled.append((np.clip(rho, low, high), sizes))
     ranked = sorted((radius(rho), n) for n, (rho, _) in enumerate(scaled))
-    if stable := [scaled[n] for modulus, n in ranked if modulus < _INSIDE]:
+    stable = [scaled[n] for modulus, n in ranked if modulus < _INSIDE]
+    if stable:
         return stable
     lowered = [_lowered(radius, *scaled[n], low, high) for _, n in ranked[:_DESCENTS]]
     return [start for start in lowered if start is not None]
+
+
+def _spectral_radius(plants: list[TransferFunction], controller: TransferFunction) -> float:
+    """The largest modulus of a closed-loop pole of any plant."""
+    poles = [np.roots(characteristic(plant, controller)) for plant in plants]
+    return float(max(np.abs(of_plant).max(initial=0.0) for of_plant in poles))
 
 
 def _box(structure: ControllerStructure) -> tuple[FloatArray, FloatArray]:
@@ -376,9 +384,11 @@ def _scaled(
     return starts
 
 
-_STEPS, _FIRST_STEPS, _STARTS, _EXCHANGES = 80, 8, 4, 3
-_LEFT_BEHIND = 0.05
-_GAP = 3e-5
+_STEPS, _FIRST_STEPS = 80, 8  # of a descent, and before it is compared with the others
+_STARTS = 4  # that are searched, of different signs of the parameters
+_EXCHANGES = 3  # times that peaks between the grid's frequencies join it
+_LEFT_BEHIND = 0.05  # in ln cost above the best: a descent that stands higher ends there
+_GAP = 3e-5  # relative, between the peak on the grid and that on the finer one
 
 
 @dataclass(frozen=True, eq=False)
@@ -458,20 +468,38 @@ def synthesise(
 
     Notes
     -----
-    The problem is not convex: several starts are searched and the best kept; a global optimum is not certified.
+    The problem is not convex: several starts are searched and the best kept; a global optimum is
+    not certified.
 
     References
     ----------
     P. Apkarian, D. Noll, *Nonsmooth H∞ synthesis*, IEEE Trans. Autom. Control 51 (2006).
     """
+    usable = _usable_starts(loop, structure, starts)
+    descents = [Descent(loop, weights, structure, rho, sizes) for rho, sizes in usable]
+    best = _search(_valleys(descents), target)
+    for _ in range(_EXCHANGES):
+        fine_cost = _fine_cost(loop, weights, structure, best.here.rho)
+        # descents hold the logarithm of the cost
+        enough = np.exp(best.here.peak) * (1.0 + _GAP)
+        if target is not None:
+            enough = max(target, enough)
+        if fine_cost.max() <= enough:
+            break
+        loop, weights = _with_peaks(loop, weights, fine_cost)
+        best = _search([Descent(loop, weights, structure, best.here.rho, best.sizes)], target)
+    return _result(loop, weights, structure, best)
+
+
+def _usable_starts(
+    loop: Loop, structure: ControllerStructure, starts: Iterable[FloatArray] | None
+) -> list[tuple[FloatArray, FloatArray]]:
+    """First values that stabilise every plant, each with the typical sizes of the parameters."""
     sizes = structure.sizes(*loop.gain_and_time_constant)
-    first = [
-        (rho, sizes) for rho in (starts if starts is not None else default_starts(loop, structure))
-    ]
-    usable = [
-        (rho, sizes) for rho, sizes in first if loop.stabilised_by(*structure.polynomials(rho))
-    ]
+    first = [*(default_starts(loop, structure) if starts is None else starts)]
+    usable = [(rho, sizes) for rho in first if loop.stabilised_by(*structure.polynomials(rho))]
     if starts is None and (not usable or not loop.plants_are_stable):
+        # a search of its own, kept with the loop: each design of a front asks for the same
         if structure not in loop.stabilising:
             loop.stabilising[structure] = stabilising_starts(loop, structure)
         usable += loop.stabilising[structure]
@@ -481,20 +509,7 @@ def synthesise(
             " plant, nor any found by moving the closed-loop poles inwards; take a structure with"
             " more freedom"
         )
-    descents = [Descent(loop, weights, structure, rho, sizes) for rho, sizes in usable]
-    best = _search(_valleys(descents), target)
-    for _ in range(_EXCHANGES):
-        fine_cost = _fine_cost(loop, weights, structure, best.here.rho)
-        enough = (
-            np.exp(best.here.peak) * (1.0 + _GAP)
-            if target is None
-            else max(target, np.exp(best.here.peak) * (1.0 + _GAP))
-        )
-        if fine_cost.max() <= enough:
-            break
-        loop, weights = _with_peaks(loop, weights, fine_cost)
-        best = _search([Descent(loop, weights, structure, best.here.rho, best.sizes)], target)
-    return _result(loop, weights, structure, best)
+    return usable
 
 
 def _search(descents: list[Descent], target: float | None) -> Descent:

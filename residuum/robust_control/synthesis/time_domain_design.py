@@ -37,20 +37,19 @@ from residuum.robust_control.weights.performance_weight import (
     shortest_settling_time,
 )
 
+# share of the plants in the search that must keep the limits, so that `TimeAim.share` of others
+# do
 _SHARE_IN_DESIGN = 0.98
-"""Share of the plants in the search that must keep the limits, so that `TimeAim.share` of others
-do.
-"""
+# reference models that first controllers are made for: parts of the overshoot, settling times
 _DAMPINGS, _BANDWIDTHS = (1.0, 1e-2, 1e-4), 6
-_SEARCHES, _EVALUATIONS = 2, 250
-_FEW = 20
+_SEARCHES, _EVALUATIONS = 2, 250  # simplex searches from the best of them, and evaluations of each
+_FEW = 20  # plants by which controllers are ranked
+# parts of the overshoot that the search aims at, one after the other, until plants that it has
+# not seen keep the whole
 _MARGINS = (0.97, 0.8, 0.6)
-"""Parts of the overshoot that the search aims at, one after the other, until plants that it has not
-seen keep the whole.
-"""
+# part of the plants allowed to fail that may fail among those that the promise is read from
 _CAUTION = 0.4
-"""Part of the plants allowed to fail that may fail among those that the promise is read from."""
-_STIFF = 20.0
+_STIFF = 20.0  # price of a limit that is broken by a factor e, in longest settling times
 
 
 @dataclass(frozen=True)
@@ -160,15 +159,11 @@ class _Search:
         aim: TimeAim,
         margin: float,
     ) -> None:
-        self.loop, self.plants, self.W_T, self.structure, self.aim = (
-            loop,
-            list(plants),
-            W_T,
-            structure,
-            aim,
-        )
-        self.margin, self.weights = margin, Weights(np.zeros(len(W_T)), W_T)
-        self.duration = 1.5 * aim.settling_time
+        self.loop, self.plants, self.structure = loop, list(plants), structure
+        self.W_T, self.aim, self.margin = W_T, aim, margin
+        # the cost with W_S = 0 is |W_T T| alone
+        self.weights = Weights(np.zeros(len(W_T)), W_T)
+        self.duration = 1.5 * aim.settling_time  # [s] that steps are followed for
         self.nominal = next(plant for plant in loop.plants if isinstance(plant, TransferFunction))
         bounds = structure.bounds()
         self.low = np.array([-np.inf if low is None else low for low, _ in bounds])
@@ -188,6 +183,7 @@ class _Search:
                 W_S = ReferenceModel(overshoot, float(settling_time)).weight_magnitude(
                     self.loop.omega
                 )
+                # from the controller of the reference model before it, which is near
                 starts = rhos[-1:] or None
                 try:
                     rhos.append(
@@ -209,6 +205,7 @@ class _Search:
                 f"aim in time: no controller {self.structure.name!r} that stabilises the plant was"
                 " found"
             )
+        # ranked by a few plants, searched by all
         ranked = sorted(candidates, key=lambda rho: self.merit(rho, _FEW))
         minima = [
             nelder_mead(self.merit, self.simplex(rho), _EVALUATIONS) for rho in ranked[:_SEARCHES]
@@ -233,11 +230,10 @@ class _Search:
             return 1e6
         overshoot, settling_time = self.reached(rho, plants)
         norm = self.norm(rho)
-        late = (
-            settling_time / self.aim.settling_time
-            if math.isfinite(settling_time)
-            else 2.0 + self._error(rho)
-        )
+        late = settling_time / self.aim.settling_time
+        # where a loop does not settle, its error is what can fall
+        if not math.isfinite(late):
+            late = 2.0 + self._error(rho)
         over = max(0.0, math.log(max(overshoot, 1e-12) / (self.margin * self.aim.overshoot)))
         return late + _STIFF * over + _STIFF * max(0.0, math.log(max(norm, 1e-12) / 0.999))
 

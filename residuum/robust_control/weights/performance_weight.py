@@ -194,9 +194,10 @@ def design_for_nominal_performance(
 
     Notes
     -----
-    For a given overshoot a longer settling time moves |W_S| to lower frequencies, which asks less: feasibility is monotone in
-    ℓ, and a bisection for each overshoot replaces the source's genetic search. It is not monotone in the overshoot: at one
-    settling time a larger overshoot means a larger ω_n and so a higher gain at low frequency.
+    For a given overshoot a longer settling time moves |W_S| to lower frequencies, which asks less:
+    feasibility is monotone in ℓ, and a bisection for each overshoot replaces the source's genetic
+    search. It is not monotone in the overshoot: at one settling time a larger overshoot means a
+    larger ω_n and so a higher gain at low frequency.
     """
     fastest = shortest_settling_time(aim.smallest_overshoot, critical_frequency)
     if fastest >= aim.longest_settling_time:

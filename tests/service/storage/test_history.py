@@ -198,6 +198,22 @@ def test_a_server_that_closed_the_connection_is_asked_anew(plant):
         np.testing.assert_array_equal(reader.read(name)["torque"], first["torque"])
 
 
+def test_the_columns_of_a_table_are_asked_for_once_a_connection(plant):
+    (name, *_) = windows_of(f"{plant}/wide?site=north&tags=torque&window=300")
+    with (
+        closing(HistoryReader(plant + "/wide")) as reader,
+        psycopg.connect(plant.replace("timescale", "postgresql"), autocommit=True) as admin,
+    ):
+        assert reader.read(name).units["torque"] == "N*m"
+        admin.execute("COMMENT ON COLUMN wide.torque IS 'mN*m'")
+        try:
+            assert reader.read(name).units["torque"] == "N*m"
+            reader.close()
+            assert reader.read(name).units["torque"] == "mN*m"
+        finally:
+            admin.execute("COMMENT ON COLUMN wide.torque IS 'N*m'")
+
+
 def test_a_history_that_is_away_refuses_no_window(plant):
     (name, *_) = windows_of(f"{plant}/wide?site=north&window=300")
     away = HistoryReader("timescale://me:secret@127.0.0.1:9/nowhere/wide")

@@ -113,6 +113,22 @@ def test_windows_of_each_source_are_those_of_the_whole_record(influx):
         windows_of(f"{influx}/pumps?each=place&window=200")
 
 
+def _write(influx, line):
+    base, _, database = influx.replace("influx://", "http://").rpartition("/")
+    urlopen(f"{base}/write?db={database}&precision=s", data=line.encode()).close()
+
+
+def test_the_fields_of_a_measurement_are_asked_for_once_until_closed(influx):
+    _write(influx, "\n".join(f"fans n={k} {START + k}" for k in range(10)))
+    (name,) = windows_of(f"{influx}/fans?window=300")
+    with closing(HistoryReader(f"{influx}/fans")) as reader:
+        assert list(reader.read(name).names) == ["n"]
+        _write(influx, "\n".join(f"fans late={k} {START + k}" for k in range(10)))
+        assert list(reader.read(name).names) == ["n"]
+        reader.close()
+        assert set(reader.read(name).names) == {"n", "late"}
+
+
 def test_a_database_that_is_not_there_and_a_server_that_is_away_are_told(influx, free_port):
     with pytest.raises(BadRecord, match="database not found: plants"):
         rs.read(f"{influx}s/pumps")

@@ -48,16 +48,15 @@ from residuum.identification.record import Record
 Envelope = Callable[[FloatArray], FloatArray]
 
 _DECADES, _LOGARITHMIC = 5.5, 600
+# points of the linear grid, and of the one on which minima of the nominal response are looked
+# for, a lag
 _POINTS_A_LAG, _FINE = 4, 30
-"""Points of the linear grid, and of the one on which minima of the nominal response are looked for,
-a lag.
-"""
 _MINIMA = 60
 OFF_THE_LINE = 0.005
 """By how much a middle may lie above the line through its neighbours, in parts."""
 _ROUNDS, _MOST = 12, 6000
+# interval, in parts of its frequency, that is not halved further
 _NARROWEST = 1e-6
-"""Interval, in parts of its frequency, that is not halved further."""
 
 
 def refined_grid(
@@ -84,7 +83,8 @@ def refined_grid(
 
     Notes
     -----
-    Halving ends after `_ROUNDS` rounds or `_MOST` points; what is left between them is the caller's to check.
+    Halving ends after `_ROUNDS` rounds or `_MOST` points; what is left between them is the caller's
+    to check.
     """
     nyquist = math.pi / sample_time
     given = (

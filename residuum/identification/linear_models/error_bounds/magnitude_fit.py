@@ -1,7 +1,8 @@
 """Bounded magnitude fit: the stable, proper, minimum-phase transfer function at, above or below
 magnitude samples.
 
-|W|² is a ratio of two positive cosine polynomials N/D of the angle θ. The best fit in the log-Chebyshev sense minimises
+|W|² is a ratio of two positive cosine polynomials N/D of the angle θ. The best fit in the
+log-Chebyshev sense minimises
 
     t = max_i max(N_i / (M_i² D_i), M_i² D_i / N_i)
 
@@ -111,20 +112,26 @@ def fit_magnitude(
     samples = _samples(*between_samples(omega, magnitude, 1 if bound == "at" else 4), sample_time)
     fits: list[TransferFunction] = []
     distances: list[float] = []
-    for ratio in _ratios(samples, range((_ORDERS_TRIED if order is None else order) + 1)):
+    highest = _ORDERS_TRIED if order is None else order
+    for ratio in _ratios(samples, range(highest + 1)):
         fits.append(_fit(samples, ratio, bound, sample_time))
         distances.append(worst_distance_db(fits[-1], omega, magnitude))
-        if order is None and (
-            distances[-1] <= tolerance_db or (len(fits) > 4 and distances[-1] > 0.9 * distances[-3])
-        ):
+        if order is None and _is_enough(distances, tolerance_db):
             break
     if order is not None or min(distances) <= tolerance_db:
         return fits[int(np.argmin(distances))]
-    return next(
-        fit
-        for fit, distance in zip(fits, distances, strict=True)
-        if distance <= 1.1 * min(distances)
-    )
+    # no order reaches the tolerance: the smallest within a tenth of the nearest
+    near = [k for k, distance in enumerate(distances) if distance <= 1.1 * min(distances)]
+    return fits[near[0]]
+
+
+def _is_enough(distances: list[float], tolerance_db: float) -> bool:
+    """Whether the search for an order ends: near enough, or two more orders gained less than a
+    tenth.
+    """
+    if distances[-1] <= tolerance_db:
+        return True
+    return len(distances) > 4 and distances[-1] > 0.9 * distances[-3]
 
 
 def worst_distance_db(
@@ -360,23 +367,30 @@ def _checked(
             f"fit_magnitude: {omega.shape} frequencies, {magnitude.shape} magnitudes; needs equally"
             " many, two or more"
         )
-    if not (np.isfinite(omega).all() and omega[0] >= 0 and (np.diff(omega) > 0).all()):
+    if not np.isfinite(omega).all() or omega[0] < 0 or (np.diff(omega) <= 0).any():
         raise BadInput("fit_magnitude, omega: must be finite, ≥ 0 and increasing")
-    if not (np.isfinite(magnitude).all() and (magnitude > 0).all()):
+    if not np.isfinite(magnitude).all() or (magnitude <= 0).any():
         worst = int(np.argmin(np.where(np.isfinite(magnitude), magnitude, -np.inf)))
         raise BadInput(
             f"fit_magnitude, magnitude: is {magnitude[worst]:g} at {omega[worst]:g} rad/s; must be"
             " positive and finite"
         )
-    if sample_time is not None and not (
-        sample_time > 0 and omega[-1] * sample_time <= np.pi * (1 + 1e-9)
-    ):
-        raise BadInput(
-            f"fit_magnitude: {omega[-1]:g} rad/s at sample time {sample_time} s; must not exceed"
-            " the Nyquist frequency π/Ts"
-        )
+    if sample_time is not None:
+        _check_nyquist(float(omega[-1]), sample_time)
+    _check_choices(order, bound)
+    return omega, magnitude
+
+
+def _check_choices(order: int | None, bound: str) -> None:
     if order is not None and not 0 <= order <= _HIGHEST_ORDER:
         raise BadInput(f"fit_magnitude, order: is {order}; must lie between 0 and {_HIGHEST_ORDER}")
     if bound not in ("above", "at", "below"):
         raise BadInput(f"fit_magnitude, bound: {bound!r}; must be above, at or below")
-    return omega, magnitude
+
+
+def _check_nyquist(highest: float, sample_time: float) -> None:
+    if not (sample_time > 0 and highest * sample_time <= np.pi * (1 + 1e-9)):
+        raise BadInput(
+            f"fit_magnitude: {highest:g} rad/s at sample time {sample_time} s; must not exceed"
+            " the Nyquist frequency π/Ts"
+        )

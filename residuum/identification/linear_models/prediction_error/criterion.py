@@ -42,7 +42,7 @@ def filtered(b: npt.ArrayLike, a: npt.ArrayLike, x: FloatArray) -> FloatArray:
 # The polynomials of a linear model A(q) y = B(q)/F(q) u + C(q)/D(q) e, and their orders.
 
 LONGEST_POLYNOMIAL = 200
-_INSIDE = 0.9999
+_INSIDE = 0.9999  # modulus to which a reflected root on the unit circle itself is moved
 
 
 @dataclass(frozen=True)
@@ -246,15 +246,18 @@ class Criterion:
         by_fc = _over(p.f, p.c)
         psi = np.empty((n, o.count + int(self.level) + self.free))
         at = 0
-        for signal, first, count in (
-            (-filtered(p.d, p.c, y - y0) if o.na else None, 1, o.na),
-            (filtered(p.d, by_fc, u) if o.nb else None, o.delay, o.nb),
-            (-filtered(p.d, by_fc, w) if o.nf else None, 1, o.nf),
-            (filtered([1.0], p.c, e) if o.nc else None, 1, o.nc),
-            (-filtered([1.0], p.c, v) if o.nd else None, 1, o.nd),
+        # of each polynomial: its filter's numerator, denominator, input and sign, the lag of its
+        # first coefficient, and how many it has; the columns are in the order of θ
+        for numerator, denominator, signal, sign, first, count in (
+            (p.d, p.c, y - y0, -1.0, 1, o.na),
+            (p.d, by_fc, u, 1.0, o.delay, o.nb),
+            (p.d, by_fc, w, -1.0, 1, o.nf),
+            ([1.0], p.c, e, 1.0, 1, o.nc),
+            ([1.0], p.c, v, -1.0, 1, o.nd),
         ):
-            if signal is not None:
-                _delayed(signal, first, psi[:, at : at + count])
+            if count:
+                column = sign * filtered(numerator, denominator, signal)
+                _delayed(column, first, psi[:, at : at + count])
             at += count
         if self.level:
             psi[:, at] = filtered(np.convolve(p.d, p.a), p.c, np.ones(n))

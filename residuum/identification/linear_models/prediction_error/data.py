@@ -48,11 +48,7 @@ def signals(records: Sequence[Record], input: str | None, output: str, *, offset
     """
     if not records:
         raise BadRecord("prediction error method: no record was given")
-    steps = {record.sample_time for record in records}
-    if max(steps) - min(steps) > 1e-6 * min(steps):
-        raise BadRecord(
-            f"records: have sample times {sorted(steps)} s; all must be equal, resample one"
-        )
+    _check_sample_times(records)
     ys = [_complete(record, output) for record in records]
     us = [
         np.zeros(len(y)) if input is None else _complete(record, input)
@@ -60,21 +56,34 @@ def signals(records: Sequence[Record], input: str | None, output: str, *, offset
     ]
     u_level, u_scale = _level_and_scale(us, offset)
     y_level, y_scale = _level_and_scale(ys, offset)
-    where = records[0].source or "record"
-    if y_scale == 0.0:
-        raise NotIdentifiable(
-            f"{where}, channel {output!r}: does not move; there is nothing to identify: take one"
-            " that answers the input"
-        )
-    if input is not None and u_scale == 0.0:
-        raise NotIdentifiable(
-            f"{where}, channel {input!r}: does not move (excites order 0): record while it is moved"
-        )
-    u_scale = u_scale or 1.0
+    _check_movement(records[0].source or "record", (input, u_scale), (output, y_scale))
+    u_scale = u_scale or 1.0  # the zero input of a time series stays zero
     pairs = tuple(
         ((u - u_level) / u_scale, (y - y_level) / y_scale) for u, y in zip(us, ys, strict=True)
     )
     return Signals(pairs, u_level, y_level, u_scale, y_scale)
+
+
+def _check_movement(where: str, input: tuple[str | None, float], output: tuple[str, float]) -> None:
+    """Refuse an output or an input, name and scale of each, that does not move."""
+    if output[1] == 0.0:
+        raise NotIdentifiable(
+            f"{where}, channel {output[0]!r}: does not move; there is nothing to identify: take one"
+            " that answers the input"
+        )
+    if input[0] is not None and input[1] == 0.0:
+        raise NotIdentifiable(
+            f"{where}, channel {input[0]!r}: does not move (excites order 0): record while it is"
+            " moved"
+        )
+
+
+def _check_sample_times(records: Sequence[Record]) -> None:
+    steps = {record.sample_time for record in records}
+    if max(steps) - min(steps) > 1e-6 * min(steps):
+        raise BadRecord(
+            f"records: have sample times {sorted(steps)} s; all must be equal, resample one"
+        )
 
 
 def _complete(record: Record, name: str) -> FloatArray:
@@ -98,5 +107,6 @@ def _level_and_scale(parts: Sequence[FloatArray], offset: bool) -> tuple[float, 
     whole = np.concatenate(parts)
     level = float(whole.mean()) if offset else 0.0
     spread = float(np.sqrt(np.mean((whole - level) ** 2)))
+    # rounding of the mean leaves a spread of a constant, too: its range tells
     moves = float(np.ptp(whole)) > 1e-12 * max(float(np.abs(whole).max()), 1e-300)
     return level, spread if moves else 0.0

@@ -88,7 +88,8 @@ def identify(
 
     Notes
     -----
-    The covariance holds for the right structure only: a model of too low an order has a bias that it does not show.
+    The covariance holds for the right structure only: a model of too low an order has a bias that
+    it does not show.
     """
     started = time.perf_counter()
     if criterion not in CRITERIA:
@@ -96,17 +97,17 @@ def identify(
             f"criterion {criterion!r}: {known_names(criterion, CRITERIA, 'must be one of')}"
         )
     data = signals(records, input if structure.has_input else None, output, offset=offset)
+    numbers = candidates if order is None else [order]
     wanted = (
-        [orders]
-        if orders is not None
-        else [structure.orders(k, delay) for k in ([order] if order is not None else candidates)]
+        [orders] if orders is not None else [structure.orders(number, delay) for number in numbers]
     )
     with one_thread_if_small(max(o.count for o in wanted) + 200):
         held_out = _folds(data, criterion, folds) if len(wanted) > 1 else []
         possible = _possible(wanted, data, held_out, records)
         if structure.has_input:
             _check_excitation(data, min(o.nb + max(o.na, o.nf) for o in possible), input)
-        first = FirstValues(data, possible[0].delay, max(max(o.nf, o.na, o.nb) for o in possible))
+        longest = max(max(o.nf, o.na, o.nb) for o in possible)
+        first = FirstValues(data, possible[0].delay, longest)
         scores = _scores(structure, data, held_out, possible, first, criterion, offset)
         best = int(np.argmin(scores)) if scores.size else 0
         fit = best_fit(structure, data, possible[best], first, offset=offset)
@@ -135,6 +136,7 @@ def _scores(
         return cross_validation(structure, held_out, possible, offset=offset)
     if len(possible) == 1:
         return np.zeros(0)
+    # information compares candidates by a rough fit each; only the chosen one is fitted to the end
     fits = [rough_fit(structure, data, orders, first, offset=offset) for orders in possible]
     return np.array(
         [

@@ -14,8 +14,8 @@ records, if there is one.
 
 References
 ----------
-C. Bergmeir, J. M. Benítez, *On the use of cross-validation for time series predictor evaluation*, Information Sciences 191
-(2012): blocks. (A.3)–(A.7) of the source.
+C. Bergmeir, J. M. Benítez, *On the use of cross-validation for time series predictor evaluation*,
+Information Sciences 191 (2012): blocks. (A.3)–(A.7) of the source.
 """
 
 from __future__ import annotations

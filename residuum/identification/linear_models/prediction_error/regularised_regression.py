@@ -47,14 +47,15 @@ from residuum.nearest_names import known_names
 IntArray = npt.NDArray[np.intp]
 
 PENALTIES = ("ridge", "lasso", "elastic-net")
+# λ that cross-validation chooses from
 _STRENGTHS = {
     "ridge": np.geomspace(1e-4, 1e6, 21),
     "lasso": np.geomspace(1e-6, 1.0, 49),
     "elastic-net": np.geomspace(1e-6, 1.0, 25),
 }
+# ρ that cross-validation chooses from
 _MIXES = (0.1, 0.5, 0.9)
-"""ρ that cross-validation chooses from."""
-_SWEEPS = 20_000
+_SWEEPS = 20_000  # of coordinate descent, at most
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,7 +170,7 @@ def identify_regularised(
 def _check(orders: Orders, penalty: str, strength: float | None, mix: float | None) -> None:
     if penalty not in PENALTIES:
         raise BadInput(f"penalty {penalty!r}: {known_names(penalty, PENALTIES, 'must be one of')}")
-    if orders.nf or orders.nc or orders.nd or not orders.nb:
+    if orders.nb == 0 or (orders.nf, orders.nc, orders.nd) != (0, 0, 0):
         raise BadInput(
             f"regularised regression: orders are {orders}; must have B, may have A, nothing else"
         )
@@ -223,6 +224,7 @@ def _ridge(
     ridge = Ridge(strength, fit_intercept=offset).fit(phi, target)
     centred = phi - phi.mean(axis=0) if offset else phi
     _, singular, axes = np.linalg.svd(centred, full_matrices=False)
+    # in directions that no row reaches the posterior is the prior, of variance 1/λ
     unseen = np.eye(phi.shape[1]) - axes.T @ axes
     covariance = (axes.T / (singular**2 + strength)) @ axes + unseen / strength
     freedom = float(np.sum(singular**2 / (singular**2 + strength)))

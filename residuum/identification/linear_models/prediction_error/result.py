@@ -50,8 +50,8 @@ def in_confidence_ellipsoid(
 
     Notes
     -----
-    First order in 1/n: where a pole nearly cancels a zero, or the record is short, the region is no ellipsoid, and this one
-    covers the truth less often than it says.
+    First order in 1/n: where a pole nearly cancels a zero, or the record is short, the region is no
+    ellipsoid, and this one covers the truth less often than it says.
 
     >>> model = IdentifiedModel(method="by hand", sample_time=1.0, impulse_response=[0.6], covariance=[[0.01]],
     ...                         noise_variance=0.1, numerator=[0.6], denominator=[1.0, 0.4],

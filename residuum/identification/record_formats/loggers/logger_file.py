@@ -50,24 +50,30 @@ from residuum.identification.record_formats.loggers.logger_time import (
 from residuum.identification.record_formats.loggers.no_value import without_overload
 from residuum.nearest_names import nearest_names
 
+# what a column of times is called, in English, German and French, with or without words beside it
 _TIME_NAME = re.compile(
-    r"(?i)(.*\b|_)?(time|timestamps?|zeit|zeitstempel|date|datum|datetime|t|elapsed|uhrzeit|epoch|heure|millis|micros|datenum)(\b.*|_.*|)"
+    r"(?i)(.*\b|_)?"
+    r"(time|timestamps?|zeit|zeitstempel|date|datum|datetime|t|elapsed|uhrzeit|epoch|heure|millis"
+    r"|micros|datenum)(\b.*|_.*|)"
 )
+# names of a first column that is the time where it has a unit of time
 _AXIS = re.compile(r"(?i)x|x[-_ ]?(axis|value|achse)|abscissa|source")
-"""Names of a first column that is the time where it has a unit of time."""
+# rows, evenly spread, that tell which columns may have a unit behind every number
 _LOOKED_AT = 50
-"""Rows, evenly spread, that tell which columns may have a unit behind every number."""
+# part of a column's cells that are of a kind where single ones are bad: those are refused with
+# their row
 _MOSTLY = 0.9
-"""Part of a column's cells that are of a kind where single ones are bad: those are refused with
-their row.
-"""
+# what a column is called that names the signal of each row
 _SIGNAL_NAME = re.compile(
-    r"(?i)_?(var|variable|tag|signal|channel|sensor|item|point|field|measurement|metric|series|entity|parameter|kanal|messstelle)"
-    r"[ _]?(name|id)?|name"
+    r"(?i)_?(var|variable|tag|signal|channel|sensor|item|point|field|measurement|metric|series"
+    r"|entity|parameter|kanal|messstelle)[ _]?(name|id)?|name"
 )
+# what a form may be that is one of two; dates are the others
 _EITHER = {"hh:mm or mm:ss": ("hh:mm", "mm:ss")}
-"""What a form may be that is one of two; dates are the others."""
+# numbers that loggers are known to write where they have no value
 _SENTINELS = (-999.0, -9999.0, -99999.0, 9999.0, 99999.0, -32768.0, 1e30)
+_GAPS = 20  # that are listed, of a file that may have thousands
+_DAY = 86_400 * 10**9  # [ns]
 
 
 @dataclass(frozen=True)
@@ -107,34 +113,37 @@ def understand(
     check_told({"decimal": decimal, "time_form": time_form})
     text, encoding, why = decoded(content, source)
     guesses = {"encoding": (encoding, why)}
-    delimiter, why = find_delimiter(text, source, {cell.strip().lower() for cell in missing})
+    # cells that somebody says mean no value must not decide about the delimiter
+    own_missing = tuple(cell.strip().lower() for cell in missing)
+    delimiter, why = find_delimiter(text, source, set(own_missing))
     guesses["delimiter"] = (delimiter, why)
+    # units behind numbers go first: with them no cell would be a number
     rows, suffixes = _without_units(without_footer(cells_of(text, delimiter))[0])
     first, width = _first_row(rows, source)
     guesses["first row"] = (str(first), f"from here on rows have {width} cells, values among them")
     body = rows[first - 1 :]
     sign, why = (
-        (decimal, f"said with {said('decimal')}")
-        if decimal
-        else find_decimal(rows[first - 1 :], source, first)
+        (decimal, f"said with {said('decimal')}") if decimal else find_decimal(body, source, first)
     )
     guesses["decimal"] = (sign, why)
     if heads:
-        names, own = _said_heads(heads, width, guesses, source)
+        names, units = _said_heads(heads, width, guesses, source)
     else:
-        names, own = _heads(rows, first, width, guesses, source)
-    units = [(told_units or {}).get(name, unit) for name, unit in zip(names, own, strict=True)]
-    _refuse_long_form(body, names, source)
-    time: tuple[int, ...] = ()
-    form = "seconds"
-    if sample_time is not None and time_column is None and not _has_time(body, names, units):
+        names, units = _heads(rows, first, width, guesses, source)
+    own_units = told_units or {}
+    units = [own_units.get(name, unit) for name, unit in zip(names, units, strict=True)]
+    samples = _Samples(source, body, first, names, units, sign)
+    _refuse_long_form(samples)
+    if sample_time is not None and time_column is None and not _has_time(samples):
+        time: tuple[int, ...] = ()
+        form = "seconds"
         guesses["time"] = (
             f"rows of {sample_time:g} s",
             f"said with {said('sample_time')}; no column is a time",
         )
     else:
-        time, form = _time(body, names, units, sign, (time_form, time_column), guesses, source)
-    channels = _channels(body, names, time, sign, guesses, source)
+        time, form = _time(samples, time_form, time_column, guesses)
+    channels = _channels(samples, time, guesses)
     suffixes = {column: unit for column, unit in suffixes.items() if column in channels}
     for column, unit in suffixes.items():
         units[column - 1] = units[column - 1] or unit_word(unit)
@@ -142,8 +151,6 @@ def understand(
             unit,
             "it stands behind every number of the column",
         )
-    of_channels = {column: units[column - 1] for column in channels}
-    apart = None if time else sample_time
     mapping = LoggerMapping(
         encoding,
         delimiter,
@@ -152,17 +159,65 @@ def understand(
         first,
         time,
         form,
-        channels,
-        of_channels,
-        sample_time=apart,
+        names=channels,
+        units={column: units[column - 1] for column in channels},
+        suffixes=suffixes,
+        sample_time=None if time else sample_time,
     )
-    mapping = replace(mapping, suffixes=suffixes)
     if missing:
-        mapping = replace(
-            mapping, missing=(*mapping.missing, *(cell.strip().lower() for cell in missing))
-        )
+        mapping = replace(mapping, missing=(*mapping.missing, *own_missing))
         guesses["missing"] = (", ".join(missing), f"said with {said('missing')}")
     return _with_samples(text, mapping, guesses, source)
+
+
+@dataclass(frozen=True)
+class _Samples:
+    """The rows of samples, and what is understood of their columns so far.
+
+    `first_row` is the first one's number in the file; columns count from 0.
+    """
+
+    source: str
+    body: list[list[str]]
+    first_row: int
+    names: list[str]
+    units: list[str]
+    decimal: str
+
+    def cells(self, column: int) -> list[str]:
+        """The cells of a column that hold something; one empty cell where none does."""
+        cells = [row[column] for row in self.body if len(row) > column]
+        return [cell for cell in cells if cell.lower() not in MISSING] or [""]
+
+    def stamps(self, column: int) -> tuple[str, str] | None:
+        """(form, reason) of a column of stamps, but for single cells: reading refuses those with
+        their row.
+        """
+        cells = self.cells(column)
+        stamps = [cell for cell in cells if is_stamp(cell)]
+        return stamp_form(stamps) if stamps and len(stamps) >= _MOSTLY * len(cells) else None
+
+    def is_named_time(self, column: int) -> bool:
+        """Whether the column is called as times are; beside the first one with a unit of time."""
+        name, has_unit = self.names[column], seconds_of(self.units[column]) is not None
+        if column == 0:
+            return bool(_TIME_NAME.fullmatch(name) or (_AXIS.fullmatch(name) and has_unit))
+        return has_unit and bool(_TIME_NAME.fullmatch(name))
+
+    def times(self, column: int) -> npt.NDArray[np.float64]:
+        """The numbers of a column of times; [0.0] where all cells are empty."""
+        times = []
+        for row, cells in enumerate(self.body, start=self.first_row):
+            if len(cells) <= column or cells[column].lower() in MISSING:
+                continue
+            try:
+                times.append(number(cells[column], self.decimal))
+            except ValueError:
+                raise BadRecord(
+                    f"{self.source}, row {row}, time column {column + 1}: {cells[column][:40]!r} is"
+                    " no time; cut the row"
+                ) from None
+        return np.array(times or [0.0])
 
 
 def _without_units(rows: list[list[str]]) -> tuple[list[list[str]], dict[int, str]]:
@@ -171,20 +226,26 @@ def _without_units(rows: list[list[str]]) -> tuple[list[list[str]], dict[int, st
     """
     suffixes: dict[int, str] = {}
     some = rows[:: max(1, len(rows) // _LOOKED_AT)]
-    for column in sorted(
-        {k for row in some for k, cell in enumerate(row) if with_unit(cell) is not None}
-    ):
-        cells = [
-            row[column] for row in rows if len(row) > column and row[column].lower() not in MISSING
-        ]
-        counts = Counter(pair[1] for cell in cells if (pair := with_unit(cell)) is not None)
-        if counts and counts.total() >= _MOSTLY * len(cells) and counts.total() > 1:
-            suffixes[column + 1] = counts.most_common(1)[0][0]
+    may_have = {k for row in some for k, cell in enumerate(row) if with_unit(cell) is not None}
+    for column in sorted(may_have):
+        cells = [row[column] for row in rows if len(row) > column]
+        unit = _unit_behind([cell for cell in cells if cell.lower() not in MISSING])
+        if unit:
+            suffixes[column + 1] = unit
     if not suffixes:
         return rows, suffixes
     return [
         [_bare(cell, suffixes.get(k, "")) for k, cell in enumerate(row, start=1)] for row in rows
     ], suffixes
+
+
+def _unit_behind(cells: list[str]) -> str:
+    """The unit that stands behind most numbers of a column, and behind two at least; else ""."""
+    pairs = [with_unit(cell) for cell in cells]
+    counts = Counter(pair[1] for pair in pairs if pair is not None)
+    if counts.total() < 2 or counts.total() < _MOSTLY * len(cells):
+        return ""
+    return counts.most_common(1)[0][0]
 
 
 def _bare(cell: str, unit: str) -> str:
@@ -195,10 +256,12 @@ def _first_row(rows: list[list[str]], source: str) -> tuple[int, int]:
     """(file row of the first sample, cells of a row): the first row whose columns of values hold
     nothing else.
     """
-    width = Counter(len(row) for row in rows if any(row)).most_common(1)[0][0]
-    whole = [row for row in rows if len(row) == width and any(row)]
-    late = whole[len(whole) // 2 :]
-    numeric = [column for column in range(width) if _are_values([row[column] for row in late])]
+    filled_rows = [row for row in rows if any(row)]
+    width = Counter(map(len, filled_rows)).most_common(1)[0][0]
+    whole = [row for row in filled_rows if len(row) == width]
+    # the later half: heads and settings stand above the samples
+    columns = list(zip(*whole[len(whole) // 2 :], strict=True))
+    numeric = [column for column, cells in enumerate(columns) if _are_values(cells)]
     for position, row in enumerate(rows, start=1):
         if len(row) != width:
             continue
@@ -208,7 +271,7 @@ def _first_row(rows: list[list[str]], source: str) -> tuple[int, int]:
     raise BadRecord(f"{source}: no row of numbers found among rows of {width} cells")
 
 
-def _are_values(cells: list[str]) -> bool:
+def _are_values(cells: Sequence[str]) -> bool:
     filled = [cell for cell in cells if cell.lower() not in MISSING]
     return bool(filled) and sum(map(is_value, filled)) >= _MOSTLY * len(filled)
 
@@ -229,22 +292,13 @@ def _said_heads(
 def _heads(
     rows: list[list[str]], first: int, width: int, guesses: dict[str, tuple[str, str]], source: str
 ) -> tuple[list[str], list[str]]:
-    above = [
-        (k, row)
-        for k, row in enumerate(rows[: first - 1], start=1)
-        if len(row) == width and (sum(map(bool, row)) > width / 2 or _holds_units_only(row))
-    ]
+    above = [(k, row) for k, row in enumerate(rows[: first - 1], start=1) if _may_head(row, width)]
     if not above:
-        like = ["time [s]", *(f"name{k}" for k in range(2, width + 1))]
-        raise BadRecord(
-            f"{source}, row {first}: no line of {width} column names stands above it; write"
-            " one, or",
-            way_on=[("names", like)],
-        )
+        raise _no_heads(f"{source}, row {first}", width)
     at, line = above[-1]
-    units = [""] * width
-    if len(above) > 1 and (own_line := _unit_line(line, above[-2][1])):
-        units = own_line
+    # the last line may hold the units of the names above it
+    unit_line = _unit_line(line, above[-2][1]) if len(above) > 1 else None
+    if unit_line:
         guesses["unit line"] = (f"row {at}", "its cells are units, those above it names")
         at, line = above[-2]
     guesses["header"] = (
@@ -256,8 +310,28 @@ def _heads(
     names = _distinct(
         _told_apart(plain, [row for k, row in above if k < at]), f"{source}, row {at}"
     )
-    units = [own or unit for own, (_, unit) in zip(units, heads, strict=True)]
-    return names, ["" if unit == "-" else unit for unit in units]
+    units = zip(unit_line or [""] * width, heads, strict=True)
+    return names, [_without_dash(of_line or in_head) for of_line, (_, in_head) in units]
+
+
+def _without_dash(unit: str) -> str:
+    """A unit; "" for the dash that some write for none."""
+    return "" if unit == "-" else unit
+
+
+def _no_heads(where: str, width: int) -> BadRecord:
+    example = ["time [s]", *(f"name{k}" for k in range(2, width + 1))]
+    return BadRecord(
+        f"{where}: no line of {width} column names stands above it; write one, or",
+        way_on=[("names", example)],
+    )
+
+
+def _may_head(row: list[str], width: int) -> bool:
+    """Whether a row may hold the names of columns, or their units."""
+    if len(row) != width:
+        return False
+    return sum(map(bool, row)) > width / 2 or _holds_units_only(row)
 
 
 def _told_apart(names: list[str], above: list[list[str]]) -> list[str]:
@@ -308,114 +382,102 @@ def is_stampish(cell: str) -> bool:
 
 
 def _time(
-    body: list[list[str]],
-    names: list[str],
-    units: list[str],
-    decimal: str,
-    given: tuple[str | None, str | None],
+    samples: _Samples,
+    said_form: str | None,
+    said_column: str | None,
     guesses: dict[str, tuple[str, str]],
-    source: str,
 ) -> tuple[tuple[int, ...], str]:
-    """(time columns, form); `given` is the form and the column that the caller says."""
-    given_form, column = given
-    stamped = {
-        column: form for column in range(len(names)) if (form := _stamps(_column(body, column)))
-    }
-    if column is not None:
-        chosen: tuple[int, ...] = (_index(column, names, source),)
-    elif _axis_of_time(body, names, units, stamped, decimal, given_form):
+    """(time columns, form); the form and the column may be said by the caller."""
+    names, source = samples.names, samples.source
+    forms = {column: samples.stamps(column) for column in range(len(names))}
+    stamped = {column: form for column, form in forms.items() if form is not None}
+    if said_column is not None:
+        chosen: tuple[int, ...] = (_index(said_column, names, source),)
+    elif _axis_of_time(samples, stamped, said_form):
         chosen = (0,)
         guesses["time column"] = (
             repr(names[0]),
             f"an axis that rises evenly; its form is said with {said('time')}",
         )
     else:
-        chosen = _time_columns(names, units, stamped, source)
+        chosen = _time_columns(samples, stamped)
+    form, why = _form_of_time(samples, chosen, stamped, said_form)
     where = "+".join(repr(names[k]) for k in chosen)
-    guess = (
-        stamped[chosen[0]]
-        if chosen[0] in stamped
-        else number_form(
-            names[chosen[0]],
-            units[chosen[0]],
-            _numbers(body, chosen[0], decimal, f"{source}, row", int(guesses["first row"][0])),
-        )
-    )
-    if given_form:
-        guess = (given_form, f"said with {said('time')}")
+    guesses["time"] = (f"{where}: {form}", why)
+    return tuple(k + 1 for k in chosen), form
+
+
+def _form_of_time(
+    samples: _Samples,
+    columns: tuple[int, ...],
+    stamped: Mapping[int, tuple[str, str]],
+    said_form: str | None,
+) -> tuple[str, str]:
+    """(form, reason) of the time in these columns; BadRecord where two forms are possible."""
+    where = "+".join(repr(samples.names[k]) for k in columns)
+    column = columns[0]
+    guess: tuple[str, str] | None
+    if column in stamped:
+        guess = stamped[column]
+    else:
+        # asked for where the form is said, too: a cell that is no number is refused here
+        times = samples.times(column)
+        guess = number_form(samples.names[column], samples.units[column], times)
+    if said_form:
+        guess = (said_form, f"said with {said('time')}")
     if guess is None:
         raise BadRecord(
-            f"{source}: time column {where} has no unit; write it into the head, or",
+            f"{samples.source}: time column {where} has no unit; write it into the head, or",
             way_on=[
-                ("units", {names[chosen[0]]: "s"}, "(ms, min …)"),
+                ("units", {samples.names[column]: "s"}, "(ms, min …)"),
                 ("time", "excel", "for dates of a spreadsheet"),
             ],
         )
-    if guess[0] not in FORMS:
-        forms = _EITHER.get(guess[0], ("day first", "month first"))
+    form, why = guess
+    if form not in FORMS:
+        possible = _EITHER.get(form, ("day first", "month first"))
         raise BadRecord(
-            f"{source}, time column {where}: {guess[1]}", way_on=[("time", form) for form in forms]
+            f"{samples.source}, time column {where}: {why}",
+            way_on=[("time", either) for either in possible],
         )
-    guesses["time"] = (f"{where}: {guess[0]}", guess[1])
-    return tuple(k + 1 for k in chosen), guess[0]
+    return guess
 
 
 def _axis_of_time(
-    body: list[list[str]],
-    names: list[str],
-    units: list[str],
-    stamped: dict[int, tuple[str, str]],
-    decimal: str,
-    form: str | None,
+    samples: _Samples, stamped: Mapping[int, tuple[str, str]], form: str | None
 ) -> bool:
     """Whether the first column is the time because it is called as an axis (`X`), rises evenly, and
     its form is said.
 
     Without a unit it may count samples: nothing else makes it a time.
     """
-    if (
-        stamped
-        or units[0]
-        or form not in SINCE_START
-        or any(_is_named_time(k, name, units) for k, name in enumerate(names))
-    ):
+    if stamped or samples.units[0] or form not in SINCE_START:
         return False
-    return bool(_AXIS.fullmatch(names[0])) and _rises_evenly(body, 0, decimal)
+    if any(samples.is_named_time(column) for column in range(len(samples.names))):
+        return False
+    return bool(_AXIS.fullmatch(samples.names[0])) and _rises_evenly(samples, 0)
 
 
-def _rises_evenly(body: list[list[str]], column: int, decimal: str) -> bool:
+def _rises_evenly(samples: _Samples, column: int) -> bool:
     try:
-        values = np.array([number(cell, decimal) for cell in _column(body, column)])
+        values = np.array([number(cell, samples.decimal) for cell in samples.cells(column)])
     except ValueError:
         return False
     return len(values) > 2 and bool((np.diff(values) > 0).all()) and on_grid(values) is not None
 
 
-def _is_named_time(k: int, name: str, units: list[str]) -> bool:
-    if not (
-        _TIME_NAME.fullmatch(name)
-        or (k == 0 and _AXIS.fullmatch(name) and seconds_of(units[k]) is not None)
-    ):
-        return False
-    return k == 0 or seconds_of(units[k]) is not None
-
-
-def _has_time(body: list[list[str]], names: list[str], units: list[str]) -> bool:
+def _has_time(samples: _Samples) -> bool:
     """Whether any column holds stamps, or is called a time."""
-    return any(
-        _stamps(_column(body, k)) or _is_named_time(k, name, units) for k, name in enumerate(names)
-    )
+    columns = range(len(samples.names))
+    return any(samples.stamps(column) or samples.is_named_time(column) for column in columns)
 
 
-def _time_columns(
-    names: list[str], units: list[str], stamped: dict[int, tuple[str, str]], source: str
-) -> tuple[int, ...]:
+def _time_columns(samples: _Samples, stamped: Mapping[int, tuple[str, str]]) -> tuple[int, ...]:
     """The one column of times, by its stamps or by its name, or the two of date and time of day."""
+    names, source = samples.names, samples.source
     if [form in CLOCKS for form, _ in stamped.values()] == [False, True]:
         return tuple(stamped)
-    named = [
-        k for k, name in enumerate(names) if k not in stamped and _is_named_time(k, name, units)
-    ]
+    named = [k for k in range(len(names)) if k not in stamped and samples.is_named_time(k)]
     if len(stamped) + len(named) > 1:
         both = ", ".join(repr(names[k]) for k in (*stamped, *named))
         raise BadRecord(
@@ -442,83 +504,52 @@ def _index(name: str, names: list[str], source: str) -> int:
     return names.index(name)
 
 
-def _refuse_long_form(body: list[list[str]], names: list[str], source: str) -> None:
+def _refuse_long_form(samples: _Samples) -> None:
     """Refuse a table that has its signals one under the other, for it would be read as one signal
     that jumps between them.
     """
-    for column, name in enumerate(names):
+    for column, name in enumerate(samples.names):
         if not _SIGNAL_NAME.fullmatch(name):
             continue
-        kinds = list(dict.fromkeys(cell for cell in _column(body, column) if not is_value(cell)))
+        kinds = list(dict.fromkeys(cell for cell in samples.cells(column) if not is_value(cell)))
         if len(kinds) > 1:
             shown = ", ".join(kinds[:4])
             raise BadRecord(
-                f"{source}: column {name!r} names the signal of each row ({len(kinds)}: {shown}):"
-                " the long form, a row a value; write one column a signal, in pandas"
+                f"{samples.source}: column {name!r} names the signal of each row ({len(kinds)}:"
+                f" {shown}): the long form, a row a value; write one column a signal, in pandas"
                 f" `pivot(columns={name!r}, …).ffill()` with the times as index"
             )
 
 
-def _stamps(cells: list[str]) -> tuple[str, str] | None:
-    """The form of a column that holds stamps, but for single cells: reading refuses those with
-    their row.
-    """
-    stamps = [cell for cell in cells if is_stamp(cell)]
-    return stamp_form(stamps) if stamps and len(stamps) >= _MOSTLY * len(cells) else None
-
-
-def _column(body: list[list[str]], column: int) -> list[str]:
-    cells = [row[column] for row in body if len(row) > column]
-    return [cell for cell in cells if cell.lower() not in MISSING] or [""]
-
-
-def _numbers(
-    body: list[list[str]], column: int, decimal: str, where: str, first: int
-) -> np.ndarray[Any, np.dtype[np.float64]]:
-    numbers = []
-    for row, cells in enumerate(body, start=first):
-        if len(cells) <= column or cells[column].lower() in MISSING:
-            continue
-        try:
-            numbers.append(number(cells[column], decimal))
-        except ValueError:
-            raise BadRecord(
-                f"{where} {row}, time column {column + 1}: {cells[column][:40]!r} is no time; cut"
-                " the row"
-            ) from None
-    return np.array(numbers or [0.0])
-
-
 def _channels(
-    body: list[list[str]],
-    names: list[str],
-    time: tuple[int, ...],
-    decimal: str,
-    guesses: dict[str, tuple[str, str]],
-    source: str,
+    samples: _Samples, time: tuple[int, ...], guesses: dict[str, tuple[str, str]]
 ) -> dict[int, str]:
+    """Column → name of all columns that hold numbers, beside those of the time."""
     channels = {}
-    for column, name in enumerate(names):
+    for column, name in enumerate(samples.names):
         if column + 1 in time:
             continue
-        cells = _column(body, column)
-        numbers = sum(map(is_value, cells))
-        if numbers == 0 or _stamps(cells):
+        cells = samples.cells(column)
+        if not any(map(is_value, cells)) or samples.stamps(column):
             guesses[f"column {name!r}"] = (
                 "not read",
                 "empty" if cells == [""] else f"text, such as {cells[0][:30]!r}",
             )
             continue
         channels[column + 1] = name
-        if sentinels := sorted(
-            {cell for cell in cells if is_value(cell) and _or_zero(cell, decimal) in _SENTINELS}
-        ):
+        sentinels = {
+            cell
+            for cell in cells
+            if is_value(cell) and _or_zero(cell, samples.decimal) in _SENTINELS
+        }
+        if sentinels:
+            example = min(sentinels)
             guesses[f"column {name!r}"] = (
                 "kept as numbers",
-                f"{sentinels[0]} may mean no value; if so, say {said('missing', sentinels[:1])}",
+                f"{example} may mean no value; if so, say {said('missing', [example])}",
             )
     if not channels:
-        raise BadRecord(f"{source}: no column of numbers beside the time")
+        raise BadRecord(f"{samples.source}: no column of numbers beside the time")
     return channels
 
 
@@ -532,91 +563,114 @@ def _or_zero(cell: str, decimal: str) -> float:
 def _with_samples(
     text: str, mapping: LoggerMapping, guesses: dict[str, tuple[str, str]], source: str
 ) -> LoggerFile:
+    """What the samples themselves say: rate, gaps, rows out of order or of one stamp."""
     notes: list[str] = []
     stamps, values, rows = table(text, mapping, source, notes)
-    steps = np.diff(stamps)
-    back = steps < 0
-    if (
-        (days := int(stamps.max()) // (86_400 * 10**9))
-        and mapping.time_form == "clock"
-        and len(mapping.time) == 1
-    ):
+    days = int(stamps.max()) // _DAY
+    if days and mapping.time_form == "clock" and len(mapping.time) == 1:
         guesses["midnight"] = (
             f"{days} passed",
             "the clock goes on after midnight at its usual step",
         )
-    order = np.argsort(stamps, kind="stable")
     was_set = clock_steps(stamps)
+    steps = np.diff(stamps)
     if was_set:
-        row = rows[was_set[0]]
         guesses["reordered"] = (
             "refuse",
-            (
-                f"the clock was set back at row {row}{went_back(stamps, was_set)}; cut the file"
-                " there, or set `reordered: bridge`: the rows came as they stand"
-            ),
+            f"the clock was set back at row {rows[was_set[0]]}{went_back(stamps, was_set)}; cut the"
+            " file there, or set `reordered: bridge`: the rows came as they stand",
         )
-    elif back.any():
-        far = int(-steps.min()) > 60 * int(np.median(np.abs(steps)))
-        safe = mapping.time_form not in SINCE_START and not far
-        mapping = replace(mapping, reordered="sort" if safe else "refuse")
-        why = (
-            "each row has its own date"
-            if safe
-            else "a restart, midnight or a change of the clock looks the same"
-        )
-        guesses["reordered"] = (
-            mapping.reordered,
-            f"row {rows[int(np.argmax(back)) + 1]} goes back; {why}",
-        )
-    pairs = [(i, k) for i, k in pairwise(order) if stamps[i] == stamps[k]]
-    if pairs and not was_set:
-        equal = all(np.array_equal(values[:, i], values[:, k], equal_nan=True) for i, k in pairs)
-        mapping = replace(mapping, duplicates="first" if equal else "refuse")
-        ways = "set `duplicates` to `spread` (even steps until the next stamp), `first` or `mean`"
-        why = "the rows are equal" if equal else f"the rows differ: {ways}"
-        guesses["duplicates"] = (
-            mapping.duplicates,
-            f"{len(pairs)} rows repeat a stamp, first row {rows[pairs[0][1]]}; {why}",
-        )
-    forward: npt.NDArray[np.float64] = np.diff(np.unique(stamps)).astype(np.float64) / 1e9
-    if not len(forward):
-        stamp = " ".join(
-            cells_of(text, mapping.delimiter)[rows[0] - 1][column - 1] for column in mapping.time
-        )
+    elif (steps < 0).any():
+        mapping, why = _settle_order(mapping, stamps, rows)
+        guesses["reordered"] = (mapping.reordered, why)
+    order = np.argsort(stamps, kind="stable")
+    same_stamp = [(i, k) for i, k in pairwise(order) if stamps[i] == stamps[k]]
+    if same_stamp and not was_set:
+        mapping, why = _settle_duplicates(mapping, values, rows, same_stamp)
+        guesses["duplicates"] = (mapping.duplicates, why)
+    if stamps.min() == stamps.max():
+        cells = cells_of(text, mapping.delimiter)[rows[0] - 1]
+        stamp = " ".join(cells[column - 1] for column in mapping.time)
         raise BadRecord(
             f"{source}: all rows have one time stamp, {stamp[:40]!r}; export the times with more"
             " digits, or write the seconds since the start into a column 'time [s]'"
         )
+    samples = _samples_of(mapping, stamps, values, rows, notes)
+    return LoggerFile(mapping, guesses, samples | {"duplicates": len(same_stamp)})
+
+
+def _samples_of(
+    mapping: LoggerMapping,
+    stamps: npt.NDArray[np.int64],
+    values: npt.NDArray[np.float64],
+    rows: list[int],
+    notes: list[str],
+) -> dict[str, Any]:
+    """Rate, gaps and signals of samples at stamps [ns], and how many of them are missing."""
+    steps = np.diff(stamps)
     step, even = usual_step(np.unique(stamps - stamps.min()) / 1e9)
-    cleaned = [
-        without_overload(name, column)
-        for name, column in zip(mapping.names.values(), values, strict=True)
-    ]
+    names = [*mapping.names.values()]
+    cleaned = [without_overload(name, column) for name, column in zip(names, values, strict=True)]
     values = np.stack([column for column, _ in cleaned])
+    for _, remarks in cleaned:
+        notes = [*notes, *remarks]
     gaps = np.flatnonzero(steps / 1e9 > 1.5 * step)
-    samples = {
+    return {
         "rows": len(rows),
         "sample_time": step,
         "rate": 1 / step,
         "even": even,
-        "gaps": [
-            {"after_row": rows[k], "seconds": float(steps[k]) / 1e9}
-            | _looks_like(float(steps[k]) / 1e9, step)
-            for k in gaps[:20]
-        ],
+        "gaps": [_gap(rows[k], float(steps[k]) / 1e9, step) for k in gaps[:_GAPS]],
         "gap_count": len(gaps),
-        "reordered": int(back.sum()),
-        "duplicates": len(pairs),
-        "signals": dict(zip(mapping.names.values(), values, strict=True)),
-        "notes": notes + [note for _, of_column in cleaned for note in of_column],
+        "reordered": int((steps < 0).sum()),
+        "signals": dict(zip(names, values, strict=True)),
+        "notes": notes,
         "first_rows": first_rows(stamps / 1e9, values),
         "missing": {
-            name: int(np.isnan(column).sum())
-            for name, column in zip(mapping.names.values(), values, strict=True)
+            name: int(np.isnan(column).sum()) for name, column in zip(names, values, strict=True)
         },
     }
-    return LoggerFile(mapping, guesses, samples)
+
+
+def _settle_order(
+    mapping: LoggerMapping, stamps: npt.NDArray[np.int64], rows: list[int]
+) -> tuple[LoggerMapping, str]:
+    """The mapping for rows out of order, and why: sorted only where nothing else explains them."""
+    steps = np.diff(stamps)
+    # times since a start begin anew with each; a far step back may be a clock that was set
+    is_far = int(-steps.min()) > 60 * int(np.median(np.abs(steps)))
+    is_safe = mapping.time_form not in SINCE_START and not is_far
+    why = (
+        "each row has its own date"
+        if is_safe
+        else "a restart, midnight or a change of the clock looks the same"
+    )
+    row = rows[int(np.argmax(steps < 0)) + 1]
+    reordered = "sort" if is_safe else "refuse"
+    return replace(mapping, reordered=reordered), f"row {row} goes back; {why}"
+
+
+def _settle_duplicates(
+    mapping: LoggerMapping,
+    values: npt.NDArray[np.float64],
+    rows: list[int],
+    same_stamp: list[tuple[int, int]],
+) -> tuple[LoggerMapping, str]:
+    """The mapping for pairs of rows of one stamp, and why: one is left out where both say the
+    same.
+    """
+    equal = all(np.array_equal(values[:, i], values[:, k], equal_nan=True) for i, k in same_stamp)
+    ways = "set `duplicates` to `spread` (even steps until the next stamp), `first` or `mean`"
+    why = "the rows are equal" if equal else f"the rows differ: {ways}"
+    first = rows[same_stamp[0][1]]
+    return (
+        replace(mapping, duplicates="first" if equal else "refuse"),
+        f"{len(same_stamp)} rows repeat a stamp, first row {first}; {why}",
+    )
+
+
+def _gap(after_row: int, seconds: float, step: float) -> dict[str, Any]:
+    return {"after_row": after_row, "seconds": seconds} | _looks_like(seconds, step)
 
 
 def _looks_like(gap: float, step: float) -> dict[str, str]:

@@ -9,12 +9,13 @@ from residuum.identification.unit_spellings import is_spelled
 _BRACKET = re.compile(r"(.*?)[\s_]*\[([^\[\]]*)\]\s*")
 _PARENTHESES = re.compile(r"(.*?)[\s_]*\(([^()]*)\)\s*")
 _SLASH = re.compile(r"(.*?)\s+(?:/|in)\s+(\S+)\s*")
+# symbols that certainly are units: a word in brackets that is none of them may be a remark
 _ATOM = re.compile(
-    r"1|-|%|°|°[CF]|degC|degF|C|K|[munkMG]?(A|V|W|Hz|N|m|s|Pa|bar|g|rad|VA|Wh|F|H)|[µμ](A|V|m|s|F|H)|[kM]?(Ohm|ohm|Ω)|N[mM]|[kM]N|"
-    r"[kmM]?Nm|rpm|deg|min|h|l|L|J|kJ|kg|lb|psi|mbar|raw|counts?|ticks|digits?|pu|bool|dB|ppm|mm|cm|km|in|inch|sec|msec|usec"
+    r"1|-|%|°|°[CF]|degC|degF|C|K|[munkMG]?(A|V|W|Hz|N|m|s|Pa|bar|g|rad|VA|Wh|F|H)"
+    r"|[µμ](A|V|m|s|F|H)|[kM]?(Ohm|ohm|Ω)|N[mM]|[kM]N|[kmM]?Nm|rpm|deg|min|h|l|L|J|kJ|kg|lb|psi"
+    r"|mbar|raw|counts?|ticks|digits?|pu|bool|dB|ppm|mm|cm|km|in|inch|sec|msec|usec"
 )
-
-
+# units that are known as a whole only, for their parts are none
 _WHOLE = ("U/min", "1/min", "rev/min", "r/min")
 _WORDS = {
     "volt": "V",

@@ -3,7 +3,7 @@ read and mend.
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import lru_cache
@@ -49,19 +49,18 @@ DUPLICATES = (
 )
 """The way on where rows of one stamp differ."""
 _REORDERED = ("refuse", "sort", "bridge")
-_AROUND = 60
-"""Rows on both sides of a step back in which a shuffled one would have left its hole."""
+_AROUND = 60  # rows on both sides of a step back in which a shuffled one would have left its hole
 _ZONE = re.compile(r".*\d\s*[A-Z]{3,5}", re.DOTALL)
 FloatArray = npt.NDArray[np.float64]
 
 
+# what may be said beside a mapping: how it is called, and its values
 _TOLD = {
     "decimal": ("decimal", (".", ",")),
     "time_form": ("time", FORMS),
     "duplicates": ("duplicates", _DUPLICATES),
     "reordered": ("reordered", _REORDERED),
 }
-"""What may be said beside a mapping: how it is called, and its values."""
 
 
 def check_told(choices: Mapping[str, str | None]) -> None:
@@ -134,22 +133,10 @@ class LoggerMapping:
             "duplicates": self.duplicates in _DUPLICATES,
             "reordered": self.reordered in _REORDERED,
             "sample_time": self.sample_time is None or _is_positive(self.sample_time),
-            "time": (
-                (self.sample_time is None) <= len(self.time) <= 2
-                and all(_is_count(column) for column in self.time)
-            ),
-            "names": (
-                bool(self.names)
-                and all(
-                    _is_count(column) and isinstance(name, str)
-                    for column, name in self.names.items()
-                )
-            ),
-            "suffixes": all(isinstance(unit, str) and unit for unit in self.suffixes.values()),
-            "units": (
-                all(isinstance(unit, str) for unit in self.units.values())
-                and set(self.units) <= set(self.names)
-            ),
+            "time": self._has_possible_time(),
+            "names": bool(self.names) and _are_counts(self.names) and _are_texts(self.names),
+            "suffixes": _are_texts(self.suffixes) and all(self.suffixes.values()),
+            "units": _are_texts(self.units) and set(self.units) <= set(self.names),
         }
         for name, holds in rules.items():
             if not holds:
@@ -158,6 +145,11 @@ class LoggerMapping:
                     " inspect writes"
                 )
         self._check_columns()
+
+    def _has_possible_time(self) -> bool:
+        """Whether there are one or two columns of times, or none where rows are a step apart."""
+        least = 1 if self.sample_time is None else 0
+        return least <= len(self.time) <= 2 and _are_counts(self.time)
 
     def _check_columns(self) -> None:
         """Refuse a column that rows of this width do not have."""
@@ -196,6 +188,14 @@ class LoggerMapping:
 
 def _is_count(value: object) -> bool:
     return isinstance(value, int) and not isinstance(value, bool) and value >= 1
+
+
+def _are_counts(values: Iterable[object]) -> bool:
+    return all(map(_is_count, values))
+
+
+def _are_texts(by_column: Mapping[int, object]) -> bool:
+    return all(isinstance(text, str) for text in by_column.values())
 
 
 def _is_positive(value: object) -> bool:
@@ -245,17 +245,13 @@ def table(
                 f"{source}, row {row}: {len(cells)} cells; {mapping.width} are needed, mend or cut"
                 " the row"
             )
-        stamps.append(_stamp(cells, mapping, len(stamps), f"{source}, row {row}"))
-        where = f"{source}, row {row}, column"
-        values.append(
-            [
-                _value(cells[k - 1], mapping, k, f"{where} {name!r}")
-                for k, name in mapping.names.items()
-            ]
-        )
+        where = f"{source}, row {row}"
+        stamps.append(_stamp(cells, mapping, len(stamps), where))
+        values.append(_values(cells, mapping, where))
         rows.append(row)
     if len(rows) < 2:
         raise BadRecord(f"{source}: has {len(rows)} data rows; at least 2 are needed")
+    # beyond 64 bits of nanoseconds
     if max(stamps) - min(stamps) >= 2**63 or max(map(abs, stamps)) >= 2**63:
         raise BadRecord(
             f"{source}: time stamps beyond the years 1678 to 2262; check the time's form"
@@ -289,6 +285,13 @@ def no_number(cell: str, where: str) -> BadRecord:
         f"{where}: {cell[:40]!r} is not a number",
         way_on=[("missing", [cell[:40]], "if it means no value")],
     )
+
+
+def _values(cells: list[str], mapping: LoggerMapping, where: str) -> list[float]:
+    return [
+        _value(cells[column - 1], mapping, column, f"{where}, column {name!r}")
+        for column, name in mapping.names.items()
+    ]
 
 
 def _value(cell: str, mapping: LoggerMapping, column: int, where: str) -> float:
@@ -341,6 +344,7 @@ def parse_logger(
     text = decoded(content, source, mapping.encoding)[0]
     stamps, values, rows = table(text, mapping, source, notes)
     stamps, values = _ordered(stamps, values, rows, mapping, notes, source)
+    # from the first stamp: seconds since 1970 as a double would be rounded to 2e-7 s
     time = (stamps - stamps[0]) / 1e9
     names = [*mapping.names.values()]
     columns = np.stack([time, *values])
@@ -375,26 +379,17 @@ def _ordered(
     notes: list[str],
     source: str,
 ) -> tuple[npt.NDArray[np.int64], FloatArray]:
-    backward = np.diff(stamps) < 0
+    """Rows in order of time, one a stamp, as the mapping has them; BadRecord where it does not say
+    how.
+    """
     was_set = clock_steps(stamps)
-    if mapping.reordered == "bridge" and (changed := sorted([*was_set, *_hours_ahead(stamps)])):
-        stamps = _bridged(stamps, changed)
-        notes.append(
-            f"the clock was set {len(changed)} time{'s' * (len(changed) > 1)}, first at row"
-            f" {rows[changed[0]]}; bridged by the usual step: what was lost in that moment cannot"
-            " be seen"
-        )
-        backward = np.diff(stamps) < 0
+    if mapping.reordered == "bridge":
+        stamps = _over_settings(stamps, was_set, rows, notes)
+    backward = np.diff(stamps) < 0
     if backward.any():
         if mapping.reordered != "sort" or was_set:
             row = rows[int(was_set[0] if was_set else np.argmax(backward) + 1)]
-            says = (
-                f"{source}, row {row}: time goes back{went_back(stamps, was_set)}; cut the file"
-                " there"
-            )
-            if mapping.time_form in SINCE_START:
-                raise BadRecord(says)
-            raise BadRecord(f"{says}, or", way_on=[_BRIDGE if was_set else _SORT])
+            raise _goes_back(f"{source}, row {row}", stamps, was_set, mapping)
         order = np.argsort(stamps, kind="stable")
         stamps, values, rows = stamps[order], values[:, order], [rows[k] for k in order]
         notes.append(f"rows sorted by time: {int(backward.sum())} steps went back")
@@ -410,9 +405,42 @@ def _ordered(
         return _spread(stamps, starts, rows, source), values
     if mapping.duplicates == "first":
         return stamps[starts], values[:, starts]
+    return stamps[starts], _means(values, starts)
+
+
+def _over_settings(
+    stamps: npt.NDArray[np.int64], was_set: list[int], rows: list[int], notes: list[str]
+) -> npt.NDArray[np.int64]:
+    """The stamps as if nobody had set the clock, back or an hour ahead; `notes` tell how often."""
+    changed = sorted([*was_set, *_hours_ahead(stamps)])
+    if not changed:
+        return stamps
+    notes.append(
+        f"the clock was set {len(changed)} time{'s' * (len(changed) > 1)}, first at row"
+        f" {rows[changed[0]]}; bridged by the usual step: what was lost in that moment cannot"
+        " be seen"
+    )
+    return _bridged(stamps, changed)
+
+
+def _goes_back(
+    where: str, stamps: npt.NDArray[np.int64], was_set: list[int], mapping: LoggerMapping
+) -> BadRecord:
+    """The refusal of times that go back."""
+    says = f"{where}: time goes back{went_back(stamps, was_set)}; cut the file there"
+    # times since a start tell nothing of the time between two starts: there is no way on
+    if mapping.time_form in SINCE_START:
+        return BadRecord(says)
+    return BadRecord(f"{says}, or", way_on=[_BRIDGE if was_set else _SORT])
+
+
+def _means(values: FloatArray, starts: npt.NDArray[np.intp]) -> FloatArray:
+    """Means over the rows from each start to the next of what is not missing, shape (c, starts);
+    NaN where all of it is.
+    """
     present = np.add.reduceat((~np.isnan(values)).astype(float), starts, axis=1)
     total = np.add.reduceat(np.nan_to_num(values), starts, axis=1)
-    return stamps[starts], np.where(present > 0, total / np.maximum(present, 1), np.nan)
+    return np.where(present > 0, total / np.maximum(present, 1), np.nan)
 
 
 def _spread(

@@ -34,16 +34,20 @@ MISSING = (
 )
 """Cells that loggers write for a value that is not there, in lower case."""
 _SIGN = ("decimal", "SIGN")
+# whatever sign and grouping: which of them holds is found, or said
 _NUMBER = re.compile(r"[+-]?(\d[\d.,]*|[.,]\d+)([eE][+-]?\d+)?")
+# a date with the year first or last, a time of day, or a month by name
 _STAMP = re.compile(
     r"(\d{4}[-/.]\d\d?[-/.]\d\d?|\d\d?[-/.]\d\d?[-/.](\d{4}|\d\d)|\d+:\d\d|\d\d?[-."
     r" /]+[A-Za-zä]{3,9}[-. ,/]+\d{4}"
     r"|[A-Za-zä]{3,9}[. ]+\d\d?,? +\d{4})([T :,.][^|;\t]*)?"
 )
+# by the decimal sign, numbers with the other sign between their thousands
 _GROUPED = {
     ",": re.compile(r"[+-]?[1-9]\d{0,2}(\.\d{3})+(,\d*)?"),
     ".": re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+(\.\d*)?"),
 }
+# numbers that can be read with this decimal sign only; `1,234` and `1.234` are not among them
 _SURE = {
     sign: re.compile(
         rf"[+-]?((0|\d{{4,}})?{at}\d+|\d*{at}(\d{{1,2}}|\d{{4,}})|\d+{at}|[1-9]\d{{0,2}}({by}\d{{3}})+{at}\d*"
@@ -51,14 +55,13 @@ _SURE = {
     )
     for sign, at, by in ((",", ",", r"\."), (".", r"\.", ","))
 }
-"""Numbers that can be read with this decimal sign only; `1,234` and `1.234` are not among them."""
+# a number and a word of at most twelve letters behind it
 _WITH_UNIT = re.compile(r"([+-]?[\d.,]+(?:[eE][+-]?\d+)?)\s*([A-Za-zµΩ°%][^\s\d:;,]{0,11})")
-_SCANNED = 2000
-_BLANK_BETTER = 0.1
+_SCANNED = 2000  # lines by which the delimiter is found
+_BLANK_BETTER = 0.1  # of a row that is cut into values, by which the blank must be better
+# what stands between thousands beside point and comma: blanks that do not break, Swiss
+# apostrophes
 _BLANKS = "\u00a0\u202f\u2009 '’"
-"""What stands between thousands beside point and comma: blanks that do not break, Swiss
-apostrophes.
-"""
 _BY_BLANKS = re.compile(rf"[+-]?[1-9]\d{{0,2}}([{_BLANKS}]\d{{3}})+([.,]\d*)?")
 
 
@@ -100,6 +103,7 @@ def _encoding(content: bytes) -> tuple[str, str]:
         return "utf-32", "byte-order mark of UTF-32"
     if content.startswith((b"\xff\xfe", b"\xfe\xff")):
         return "utf-16", "byte-order mark of UTF-16"
+    # without a mark: letters of ASCII have a zero byte beside them in UTF-16
     head = content[:4000]
     if len(head) > 3 and head[1::2].count(0) > 0.4 * len(head[1::2]):
         return "utf-16-le", "every second byte is zero"
@@ -109,6 +113,7 @@ def _encoding(content: bytes) -> tuple[str, str]:
         content.decode("utf-8")
         return "utf-8", "all bytes are valid UTF-8"
     except UnicodeDecodeError as error:
+        # which has a character for every byte
         return "latin-1", f"byte {error.start} is not valid UTF-8; one byte a character"
 
 
@@ -169,20 +174,13 @@ def find_delimiter(text: str, source: str, missing: Collection[str] = ()) -> tup
     be better by a tenth: a few words that mean no value must not make it the delimiter.
     """
     lines = [line for line in text.splitlines()[:_SCANNED] if line.strip()]
+    # the later half: the head's lines are cut otherwise than the samples
     sample = "\n".join(lines[len(lines) // 2 :])
     best = (0.0, "", "")
     for delimiter in DELIMITERS:
         rows = cells_of(sample, delimiter)
         width, count = Counter(map(len, rows)).most_common(1)[0]
-        filled = [
-            cell
-            for row in rows
-            for cell in row
-            if cell.lower() not in MISSING and cell.lower() not in missing
-        ]
-        share = sum(is_value(cell) or with_unit(cell) is not None for cell in filled) / max(
-            1, len(filled)
-        )
+        share = _share_of_values([cell for row in rows for cell in row], {*MISSING, *missing})
         score = share * count / len(rows)
         if width >= 2 and score > best[0] + (_BLANK_BETTER if delimiter == " " else 1e-9):
             best = (
@@ -200,6 +198,13 @@ def find_delimiter(text: str, source: str, missing: Collection[str] = ()) -> tup
     return best[1], best[2]
 
 
+def _share_of_values(cells: list[str], missing: Collection[str]) -> float:
+    """Part of the cells that hold something which are values, with a unit behind them or none."""
+    filled = [cell for cell in cells if cell.lower() not in missing]
+    n_values = sum(is_value(cell) or with_unit(cell) is not None for cell in filled)
+    return n_values / max(1, len(filled))
+
+
 def find_decimal(rows: list[list[str]], source: str, first_row: int) -> tuple[str, str]:
     """(decimal sign, reason); BadRecord where `1,234` may be either, or where both signs are
     used.
@@ -208,26 +213,33 @@ def find_decimal(rows: list[list[str]], source: str, first_row: int) -> tuple[st
     unsure: tuple[int, str] | None = None
     for row, cells in enumerate(rows, start=first_row):
         for cell in map(ungrouped, cells):
-            if not _NUMBER.fullmatch(cell) or not ("," in cell or "." in cell):
-                continue
-            signs = [sign for sign, pattern in _SURE.items() if pattern.fullmatch(cell)]
+            signs = _signs_of(cell)
             if len(signs) == 1:
                 by_sign.setdefault(signs[0], (row, cell))
-            elif "," in cell and unsure is None:
-                unsure = (row, cell)
-    if len(by_sign) == 2:
+            elif signs and "," in cell:
+                # a point that may be either is one: only a comma has to be asked for
+                unsure = unsure or (row, cell)
+    if len(by_sign) == 2:  # both signs are sure somewhere
         says = " and ".join(f"{cell!r} in row {row}" for row, cell in by_sign.values())
         raise BadRecord(f"{source}: both decimal signs are used, {says}", way_on=[_SIGN])
     if by_sign:
         sign, (row, cell) = next(iter(by_sign.items()))
         return sign, f"{cell!r} in row {row} reads only so"
-    if unsure is not None:
+    if unsure:
         row, cell = unsure
         raise BadRecord(
             f"{source}, row {row}: {cell!r} may hold a decimal comma or a thousands sign",
             way_on=[_SIGN],
         )
     return ".", "no cell says otherwise"
+
+
+def _signs_of(cell: str) -> list[str]:
+    """The decimal signs with which a number that holds a sign can be read; none for other cells."""
+    if not _NUMBER.fullmatch(cell) or not ("," in cell or "." in cell):
+        return []
+    sure = [sign for sign, pattern in _SURE.items() if pattern.fullmatch(cell)]
+    return sure if len(sure) == 1 else [*_SURE]
 
 
 def number(cell: str, decimal: str) -> float:

@@ -48,7 +48,9 @@ UNITS = {
     **dict.fromkeys(("min", "minutes"), "minutes"),
     **dict.fromkeys(("h", "hr", "hours"), "hours"),
 }
+# day 0 of a spreadsheet, which counts 1900 as a leap year: right from 1900-03-01 on
 _EXCEL_EPOCH = datetime(1899, 12, 30, tzinfo=UTC)
+# English, and German where it differs
 _MONTHS = {
     **{
         "jan": 1,
@@ -71,21 +73,20 @@ _NAMED = re.compile(
     r" ,:]+(.*))?"
 )
 _MINUTES = re.compile(r"(\d+):([0-5]\d)(?:[.,](\d+))?", re.ASCII)
-_CENTURY = 70
-"""Years of two digits from here on are of the twentieth century (POSIX has 69)."""
-_DATENUM_1970 = 719_529
-"""MATLAB's day number of 1970-01-01."""
-_DAY = 86_400 * 10**9
+_CENTURY = 70  # years of two digits from here on are of the twentieth century (POSIX has 69)
+_DATENUM_1970 = 719_529  # MATLAB's day number of 1970-01-01
+_DAY = 86_400 * 10**9  # [ns]
 _DATE = re.compile(r"(\d{1,4})[-/.](\d{1,2})[-/.](\d{1,4})(?:[T ,]+(.*))?", re.ASCII)
 _CLOCK = re.compile(
     r"(\d+):(\d\d)(?::(\d\d)(?:([.,:])(\d+))?)?\s*([AaPp][Mm])?\s*(Z|UTC|[+-]\d\d:?\d\d|[+-]\d\d)?",
     re.ASCII | re.IGNORECASE,
 )
 _1904 = "seconds since 1904"
+# seconds from 1904-01-01, where LabVIEW and old Macintoshes begin to count, to 1970-01-01 (both
+# UTC)
 _SINCE_1904 = 2_082_844_800
-"""Seconds from 1904-01-01, where LabVIEW and old Macintoshes begin to count, to 1970-01-01 (both
-UTC).
-"""
+# forms of numbers that count from an epoch, and the numbers that are then of our days, 2001-09 to
+# 2039-09: these ranges do not overlap
 _EPOCHS = (
     ("epoch s", 1e9, 2.2e9),
     (_1904, 1e9 + _SINCE_1904, 2.2e9 + _SINCE_1904),
@@ -93,9 +94,6 @@ _EPOCHS = (
     ("epoch us", 1e15, 2.2e15),
     ("epoch ns", 1e18, 2.2e18),
 )
-"""Forms of numbers that count from an epoch, and the numbers that are then of our days: these do
-not overlap.
-"""
 
 
 def seconds_of(unit: str) -> float | None:
@@ -116,14 +114,10 @@ def number_form(name: str, unit: str, values: npt.NDArray[np.float64]) -> tuple[
         form = UNITS.get(unit.lower(), "")
         return (form, f"unit {unit!r} of column {name!r}") if form else None
     words = re.split(r"[\s_.:-]+", name.lower())
-    if "datenum" in words and float(np.min(values)) > 690_000 and float(np.max(values)) < 770_000:
-        return (
-            "datenum",
-            (
-                f"MATLAB's days: {float(np.min(values)):.5f} is"
-                f" {_date(float(np.min(values)), 'datenum')}"
-            ),
-        )
+    low, high = float(np.min(values)), float(np.max(values))
+    # 690 000 is in 1889, 770 000 in 2108
+    if "datenum" in words and low > 690_000 and high < 770_000:
+        return "datenum", f"MATLAB's days: {low:.5f} is {_date(low, 'datenum')}"
     if words[-1] in UNITS and len(words) > 1:
         return UNITS[words[-1]], f"the name {name!r} ends in {words[-1]!r}"
     return _excel_form(words, values)
@@ -133,13 +127,8 @@ def _epoch_form(unit: str, low: float, high: float) -> tuple[str, str] | None:
     """The unit in which numbers from `low` to `high` are times of our days, since 1970 or 1904."""
     for form, least, most in _EPOCHS:
         if least <= low and high <= most and (not unit or UNITS.get(unit.lower()) == _plain(form)):
-            return (
-                form,
-                (
-                    f"{low:.0f} is {_date(low, form)} as seconds since"
-                    f" {1904 if form == _1904 else 1970}"
-                ),
-            )
+            since = 1904 if form == _1904 else 1970
+            return form, f"{low:.0f} is {_date(low, form)} as seconds since {since}"
     return None
 
 
@@ -147,19 +136,11 @@ def _excel_form(words: list[str], values: npt.NDArray[np.float64]) -> tuple[str,
     """Days of a spreadsheet: close together, of our days, in a column that is called a date."""
     low, high = float(np.min(values)), float(np.max(values))
     step = float(np.median(np.abs(np.diff(values)))) if len(values) > 1 else 0.0
-    if (
-        low >= 25000
-        and high <= 75000
-        and 0 < step < 0.05
-        and {"date", "datetime", "datum"} & set(words)
-    ):
-        return (
-            "excel",
-            (
-                f"days since 1899-12-30: {low:.5f} is"
-                f" {(_EXCEL_EPOCH + timedelta(days=low)):%Y-%m-%d %H:%M}"
-            ),
-        )
+    is_called_date = not {"date", "datetime", "datum"}.isdisjoint(words)
+    # 25 000 is in 1968, 75 000 in 2105; a step of 0.05 days is 72 minutes
+    if is_called_date and low >= 25000 and high <= 75000 and 0 < step < 0.05:
+        first = _EXCEL_EPOCH + timedelta(days=low)
+        return "excel", f"days since 1899-12-30: {low:.5f} is {first:%Y-%m-%d %H:%M}"
     return None
 
 
@@ -169,13 +150,15 @@ def _plain(form: str) -> str:
 
 def _date(value: float, form: str) -> str:
     if form == "datenum":
-        return f"{datetime(1970, 1, 1, tzinfo=UTC) + timedelta(days=value - _DATENUM_1970):%Y-%m-%d %H:%M}"
+        instant = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(days=value - _DATENUM_1970)
+        return f"{instant:%Y-%m-%d %H:%M}"
     since = _SINCE_1904 if form == _1904 else 0
     return f"{datetime.fromtimestamp(value * float(PER_SECOND[form]) - since, UTC):%Y-%m-%d %H:%M}"
 
 
 def stamp_form(cells: list[str]) -> tuple[str, str] | None:
     """(form, reason) of a column of stamps; `day or month first` where the dates do not tell."""
+    # two numbers and a colon are a time of day, too: they are looked for first
     if all(_MINUTES.fullmatch(cell) for cell in cells):
         return _two_parts(cells)
     if all(_CLOCK.fullmatch(cell) for cell in cells):
@@ -183,11 +166,18 @@ def stamp_form(cells: list[str]) -> tuple[str, str] | None:
     if all(_numbered(cell) != cell for cell in cells):
         return "day first", f"months by name, {cells[0]!r}"
     dates = [_DATE.fullmatch(cell) for cell in cells]
-    if not all(dates):
-        return None
     parts = [match.groups() for match in dates if match]
-    if all(len(first) <= 2 and len(third) <= 2 for first, _, third, _ in parts):
+    if len(parts) < len(cells):
+        return None
+    if max(len(outer) for first, _, third, _ in parts for outer in (first, third)) <= 2:
         return _short_year(cells, parts)
+    return _long_year(cells, parts)
+
+
+def _long_year(cells: list[str], parts: list[tuple[str, ...]]) -> tuple[str, str]:
+    """What three numbers are of which one is a year of four digits: one date with a part above 12
+    tells the order of all.
+    """
     if all(len(first) == 4 for first, *_ in parts):
         return "iso", f"year first, {cells[0]!r}"
     if any(int(first) > 12 for first, *_ in parts):
@@ -262,24 +252,32 @@ def nanoseconds(cell: str, form: str, decimal: str) -> int:
     nothing.
     """
     if form in PER_SECOND:
-        number(cell, decimal)
-        count = (
-            Fraction(cell.replace(",", ".") if decimal == "," else cell.replace(",", ""))
-            * PER_SECOND[form]
-        )
-        return round((count - (_SINCE_1904 if form == _1904 else 0)) * 10**9)
+        return _of_number(cell, form, decimal)
     if form == "excel":
+        # days as a double are exact to a microsecond in our days, not to a nanosecond
         microseconds = round(number(cell, decimal) * 86_400_000_000)
-        return (
-            microseconds
-            + int((_EXCEL_EPOCH - datetime(1970, 1, 1, tzinfo=UTC)).total_seconds()) * 10**6
-        ) * 1000
+        since_1970 = int((_EXCEL_EPOCH - datetime(1970, 1, 1, tzinfo=UTC)).total_seconds())
+        return (microseconds + since_1970 * 10**6) * 1000
     if form == "datenum":
         return round((Fraction(cell.replace(",", ".")) - _DATENUM_1970) * _DAY)
     if form in ("clock", "hh:mm"):
         return _clock(cell)
     if form == "mm:ss":
         return _minutes(cell)
+    return _of_date(cell, form)
+
+
+def _of_number(cell: str, form: str, decimal: str) -> int:
+    """Time [ns] of a number that counts seconds or parts of them."""
+    number(cell, decimal)  # raises where the cell is none
+    digits = cell.replace(",", ".") if decimal == "," else cell.replace(",", "")
+    # a fraction, for a double holds 15 to 17 of the 19 digits of nanoseconds since 1970
+    seconds = Fraction(digits) * PER_SECOND[form]
+    return round((seconds - (_SINCE_1904 if form == _1904 else 0)) * 10**9)
+
+
+def _of_date(cell: str, form: str) -> int:
+    """Time [ns] of a date, with or without a time of day."""
     match = _DATE.fullmatch(_numbered(cell))
     if not match:
         raise ValueError(cell)
@@ -310,25 +308,38 @@ def _minutes(text: str) -> int:
     match = _MINUTES.fullmatch(text.strip())
     if not match:
         raise ValueError(text)
-    return (int(match[1]) * 60 + int(match[2])) * 10**9 + int((match[3] or "0")[:9].ljust(9, "0"))
+    return (int(match[1]) * 60 + int(match[2])) * 10**9 + _fraction(match[3])
 
 
 def _clock(text: str) -> int:
+    """Time of day [ns] in UTC; ValueError for a minute above 59."""
     match = _CLOCK.fullmatch(text.strip())
     if not match:
         raise ValueError(text)
     hours, minutes, seconds, sign, fraction, half, zone = match.groups()
-    hour = int(hours)
-    if half:
-        if not 1 <= hour <= 12:
-            raise ValueError(text)
-        hour = hour % 12 + (12 if half.lower() == "pm" else 0)
-    if int(minutes) > 59 or int(seconds or 0) > 60 or (sign == ":" and len(fraction) > 3):
+    hour = int(hours) if half is None else _hour_of_half_day(int(hours), half, text)
+    # a leap second is written 60
+    if int(minutes) > 59 or int(seconds or 0) > 60:
         raise ValueError(text)
     if sign == ":":  # milliseconds as a number, which some write without leading noughts
+        if len(fraction) > 3:
+            raise ValueError(text)
         fraction = fraction.zfill(3)
     whole = hour * 3600 + int(minutes) * 60 + int(seconds or 0) - _offset(zone)
-    return whole * 10**9 + int((fraction or "0")[:9].ljust(9, "0"))
+    return whole * 10**9 + _fraction(fraction)
+
+
+def _hour_of_half_day(hour: int, half: str, text: str) -> int:
+    """The hour from midnight of one from 1 to 12 that counts half a day."""
+    if not 1 <= hour <= 12:
+        raise ValueError(text)
+    # 12 am is midnight, 12 pm noon
+    return hour % 12 + (12 if half.lower() == "pm" else 0)
+
+
+def _fraction(digits: str | None) -> int:
+    """Nanoseconds that decimals of a second are; digits beyond the ninth are cut."""
+    return int((digits or "0")[:9].ljust(9, "0"))
 
 
 def _offset(zone: str | None) -> int:

@@ -17,10 +17,10 @@ an overload.
 """
 NO_VALUE = "no value: "
 """How a note begins that tells of such numbers."""
+# nines, and the ends of integers of 16 and 32 bits
 _MARK = re.compile(r"-?(9{3,}(\.9+)?|32767|32768|65535|2147483647|2147483648)")
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,3})?")
-_APART = 2.0
-"""Of the spread of all other values: so far away from them stands a mark."""
+_APART = 2.0  # times the spread of all other values: so far away from them stands a mark
 
 
 def without_overloads(record: Record) -> Record:
