@@ -23,7 +23,7 @@ from residuum.diagnosis.vibration.bearing_lines import (
     LineEvidence,
     line_evidence,
 )
-from residuum.diagnosis.vibration.bearings.moving_lines import (
+from residuum.diagnosis.vibration.moving_lines import (
     faulty_bearing,
     moving_line,
     without_knocks,
