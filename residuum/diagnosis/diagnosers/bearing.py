@@ -57,17 +57,18 @@ from residuum.identification.units import compatible, convert
 from residuum.nearest_names import known_names
 
 SHAPE = ("rms", "kurtosis", "crest")
-PROMINENT = (
-    6.0  # healthy records, real and made, stay below 5.3; see benchmarks/results/vibration.md
-)
+# Prominence [deciles above the control frequencies] from which on a line family means a fault.
+# healthy records, real and made, stay below 5.3; see benchmarks/results/vibration.md
+PROMINENT = 6.0
 PROMINENT_BESIDE_A_CHANGE = 4.5
-PROMINENT_WITHOUT_A_CHANGE = (
-    7.5  # one healthy second of a real rig reaches 6.1 while every level stays as it was
-)
-DEPTH = (
-    0.08  # a line family that modulates the envelope by less is no fault yet, however significant
-)
+# one healthy second of a real rig reaches 6.1 while every level stays as it was
+PROMINENT_WITHOUT_A_CHANGE = 7.5
+# a line family that modulates the envelope by less is no fault yet, however significant
+DEPTH = 0.08
+# kurtosis; without a line to name a part, so impulsive a signal is `unknown`
 IMPULSIVE = 6.0
+# the cage's family must lead the others by a quarter, because its harmonics meet theirs: BPFO = N
+# FTF
 _CAGE_LEADS_BY = 1.25
 # of the most prominent family: one fault's lines make another family stand out by half as much, on
 # real rigs too
@@ -167,28 +168,10 @@ class Bearing(Diagnoser):
         machine_class: str | None = None,
         false_alarm: float = 1e-5,
     ) -> None:
-        if orders and hertz:
-            raise BadInput("bearing: orders and hertz are given; must be one of them")
-        if speed_rpm is not None and not 0 < speed_rpm < np.inf:
-            raise BadInput(f"bearing: speed_rpm is {speed_rpm!r}; must be a positive number")
-        if not 0 < false_alarm < 0.5:
-            raise BadInput(f"bearing: false_alarm is {false_alarm!r}; must be between 0 and 0.5")
-        if machine_class is not None and machine_class not in LIMITS:
-            raise BadInput(
-                f"bearing: machine class {machine_class!r} is not known;"
-                f" {known_names(machine_class, LIMITS)}"
-            )
-        if orders:
-            BearingFrequencies.from_orders(orders, 1.0)
-        if hertz:
-            BearingFrequencies.from_hertz(hertz)
+        _refuse_settings(orders, hertz, speed_rpm, machine_class, false_alarm)
         self.orders, self.hertz = dict(orders or {}), dict(hertz or {})
-        self.speed_rpm, self.channel, self.machine_class, self.false_alarm = (
-            speed_rpm,
-            channel,
-            machine_class,
-            false_alarm,
-        )
+        self.speed_rpm, self.channel = speed_rpm, channel
+        self.machine_class, self.false_alarm = machine_class, false_alarm
         self._baseline: _Baseline | None = None
 
     def with_settings(self, **settings: Any) -> Self:
@@ -235,7 +218,7 @@ class Bearing(Diagnoser):
             frequencies = self._frequencies(record, speed)
             x, _ = without_knocks(self._trainable(record), rate, _slowest(frequencies))
             parts += _windows(x, rate, window)
-            if frequencies:
+            if frequencies.lines:
                 steady = at_steady_speed(
                     x, record, speed, self.speed_rpm, in_hertz=bool(self.hertz)
                 )
@@ -278,45 +261,65 @@ class Bearing(Diagnoser):
         return judged
 
     def _score_block(self, record: Record) -> Finding:
-        x, unit = self._acceleration(record)
-        if reason := unusable(x, _SHORTEST):
+        raw, unit = self._acceleration(record)
+        if reason := unusable(raw, _SHORTEST):
             return Finding.not_assessable(self.name, reason)
+        rate = record.sampling_rate
         speed = self._speed_channel(record)
         frequencies = self._frequencies(record, speed)
-        x, spikes = without_spikes(x)
-        x, knocks = without_knocks(x, record.sampling_rate, _slowest(frequencies))
-        if reason := suspect(x, record.sampling_rate, frequencies.shaft if frequencies else None):
+        x, spikes = without_spikes(raw)
+        x, knocks = without_knocks(x, rate, _slowest(frequencies))
+        if reason := suspect(x, rate, frequencies.shaft):
             return Finding.not_assessable(self.name, reason)
-        measured = _Measured.of(x, record.sampling_rate, self._baseline)
+        measured = _Measured.of(x, rate, self._baseline)
         if self._baseline and (reason := self._baseline.deaf(measured)):
             return Finding.not_assessable(self.name, reason)
         try:
-            evidence = self._lines(record, x, speed, frequencies) if frequencies else {}
-            zone = (
-                severity(x, record.sampling_rate, self.machine_class)
-                if self.machine_class
-                else None
-            )
+            evidence = self._lines(record, x, speed, frequencies)
+            beside = self._severity(x, rate)
         except BadInput as error:
             return Finding.not_assessable(self.name, str(error))
-        if frequencies and not evidence and self._baseline is None:
+        # a baseline judges levels too, for which no line is needed
+        if frequencies.lines and not evidence and self._baseline is None:
             return Finding.not_assessable(
                 self.name, f"the window of {record.duration:g} s is too short for any fault line"
             )
-        more = ({"severity": vars(zone)} if zone else {}) | ({"knocks_s": knocks} if knocks else {})
-        judged = self._judge(measured, evidence, unit, more).with_remarks(
-            remarks(x, record.sampling_rate, unit, spikes)
+        if knocks:
+            beside["knocks_s"] = knocks
+        judged = self._judge(measured, evidence, unit, beside).with_remarks(
+            remarks(x, rate, unit, spikes)
         )
+        if speed is not None:
+            return judged  # the lines were looked for in shaft angle: nothing is smeared
+        return self._unless_speed_changes(judged, record, x, frequencies)
+
+    def _unless_speed_changes(
+        self, judged: Finding, record: Record, x: AnyArray, frequencies: BearingFrequencies
+    ) -> Finding:
+        """The finding, or that the window cannot be judged where its lines were smeared.
+
+        A changing speed smears the fast lines first: what is left says `healthy`, or names the
+        cage, whose line is the slowest. Any other class stood out although it was smeared.
+        """
         smeared = judged.verdict is Verdict.HEALTHY or judged.fault_class == CLASS_OF["ftf"]
-        if smeared and speed is None and frequencies and (line := _moving(x, record, frequencies)):
+        if smeared and (line := _moving(x, record, frequencies)):
             return Finding.not_assessable(self.name, line)
         return judged
 
     def _lines(
         self, record: Record, x: AnyArray, speed: str | None, frequencies: BearingFrequencies
     ) -> dict[str, LineEvidence]:
+        """Evidence of each fault line, looked for in shaft angle where the speed varies."""
+        if not frequencies.lines:
+            return {}
         steady = at_steady_speed(x, record, speed, self.speed_rpm, in_hertz=bool(self.hertz))
         return line_evidence(steady, record.sampling_rate, frequencies)
+
+    def _severity(self, x: AnyArray, rate: float) -> dict[str, Any]:
+        """Velocity RMS and its zone as evidence; empty where no machine class was given."""
+        if not self.machine_class:
+            return {}
+        return {"severity": vars(severity(x, rate, self.machine_class))}
 
     def _judge(
         self,
@@ -333,30 +336,31 @@ class Bearing(Diagnoser):
             f"prominence_{name}": self._line_limit(name, bool(changed)) for name in lines
         }
         likely = _likely(lines, line_limits)
-        named = likely[0] if len(likely) == 1 else None
-        worst = max(
-            [values[name] / limits[name] for name in limits]
-            + [
-                line.prominence / line_limits[f"prominence_{name}"] * min(1.0, line.depth / DEPTH)
-                for name, line in lines.items()
-            ]
-        )
-        faulty = bool(likely or changed)
+        verdict, fault_class, reason = Verdict.HEALTHY, None, None
+        if likely or changed:
+            # two families that stand out nearly alike name no part
+            fault_class = CLASS_OF[likely[0]] if len(likely) == 1 else "unknown"
+            verdict, reason = Verdict.FAULTY, _says(likely, lines, changed, values, limits)
+        evidence = {
+            "lines": {name: vars(line) for name, line in lines.items()},
+            "changed": changed,
+            "baseline": self._baseline is not None,
+        }
+        if len(likely) > 1:
+            evidence["likely"] = [CLASS_OF[name] for name in likely]
         return Finding(
             self.name,
-            Verdict.FAULTY if faulty else Verdict.HEALTHY,
-            (CLASS_OF[named] if named else "unknown") if faulty else None,
-            {**values, **prominences, "severity": worst},
+            verdict,
+            fault_class,
+            {
+                **values,
+                **prominences,
+                "severity": _largest_excess(values, limits, lines, line_limits),
+            },
             {**limits, **line_limits, "severity": 1.0},
             {name: unit for name in values if name.startswith("rms")},
-            {
-                "lines": {name: vars(line) for name, line in lines.items()},
-                "changed": changed,
-                "baseline": self._baseline is not None,
-                **({"likely": [CLASS_OF[name] for name in likely]} if len(likely) > 1 else {}),
-                **more,
-            },
-            _says(likely, lines, changed, values, limits) if faulty else None,
+            {**evidence, **more},
+            reason,
         )
 
     def _limits(self, measured: _Measured) -> dict[str, float]:
@@ -415,18 +419,16 @@ class Bearing(Diagnoser):
         """The channel of the shaft's speed; several are no reason to refuse a record that does not
         need one.
         """
-        return (
-            only_speed_channel(record)
-            if self.hertz or self.speed_rpm or not self.orders
-            else speed_channel(record)
-        )
+        speed_is_optional = self.hertz or self.speed_rpm or not self.orders
+        return only_speed_channel(record) if speed_is_optional else speed_channel(record)
 
-    def _frequencies(self, record: Record, channel: str | None) -> BearingFrequencies | None:
+    def _frequencies(self, record: Record, channel: str | None) -> BearingFrequencies:
+        """Fault frequencies at the record's speed; without lines where no bearing was described."""
         speed = self.speed_rpm or usual_speed(record, channel)
         if self.hertz:
             return BearingFrequencies.from_hertz(self.hertz, speed / 60 if speed else None)
         if not self.orders:
-            return None
+            return BearingFrequencies({})
         if speed:
             return BearingFrequencies.from_orders(self.orders, speed / 60)
         wrong, way_on = unusable_speeds(record)
@@ -532,6 +534,32 @@ class _Measured:
         )
 
 
+def _refuse_settings(
+    orders: Mapping[str, float] | None,
+    hertz: Mapping[str, float] | None,
+    speed_rpm: float | None,
+    machine_class: str | None,
+    false_alarm: float,
+) -> None:
+    """BadInput for settings that contradict each other or that no bearing has."""
+    if orders and hertz:
+        raise BadInput("bearing: orders and hertz are given; must be one of them")
+    if speed_rpm is not None and not 0 < speed_rpm < np.inf:
+        raise BadInput(f"bearing: speed_rpm is {speed_rpm!r}; must be a positive number")
+    if not 0 < false_alarm < 0.5:
+        raise BadInput(f"bearing: false_alarm is {false_alarm!r}; must be between 0 and 0.5")
+    if machine_class is not None and machine_class not in LIMITS:
+        raise BadInput(
+            f"bearing: machine class {machine_class!r} is not known;"
+            f" {known_names(machine_class, LIMITS)}"
+        )
+    # made for their refusals alone: the shaft's frequency is not known before there is a record
+    if orders:
+        BearingFrequencies.from_orders(orders, 1.0)
+    if hertz:
+        BearingFrequencies.from_hertz(hertz)
+
+
 def _healthy(records: Sequence[Record], labels: Sequence[str] | None) -> list[Record]:
     """The healthy ones of the records, long ones in blocks; BadInput when they differ in rate."""
     if labels is not None and len(labels) != len(records):
@@ -618,6 +646,24 @@ def _most_prominent(lines: Mapping[str, LineEvidence], limits: Mapping[str, floa
     return named
 
 
+def _largest_excess(
+    values: Mapping[str, float],
+    limits: Mapping[str, float],
+    lines: Mapping[str, LineEvidence],
+    line_limits: Mapping[str, float],
+) -> float:
+    """The largest indicator or line as a multiple of its limit.
+
+    A line family that modulates the envelope by less than `DEPTH` counts for as much less.
+    """
+    levels = [values[name] / limits[name] for name in limits]
+    prominences = [
+        line.prominence / line_limits[f"prominence_{name}"] * min(1.0, line.depth / DEPTH)
+        for name, line in lines.items()
+    ]
+    return max(levels + prominences)
+
+
 def _says(
     likely: list[str],
     lines: Mapping[str, LineEvidence],
@@ -668,8 +714,8 @@ def _moving(x: AnyArray, record: Record, frequencies: BearingFrequencies) -> str
     )
 
 
-def _slowest(frequencies: BearingFrequencies | None) -> float | None:
-    return min(frequencies.lines.values()) if frequencies else None
+def _slowest(frequencies: BearingFrequencies) -> float | None:
+    return min(frequencies.lines.values(), default=None)
 
 
 def _example_record(fault: Any, seed: int, seconds: float = 2.0) -> Record:
