@@ -46,6 +46,11 @@ class Pair:
     own: tuple[tuple[str, ...], tuple[str, ...]]
     sizes: tuple[list[int], list[int]]
 
+    @property
+    def labels(self) -> set[str]:
+        """Of both hypotheses."""
+        return {h.label for h in self.both}
+
 
 def pairs(baseline: Baseline, fitter: WindowFitter, singles: Iterable[Tried]) -> list[Pair]:
     """The best pairs of the likeliest hypotheses and of all values and offsets: what one alone
@@ -55,6 +60,7 @@ def pairs(baseline: Baseline, fitter: WindowFitter, singles: Iterable[Tried]) ->
         filter(_combines, singles),
         key=lambda t: fitter.nats(t.fit) + baseline.usual_gain(t.hypothesis),
     )
+    # values and offsets join however little they gain alone: one can make up for the other
     plain = [
         t
         for t in ranked[PAIRED:]
@@ -63,18 +69,13 @@ def pairs(baseline: Baseline, fitter: WindowFitter, singles: Iterable[Tried]) ->
     looks = []
     for a, b in combinations([*ranked[:PAIRED], *plain], 2):
         if set(a.fit.variant.own) & set(b.fit.variant.own):
-            continue
+            continue  # both move one value: no pair
         first, second = _ended(a.fit), b.fit.variant
         fit = fitter.fit(beside(fitter.model, first, second), PAIR_STEPS, beside=a.fit)
-        if fit is not None:
-            looks.append(
-                Pair(
-                    (a.hypothesis, b.hypothesis),
-                    fit,
-                    (first.own, second.own),
-                    _whose(first, second),
-                )
-            )
+        if fit is None:
+            continue
+        own, sizes = (first.own, second.own), _whose(first, second)
+        looks.append(Pair((a.hypothesis, b.hypothesis), fit, own, sizes))
     looks.sort(key=lambda pair: fitter.nats(pair.fit))
     return [_fitted(fitter, pair) for pair in looks[:FITTED_PAIRS]]
 
@@ -85,10 +86,11 @@ def _combines(tried: Tried) -> bool:
 
 
 def _fitted(fitter: WindowFitter, pair: Pair) -> Pair:
+    """The pair fitted to the end; as it was where that diverges or costs more."""
     fit = fitter.fit(pair.fit.variant, begin=pair.fit)
-    return (
-        pair if fit is None or fitter.nats(fit) > fitter.nats(pair.fit) else replace(pair, fit=fit)
-    )
+    if fit is None or fitter.nats(fit) > fitter.nats(pair.fit):
+        return pair
+    return replace(pair, fit=fit)
 
 
 def _ended(fit: Fit) -> Variant:
@@ -140,6 +142,7 @@ def _whose(first: Variant, second: Variant) -> tuple[list[int], list[int]]:
 
 _RANK = {"parameter": 0, "sensor": 1, "actuator": 1, "effect": 2, "disturbance": 3}
 """Order of what cannot be told apart: what changed before what is new."""
+_LAST_RANK = 9  # after every one of them
 
 _NOTHING = 1e-3
 """Share of its standard deviation below which a size is zero."""
@@ -171,25 +174,39 @@ def of_some_size(listed: Sequence[Cause]) -> list[Cause]:
     """Without causes of size zero, which leave the window as it is: what they were said to explain
     has an unknown cause.
     """
-    none = [cause for cause in listed if _is_of_size_zero(cause)]
-    if not none:
+    zero = [cause for cause in listed if _is_of_size_zero(cause)]
+    if not zero:
         return list(listed)
-    names = {cause.hypothesis.label for cause in none if cause.hypothesis is not None}
+    names = {cause.hypothesis.label for cause in zero if cause.hypothesis is not None}
     unknown = sum(
-        cause.probability for cause in listed if cause in none or cause.hypothesis is None
+        cause.probability for cause in listed if cause in zero or cause.hypothesis is None
     )
     sized = [
-        replace(
-            cause,
-            alike=tuple(name for name in cause.alike if name not in names),
-            beside=tuple(name for name in cause.beside if name not in names),
-        )
+        _without_names(cause, names)
         for cause in listed
-        if cause.hypothesis is not None and cause not in none
+        if cause.hypothesis is not None and cause not in zero
     ]
-    nobody = Cause(None, min(unknown, 1.0), np.zeros(0), np.zeros(0), 0)
-    first = not sized or unknown > sized[0].probability
-    return [nobody, *sized] if first else [sized[0], nobody, *sized[1:]]
+    return _with_unknown(sized, unknown, lead=1)
+
+
+def _without_names(cause: Cause, names: set[str]) -> Cause:
+    """The cause with these hypotheses neither alike nor beside it."""
+    return replace(
+        cause,
+        alike=tuple(name for name in cause.alike if name not in names),
+        beside=tuple(name for name in cause.beside if name not in names),
+    )
+
+
+def _with_unknown(listed: Sequence[Cause], probability: float, lead: int) -> list[Cause]:
+    """The causes and `unknown`, which stands first where it is the likeliest, else after the
+    `lead` causes that are told together.
+    """
+    # zero causes of one pair each carry the pair's whole probability: their sum may pass 1
+    unknown = Cause(None, min(probability, 1.0), np.zeros(0), np.zeros(0), 0)
+    if not listed or probability > listed[0].probability:
+        return [unknown, *listed]
+    return [*listed[:lead], unknown, *listed[lead:]]
 
 
 def _is_of_size_zero(cause: Cause) -> bool:
@@ -197,12 +214,9 @@ def _is_of_size_zero(cause: Cause) -> bool:
     be zero.
     """
     h = cause.hypothesis
-    if (
-        h is None
-        or h.kind not in ("effect", "sensor", "actuator")
-        or h.name == "stuck"
-        or not len(cause.size)
-    ):
+    if h is None or not len(cause.size):
+        return False
+    if h.kind not in ("effect", "sensor", "actuator") or h.name == "stuck":
         return False
     return bool(np.all(np.abs(cause.size) <= _NOTHING * np.nan_to_num(cause.std)))
 
@@ -211,80 +225,97 @@ def _causes(baseline: Baseline, window: Experiment, features: FloatArray) -> lis
     fitter = baseline.fitter(window, features)
     healthy, trials = tried(fitter, baseline.hypotheses, baseline.usual_gain)
     if not trials:
-        return [Cause(None, 1.0, np.zeros(0), np.zeros(0), 0)]
-    best = _cheapest(baseline, fitter, trials.values())
-    whole = list(trials.values())
-    left = float(baseline.surprise(features, best.fit).max())
-    # many sizes may stand for a beginning
-    if best.hypothesis.seen is None and (left > UNEXPLAINED or len(best.fit.own) > 2):
+        return _with_unknown([], 1.0, lead=0)
+    all_window_long = list(trials.values())
+    best = _cheapest(baseline, fitter, all_window_long)
+    if _may_have_begun_within(baseline, features, best):
         for label, beginning in begun(baseline, fitter, features).items():
-            trials[label] = _cheapest(
-                baseline, fitter, [beginning, *([trials[label]] if label in trials else [])]
-            )
+            rivals = [beginning, trials[label]] if label in trials else [beginning]
+            trials[label] = _cheapest(baseline, fitter, rivals)
     listed = list(trials.values())
-    weighed = _weighed(baseline, fitter, listed)
+    single_causes = _weighed(baseline, fitter, listed)
     best = _cheapest(baseline, fitter, listed)
-    unknown = (
-        0.0
-        if best.hypothesis.seen is not None
-        else _unknown(baseline, fitter, features, healthy, best.fit)
-    )
+    # noise and lost readings are what is left, so that nothing is left over beside them
+    seen_in_residual = best.hypothesis.seen is not None
+    unknown = 0.0 if seen_in_residual else _unknown(baseline, fitter, features, healthy, best.fit)
     if not unknown:
-        return weighed
-    if (two := _two(baseline, fitter, whole, listed)) is not None:
-        alone = 1.0 - two[2]
-        weighed = [
-            *two[1],
-            *(
-                replace(c, probability=alone * c.probability)
-                for c in weighed
-                if c.hypothesis not in two[0].both
-            ),
-        ]
-        unknown = _unknown(baseline, fitter, features, healthy, two[0].fit)
-    lead = 1 if two is None else 2
-    scaled = [replace(c, probability=(1.0 - unknown) * c.probability) for c in weighed]
-    nobody = [Cause(None, unknown, np.zeros(0), np.zeros(0), 0)] if unknown else []
-    return (
-        [*nobody, *scaled]
-        if unknown > scaled[0].probability
-        else [*scaled[:lead], *nobody, *scaled[lead:]]
-    )
+        return single_causes
+    # one cause leaves more than is usual: two at once are dearer to try, so only now
+    two = _two(baseline, fitter, all_window_long, listed)
+    if two is None:
+        return _with_unknown(_scaled(single_causes, 1.0 - unknown), unknown, lead=1)
+    alone = [c for c in single_causes if c.hypothesis not in two.pair.both]
+    causes = [*two.causes, *_scaled(alone, 1.0 - two.probability)]
+    unknown = _unknown(baseline, fitter, features, healthy, two.pair.fit)
+    causes = _scaled(causes, 1.0 - unknown)
+    return _with_unknown(causes, unknown, lead=2) if unknown else causes
+
+
+def _may_have_begun_within(baseline: Baseline, features: FloatArray, best: Tried) -> bool:
+    """Whether beginnings within the window are worth their work: the best cause that acts all
+    window long leaves much, or has many sizes, which may stand for a beginning.
+    """
+    if best.hypothesis.seen is not None:
+        return False
+    left = float(baseline.surprise(features, best.fit).max())
+    return left > UNEXPLAINED or len(best.fit.own) > 2
+
+
+def _scaled(causes: Iterable[Cause], share: float) -> list[Cause]:
+    """The causes with their probabilities times `share`."""
+    return [replace(cause, probability=share * cause.probability) for cause in causes]
+
+
+@dataclass(frozen=True, eq=False)
+class _TwoCauses:
+    """The best pair, its two causes, and the probability that any pair is right."""
+
+    pair: Pair
+    causes: list[Cause]
+    probability: float
 
 
 def _two(
     baseline: Baseline, fitter: WindowFitter, whole: Sequence[Tried], listed: Sequence[Tried]
-) -> tuple[Pair, list[Cause], float] | None:
+) -> _TwoCauses | None:
     """The best pair of causes that may have acted all window long, where it costs less than any
-    single hypothesis. Beside it stands the probability of any pair; that of a cause is of all pairs
-    which hold it.
+    single hypothesis. The probability of one of its causes is that of all pairs which hold it.
     """
     candidates = pairs(baseline, fitter, whole)
     if not candidates:
         return None
-    names = [{h.label for h in pair.both} for pair in candidates]
+    count = len(candidates)
     fits = [*(pair.fit for pair in candidates), *(t.fit for t in listed)]
     logs = np.array([fitter.logs(fit) for fit in fits])
     usual = [sum(baseline.usual_gain(h) for h in pair.both) for pair in candidates]
     usual += [baseline.usual_gain(t.hypothesis) for t in listed]
     fixed = np.array([fitter.price(fit) for fit in fits]) + np.array(usual)
     total = logs.sum(axis=1) + fixed
-    lead = int(np.argmin(total[: len(candidates)]))
-    if total[lead] > total[len(candidates) :].min() - TIE:
+    lead = int(np.argmin(total[:count]))
+    if total[lead] > total[count:].min() - TIE:
         return None
     wins, near = _wins(logs, fixed), _near(logs, total, lead)
-    rivals = [k for k in range(len(candidates)) if k != lead and near[k]]
-    best, pair_causes = candidates[lead], []
+    rivals = [pair for k, pair in enumerate(candidates) if k != lead and near[k]]
+    best = candidates[lead]
     std = _open(fitter, best.fit)
-    for k, (h, own, at) in enumerate(zip(best.both, best.own, best.sizes, strict=True)):
+    pair_causes = []
+    for k, h in enumerate(best.both):
+        own, at = best.own[k], best.sizes[k]
         partner = best.both[1 - k].label
-        alike = tuple(
-            name for j in rivals if partner in names[j] for name in names[j] - {partner, h.label}
-        )
-        p = sum(float(wins[j]) for j in range(len(candidates)) if h.label in names[j])
+        holding = [j for j, pair in enumerate(candidates) if h.label in pair.labels]
+        probability = min(sum(float(wins[j]) for j in holding), 1.0)
         doubt = np.sqrt(std[at] ** 2 + _scatter(baseline, fitter, h, own, len(at)))
-        pair_causes.append(Cause(h, min(p, 1.0), best.fit.own[at], doubt, 0, alike, (partner,)))
-    return best, pair_causes, float(wins[: len(candidates)].sum())
+        alike = _alike_beside(partner, h, rivals)
+        pair_causes.append(Cause(h, probability, best.fit.own[at], doubt, 0, alike, (partner,)))
+    return _TwoCauses(best, pair_causes, float(wins[:count].sum()))
+
+
+def _alike_beside(partner: str, h: Hypothesis, rivals: Iterable[Pair]) -> tuple[str, ...]:
+    """What might stand in place of a hypothesis beside its partner: the other one of each rival
+    pair that holds the partner.
+    """
+    beside_partner = [pair.labels for pair in rivals if partner in pair.labels]
+    return tuple(name for labels in beside_partner for name in labels - {partner, h.label})
 
 
 def _cheapest(baseline: Baseline, fitter: WindowFitter, fits: Iterable[Tried]) -> Tried:
@@ -310,38 +341,38 @@ def _weighed(baseline: Baseline, fitter: WindowFitter, listed: Sequence[Tried]) 
     """Probability by how often each is the cheapest over resampled blocks; whoever is near the
     leading one, and no richer, is alike.
     """
-    fits = [t.fit for t in listed]
-    logs = np.array([fitter.logs(fit) for fit in fits])
+    logs = np.array([fitter.logs(t.fit) for t in listed])
     fixed = np.array([fitter.price(t.fit) + baseline.usual_gain(t.hypothesis) for t in listed])
-    sizes = np.array([len(fit.own) + (fit.onset > 0) for fit in fits])
+    sizes = np.array([len(t.fit.own) + (t.fit.onset > 0) for t in listed])
     total, wins = logs.sum(axis=1) + fixed, _wins(logs, fixed, sizes)
+    # Shares of draws are compared to a hundredth: beyond it the draws decide, not the window, and
+    # the lower cost does.
     lead = int(np.lexsort((total, -wins.round(2)))[0])
     group = _near(logs, total, lead) & (sizes <= sizes[lead])
     group[lead] = True
-    changed = [
-        0 if set(t.fit.variant.own) & set(baseline.free) else _RANK[t.hypothesis.kind]
-        for t in listed
-    ]
+    # The group first, in it those that cost the same to half a tie by what changed before what is
+    # new, then the lowest cost; outside of it the likeliest.
+    rank = np.array([_rank(baseline, t) for t in listed])
     same = total - total[group].min() < 0.5 * TIE
     order = np.lexsort(
-        (total, np.where(group & same, changed, 9), -np.where(group, 1.0, wins), ~group)
+        (total, np.where(group & same, rank, _LAST_RANK), -np.where(group, 1.0, wins), ~group)
     )
     names = [listed[k].hypothesis.label for k in order if group[k]]
     causes = []
     for k in order[:TOLD].tolist():
-        look = listed[k]
-        alike = tuple(n for n in names if n != look.hypothesis.label) if group[k] else ()
-        causes.append(
-            Cause(
-                look.hypothesis,
-                float(wins[k]),
-                look.fit.own,
-                _doubt(baseline, fitter, look),
-                look.fit.onset,
-                alike,
-            )
-        )
+        h, fit = listed[k].hypothesis, listed[k].fit
+        alike = tuple(name for name in names if name != h.label) if group[k] else ()
+        doubt = _doubt(baseline, fitter, listed[k])
+        causes.append(Cause(h, float(wins[k]), fit.own, doubt, fit.onset, alike))
     return causes
+
+
+def _rank(baseline: Baseline, trial: Tried) -> int:
+    """Place of a hypothesis among those that cannot be told apart; a value of the healthy model
+    stands first, whatever kind of hypothesis moves it.
+    """
+    moves_a_value = set(trial.fit.variant.own) & set(baseline.free)
+    return 0 if moves_a_value else _RANK[trial.hypothesis.kind]
 
 
 def _wins(logs: FloatArray, fixed: FloatArray, sizes: FloatArray | None = None) -> FloatArray:

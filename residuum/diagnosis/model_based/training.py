@@ -16,7 +16,7 @@ from scipy import stats
 from residuum.array_types import FloatArray
 from residuum.diagnosis.model_based.assessment import NotAssessable, seen_window
 from residuum.diagnosis.model_based.baseline import Baseline, Usual, alone
-from residuum.diagnosis.model_based.hypotheses import UNKNOWN_LOAD, tried
+from residuum.diagnosis.model_based.hypotheses import UNKNOWN_LOAD, Hypothesis, tried
 from residuum.diagnosis.model_based.kind_of_run import KindOfRun
 from residuum.diagnosis.model_based.policy import (
     ALWAYS,
@@ -36,6 +36,7 @@ from residuum.diagnosis.model_based.window_fit import (
     Fit,
     Scatter,
     Whitening,
+    WindowFitter,
     information,
     log_power,
 )
@@ -266,9 +267,35 @@ def refuse_recalibration(
 
     An effect that the user has `accepted` is none of them.
     """
-    chosen = np.unique(np.linspace(0, len(records) - 1, min(CALIBRATED, len(records))).astype(int))
-    sizes: dict[str, list[FloatArray]] = {}
+    gains, sizes = _gains_and_sizes(baseline, records)
+    if max(map(len, sizes.values()), default=0) < _FEWEST:
+        return
+    p = {h.label: _chance(baseline, h.label, sizes.get(h.label, [])) for h in baseline.hypotheses}
+    # Bonferroni: so many hypotheses have as many chances to look shifted
+    shifted = [h for h in baseline.hypotheses if p[h.label] * len(p) < LEARNED_FALSELY]
+    free = [h for h in shifted if h.label in baseline.free or h.key in accepted]
+    blamed = [h for h in shifted if h not in free and h.name != UNKNOWN_LOAD]
+    if not blamed:
+        return
+    likeliest = max(blamed, key=lambda h: (gains[h.label], -p[h.label]))
+    as_a_value = max((gains[h.label] for h in free), default=-np.inf)
+    if as_a_value > max(gains[likeliest.label] - TIE, 0.0):
+        return
+    raise NothingLearned(
+        _refusal_to_learn(likeliest, min(1.0, p[likeliest.label] * len(p)), len(records))
+    )
+
+
+def _gains_and_sizes(
+    baseline: Baseline, records: Sequence[Record]
+) -> tuple[dict[str, float], dict[str, list[FloatArray]]]:
+    """What each hypothesis gains over all windows beyond what is usual [nat], and its sizes in each
+    of them, by its label; of many records a few, evenly chosen, and none that cannot be judged.
+    """
+    count = min(CALIBRATED, len(records))
+    chosen = np.unique(np.linspace(0, len(records) - 1, count).astype(int))
     gains: dict[str, float] = {}
+    sizes: dict[str, list[FloatArray]] = {}
     for k in chosen:
         try:
             observed = seen_window(baseline, records[k])
@@ -284,22 +311,13 @@ def refuse_recalibration(
                 - fitter.nats(trial.fit)
                 - baseline.usual_gain(trial.hypothesis)
             )
-    if max(map(len, sizes.values()), default=0) < _FEWEST:
-        return
-    p = {h.label: _chance(baseline, h.label, sizes.get(h.label, [])) for h in baseline.hypotheses}
-    shifted = [h for h in baseline.hypotheses if p[h.label] * len(p) < LEARNED_FALSELY]
-    free = [h for h in shifted if h.label in baseline.free or h.key in accepted]
-    blamed = [h for h in shifted if h not in free and h.name != UNKNOWN_LOAD]
-    if not blamed:
-        return
-    likeliest = max(blamed, key=lambda h: (gains[h.label], -p[h.label]))
-    values = [gains[h.label] for h in free]
-    if values and max(values) > max(gains[likeliest.label] - TIE, 0.0):
-        return
+    return gains, sizes
+
+
+def _refusal_to_learn(likeliest: Hypothesis, chance: float, windows: int) -> str:
     place = f" of {likeliest.place}" if likeliest.place else ""
-    chance = min(1.0, p[likeliest.label] * len(p))
-    raise NothingLearned(
-        f"the model is not learned anew: these {len(records)} windows together show"
+    return (
+        f"the model is not learned anew: these {windows} windows together show"
         f" {likeliest.kind} {likeliest.name}{place} (chance that they are healthy: {chance:.1g}),"
         " and it would become the new normal; mend it first, or, if it was always there, add it to"
         " the model with `residuum improve`"
@@ -434,18 +452,6 @@ def _refusal(model: PhysicalModel, data: Data, wide: Sequence[str]) -> Undetermi
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Windows:
-    """Each window's own fit, and its features."""
-
-    fits: list[Fit]
-    F: FloatArray
-
-    @property
-    def theta(self) -> FloatArray:
-        return np.array([fit.others for fit in self.fits])
-
-
 def _learned(
     asked: PhysicalModel,
     model: PhysicalModel,
@@ -454,53 +460,60 @@ def _learned(
 ) -> Baseline:
     """The baseline before its hypotheses are tried."""
     start = np.array([model.values[name] for name in model.free])
-    whitening = _sized(model, experiments)
-    for _ in range(2):
-        whitening = Whitening.of(
-            [fit.error for fit in _each_alone(model, experiments, start, whitening)]
-        )
+    whitening = _learned_whitening(model, experiments, start)
     kind = KindOfRun.of(experiments)
-    by_window = _Windows(
-        _each_alone(model, experiments, start, whitening),
-        np.array([kind.features(e) for e in experiments]),
-    )
-    window_info = [information(fit, len(start)) for fit in by_window.fits]
-    values = Scatter.of(by_window.F, by_window.theta, window_info, 1e-3 * np.abs(start) + 1e-12)
-    power = np.array([log_power(fit) for fit in by_window.fits])
-    errors = Scatter.of(by_window.F, power, None, np.full(power.shape[1], 0.01))
+    F = np.array([kind.features(e) for e in experiments])
+    fits = _each_alone(model, experiments, start, whitening)
+    theta = np.array([fit.others for fit in fits])
+    window_info = [information(fit, len(start)) for fit in fits]
+    values = Scatter.of(F, theta, window_info, 1e-3 * np.abs(start) + 1e-12)
+    power = np.array([log_power(fit) for fit in fits])
+    errors = Scatter.of(F, power, None, np.full(power.shape[1], 0.01))
+    # features are counted from the healthy mean, so the first row of B is what is usual there
     model = model.with_values(dict(zip(model.free, values.B[0].tolist(), strict=True)))
     diagonals = np.array([np.diag(h) for h in window_info]).reshape(len(window_info), len(start))
-    mended = tuple(
-        use.label for use in model.effects if use.label not in [own.label for own in asked.effects]
-    )
-    # offsets are, once the values' scatter is known
-    unasked = np.zeros((len(window_info), len(model.outputs)))
-    input_spans, spans = (
-        np.array([np.ptp(x(e), axis=0) for e in experiments]).min(axis=0)
-        for x in (_inputs, _readings)
-    )
+    asked_labels = [use.label for use in asked.effects]
+    # offsets are known once the values' scatter is: `_calibrated` replaces this scatter of zeros
+    unknown_offsets = np.zeros((len(experiments), len(model.outputs)))
+    first = experiments[0]
     return Baseline(
-        asked,
-        model,
-        mended,
-        kind,
-        whitening,
-        values,
-        errors,
-        Scatter.of(by_window.F, unasked, None, unasked[0] + 1.0),
-        {},
-        diagonals.min(axis=0),
-        np.median(diagonals, axis=0),
-        input_spans,
-        spans,
-        experiments[0].measured,
-        experiments[0].hold,
-        experiments[0].sample_time,
-        experiments[0].sample_time * float(np.median([e.n for e in experiments])),
-        len(experiments),
-        _apart(by_window.F, np.column_stack([by_window.theta, power])),
-        list(sources),
+        asked=asked,
+        model=model,
+        mended=tuple(use.label for use in model.effects if use.label not in asked_labels),
+        kind=kind,
+        whitening=whitening,
+        values=values,
+        errors=errors,
+        offsets=Scatter.of(F, unknown_offsets, None, unknown_offsets[0] + 1.0),
+        usual={},
+        information=diagonals.min(axis=0),
+        typical=np.median(diagonals, axis=0),
+        input_spans=_least_span([e.U for e in experiments]),
+        spans=_least_span([_readings(e) for e in experiments]),
+        measured=first.measured,
+        hold=first.hold,
+        sample_time=first.sample_time,
+        seconds=first.sample_time * float(np.median([e.n for e in experiments])),
+        windows=len(experiments),
+        apart=_apart(F, np.column_stack([theta, power])),
+        sources=list(sources),
     )
+
+
+def _learned_whitening(
+    model: PhysicalModel, experiments: Sequence[Experiment], start: FloatArray
+) -> Whitening:
+    """The whitening of healthy errors: twice, because it decides the fits that leave them."""
+    whitening = _sized(model, experiments)
+    for _ in range(2):
+        fits = _each_alone(model, experiments, start, whitening)
+        whitening = Whitening.of([fit.error for fit in fits])
+    return whitening
+
+
+def _least_span(signals: Sequence[FloatArray]) -> FloatArray:
+    """The smallest span of each channel over the windows, shape (channels,)."""
+    return np.array([np.ptp(signal, axis=0) for signal in signals]).min(axis=0)
 
 
 def _sized(model: PhysicalModel, experiments: Sequence[Experiment]) -> Whitening:
@@ -523,10 +536,6 @@ def _each_alone(
             )
         fits.append(fit)
     return fits
-
-
-def _inputs(e: Experiment) -> FloatArray:
-    return e.U
 
 
 def _readings(e: Experiment) -> FloatArray:
@@ -563,18 +572,30 @@ def _calibrated(baseline: Baseline, experiments: Sequence[Experiment]) -> Baseli
         baseline,
         offsets=Scatter.of(F, offsets, [np.diag(h) for h in H], 1e-6 * baseline.spans + 1e-300),
     )
-    every = []
-    for k in evenly(len(experiments), CALIBRATED):
-        healthy, trials = tried(fitters[k], baseline.hypotheses, baseline.usual_gain)
-        every.append((fitters[k], fitters[k].nats(healthy), trials))
+    chosen = [fitters[k] for k in evenly(len(experiments), CALIBRATED)]
+    trials = [
+        (fitter, *tried(fitter, baseline.hypotheses, baseline.usual_gain)) for fitter in chosen
+    ]
     usual = {}
     for h in baseline.hypotheses:
-        fitted = [(f, null, t.fit) for f, null, trials in every if (t := trials.get(h.label))]
-        gains = [max(null - f.nats(fit) + f.price(fit) - fit.paid, 0.0) for f, null, fit in fitted]
+        fits = [
+            (fitter, healthy, by_label[h.label].fit)
+            for fitter, healthy, by_label in trials
+            if h.label in by_label
+        ]
+        gains = [_gain(fitter, healthy, fit) for fitter, healthy, fit in fits]
         usual[h.label] = Usual(
-            float(np.mean(gains)) if gains else 0.0, _sizes([fit for *_, fit in fitted])
+            float(np.mean(gains)) if gains else 0.0, _sizes([fit for *_, fit in fits])
         )
     return replace(baseline, usual=usual)
+
+
+def _gain(fitter: WindowFitter, healthy: Fit, fit: Fit) -> float:
+    """[nat] By which a hypothesis explains a healthy window better. The price of its sizes is not
+    taken off, since `nats` does so where hypotheses are compared; what other values paid to the
+    prior is.
+    """
+    return max(fitter.nats(healthy) - fitter.nats(fit) + fitter.price(fit) - fit.paid, 0.0)
 
 
 def _sizes(fits: Sequence[Fit]) -> FloatArray:
