@@ -464,13 +464,15 @@ def number(value: float, std: float | None = None) -> str:
 
     >>> number(0.03124, 0.0021), number(1234.5, 20.0), number(0.5)
     ('0.0312 ± 0.0021', '1234 ± 20', '0.5')
+    >>> number(3.04e-6, 1e-7), number(123456.0, 30000.0)
+    ('3.04e-06 ± 1e-07', '123000 ± 3e+04')
     """
     if not std:
         return f"{value:.4g}"
     figures = max(2, min(6, 2 + _decades(value) - _decades(std)))
     shown = f"{value:.{figures}g}"
     # a number with more figures before its point than it may show: 1.2e+03 is told as 1200
-    shown = f"{float(shown):.0f}" if "e" in shown else f"{float(shown):g}"
+    shown = f"{float(shown):.0f}" if "e+" in shown else f"{float(shown):g}"
     return f"{shown} ± {std:.2g}"
 
 
