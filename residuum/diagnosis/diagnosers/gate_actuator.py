@@ -150,12 +150,12 @@ class GateActuator(Diagnoser):
                     f"gate-actuator: record {record.source!r} cannot be trained on: {reason}"
                 )
             for movement in cut_movements(record):
+                # the shortest travel is not known before training: 0 judges none
                 left_out = self._unusable(movement, 0.0)
                 if left_out is None:
                     features = movement_features(movement, self.constants)
-                    training.append(
-                        TrainingMovement(features, label, group, float(movement.motor_angle[-1]))
-                    )
+                    travel = float(movement.motor_angle[-1])
+                    training.append(TrainingMovement(features, label, group, travel))
                 elif not training and record is records[-1]:
                     raise NotIdentifiable(
                         "gate-actuator: no movement can be trained on; the last one:"
@@ -179,8 +179,9 @@ class GateActuator(Diagnoser):
         """
         if self._baseline is None:
             raise NotTrained(_NOTHING_TRAINED)
-        for name in ("speed", "voltage"):
-            record.in_unit(name, "rad/s" if name == "speed" else "V")
+        # for their refusals: a channel that is absent, or of another quantity
+        record.in_unit("speed", "rad/s")
+        record.in_unit("voltage", "V")
         if reason := unusable_record(record, self._baseline.rate):
             return Finding.not_assessable(self.name, reason)
         movements = cut_movements(record)

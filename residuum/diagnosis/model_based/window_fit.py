@@ -393,34 +393,36 @@ class _Problem:
         self, fitter: WindowFitter, variant: Variant, begin: Fit | None, first: FloatArray | None
     ) -> None:
         self.fitter, self.variant = fitter, variant
-        self.simulator, known = Simulator(variant.model), variant.model.all_parameters
-        keep = [j for j, name in enumerate(fitter.free) if name not in variant.own]
-        names = [*(fitter.free[j] for j in keep), *variant.own]
+        self.simulator, parameters = Simulator(variant.model), variant.model.all_parameters
+        shared = [j for j, name in enumerate(fitter.free) if name not in variant.own]
+        names = [*(fitter.free[j] for j in shared), *variant.own]
         states = [name for name in self.simulator.free_states if name not in fitter.window.known]
-        self.k, self.q, self.nx = len(keep), len(names), len(states)
-        self.mean = fitter.mean[keep]
-        self.prior = _root_of_inverse(fitter.covariance[np.ix_(keep, keep)])
+        self.k, self.q, self.nx = len(shared), len(names), len(states)
+        self.mean = fitter.mean[shared]
+        self.prior = _root_of_inverse(fitter.covariance[np.ix_(shared, shared)])
         self.at = [self.simulator.states.index(name) for name in states]
         self.columns = self.simulator.columns(names)
         self.slopes = [*names, *(f"initial:{name}" for name in states)]
-        free = [-np.inf] * self.nx
-        self.lower = np.array([*(known[n].lower for n in names), *free, *variant.lower])
-        self.upper = np.array(
-            [*(known[n].upper for n in names), *(-x for x in free), *[np.inf] * len(variant.sizes)]
-        )
+        # states have no bounds, sizes of what is done to signals no upper ones
+        unbounded, sizes = np.full(self.nx, np.inf), np.full(len(variant.sizes), np.inf)
+        lower, upper = [parameters[n].lower for n in names], [parameters[n].upper for n in names]
+        self.lower = np.concatenate([lower, -unbounded, variant.lower])
+        self.upper = np.concatenate([upper, unbounded, sizes])
         self.x0 = begin.initial if begin else self._first_states(first)
-        m = len(variant.own)
-        if begin:
-            z = [begin.others, begin.own[:m], self.x0[self.at], begin.own[m:]]
-        else:
-            z = [
-                self.mean,
-                np.array([known[n].value for n in variant.own]),
-                self.x0[self.at],
-                np.array(variant.sizes),
-            ]
-        self.z = np.clip(np.concatenate(z), self.lower, self.upper)
+        self.z = np.clip(np.concatenate(self._begun(begin)), self.lower, self.upper)
         self.substeps: list[int] = []
+
+    def _begun(self, begin: Fit | None) -> list[FloatArray]:
+        """First values of the unknowns: where a fit ended, else the healthy mean, the variant's own
+        values and its sizes.
+        """
+        variant, x0 = self.variant, self.x0[self.at]
+        if begin:
+            m = len(variant.own)
+            return [begin.others, begin.own[:m], x0, begin.own[m:]]
+        parameters = variant.model.all_parameters
+        own = np.array([parameters[name].value for name in variant.own])
+        return [self.mean, own, x0, np.array(variant.sizes)]
 
     def solved(self, steps: int) -> Fit | None:
         """The fit after so many steps; None where the first values cannot be simulated."""

@@ -149,12 +149,15 @@ def _check(
         raise BadModel(f"approximate_fault_detection, gamma: is {gamma!r}; must be positive")
     if not all(np.isfinite(level) and level > 0 for level in levels):
         raise BadModel(f"approximate_fault_detection, levels: are {levels}; must be positive")
-    if W_T is None:
-        return
-    if W_T.sample_time is None or abs(W_T.sample_time / factors.M.sample_time - 1.0) > _SAME_RATE:
+    if W_T is not None:
+        _check_weight(W_T, factors.M.sample_time)
+
+
+def _check_weight(W_T: TransferFunction, sample_time: float) -> None:
+    if W_T.sample_time is None or abs(W_T.sample_time / sample_time - 1.0) > _SAME_RATE:
         raise BadModel(
             f"approximate_fault_detection, W_T: has sample time {W_T.sample_time} s, "
-            f"the model {factors.M.sample_time} s; must be equal"
+            f"the model {sample_time} s; must be equal"
         )
     if not W_T.is_proper or not W_T.is_stable:
         raise BadModel("approximate_fault_detection, W_T: must be stable and proper")
