@@ -4,7 +4,7 @@ and a healthy baseline.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -56,31 +56,36 @@ from residuum.identification.record import Record
 from residuum.identification.units import compatible, convert
 from residuum.nearest_names import known_names
 
-SHAPE = ("rms", "kurtosis", "crest")
-# Prominence [deciles above the control frequencies] from which on a line family means a fault.
-# healthy records, real and made, stay below 5.3; see benchmarks/results/vibration.md
+SHAPE = ("rms", "kurtosis", "crest")  # indicators of the whole band
+# Prominence [deciles of the control frequencies] from which on a line family means a fault;
+# benchmarks/results/vibration.md. Healthy records, real and made, stay below 5.3.
 PROMINENT = 6.0
+# White noise reaches 4.5 and a slow swell 5.0: so low a limit names a part only where something
+# else has changed already.
 PROMINENT_BESIDE_A_CHANGE = 4.5
 # one healthy second of a real rig reaches 6.1 while every level stays as it was
 PROMINENT_WITHOUT_A_CHANGE = 7.5
+# times what the same family showed in the healthy machine: a gear or the supply may modulate within
+# 2 % of a fault's frequency
+_OVER_HEALTHY = 1.3
 # a line family that modulates the envelope by less is no fault yet, however significant
 DEPTH = 0.08
 # kurtosis; without a line to name a part, so impulsive a signal is `unknown`
 IMPULSIVE = 6.0
-# the cage's family must lead the others by a quarter, because its harmonics meet theirs: BPFO = N
-# FTF
+# the cage's family has to lead by a quarter: its harmonics meet the others' lines, BPFO = N FTF
 _CAGE_LEADS_BY = 1.25
 # of the most prominent family: one fault's lines make another family stand out by half as much, on
 # real rigs too
 _RIVAL = 0.8
 # deciles and share of the cage's: balls change their load once a turn of the cage
 _BALL_BESIDE_CAGE = (3.5, 0.5)
-_WINDOW = 1.0  # s
-_SHORTEST = 1024
+_WINDOW = 1.0  # s, of which indicators are the median over a record
+_SHORTEST = 1024  # samples
+# times the healthy median: a change of less is no fault, however significant
 _LEAST_CHANGE: AnyArray = np.array([1.6, 1.6, 1.6])
 # below and above 1 kHz: load moves rotor-related bands, bearing faults ring higher
 _LEAST_CHANGE_OF_BAND = (2.5, 2.0)
-_FEWEST_WINDOWS = 4
+_FEWEST_WINDOWS = 4  # to know a mean and a scatter by
 _VERSION = 1
 
 
@@ -276,7 +281,7 @@ class Bearing(Diagnoser):
             return Finding.not_assessable(self.name, reason)
         try:
             evidence = self._lines(record, x, speed, frequencies)
-            beside = self._severity(x, rate)
+            beside = self._beside_lines(x, rate, knocks)
         except BadInput as error:
             return Finding.not_assessable(self.name, str(error))
         # a baseline judges levels too, for which no line is needed
@@ -284,8 +289,6 @@ class Bearing(Diagnoser):
             return Finding.not_assessable(
                 self.name, f"the window of {record.duration:g} s is too short for any fault line"
             )
-        if knocks:
-            beside["knocks_s"] = knocks
         judged = self._judge(measured, evidence, unit, beside).with_remarks(
             remarks(x, rate, unit, spikes)
         )
@@ -315,11 +318,16 @@ class Bearing(Diagnoser):
         steady = at_steady_speed(x, record, speed, self.speed_rpm, in_hertz=bool(self.hertz))
         return line_evidence(steady, record.sampling_rate, frequencies)
 
-    def _severity(self, x: AnyArray, rate: float) -> dict[str, Any]:
-        """Velocity RMS and its zone as evidence; empty where no machine class was given."""
-        if not self.machine_class:
-            return {}
-        return {"severity": vars(severity(x, rate, self.machine_class))}
+    def _beside_lines(self, x: AnyArray, rate: float, knocks: list[float]) -> dict[str, Any]:
+        """Evidence that names no part: velocity RMS and its zone where a machine class was given,
+        and the times of knocks that were taken out [s].
+        """
+        evidence: dict[str, Any] = {}
+        if self.machine_class:
+            evidence["severity"] = vars(severity(x, rate, self.machine_class))
+        if knocks:
+            evidence["knocks_s"] = knocks
+        return evidence
 
     def _judge(
         self,
@@ -332,9 +340,7 @@ class Bearing(Diagnoser):
         values = dict(zip(SHAPE, map(float, measured.shape), strict=True)) | measured.bands
         changed = [name for name in limits if values[name] > limits[name]]
         prominences = {f"prominence_{name}": line.prominence for name, line in lines.items()}
-        line_limits = {
-            f"prominence_{name}": self._line_limit(name, bool(changed)) for name in lines
-        }
+        line_limits = self._line_limits(lines, bool(changed))
         likely = _likely(lines, line_limits)
         verdict, fault_class, reason = Verdict.HEALTHY, None, None
         if likely or changed:
@@ -385,12 +391,17 @@ class Bearing(Diagnoser):
         )
         return limits | {name: upper[name] for name in measured.bands} or {"kurtosis": IMPULSIVE}
 
-    def _line_limit(self, name: str, changed: bool) -> float:
-        if changed or self._baseline is None:
-            limit = PROMINENT_BESIDE_A_CHANGE if changed else PROMINENT
-        else:
-            limit = PROMINENT_WITHOUT_A_CHANGE
-        return max(limit, 1.3 * (self._baseline.lines.get(name, 0.0) if self._baseline else 0.0))
+    def _line_limits(self, names: Iterable[str], changed: bool) -> dict[str, float]:
+        """From which prominence on each family means a fault, beside a changed level or without."""
+        limit = PROMINENT
+        usual: Mapping[str, float] = {}
+        if self._baseline is not None:
+            limit, usual = PROMINENT_WITHOUT_A_CHANGE, self._baseline.lines
+        if changed:
+            limit = PROMINENT_BESIDE_A_CHANGE
+        return {
+            f"prominence_{name}": max(limit, _OVER_HEALTHY * usual.get(name, 0.0)) for name in names
+        }
 
     def _acceleration(self, record: Record) -> tuple[AnyArray, str]:
         """The vibration in m/s² (or without unit), float32 kept."""

@@ -242,11 +242,11 @@ def bootstrap_632_plus(
     trained = 0
     for drawn, left in _drawn_objects(names, repeats, seed):
         try:
-            judge = fit([int(k) for name in drawn for k in np.flatnonzero(names == name)])
+            judge = fit(drawn)
         except BadInput:
             continue
         trained += 1
-        for k in map(int, left):
+        for k in left:
             wrong[k].append(judged_class(judge, records[k]) != truth[k])
     # a record counts once, however many samples lack its object
     counted = [float(np.mean(misses)) for misses in wrong if misses]
@@ -260,16 +260,17 @@ def bootstrap_632_plus(
 
 def _drawn_objects(
     names: npt.NDArray[Any], repeats: int, seed: int
-) -> Iterator[tuple[npt.NDArray[Any], npt.NDArray[np.intp]]]:
-    """Objects drawn with replacement, and the records of the objects that the draw lacks; draws
-    that lack none are left out.
+) -> Iterator[tuple[list[int], list[int]]]:
+    """Records of objects drawn with replacement, and those of the objects that the draw lacks;
+    draws that lack none are left out.
     """
     rng = np.random.default_rng(seed)
     every = np.unique(names)
     for _ in range(repeats):
-        drawn = rng.choice(every, len(every))
-        left = np.flatnonzero(~np.isin(names, drawn))
-        if len(left):
+        objects = rng.choice(every, len(every))
+        drawn = [int(k) for name in objects for k in np.flatnonzero(names == name)]
+        left = [int(k) for k in np.flatnonzero(~np.isin(names, objects))]
+        if left:
             yield drawn, left
 
 

@@ -285,11 +285,7 @@ def _two(
     if not candidates:
         return None
     count = len(candidates)
-    fits = [*(pair.fit for pair in candidates), *(t.fit for t in listed)]
-    logs = np.array([fitter.logs(fit) for fit in fits])
-    usual = [sum(baseline.usual_gain(h) for h in pair.both) for pair in candidates]
-    usual += [baseline.usual_gain(t.hypothesis) for t in listed]
-    fixed = np.array([fitter.price(fit) for fit in fits]) + np.array(usual)
+    logs, fixed = _costs(baseline, fitter, candidates, listed)
     total = logs.sum(axis=1) + fixed
     lead = int(np.argmin(total[:count]))
     if total[lead] > total[count:].min() - TIE:
@@ -299,15 +295,26 @@ def _two(
     best = candidates[lead]
     std = _open(fitter, best.fit)
     pair_causes = []
-    for k, h in enumerate(best.both):
-        own, at = best.own[k], best.sizes[k]
-        partner = best.both[1 - k].label
+    for h, partner, own, at in zip(best.both, best.both[::-1], best.own, best.sizes, strict=True):
         holding = [j for j, pair in enumerate(candidates) if h.label in pair.labels]
         probability = min(sum(float(wins[j]) for j in holding), 1.0)
         doubt = np.sqrt(std[at] ** 2 + _scatter(baseline, fitter, h, own, len(at)))
-        alike = _alike_beside(partner, h, rivals)
-        pair_causes.append(Cause(h, probability, best.fit.own[at], doubt, 0, alike, (partner,)))
+        alike, beside = _alike_beside(partner.label, h, rivals), (partner.label,)
+        pair_causes.append(Cause(h, probability, best.fit.own[at], doubt, 0, alike, beside))
     return _TwoCauses(best, pair_causes, float(wins[:count].sum()))
+
+
+def _costs(
+    baseline: Baseline, fitter: WindowFitter, candidates: Sequence[Pair], listed: Sequence[Tried]
+) -> tuple[FloatArray, FloatArray]:
+    """[nat] What each pair and then each single hypothesis costs: its error in each block, shape
+    (trials, blocks), and what does not depend on blocks, shape (trials,).
+    """
+    fits = [*(pair.fit for pair in candidates), *(t.fit for t in listed)]
+    usual = [sum(baseline.usual_gain(h) for h in pair.both) for pair in candidates]
+    usual += [baseline.usual_gain(t.hypothesis) for t in listed]
+    logs = np.array([fitter.logs(fit) for fit in fits])
+    return logs, np.array([fitter.price(fit) for fit in fits]) + np.array(usual)
 
 
 def _alike_beside(partner: str, h: Hypothesis, rivals: Iterable[Pair]) -> tuple[str, ...]:

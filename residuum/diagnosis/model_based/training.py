@@ -270,7 +270,7 @@ def refuse_recalibration(
     gains, sizes = _gains_and_sizes(baseline, records)
     if max(map(len, sizes.values()), default=0) < _FEWEST:
         return
-    p = {h.label: _chance(baseline, h.label, sizes.get(h.label, [])) for h in baseline.hypotheses}
+    p = _chances(baseline, sizes)
     # Bonferroni: so many hypotheses have as many chances to look shifted
     shifted = [h for h in baseline.hypotheses if p[h.label] * len(p) < LEARNED_FALSELY]
     free = [h for h in shifted if h.label in baseline.free or h.key in accepted]
@@ -322,6 +322,12 @@ def _refusal_to_learn(likeliest: Hypothesis, chance: float, windows: int) -> str
         " and it would become the new normal; mend it first, or, if it was always there, add it to"
         " the model with `residuum improve`"
     )
+
+
+def _chances(baseline: Baseline, sizes: Mapping[str, Sequence[FloatArray]]) -> dict[str, float]:
+    """Of each hypothesis by its label: `_chance` of its sizes."""
+    labels = [h.label for h in baseline.hypotheses]
+    return {label: _chance(baseline, label, sizes.get(label, [])) for label in labels}
 
 
 def _chance(baseline: Baseline, label: str, sizes: Sequence[FloatArray]) -> float:
@@ -462,7 +468,7 @@ def _learned(
     start = np.array([model.values[name] for name in model.free])
     whitening = _learned_whitening(model, experiments, start)
     kind = KindOfRun.of(experiments)
-    F = np.array([kind.features(e) for e in experiments])
+    F = _features(kind, experiments)
     fits = _each_alone(model, experiments, start, whitening)
     theta = np.array([fit.others for fit in fits])
     window_info = [information(fit, len(start)) for fit in fits]
@@ -472,14 +478,13 @@ def _learned(
     # features are counted from the healthy mean, so the first row of B is what is usual there
     model = model.with_values(dict(zip(model.free, values.B[0].tolist(), strict=True)))
     diagonals = np.array([np.diag(h) for h in window_info]).reshape(len(window_info), len(start))
-    asked_labels = [use.label for use in asked.effects]
     # offsets are known once the values' scatter is: `_calibrated` replaces this scatter of zeros
     unknown_offsets = np.zeros((len(experiments), len(model.outputs)))
     first = experiments[0]
     return Baseline(
         asked=asked,
         model=model,
-        mended=tuple(use.label for use in model.effects if use.label not in asked_labels),
+        mended=_labels_beyond(asked, model),
         kind=kind,
         whitening=whitening,
         values=values,
@@ -498,6 +503,17 @@ def _learned(
         apart=_apart(F, np.column_stack([theta, power])),
         sources=list(sources),
     )
+
+
+def _features(kind: KindOfRun, experiments: Sequence[Experiment]) -> FloatArray:
+    """Features of each window, shape (windows, features)."""
+    return np.array([kind.features(e) for e in experiments])
+
+
+def _labels_beyond(asked: PhysicalModel, model: PhysicalModel) -> tuple[str, ...]:
+    """Effects of a model that the user's does not have."""
+    known = [use.label for use in asked.effects]
+    return tuple(use.label for use in model.effects if use.label not in known)
 
 
 def _learned_whitening(
@@ -563,7 +579,7 @@ def _calibrated(baseline: Baseline, experiments: Sequence[Experiment]) -> Baseli
     """With what each hypothesis gains in healthy windows, and how its sizes scatter there; offsets
     in all of them.
     """
-    F = np.array([baseline.kind.features(e) for e in experiments])
+    F = _features(baseline.kind, experiments)
     fitters = [baseline.fitter(e, f) for e, f in zip(experiments, F, strict=True)]
     offsets, H = np.array(
         [baseline.offsets_in(fitter, fitter.fit(Variant(baseline.model))) for fitter in fitters]
@@ -583,11 +599,17 @@ def _calibrated(baseline: Baseline, experiments: Sequence[Experiment]) -> Baseli
             for fitter, healthy, by_label in trials
             if h.label in by_label
         ]
-        gains = [_gain(fitter, healthy, fit) for fitter, healthy, fit in fits]
-        usual[h.label] = Usual(
-            float(np.mean(gains)) if gains else 0.0, _sizes([fit for *_, fit in fits])
-        )
+        usual[h.label] = _usual(fits)
     return replace(baseline, usual=usual)
+
+
+def _usual(fits: Sequence[tuple[WindowFitter, Fit, Fit]]) -> Usual:
+    """What a hypothesis shows in healthy windows, each given as its fitter, the healthy fit and
+    that of the hypothesis.
+    """
+    gains = [_gain(fitter, healthy, fit) for fitter, healthy, fit in fits]
+    sizes = _sizes([fit for _, _, fit in fits])
+    return Usual(float(np.mean(gains)) if gains else 0.0, sizes)
 
 
 def _gain(fitter: WindowFitter, healthy: Fit, fit: Fit) -> float:

@@ -326,28 +326,20 @@ def design_multivariable_residual(
     pairs = [blank.signals_of(record) for record in healthy]
     input_mean = np.nanmean(np.concatenate([u for u, _ in pairs]), axis=0)
     memory = max(path.delay + path.order for row in model.models for path in row)
-    errors = [y - _response(model, blank.known, np.nan_to_num(u - input_mean)) for u, y in pairs]
-    bad = [_any_missing(u) for u, _ in pairs]
-    usable = [
-        np.where((_dilated(missing, memory))[:, None], np.nan, error)
-        for error, missing in zip(errors, bad, strict=True)
-    ]
-    if not any(np.isfinite(error).all(axis=1).any() for error in usable):
+    errors = [_error_once_remembered(blank, u - input_mean, y, memory=memory) for u, y in pairs]
+    if not any(np.isfinite(error).all(axis=1).any() for error in errors):
         raise BadRecord(
             f"healthy records: none is longer than the model's memory, {memory} samples, without"
             " a gap"
         )
-    output_mean = np.nanmean(np.concatenate(usable), axis=0)
+    output_mean = np.nanmean(np.concatenate(errors), axis=0)
     settled = settled_length(Q)
     impulse = Q.impulse_response(settled)
     residuals = []
-    for error in usable:
+    for error in errors:
         missing = _dilated(_any_missing(error), settled)
-        residuals.append(
-            np.where(
-                missing[:, None], np.nan, filtered(impulse, np.nan_to_num(error - output_mean))
-            )
-        )
+        residual = filtered(impulse, np.nan_to_num(error - output_mean))
+        residuals.append(np.where(missing[:, None], np.nan, residual))
     return MultivariableResidual(
         model=model,
         unknown=tuple(unknown),
@@ -356,6 +348,15 @@ def design_multivariable_residual(
         input_mean=input_mean,
         output_mean=output_mean,
     )
+
+
+def _error_once_remembered(
+    design: MultivariableResidual, du: FloatArray, y: FloatArray, *, memory: int
+) -> FloatArray:
+    """y − G_u u of a record, shape (n, p), NaN where one of the last `memory` inputs is missing."""
+    missing = _dilated(_any_missing(du), memory)
+    error = y - _response(design.model, design.known, np.nan_to_num(du))
+    return np.where(missing[:, None], np.nan, error)
 
 
 def _check(
