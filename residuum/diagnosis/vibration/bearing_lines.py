@@ -15,7 +15,7 @@ from scipy.ndimage import maximum_filter1d, median_filter
 
 from residuum.array_types import AnyArray
 from residuum.diagnosis.vibration.sensor_health import strongest_line
-from residuum.diagnosis.vibration.spectra import envelope_of_spectrum, padded_spectrum
+from residuum.diagnosis.vibration.spectra import PaddedSpectrum
 from residuum.identification.errors import BadInput
 from residuum.nearest_names import known_names
 
@@ -437,17 +437,16 @@ def averaged_spectra(
     """
     step = max(1, length // 2, (x.shape[0] - length) // _MOST_SEGMENTS)
     starts = range(0, x.shape[0] - length + 1, step)
+    count = int(2 * length * reach / rate) + 2  # lines up to `reach`
     sums: list[AnyArray] = []
     for start in starts:
-        spectrum, padded = padded_spectrum(x[start : start + length])
-        powers = []
-        flat = _flat(spectrum) if flattened else spectrum
-        for part, divided in ((spectrum, bands), (flat, flattened)):
-            for low, high in divided:
-                envelope = envelope_of_spectrum(part, padded, length, rate, low, high)
-                powers.append(
-                    _normalised_power(envelope.values, int(2 * length * reach / rate) + 2)
-                )
+        spectrum = PaddedSpectrum.of(x[start : start + length], rate)
+        flat = replace(spectrum, lines=_flat(spectrum.lines)) if flattened else spectrum
+        looked_at = [(spectrum, *band) for band in bands] + [(flat, *band) for band in flattened]
+        powers = [
+            _normalised_power(part.envelope(low, high).values, count)
+            for part, low, high in looked_at
+        ]
         sums = (
             powers
             if not sums
