@@ -487,16 +487,14 @@ class LikelihoodRatioBank:
 
     Parameters
     ----------
-    rate : float
-        False alarms per sample.
+    threshold : float
+        b, of `bank_threshold` for a rate of false alarms, or of a calibration.
     covariance : array, shape (m, m)
         Σ_g [(output unit / input unit)²].
     delay : int
         Lag of the first coefficient.
     longest : int
         Longest window [samples].
-    threshold : float or None
-        b, when it comes from elsewhere (calibration); then `rate` is not used.
     level_variance : float
         v: variance of the scores' mean that the operating point's own error makes.
     restart : bool
@@ -505,12 +503,11 @@ class LikelihoodRatioBank:
 
     def __init__(
         self,
-        rate: float,
+        threshold: float,
         covariance: FloatArray,
         delay: int,
         longest: int = LONGEST_WINDOW,
         *,
-        threshold: float | None = None,
         level_variance: float = 0.0,
         restart: bool = True,
     ) -> None:
@@ -519,7 +516,7 @@ class LikelihoodRatioBank:
                 f"likelihood-ratio bank, longest: is {longest}; must be at least one sample"
             )
         self.windows = window_lengths(longest)
-        self.b = bank_threshold(rate, longest) if threshold is None else float(threshold)
+        self.b = float(threshold)
         self.restart = restart
         self.covariance: FloatArray = np.ascontiguousarray(covariance, dtype=float)
         self._limits = scan_limits(

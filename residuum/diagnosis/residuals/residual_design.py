@@ -156,13 +156,11 @@ class ResidualDesign:
         """A likelihood-ratio bank that knows how uncertain this model and its operating point
         are.
         """
-        model, level_variance = self.model, self.noise.level_variance
         return LikelihoodRatioBank(
-            1e-3,
-            model.covariance,
-            model.delay,
-            threshold=threshold,
-            level_variance=level_variance,
+            threshold,
+            self.model.covariance,
+            self.model.delay,
+            level_variance=self.noise.level_variance,
             restart=restart,
         )
 

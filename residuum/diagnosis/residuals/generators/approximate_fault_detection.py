@@ -122,7 +122,8 @@ def approximate_fault_detection(
         * input_level
         * h_infinity_norm(StateSpace.from_transfer_function(W_T))[0]
     )
-    return _verified(reduced, noise, exact, left_out, small, fault, gamma)
+    fault_path = small.M if fault == "sensor" else small.N
+    return _verified(reduced, noise, exact, left_out, fault_path, gamma)
 
 
 def noise_path(
@@ -168,8 +169,7 @@ def _verified(
     noise: StateSpace,
     exact: StateSpace,
     left_out: float,
-    factors: LeftCoprimeFactors,
-    fault: FaultKind,
+    fault_path: StateSpace,
     gamma: float,
 ) -> PostFilter:
     """Rescale Q so that the budget holds exactly, and compute what is promised from the filter
@@ -187,7 +187,7 @@ def _verified(
     reached = h_infinity_norm(Q @ noise)[0] + left_out * h_infinity_norm(Q)[0]
     Q = Q * (gamma / reached)
     reached = h_infinity_norm(Q @ noise)[0] + left_out * h_infinity_norm(Q)[0]
-    beta, at = h_infinity_norm(Q @ (factors.M if fault == "sensor" else factors.N))
+    beta, at = h_infinity_norm(Q @ fault_path)
     return PostFilter(Q, reached, _grid_norm(Q, exact), beta, at, exact.order, reduced.error_bound)
 
 
