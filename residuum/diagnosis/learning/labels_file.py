@@ -22,7 +22,8 @@ def read_labels(file: Path, records: Sequence[Path]) -> tuple[list[str], list[st
                 " every row"
             )
     known = {row[0]: row[1:] for row in table if row[:2] != ["record", "label"]}
-    labels, exemplars = [], []
+    labels: list[str] = []
+    exemplars: list[str] = []
     for record in records:
         row = known.get(str(record), known.get(record.name))
         if row is None:
