@@ -123,9 +123,11 @@ def assess(name: str, baseline: Baseline, record: Record, false_alarms_per_day: 
     except NotAssessable as refused:
         return Finding.not_assessable(name, str(refused))
     detection = detected(baseline, observed.fit, observed.offsets, observed.features)
+    # the chance that one healthy window may alarm with, of windows that follow without overlap
     level = min(0.5, false_alarms_per_day * baseline.seconds / SECONDS_A_DAY)
     deviation, limit = (float(stats.norm.isf(max(p, _RAREST))) for p in (detection.p, level))
     faulty = deviation > limit
+    # causes are sought only where there is something to explain: they take most of the time
     listed = causes(baseline, observed.window, observed.features) if faulty else []
     cause_rows = [_cause_row(baseline, detection, record, cause) for cause in listed]
     evidence: dict[str, Any] = {
@@ -180,6 +182,8 @@ def seen_window(baseline: Baseline, record: Record) -> Seen:
         )
     features = baseline.kind.features(window)
     fitter = baseline.fitter(window, features)
+    # The own estimate begins at the usual values and, once more, where the healthy fit ended: a
+    # descent from one place ended at five times the error (benchmarks/results/model_based.md).
     usual = fitter.fit(Variant(baseline.model))
     fit = alone(baseline.model, window, fitter.mean, baseline.whitening, usual)
     if fit is None:
@@ -267,6 +271,7 @@ def _parameters(baseline: Baseline, observed: Seen, detection: Detected) -> dict
     such a run.
     """
     k = len(baseline.free)
+    # the wide prior keeps finite what the window says nothing of
     H = information(observed.fit, k) + np.linalg.inv(wide_prior(detection.mean))
     std = np.sqrt(np.diag(np.linalg.pinv(H, hermitian=True)))
     reach = float(stats.t.ppf(0.975, baseline.values.freedom)) * np.sqrt(
@@ -359,6 +364,7 @@ def _usual_band(
     usual = baseline.usual.get(label)
     if usual is None or len(usual.sizes) < 3:
         return None
+    # Student's prediction interval of one further window
     first = usual.sizes[:, 0] * times
     reach = (
         float(stats.t.ppf(0.975, len(first) - 1))

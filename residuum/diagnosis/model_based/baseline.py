@@ -38,6 +38,7 @@ from residuum.identification.physics import (
     write_model,
 )
 
+# Files of other versions are refused, not converted: their healthy records teach a baseline anew.
 _VERSION = 6
 
 
@@ -124,9 +125,12 @@ class Baseline:
         """What fits hypotheses to a window of a run of this kind."""
         (mean, covariance), log = self.values.at(features), self.errors.at(features)[0]
         known = self.model.all_parameters
+        # far from the runs seen the mean may leave what a value can be
         mean = np.clip(
             mean, [known[n].lower for n in self.free], [known[n].upper for n in self.free]
         )
+        # errors are as large as is usual for such a run: the second half of the logarithms is of
+        # whitened errors
         whitening = replace(
             self.whitening, sigma=self.whitening.sigma * np.exp(log[len(log) // 2 :])
         )
@@ -284,6 +288,7 @@ def alone(
     """The window's own values of the healthy model, all of them free; the lower of the descents
     from their mean and from a fit to begin with.
     """
+    # a prior this wide that is known exactly (no Student tail): it only keeps open values finite
     fitter = WindowFitter(model, window, mean, wide_prior(mean), whitening, 1e6)
     fits = [
         fitter.fit(Variant(model), 2 * FIT_STEPS, start)

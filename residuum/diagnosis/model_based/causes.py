@@ -386,6 +386,7 @@ def _wins(logs: FloatArray, fixed: FloatArray, sizes: FloatArray | None = None) 
     """How often each is the cheapest over resampled blocks; those within a factor of twenty share a
     draw, of them the ones of fewest sizes.
     """
+    # one seed for all windows: the same window is always told the same
     rng, wins = np.random.default_rng(0), np.zeros(len(logs))
     for _ in range(DRAWS):
         cost = logs[:, rng.integers(0, BLOCKS, BLOCKS)].sum(axis=1) + fixed
@@ -398,6 +399,7 @@ def _wins(logs: FloatArray, fixed: FloatArray, sizes: FloatArray | None = None) 
 
 def _near(logs: FloatArray, total: FloatArray, lead: int) -> npt.NDArray[np.bool_]:
     """Whether each lies within the doubt of its difference to the leading one."""
+    # the difference is a sum over blocks: what it scatters by from block to block
     doubt = np.std(logs - logs[lead], axis=1, ddof=1) * np.sqrt(BLOCKS)
     return np.asarray(total - total[lead] < np.maximum(TIE, doubt))
 
@@ -429,10 +431,12 @@ def _open(fitter: WindowFitter, fit: Fit) -> FloatArray:
     k, own = len(fit.others), fit.variant.own
     H = information(fit, k + len(fit.own))
     keep = [j for j, name in enumerate(fitter.free) if name not in own]
+    # the other values are known from healthy windows: their prior adds to what the window tells
     H[:k, :k] += np.linalg.inv(fitter.covariance[np.ix_(keep, keep)])
     if not np.all(np.abs(H) < _LARGEST) or np.any(np.diag(H)[k:] < 1.0 / _LARGEST):
         # at sizes where the slopes overflow or vanish nothing is known of them
         return np.full(len(fit.own), np.nan)
+    # scaled to unit diagonal, so that the floor on eigenvalues means the same in any unit
     scale = np.sqrt(np.maximum(np.diag(H), 1.0 / _LARGEST))
     values, vectors = np.linalg.eigh(H / np.outer(scale, scale))  # what nothing tells is wide open
     return np.asarray(
@@ -451,6 +455,8 @@ def begun(baseline: Baseline, fitter: WindowFitter, features: FloatArray) -> dic
     """The best beginning of each hypothesis, found on a coarse grid; those that promise most halved
     in.
     """
+    # Noise and lost readings have no state to begin from, a stuck signal carries its beginning as a
+    # size, and a load's knots bend wherever it begins.
     window, beginnings = fitter.window, dict[str, Tried]()
     listed = [h for h in baseline.hypotheses if not (h.seen or h.begin or h.kind == "disturbance")]
     for part in range(1, PARTS):
@@ -493,6 +499,8 @@ def _beginning_at(
     window = fitter.window
     if not _SHORTEST < at < window.n - _SHORTEST:
         return []
+    # The healthy model up to the beginning; its states there, which that fit estimates, start the
+    # hypothesis. The sample in common is counted once, in the later part.
     before = baseline.fitter(window.window(0, at + 1), features)
     head = before.fit(Variant(before.model))
     if head is None:

@@ -122,9 +122,8 @@ def _beginnings(model: PhysicalModel, key: Key, e: Experiment, X: FloatArray) ->
     """An effect at each of its first shapes, small: the fit finds its sizes."""
     effect, variants = find_effect(key.effect), []
     try:
-        for start in list(effect.starts(conditions_at(model, effect, key.target, e, X)))[
-            :SHAPES_LOOKED_AT
-        ]:
+        starts = list(effect.starts(conditions_at(model, effect, key.target, e, X)))
+        for start in starts[:SHAPES_LOOKED_AT]:
             small = {
                 name: value * FIRST_SIZE if name in effect.sizes else value
                 for name, value in start.items()
@@ -139,12 +138,13 @@ def _beginnings(model: PhysicalModel, key: Key, e: Experiment, X: FloatArray) ->
             if own:
                 variants.append(Variant(larger, tuple(f"{use.label}.{name}" for name in own)))
     except BadInput:
-        pass
+        pass  # an effect that this window gives no first values for, or only some, is not tried
     return variants
 
 
 def _sensor(model: PhysicalModel, o: int, name: str, unit: str) -> list[Hypothesis]:
     own = np.arange(len(model.outputs)) == o
+    # A gain is begun at none and stays above −0.95: at −1 the reading would be gone.
     gain = Variant(
         model,
         sizes=(0.0,),
@@ -160,10 +160,9 @@ def _sensor(model: PhysicalModel, o: int, name: str, unit: str) -> list[Hypothes
         return Variant(model, sizes=(value,), lower=(-np.inf,), onset=t, reading=edited(o, held, t))
 
     def anywhere(e: Experiment, X: FloatArray) -> list[Variant]:
-        return [
-            stuck(e, t)
-            for t in sorted({_longest_run(e.Y[:, o]), *range(0, e.n - 2, max(e.n // GRID, 1))})
-        ]
+        # a sensor that sticks without noise repeats one reading: its run shows where it began
+        grid = range(0, e.n - 2, max(e.n // GRID, 1))
+        return [stuck(e, t) for t in sorted({_longest_run(e.Y[:, o]), *grid})]
 
     return [
         Hypothesis("sensor", "gain", name, "", lambda e, X: [gain]),
@@ -199,6 +198,8 @@ def _longest_run(y: FloatArray) -> int:
 
 def _unknown_load(model: PhysicalModel, balance: str) -> Variant:
     """A load that nobody recorded: a line between knots."""
+    # Each knot is an input that the model lacks, of which the fit finds the gain: an unknown course
+    # becomes KNOTS linear sizes.
     larger, inputs = model, len(model.inputs)
     for k in range(KNOTS):
         larger = larger.with_input(f"knot{k}", "").with_effect(
@@ -222,10 +223,8 @@ def _noisier(o: int, fitter: WindowFitter, healthy: Fit) -> Fit | None:
     """
     louder = float(fitter.louder(healthy.white)[o])
     power = healthy.power.copy()
-    power[:, o] /= (
-        # half of what the likelihood would give: what has a structure is told by what explains it
-        louder
-    )
+    # half of what the likelihood would give: what has a structure is told by what explains it
+    power[:, o] /= louder
     more = max(float(fitter.steps(healthy.white)[o] - fitter.whitening.steps[o]), 0.0)
     return replace(
         healthy, power=power, own=np.array([np.sqrt(more / fitter.whitening.amplified[o])])
@@ -239,7 +238,9 @@ def _dropped(o: int, fitter: WindowFitter, healthy: Fit) -> Fit | None:
     r, Y = healthy.error[:, o], fitter.window.Y.copy()
     if not fitter.count[o]:
         return None
+    # 1.4826 median |r| is σ of Gaussian noise, which the lost readings themselves do not raise
     far = np.abs(np.nan_to_num(r)) > LOST_READING * 1.4826 * np.nanmedian(np.abs(r))
+    # lost readings stand at one value; readings that are far away at many values are noise
     values, counts = np.unique(Y[far, o], return_counts=True)
     if not counts.size or counts.max() < max(3.0, 0.5 * float(far.sum())):
         return None
@@ -284,6 +285,8 @@ def tried(
             fits = [fitter.fit(v, LOOK_STEPS, beside=healthy) for v in h.variants(fitter.window, X)]
         if known := [fit for fit in fits if fit is not None]:
             looks.append(Tried(h, min(known, key=fitter.nats)))
+    # A look is a few steps beside the healthy fit. What stands low after it, and gains little in
+    # healthy windows anyway, is fitted; the others are kept as they were looked at.
     looks.sort(key=lambda t: fitter.nats(t.fit) + usual_gain(t.hypothesis))
     looks[:HYPOTHESES_FITTED] = [_fitted(fitter, healthy, t) for t in looks[:HYPOTHESES_FITTED]]
     return healthy, {t.hypothesis.label: t for t in looks}
@@ -295,6 +298,7 @@ def _fitted(fitter: WindowFitter, healthy: Fit, look: Tried) -> Tried:
     if h.seen is not None:
         return look
     steps = fitter.window.n // GRID if h.begin is not None else 0
+    # the look itself stays a candidate: a fit may end in a poorer minimum
     known = [fit for fit in (best, fitter.fit(best.variant, begin=best)) if fit is not None]
     best = min(known, key=fitter.nats)
     while h.begin is not None and (steps := steps // 2):

@@ -36,6 +36,7 @@ class KindOfRun:
         """Of healthy windows."""
         beside = tuple(name for name in windows[0].spare if all(name in e.spare for e in windows))
         F = np.array([_raw(e, beside) for e in windows])
+        # what hardly moves from run to run would else be divided by its noise
         spread = np.maximum(F.std(axis=0), STILL * np.max(np.abs(F), axis=0, initial=0.0))
         return cls(beside, F.mean(axis=0), np.where(spread > 0.0, spread, np.inf))
 

@@ -96,7 +96,7 @@ class _Mended:
         )
 
     @property
-    def told(self) -> FloatArray:
+    def information(self) -> FloatArray:
         """What each window tells of the values, shape (windows, values, values): 0 where the model
         diverges.
         """
@@ -114,6 +114,7 @@ def mended(
 
     Values of new effects that the windows leave open are held.
     """
+    # Sought in the window that tells the most of the values, then held against a few of all of them.
     few = [windows[k] for k in evenly(len(windows), CALIBRATED)]
     base = _fitted(model, few, whitening)
     searched = np.argsort(-_telling(base), kind="stable")[:SEARCHED]
@@ -123,6 +124,7 @@ def mended(
     if not better:
         return model, list(windows)
     best = min(better, key=lambda k: float(errors[k].mean()))
+    # of what takes away as much, to one standard error, the model with the fewest values
     alike = [k for k in better if k == best or not _falls(errors[k] - errors[best], 1.0)]
     chosen = fits[min(alike, key=lambda k: (len(fits[k].model.free), float(errors[k].mean())))]
     return _settled(chosen, model), [replace(e, hold=chosen.windows[0].hold) for e in windows]
@@ -146,7 +148,7 @@ def _fixed(
 
 
 def evenly(windows: int, count: int) -> list[int]:
-    """So many windows, evenly over all of them."""
+    """So many windows, evenly over all of them, the first and the last left out."""
     return np.unique(np.linspace(0, windows - 1, count + 2)[1:-1].round().astype(int)).tolist()
 
 
@@ -154,7 +156,7 @@ def _telling(base: _Mended) -> FloatArray:
     """How much each window tells of the values, shape (windows,): the geometric mean of the
     information on each of them.
     """
-    precision = np.nan_to_num(np.diagonal(base.told, axis1=1, axis2=2))
+    precision = np.nan_to_num(np.diagonal(base.information, axis1=1, axis2=2))
     return np.asarray(
         np.log(np.maximum(precision, 1e-12 * precision.max(axis=0, initial=0.0)) + 1e-300).sum(
             axis=1
@@ -203,11 +205,12 @@ def _settled(best: _Mended, before: PhysicalModel) -> PhysicalModel:
     are shapes, which no window changes, and what they leave open.
     """
     names, known = list(best.model.free), [fit is not None for fit in best.fits]
-    window_info = best.told[known]
+    window_info = best.information[known]
     values = _middle(
         np.array([fit.others for fit in best.fits if fit is not None]),
         np.diagonal(window_info, axis1=1, axis2=2),
     )
+    # what all windows together leave open of a value: its standard deviation, relative to it
     total = window_info.sum(axis=0)
     std = np.sqrt(np.diag(np.linalg.pinv(total, hermitian=True)))
     fixed = (np.diag(total) > 0.0) & (std < OPEN * np.abs(values))
@@ -339,6 +342,7 @@ def _chance(baseline: Baseline, label: str, sizes: Sequence[FloatArray]) -> floa
     # sizes that are alike to rounding
     least = (1e-9 * float(np.max(np.abs([*new_sizes, *usual_sizes])))) ** 2 + 1e-300
     a, b = (max(float(x.var(ddof=1)), least) / len(x) for x in (new_sizes, usual_sizes))
+    # Welch's t with the degrees of freedom of Welch and Satterthwaite
     t = float(new_sizes.mean() - usual_sizes.mean()) / np.sqrt(a + b)
     share = a / (a + b)
     freedom = 1.0 / (share**2 / (len(new_sizes) - 1) + (1.0 - share) ** 2 / (len(usual_sizes) - 1))
@@ -380,6 +384,7 @@ def train(
     for use in known:
         if use.key not in [own.key for own in asked.effects]:
             base = base.with_effect(*use.key, {name: p.value for name, p in use.parameters.items()})
+    # All windows at once first: they determine what no window determines by itself.
     climbed = climb_at_likelier_timing(data_of(base, experiments))
     data, fit = climbed.data, climbed.found
     while wide := [name for name in _open(fit) if name in asked.parameters]:
@@ -429,6 +434,7 @@ def _alike(experiments: Sequence[Experiment]) -> list[Experiment]:
                 f"records {e.source!r} and {first.source!r}: have different outputs; healthy"
                 " windows must be alike"
             )
+    # one timing of the inputs for all windows, that of most of them
     hold = np.array(np.mean([e.hold for e in experiments], axis=0) >= 0.5, dtype=float)
     return [replace(e, hold=hold) for e in experiments]
 
@@ -570,6 +576,7 @@ def _apart(F: FloatArray, x: FloatArray) -> tuple[int, ...]:
         scatter = Scatter.of(F[but_k], x[but_k], None, 1e-3 * np.abs(x).mean(axis=0) + 1e-12)
         mean, covariance = scatter.at(F[k])
         t = np.abs(x[k] - mean) / np.sqrt(np.diag(covariance))
+        # two-sided, Bonferroni over all values of all windows
         if 2.0 * x.size * stats.t.sf(t.max(), scatter.freedom) < APART:
             apart.append(k)
     return tuple(apart)

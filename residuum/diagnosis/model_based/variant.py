@@ -74,6 +74,7 @@ def held(y: FloatArray, sizes: FloatArray) -> FloatArray:
 
 def delayed(y: FloatArray, sizes: FloatArray) -> FloatArray:
     """The signal so many samples late, between samples a line."""
+    # before the window nothing is known: its first value stands for what came then
     at = np.clip(np.arange(len(y)) - sizes[0], 0, len(y) - 1)
     low = np.minimum(at.astype(np.int64), len(y) - 2)
     part = (at - low).reshape((-1,) + (1,) * (y.ndim - 1))

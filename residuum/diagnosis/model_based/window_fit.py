@@ -74,6 +74,7 @@ class Whitening:
             measured = known[:, o].reshape((-1,) + (1,) * (values.ndim - 2))
             x = np.where(measured, values[:, o], 0.0)
             y = x.copy()
+            # the first samples of a window lack a past and stay as large as they are
             for lag in np.flatnonzero(a[1:]) + 1:
                 y[lag:] += a[lag] * x[:-lag]
             out[:, o] = np.where(measured, y, 0.0) / self.sigma[o]
@@ -103,38 +104,44 @@ class Whitening:
             x = [np.nan_to_num(r[:, o]) for r in errors]
             a = _autoregression(x)
             white = [np.convolve(y, a)[: len(y)] for y in x]
+            # The variance of a mean of correlated samples is 1 + 2 Σ ρ times that of independent
+            # ones. The sum ends where ρ is lost in its own noise.
             rho = _autocorrelation(white, min(map(len, white)))
             end = int(np.argmax(rho < _CORRELATED)) or len(rho)
             sigma = max(float(np.sqrt(np.mean(np.concatenate(white) ** 2))), 1e-300)
             steps = [float(np.mean(np.diff(y) ** 2)) / 2.0 / sigma**2 for y in white]
             whitening.filters[o, : len(a)], whitening.sigma[o] = a, sigma
             whitening.inflation[o] = 1.0 + 2.0 * float(rho[1:end].sum())
-            whitening.steps[o], whitening.most_steps[o] = (
-                np.mean(steps),
-                np.mean(steps) + 2.0 * np.std(steps),
-            )
+            whitening.steps[o] = np.mean(steps)
+            # two standard deviations over healthy windows: what is louder is louder than usual
+            whitening.most_steps[o] = np.mean(steps) + 2.0 * np.std(steps)
         return whitening
 
 
 def _autoregression(x: Sequence[FloatArray]) -> FloatArray:
+    """1, −φ₁, −φ₂, … of the order that Akaike's criterion chooses."""
     rho, n = _autocorrelation(x, WHITENING + 1), sum(map(len, x))
     best, a = np.inf, np.ones(1)
     for p in range(WHITENING + 1):
-        phi = (
-            np.linalg.solve(toeplitz(rho[:p]) + 1e-9 * np.eye(p), rho[1 : p + 1])
-            if p
-            else np.zeros(0)
-        )
-        aic = n * np.log(max(1.0 - float(phi @ rho[1 : p + 1]), 1e-12)) + 2.0 * p
+        phi = np.zeros(0)
+        if p:
+            # the ridge: a slow error has ρ near 1 at all lags, and the equations are all but
+            # singular
+            R = toeplitz(rho[:p]) + 1e-9 * np.eye(p)
+            phi = np.linalg.solve(R, rho[1 : p + 1])
+        innovation_variance = max(1.0 - float(phi @ rho[1 : p + 1]), 1e-12)
+        aic = n * np.log(innovation_variance) + 2.0 * p
         if aic < best:
             best, a = aic, np.concatenate([[1.0], -phi])
     return a
 
 
 def _autocorrelation(x: Sequence[FloatArray], lags: int) -> FloatArray:
-    total = np.sum(
-        [np.fft.irfft(np.abs(np.fft.rfft(y, 2 * len(y))) ** 2)[:lags] for y in x], axis=0
-    )
+    """ρ at lags 0 … lags − 1 over all windows; padded to twice the length, so that the end of a
+    window does not meet its beginning.
+    """
+    power = [np.abs(np.fft.rfft(y, 2 * len(y))) ** 2 for y in x]
+    total = np.sum([np.fft.irfft(spectrum)[:lags] for spectrum in power], axis=0)
     return np.asarray(total / max(float(total[0]), 1e-300))
 
 
@@ -143,8 +150,8 @@ def _autocorrelation(x: Sequence[FloatArray], lags: int) -> FloatArray:
 # a hierarchical normal model: φ are the features of the run, H_w is what the window by itself
 # says. B (ridge) and S by expectation and maximisation; how far each value may depend on φ by the
 # evidence of its ridge. Far from the runs seen the scatter widens.
-# References ---------- A. Gelman et al., *Bayesian Data Analysis*, 3rd ed. 2013, ch. 5 and 15; D.
-# MacKay, Neural Computation 4 (1992) 415 (evidence).
+# References: A. Gelman et al., Bayesian Data Analysis, 3rd ed. 2013, ch. 5 and 15; D. MacKay,
+# Neural Computation 4 (1992) 415 (evidence).
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,6 +192,8 @@ class Scatter:
         floor : array, shape (values,)
             Least standard deviation of each.
         """
+        # A ridge is chosen by the evidence of the windows' values, which depend on the ridges
+        # themselves: begun with the least dependence on the run, and gone through twice.
         ridges = np.full(x.shape[1], RIDGES[0])
         scatter, post = _fitted(F, x, information, floor, ridges)
         for _ in range(2):
@@ -209,13 +218,15 @@ def _fitted(
 ) -> tuple[Scatter, FloatArray]:
     """The scatter with these ridges, and each window's values as it and the others tell them."""
     n, p = x.shape
-    M = np.array(
-        [np.linalg.inv(F.T @ F + np.diag([1e-6] + [ridge] * (F.shape[1] - 1))) for ridge in ridges]
-    )
+    # the first feature is 1: its row of B is the mean, which is all but free
+    penalties = [np.diag([1e-6] + [ridge] * (F.shape[1] - 1)) for ridge in ridges]
+    M = np.array([np.linalg.inv(F.T @ F + penalty) for penalty in penalties])
     M = M.reshape(p, F.shape[1], F.shape[1])
     freedom = np.array([max(n - float(np.trace(F @ m @ F.T)), 2.0) for m in M])
     post, V = x, np.zeros((n, p, p))
     B, S = np.zeros((F.shape[1], p)), np.zeros((p, p))
+    # Expectation: each window's values, from what it says and what the others lead to expect (mean
+    # `post`, covariance V). Maximisation: B and S of these values.
     for _ in range(1 if information is None else EM_STEPS):
         B = np.einsum("pij,wj,wp->ip", M, F, post)
         d = post - F @ B
@@ -234,6 +245,7 @@ def _evident_ridge(F: FloatArray, y: FloatArray, floor: float) -> float:
     """The ridge under which the values of the windows are likeliest; less of it only where that is
     evident.
     """
+    # ln p(y) of y ~ N(mean, s² K) with s integrated out: −½ ln |K| − (n/2) ln(rᵀ K⁻¹ r)
     best, chosen = -np.inf, RIDGES[0]
     r = (y - y.mean()) / max(float(y.std()), float(floor), 1e-300)
     for ridge in RIDGES:
@@ -293,14 +305,11 @@ class WindowFitter:
         freedom: float,
     ) -> None:
         self.model, self.free, self.window = model, list(model.free), window
-        self.mean, self.covariance, self.whitening, self.freedom = (
-            mean,
-            covariance,
-            whitening,
-            freedom,
-        )
+        self.mean, self.covariance = mean, covariance
+        self.whitening, self.freedom = whitening, freedom
         self.known = np.isfinite(window.Y)
         self.count = self.known.sum(axis=0)
+        # independent samples of each output; 0 where it was not measured, so that it costs nothing
         self.samples = np.maximum(self.count / whitening.inflation, 2.0) * (self.count > 0)
         self.block = np.arange(window.n) * BLOCKS // window.n
 
@@ -433,7 +442,7 @@ class _Problem:
         # twice: errors beyond the healthy size say less
         for _ in range(1 if steps <= LOOK_STEPS else 2):
             z, at_z = self._descended(z, at_z, self._weights(at_z[0]), steps)
-        return self._told(z, at_z)
+        return self._fit_at(z, at_z)
 
     def _descended(
         self,
@@ -442,6 +451,8 @@ class _Problem:
         weights: FloatArray,
         steps: int,
     ) -> tuple[FloatArray, tuple[FloatArray, FloatArray, FloatArray]]:
+        # Levenberg and Marquardt: the damping rises until a step lowers the cost, and falls after one
+        # that did. Weights are held during a descent, or the cost would not be one function.
         damping, now = 1e-3, self._cost(z, at_z[0], weights)
         for _ in range(steps):
             J = (at_z[1] * weights[:, None]).reshape(-1, len(z))
@@ -459,7 +470,7 @@ class _Problem:
                     break
                 damping = max(damping, 1e-4) * 8.0
             else:
-                return z, at_z
+                return z, at_z  # no step lowers the cost any more
             assert at_trial is not None
             before, now = now, self._cost(trial, at_trial[0], weights)
             z, at_z, damping = trial, at_trial, damping / 10.0
@@ -467,13 +478,15 @@ class _Problem:
                 break
         return z, at_z
 
-    def _told(self, z: FloatArray, at_z: tuple[FloatArray, FloatArray, FloatArray]) -> Fit | None:
+    def _fit_at(self, z: FloatArray, at_z: tuple[FloatArray, FloatArray, FloatArray]) -> Fit | None:
         k, q, nx, variant, fitter = self.k, self.q, self.nx, self.variant, self.fitter
         J = (at_z[1] * self._weights(at_z[0])[:, None]).reshape(-1, len(z))
+        # a fit tells its first states after its sizes: they are eliminated, never told
         order = [*range(q), *range(q + nx, len(z)), *range(q, q + nx)]
         x0 = self.x0.copy()
         x0[self.at] = z[q : q + nx]
         power = fitter.blocks(at_z[0])
+        # a gain of the sensor multiplies its noise too: that much more of it is no error
         if variant.louder is not None:
             power = power / np.clip(
                 fitter.louder(at_z[0]), 1.0, np.maximum(variant.louder(z[q + nx :]), 1.0)
@@ -482,6 +495,7 @@ class _Problem:
         if not (np.all(np.isfinite(power)) and np.all(np.isfinite(information))):
             return None
         paid, freedom = self._paid(z), fitter.freedom
+        # Student's −ln p but for a constant: the prior's scatter is known from ν windows
         worth = 0.5 * (freedom + k) * float(np.log1p(paid @ paid / freedom))
         error = np.where(fitter.known, at_z[2], np.nan)
         own = np.concatenate([z[k:q], z[q + nx :]])
@@ -507,6 +521,9 @@ class _Problem:
         return float(np.sum((white * weights) ** 2) + paid @ paid)
 
     def _weights(self, white: FloatArray) -> FloatArray:
+        """Of each output: correlated samples count for fewer, and an output whose error is larger
+        than when healthy counts for as much less.
+        """
         rms = np.sqrt((white**2).sum(axis=0) / np.maximum(self.fitter.count, 1))
         return np.asarray(1.0 / np.sqrt(self.fitter.whitening.inflation) / np.maximum(rms, 1.0))
 
@@ -519,6 +536,7 @@ class _Problem:
         if self.variant.inputs is not None:
             U = self.variant.inputs(e.U, z[q + nx :])
             e = replace(e, U=U, hold=np.concatenate([e.hold, np.ones(U.shape[1] - e.U.shape[1])]))
+        # chosen once: a cost whose steps change with z is not smooth
         if not self.substeps:
             self.substeps = self.simulator.substeps_each([e], [x], p)
         run = self.simulator.run_each([e], [x], p, slopes=slopes, substeps=self.substeps)
@@ -534,6 +552,7 @@ class _Problem:
         if run is None or run[1] is None:
             return None
         Y, dY = run[0], run[1]
+        # what is done to readings is affine: its linear part acts on the slopes
         if variant.reading is not None:
             dY = (
                 variant.reading(dY, z[first:])
@@ -568,6 +587,7 @@ def _root_of_inverse(covariance: FloatArray) -> FloatArray:
     """R with RᵀR = covariance⁻¹, also where values of very unlike sizes are nearly tied to each
     other.
     """
+    # scaled to correlations, so that the floor on eigenvalues means the same in any unit
     size = np.sqrt(np.diag(covariance))
     values, vectors = np.linalg.eigh(covariance / np.outer(size, size))
     return np.asarray((vectors / np.sqrt(np.maximum(values, 1e-9))).T / size)
@@ -582,11 +602,13 @@ def _bounded_step(
     damping: float,
 ) -> FloatArray:
     """The damped step, unknowns at a bound that it would leave held."""
+    # scaled to unit diagonal: unknowns of unlike units are damped alike
     scale, held = np.sqrt(np.maximum(np.diag(H), 1e-300)), np.zeros(len(z), dtype=bool)
     A = H / scale / scale[:, None] + (damping + 1e-10) * np.eye(len(z))
     while True:
         step, free = np.zeros(len(z)), ~held
         step[free] = np.linalg.solve(A[np.ix_(free, free)], (g / scale)[free]) / scale[free]
+        # each round holds at least one more, so that it ends
         leaves = free & (((z <= lower) & (step < 0.0)) | ((z >= upper) & (step > 0.0)))
         if not leaves.any():
             return step
@@ -614,6 +636,7 @@ def _beside(H: FloatArray, keep: int) -> FloatArray:
     A, B, C = H[:keep, :keep], H[:keep, keep:], H[keep:, keep:]
     if not len(C):
         return A
+    # scaled to unit diagonal; directions of which nothing is known are left out, not inverted
     d = np.sqrt(np.maximum(np.diag(C), 1e-300))
     left = A - (B / d) @ np.linalg.pinv(C / d / d[:, None], rcond=1e-10, hermitian=True) @ (B / d).T
     return np.asarray(0.5 * (left + left.T))

@@ -31,7 +31,7 @@ from residuum.nearest_names import known_names
 # A vector residual made white: a vector autoregression, and the root of its innovations'
 # covariance.
 
-_HIGHEST = 10
+_HIGHEST = 10  # order of the autoregression
 _ROWS_A_VALUE = 5
 """Rows of the regression that each of its unknowns needs."""
 
@@ -90,6 +90,7 @@ def fit_whitener(residuals: Sequence[FloatArray]) -> VectorWhitener:
     size = now.shape[1]
     order = min(orders, key=lambda k: _schwarz(now, past[:, : k * size]))
     now, past = _all_rows(residuals, order)
+    # rows that the highest order had to leave out join again
     A, covariance = _regressed(now, past)
     return VectorWhitener(
         A.reshape(size, order, size).transpose(1, 0, 2),
@@ -319,6 +320,7 @@ def design_multivariable_residual(
     """
     _check(model, healthy, method, unknown)
     p, step = len(model.models), model.models[0][0].sample_time
+    # nothing unknown: every output's residual is its own
     Q = unknown_input_decoupling(model, unknown) if unknown else StateSpace.gain(np.eye(p), step)
     blank = MultivariableResidual(
         model=model, unknown=tuple(unknown), Q=Q, whitener=VectorWhitener.none(Q.D.shape[0])
@@ -337,6 +339,7 @@ def design_multivariable_residual(
     impulse = Q.impulse_response(settled)
     residuals = []
     for error in errors:
+        # the filter remembers a gap as long as it rings
         missing = _dilated(_any_missing(error), settled)
         residual = filtered(impulse, np.nan_to_num(error - output_mean))
         residuals.append(np.where(missing[:, None], np.nan, residual))
@@ -481,6 +484,7 @@ def unknown_input_decoupling(model: MultivariableModel, unknown: Sequence[str]) 
         [[path.impulse_response[late[k] :] for k, path in enumerate(row)] for row in paths],
         paths[0][0].sample_time,
     )
+    # chains of delays have a state a tap; what the observer needs of them is far smaller
     small = balanced_truncation(system, _NEGLIGIBLE * h_infinity_norm(system)[0]).system
     observer = unknown_input_observer(
         StateSpace(
@@ -492,6 +496,7 @@ def unknown_input_decoupling(model: MultivariableModel, unknown: Sequence[str]) 
         ),
         small.B,
     )
+    # directions of y that d does not reach in one step: Fᵀ C E = 0
     free = linalg.null_space((small.C @ small.B).T).T
     uio = observer.filter
     return StateSpace(uio.A, uio.B, free @ uio.C, free @ uio.D, uio.sample_time)

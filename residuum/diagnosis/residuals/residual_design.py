@@ -51,6 +51,7 @@ STRUCTURED_P = 1e-3
 KIND, VERSION = "residual-design", 1
 _SWAPPED = 0.3  # of explained variance by which the reverse direction must win
 _RATE_TOLERANCE = 1e-3  # of a record's sample time
+# the name of the post-filter by Algorithm 5, beside those of `classical_filters`
 ROBUST = "robust"
 _NOISE_NUMBERS = ("sigma", "dof", "n", "shape", "freedom", "blur")
 _SETTLED = 1000  # samples of the post-filter's impulse response
@@ -350,6 +351,7 @@ def model_noise(model: IdentifiedModel) -> NoiseModel:
     freedom = float(model.provenance.get("n", np.inf))
     if model.noise_numerator is None or model.noise_denominator is None:
         return NoiseModel(np.ones(1), float(np.sqrt(model.noise_variance)), freedom=freedom)
+    # H⁻¹ as an impulse response, cut where it has died out: the whitening filter
     impulse = np.concatenate([[1.0], np.zeros(200)])
     inverse = signal.lfilter(model.noise_denominator, model.noise_numerator, impulse)
     length = int(np.flatnonzero(np.abs(inverse) > 1e-6)[-1]) + 1
@@ -444,6 +446,7 @@ def _structured_p(design: ResidualDesign, signals: Sequence[ResidualSignals]) ->
         return 1.0
     expected = 0.3
     alarms = 0
+    # a bank a record: alarms of a right model are rare and nearly independent, so Poisson
     for part in signals:
         bank = design.bank(bank_threshold(min(expected / n, 0.01)))
         alarms += int(bank.process(part).alarm.sum())
@@ -481,6 +484,7 @@ def _noise_of(ar: FloatArray, numbers: Mapping[str, Any]) -> NoiseModel:
 
 
 def _jsonable(value: Any) -> Any:
+    # JSON has no infinity, which bounds that are not known are
     if isinstance(value, float) and not np.isfinite(value):
         return {"float": repr(value)}
     if isinstance(value, tuple):
