@@ -110,8 +110,8 @@ def left_coprime(system: StateSpace, *, normalised: bool = False) -> LeftCoprime
     Examples
     --------
     >>> from residuum.identification.linear_models.transfer_function import TransferFunction
-    >>> unstable = StateSpace.from_transfer_function(TransferFunction([1.0], [1.0, -2.0], sample_time=1.0))
-    >>> factors = left_coprime(unstable)
+    >>> unstable = TransferFunction([1.0], [1.0, -2.0], sample_time=1.0)
+    >>> factors = left_coprime(StateSpace.from_transfer_function(unstable))
     >>> factors.M.is_stable and factors.N.is_stable
     True
     """
@@ -169,7 +169,8 @@ class FirFilter:
     differently changes no bit of the result.
 
     >>> whole, halves = FirFilter([1.0, 0.5]), FirFilter([1.0, 0.5])
-    >>> whole.process([1.0, 2.0, 3.0]).tolist() == [*halves.process([1.0]), *halves.process([2.0, 3.0])]
+    >>> in_parts = [*halves.process([1.0]), *halves.process([2.0, 3.0])]
+    >>> whole.process([1.0, 2.0, 3.0]).tolist() == in_parts
     True
     """
 
@@ -300,8 +301,8 @@ def h_infinity_norm(system: StateSpace, tolerance: float = 1e-8) -> tuple[float,
     Examples
     --------
     >>> from residuum.identification.linear_models.transfer_function import TransferFunction
-    >>> lag = StateSpace.from_transfer_function(TransferFunction([0.5], [1.0, -0.5], sample_time=1.0))
-    >>> round(h_infinity_norm(lag)[0], 8)
+    >>> lag = TransferFunction([0.5], [1.0, -0.5], sample_time=1.0)
+    >>> round(h_infinity_norm(StateSpace.from_transfer_function(lag))[0], 8)
     1.0
     """
     if not system.is_stable:

@@ -148,8 +148,8 @@ class Bearing(Diagnoser):
         The acceleration channel; None: the first one with a unit of acceleration, or an only
         channel without unit.
     machine_class : str or None
-        Class of `vibration_severity.LIMITS`; when given, velocity RMS and its zone are part of the
-        evidence.
+        Class of `vibration_indicators.LIMITS`; when given, velocity RMS and its zone are part of
+        the evidence.
     false_alarm : float
         Probability that a healthy window passes any limit of the baseline, when its logarithms are
         normal.
@@ -251,7 +251,7 @@ class Bearing(Diagnoser):
         """Judge one record: its fault lines over the whole of it, its indicators as medians over
         windows.
 
-        A record of more than `long_records.LONGEST` samples is judged in blocks, without a copy of
+        A record of more than `LONGEST` samples is judged in blocks, without a copy of
         the whole. Without a baseline nothing is `healthy`: the finding is `not-assessable` where no
         absolute limit is passed, and says which hold.
         """

@@ -73,7 +73,8 @@ class GrippingPliers(Diagnoser):
 
     References
     ----------
-    N. Valceschini, Data-Driven Robust Control and Diagnosis, chapter 6, Algorithm 7, Remarks 6.1 and 6.2.
+    N. Valceschini, Data-Driven Robust Control and Diagnosis, chapter 6, Algorithm 7, Remarks 6.1
+    and 6.2.
     """
 
     name: ClassVar[str] = "gripping-pliers"

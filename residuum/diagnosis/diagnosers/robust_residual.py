@@ -258,11 +258,15 @@ class RobustResidual(Diagnoser):
         if estimate is not None:
             low, high = estimate.band()
             evidence["fault"] = {
-                "kind": estimate.kind, "value": estimate.value, "std": estimate.std, "unit": estimate.unit,
-                "band_95": [low, high], "onset_time": record.t0 + estimate.onset * record.sample_time,
+                "kind": estimate.kind,
+                "value": estimate.value,
+                "std": estimate.std,
+                "unit": estimate.unit,
+                "band_95": [low, high],
+                "onset_time": record.t0 + estimate.onset * record.sample_time,
                 "present_from_the_start": estimate.onset <= self._judged_from,
                 "indistinguishable_from": list(estimate.indistinguishable_from),
-            }  # fmt: skip
+            }
         return evidence
 
     def _reason(

@@ -66,7 +66,8 @@ def decision_regions(
 
     >>> from sklearn.svm import SVC
     >>> points = np.array([[0.0, 0.0], [0.1, 1.0], [1.0, 0.0], [0.9, 1.0]])
-    >>> regions = decision_regions(SVC(kernel="linear").fit(points, ["left", "left", "right", "right"]), points)
+    >>> classifier = SVC(kernel="linear").fit(points, ["left", "left", "right", "right"])
+    >>> regions = decision_regions(classifier, points)
     >>> regions.classes, round(regions.share("left"), 2)
     (('left', 'right'), 0.5)
     """

@@ -375,10 +375,23 @@ def _usual_band(
 
 
 CLASSES: Sequence[str] = (
-    "healthy", "parameter", "effect", "disturbance", "unknown",
-    "sensor-offset", "sensor-gain", "sensor-noise", "sensor-stuck", "sensor-delay", "sensor-drop-out", "sensor-drift",
-    "actuator-offset", "actuator-gain", "actuator-stuck", "actuator-delay",
-)  # fmt: skip
+    "healthy",
+    "parameter",
+    "effect",
+    "disturbance",
+    "unknown",
+    "sensor-offset",
+    "sensor-gain",
+    "sensor-noise",
+    "sensor-stuck",
+    "sensor-delay",
+    "sensor-drop-out",
+    "sensor-drift",
+    "actuator-offset",
+    "actuator-gain",
+    "actuator-stuck",
+    "actuator-delay",
+)
 
 
 def _class(cause: Cause) -> str:

@@ -114,7 +114,7 @@ def mended(
 
     Values of new effects that the windows leave open are held.
     """
-    # Sought in the window that tells the most of the values, then held against a few of all of them.
+    # Sought in the window that tells the most of the values, then held against a few of them all.
     few = [windows[k] for k in evenly(len(windows), CALIBRATED)]
     base = _fitted(model, few, whitening)
     searched = np.argsort(-_telling(base), kind="stable")[:SEARCHED]
@@ -453,13 +453,15 @@ def _open(fit: gauss_newton.Fit) -> list[str]:
 
 
 def _refusal(model: PhysicalModel, data: Data, wide: Sequence[str]) -> Undetermined:
+    pronoun = "them" if len(wide) > 1 else "it"
+    way_on = said("fix_undetermined", True)
     driving = ", ".join(model.inputs) or "the machine"
     lacking = [name for name, known in zip(model.outputs, data.measured, strict=True) if not known]
     more = f", or record {' or '.join(lacking)} too" if lacking else ""
     return Undetermined(
         f"model {model.name!r}: healthy windows do not determine {', '.join(wide)}: record windows"
         f" in which {driving} moves faster and over a wider range{more}, or keep"
-        f" {'them' if len(wide) > 1 else 'it'} at the file's value: {said('fix_undetermined', True)}",
+        f" {pronoun} at the file's value: {way_on}",
         wide,
     )
 

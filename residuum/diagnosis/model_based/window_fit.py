@@ -4,7 +4,7 @@ Least squares of whitened simulation errors by Gauss-Newton steps; values that t
 not name keep their healthy scatter as a prior, so that a change smaller than that is none. What a
 fit costs, in nats:
 
-    ½ Σ_b samples_b ln(whitened power_b + 0.05)  +  ½ (ν + k) ln(1 + t²/ν)  +  ½ sizes · ln(samples),
+    ½ Σ_b samples_b ln(whitened power_b + 0.05) + ½ (ν + k) ln(1 + t²/ν) + ½ sizes · ln(samples),
 
 the error power in blocks b, what k other values pay to the prior (Student: their scatter is known
 from ν windows), and the sizes.
@@ -451,8 +451,8 @@ class _Problem:
         weights: FloatArray,
         steps: int,
     ) -> tuple[FloatArray, tuple[FloatArray, FloatArray, FloatArray]]:
-        # Levenberg and Marquardt: the damping rises until a step lowers the cost, and falls after one
-        # that did. Weights are held during a descent, or the cost would not be one function.
+        # Levenberg and Marquardt: the damping rises until a step lowers the cost, and falls after
+        # one that did. Weights are held during a descent, or the cost would not be one function.
         damping, now = 1e-3, self._cost(z, at_z[0], weights)
         for _ in range(steps):
             J = (at_z[1] * weights[:, None]).reshape(-1, len(z))

@@ -275,7 +275,7 @@ class NoiseModel:
         """
         if self.blur == 0.0 or np.isfinite(self.dof):
             return self._log_tail(epsilon)
-        # the mean over ξ by Gauss and Hermite's rule, summed in logarithms: far tails underflow else
+        # the mean over ξ by Gauss and Hermite's rule, in logarithms: far tails underflow else
         nodes, weights = np.polynomial.hermite_e.hermegauss(_NODES)
         at = epsilon[:, None] - self.blur * nodes
         tails = self._log_tail(np.abs(at))
@@ -520,8 +520,10 @@ def _sums(
     """Sums of the regression of the whitened residual on the whitened input's lags, over all
     records.
     """
-    whitened = [(np.convolve(u, noise.ar)[: len(u)], np.convolve(e, noise.ar)[: len(e)])
-                for u, e in zip(inputs, residuals, strict=True)]  # fmt: skip
+    whitened = [
+        (np.convolve(u, noise.ar)[: len(u)], np.convolve(e, noise.ar)[: len(e)])
+        for u, e in zip(inputs, residuals, strict=True)
+    ]
     parts = []
     for u, e in whitened:
         try:

@@ -341,8 +341,16 @@ def design_residual(
         )
         gamma = post_filter.gamma
     noise = model_noise(model)
-    bare = ResidualDesign(model=model, post_filter=post_filter, noise=noise, W_T=W_T, gamma=gamma, fault=fault,
-                          output_mean=model.offset, method=method)  # fmt: skip
+    bare = ResidualDesign(
+        model=model,
+        post_filter=post_filter,
+        noise=noise,
+        W_T=W_T,
+        gamma=gamma,
+        fault=fault,
+        output_mean=model.offset,
+        method=method,
+    )
     return with_healthy_records(bare, healthy) if healthy else bare
 
 

@@ -104,8 +104,8 @@ def detect(
             f"record {record.source!r}: no stretch without a gap is longer than the model's memory,"
             f" {memory} samples"
         )
-    # a classical post-filter shows only where it is looked at itself: the other evaluations scan the
-    # whitened residual, which it does not make
+    # a classical post-filter shows only where it is looked at itself: the other evaluations scan
+    # the whitened residual, which it does not make
     own = DEFAULT_EVALUATION[threshold] if design.method == ROBUST else "point"
     chosen = evaluation or own
     limit = _threshold(

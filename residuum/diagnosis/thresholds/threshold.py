@@ -107,9 +107,13 @@ def source_threshold(design: ResidualDesign, input_bound: float, noise_bound: fl
     # what a right model's Gaussian noise would cross, either way: told, not promised
     per_sample = 2.0 * float(stats.norm.sf(level / design.robust_spread))
     return Threshold(
-        "source", "point", level, design.model.output_unit, per_sample * 86400.0 / design.model.sample_time,
+        "source",
+        "point",
+        level,
+        design.model.output_unit,
+        per_sample * 86400.0 / design.model.sample_time,
         "none: it bounds energy, not peaks; the rate is that of Gaussian noise with an exact model",
-    )  # fmt: skip
+    )
 
 
 def peak_threshold(design: ResidualDesign, input_bound: float, noise_bound: float) -> Threshold:
@@ -124,9 +128,14 @@ def peak_threshold(design: ResidualDesign, input_bound: float, noise_bound: floa
     # the last channel of the noise path is e, those before it u
     level = float(gains[-1] * noise_bound + gains[:-1].sum() * input_bound)
     return Threshold(
-        "peak", "point", level, design.model.output_unit, 0.0,
-        f"never exceeded while healthy with |u − mean| ≤ {input_bound:.4g} and |e| ≤ {noise_bound:.4g}",
-    )  # fmt: skip
+        "peak",
+        "point",
+        level,
+        design.model.output_unit,
+        0.0,
+        f"never exceeded while healthy with |u − mean| ≤ {input_bound:.4g} and"
+        f" |e| ≤ {noise_bound:.4g}",
+    )
 
 
 def posterior_threshold(

@@ -55,7 +55,8 @@ class BearingFrequencies:
         When it is not known but BPFI, BPFO and FTF are, it follows: BPFO = N FTF gives N, BPFI = N
         (f_shaft − FTF) the shaft.
 
-        >>> round(BearingFrequencies.from_hertz({"bpfi": 162.1, "bpfo": 107.3, "ftf": 11.92}).shaft, 1)
+        >>> hertz = {"bpfi": 162.1, "bpfo": 107.3, "ftf": 11.92}
+        >>> round(BearingFrequencies.from_hertz(hertz).shaft, 1)
         29.9
         """
         lines = {name: value for name, value in hertz.items() if name != "shaft"}

@@ -47,7 +47,8 @@ def without_knocks(
 
     Parameters
     ----------
-    x : array, shape (n,), no missing samples; float32 stays float32; not copied when there is no knock
+    x : array, shape (n,), no missing samples
+        float32 stays float32; not copied when there is no knock.
     sampling_rate : float [Hz]
     slowest : float or None
         The lowest rate of impacts [Hz] that must be kept.
@@ -152,7 +153,8 @@ def impact_train(
     frequency : f, mean rate of the impacts [Hz]
     resonance, damping : f_n [Hz] and ζ [-]
     slip : s, random part of each interval [-] (it accumulates, so high harmonics smear)
-    modulation, modulated_at : m [-] and f_m [Hz]; a load zone modulates an inner race with the shaft, a ball with the cage
+    modulation, modulated_at : m [-] and f_m [Hz]
+        A load zone modulates an inner race with the shaft, a ball with the cage.
     seed : of the random ε, η
 
     References
@@ -281,7 +283,7 @@ def moving_line(
     r"""The line that moves most clearly; None where none does.
 
     In half-overlapping stretches of 8 to 128 periods the squared envelope of each band is scored as
-    `fault_lines` does, \(S(f) = \sum_{k=1}^3 \ln(1 + P(kf)/N(kf))\). The line of the largest mean
+    `bearing_lines` does, \(S(f) = \sum_{k=1}^3 \ln(1 + P(kf)/N(kf))\). The line of the largest mean
     score that moves by at most a cell from stretch to stretch (dynamic programming) is held against
     the best steady line in stretches of the same and of twice the length.
 

@@ -429,7 +429,7 @@ def kurtogram(
     where the band just holds the resonance.
 
     When it fails: a few random impacts fool it (K grows with rarity), and at low signal-to-noise
-    ratio a narrow band wins by chance; see `band_selection` for remedies.
+    ratio a narrow band wins by chance; see `benchmarks/peers/band_selection.py` for remedies.
 
     Parameters
     ----------

@@ -202,8 +202,8 @@ class ResidualStream:
         primary, prediction = self._primary(du, dy)
         index = self.seen + np.arange(len(u))
         self.seen += len(u)
-        # until the memory is full the model's output lacks its past: zero, so that neither Q nor the
-        # whitening filters ring on from it
+        # until the memory is full the model's output lacks its past: zero, so that neither Q nor
+        # the whitening filters ring on from it
         started = index >= generator._memory
         primary = np.where(started, primary, 0.0)
         prediction = np.where(started, prediction, 0.0)
