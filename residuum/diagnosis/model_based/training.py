@@ -9,15 +9,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import stats
 
 from residuum.array_types import FloatArray
 from residuum.diagnosis.model_based.assessment import NotAssessable, seen_window
-from residuum.diagnosis.model_based.baseline import Baseline, Usual, alone
+from residuum.diagnosis.model_based.baseline import Baseline, KindOfRun, Usual, alone
 from residuum.diagnosis.model_based.hypotheses import UNKNOWN_LOAD, Hypothesis, tried
-from residuum.diagnosis.model_based.kind_of_run import KindOfRun
 from residuum.diagnosis.model_based.policy import (
     ALWAYS,
     APART,
@@ -51,7 +51,6 @@ from residuum.identification.physics import (
     match,
 )
 from residuum.identification.physics.effects.base import Parameter
-from residuum.identification.physics.estimation import gauss_newton
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.feedback import turned_timing
 from residuum.identification.unseen_blocks.data import Data, data_of
@@ -61,6 +60,9 @@ from residuum.identification.unseen_blocks.search import search
 from residuum.identification.unseen_blocks.tried import Search, Wanted
 from residuum.identification.unseen_blocks.verdict import is_timing
 from residuum.identification.work import at_most
+
+if TYPE_CHECKING:
+    from residuum.identification.physics.estimation import gauss_newton
 
 # Missing physics of a watched machine: what its model lacks in healthy windows, each at values of
 # its own.
