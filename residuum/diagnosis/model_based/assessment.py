@@ -73,7 +73,7 @@ def detected(
     )
     p_values.append(2.0 * len(t) * float(stats.t.sf(t, baseline.offsets.freedom).min(initial=1.0)))
     if k := len(mean):
-        d, H = fit.others - mean, information(fit, k)
+        d, H = fit.values - mean, information(fit, k)
         # (S + H⁻¹)⁻¹, where H may be singular
         T = H - H @ np.linalg.solve(H + np.linalg.inv(covariance), H)
         # Hotelling's T² as an F statistic: t2 · m / (k · freedom) ~ F(k, m)
@@ -279,7 +279,7 @@ def _parameters(baseline: Baseline, observed: Seen, detection: Detected) -> dict
     )
     return {
         name: {
-            "value": float(observed.fit.others[j]),
+            "value": float(observed.fit.values[j]),
             "std": float(std[j]),
             "unit": baseline.model.all_parameters[name].unit,
             "healthy": {

@@ -82,7 +82,12 @@ def pairs(baseline: Baseline, fitter: WindowFitter, singles: Iterable[Tried]) ->
 
 def _combines(tried: Tried) -> bool:
     h = tried.hypothesis
-    return h.seen is None and h.begin is None and h.kind != "disturbance" and not tried.fit.onset
+    return (
+        h.in_residual is None
+        and h.begin is None
+        and h.kind != "disturbance"
+        and not tried.fit.onset
+    )
 
 
 def _fitted(fitter: WindowFitter, pair: Pair) -> Pair:
@@ -236,8 +241,8 @@ def _causes(baseline: Baseline, window: Experiment, features: FloatArray) -> lis
     single_causes = _weighed(baseline, fitter, listed)
     best = _cheapest(baseline, fitter, listed)
     # noise and lost readings are what is left, so that nothing is left over beside them
-    seen_in_residual = best.hypothesis.seen is not None
-    unknown = 0.0 if seen_in_residual else _unknown(baseline, fitter, features, healthy, best.fit)
+    in_residual = best.hypothesis.in_residual is not None
+    unknown = 0.0 if in_residual else _unknown(baseline, fitter, features, healthy, best.fit)
     if not unknown:
         return single_causes
     # one cause leaves more than is usual: two at once are dearer to try, so only now
@@ -255,7 +260,7 @@ def _may_have_begun_within(baseline: Baseline, features: FloatArray, best: Tried
     """Whether beginnings within the window are worth their work: the best cause that acts all
     window long leaves much, or has many sizes, which may stand for a beginning.
     """
-    if best.hypothesis.seen is not None:
+    if best.hypothesis.in_residual is not None:
         return False
     left = float(baseline.surprise(features, best.fit).max())
     return left > UNEXPLAINED or len(best.fit.own) > 2
@@ -410,7 +415,11 @@ def _doubt(baseline: Baseline, fitter: WindowFitter, tried: Tried) -> FloatArray
     """
     fit, h = tried.fit, tried.hypothesis
     variance = _scatter(baseline, fitter, h, fit.variant.own, len(fit.own))
-    return np.sqrt(variance) if h.seen is not None else np.sqrt(_open(fitter, fit) ** 2 + variance)
+    return (
+        np.sqrt(variance)
+        if h.in_residual is not None
+        else np.sqrt(_open(fitter, fit) ** 2 + variance)
+    )
 
 
 def _scatter(
@@ -428,7 +437,7 @@ def _open(fitter: WindowFitter, fit: Fit) -> FloatArray:
     """Standard deviation of the sizes that the window leaves open; NaN where nothing can be said of
     it.
     """
-    k, own = len(fit.others), fit.variant.own
+    k, own = len(fit.values), fit.variant.own
     H = information(fit, k + len(fit.own))
     keep = [j for j, name in enumerate(fitter.free) if name not in own]
     # the other values are known from healthy windows: their prior adds to what the window tells
@@ -458,7 +467,9 @@ def begun(baseline: Baseline, fitter: WindowFitter, features: FloatArray) -> dic
     # Noise and lost readings have no state to begin from, a stuck signal carries its beginning as a
     # size, and a load's knots bend wherever it begins.
     window, beginnings = fitter.window, dict[str, Tried]()
-    listed = [h for h in baseline.hypotheses if not (h.seen or h.begin or h.kind == "disturbance")]
+    listed = [
+        h for h in baseline.hypotheses if not (h.in_residual or h.begin or h.kind == "disturbance")
+    ]
     for part in range(1, PARTS):
         _keep(
             beginnings,

@@ -51,8 +51,8 @@ class Hypothesis:
         Window and states along the healthy model → ways to begin with it.
     begin : function or None
         Window and sample → the way that begins there, where the beginning is a size of its own.
-    seen : function or None
-        Where it is seen in what the healthy fit leaves: fitter and healthy fit → its fit.
+    in_residual : function or None
+        Where it shows in the residual of the healthy fit alone: fitter and healthy fit → its fit.
     in_samples : bool
         Whether its size counts samples.
     key : Key or None
@@ -65,7 +65,7 @@ class Hypothesis:
     unit: str = ""
     variants: Callable[[Experiment, FloatArray], list[Variant]] = lambda e, X: []
     begin: Callable[[Experiment, int], Variant] | None = None
-    seen: Callable[[WindowFitter, Fit], Fit | None] | None = None
+    in_residual: Callable[[WindowFitter, Fit], Fit | None] | None = None
     in_samples: bool = False
     key: Key | None = None
 
@@ -168,8 +168,8 @@ def _sensor(model: PhysicalModel, o: int, name: str, unit: str) -> list[Hypothes
         Hypothesis("sensor", "gain", name, "", lambda e, X: [gain]),
         Hypothesis("sensor", "delay", name, "s", lambda e, X: late, in_samples=True),
         Hypothesis("sensor", "stuck", name, unit, anywhere, begin=stuck),
-        Hypothesis("sensor", "noise", name, unit, seen=partial(_noisier, o)),
-        Hypothesis("sensor", "drop-out", name, "", seen=partial(_dropped, o)),
+        Hypothesis("sensor", "noise", name, unit, in_residual=partial(_noisier, o)),
+        Hypothesis("sensor", "drop-out", name, "", in_residual=partial(_dropped, o)),
     ]
 
 
@@ -279,8 +279,8 @@ def tried(
         )
     X, looks = fitter.states(healthy), []
     for h in listed:
-        if h.seen is not None:
-            fits = [h.seen(fitter, healthy)]
+        if h.in_residual is not None:
+            fits = [h.in_residual(fitter, healthy)]
         else:
             fits = [fitter.fit(v, LOOK_STEPS, beside=healthy) for v in h.variants(fitter.window, X)]
         if known := [fit for fit in fits if fit is not None]:
@@ -295,7 +295,7 @@ def tried(
 def _fitted(fitter: WindowFitter, healthy: Fit, look: Tried) -> Tried:
     """Fitted fully, and where its beginning is a size, that halved in."""
     h, best = look.hypothesis, look.fit
-    if h.seen is not None:
+    if h.in_residual is not None:
         return look
     steps = fitter.window.n // GRID if h.begin is not None else 0
     # the look itself stays a candidate: a fit may end in a poorer minimum

@@ -209,7 +209,7 @@ def _settled(best: _Mended, before: PhysicalModel) -> PhysicalModel:
     names, known = list(best.model.free), [fit is not None for fit in best.fits]
     window_info = best.information[known]
     values = _middle(
-        np.array([fit.others for fit in best.fits if fit is not None]),
+        np.array([fit.values for fit in best.fits if fit is not None]),
         np.diagonal(window_info, axis1=1, axis2=2),
     )
     # what all windows together leave open of a value: its standard deviation, relative to it
@@ -480,7 +480,7 @@ def _learned(
     kind = KindOfRun.of(experiments)
     F = _features(kind, experiments)
     fits = _each_alone(model, experiments, start, whitening)
-    theta = np.array([fit.others for fit in fits])
+    theta = np.array([fit.values for fit in fits])
     window_info = [information(fit, len(start)) for fit in fits]
     values = Scatter.of(F, theta, window_info, 1e-3 * np.abs(start) + 1e-12)
     power = np.array([log_power(fit) for fit in fits])

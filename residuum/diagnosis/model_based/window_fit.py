@@ -263,16 +263,16 @@ class Fit:
 
     Attributes
     ----------
-    others, own : array
-        Values under the prior, and the sizes.
+    values, own : array
+        Values of the healthy model that the hypothesis does not name, and the sizes.
     power : array, shape (blocks, outputs)
         Mean square of whitened errors over the healthy one.
     paid : float
-        [nat] What the other values paid to the prior.
+        [nat] What the values paid to the prior.
     white, error : array, shape (n, outputs)
         Errors whitened, and in the outputs' units (NaN where nothing was measured).
     information : array
-        Of (others, own, first states), the prior left out.
+        Of (values, own, first states), the prior left out.
     initial : array
         First states.
     substeps : list of int
@@ -280,7 +280,7 @@ class Fit:
     """
 
     variant: Variant
-    others: FloatArray
+    values: FloatArray
     own: FloatArray
     power: FloatArray
     paid: float
@@ -389,7 +389,7 @@ class WindowFitter:
     def states(self, fit: Fit) -> FloatArray:
         """States along a fit of the healthy model, shape (n, states)."""
         simulator = Simulator(self.model)
-        p = simulator.p(dict(zip(self.free, fit.others.tolist(), strict=True)))
+        p = simulator.p(dict(zip(self.free, fit.values.tolist(), strict=True)))
         return np.asarray(
             simulator.run_each([self.window], [fit.initial], p, substeps=fit.substeps).X
         )
@@ -428,7 +428,7 @@ class _Problem:
         variant, x0 = self.variant, self.x0[self.at]
         if begin:
             m = len(variant.own)
-            return [begin.others, begin.own[:m], x0, begin.own[m:]]
+            return [begin.values, begin.own[:m], x0, begin.own[m:]]
         parameters = variant.model.all_parameters
         own = np.array([parameters[name].value for name in variant.own])
         return [self.mean, own, x0, np.array(variant.sizes)]
@@ -621,10 +621,10 @@ def information(fit: Fit, keep: int) -> FloatArray:
 
 
 def information_on_size(fit: Fit, covariance: FloatArray) -> float:
-    """Of the only size, beside other values of this prior covariance (others, others); of one that
-    they make up for wholly, 0.
+    """Of the only size, beside values of this prior covariance (values, values); of one that they
+    make up for wholly, 0.
     """
-    k = len(fit.others)
+    k = len(fit.values)
     H = fit.information.copy()
     H[:k, :k] += np.linalg.inv(covariance)
     order = [k, *range(k), *range(k + 1, len(H))]
