@@ -25,11 +25,11 @@ def read_labels(file: Path, records: Sequence[Path]) -> tuple[list[str], list[st
     labels: list[str] = []
     exemplars: list[str] = []
     for record in records:
-        row = known.get(str(record), known.get(record.name))
-        if row is None:
+        label = known.get(str(record), known.get(record.name))
+        if label is None:
             raise BadInput(f"{file}: has no label for {record}")
-        labels.append(row[0])
-        exemplars += row[1:]
+        labels.append(label[0])
+        exemplars += label[1:]
     return labels, exemplars if columns == 3 else None
 
 
