@@ -13,7 +13,7 @@ from scipy import stats
 
 from residuum.array_types import FloatArray
 from residuum.diagnosis.finding import Finding, Verdict
-from residuum.diagnosis.model_based.baseline import Baseline, alone, wide_prior
+from residuum.diagnosis.model_based.baseline import Baseline, own_estimate, wide_prior
 from residuum.diagnosis.model_based.causes import Cause, causes
 from residuum.diagnosis.model_based.hypotheses import Hypothesis
 from residuum.diagnosis.model_based.policy import (
@@ -43,16 +43,22 @@ _TESTS = 4  # error power, offsets, all values together, each value by itself
 
 @dataclass(frozen=True, eq=False)
 class Detected:
-    """`p` that a healthy window of such a run looks like this; of its values the mean (values,) and
-    covariance there.
+    """How a window differs from healthy ones.
 
-    `surprise` is how far error power lies above the usual (2 · outputs,) [standard deviations].
+    Attributes
+    ----------
+    p : float
+        Probability that a healthy window of such a run differs as much.
+    mean, covariance : array, shapes (values,), (values, values)
+        Of values in healthy windows of such a run.
+    error_excess : array, shape (2 · outputs,)
+        How far error power lies above the usual [standard deviations].
     """
 
     p: float
     mean: FloatArray
     covariance: FloatArray
-    surprise: FloatArray
+    error_excess: FloatArray
 
 
 def detected(
@@ -62,7 +68,7 @@ def detected(
     against healthy ones; Bonferroni's bound over the tests.
     """
     mean, covariance = baseline.values.at(features)
-    z, freedom = baseline.surprise(features, fit), baseline.values.freedom
+    z, freedom = baseline.error_excess(features, fit), baseline.values.freedom
     # One-sided: an error smaller than usual is no fault. Student's t throughout, since every
     # scatter is known from so many windows only.
     p_values = [len(z) * float(stats.t.sf(z, baseline.errors.freedom).min(initial=1.0))]
@@ -95,9 +101,19 @@ class NotAssessable(Exception):
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
-    """A window in the baseline's terms, its features, its own values, the offset that each reading
-    seems to have, and the information on that.
+class EstimatedWindow:
+    """A window that can be judged.
+
+    Attributes
+    ----------
+    window : Experiment
+        The record in the baseline's terms.
+    features : array, shape (1 + features,)
+        Of its kind of run.
+    fit : Fit
+        Of the healthy model with all values free.
+    offsets : tuple of array, shape (outputs,) each
+        The offset that each reading seems to have, and the information on it.
     """
 
     window: Experiment
@@ -119,7 +135,7 @@ def assess(name: str, baseline: Baseline, record: Record, false_alarms_per_day: 
         whole, _required(baseline), COMPLETE * baseline.seconds / baseline.sample_time
     )
     try:
-        observed = seen_window(baseline, record)
+        observed = estimated_window(baseline, record)
     except NotAssessable as refused:
         return Finding.not_assessable(name, str(refused))
     detection = detected(baseline, observed.fit, observed.offsets, observed.features)
@@ -165,8 +181,8 @@ def assess(name: str, baseline: Baseline, record: Record, false_alarms_per_day: 
     )
 
 
-def seen_window(baseline: Baseline, record: Record) -> Seen:
-    """The window in the baseline's terms.
+def estimated_window(baseline: Baseline, record: Record) -> EstimatedWindow:
+    """A window with the estimates of it that are held against healthy ones.
 
     Raises
     ------
@@ -185,7 +201,7 @@ def seen_window(baseline: Baseline, record: Record) -> Seen:
     # The own estimate begins at the usual values and, once more, where the healthy fit ended: a
     # descent from one place ended at five times the error (benchmarks/results/model_based.md).
     usual = fitter.fit(Variant(baseline.model))
-    fit = alone(baseline.model, window, fitter.mean, baseline.whitening, usual)
+    fit = own_estimate(baseline.model, window, fitter.mean, baseline.whitening, usual)
     if fit is None:
         raise NotAssessable("the model diverges along the window")
     # a large error weighs less in the information, however much moves
@@ -196,7 +212,7 @@ def seen_window(baseline: Baseline, record: Record) -> Seen:
             "the window says next to nothing of any value of the model: let its inputs move as they"
             " did in the healthy windows"
         )
-    return Seen(window, features, fit, baseline.offsets_in(fitter, usual))
+    return EstimatedWindow(window, features, fit, baseline.offsets_in(fitter, usual))
 
 
 def _required(baseline: Baseline) -> list[str]:
@@ -246,8 +262,8 @@ def _stands_still(baseline: Baseline, window: Experiment) -> bool:
 
 
 def rate_alone(baseline: Baseline) -> float:
-    """False alarms a day that the healthy windows by themselves vouch for: one in so many and one
-    more.
+    """False alarms a day that healthy windows vouch for without extrapolation: n of them show no
+    chance rarer than one in n + 1.
     """
     return SECONDS_A_DAY / baseline.seconds / (baseline.windows + 1.0)
 
@@ -266,7 +282,9 @@ def missing_physics(baseline: Baseline) -> list[dict[str, Any]]:
     return missing
 
 
-def _parameters(baseline: Baseline, observed: Seen, detection: Detected) -> dict[str, Any]:
+def _parameters(
+    baseline: Baseline, observed: EstimatedWindow, detection: Detected
+) -> dict[str, Any]:
     """Every value as this window tells it, all at once, with its 95 % band in healthy windows of
     such a run.
     """

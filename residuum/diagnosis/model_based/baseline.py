@@ -64,7 +64,7 @@ class KindOfRun:
 
     @classmethod
     def of(cls, windows: Sequence[Experiment]) -> KindOfRun:
-        """Of healthy windows."""
+        """Learned from healthy windows."""
         beside = tuple(name for name in windows[0].spare if all(name in e.spare for e in windows))
         F = np.array([_raw(e, beside) for e in windows])
         # what hardly moves from run to run would else be divided by its noise
@@ -103,7 +103,7 @@ class Usual:
 
     @property
     def variance(self) -> FloatArray | float:
-        """Of its sizes from window to window; 0 where too few are known."""
+        """Variance of its sizes from window to window, shape (sizes,); 0 where too few are known."""
         return self.sizes.var(axis=0, ddof=1) if len(self.sizes) > 2 else 0.0
 
 
@@ -172,7 +172,9 @@ class Baseline:
         return tuple(use for use in self.model.effects if use.label in self.mended)
 
     def fitter(self, window: Experiment, features: FloatArray) -> WindowFitter:
-        """What fits hypotheses to a window of a run of this kind."""
+        """The fitter of a window: healthy values and size of errors as the window's features lead
+        to expect.
+        """
         (mean, covariance), log = self.values.at(features), self.errors.at(features)[0]
         known = self.model.all_parameters
         # far from the runs seen the mean may leave what a value can be
@@ -187,7 +189,7 @@ class Baseline:
         model = self.model.with_values(dict(zip(self.free, mean.tolist(), strict=True)))
         return WindowFitter(model, window, mean, covariance, whitening, self.values.freedom)
 
-    def surprise(self, features: FloatArray, fit: Fit) -> FloatArray:
+    def error_excess(self, features: FloatArray, fit: Fit) -> FloatArray:
         """How far error power lies above the usual [standard deviations], of errors as they are and
         whitened, (2 · outputs,).
         """
@@ -213,7 +215,7 @@ class Baseline:
         return offsets, offset_info
 
     def usual_gain(self, hypothesis: Hypothesis) -> float:
-        """[nat] Of a hypothesis in healthy windows."""
+        """[nat] Mean gain of a hypothesis in healthy windows."""
         known = self.usual.get(hypothesis.label)
         return known.gain if known else 0.0
 
@@ -230,7 +232,7 @@ class Baseline:
         return dict(zip(self.free, (reach * std).tolist(), strict=True))
 
     def save(self, path: str | Path, kind: str, settings: Mapping[str, Any]) -> None:
-        """Store it in a file."""
+        """Store the baseline and a diagnoser's settings in a file."""
         meta = {
             "model": write_model(self.model),
             "asked": write_model(self.asked),
@@ -324,11 +326,13 @@ def _read(meta: Mapping[str, Any], arrays: Mapping[str, FloatArray], source: str
 
 
 def wide_prior(values: FloatArray) -> FloatArray:
-    """Covariance of values that a window is asked for by itself."""
+    """Covariance, shape (values, values), of the wide prior for values that a window is asked for by
+    itself.
+    """
     return np.diag((WIDE * np.maximum(np.abs(values), 1e-12)) ** 2)
 
 
-def alone(
+def own_estimate(
     model: PhysicalModel,
     window: Experiment,
     mean: FloatArray,

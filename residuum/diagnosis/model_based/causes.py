@@ -1,5 +1,5 @@
-"""Which cause: all hypotheses weighed in nats, their probabilities counted over resampled blocks,
-what is alike in one group.
+"""Which cause: the costs of all hypotheses compared, their probabilities counted over resampled
+blocks of the window, and what cannot be told apart in one group.
 """
 
 from __future__ import annotations
@@ -13,17 +13,17 @@ import numpy.typing as npt
 
 from residuum.array_types import FloatArray
 from residuum.diagnosis.model_based.baseline import Baseline
-from residuum.diagnosis.model_based.hypotheses import Hypothesis, Tried, tried
+from residuum.diagnosis.model_based.hypotheses import Hypothesis, Trial, try_hypotheses
 from residuum.diagnosis.model_based.policy import (
-    BEGINNINGS_FOLLOWED,
+    CAUSES_LISTED,
     FIT_STEPS,
     FITTED_PAIRS,
     LEAST_UNKNOWN,
-    LOOK_STEPS,
+    ONSETS_FOLLOWED,
     PAIR_STEPS,
     PAIRED,
     PARTS,
-    TOLD,
+    SCREENING_STEPS,
     UNEXPLAINED,
     WINDOW_PARTS,
 )
@@ -37,8 +37,16 @@ from residuum.identification.unseen_blocks.policy import BLOCKS, DRAWS, TIE
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """Two hypotheses in one fit; of each its parameters of the model, and which of the fit's sizes
-    are its own.
+    """Two hypotheses in one fit.
+
+    Attributes
+    ----------
+    both : tuple of Hypothesis
+    fit : Fit
+    own : tuple of tuple of str
+        Parameters of the model that are sizes of each.
+    sizes : tuple of list of int
+        Places of each one's sizes in `fit.own`.
     """
 
     both: tuple[Hypothesis, Hypothesis]
@@ -52,13 +60,13 @@ class Pair:
         return {h.label for h in self.both}
 
 
-def pairs(baseline: Baseline, fitter: WindowFitter, singles: Iterable[Tried]) -> list[Pair]:
+def pairs(baseline: Baseline, fitter: WindowFitter, singles: Iterable[Trial]) -> list[Pair]:
     """The best pairs of the likeliest hypotheses and of all values and offsets: what one alone
     hides shows beside another.
     """
     ranked = sorted(
         filter(_combines, singles),
-        key=lambda t: fitter.nats(t.fit) + baseline.usual_gain(t.hypothesis),
+        key=lambda t: fitter.cost(t.fit) + baseline.usual_gain(t.hypothesis),
     )
     # values and offsets join however little they gain alone: one can make up for the other
     plain = [
@@ -66,34 +74,37 @@ def pairs(baseline: Baseline, fitter: WindowFitter, singles: Iterable[Tried]) ->
         for t in ranked[PAIRED:]
         if t.hypothesis.kind == "parameter" or t.hypothesis.name == "offset"
     ]
-    looks = []
+    screened = []
     for a, b in combinations([*ranked[:PAIRED], *plain], 2):
         if set(a.fit.variant.own) & set(b.fit.variant.own):
             continue  # both move one value: no pair
         first, second = _ended(a.fit), b.fit.variant
-        fit = fitter.fit(beside(fitter.model, first, second), PAIR_STEPS, beside=a.fit)
+        fit = fitter.fit(combined(fitter.model, first, second), PAIR_STEPS, beside=a.fit)
         if fit is None:
             continue
         own, sizes = (first.own, second.own), _whose(first, second)
-        looks.append(Pair((a.hypothesis, b.hypothesis), fit, own, sizes))
-    looks.sort(key=lambda pair: fitter.nats(pair.fit))
-    return [_fitted(fitter, pair) for pair in looks[:FITTED_PAIRS]]
+        screened.append(Pair((a.hypothesis, b.hypothesis), fit, own, sizes))
+    screened.sort(key=lambda pair: fitter.cost(pair.fit))
+    return [_fitted(fitter, pair) for pair in screened[:FITTED_PAIRS]]
 
 
-def _combines(tried: Tried) -> bool:
-    h = tried.hypothesis
+def _combines(trial: Trial) -> bool:
+    """Whether a hypothesis may be one of a pair: it acts all window long, and not through what is
+    left of the healthy fit alone.
+    """
+    h = trial.hypothesis
     return (
         h.in_residual is None
         and h.begin is None
         and h.kind != "disturbance"
-        and not tried.fit.onset
+        and not trial.fit.onset
     )
 
 
 def _fitted(fitter: WindowFitter, pair: Pair) -> Pair:
     """The pair fitted to the end; as it was where that diverges or costs more."""
     fit = fitter.fit(pair.fit.variant, begin=pair.fit)
-    if fit is None or fitter.nats(fit) > fitter.nats(pair.fit):
+    if fit is None or fitter.cost(fit) > fitter.cost(pair.fit):
         return pair
     return replace(pair, fit=fit)
 
@@ -105,8 +116,10 @@ def _ended(fit: Fit) -> Variant:
     return replace(variant, model=model, sizes=tuple(fit.own[p:].tolist()))
 
 
-def beside(model: PhysicalModel, first: Variant, second: Variant) -> Variant:
-    """Both at once; `model` is the healthy one."""
+def combined(model: PhysicalModel, first: Variant, second: Variant) -> Variant:
+    """One variant that does both at once: the effects of both, and the second edit of inputs and
+    readings after the first. `model` is the healthy one.
+    """
     known, larger = {use.label for use in model.effects}, first.model
     for use in second.model.effects:
         if use.label not in known:
@@ -137,7 +150,9 @@ def _after(first: Edit | None, second: Edit | None, n: int) -> Edit | None:
 
 
 def _whose(first: Variant, second: Variant) -> tuple[list[int], list[int]]:
-    """Places in (own of both, sizes of both)."""
+    """Places of each variant's sizes in those of their combination, which are ordered (parameters of
+    the first, of the second, edits of the first, of the second).
+    """
     p, q, n = len(first.own), len(second.own), len(first.sizes)
     return (
         [*range(p), *range(p + q, p + q + n)],
@@ -157,8 +172,19 @@ _LARGEST = 1e100
 
 @dataclass(frozen=True, eq=False)
 class Cause:
-    """A hypothesis (None: `unknown`), its probability, sizes, their standard deviations, where it
-    began, what is alike, and what happened beside it.
+    """What may have happened in a window.
+
+    Attributes
+    ----------
+    hypothesis : Hypothesis or None
+        None: a cause that no hypothesis names (`unknown`).
+    probability : float
+    size, std : array, shape (sizes,)
+        Its sizes and their standard deviations.
+    onset : int
+        Sample at which it began; 0: before the window, or not known.
+    alike, beside : tuple of str
+        Labels of hypotheses that cannot be told from it, and of those that act at the same time.
     """
 
     hypothesis: Hypothesis | None
@@ -171,7 +197,7 @@ class Cause:
 
 
 def causes(baseline: Baseline, window: Experiment, features: FloatArray) -> list[Cause]:
-    """The likeliest first; none of size zero."""
+    """Causes of what a window shows beyond healthy ones, the likeliest first; none of size zero."""
     return of_some_size(_causes(baseline, window, features))
 
 
@@ -228,13 +254,13 @@ def _is_of_size_zero(cause: Cause) -> bool:
 
 def _causes(baseline: Baseline, window: Experiment, features: FloatArray) -> list[Cause]:
     fitter = baseline.fitter(window, features)
-    healthy, trials = tried(fitter, baseline.hypotheses, baseline.usual_gain)
+    healthy, trials = try_hypotheses(fitter, baseline.hypotheses, baseline.usual_gain)
     if not trials:
         return _with_unknown([], 1.0, lead=0)
     all_window_long = list(trials.values())
     best = _cheapest(baseline, fitter, all_window_long)
-    if _may_have_begun_within(baseline, features, best):
-        for label, beginning in begun(baseline, fitter, features).items():
+    if _may_have_an_onset(baseline, features, best):
+        for label, beginning in search_onsets(baseline, fitter, features).items():
             rivals = [beginning, trials[label]] if label in trials else [beginning]
             trials[label] = _cheapest(baseline, fitter, rivals)
     listed = list(trials.values())
@@ -256,13 +282,13 @@ def _causes(baseline: Baseline, window: Experiment, features: FloatArray) -> lis
     return _with_unknown(causes, unknown, lead=2) if unknown else causes
 
 
-def _may_have_begun_within(baseline: Baseline, features: FloatArray, best: Tried) -> bool:
+def _may_have_an_onset(baseline: Baseline, features: FloatArray, best: Trial) -> bool:
     """Whether beginnings within the window are worth their work: the best cause that acts all
     window long leaves much, or has many sizes, which may stand for a beginning.
     """
     if best.hypothesis.in_residual is not None:
         return False
-    left = float(baseline.surprise(features, best.fit).max())
+    left = float(baseline.error_excess(features, best.fit).max())
     return left > UNEXPLAINED or len(best.fit.own) > 2
 
 
@@ -281,7 +307,7 @@ class _TwoCauses:
 
 
 def _two(
-    baseline: Baseline, fitter: WindowFitter, whole: Sequence[Tried], listed: Sequence[Tried]
+    baseline: Baseline, fitter: WindowFitter, whole: Sequence[Trial], listed: Sequence[Trial]
 ) -> _TwoCauses | None:
     """The best pair of causes that may have acted all window long, where it costs less than any
     single hypothesis. The probability of one of its causes is that of all pairs which hold it.
@@ -290,27 +316,30 @@ def _two(
     if not candidates:
         return None
     count = len(candidates)
-    logs, fixed = _costs(baseline, fitter, candidates, listed)
-    total = logs.sum(axis=1) + fixed
+    block_costs, fixed = _costs(baseline, fitter, candidates, listed)
+    total = block_costs.sum(axis=1) + fixed
     lead = int(np.argmin(total[:count]))
     if total[lead] > total[count:].min() - TIE:
         return None
-    wins, near = _wins(logs, fixed), _near(logs, total, lead)
+    frequencies, near = (
+        _selection_frequencies(block_costs, fixed),
+        _within_doubt(block_costs, total, lead),
+    )
     rivals = [pair for k, pair in enumerate(candidates) if k != lead and near[k]]
     best = candidates[lead]
     std = _open(fitter, best.fit)
     pair_causes = []
     for h, partner, own, at in zip(best.both, best.both[::-1], best.own, best.sizes, strict=True):
         holding = [j for j, pair in enumerate(candidates) if h.label in pair.labels]
-        probability = min(sum(float(wins[j]) for j in holding), 1.0)
+        probability = min(sum(float(frequencies[j]) for j in holding), 1.0)
         doubt = np.sqrt(std[at] ** 2 + _scatter(baseline, fitter, h, own, len(at)))
         alike, beside = _alike_beside(partner.label, h, rivals), (partner.label,)
         pair_causes.append(Cause(h, probability, best.fit.own[at], doubt, 0, alike, beside))
-    return _TwoCauses(best, pair_causes, float(wins[:count].sum()))
+    return _TwoCauses(best, pair_causes, float(frequencies[:count].sum()))
 
 
 def _costs(
-    baseline: Baseline, fitter: WindowFitter, candidates: Sequence[Pair], listed: Sequence[Tried]
+    baseline: Baseline, fitter: WindowFitter, candidates: Sequence[Pair], listed: Sequence[Trial]
 ) -> tuple[FloatArray, FloatArray]:
     """[nat] What each pair and then each single hypothesis costs: its error in each block, shape
     (trials, blocks), and what does not depend on blocks, shape (trials,).
@@ -318,8 +347,8 @@ def _costs(
     fits = [*(pair.fit for pair in candidates), *(t.fit for t in listed)]
     usual = [sum(baseline.usual_gain(h) for h in pair.both) for pair in candidates]
     usual += [baseline.usual_gain(t.hypothesis) for t in listed]
-    logs = np.array([fitter.logs(fit) for fit in fits])
-    return logs, np.array([fitter.price(fit) for fit in fits]) + np.array(usual)
+    block_costs = np.array([fitter.block_costs(fit) for fit in fits])
+    return block_costs, np.array([fitter.penalty(fit) for fit in fits]) + np.array(usual)
 
 
 def _alike_beside(partner: str, h: Hypothesis, rivals: Iterable[Pair]) -> tuple[str, ...]:
@@ -330,56 +359,64 @@ def _alike_beside(partner: str, h: Hypothesis, rivals: Iterable[Pair]) -> tuple[
     return tuple(name for labels in beside_partner for name in labels - {partner, h.label})
 
 
-def _cheapest(baseline: Baseline, fitter: WindowFitter, fits: Iterable[Tried]) -> Tried:
-    return min(fits, key=lambda t: fitter.nats(t.fit) + baseline.usual_gain(t.hypothesis))
+def _cheapest(baseline: Baseline, fitter: WindowFitter, fits: Iterable[Trial]) -> Trial:
+    return min(fits, key=lambda t: fitter.cost(t.fit) + baseline.usual_gain(t.hypothesis))
 
 
 def _unknown(
     baseline: Baseline, fitter: WindowFitter, features: FloatArray, healthy: Fit, best: Fit
 ) -> float:
-    """Probability that something else is there too: the part of the excess that the best fit
-    leaves; 0 where that is usual.
+    """Probability that something else is there too: the share of the window's excess cost over a
+    healthy one that the best fit does not take away; 0 where its error is as usual.
 
     Not asked of noise and lost readings: they are what is left, and take nothing away from it.
     """
-    if baseline.surprise(features, best).max() <= UNEXPLAINED:
+    if baseline.error_excess(features, best).max() <= UNEXPLAINED:
         return 0.0
-    excess = fitter.nats(healthy) - fitter.healthy_logs()
-    taken = fitter.nats(healthy) - fitter.nats(best)
+    excess = fitter.cost(healthy) - fitter.healthy_cost()
+    taken = fitter.cost(healthy) - fitter.cost(best)
     return float(np.clip(1.0 - taken / max(excess, 1e-12), LEAST_UNKNOWN, 1.0))
 
 
-def _weighed(baseline: Baseline, fitter: WindowFitter, listed: Sequence[Tried]) -> list[Cause]:
-    """Probability by how often each is the cheapest over resampled blocks; whoever is near the
-    leading one, and no richer, is alike.
+def _weighed(baseline: Baseline, fitter: WindowFitter, listed: Sequence[Trial]) -> list[Cause]:
+    """Causes with their probabilities: how often each costs least over resampled blocks. Those whose
+    cost lies within doubt of the leading one's, and which have no more sizes, are told as alike.
     """
-    logs = np.array([fitter.logs(t.fit) for t in listed])
-    fixed = np.array([fitter.price(t.fit) + baseline.usual_gain(t.hypothesis) for t in listed])
+    block_costs = np.array([fitter.block_costs(t.fit) for t in listed])
+    fixed = np.array([fitter.penalty(t.fit) + baseline.usual_gain(t.hypothesis) for t in listed])
     sizes = np.array([len(t.fit.own) + (t.fit.onset > 0) for t in listed])
-    total, wins = logs.sum(axis=1) + fixed, _wins(logs, fixed, sizes)
+    total, frequencies = (
+        block_costs.sum(axis=1) + fixed,
+        _selection_frequencies(block_costs, fixed, sizes),
+    )
     # Shares of draws are compared to a hundredth: beyond it the draws decide, not the window, and
     # the lower cost does.
-    lead = int(np.lexsort((total, -wins.round(2)))[0])
-    group = _near(logs, total, lead) & (sizes <= sizes[lead])
+    lead = int(np.lexsort((total, -frequencies.round(2)))[0])
+    group = _within_doubt(block_costs, total, lead) & (sizes <= sizes[lead])
     group[lead] = True
     # The group first, in it those that cost the same to half a tie by what changed before what is
     # new, then the lowest cost; outside of it the likeliest.
     rank = np.array([_rank(baseline, t) for t in listed])
     same = total - total[group].min() < 0.5 * TIE
     order = np.lexsort(
-        (total, np.where(group & same, rank, _LAST_RANK), -np.where(group, 1.0, wins), ~group)
+        (
+            total,
+            np.where(group & same, rank, _LAST_RANK),
+            -np.where(group, 1.0, frequencies),
+            ~group,
+        )
     )
     names = [listed[k].hypothesis.label for k in order if group[k]]
     causes = []
-    for k in order[:TOLD].tolist():
+    for k in order[:CAUSES_LISTED].tolist():
         h, fit = listed[k].hypothesis, listed[k].fit
         alike = tuple(name for name in names if name != h.label) if group[k] else ()
         doubt = _doubt(baseline, fitter, listed[k])
-        causes.append(Cause(h, float(wins[k]), fit.own, doubt, fit.onset, alike))
+        causes.append(Cause(h, float(frequencies[k]), fit.own, doubt, fit.onset, alike))
     return causes
 
 
-def _rank(baseline: Baseline, trial: Tried) -> int:
+def _rank(baseline: Baseline, trial: Trial) -> int:
     """Place of a hypothesis among those that cannot be told apart; a value of the healthy model
     stands first, whatever kind of hypothesis moves it.
     """
@@ -387,33 +424,37 @@ def _rank(baseline: Baseline, trial: Tried) -> int:
     return 0 if moves_a_value else _RANK[trial.hypothesis.kind]
 
 
-def _wins(logs: FloatArray, fixed: FloatArray, sizes: FloatArray | None = None) -> FloatArray:
-    """How often each is the cheapest over resampled blocks; those within a factor of twenty share a
-    draw, of them the ones of fewest sizes.
+def _selection_frequencies(
+    block_costs: FloatArray, fixed: FloatArray, sizes: FloatArray | None = None
+) -> FloatArray:
+    """How often each trial costs least over resampled blocks (bootstrap), shape (trials,); those
+    within `TIE` (a likelihood ratio of twenty) share a draw, of them the ones of fewest sizes.
     """
     # one seed for all windows: the same window is always told the same
-    rng, wins = np.random.default_rng(0), np.zeros(len(logs))
+    rng, frequencies = np.random.default_rng(0), np.zeros(len(block_costs))
     for _ in range(DRAWS):
-        cost = logs[:, rng.integers(0, BLOCKS, BLOCKS)].sum(axis=1) + fixed
+        cost = block_costs[:, rng.integers(0, BLOCKS, BLOCKS)].sum(axis=1) + fixed
         near = np.flatnonzero(cost < cost.min() + TIE)
         if sizes is not None:
             near = near[sizes[near] == sizes[near].min()]
-        wins[near] += 1.0 / len(near) / DRAWS
-    return wins
+        frequencies[near] += 1.0 / len(near) / DRAWS
+    return frequencies
 
 
-def _near(logs: FloatArray, total: FloatArray, lead: int) -> npt.NDArray[np.bool_]:
-    """Whether each lies within the doubt of its difference to the leading one."""
+def _within_doubt(block_costs: FloatArray, total: FloatArray, lead: int) -> npt.NDArray[np.bool_]:
+    """Whether each trial costs no more than the leading one but for the doubt of their difference,
+    shape (trials,).
+    """
     # the difference is a sum over blocks: what it scatters by from block to block
-    doubt = np.std(logs - logs[lead], axis=1, ddof=1) * np.sqrt(BLOCKS)
+    doubt = np.std(block_costs - block_costs[lead], axis=1, ddof=1) * np.sqrt(BLOCKS)
     return np.asarray(total - total[lead] < np.maximum(TIE, doubt))
 
 
-def _doubt(baseline: Baseline, fitter: WindowFitter, tried: Tried) -> FloatArray:
+def _doubt(baseline: Baseline, fitter: WindowFitter, trial: Trial) -> FloatArray:
     """Standard deviation of the sizes: what the window leaves open, and how the same sizes scatter
     in healthy windows.
     """
-    fit, h = tried.fit, tried.hypothesis
+    fit, h = trial.fit, trial.hypothesis
     variance = _scatter(baseline, fitter, h, fit.variant.own, len(fit.own))
     return (
         np.sqrt(variance)
@@ -460,53 +501,57 @@ _SHORTEST = 10
 """[samples] Before and after a beginning."""
 
 
-def begun(baseline: Baseline, fitter: WindowFitter, features: FloatArray) -> dict[str, Tried]:
-    """The best beginning of each hypothesis, found on a coarse grid; those that promise most halved
-    in.
+def search_onsets(
+    baseline: Baseline, fitter: WindowFitter, features: FloatArray
+) -> dict[str, Trial]:
+    """The best onset of each hypothesis by its label: from a coarse grid over the window, then, for
+    the hypotheses that cost least, by halving the steps about their onsets.
     """
     # Noise and lost readings have no state to begin from, a stuck signal carries its beginning as a
     # size, and a load's knots bend wherever it begins.
-    window, beginnings = fitter.window, dict[str, Tried]()
+    window, beginnings = fitter.window, dict[str, Trial]()
     listed = [
         h for h in baseline.hypotheses if not (h.in_residual or h.begin or h.kind == "disturbance")
     ]
     for part in range(1, PARTS):
         _keep(
             beginnings,
-            _beginning_at(baseline, fitter, features, window.n * part // PARTS, listed, LOOK_STEPS),
+            _fits_from(
+                baseline, fitter, features, window.n * part // PARTS, listed, SCREENING_STEPS
+            ),
             fitter,
         )
     steps = window.n // PARTS
     while (steps := steps // 2) > window.n // WINDOW_PARTS:
         ranked = sorted(
             beginnings.values(),
-            key=lambda t: fitter.nats(t.fit) + baseline.usual_gain(t.hypothesis),
+            key=lambda t: fitter.cost(t.fit) + baseline.usual_gain(t.hypothesis),
         )
-        for t in ranked[:BEGINNINGS_FOLLOWED]:
+        for t in ranked[:ONSETS_FOLLOWED]:
             for at in (t.fit.onset - steps, t.fit.onset, t.fit.onset + steps):
                 _keep(
                     beginnings,
-                    _beginning_at(baseline, fitter, features, at, [t.hypothesis], FIT_STEPS),
+                    _fits_from(baseline, fitter, features, at, [t.hypothesis], FIT_STEPS),
                     fitter,
                 )
     return beginnings
 
 
-def _keep(cheapest: dict[str, Tried], new: Sequence[Tried], fitter: WindowFitter) -> None:
+def _keep(cheapest: dict[str, Trial], new: Sequence[Trial], fitter: WindowFitter) -> None:
     for t in new:
         old = cheapest.get(t.hypothesis.label)
-        if old is None or fitter.nats(t.fit) < fitter.nats(old.fit):
+        if old is None or fitter.cost(t.fit) < fitter.cost(old.fit):
             cheapest[t.hypothesis.label] = t
 
 
-def _beginning_at(
+def _fits_from(
     baseline: Baseline,
     fitter: WindowFitter,
     features: FloatArray,
     at: int,
     listed: Sequence[Hypothesis],
     steps: int,
-) -> list[Tried]:
+) -> list[Trial]:
     window = fitter.window
     if not _SHORTEST < at < window.n - _SHORTEST:
         return []
@@ -529,16 +574,16 @@ def _beginning_at(
                 continue
             white = np.concatenate([head.white[:-1], fit.white])
             error = np.concatenate([head.error[:-1], fit.error])
-            paid = fit.paid + head.paid
+            prior_cost = fit.prior_cost + head.prior_cost
             trials.append(
-                Tried(
+                Trial(
                     h,
                     replace(
                         fit,
                         white=white,
                         error=error,
                         power=fitter.blocks(white),
-                        paid=paid,
+                        prior_cost=prior_cost,
                         onset=at,
                     ),
                 )

@@ -15,9 +15,9 @@ import numpy as np
 from scipy import stats
 
 from residuum.array_types import FloatArray
-from residuum.diagnosis.model_based.assessment import NotAssessable, seen_window
-from residuum.diagnosis.model_based.baseline import Baseline, KindOfRun, Usual, alone
-from residuum.diagnosis.model_based.hypotheses import UNKNOWN_LOAD, Hypothesis, tried
+from residuum.diagnosis.model_based.assessment import NotAssessable, estimated_window
+from residuum.diagnosis.model_based.baseline import Baseline, KindOfRun, Usual, own_estimate
+from residuum.diagnosis.model_based.hypotheses import UNKNOWN_LOAD, Hypothesis, try_hypotheses
 from residuum.diagnosis.model_based.policy import (
     ALWAYS,
     APART,
@@ -71,7 +71,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class _Mended:
+class _FittedToWindows:
     """A model, how its inputs move between samples, and its fit to each window at the window's own
     values.
     """
@@ -108,7 +108,7 @@ class _Mended:
         )
 
 
-def mended(
+def with_missing_physics(
     model: PhysicalModel, windows: Sequence[Experiment], whitening: Whitening
 ) -> tuple[PhysicalModel, list[Experiment]]:
     """The model with what healthy windows lack beside it, and the windows at the input timing that
@@ -119,15 +119,15 @@ def mended(
     # Sought in the window that tells the most of the values, then held against a few of them all.
     few = [windows[k] for k in evenly(len(windows), CALIBRATED)]
     base = _fitted(model, few, whitening)
-    searched = np.argsort(-_telling(base), kind="stable")[:SEARCHED]
-    fits = [_fitted(*trial, whitening) for trial in _lacking(model, few, searched.tolist())]
+    searched = np.argsort(-_information_by_window(base), kind="stable")[:SEARCHED]
+    fits = [_fitted(*trial, whitening) for trial in _candidates(model, few, searched.tolist())]
     errors = [trial.log_errors for trial in fits]
-    better = [k for k, error in enumerate(errors) if _falls(base.log_errors - error)]
+    better = [k for k, error in enumerate(errors) if _is_reduced(base.log_errors - error)]
     if not better:
         return model, list(windows)
     best = min(better, key=lambda k: float(errors[k].mean()))
     # of what takes away as much, to one standard error, the model with the fewest values
-    alike = [k for k in better if k == best or not _falls(errors[k] - errors[best], 1.0)]
+    alike = [k for k in better if k == best or not _is_reduced(errors[k] - errors[best], 1.0)]
     chosen = fits[min(alike, key=lambda k: (len(fits[k].model.free), float(errors[k].mean())))]
     return _settled(chosen, model), [replace(e, hold=chosen.windows[0].hold) for e in windows]
 
@@ -154,7 +154,7 @@ def evenly(windows: int, count: int) -> list[int]:
     return np.unique(np.linspace(0, windows - 1, count + 2)[1:-1].round().astype(int)).tolist()
 
 
-def _telling(base: _Mended) -> FloatArray:
+def _information_by_window(base: _FittedToWindows) -> FloatArray:
     """How much each window tells of the values, shape (windows,): the geometric mean of the
     information on each of them.
     """
@@ -166,7 +166,7 @@ def _telling(base: _Mended) -> FloatArray:
     )
 
 
-def _lacking(
+def _candidates(
     model: PhysicalModel, windows: Sequence[Experiment], searched: Sequence[int]
 ) -> list[tuple[PhysicalModel, Sequence[Experiment]]]:
     """The model with what one of the windows that are searched lacks, at either input timing of all
@@ -197,14 +197,18 @@ def _physics(outcome: Search) -> PhysicalModel:
     return model
 
 
-def _fitted(model: PhysicalModel, windows: Sequence[Experiment], whitening: Whitening) -> _Mended:
+def _fitted(
+    model: PhysicalModel, windows: Sequence[Experiment], whitening: Whitening
+) -> _FittedToWindows:
     start = np.array([model.values[name] for name in model.free])
-    return _Mended(model, windows, [alone(model, window, start, whitening) for window in windows])
+    return _FittedToWindows(
+        model, windows, [own_estimate(model, window, start, whitening) for window in windows]
+    )
 
 
-def _settled(best: _Mended, before: PhysicalModel) -> PhysicalModel:
-    """At the middle of the windows' values, each weighing as much as it tells; of new effects held
-    are shapes, which no window changes, and what they leave open.
+def _settled(best: _FittedToWindows, before: PhysicalModel) -> PhysicalModel:
+    """The model at the median of the windows' values, weighed by each window's information. Of new
+    effects those values are held that are shapes, or that all windows together leave open.
     """
     names, known = list(best.model.free), [fit is not None for fit in best.fits]
     window_info = best.information[known]
@@ -241,7 +245,7 @@ def _middle(values: FloatArray, weights: FloatArray) -> FloatArray:
     )
 
 
-def _falls(gain: FloatArray, times: float = ALWAYS) -> bool:
+def _is_reduced(gain: FloatArray, times: float = ALWAYS) -> bool:
     """Whether the error falls in windows by more than so many standard errors."""
     return bool(
         np.isfinite(gain).all() and gain.mean() > times * gain.std(ddof=1) / np.sqrt(len(gain))
@@ -303,17 +307,17 @@ def _gains_and_sizes(
     sizes: dict[str, list[FloatArray]] = {}
     for k in chosen:
         try:
-            observed = seen_window(baseline, records[k])
+            observed = estimated_window(baseline, records[k])
         except NotAssessable:
             continue
         fitter = baseline.fitter(observed.window, observed.features)
-        healthy, trials = tried(fitter, baseline.hypotheses, baseline.usual_gain)
+        healthy, trials = try_hypotheses(fitter, baseline.hypotheses, baseline.usual_gain)
         for label, trial in trials.items():
             sizes.setdefault(label, []).append(trial.fit.own)
             gains[label] = (
                 gains.get(label, 0.0)
-                + fitter.nats(healthy)
-                - fitter.nats(trial.fit)
+                + fitter.cost(healthy)
+                - fitter.cost(trial.fit)
                 - baseline.usual_gain(trial.hypothesis)
             )
     return gains, sizes
@@ -336,7 +340,9 @@ def _chances(baseline: Baseline, sizes: Mapping[str, Sequence[FloatArray]]) -> d
 
 
 def _chance(baseline: Baseline, label: str, sizes: Sequence[FloatArray]) -> float:
-    """That healthy windows' first size lies so far from that of the training's."""
+    """Chance that a hypothesis' first size differs so much between these windows, if they are
+    healthy, and those of the training; 1 where too few windows tell it.
+    """
     usual = baseline.usual.get(label)
     if usual is None or len(usual.sizes) < _FEWEST or len(sizes) < _FEWEST:
         return 1.0
@@ -367,7 +373,7 @@ def train(
     fix_undetermined: bool = False,
     known: Sequence[EffectUse] = (),
 ) -> Baseline:
-    """Learn what is healthy.
+    """Learn a baseline from healthy records and a model.
 
     Each record is a window; fewer than 6 are cut into windows of equal length. `known` are effects
     that healthy windows were found to show before beyond the model: they stay what the model lacks.
@@ -395,7 +401,9 @@ def train(
         # with the widest one held, others may be determined
         data = data_of(held(data.model, wide[:1]), data.experiments)
         fit = climb(data).found
-    better, experiments = mended(fit.model, data.experiments, _sized(fit.model, data.experiments))
+    better, experiments = with_missing_physics(
+        fit.model, data.experiments, _sized(fit.model, data.experiments)
+    )
     return _calibrated(
         _learned(asked, better, experiments, [record.source for record in records]), experiments
     )
@@ -474,7 +482,14 @@ def _learned(
     experiments: Sequence[Experiment],
     sources: Sequence[str],
 ) -> Baseline:
-    """The baseline before its hypotheses are tried."""
+    """The baseline before hypotheses are tried on healthy windows.
+
+    Parameters
+    ----------
+    asked, model : PhysicalModel
+        The user's, and that with the physics which healthy windows show beyond it.
+    experiments, sources : sequences, one a window
+    """
     start = np.array([model.values[name] for name in model.free])
     whitening = _learned_whitening(model, experiments, start)
     kind = KindOfRun.of(experiments)
@@ -543,7 +558,7 @@ def _least_span(signals: Sequence[FloatArray]) -> FloatArray:
 
 
 def _sized(model: PhysicalModel, experiments: Sequence[Experiment]) -> Whitening:
-    """Nothing is known of errors yet but their size."""
+    """A whitening before errors are known but for their size: their RMS over all windows."""
     return Whitening.plain(
         np.maximum(np.nan_to_num(estimate(model, experiments, free=()).rmse), 1e-9)
     )
@@ -554,7 +569,7 @@ def _each_alone(
 ) -> list[Fit]:
     fits = []
     for e in experiments:
-        fit = alone(model, e, start, whitening)
+        fit = own_estimate(model, e, start, whitening)
         if fit is None:
             raise BadRecord(
                 f"record {e.source!r}: the model diverges along it; look at it with `residuum"
@@ -587,8 +602,8 @@ def _apart(F: FloatArray, x: FloatArray) -> tuple[int, ...]:
 
 
 def _calibrated(baseline: Baseline, experiments: Sequence[Experiment]) -> Baseline:
-    """With what each hypothesis gains in healthy windows, and how its sizes scatter there; offsets
-    in all of them.
+    """The baseline with the scatter of offsets over all windows, and with what each hypothesis gains,
+    and how its sizes scatter, in some of them.
     """
     F = _features(baseline.kind, experiments)
     fitters = [baseline.fitter(e, f) for e, f in zip(experiments, F, strict=True)]
@@ -601,7 +616,8 @@ def _calibrated(baseline: Baseline, experiments: Sequence[Experiment]) -> Baseli
     )
     chosen = [fitters[k] for k in evenly(len(experiments), CALIBRATED)]
     trials = [
-        (fitter, *tried(fitter, baseline.hypotheses, baseline.usual_gain)) for fitter in chosen
+        (fitter, *try_hypotheses(fitter, baseline.hypotheses, baseline.usual_gain))
+        for fitter in chosen
     ]
     usual = {}
     for h in baseline.hypotheses:
@@ -625,10 +641,10 @@ def _usual(fits: Sequence[tuple[WindowFitter, Fit, Fit]]) -> Usual:
 
 def _gain(fitter: WindowFitter, healthy: Fit, fit: Fit) -> float:
     """[nat] By which a hypothesis explains a healthy window better. The price of its sizes is not
-    taken off, since `nats` does so where hypotheses are compared; what other values paid to the
+    taken off, since `cost` does so where hypotheses are compared; what other values paid to the
     prior is.
     """
-    return max(fitter.nats(healthy) - fitter.nats(fit) + fitter.price(fit) - fit.paid, 0.0)
+    return max(fitter.cost(healthy) - fitter.cost(fit) + fitter.penalty(fit) - fit.prior_cost, 0.0)
 
 
 def _sizes(fits: Sequence[Fit]) -> FloatArray:

@@ -24,9 +24,9 @@ from residuum.diagnosis.model_based.policy import (
     EM_STEPS,
     EVIDENT,
     FIT_STEPS,
-    LOOK_STEPS,
     NO_MERIT,
     RIDGES,
+    SCREENING_STEPS,
     SETTLED,
 )
 from residuum.diagnosis.model_based.variant import Variant
@@ -44,7 +44,7 @@ _CORRELATED = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Whitening:
-    """Of each output.
+    """What healthy simulation errors of each output look like.
 
     Attributes
     ----------
@@ -90,7 +90,7 @@ class Whitening:
 
     @classmethod
     def plain(cls, sigma: FloatArray) -> Whitening:
-        """None but the division by these sizes."""
+        """The one that only divides by these sizes: nothing is known of errors but how large."""
         filters = np.zeros((len(sigma), WHITENING + 1))
         filters[:, 0] = 1.0
         return cls(filters, sigma, *np.ones((3, len(sigma))))
@@ -259,7 +259,7 @@ def _evident_ridge(F: FloatArray, y: FloatArray, floor: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A variant fitted.
+    """A variant fitted to a window.
 
     Attributes
     ----------
@@ -267,7 +267,7 @@ class Fit:
         Values of the healthy model that the hypothesis does not name, and the sizes.
     power : array, shape (blocks, outputs)
         Mean square of whitened errors over the healthy one.
-    paid : float
+    prior_cost : float
         [nat] What the values paid to the prior.
     white, error : array, shape (n, outputs)
         Errors whitened, and in the outputs' units (NaN where nothing was measured).
@@ -283,7 +283,7 @@ class Fit:
     values: FloatArray
     own: FloatArray
     power: FloatArray
-    paid: float
+    prior_cost: float
     white: FloatArray
     error: FloatArray
     information: FloatArray
@@ -293,7 +293,19 @@ class Fit:
 
 
 class WindowFitter:
-    """One window, and what is usual for such a run."""
+    """Fits variants of the healthy model to one window, and says what a fit costs.
+
+    Parameters
+    ----------
+    model : PhysicalModel
+        Healthy.
+    window : Experiment
+    mean, covariance : array, shapes (values,), (values, values)
+        Of the model's free values in healthy windows of such a run.
+    whitening : Whitening
+    freedom : float
+        ν, windows that the covariance is known from.
+    """
 
     def __init__(
         self,
@@ -314,7 +326,7 @@ class WindowFitter:
         self.block = np.arange(window.n) * BLOCKS // window.n
 
     def of(self, window: Experiment) -> WindowFitter:
-        """The same of another window of such a run."""
+        """What fits another window of such a run."""
         return WindowFitter(
             self.model, window, self.mean, self.covariance, self.whitening, self.freedom
         )
@@ -337,29 +349,31 @@ class WindowFitter:
         )
         return np.asarray(np.median(self.blocks(steps), axis=0))
 
-    def louder(self, white: FloatArray) -> FloatArray:
+    def noise_growth(self, white: FloatArray) -> FloatArray:
         """By how much white noise has grown beyond the most that is usual, told by steps, shape
         (outputs,).
         """
         return np.sqrt(np.maximum(self.steps(white) / self.whitening.most_steps, 1.0))
 
-    def logs(self, fit: Fit) -> FloatArray:
+    def block_costs(self, fit: Fit) -> FloatArray:
         """[nat] What each block costs, shape (blocks,)."""
         return np.asarray(0.5 * np.log(fit.power + NO_MERIT) @ self.samples / BLOCKS)
 
-    def healthy_logs(self) -> float:
+    def healthy_cost(self) -> float:
         """[nat] What a window costs whose errors are healthy."""
         return float(0.5 * np.log(1.0 + NO_MERIT) * self.samples.sum())
 
-    def price(self, fit: Fit) -> float:
-        """[nat] What its other values and its sizes cost."""
-        return fit.paid + 0.5 * (len(fit.own) + (fit.onset > 0)) * float(
+    def penalty(self, fit: Fit) -> float:
+        """[nat] What the fit's values pay to the prior, and half a logarithm of the samples for each
+        of its sizes.
+        """
+        return fit.prior_cost + 0.5 * (len(fit.own) + (fit.onset > 0)) * float(
             np.log(max(self.samples.sum(), 4.0))
         )
 
-    def nats(self, fit: Fit) -> float:
-        """[nat] What it costs."""
-        return float(self.logs(fit).sum()) + self.price(fit)
+    def cost(self, fit: Fit) -> float:
+        """[nat] What the fit costs: its error in all blocks and its penalty."""
+        return float(self.block_costs(fit).sum()) + self.penalty(fit)
 
     def fit(
         self,
@@ -368,17 +382,21 @@ class WindowFitter:
         begin: Fit | None = None,
         beside: Fit | None = None,
     ) -> Fit | None:
-        """From a fit of the same variant, or from the variant's values and the first states of a
-        fit beside it.
+        """The variant fitted in at most so many steps; None where it cannot be simulated.
 
-        A look keeps the steps of that fit too, where it adds no state that may be faster. None
-        where it cannot be simulated.
+        Parameters
+        ----------
+        begin : Fit or None
+            Of the same variant: begun where it ended; None: at the variant's own values.
+        beside : Fit or None
+            Of another variant, whose first states are taken. Screening keeps its steps between
+            samples too, where the variant adds no state that may be faster.
         """
         try:
             problem = _Problem(self, variant, begin, None if beside is None else beside.initial)
             if (
                 beside is not None
-                and steps <= LOOK_STEPS
+                and steps <= SCREENING_STEPS
                 and len(problem.x0) == len(beside.initial)
             ):
                 problem.substeps = beside.substeps
@@ -440,7 +458,7 @@ class _Problem:
             return None
         z = self.z
         # twice: errors beyond the healthy size say less
-        for _ in range(1 if steps <= LOOK_STEPS else 2):
+        for _ in range(1 if steps <= SCREENING_STEPS else 2):
             z, at_z = self._descended(z, at_z, self._weights(at_z[0]), steps)
         return self._fit_at(z, at_z)
 
@@ -458,7 +476,7 @@ class _Problem:
             J = (at_z[1] * weights[:, None]).reshape(-1, len(z))
             H, g = J.T @ J, J.T @ (at_z[0] * weights).ravel()
             H[: self.k, : self.k] += self.prior.T @ self.prior
-            g[: self.k] -= self.prior.T @ self._paid(z)
+            g[: self.k] -= self.prior.T @ self._scaled_deviation(z)
             for _ in range(6):
                 trial = np.clip(
                     z + _bounded_step(H, g, z, self.lower, self.upper, damping),
@@ -487,16 +505,16 @@ class _Problem:
         x0[self.at] = z[q : q + nx]
         power = fitter.blocks(at_z[0])
         # a gain of the sensor multiplies its noise too: that much more of it is no error
-        if variant.louder is not None:
+        if variant.noise_gain is not None:
             power = power / np.clip(
-                fitter.louder(at_z[0]), 1.0, np.maximum(variant.louder(z[q + nx :]), 1.0)
+                fitter.noise_growth(at_z[0]), 1.0, np.maximum(variant.noise_gain(z[q + nx :]), 1.0)
             )
         information = (J.T @ J)[np.ix_(order, order)]
         if not (np.all(np.isfinite(power)) and np.all(np.isfinite(information))):
             return None
-        paid, freedom = self._paid(z), fitter.freedom
+        deviation, freedom = self._scaled_deviation(z), fitter.freedom
         # Student's −ln p but for a constant: the prior's scatter is known from ν windows
-        worth = 0.5 * (freedom + k) * float(np.log1p(paid @ paid / freedom))
+        prior_cost = 0.5 * (freedom + k) * float(np.log1p(deviation @ deviation / freedom))
         error = np.where(fitter.known, at_z[2], np.nan)
         own = np.concatenate([z[k:q], z[q + nx :]])
         return Fit(
@@ -504,7 +522,7 @@ class _Problem:
             z[:k],
             own,
             power,
-            worth,
+            prior_cost,
             at_z[0],
             error,
             information,
@@ -513,12 +531,15 @@ class _Problem:
             variant.onset,
         )
 
-    def _paid(self, z: FloatArray) -> FloatArray:
+    def _scaled_deviation(self, z: FloatArray) -> FloatArray:
+        """Values less their healthy mean, in standard deviations that are independent of each
+        other.
+        """
         return np.asarray(self.prior @ (z[: self.k] - self.mean))
 
     def _cost(self, z: FloatArray, white: FloatArray, weights: FloatArray) -> float:
-        paid = self._paid(z)
-        return float(np.sum((white * weights) ** 2) + paid @ paid)
+        deviation = self._scaled_deviation(z)
+        return float(np.sum((white * weights) ** 2) + deviation @ deviation)
 
     def _weights(self, white: FloatArray) -> FloatArray:
         """Of each output: correlated samples count for fewer, and an output whose error is larger
@@ -616,22 +637,22 @@ def _bounded_step(
 
 
 def information(fit: Fit, keep: int) -> FloatArray:
-    """Of the first `keep` unknowns, all others eliminated."""
-    return _beside(fit.information, keep)
+    """Information of a fit on its first `keep` unknowns, all others eliminated."""
+    return _schur_complement(fit.information, keep)
 
 
 def information_on_size(fit: Fit, covariance: FloatArray) -> float:
-    """Of the only size, beside values of this prior covariance (values, values); of one that they
-    make up for wholly, 0.
+    """Information of a fit on its only size, beside values of this prior covariance, shape (values,
+    values); 0 where they make up for it wholly.
     """
     k = len(fit.values)
     H = fit.information.copy()
     H[:k, :k] += np.linalg.inv(covariance)
     order = [k, *range(k), *range(k + 1, len(H))]
-    return max(float(_beside(H[np.ix_(order, order)], 1)[0, 0]), 0.0)
+    return max(float(_schur_complement(H[np.ix_(order, order)], 1)[0, 0]), 0.0)
 
 
-def _beside(H: FloatArray, keep: int) -> FloatArray:
+def _schur_complement(H: FloatArray, keep: int) -> FloatArray:
     """Schur's complement of all but the first `keep`."""
     A, B, C = H[:keep, :keep], H[:keep, keep:], H[keep:, keep:]
     if not len(C):
