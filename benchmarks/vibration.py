@@ -16,7 +16,7 @@ from benchmarks.peers.band_selection import MERITS, choose_band, separation
 from residuum.diagnosis.diagnosers.bearing import Bearing
 from residuum.diagnosis.diagnosers.gripping_pliers import GrippingPliers
 from residuum.diagnosis.vibration.bearing_lines import orders_from_geometry
-from residuum.diagnosis.vibration.bearings.moving_lines import faulty_bearing, impact_train
+from residuum.diagnosis.vibration.moving_lines import faulty_bearing, impact_train
 from residuum.diagnosis.vibration.spectra import band_envelope, kurtogram
 from residuum.diagnosis.vibration.vibration_indicators import indicators
 from residuum.identification.record import Record

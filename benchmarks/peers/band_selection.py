@@ -20,9 +20,8 @@ from scipy import fft
 from residuum.diagnosis.vibration.spectra import (
     Band,
     Kurtogram,
-    envelope_of_spectrum,
+    PaddedSpectrum,
     kurtogram,
-    padded_spectrum,
 )
 from residuum.diagnosis.vibration.vibration_indicators import indicators
 from residuum.identification.errors import BadInput
@@ -79,14 +78,12 @@ def merits(
         raise BadInput(
             f"band selection: {signal.shape[0] / rate:g} s hold fewer than 8 periods of {rates[0]:g} Hz"
         )
-    spectrum, padded = padded_spectrum(signal - signal.mean())
+    spectrum = PaddedSpectrum.of(signal - signal.mean(), rate)
     found = np.full(of_tree.level.shape, -np.inf)
     for k, (centre, width) in enumerate(zip(of_tree.centre, of_tree.width, strict=True)):
         if of_tree.level[k] == 0 or width < 2 * rates[0]:
             continue
-        envelope = envelope_of_spectrum(
-            spectrum, padded, signal.shape[0], rate, centre - width / 2, centre + width / 2
-        )
+        envelope = spectrum.envelope(centre - width / 2, centre + width / 2)
         square = envelope.values**2
         square = np.minimum(square, _CLIPPED * np.median(square))
         power = (

@@ -173,8 +173,8 @@ class Finding:
         """The category of NE 107, as this package reads it.
 
         Healthy is good. What could not be judged asks for a function check. Of a faulty finding the
-        kind of the likeliest cause decides: a signal that cannot be trusted, or an actuator that does
-        not follow, is a failure; a disturbance, or what no known cause explains, is out of
+        kind of the likeliest cause decides: a signal that cannot be trusted, or an actuator that
+        does not follow, is a failure; a disturbance, or what no known cause explains, is out of
         specification; anything else that changed asks for maintenance.
 
         >>> Finding("bearing", "faulty", "ball").ne107.value

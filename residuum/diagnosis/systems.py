@@ -48,9 +48,12 @@ def balanced_truncation(
         return ReducedSystem(system, np.zeros(0), 0.0)
     controllability = _root(linalg.solve_discrete_lyapunov(system.A, system.B @ system.B.T))
     observability = _root(linalg.solve_discrete_lyapunov(system.A.T, system.C.T @ system.C))
+    # R_oᵀ R_c has the Hankel singular values, whatever roots of the Gramians are taken
     U, sigma, Vt = np.linalg.svd(observability.T @ controllability)
+    # the bound for each order: of r states, twice the sum of the values left out
     tails = 2.0 * np.concatenate([np.cumsum(sigma[::-1])[::-1], [0.0]])
     r = int(np.argmax(tails <= tolerance)) if order is None else min(order, len(sigma))
+    # values that are rounding have no direction to keep
     r = min(r, int(np.sum(sigma > sigma[0] * 1e-14))) if sigma[0] > 0 else 0
     scale = 1.0 / np.sqrt(sigma[:r])
     left, right = (observability @ U[:, :r] * scale).T, controllability @ Vt[:r].T * scale
@@ -107,8 +110,8 @@ def left_coprime(system: StateSpace, *, normalised: bool = False) -> LeftCoprime
     Examples
     --------
     >>> from residuum.identification.linear_models.transfer_function import TransferFunction
-    >>> unstable = StateSpace.from_transfer_function(TransferFunction([1.0], [1.0, -2.0], sample_time=1.0))
-    >>> factors = left_coprime(unstable)
+    >>> unstable = TransferFunction([1.0], [1.0, -2.0], sample_time=1.0)
+    >>> factors = left_coprime(StateSpace.from_transfer_function(unstable))
     >>> factors.M.is_stable and factors.N.is_stable
     True
     """
@@ -166,7 +169,8 @@ class FirFilter:
     differently changes no bit of the result.
 
     >>> whole, halves = FirFilter([1.0, 0.5]), FirFilter([1.0, 0.5])
-    >>> whole.process([1.0, 2.0, 3.0]).tolist() == [*halves.process([1.0]), *halves.process([2.0, 3.0])]
+    >>> in_parts = [*halves.process([1.0]), *halves.process([2.0, 3.0])]
+    >>> whole.process([1.0, 2.0, 3.0]).tolist() == in_parts
     True
     """
 
@@ -218,7 +222,7 @@ def _convolve(taps, past):  # type: ignore[no-untyped-def]
 
 # How long a stable system remembers.
 
-_LONGEST_MEMORY = 4096
+_LONGEST_MEMORY = 4096  # samples
 
 
 def settled_length(system: StateSpace, part: float = 1e-4) -> int:
@@ -277,7 +281,7 @@ def co_outer_factor(system: StateSpace) -> StateSpace:
 # Norms of discrete-time systems: H∞ (largest gain over frequency) and ℓ₁ (largest peak-to-peak
 # gain).
 
-_LARGEST_GRID = 1 << 20
+_LARGEST_GRID = 1 << 20  # samples of an impulse response, at most
 _ROWS = 1024  # samples of an impulse response that are worked out at once
 
 
@@ -297,8 +301,8 @@ def h_infinity_norm(system: StateSpace, tolerance: float = 1e-8) -> tuple[float,
     Examples
     --------
     >>> from residuum.identification.linear_models.transfer_function import TransferFunction
-    >>> lag = StateSpace.from_transfer_function(TransferFunction([0.5], [1.0, -0.5], sample_time=1.0))
-    >>> round(h_infinity_norm(lag)[0], 8)
+    >>> lag = TransferFunction([0.5], [1.0, -0.5], sample_time=1.0)
+    >>> round(h_infinity_norm(StateSpace.from_transfer_function(lag))[0], 8)
     1.0
     """
     if not system.is_stable:
@@ -330,6 +334,7 @@ def _largest(system: StateSpace, omega: FloatArray) -> tuple[float, float]:
 def _crossings(system: StateSpace, gamma: float) -> FloatArray:
     """Frequencies [rad/s], ascending, at which a singular value of G equals `gamma`."""
     identity = np.eye(system.order)
+    # bilinear transform z = (1 + s)/(1 − s) to continuous time, which leaves the norm as it is
     inverse = np.linalg.inv(system.A + identity)
     A = inverse @ (system.A - identity)
     B = np.sqrt(2.0) * inverse @ system.B
@@ -343,6 +348,7 @@ def _crossings(system: StateSpace, gamma: float) -> FloatArray:
             [-C.T @ (np.eye(D.shape[0]) + D @ np.linalg.solve(R, D.T)) @ C, -F.T],
         ]
     )
+    # imaginary to rounding, s = jΩ: ω = 2 atan(Ω)/Ts
     eigenvalues = np.linalg.eigvals(H)
     scale = max(1.0, float(np.abs(eigenvalues).max()))
     near = eigenvalues[(np.abs(eigenvalues.real) < 1e-7 * scale) & (eigenvalues.imag >= 0)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise, product
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -37,6 +37,27 @@ _OPEN = 10.0
 """Standard deviation of what is opened (level, and level over the record's length), in units of the
 values' span.
 """
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """A value as windows tell it.
+
+    Attributes
+    ----------
+    t, y, std : array, shape (n,)
+        Times (rising), values and their standard deviations.
+    x : array, shape (n, covariates)
+        What the value moves with, centred.
+    """
+
+    t: FloatArray
+    y: FloatArray
+    std: FloatArray
+    x: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.t)
 
 
 @dataclass(frozen=True)
@@ -91,10 +112,7 @@ def neighbours_scatter(y: FloatArray) -> float:
 
 
 def local_trend(
-    t: FloatArray,
-    y: FloatArray,
-    std: FloatArray,
-    x: FloatArray,
+    samples: Samples,
     alternatives: Sequence[Sequence[Change]],
 ) -> LocalTrend:
     """Filter a value to its last sample; alternative lists of changes are weighed by their
@@ -102,13 +120,10 @@ def local_trend(
 
     Parameters
     ----------
-    t, y, std : array, shape (n,)
-        Times (rising), values and their standard deviations as each window tells them.
-    x : array, shape (n, covariates)
-        What the value moves with, centred.
+    samples : Samples
     alternatives : sequence of sequences of Change
     """
-    trends = side_by_side(t, y, std, x, alternatives)
+    trends = side_by_side(samples, alternatives)
     likely = np.array([trend.log_likelihood for trend in trends])
     share = np.exp(likely - likely.max())
     share /= share.sum()
@@ -123,34 +138,27 @@ def local_trend(
 
 
 def likelihoods(
-    t: FloatArray,
-    y: FloatArray,
-    std: FloatArray,
-    x: FloatArray,
+    samples: Samples,
     alternatives: Sequence[Sequence[Change]],
 ) -> FloatArray:
     """Marginal log-likelihood of several lists of changes at once, by few filters: to compare them
     with each other only.
     """
-    return np.array(
-        [trend.log_likelihood for trend in side_by_side(t, y, std, x, alternatives, _FEW)]
-    )
+    return np.array([trend.log_likelihood for trend in side_by_side(samples, alternatives, _FEW)])
 
 
 _ALL = (tuple(_OWN_SCATTER.tolist()), _LEVEL_WALK, _SLOPE_WALK)
 
 
 def side_by_side(
-    t: FloatArray,
-    y: FloatArray,
-    std: FloatArray,
-    x: FloatArray,
+    samples: Samples,
     alternatives: Sequence[Sequence[Change]],
     sizes: tuple[Sequence[float], Sequence[float], Sequence[float]] = _ALL,
 ) -> list[LocalTrend]:
     """The same for several lists of changes at once; `sizes` are the relative σ, q_l and q_b of the
     filters.
     """
+    t, y, x = samples.t, samples.y, samples.x
     scatter, pause = neighbours_scatter(y), float(np.mean(np.diff(t)))
     filters = np.array(list(product(*sizes)))
     rare, rarer = _WALK_IS_RARE
@@ -173,7 +181,7 @@ def side_by_side(
             _predict(m, P, t[k] - t[k - 1], q_level, q_slope)
             P[:, :, 0, 0] += opens[:, k, 0, None] * opened[0]
             P[:, :, 1, 1] += opens[:, k, 1, None] * opened[1]
-        log_likelihood += _update(m, P, y[k], std[k] ** 2 + own**2, x[k])
+        log_likelihood += _update(m, P, y[k], samples.std[k] ** 2 + own**2, x[k])
     return [_weighed(log_likelihood[a], prior, m[a], P[a], q_level, q_slope) for a in range(count)]
 
 
@@ -308,55 +316,59 @@ def _passages(
     state = now.mean[chosen][:, :2] + np.einsum(
         "fij,fj->fi", root, rng.standard_normal((_DRAWS, 2))
     )
-    left, slope = sign * (limit - state[:, 0]), sign * state[:, 1]
+    gap, slope = sign * (limit - state[:, 0]), sign * state[:, 1]
     with np.errstate(divide="ignore", invalid="ignore"):
-        straight = np.where(left <= 0.0, 0.0, np.where(slope > 0.0, left / slope, np.inf))
-    walking = (now.level_walk[chosen] > 0.0) | (now.slope_walk[chosen] > 0.0)
+        straight = np.where(gap <= 0.0, 0.0, np.where(slope > 0.0, gap / slope, np.inf))
+    q_level, q_slope = now.level_walk[chosen], now.slope_walk[chosen]
+    walking = (q_level > 0.0) | (q_slope > 0.0)
     passage = straight.copy()
     middle = np.median(straight[np.isfinite(straight)]) if np.isfinite(straight).any() else horizon
-    passage[walking] = _walked(
-        left[walking],
-        slope[walking],
-        now.level_walk[chosen][walking],
-        now.slope_walk[chosen][walking],
-        middle,
-        horizon,
-        rng,
-    )
+    futures = _Futures(gap[walking], slope[walking], q_level[walking], q_slope[walking])
+    passage[walking] = _walked(futures, _times(middle, horizon), rng)
     return np.where(passage <= horizon, passage, np.inf)
 
 
-def _walked(
-    left: FloatArray,
-    slope: FloatArray,
-    q_level: FloatArray,
-    q_slope: FloatArray,
-    middle: float,
-    horizon: float,
-    rng: np.random.Generator,
-) -> FloatArray:
-    """Passages of futures whose level or slope walks, step by step: fine up to twice the middle,
-    then ever coarser.
+class _Futures(NamedTuple):
+    """Drawn futures, shape (futures,) each: what lies between the value and its limit now, how fast
+    it shrinks, and how level and slope walk.
+    """
+
+    gap: FloatArray
+    slope: FloatArray
+    q_level: FloatArray
+    q_slope: FloatArray
+
+
+def _times(middle: float, horizon: float) -> list[float]:
+    """Times at which futures are looked at: fine up to twice the middle passage of those that go
+    straight, then ever coarser up to the horizon.
+    """
+    fine = np.linspace(0.0, min(2.0 * middle, horizon), _STEPS)
+    coarse = np.geomspace(fine[-1] * 1.05, max(horizon, fine[-1] * 1.1), 40)
+    return [*fine.tolist(), *coarse.tolist()]
+
+
+def _walked(futures: _Futures, times: list[float], rng: np.random.Generator) -> FloatArray:
+    """Passages of futures whose level or slope walks, from one time to the next, shape (futures,).
 
     A level that walks is given its deviation at each time by one draw: an excursion that comes back
     is no wear.
     """
-    excursion = q_level * rng.standard_normal(len(left))
-    fine = np.linspace(0.0, min(2.0 * middle, horizon), _STEPS)
-    times = np.concatenate([fine, np.geomspace(fine[-1] * 1.05, max(horizon, fine[-1] * 1.1), 40)])
-    passage = np.full(len(left), np.inf)
-    passage[left <= 0.0] = 0.0
-    b, gap = slope.copy(), left.copy()
-    for begin, end in pairwise(times.tolist()):
+    count = len(futures.gap)
+    excursion = futures.q_level * rng.standard_normal(count)
+    passage = np.full(count, np.inf)
+    passage[futures.gap <= 0.0] = 0.0
+    slope, gap = futures.slope.copy(), futures.gap.copy()
+    for begin, end in pairwise(times):
         h = end - begin
         before = gap.copy()
-        turn = q_slope * np.sqrt(h) * rng.standard_normal(len(gap))
-        gap = gap - (b + 0.5 * turn) * h - excursion * (np.sqrt(end) - np.sqrt(begin))
-        b = b + turn
+        turn = futures.q_slope * np.sqrt(h) * rng.standard_normal(count)
+        gap = gap - (slope + 0.5 * turn) * h - excursion * (np.sqrt(end) - np.sqrt(begin))
+        slope = slope + turn
         passed = np.isinf(passage) & (gap <= 0.0)
-        passage[passed] = begin + h * before[passed] / np.maximum(
-            before[passed] - gap[passed], 1e-300
-        )
+        # where a straight line between the two times meets the limit
+        closed = np.maximum(before[passed] - gap[passed], 1e-300)
+        passage[passed] = begin + h * before[passed] / closed
     return passage
 
 
@@ -492,12 +504,12 @@ def track(
     >>> found.kind, found.remaining.low < 60.0 < found.remaining.high
     ('drift', True)
     """
-    t, y, s, x = _samples(time, value, std, moves_with)
-    t, y, s, x = _joined(t, y, s, x)
-    changes = _changes(t, y, s, x)
-    now = local_trend(t, y, s, x, _alike(t, y, s, x, changes))
+    samples = _joined(_samples(time, value, std, moves_with))
+    changes = _changes(samples)
+    now = local_trend(samples, _alike(samples, changes))
+    t = samples.t
     mean, covariance = now.state
-    corrected = y - x @ mean[2:]
+    corrected = samples.y - samples.x @ mean[2:]
     deviation = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     drifting = bool(abs(mean[1]) > _TREND * deviation[1])
     events = _events(t, corrected, changes, healthy, drifting, float(mean[1]))
@@ -526,7 +538,7 @@ def _samples(
     value: npt.ArrayLike,
     std: npt.ArrayLike | None,
     moves_with: npt.ArrayLike | None,
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+) -> Samples:
     t, y = np.asarray(time, dtype=float), np.asarray(value, dtype=float)
     s = np.zeros_like(y) if std is None else np.asarray(std, dtype=float)
     x = (
@@ -547,52 +559,45 @@ def _samples(
             " needed"
         )
     x = x - x.mean(axis=0)
-    return t, y, s, x[:, np.ptp(x, axis=0) > 0]
+    # a covariate that stands still cannot be told from the level
+    return Samples(t, y, s, x[:, np.ptp(x, axis=0) > 0])
 
 
-def _joined(
-    t: FloatArray, y: FloatArray, s: FloatArray, x: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+def _joined(samples: Samples) -> Samples:
     """Neighbours joined to at most 300 samples."""
-    every = -(-len(t) // _MOST)
+    n = len(samples)
+    every = -(-n // _MOST)
     if every == 1:
-        return t, y, s, x
-    parts = np.array_split(np.arange(len(t)), -(-len(t) // every))
-    means = [[a[p].mean(axis=0) for p in parts] for a in (t, y, x)]
-    joint = [float(np.sqrt(np.mean(s[p] ** 2) / len(p))) for p in parts]
-    return (
-        np.array(means[0]),
-        np.array(means[1]),
-        np.array(joint),
-        np.array(means[2]).reshape(len(parts), -1),
+        return samples
+    parts = np.array_split(np.arange(n), -(-n // every))
+    t, y, x = (
+        np.array([values[part].mean(axis=0) for part in parts])
+        for values in (samples.t, samples.y, samples.x)
     )
+    # of a mean of independent values
+    std = [float(np.sqrt(np.mean(samples.std[part] ** 2) / len(part))) for part in parts]
+    return Samples(t, y, np.array(std), x.reshape(len(parts), -1))
 
 
-def _changes(t: FloatArray, y: FloatArray, s: FloatArray, x: FloatArray) -> list[Change]:
+def _changes(samples: Samples) -> list[Change]:
     """Changes of level, slope or both, the most worthy first, until none is worth it."""
     changes: list[Change] = []
-    base = float(likelihoods(t, y, s, x, [[]])[0])
+    base = float(likelihoods(samples, [[]])[0])
+    end = len(samples) - _MARGIN + 1
+    every = max(1, len(samples) // _CANDIDATES)
     while len(changes) < _MOST_CHANGES:
-        every = max(1, len(t) // _CANDIDATES)
-        best, gained = _best(t, y, s, x, changes, range(_MARGIN, len(t) - _MARGIN + 1, every))
+        best, gained = _best(samples, changes, range(_MARGIN, end, every))
         if best is not None and every > 1:
-            best, gained = _best(
-                t,
-                y,
-                s,
-                x,
-                changes,
-                range(max(_MARGIN, best.at - every), min(len(t) - _MARGIN, best.at + every) + 1),
-            )
-        if best is None or gained - base < _WORTH + np.log(len(t)):
+            nearby = range(max(_MARGIN, best.at - every), min(end, best.at + every + 1))
+            best, gained = _best(samples, changes, nearby)
+        # the logarithm pays for having chosen the best of so many places
+        if best is None or gained - base < _WORTH + np.log(len(samples)):
             break
         changes, base = [*changes, best], gained
     return sorted(changes, key=lambda change: change.at)
 
 
-def _alike(
-    t: FloatArray, y: FloatArray, s: FloatArray, x: FloatArray, changes: list[Change]
-) -> list[list[Change]]:
+def _alike(samples: Samples, changes: list[Change]) -> list[list[Change]]:
     """The changes with the last one at every place that is nearly as likely: where a drift began is
     not known for sure.
     """
@@ -600,21 +605,20 @@ def _alike(
         return [[]]
     *earlier, last = changes
     begin = earlier[-1].at + _MARGIN if earlier else 1
-    places = [k for k in range(begin, len(t) - 1) if abs(k - last.at) <= _REACH]
+    places = [k for k in range(begin, len(samples) - 1) if abs(k - last.at) <= _REACH]
     alternatives = [[*earlier, Change(k, last.kind)] for k in places]
-    likely = likelihoods(t, y, s, x, alternatives)
+    likely = likelihoods(samples, alternatives)
     near = np.argsort(-likely)[:_PLACES]
     return [alternatives[k] for k in near if likely[k] > likely.max() - _UNLIKELY]
 
 
-def _best(
-    t: FloatArray, y: FloatArray, s: FloatArray, x: FloatArray, changes: list[Change], places: range
-) -> tuple[Change | None, float]:
+def _best(samples: Samples, changes: list[Change], places: range) -> tuple[Change | None, float]:
+    """The likeliest further change at one of these places, and the log-likelihood with it."""
     free = [k for k in places if all(abs(k - change.at) >= _MARGIN for change in changes)]
     candidates = [Change(k, kind) for k in free for kind in ("level", "slope", "renewal")]
     if not candidates:
         return None, -np.inf
-    likely = likelihoods(t, y, s, x, [[*changes, candidate] for candidate in candidates])
+    likely = likelihoods(samples, [[*changes, candidate] for candidate in candidates])
     best = int(np.argmax(likely))
     return candidates[best], float(likely[best])
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks.peers.band_selection import MERITS, choose_band, separation
-from residuum.diagnosis.vibration.bearings.moving_lines import impact_train
+from residuum.diagnosis.vibration.moving_lines import impact_train
 from residuum.diagnosis.vibration.spectra import kurtogram
 from residuum.identification.errors import BadInput
 

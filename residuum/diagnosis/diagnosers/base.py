@@ -78,7 +78,8 @@ class Diagnoser(ABC):
     def score(self, record: Record) -> Finding:
         """Judge one window."""
 
-    def refuse_learning(self, healthy: Sequence[Record]) -> None:  # noqa: B027 - most have nothing to refuse
+    # not abstract: most have nothing to refuse
+    def refuse_learning(self, healthy: Sequence[Record]) -> None:  # noqa: B027
         """Raise BadInput where something that is not healthy is probable in windows from which
         limits are to be learned anew.
         """

@@ -4,7 +4,7 @@ and a healthy baseline.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -23,7 +23,7 @@ from residuum.diagnosis.vibration.bearing_lines import (
     LineEvidence,
     line_evidence,
 )
-from residuum.diagnosis.vibration.bearings.moving_lines import (
+from residuum.diagnosis.vibration.moving_lines import (
     faulty_bearing,
     moving_line,
     without_knocks,
@@ -56,30 +56,36 @@ from residuum.identification.record import Record
 from residuum.identification.units import compatible, convert
 from residuum.nearest_names import known_names
 
-SHAPE = ("rms", "kurtosis", "crest")
-PROMINENT = (
-    6.0  # healthy records, real and made, stay below 5.3; see benchmarks/results/vibration.md
-)
+SHAPE = ("rms", "kurtosis", "crest")  # indicators of the whole band
+# Prominence [deciles of the control frequencies] from which on a line family means a fault;
+# benchmarks/results/vibration.md. Healthy records, real and made, stay below 5.3.
+PROMINENT = 6.0
+# White noise reaches 4.5 and a slow swell 5.0: so low a limit names a part only where something
+# else has changed already.
 PROMINENT_BESIDE_A_CHANGE = 4.5
-PROMINENT_WITHOUT_A_CHANGE = (
-    7.5  # one healthy second of a real rig reaches 6.1 while every level stays as it was
-)
-DEPTH = (
-    0.08  # a line family that modulates the envelope by less is no fault yet, however significant
-)
+# one healthy second of a real rig reaches 6.1 while every level stays as it was
+PROMINENT_WITHOUT_A_CHANGE = 7.5
+# times what the same family showed in the healthy machine: a gear or the supply may modulate within
+# 2 % of a fault's frequency
+_OVER_HEALTHY = 1.3
+# a line family that modulates the envelope by less is no fault yet, however significant
+DEPTH = 0.08
+# kurtosis; without a line to name a part, so impulsive a signal is `unknown`
 IMPULSIVE = 6.0
+# the cage's family has to lead by a quarter: its harmonics meet the others' lines, BPFO = N FTF
 _CAGE_LEADS_BY = 1.25
 # of the most prominent family: one fault's lines make another family stand out by half as much, on
 # real rigs too
 _RIVAL = 0.8
 # deciles and share of the cage's: balls change their load once a turn of the cage
 _BALL_BESIDE_CAGE = (3.5, 0.5)
-_WINDOW = 1.0  # s
-_SHORTEST = 1024
+_WINDOW = 1.0  # s, of which indicators are the median over a record
+_SHORTEST = 1024  # samples
+# times the healthy median: a change of less is no fault, however significant
 _LEAST_CHANGE: AnyArray = np.array([1.6, 1.6, 1.6])
 # below and above 1 kHz: load moves rotor-related bands, bearing faults ring higher
 _LEAST_CHANGE_OF_BAND = (2.5, 2.0)
-_FEWEST_WINDOWS = 4
+_FEWEST_WINDOWS = 4  # to know a mean and a scatter by
 _VERSION = 1
 
 
@@ -142,8 +148,8 @@ class Bearing(Diagnoser):
         The acceleration channel; None: the first one with a unit of acceleration, or an only
         channel without unit.
     machine_class : str or None
-        Class of `vibration_severity.LIMITS`; when given, velocity RMS and its zone are part of the
-        evidence.
+        Class of `vibration_indicators.LIMITS`; when given, velocity RMS and its zone are part of
+        the evidence.
     false_alarm : float
         Probability that a healthy window passes any limit of the baseline, when its logarithms are
         normal.
@@ -167,28 +173,10 @@ class Bearing(Diagnoser):
         machine_class: str | None = None,
         false_alarm: float = 1e-5,
     ) -> None:
-        if orders and hertz:
-            raise BadInput("bearing: orders and hertz are given; must be one of them")
-        if speed_rpm is not None and not 0 < speed_rpm < np.inf:
-            raise BadInput(f"bearing: speed_rpm is {speed_rpm!r}; must be a positive number")
-        if not 0 < false_alarm < 0.5:
-            raise BadInput(f"bearing: false_alarm is {false_alarm!r}; must be between 0 and 0.5")
-        if machine_class is not None and machine_class not in LIMITS:
-            raise BadInput(
-                f"bearing: machine class {machine_class!r} is not known;"
-                f" {known_names(machine_class, LIMITS)}"
-            )
-        if orders:
-            BearingFrequencies.from_orders(orders, 1.0)
-        if hertz:
-            BearingFrequencies.from_hertz(hertz)
+        _refuse_settings(orders, hertz, speed_rpm, machine_class, false_alarm)
         self.orders, self.hertz = dict(orders or {}), dict(hertz or {})
-        self.speed_rpm, self.channel, self.machine_class, self.false_alarm = (
-            speed_rpm,
-            channel,
-            machine_class,
-            false_alarm,
-        )
+        self.speed_rpm, self.channel = speed_rpm, channel
+        self.machine_class, self.false_alarm = machine_class, false_alarm
         self._baseline: _Baseline | None = None
 
     def with_settings(self, **settings: Any) -> Self:
@@ -235,7 +223,7 @@ class Bearing(Diagnoser):
             frequencies = self._frequencies(record, speed)
             x, _ = without_knocks(self._trainable(record), rate, _slowest(frequencies))
             parts += _windows(x, rate, window)
-            if frequencies:
+            if frequencies.lines:
                 steady = at_steady_speed(
                     x, record, speed, self.speed_rpm, in_hertz=bool(self.hertz)
                 )
@@ -263,7 +251,7 @@ class Bearing(Diagnoser):
         """Judge one record: its fault lines over the whole of it, its indicators as medians over
         windows.
 
-        A record of more than `long_records.LONGEST` samples is judged in blocks, without a copy of
+        A record of more than `LONGEST` samples is judged in blocks, without a copy of
         the whole. Without a baseline nothing is `healthy`: the finding is `not-assessable` where no
         absolute limit is passed, and says which hold.
         """
@@ -278,45 +266,68 @@ class Bearing(Diagnoser):
         return judged
 
     def _score_block(self, record: Record) -> Finding:
-        x, unit = self._acceleration(record)
-        if reason := unusable(x, _SHORTEST):
+        raw, unit = self._acceleration(record)
+        if reason := unusable(raw, _SHORTEST):
             return Finding.not_assessable(self.name, reason)
+        rate = record.sampling_rate
         speed = self._speed_channel(record)
         frequencies = self._frequencies(record, speed)
-        x, spikes = without_spikes(x)
-        x, knocks = without_knocks(x, record.sampling_rate, _slowest(frequencies))
-        if reason := suspect(x, record.sampling_rate, frequencies.shaft if frequencies else None):
+        x, spikes = without_spikes(raw)
+        x, knocks = without_knocks(x, rate, _slowest(frequencies))
+        if reason := suspect(x, rate, frequencies.shaft):
             return Finding.not_assessable(self.name, reason)
-        measured = _Measured.of(x, record.sampling_rate, self._baseline)
+        measured = _Measured.of(x, rate, self._baseline)
         if self._baseline and (reason := self._baseline.deaf(measured)):
             return Finding.not_assessable(self.name, reason)
         try:
-            evidence = self._lines(record, x, speed, frequencies) if frequencies else {}
-            zone = (
-                severity(x, record.sampling_rate, self.machine_class)
-                if self.machine_class
-                else None
-            )
+            evidence = self._lines(record, x, speed, frequencies)
+            beside = self._beside_lines(x, rate, knocks)
         except BadInput as error:
             return Finding.not_assessable(self.name, str(error))
-        if frequencies and not evidence and self._baseline is None:
+        # a baseline judges levels too, for which no line is needed
+        if frequencies.lines and not evidence and self._baseline is None:
             return Finding.not_assessable(
                 self.name, f"the window of {record.duration:g} s is too short for any fault line"
             )
-        more = ({"severity": vars(zone)} if zone else {}) | ({"knocks_s": knocks} if knocks else {})
-        judged = self._judge(measured, evidence, unit, more).with_remarks(
-            remarks(x, record.sampling_rate, unit, spikes)
+        judged = self._judge(measured, evidence, unit, beside).with_remarks(
+            remarks(x, rate, unit, spikes)
         )
+        if speed is not None:
+            return judged  # the lines were looked for in shaft angle: nothing is smeared
+        return self._unless_speed_changes(judged, record, x, frequencies)
+
+    def _unless_speed_changes(
+        self, judged: Finding, record: Record, x: AnyArray, frequencies: BearingFrequencies
+    ) -> Finding:
+        """The finding, or that the window cannot be judged where its lines were smeared.
+
+        A changing speed smears the fast lines first: what is left says `healthy`, or names the
+        cage, whose line is the slowest. Any other class stood out although it was smeared.
+        """
         smeared = judged.verdict is Verdict.HEALTHY or judged.fault_class == CLASS_OF["ftf"]
-        if smeared and speed is None and frequencies and (line := _moving(x, record, frequencies)):
+        if smeared and (line := _moving(x, record, frequencies)):
             return Finding.not_assessable(self.name, line)
         return judged
 
     def _lines(
         self, record: Record, x: AnyArray, speed: str | None, frequencies: BearingFrequencies
     ) -> dict[str, LineEvidence]:
+        """Evidence of each fault line, looked for in shaft angle where the speed varies."""
+        if not frequencies.lines:
+            return {}
         steady = at_steady_speed(x, record, speed, self.speed_rpm, in_hertz=bool(self.hertz))
         return line_evidence(steady, record.sampling_rate, frequencies)
+
+    def _beside_lines(self, x: AnyArray, rate: float, knocks: list[float]) -> dict[str, Any]:
+        """Evidence that names no part: velocity RMS and its zone where a machine class was given,
+        and the times of knocks that were taken out [s].
+        """
+        evidence: dict[str, Any] = {}
+        if self.machine_class:
+            evidence["severity"] = vars(severity(x, rate, self.machine_class))
+        if knocks:
+            evidence["knocks_s"] = knocks
+        return evidence
 
     def _judge(
         self,
@@ -329,34 +340,33 @@ class Bearing(Diagnoser):
         values = dict(zip(SHAPE, map(float, measured.shape), strict=True)) | measured.bands
         changed = [name for name in limits if values[name] > limits[name]]
         prominences = {f"prominence_{name}": line.prominence for name, line in lines.items()}
-        line_limits = {
-            f"prominence_{name}": self._line_limit(name, bool(changed)) for name in lines
-        }
+        line_limits = self._line_limits(lines, bool(changed))
         likely = _likely(lines, line_limits)
-        named = likely[0] if len(likely) == 1 else None
-        worst = max(
-            [values[name] / limits[name] for name in limits]
-            + [
-                line.prominence / line_limits[f"prominence_{name}"] * min(1.0, line.depth / DEPTH)
-                for name, line in lines.items()
-            ]
-        )
-        faulty = bool(likely or changed)
+        verdict, fault_class, reason = Verdict.HEALTHY, None, None
+        if likely or changed:
+            # two families that stand out nearly alike name no part
+            fault_class = CLASS_OF[likely[0]] if len(likely) == 1 else "unknown"
+            verdict, reason = Verdict.FAULTY, _says(likely, lines, changed, values, limits)
+        evidence = {
+            "lines": {name: vars(line) for name, line in lines.items()},
+            "changed": changed,
+            "baseline": self._baseline is not None,
+        }
+        if len(likely) > 1:
+            evidence["likely"] = [CLASS_OF[name] for name in likely]
         return Finding(
             self.name,
-            Verdict.FAULTY if faulty else Verdict.HEALTHY,
-            (CLASS_OF[named] if named else "unknown") if faulty else None,
-            {**values, **prominences, "severity": worst},
+            verdict,
+            fault_class,
+            {
+                **values,
+                **prominences,
+                "severity": _largest_excess(values, limits, lines, line_limits),
+            },
             {**limits, **line_limits, "severity": 1.0},
             {name: unit for name in values if name.startswith("rms")},
-            {
-                "lines": {name: vars(line) for name, line in lines.items()},
-                "changed": changed,
-                "baseline": self._baseline is not None,
-                **({"likely": [CLASS_OF[name] for name in likely]} if len(likely) > 1 else {}),
-                **more,
-            },
-            _says(likely, lines, changed, values, limits) if faulty else None,
+            {**evidence, **more},
+            reason,
         )
 
     def _limits(self, measured: _Measured) -> dict[str, float]:
@@ -381,12 +391,17 @@ class Bearing(Diagnoser):
         )
         return limits | {name: upper[name] for name in measured.bands} or {"kurtosis": IMPULSIVE}
 
-    def _line_limit(self, name: str, changed: bool) -> float:
-        if changed or self._baseline is None:
-            limit = PROMINENT_BESIDE_A_CHANGE if changed else PROMINENT
-        else:
-            limit = PROMINENT_WITHOUT_A_CHANGE
-        return max(limit, 1.3 * (self._baseline.lines.get(name, 0.0) if self._baseline else 0.0))
+    def _line_limits(self, names: Iterable[str], changed: bool) -> dict[str, float]:
+        """From which prominence on each family means a fault, beside a changed level or without."""
+        limit = PROMINENT
+        usual: Mapping[str, float] = {}
+        if self._baseline is not None:
+            limit, usual = PROMINENT_WITHOUT_A_CHANGE, self._baseline.lines
+        if changed:
+            limit = PROMINENT_BESIDE_A_CHANGE
+        return {
+            f"prominence_{name}": max(limit, _OVER_HEALTHY * usual.get(name, 0.0)) for name in names
+        }
 
     def _acceleration(self, record: Record) -> tuple[AnyArray, str]:
         """The vibration in m/s² (or without unit), float32 kept."""
@@ -415,18 +430,16 @@ class Bearing(Diagnoser):
         """The channel of the shaft's speed; several are no reason to refuse a record that does not
         need one.
         """
-        return (
-            only_speed_channel(record)
-            if self.hertz or self.speed_rpm or not self.orders
-            else speed_channel(record)
-        )
+        speed_is_optional = self.hertz or self.speed_rpm or not self.orders
+        return only_speed_channel(record) if speed_is_optional else speed_channel(record)
 
-    def _frequencies(self, record: Record, channel: str | None) -> BearingFrequencies | None:
+    def _frequencies(self, record: Record, channel: str | None) -> BearingFrequencies:
+        """Fault frequencies at the record's speed; without lines where no bearing was described."""
         speed = self.speed_rpm or usual_speed(record, channel)
         if self.hertz:
             return BearingFrequencies.from_hertz(self.hertz, speed / 60 if speed else None)
         if not self.orders:
-            return None
+            return BearingFrequencies({})
         if speed:
             return BearingFrequencies.from_orders(self.orders, speed / 60)
         wrong, way_on = unusable_speeds(record)
@@ -532,6 +545,32 @@ class _Measured:
         )
 
 
+def _refuse_settings(
+    orders: Mapping[str, float] | None,
+    hertz: Mapping[str, float] | None,
+    speed_rpm: float | None,
+    machine_class: str | None,
+    false_alarm: float,
+) -> None:
+    """BadInput for settings that contradict each other or that no bearing has."""
+    if orders and hertz:
+        raise BadInput("bearing: orders and hertz are given; must be one of them")
+    if speed_rpm is not None and not 0 < speed_rpm < np.inf:
+        raise BadInput(f"bearing: speed_rpm is {speed_rpm!r}; must be a positive number")
+    if not 0 < false_alarm < 0.5:
+        raise BadInput(f"bearing: false_alarm is {false_alarm!r}; must be between 0 and 0.5")
+    if machine_class is not None and machine_class not in LIMITS:
+        raise BadInput(
+            f"bearing: machine class {machine_class!r} is not known;"
+            f" {known_names(machine_class, LIMITS)}"
+        )
+    # made for their refusals alone: the shaft's frequency is not known before there is a record
+    if orders:
+        BearingFrequencies.from_orders(orders, 1.0)
+    if hertz:
+        BearingFrequencies.from_hertz(hertz)
+
+
 def _healthy(records: Sequence[Record], labels: Sequence[str] | None) -> list[Record]:
     """The healthy ones of the records, long ones in blocks; BadInput when they differ in rate."""
     if labels is not None and len(labels) != len(records):
@@ -618,6 +657,24 @@ def _most_prominent(lines: Mapping[str, LineEvidence], limits: Mapping[str, floa
     return named
 
 
+def _largest_excess(
+    values: Mapping[str, float],
+    limits: Mapping[str, float],
+    lines: Mapping[str, LineEvidence],
+    line_limits: Mapping[str, float],
+) -> float:
+    """The largest indicator or line as a multiple of its limit.
+
+    A line family that modulates the envelope by less than `DEPTH` counts for as much less.
+    """
+    levels = [values[name] / limits[name] for name in limits]
+    prominences = [
+        line.prominence / line_limits[f"prominence_{name}"] * min(1.0, line.depth / DEPTH)
+        for name, line in lines.items()
+    ]
+    return max(levels + prominences)
+
+
 def _says(
     likely: list[str],
     lines: Mapping[str, LineEvidence],
@@ -668,8 +725,8 @@ def _moving(x: AnyArray, record: Record, frequencies: BearingFrequencies) -> str
     )
 
 
-def _slowest(frequencies: BearingFrequencies | None) -> float | None:
-    return min(frequencies.lines.values()) if frequencies else None
+def _slowest(frequencies: BearingFrequencies) -> float | None:
+    return min(frequencies.lines.values(), default=None)
 
 
 def _example_record(fault: Any, seed: int, seconds: float = 2.0) -> Record:

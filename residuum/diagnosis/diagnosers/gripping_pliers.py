@@ -73,7 +73,8 @@ class GrippingPliers(Diagnoser):
 
     References
     ----------
-    N. Valceschini, Data-Driven Robust Control and Diagnosis, chapter 6, Algorithm 7, Remarks 6.1 and 6.2.
+    N. Valceschini, Data-Driven Robust Control and Diagnosis, chapter 6, Algorithm 7, Remarks 6.1
+    and 6.2.
     """
 
     name: ClassVar[str] = "gripping-pliers"
@@ -118,22 +119,11 @@ class GrippingPliers(Diagnoser):
                 f"gripping-pliers: {len(records)} records but {len(labels)} labels; must be one"
                 " each"
             )
-        healthy = [
-            _RoundsOf(record)
-            for record, label in zip(records, labels, strict=True)
-            if label == "healthy"
-        ]
-        faulty = [
-            _RoundsOf(record)
-            for record, label in zip(records, labels, strict=True)
-            if label != "healthy"
-        ]
-        for part in (*healthy, *faulty):
-            if part.reason:
-                raise BadInput(
-                    f"gripping-pliers: record {part.record.source!r} cannot be trained on:"
-                    f" {part.reason}"
-                )
+        pairs = list(zip(records, labels, strict=True))
+        # healthy ones first: theirs is the refusal where several records cannot be used
+        healthy = [_RoundsOf(record) for record, label in pairs if label == "healthy"]
+        faulty = [_RoundsOf(record) for record, label in pairs if label != "healthy"]
+        _refuse_unusable([*healthy, *faulty])
         rates = {round(part.record.sampling_rate, 3) for part in (*healthy, *faulty)}
         count = sum(part.rounds.count for part in healthy)
         if count < self.minimum_rounds:
@@ -362,6 +352,15 @@ class _RoundsOf:
 
     def _segment_of_quadrant(self) -> list[int]:
         return sorted(range(QUADRANTS), key=self.rounds.quadrant)
+
+
+def _refuse_unusable(parts: Sequence[_RoundsOf]) -> None:
+    for part in parts:
+        if part.reason:
+            raise BadInput(
+                f"gripping-pliers: record {part.record.source!r} cannot be trained on:"
+                f" {part.reason}"
+            )
 
 
 def _indicators(envelope: AnyArray, quadrants: list[AnyArray]) -> list[float]:

@@ -173,12 +173,12 @@ class RobustResidual(Diagnoser):
             "source": _algorithm_6(design, signals, u),
         }
         deciding = tests[self.method]
-        if (
-            deciding.alarm is not None
-            and (reason := design.swapped(record.source, u, y)) is not None
-        ):
-            return Finding.not_assessable(self.name, reason)
-        estimate = None if deciding.alarm is None else self._estimate(u, y, deciding.alarm)
+        verdict, estimate = Verdict.HEALTHY, None
+        if deciding.alarm is not None:
+            # swapped channels alarm too, and are no fault of the machine
+            if (reason := design.swapped(record.source, u, y)) is not None:
+                return Finding.not_assessable(self.name, reason)
+            verdict, estimate = Verdict.FAULTY, self._estimate(u, y, deciding.alarm)
         evidence = self._evidence(record, signals, deciding.alarm, estimate) | {
             "method": self.method
         }
@@ -186,7 +186,7 @@ class RobustResidual(Diagnoser):
         rms = float(np.sqrt(np.mean(signals.primary[signals.valid] ** 2)))
         return Finding(
             self.name,
-            Verdict.HEALTHY if deciding.alarm is None else Verdict.FAULTY,
+            verdict,
             estimate.kind if estimate is not None else None,
             {test.indicator: test.largest for test in tests.values()} | {"residual_rms": rms},
             {deciding.indicator: deciding.threshold},
@@ -258,11 +258,15 @@ class RobustResidual(Diagnoser):
         if estimate is not None:
             low, high = estimate.band()
             evidence["fault"] = {
-                "kind": estimate.kind, "value": estimate.value, "std": estimate.std, "unit": estimate.unit,
-                "band_95": [low, high], "onset_time": record.t0 + estimate.onset * record.sample_time,
+                "kind": estimate.kind,
+                "value": estimate.value,
+                "std": estimate.std,
+                "unit": estimate.unit,
+                "band_95": [low, high],
+                "onset_time": record.t0 + estimate.onset * record.sample_time,
                 "present_from_the_start": estimate.onset <= self._judged_from,
                 "indistinguishable_from": list(estimate.indistinguishable_from),
-            }  # fmt: skip
+            }
         return evidence
 
     def _reason(

@@ -66,7 +66,8 @@ def decision_regions(
 
     >>> from sklearn.svm import SVC
     >>> points = np.array([[0.0, 0.0], [0.1, 1.0], [1.0, 0.0], [0.9, 1.0]])
-    >>> regions = decision_regions(SVC(kernel="linear").fit(points, ["left", "left", "right", "right"]), points)
+    >>> classifier = SVC(kernel="linear").fit(points, ["left", "left", "right", "right"])
+    >>> regions = decision_regions(classifier, points)
     >>> regions.classes, round(regions.share("left"), 2)
     (('left', 'right'), 0.5)
     """
@@ -117,8 +118,8 @@ def classifier_plane(
     ----------
     baseline : GateBaseline
         Trained with faults.
-    here : mapping of feature to value
-        One movement.
+    features : mapping of feature to value
+        Of one movement.
     x, y : str
         Two of FEATURES.
     points : array, shape (n, 2)
@@ -163,12 +164,12 @@ class _Cut(BaseEstimator):
     """A classifier of all log-features as one of two features, the others held."""
 
     def __init__(
-        self, classifier: BaseEstimator, here: Mapping[str, float], x: str, y: str
+        self, classifier: BaseEstimator, fixed: Mapping[str, float], x: str, y: str
     ) -> None:
-        self.classifier, self.here, self.x, self.y = classifier, here, x, y
+        self.classifier, self.fixed, self.x, self.y = classifier, fixed, x, y
         self.classes_ = classifier.classes_
 
     def predict(self, points: Matrix) -> npt.NDArray[np.str_]:
-        features = np.tile([self.here[name] for name in FEATURES], (len(points), 1))
+        features = np.tile([self.fixed[name] for name in FEATURES], (len(points), 1))
         features[:, [FEATURES.index(self.x), FEATURES.index(self.y)]] = points
         return np.asarray(self.classifier.predict(np.log(np.maximum(features, _LEAST))))

@@ -77,7 +77,8 @@ def risk(probability: str, severity: str) -> Risk:
     modes: short circuit (B-I), broken shaft (C-I) and corrupted wheel (B-III) are too critical or
     too probable and call for a redesign, broken gear (C-III) and broken teeth (D-IV) do not.
 
-    >>> [str(risk(*cell)) for cell in (("B", "I"), ("C", "I"), ("B", "III"), ("C", "III"), ("D", "IV"))]
+    >>> cells = [("B", "I"), ("C", "I"), ("B", "III"), ("C", "III"), ("D", "IV")]
+    >>> [str(risk(*cell)) for cell in cells]
     ['red', 'red', 'red', 'yellow', 'green']
     """
     rank = list(reversed(PROBABILITIES)).index(probability) + list(reversed(SEVERITIES)).index(

@@ -371,16 +371,7 @@ class GateBaseline:
                 f"gate-actuator: {len(healthy)} healthy movements to train on; at least 3 are"
                 " needed"
             )
-        labels = [movement.label for movement in movements]
-        classifier = source = None
-        if len(set(labels)) > 1:
-            X = np.array([movement.features.vector() for movement in movements])
-            classifier = MovementClassifier.fit(
-                X, labels, [movement.exemplar for movement in movements]
-            )
-            source = source_classifier().fit(
-                np.array([movement.features.source_vector() for movement in movements]), labels
-            )
+        classifier, source = _trained_classifiers(movements)
         turns = [features.pattern.typical for features in healthy]
         notch = NotchMatch.of(turns, constants.gear_teeth)
         return cls(
@@ -547,6 +538,21 @@ class GateBaseline:
             int(meta.get("exemplars", n)),
         )
         return loaded, str(meta.get("method", "default"))
+
+
+def _trained_classifiers(
+    movements: Sequence[TrainingMovement],
+) -> tuple[MovementClassifier | None, Pipeline | None]:
+    """The classifier of all features and the source's of F₁ and F₂; None where all movements are
+    of one class.
+    """
+    labels = [movement.label for movement in movements]
+    if len(set(labels)) == 1:
+        return None, None
+    X = np.array([movement.features.vector() for movement in movements])
+    exemplars = [movement.exemplar for movement in movements]
+    F = np.array([movement.features.source_vector() for movement in movements])
+    return MovementClassifier.fit(X, labels, exemplars), source_classifier().fit(F, labels)
 
 
 def _stored_gears(arrays: Mapping[str, npt.NDArray[Any]], orders: int) -> KnownGears:

@@ -4,6 +4,7 @@ in shaft angle.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -205,7 +206,11 @@ def movement_features(
     low = pattern.band(2, constants.pinion_teeth - 1)
     high = pattern.band(constants.pinion_teeth + 1, constants.gear_teeth - 1)
     level = _robust_deviation(residual[run])
-    pulses = _pulses(residual[run], turns, adapted.time_constant, frequency, Ts, constants, level)
+    # pulses as long as a pitch of the gear, and as half a pitch and a pitch of the pinion, take [s]
+    gear, pinion = constants.gear_teeth * frequency, constants.pinion_teeth * frequency
+    durations = [1.0 / gear, 0.5 / pinion, 1.0 / pinion]
+    templates = pulse_templates(durations, adapted.time_constant, Ts)
+    pulses = _pulses(residual[run], turns, templates, level)
     values = {
         "F1": F1,
         "F2": F2,
@@ -252,34 +257,23 @@ class _Pulses:
     at_sample: Signal
 
 
-def _pulses(
-    residual: Signal,
-    turns: Signal,
-    T: float,
-    frequency: float,
-    Ts: float,
-    constants: ActuatorConstants,
-    level: float,
-) -> _Pulses:
+def _pulses(residual: Signal, turns: Signal, templates: Sequence[Signal], level: float) -> _Pulses:
     centred = residual - np.median(residual)
-    whitener = autoregressive_whitener(
-        np.clip(centred, -_CLIP * level, _CLIP * level), _WHITENER_ORDER
-    )
-    gear, pinion = constants.gear_teeth * frequency, constants.pinion_teeth * frequency
+    clipped = np.clip(centred, -_CLIP * level, _CLIP * level)
+    whitener = autoregressive_whitener(clipped, _WHITENER_ORDER)
     periodic = 0.0
     largest = np.zeros_like(residual)
-    for template in pulse_templates([1.0 / gear, 0.5 / pinion, 1.0 / pinion], T, Ts):
+    for template in templates:
         z, _ = matched_filter(centred, whitener, template)
         pattern = shaft_pattern(z, turns)
-        periodic = max(
-            periodic,
-            _peak(pattern.typical) * float(np.sqrt(min(pattern.turns.shape[0], _AVERAGED_TURNS))),
-        )
+        averaged = min(pattern.turns.shape[0], _AVERAGED_TURNS)
+        # an average over so many turns scatters by 1/√turns of one: back in standard deviations
+        periodic = max(periodic, _peak(pattern.typical) * float(np.sqrt(averaged)))
+        # a single pulse is what its place on the shaft does not show turn by turn
         whole = turns - turns[0] < pattern.turns.shape[0]
         place = (turns[whole] - turns[0]) % 1.0 * POINTS_OF_A_TURN
-        shared = np.interp(
-            place, np.arange(POINTS_OF_A_TURN + 1), np.append(pattern.typical, pattern.typical[0])
-        )
+        closed = np.append(pattern.typical, pattern.typical[0])
+        shared = np.interp(place, np.arange(POINTS_OF_A_TURN + 1), closed)
         largest[whole] = np.maximum(largest[whole], np.abs(z[whole] - shared))
     return _Pulses(float(np.max(largest)), periodic, largest)
 

@@ -64,9 +64,12 @@ def average_profile(profiles: Sequence[PositionProfile]) -> PositionProfile:
 
     >>> rng = np.random.default_rng(0)
     >>> way = np.linspace(0, 1, 5000)
-    >>> movements = [position_profile(rng.standard_normal(5000) + 2.5 * (abs(way - 0.4) < 0.002), way) for _ in range(12)]
-    >>> average = average_profile(movements)
-    >>> round(average.place, 2), bool(average.contrast > 2 * np.median([one.contrast for one in movements]))
+    >>> damage = 2.5 * (abs(way - 0.4) < 0.002)
+    >>> noises = [rng.standard_normal(5000) for _ in range(12)]
+    >>> profiles = [position_profile(noise + damage, way) for noise in noises]
+    >>> average = average_profile(profiles)
+    >>> typical = np.median([profile.contrast for profile in profiles])
+    >>> round(average.place, 2), bool(average.contrast > 2 * typical)
     (0.4, True)
     """
     if not profiles:

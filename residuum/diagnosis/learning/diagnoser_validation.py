@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -187,7 +187,7 @@ def validate_object_wise(
     for name in np.unique(names):
         judge = fit([int(k) for k in np.flatnonzero(names != name)])
         for k in map(int, np.flatnonzero(names == name)):
-            predicted[k] = said(judge, records[k])
+            predicted[k] = judged_class(judge, records[k])
     return Validation(np.asarray(labels), predicted.astype(str), names)
 
 
@@ -237,22 +237,18 @@ def bootstrap_632_plus(
     if len(np.unique(names)) < 2:
         raise BadInput("bootstrap: all records come from one object; at least two are needed")
     judge = fit(range(len(records)))
-    own = np.array([said(judge, record) for record in records])
+    own = np.array([judged_class(judge, record) for record in records])
     wrong: list[list[bool]] = [[] for _ in records]
     trained = 0
-    rng = np.random.default_rng(seed)
-    for _ in range(repeats):
-        drawn = rng.choice(np.unique(names), len(np.unique(names)))
-        left = np.flatnonzero(~np.isin(names, drawn))
-        if not len(left):
-            continue
+    for drawn, left in _drawn_objects(names, repeats, seed):
         try:
-            judge = fit([int(k) for name in drawn for k in np.flatnonzero(names == name)])
+            judge = fit(drawn)
         except BadInput:
             continue
         trained += 1
-        for k in map(int, left):
-            wrong[k].append(said(judge, records[k]) != truth[k])
+        for k in left:
+            wrong[k].append(judged_class(judge, records[k]) != truth[k])
+    # a record counts once, however many samples lack its object
     counted = [float(np.mean(misses)) for misses in wrong if misses]
     if not counted:
         raise BadInput(
@@ -262,7 +258,23 @@ def bootstrap_632_plus(
     return _combined(truth, own, float(np.mean(counted)), trained)
 
 
-def said(judge: Diagnoser, record: Record) -> str:
+def _drawn_objects(
+    names: npt.NDArray[Any], repeats: int, seed: int
+) -> Iterator[tuple[list[int], list[int]]]:
+    """Records of objects drawn with replacement, and those of the objects that the draw lacks;
+    draws that lack none are left out.
+    """
+    rng = np.random.default_rng(seed)
+    every = np.unique(names)
+    for _ in range(repeats):
+        objects = rng.choice(every, len(every))
+        drawn = [int(k) for name in objects for k in np.flatnonzero(names == name)]
+        left = [int(k) for k in np.flatnonzero(~np.isin(names, objects))]
+        if left:
+            yield drawn, left
+
+
+def judged_class(judge: Diagnoser, record: Record) -> str:
     """The class that a diagnoser gives a record: `healthy`, the fault's, or the verdict where there
     is no class.
     """

@@ -15,33 +15,29 @@ def read_labels(file: Path, records: Sequence[Path]) -> tuple[list[str], list[st
     """
     table = _rows(file)
     columns = len(table[0]) if table else 2
-    if wrong := [
-        number
-        for number, row in enumerate(table, start=1)
-        if len(row) != columns or columns not in (2, 3)
-    ]:
-        raise BadInput(
-            f"{file}, row {wrong[0]}: must be record,label or record,label,exemplar, the same in"
-            " every row"
-        )
+    for number, row in enumerate(table, start=1):
+        if len(row) != columns or columns not in (2, 3):
+            raise BadInput(
+                f"{file}, row {number}: must be record,label or record,label,exemplar, the same in"
+                " every row"
+            )
     known = {row[0]: row[1:] for row in table if row[:2] != ["record", "label"]}
-    label_rows: list[list[str]] = []
+    labels: list[str] = []
+    exemplars: list[str] = []
     for record in records:
-        row = known.get(str(record), known.get(record.name))
-        if row is None:
+        label = known.get(str(record), known.get(record.name))
+        if label is None:
             raise BadInput(f"{file}: has no label for {record}")
-        label_rows.append(row)
-    return [row[0] for row in label_rows], [row[1] for row in label_rows] if columns == 3 else None
+        labels.append(label[0])
+        exemplars += label[1:]
+    return labels, exemplars if columns == 3 else None
 
 
 def _rows(file: Path) -> list[list[str]]:
     """The cells of a CSV file, lines of comment left out."""
     try:
         with file.open(encoding="utf-8", newline="") as rows:
-            return [
-                [cell.strip() for cell in row]
-                for row in csv.reader(rows)
-                if row and not row[0].startswith("#")
-            ]
+            filled = [row for row in csv.reader(rows) if row and not row[0].startswith("#")]
+            return [[cell.strip() for cell in row] for row in filled]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise BadInput(f"{file}: cannot be read as CSV: {error}") from None

@@ -1,4 +1,6 @@
-"""Are probabilities right? What was said against how often it came true (reliability diagram, as a table)."""
+"""Are probabilities right? What was said against how often it came true (reliability diagram, as a
+table).
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,8 @@ TENTHS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
 class ReliabilityLine:
     """One bin of said probabilities [low, high).
 
-    `predicted` is their mean, `observed` the share that came true, `interval` its 95 % Clopper–Pearson interval.
+    `predicted` is their mean, `observed` the share that came true, `interval` its 95 %
+    Clopper–Pearson interval.
     """
 
     low: float
@@ -42,14 +45,15 @@ class ReliabilityLine:
 
 
 def reliability_table(
-    said: npt.ArrayLike, true: npt.ArrayLike, edges: Sequence[float] = EDGES
+    predicted: npt.ArrayLike, true: npt.ArrayLike, edges: Sequence[float] = EDGES
 ) -> list[ReliabilityLine]:
     """One line for each bin that is not empty.
 
     Parameters
     ----------
-    said : array, shape (n,)
-        Probabilities, of observations that were not trained on: on training data every classifier looks calibrated.
+    predicted : array, shape (n,)
+        Probabilities, of observations that were not trained on: on training data every classifier
+        looks calibrated.
     true : array of bool, shape (n,)
     edges : sequence of float
         Increasing, from 0 to 1.
@@ -59,7 +63,7 @@ def reliability_table(
     BadInput
         Unequal lengths, nothing at all, or a number that is no probability.
     """
-    p, hit = _checked(said, true)
+    p, hit = _checked(predicted, true)
     bins = np.clip(np.searchsorted(np.asarray(edges), p, side="right") - 1, 0, len(edges) - 2)
     lines = []
     for k in np.unique(bins):
@@ -75,26 +79,28 @@ def reliability_table(
 
 
 def expected_calibration_error(
-    said: npt.ArrayLike, true: npt.ArrayLike, edges: Sequence[float] = EDGES
+    predicted: npt.ArrayLike, true: npt.ArrayLike, edges: Sequence[float] = EDGES
 ) -> float:
-    """Mean over the observations of |said − came true| of their bin (Naeini, Cooper and Hauskrecht, 2015).
+    """Mean over the observations of |said − came true| of their bin (Naeini, Cooper and Hauskrecht,
+    2015).
 
     >>> expected_calibration_error([0.2] * 10, [True, True] + [False] * 8)
     0.0
     """
-    lines = reliability_table(said, true, edges)
+    lines = reliability_table(predicted, true, edges)
     return sum(line.n * abs(line.predicted - line.observed) for line in lines) / sum(
         line.n for line in lines
     )
 
 
 def _checked(
-    said: npt.ArrayLike, true: npt.ArrayLike
+    predicted: npt.ArrayLike, true: npt.ArrayLike
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_]]:
-    p, hit = np.asarray(said, dtype=float), np.asarray(true, dtype=bool)
+    p, hit = np.asarray(predicted, dtype=float), np.asarray(true, dtype=bool)
     if p.shape != hit.shape or p.ndim != 1 or p.size == 0:
         raise BadInput(
-            f"reliability: probabilities of shape {p.shape}, outcomes {hit.shape}; must be (n,) both, n at least 1"
+            f"reliability: probabilities of shape {p.shape}, outcomes {hit.shape}; must be (n,)"
+            " both, n at least 1"
         )
     if not np.all((p >= 0.0) & (p <= 1.0)):
         raise BadInput(f"reliability: {p[~((p >= 0.0) & (p <= 1.0))][0]!r} is no probability")

@@ -28,8 +28,16 @@ _HEADER = "header.json"
 _LARGEST = 1 << 30
 _READABLE = "fiub?"
 _UNREADABLE = (
-    zipfile.BadZipFile, zlib.error, KeyError, ValueError, TypeError, EOFError, OSError, RuntimeError, NotImplementedError,
-)  # fmt: skip
+    zipfile.BadZipFile,
+    zlib.error,
+    KeyError,
+    ValueError,
+    TypeError,
+    EOFError,
+    OSError,
+    RuntimeError,
+    NotImplementedError,
+)
 """What reading a file that is none of ours may raise: encrypted and unknown compression too."""
 
 

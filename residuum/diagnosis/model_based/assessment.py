@@ -13,7 +13,7 @@ from scipy import stats
 
 from residuum.array_types import FloatArray
 from residuum.diagnosis.finding import Finding, Verdict
-from residuum.diagnosis.model_based.baseline import Baseline, alone, wide_prior
+from residuum.diagnosis.model_based.baseline import Baseline, own_estimate, wide_prior
 from residuum.diagnosis.model_based.causes import Cause, causes
 from residuum.diagnosis.model_based.hypotheses import Hypothesis
 from residuum.diagnosis.model_based.policy import (
@@ -35,24 +35,30 @@ from residuum.identification.residual_analysis.noise import stretches
 # Whether a window is healthy, at one rate of false alarms: its values by Hotelling's T² and each by
 # itself, its error power, and offsets of its readings.
 #
-# References ---------- H. Hotelling, Ann. Math. Stat. 2 (1931) 360; C. R. Rao, *Linear Statistical
-# Inference*, 2nd ed. 1973, 8c (one direction of T²).
+# References: H. Hotelling, Ann. Math. Stat. 2 (1931) 360; C. R. Rao, Linear Statistical Inference,
+# 2nd ed. 1973, 8c (one direction of T²).
 
-_TESTS = 4
+_TESTS = 4  # error power, offsets, all values together, each value by itself
 
 
 @dataclass(frozen=True, eq=False)
 class Detected:
-    """`p` that a healthy window of such a run looks like this; of its values the mean (values,) and
-    covariance there.
+    """How a window differs from healthy ones.
 
-    `surprise` is how far error power lies above the usual (2 · outputs,) [standard deviations].
+    Attributes
+    ----------
+    p : float
+        Probability that a healthy window of such a run differs as much.
+    mean, covariance : array, shapes (values,), (values, values)
+        Of values in healthy windows of such a run.
+    error_excess : array, shape (2 · outputs,)
+        How far error power lies above the usual [standard deviations].
     """
 
     p: float
     mean: FloatArray
     covariance: FloatArray
-    surprise: FloatArray
+    error_excess: FloatArray
 
 
 def detected(
@@ -62,17 +68,21 @@ def detected(
     against healthy ones; Bonferroni's bound over the tests.
     """
     mean, covariance = baseline.values.at(features)
-    z, freedom = baseline.surprise(features, fit), baseline.values.freedom
+    z, freedom = baseline.error_excess(features, fit), baseline.values.freedom
+    # One-sided: an error smaller than usual is no fault. Student's t throughout, since every
+    # scatter is known from so many windows only.
     p_values = [len(z) * float(stats.t.sf(z, baseline.errors.freedom).min(initial=1.0))]
+    # An offset scatters by what healthy windows show and by what this window leaves open of it.
     usual, scatter = baseline.offsets.at(features)
     t = np.abs(offsets[0] - usual) / np.sqrt(
         np.diag(scatter) + 1.0 / np.maximum(offsets[1], 1e-300)
     )
     p_values.append(2.0 * len(t) * float(stats.t.sf(t, baseline.offsets.freedom).min(initial=1.0)))
     if k := len(mean):
-        d, H = fit.others - mean, information(fit, k)
+        d, H = fit.values - mean, information(fit, k)
         # (S + H⁻¹)⁻¹, where H may be singular
         T = H - H @ np.linalg.solve(H + np.linalg.inv(covariance), H)
+        # Hotelling's T² as an F statistic: t2 · m / (k · freedom) ~ F(k, m)
         t2 = max(float(d @ T @ d), 0.0)
         m = max(freedom - k + 1.0, 1.0)
         alone = (T @ d) ** 2 / np.maximum(np.diag(T), 1e-300)  # what one value alone explains of it
@@ -83,7 +93,7 @@ def detected(
     return Detected(min(1.0, _TESTS * min(p_values)), mean, covariance, z)
 
 
-_RAREST = 1e-300
+_RAREST = 1e-300  # a p-value of 0 by rounding has no normal deviation
 
 
 class NotAssessable(Exception):
@@ -91,9 +101,19 @@ class NotAssessable(Exception):
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
-    """A window in the baseline's terms, its features, its own values, the offset that each reading
-    seems to have, and the information on that.
+class EstimatedWindow:
+    """A window that can be judged.
+
+    Attributes
+    ----------
+    window : Experiment
+        The record in the baseline's terms.
+    features : array, shape (1 + features,)
+        Of its kind of run.
+    fit : Fit
+        Of the healthy model with all values free.
+    offsets : tuple of array, shape (outputs,) each
+        The offset that each reading seems to have, and the information on it.
     """
 
     window: Experiment
@@ -115,15 +135,17 @@ def assess(name: str, baseline: Baseline, record: Record, false_alarms_per_day: 
         whole, _required(baseline), COMPLETE * baseline.seconds / baseline.sample_time
     )
     try:
-        observed = seen_window(baseline, record)
+        observed = estimated_window(baseline, record)
     except NotAssessable as refused:
         return Finding.not_assessable(name, str(refused))
     detection = detected(baseline, observed.fit, observed.offsets, observed.features)
+    # the chance that one healthy window may alarm with, of windows that follow without overlap
     level = min(0.5, false_alarms_per_day * baseline.seconds / SECONDS_A_DAY)
     deviation, limit = (float(stats.norm.isf(max(p, _RAREST))) for p in (detection.p, level))
     faulty = deviation > limit
+    # causes are sought only where there is something to explain: they take most of the time
     listed = causes(baseline, observed.window, observed.features) if faulty else []
-    cause_rows = [_told(baseline, detection, record, cause) for cause in listed]
+    cause_rows = [_cause_row(baseline, detection, record, cause) for cause in listed]
     evidence: dict[str, Any] = {
         "causes": cause_rows,
         "parameters": _parameters(baseline, observed, detection),
@@ -159,8 +181,8 @@ def assess(name: str, baseline: Baseline, record: Record, false_alarms_per_day: 
     )
 
 
-def seen_window(baseline: Baseline, record: Record) -> Seen:
-    """The window in the baseline's terms.
+def estimated_window(baseline: Baseline, record: Record) -> EstimatedWindow:
+    """A window with the estimates of it that are held against healthy ones.
 
     Raises
     ------
@@ -176,8 +198,10 @@ def seen_window(baseline: Baseline, record: Record) -> Seen:
         )
     features = baseline.kind.features(window)
     fitter = baseline.fitter(window, features)
+    # The own estimate begins at the usual values and, once more, where the healthy fit ended: a
+    # descent from one place ended at five times the error (benchmarks/results/model_based.md).
     usual = fitter.fit(Variant(baseline.model))
-    fit = alone(baseline.model, window, fitter.mean, baseline.whitening, usual)
+    fit = own_estimate(baseline.model, window, fitter.mean, baseline.whitening, usual)
     if fit is None:
         raise NotAssessable("the model diverges along the window")
     # a large error weighs less in the information, however much moves
@@ -188,7 +212,7 @@ def seen_window(baseline: Baseline, record: Record) -> Seen:
             "the window says next to nothing of any value of the model: let its inputs move as they"
             " did in the healthy windows"
         )
-    return Seen(window, features, fit, baseline.offsets_in(fitter, usual))
+    return EstimatedWindow(window, features, fit, baseline.offsets_in(fitter, usual))
 
 
 def _required(baseline: Baseline) -> list[str]:
@@ -238,8 +262,8 @@ def _stands_still(baseline: Baseline, window: Experiment) -> bool:
 
 
 def rate_alone(baseline: Baseline) -> float:
-    """False alarms a day that the healthy windows by themselves vouch for: one in so many and one
-    more.
+    """False alarms a day that healthy windows vouch for without extrapolation: n of them show no
+    chance rarer than one in n + 1.
     """
     return SECONDS_A_DAY / baseline.seconds / (baseline.windows + 1.0)
 
@@ -258,11 +282,14 @@ def missing_physics(baseline: Baseline) -> list[dict[str, Any]]:
     return missing
 
 
-def _parameters(baseline: Baseline, observed: Seen, detection: Detected) -> dict[str, Any]:
+def _parameters(
+    baseline: Baseline, observed: EstimatedWindow, detection: Detected
+) -> dict[str, Any]:
     """Every value as this window tells it, all at once, with its 95 % band in healthy windows of
     such a run.
     """
     k = len(baseline.free)
+    # the wide prior keeps finite what the window says nothing of
     H = information(observed.fit, k) + np.linalg.inv(wide_prior(detection.mean))
     std = np.sqrt(np.diag(np.linalg.pinv(H, hermitian=True)))
     reach = float(stats.t.ppf(0.975, baseline.values.freedom)) * np.sqrt(
@@ -270,7 +297,7 @@ def _parameters(baseline: Baseline, observed: Seen, detection: Detected) -> dict
     )
     return {
         name: {
-            "value": float(observed.fit.others[j]),
+            "value": float(observed.fit.values[j]),
             "std": float(std[j]),
             "unit": baseline.model.all_parameters[name].unit,
             "healthy": {
@@ -282,42 +309,61 @@ def _parameters(baseline: Baseline, observed: Seen, detection: Detected) -> dict
     }
 
 
-def _told(baseline: Baseline, detection: Detected, record: Record, cause: Cause) -> dict[str, Any]:
-    """A cause as the interface gives it; its first size is told."""
+@dataclass(frozen=True)
+class CauseSize:
+    """A cause's first size in the units that a reader is told, with its standard deviation."""
+
+    value: float
+    std: float
+    healthy: tuple[float, float] | None
+
+
+def _size_of(
+    baseline: Baseline, detection: Detected, record: Record, cause: Cause
+) -> CauseSize | None:
+    """The first size of a cause; None where it has none or nothing is known of it."""
     h = cause.hypothesis
-    onset = record.t0 + cause.onset * record.sample_time if cause.onset else None
-    value = std = None
-    healthy: tuple[float, float] | None = None
-    # a size of which nothing is known is not told
-    if h is not None and len(cause.size) and np.isfinite(cause.std[0]):
-        times = record.sample_time if h.in_samples else 1.0
-        value, std = float(cause.size[0]) * times, float(cause.std[0]) * times
-        healthy = _usual_band(baseline, detection, h.label, times)
-    size = None
-    if value is not None and std is not None and h is not None:
-        size = {
-            "value": value,
-            "std": std,
-            "unit": h.unit,
-            "band_95": [value - 1.96 * std, value + 1.96 * std],
-        }
-    return {
-        "kind": "unknown" if h is None else h.kind,
-        "name": "unknown" if h is None else h.name,
-        "place": "" if h is None else h.place,
+    if h is None or not len(cause.size) or not np.isfinite(cause.std[0]):
+        return None
+    times = record.sample_time if h.in_samples else 1.0
+    return CauseSize(
+        float(cause.size[0]) * times,
+        float(cause.std[0]) * times,
+        _usual_band(baseline, detection, h.label, times),
+    )
+
+
+def _cause_row(
+    baseline: Baseline, detection: Detected, record: Record, cause: Cause
+) -> dict[str, Any]:
+    """A cause as the interface gives it."""
+    h = cause.hypothesis
+    size = _size_of(baseline, detection, record, cause)
+    onset, since = None, ""
+    if cause.onset:
+        onset = record.t0 + cause.onset * record.sample_time
+        since = f", since {onset - record.t0:.4g} s into the window"
+    healthy = None if size is None else size.healthy
+    row: dict[str, Any] = {"kind": "unknown", "name": "unknown", "place": ""}
+    if h is not None:
+        row = {"kind": h.kind, "name": h.name, "place": h.place}
+    return row | {
         "probability": cause.probability,
         "indistinguishable_from": list(cause.alike),
         "beside": list(cause.beside),
-        "value": size,
+        "value": None if h is None or size is None else _value_row(size, h.unit),
         "healthy": None if healthy is None else {"low": healthy[0], "high": healthy[1]},
         "onset_time": onset,
-        "says": said(
-            h,
-            value,
-            std,
-            healthy,
-            "" if onset is None else f", since {onset - record.t0:.4g} s into the window",
-        ),
+        "says": cause_sentence(h, size, since),
+    }
+
+
+def _value_row(size: CauseSize, unit: str) -> dict[str, Any]:
+    return {
+        "value": size.value,
+        "std": size.std,
+        "unit": unit,
+        "band_95": [size.value - 1.96 * size.std, size.value + 1.96 * size.std],
     }
 
 
@@ -336,6 +382,7 @@ def _usual_band(
     usual = baseline.usual.get(label)
     if usual is None or len(usual.sizes) < 3:
         return None
+    # Student's prediction interval of one further window
     first = usual.sizes[:, 0] * times
     reach = (
         float(stats.t.ppf(0.975, len(first) - 1))
@@ -346,10 +393,23 @@ def _usual_band(
 
 
 CLASSES: Sequence[str] = (
-    "healthy", "parameter", "effect", "disturbance", "unknown",
-    "sensor-offset", "sensor-gain", "sensor-noise", "sensor-stuck", "sensor-delay", "sensor-drop-out", "sensor-drift",
-    "actuator-offset", "actuator-gain", "actuator-stuck", "actuator-delay",
-)  # fmt: skip
+    "healthy",
+    "parameter",
+    "effect",
+    "disturbance",
+    "unknown",
+    "sensor-offset",
+    "sensor-gain",
+    "sensor-noise",
+    "sensor-stuck",
+    "sensor-delay",
+    "sensor-drop-out",
+    "sensor-drift",
+    "actuator-offset",
+    "actuator-gain",
+    "actuator-stuck",
+    "actuator-delay",
+)
 
 
 def _class(cause: Cause) -> str:
@@ -441,44 +501,42 @@ def number(value: float, std: float | None = None) -> str:
 
     >>> number(0.03124, 0.0021), number(1234.5, 20.0), number(0.5)
     ('0.0312 ± 0.0021', '1234 ± 20', '0.5')
+    >>> number(3.04e-6, 1e-7), number(123456.0, 30000.0)
+    ('3.04e-06 ± 1e-07', '123000 ± 3e+04')
     """
     if not std:
         return f"{value:.4g}"
     figures = max(2, min(6, 2 + _decades(value) - _decades(std)))
     shown = f"{value:.{figures}g}"
-    return (
-        f"{float(shown):g} ± {std:.2g}" if "e" not in shown else f"{float(shown):.0f} ± {std:.2g}"
-    )
+    # a number with more figures before its point than it may show: 1.2e+03 is told as 1200
+    shown = f"{float(shown):.0f}" if "e+" in shown else f"{float(shown):g}"
+    return f"{shown} ± {std:.2g}"
 
 
 def _decades(value: float) -> int:
     return int(f"{abs(value):e}".partition("e")[2]) if value else 0
 
 
-def said(
-    hypothesis: Hypothesis | None,
-    value: float | None,
-    std: float | None,
-    healthy: tuple[float, float] | None,
-    since: str,
-) -> str:
+def cause_sentence(hypothesis: Hypothesis | None, size: CauseSize | None, since: str) -> str:
     """One sentence: what, how much, what is usual when healthy, since when."""
     if hypothesis is None:
         return "something that no single parameter, effect, sensor or actuator explains"
     h = hypothesis
-    unit = "" if h.unit in ("", "1") else f" {h.unit}"
-    size = "" if value is None else number(value, 1.96 * std if std else None) + unit
-    words = {
-        "place": h.place,
-        "value": size,
-        "percent": "" if value is None else f"{100 * value:.3g} %",
-    }
+    amount, percent = "", ""
+    if size is not None:
+        unit = "" if h.unit in ("", "1") else f" {h.unit}"
+        amount = number(size.value, 1.96 * size.std) + unit
+        percent = f"{100 * size.value:.3g} %"
     templates = {"sensor": _SENSOR, "actuator": _ACTUATOR}.get(h.kind, {})
     if h.name in templates:
-        return f"{h.kind} {templates[h.name].format(**words)}{since}"
+        words = templates[h.name].format(place=h.place, value=amount, percent=percent)
+        return f"{h.kind} {words}{since}"
     if h.kind == "disturbance":
         return f"a load that nobody recorded acts on the {h.place}{since}"
     where = f" of the {h.place}" if h.place else ""
-    usual = "" if healthy is None else f", healthy {number(healthy[0])} to {number(healthy[1])}"
-    much = f" {size}" if size else ", of a size that the window leaves open"
-    return f"{h.name.replace('-', ' ')}{where}{much}{usual}{since}"
+    amount = f" {amount}" if amount else ", of a size that the window leaves open"
+    usual = ""
+    if size is not None and size.healthy is not None:
+        low, high = size.healthy
+        usual = f", healthy {number(low)} to {number(high)}"
+    return f"{h.name.replace('-', ' ')}{where}{amount}{usual}{since}"

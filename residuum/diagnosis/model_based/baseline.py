@@ -18,8 +18,7 @@ from scipy import stats
 from residuum.array_types import FloatArray
 from residuum.diagnosis.learning.stored import load_stored, save_stored
 from residuum.diagnosis.model_based.hypotheses import Hypothesis, hypotheses
-from residuum.diagnosis.model_based.kind_of_run import KindOfRun
-from residuum.diagnosis.model_based.policy import FIT_STEPS, VISIBLE_POWER, WIDE
+from residuum.diagnosis.model_based.policy import FIT_STEPS, STILL, VISIBLE_POWER, WIDE
 from residuum.diagnosis.model_based.variant import Variant, edited, shifted
 from residuum.diagnosis.model_based.window_fit import (
     Fit,
@@ -38,7 +37,59 @@ from residuum.identification.physics import (
     write_model,
 )
 
+# Files of other versions are refused, not converted: their healthy records teach a baseline anew.
 _VERSION = 6
+
+
+# The kind of a run, told by what was not estimated: its inputs, and the channels recorded beside the
+# model's.
+
+
+@dataclass(frozen=True, eq=False)
+class KindOfRun:
+    """Features of a window: of every input its mean, its standard deviation and the RMS of its
+    steps, of other channels the mean.
+
+    Attributes
+    ----------
+    beside : tuple of str
+        Channels that the model does not use.
+    centre, spread : array, shape (features,)
+        Over healthy windows; the spread is infinite for what never moved, which then says nothing.
+    """
+
+    beside: tuple[str, ...]
+    centre: FloatArray
+    spread: FloatArray
+
+    @classmethod
+    def of(cls, windows: Sequence[Experiment]) -> KindOfRun:
+        """Learned from healthy windows."""
+        beside = tuple(name for name in windows[0].spare if all(name in e.spare for e in windows))
+        F = np.array([_raw(e, beside) for e in windows])
+        # what hardly moves from run to run would else be divided by its noise
+        spread = np.maximum(F.std(axis=0), STILL * np.max(np.abs(F), axis=0, initial=0.0))
+        return cls(beside, F.mean(axis=0), np.where(spread > 0.0, spread, np.inf))
+
+    def features(self, e: Experiment) -> FloatArray:
+        """1 and the features in healthy spreads, shape (1 + features,); usual (0) for a channel
+        that was not recorded.
+        """
+        return np.concatenate(
+            [[1.0], np.nan_to_num((_raw(e, self.beside) - self.centre) / self.spread)]
+        )
+
+
+def _raw(e: Experiment, beside: Sequence[str]) -> FloatArray:
+    means = [float(e.spare[name].values.mean()) if name in e.spare else np.nan for name in beside]
+    return np.concatenate(
+        [
+            e.U.mean(axis=0),
+            e.U.std(axis=0),
+            np.sqrt(np.mean(np.diff(e.U, axis=0) ** 2, axis=0)),
+            means,
+        ]
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +103,7 @@ class Usual:
 
     @property
     def variance(self) -> FloatArray | float:
-        """Of its sizes from window to window; 0 where too few are known."""
+        """Variance of its sizes from window to window, shape (sizes,); 0 where too few are known."""
         return self.sizes.var(axis=0, ddof=1) if len(self.sizes) > 2 else 0.0
 
 
@@ -121,19 +172,24 @@ class Baseline:
         return tuple(use for use in self.model.effects if use.label in self.mended)
 
     def fitter(self, window: Experiment, features: FloatArray) -> WindowFitter:
-        """What fits hypotheses to a window of a run of this kind."""
+        """The fitter of a window: healthy values and size of errors as the window's features lead
+        to expect.
+        """
         (mean, covariance), log = self.values.at(features), self.errors.at(features)[0]
         known = self.model.all_parameters
+        # far from the runs seen the mean may leave what a value can be
         mean = np.clip(
             mean, [known[n].lower for n in self.free], [known[n].upper for n in self.free]
         )
+        # errors are as large as is usual for such a run: the second half of the logarithms is of
+        # whitened errors
         whitening = replace(
             self.whitening, sigma=self.whitening.sigma * np.exp(log[len(log) // 2 :])
         )
         model = self.model.with_values(dict(zip(self.free, mean.tolist(), strict=True)))
         return WindowFitter(model, window, mean, covariance, whitening, self.values.freedom)
 
-    def surprise(self, features: FloatArray, fit: Fit) -> FloatArray:
+    def error_excess(self, features: FloatArray, fit: Fit) -> FloatArray:
         """How far error power lies above the usual [standard deviations], of errors as they are and
         whitened, (2 · outputs,).
         """
@@ -159,7 +215,7 @@ class Baseline:
         return offsets, offset_info
 
     def usual_gain(self, hypothesis: Hypothesis) -> float:
-        """[nat] Of a hypothesis in healthy windows."""
+        """[nat] Mean gain of a hypothesis in healthy windows."""
         known = self.usual.get(hypothesis.label)
         return known.gain if known else 0.0
 
@@ -176,7 +232,7 @@ class Baseline:
         return dict(zip(self.free, (reach * std).tolist(), strict=True))
 
     def save(self, path: str | Path, kind: str, settings: Mapping[str, Any]) -> None:
-        """Store it in a file."""
+        """Store the baseline and a diagnoser's settings in a file."""
         meta = {
             "model": write_model(self.model),
             "asked": write_model(self.asked),
@@ -270,11 +326,13 @@ def _read(meta: Mapping[str, Any], arrays: Mapping[str, FloatArray], source: str
 
 
 def wide_prior(values: FloatArray) -> FloatArray:
-    """Covariance of values that a window is asked for by itself."""
+    """Covariance, shape (values, values), of the wide prior for values that a window is asked for by
+    itself.
+    """
     return np.diag((WIDE * np.maximum(np.abs(values), 1e-12)) ** 2)
 
 
-def alone(
+def own_estimate(
     model: PhysicalModel,
     window: Experiment,
     mean: FloatArray,
@@ -284,6 +342,7 @@ def alone(
     """The window's own values of the healthy model, all of them free; the lower of the descents
     from their mean and from a fit to begin with.
     """
+    # a prior this wide that is known exactly (no Student tail): it only keeps open values finite
     fitter = WindowFitter(model, window, mean, wide_prior(mean), whitening, 1e6)
     fits = [
         fitter.fit(Variant(model), 2 * FIT_STEPS, start)

@@ -1,5 +1,5 @@
-"""Which cause: all hypotheses weighed in nats, their probabilities counted over resampled blocks,
-what is alike in one group.
+"""Which cause: the costs of all hypotheses compared, their probabilities counted over resampled
+blocks of the window, and what cannot be told apart in one group.
 """
 
 from __future__ import annotations
@@ -13,17 +13,17 @@ import numpy.typing as npt
 
 from residuum.array_types import FloatArray
 from residuum.diagnosis.model_based.baseline import Baseline
-from residuum.diagnosis.model_based.hypotheses import Hypothesis, Tried, tried
+from residuum.diagnosis.model_based.hypotheses import Hypothesis, Trial, try_hypotheses
 from residuum.diagnosis.model_based.policy import (
-    BEGINNINGS_FOLLOWED,
+    CAUSES_LISTED,
     FIT_STEPS,
     FITTED_PAIRS,
     LEAST_UNKNOWN,
-    LOOK_STEPS,
+    ONSETS_FOLLOWED,
     PAIR_STEPS,
     PAIRED,
     PARTS,
-    TOLD,
+    SCREENING_STEPS,
     UNEXPLAINED,
     WINDOW_PARTS,
 )
@@ -37,8 +37,16 @@ from residuum.identification.unseen_blocks.policy import BLOCKS, DRAWS, TIE
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """Two hypotheses in one fit; of each its parameters of the model, and which of the fit's sizes
-    are its own.
+    """Two hypotheses in one fit.
+
+    Attributes
+    ----------
+    both : tuple of Hypothesis
+    fit : Fit
+    own : tuple of tuple of str
+        Parameters of the model that are sizes of each.
+    sizes : tuple of list of int
+        Places of each one's sizes in `fit.own`.
     """
 
     both: tuple[Hypothesis, Hypothesis]
@@ -46,49 +54,59 @@ class Pair:
     own: tuple[tuple[str, ...], tuple[str, ...]]
     sizes: tuple[list[int], list[int]]
 
+    @property
+    def labels(self) -> set[str]:
+        """Of both hypotheses."""
+        return {h.label for h in self.both}
 
-def pairs(baseline: Baseline, fitter: WindowFitter, singles: Iterable[Tried]) -> list[Pair]:
+
+def pairs(baseline: Baseline, fitter: WindowFitter, singles: Iterable[Trial]) -> list[Pair]:
     """The best pairs of the likeliest hypotheses and of all values and offsets: what one alone
     hides shows beside another.
     """
     ranked = sorted(
         filter(_combines, singles),
-        key=lambda t: fitter.nats(t.fit) + baseline.usual_gain(t.hypothesis),
+        key=lambda t: fitter.cost(t.fit) + baseline.usual_gain(t.hypothesis),
     )
+    # values and offsets join however little they gain alone: one can make up for the other
     plain = [
         t
         for t in ranked[PAIRED:]
         if t.hypothesis.kind == "parameter" or t.hypothesis.name == "offset"
     ]
-    looks = []
+    screened = []
     for a, b in combinations([*ranked[:PAIRED], *plain], 2):
         if set(a.fit.variant.own) & set(b.fit.variant.own):
-            continue
+            continue  # both move one value: no pair
         first, second = _ended(a.fit), b.fit.variant
-        fit = fitter.fit(beside(fitter.model, first, second), PAIR_STEPS, beside=a.fit)
-        if fit is not None:
-            looks.append(
-                Pair(
-                    (a.hypothesis, b.hypothesis),
-                    fit,
-                    (first.own, second.own),
-                    _whose(first, second),
-                )
-            )
-    looks.sort(key=lambda pair: fitter.nats(pair.fit))
-    return [_fitted(fitter, pair) for pair in looks[:FITTED_PAIRS]]
+        fit = fitter.fit(combined(fitter.model, first, second), PAIR_STEPS, beside=a.fit)
+        if fit is None:
+            continue
+        own, sizes = (first.own, second.own), _whose(first, second)
+        screened.append(Pair((a.hypothesis, b.hypothesis), fit, own, sizes))
+    screened.sort(key=lambda pair: fitter.cost(pair.fit))
+    return [_fitted(fitter, pair) for pair in screened[:FITTED_PAIRS]]
 
 
-def _combines(tried: Tried) -> bool:
-    h = tried.hypothesis
-    return h.seen is None and h.begin is None and h.kind != "disturbance" and not tried.fit.onset
+def _combines(trial: Trial) -> bool:
+    """Whether a hypothesis may be one of a pair: it acts all window long, and not through what is
+    left of the healthy fit alone.
+    """
+    h = trial.hypothesis
+    return (
+        h.in_residual is None
+        and h.begin is None
+        and h.kind != "disturbance"
+        and not trial.fit.onset
+    )
 
 
 def _fitted(fitter: WindowFitter, pair: Pair) -> Pair:
+    """The pair fitted to the end; as it was where that diverges or costs more."""
     fit = fitter.fit(pair.fit.variant, begin=pair.fit)
-    return (
-        pair if fit is None or fitter.nats(fit) > fitter.nats(pair.fit) else replace(pair, fit=fit)
-    )
+    if fit is None or fitter.cost(fit) > fitter.cost(pair.fit):
+        return pair
+    return replace(pair, fit=fit)
 
 
 def _ended(fit: Fit) -> Variant:
@@ -98,8 +116,10 @@ def _ended(fit: Fit) -> Variant:
     return replace(variant, model=model, sizes=tuple(fit.own[p:].tolist()))
 
 
-def beside(model: PhysicalModel, first: Variant, second: Variant) -> Variant:
-    """Both at once; `model` is the healthy one."""
+def combined(model: PhysicalModel, first: Variant, second: Variant) -> Variant:
+    """One variant that does both at once: the effects of both, and the second edit of inputs and
+    readings after the first. `model` is the healthy one.
+    """
     known, larger = {use.label for use in model.effects}, first.model
     for use in second.model.effects:
         if use.label not in known:
@@ -130,7 +150,9 @@ def _after(first: Edit | None, second: Edit | None, n: int) -> Edit | None:
 
 
 def _whose(first: Variant, second: Variant) -> tuple[list[int], list[int]]:
-    """Places in (own of both, sizes of both)."""
+    """Places of each variant's sizes in those of their combination, which are ordered (parameters of
+    the first, of the second, edits of the first, of the second).
+    """
     p, q, n = len(first.own), len(second.own), len(first.sizes)
     return (
         [*range(p), *range(p + q, p + q + n)],
@@ -140,6 +162,7 @@ def _whose(first: Variant, second: Variant) -> tuple[list[int], list[int]]:
 
 _RANK = {"parameter": 0, "sensor": 1, "actuator": 1, "effect": 2, "disturbance": 3}
 """Order of what cannot be told apart: what changed before what is new."""
+_LAST_RANK = 9  # after every one of them
 
 _NOTHING = 1e-3
 """Share of its standard deviation below which a size is zero."""
@@ -149,8 +172,19 @@ _LARGEST = 1e100
 
 @dataclass(frozen=True, eq=False)
 class Cause:
-    """A hypothesis (None: `unknown`), its probability, sizes, their standard deviations, where it
-    began, what is alike, and what happened beside it.
+    """What may have happened in a window.
+
+    Attributes
+    ----------
+    hypothesis : Hypothesis or None
+        None: a cause that no hypothesis names (`unknown`).
+    probability : float
+    size, std : array, shape (sizes,)
+        Its sizes and their standard deviations.
+    onset : int
+        Sample at which it began; 0: before the window, or not known.
+    alike, beside : tuple of str
+        Labels of hypotheses that cannot be told from it, and of those that act at the same time.
     """
 
     hypothesis: Hypothesis | None
@@ -163,7 +197,7 @@ class Cause:
 
 
 def causes(baseline: Baseline, window: Experiment, features: FloatArray) -> list[Cause]:
-    """The likeliest first; none of size zero."""
+    """Causes of what a window shows beyond healthy ones, the likeliest first; none of size zero."""
     return of_some_size(_causes(baseline, window, features))
 
 
@@ -171,25 +205,39 @@ def of_some_size(listed: Sequence[Cause]) -> list[Cause]:
     """Without causes of size zero, which leave the window as it is: what they were said to explain
     has an unknown cause.
     """
-    none = [cause for cause in listed if _is_of_size_zero(cause)]
-    if not none:
+    zero = [cause for cause in listed if _is_of_size_zero(cause)]
+    if not zero:
         return list(listed)
-    names = {cause.hypothesis.label for cause in none if cause.hypothesis is not None}
+    names = {cause.hypothesis.label for cause in zero if cause.hypothesis is not None}
     unknown = sum(
-        cause.probability for cause in listed if cause in none or cause.hypothesis is None
+        cause.probability for cause in listed if cause in zero or cause.hypothesis is None
     )
     sized = [
-        replace(
-            cause,
-            alike=tuple(name for name in cause.alike if name not in names),
-            beside=tuple(name for name in cause.beside if name not in names),
-        )
+        _without_names(cause, names)
         for cause in listed
-        if cause.hypothesis is not None and cause not in none
+        if cause.hypothesis is not None and cause not in zero
     ]
-    nobody = Cause(None, min(unknown, 1.0), np.zeros(0), np.zeros(0), 0)
-    first = not sized or unknown > sized[0].probability
-    return [nobody, *sized] if first else [sized[0], nobody, *sized[1:]]
+    return _with_unknown(sized, unknown, lead=1)
+
+
+def _without_names(cause: Cause, names: set[str]) -> Cause:
+    """The cause with these hypotheses neither alike nor beside it."""
+    return replace(
+        cause,
+        alike=tuple(name for name in cause.alike if name not in names),
+        beside=tuple(name for name in cause.beside if name not in names),
+    )
+
+
+def _with_unknown(listed: Sequence[Cause], probability: float, lead: int) -> list[Cause]:
+    """The causes and `unknown`, which stands first where it is the likeliest, else after the
+    `lead` causes that are told together.
+    """
+    # zero causes of one pair each carry the pair's whole probability: their sum may pass 1
+    unknown = Cause(None, min(probability, 1.0), np.zeros(0), np.zeros(0), 0)
+    if not listed or probability > listed[0].probability:
+        return [unknown, *listed]
+    return [*listed[:lead], unknown, *listed[lead:]]
 
 
 def _is_of_size_zero(cause: Cause) -> bool:
@@ -197,180 +245,222 @@ def _is_of_size_zero(cause: Cause) -> bool:
     be zero.
     """
     h = cause.hypothesis
-    if (
-        h is None
-        or h.kind not in ("effect", "sensor", "actuator")
-        or h.name == "stuck"
-        or not len(cause.size)
-    ):
+    if h is None or not len(cause.size):
+        return False
+    if h.kind not in ("effect", "sensor", "actuator") or h.name == "stuck":
         return False
     return bool(np.all(np.abs(cause.size) <= _NOTHING * np.nan_to_num(cause.std)))
 
 
 def _causes(baseline: Baseline, window: Experiment, features: FloatArray) -> list[Cause]:
     fitter = baseline.fitter(window, features)
-    healthy, trials = tried(fitter, baseline.hypotheses, baseline.usual_gain)
+    healthy, trials = try_hypotheses(fitter, baseline.hypotheses, baseline.usual_gain)
     if not trials:
-        return [Cause(None, 1.0, np.zeros(0), np.zeros(0), 0)]
-    best = _cheapest(baseline, fitter, trials.values())
-    whole = list(trials.values())
-    left = float(baseline.surprise(features, best.fit).max())
-    # many sizes may stand for a beginning
-    if best.hypothesis.seen is None and (left > UNEXPLAINED or len(best.fit.own) > 2):
-        for label, beginning in begun(baseline, fitter, features).items():
-            trials[label] = _cheapest(
-                baseline, fitter, [beginning, *([trials[label]] if label in trials else [])]
-            )
+        return _with_unknown([], 1.0, lead=0)
+    all_window_long = list(trials.values())
+    best = _cheapest(baseline, fitter, all_window_long)
+    if _may_have_an_onset(baseline, features, best):
+        for label, beginning in search_onsets(baseline, fitter, features).items():
+            rivals = [beginning, trials[label]] if label in trials else [beginning]
+            trials[label] = _cheapest(baseline, fitter, rivals)
     listed = list(trials.values())
-    weighed = _weighed(baseline, fitter, listed)
+    single_causes = _weighed(baseline, fitter, listed)
     best = _cheapest(baseline, fitter, listed)
-    unknown = (
-        0.0
-        if best.hypothesis.seen is not None
-        else _unknown(baseline, fitter, features, healthy, best.fit)
-    )
+    # noise and lost readings are what is left, so that nothing is left over beside them
+    in_residual = best.hypothesis.in_residual is not None
+    unknown = 0.0 if in_residual else _unknown(baseline, fitter, features, healthy, best.fit)
     if not unknown:
-        return weighed
-    if (two := _two(baseline, fitter, whole, listed)) is not None:
-        alone = 1.0 - two[2]
-        weighed = [
-            *two[1],
-            *(
-                replace(c, probability=alone * c.probability)
-                for c in weighed
-                if c.hypothesis not in two[0].both
-            ),
-        ]
-        unknown = _unknown(baseline, fitter, features, healthy, two[0].fit)
-    lead = 1 if two is None else 2
-    scaled = [replace(c, probability=(1.0 - unknown) * c.probability) for c in weighed]
-    nobody = [Cause(None, unknown, np.zeros(0), np.zeros(0), 0)] if unknown else []
-    return (
-        [*nobody, *scaled]
-        if unknown > scaled[0].probability
-        else [*scaled[:lead], *nobody, *scaled[lead:]]
-    )
+        return single_causes
+    # one cause leaves more than is usual: two at once are dearer to try, so only now
+    two = _two(baseline, fitter, all_window_long, listed)
+    if two is None:
+        return _with_unknown(_scaled(single_causes, 1.0 - unknown), unknown, lead=1)
+    alone = [c for c in single_causes if c.hypothesis not in two.pair.both]
+    causes = [*two.causes, *_scaled(alone, 1.0 - two.probability)]
+    unknown = _unknown(baseline, fitter, features, healthy, two.pair.fit)
+    causes = _scaled(causes, 1.0 - unknown)
+    return _with_unknown(causes, unknown, lead=2) if unknown else causes
+
+
+def _may_have_an_onset(baseline: Baseline, features: FloatArray, best: Trial) -> bool:
+    """Whether beginnings within the window are worth their work: the best cause that acts all
+    window long leaves much, or has many sizes, which may stand for a beginning.
+    """
+    if best.hypothesis.in_residual is not None:
+        return False
+    left = float(baseline.error_excess(features, best.fit).max())
+    return left > UNEXPLAINED or len(best.fit.own) > 2
+
+
+def _scaled(causes: Iterable[Cause], share: float) -> list[Cause]:
+    """The causes with their probabilities times `share`."""
+    return [replace(cause, probability=share * cause.probability) for cause in causes]
+
+
+@dataclass(frozen=True, eq=False)
+class _TwoCauses:
+    """The best pair, its two causes, and the probability that any pair is right."""
+
+    pair: Pair
+    causes: list[Cause]
+    probability: float
 
 
 def _two(
-    baseline: Baseline, fitter: WindowFitter, whole: Sequence[Tried], listed: Sequence[Tried]
-) -> tuple[Pair, list[Cause], float] | None:
+    baseline: Baseline, fitter: WindowFitter, whole: Sequence[Trial], listed: Sequence[Trial]
+) -> _TwoCauses | None:
     """The best pair of causes that may have acted all window long, where it costs less than any
-    single hypothesis. Beside it stands the probability of any pair; that of a cause is of all pairs
-    which hold it.
+    single hypothesis. The probability of one of its causes is that of all pairs which hold it.
     """
     candidates = pairs(baseline, fitter, whole)
     if not candidates:
         return None
-    names = [{h.label for h in pair.both} for pair in candidates]
+    count = len(candidates)
+    block_costs, fixed = _costs(baseline, fitter, candidates, listed)
+    total = block_costs.sum(axis=1) + fixed
+    lead = int(np.argmin(total[:count]))
+    if total[lead] > total[count:].min() - TIE:
+        return None
+    frequencies, near = (
+        _selection_frequencies(block_costs, fixed),
+        _within_doubt(block_costs, total, lead),
+    )
+    rivals = [pair for k, pair in enumerate(candidates) if k != lead and near[k]]
+    best = candidates[lead]
+    std = _open(fitter, best.fit)
+    pair_causes = []
+    for h, partner, own, at in zip(best.both, best.both[::-1], best.own, best.sizes, strict=True):
+        holding = [j for j, pair in enumerate(candidates) if h.label in pair.labels]
+        probability = min(sum(float(frequencies[j]) for j in holding), 1.0)
+        doubt = np.sqrt(std[at] ** 2 + _scatter(baseline, fitter, h, own, len(at)))
+        alike, beside = _alike_beside(partner.label, h, rivals), (partner.label,)
+        pair_causes.append(Cause(h, probability, best.fit.own[at], doubt, 0, alike, beside))
+    return _TwoCauses(best, pair_causes, float(frequencies[:count].sum()))
+
+
+def _costs(
+    baseline: Baseline, fitter: WindowFitter, candidates: Sequence[Pair], listed: Sequence[Trial]
+) -> tuple[FloatArray, FloatArray]:
+    """[nat] What each pair and then each single hypothesis costs: its error in each block, shape
+    (trials, blocks), and what does not depend on blocks, shape (trials,).
+    """
     fits = [*(pair.fit for pair in candidates), *(t.fit for t in listed)]
-    logs = np.array([fitter.logs(fit) for fit in fits])
     usual = [sum(baseline.usual_gain(h) for h in pair.both) for pair in candidates]
     usual += [baseline.usual_gain(t.hypothesis) for t in listed]
-    fixed = np.array([fitter.price(fit) for fit in fits]) + np.array(usual)
-    total = logs.sum(axis=1) + fixed
-    lead = int(np.argmin(total[: len(candidates)]))
-    if total[lead] > total[len(candidates) :].min() - TIE:
-        return None
-    wins, near = _wins(logs, fixed), _near(logs, total, lead)
-    rivals = [k for k in range(len(candidates)) if k != lead and near[k]]
-    best, pair_causes = candidates[lead], []
-    std = _open(fitter, best.fit)
-    for k, (h, own, at) in enumerate(zip(best.both, best.own, best.sizes, strict=True)):
-        partner = best.both[1 - k].label
-        alike = tuple(
-            name for j in rivals if partner in names[j] for name in names[j] - {partner, h.label}
-        )
-        p = sum(float(wins[j]) for j in range(len(candidates)) if h.label in names[j])
-        doubt = np.sqrt(std[at] ** 2 + _scatter(baseline, fitter, h, own, len(at)))
-        pair_causes.append(Cause(h, min(p, 1.0), best.fit.own[at], doubt, 0, alike, (partner,)))
-    return best, pair_causes, float(wins[: len(candidates)].sum())
+    block_costs = np.array([fitter.block_costs(fit) for fit in fits])
+    return block_costs, np.array([fitter.penalty(fit) for fit in fits]) + np.array(usual)
 
 
-def _cheapest(baseline: Baseline, fitter: WindowFitter, fits: Iterable[Tried]) -> Tried:
-    return min(fits, key=lambda t: fitter.nats(t.fit) + baseline.usual_gain(t.hypothesis))
+def _alike_beside(partner: str, h: Hypothesis, rivals: Iterable[Pair]) -> tuple[str, ...]:
+    """What might stand in place of a hypothesis beside its partner: the other one of each rival
+    pair that holds the partner.
+    """
+    beside_partner = [pair.labels for pair in rivals if partner in pair.labels]
+    return tuple(name for labels in beside_partner for name in labels - {partner, h.label})
+
+
+def _cheapest(baseline: Baseline, fitter: WindowFitter, fits: Iterable[Trial]) -> Trial:
+    return min(fits, key=lambda t: fitter.cost(t.fit) + baseline.usual_gain(t.hypothesis))
 
 
 def _unknown(
     baseline: Baseline, fitter: WindowFitter, features: FloatArray, healthy: Fit, best: Fit
 ) -> float:
-    """Probability that something else is there too: the part of the excess that the best fit
-    leaves; 0 where that is usual.
+    """Probability that something else is there too: the share of the window's excess cost over a
+    healthy one that the best fit does not take away; 0 where its error is as usual.
 
     Not asked of noise and lost readings: they are what is left, and take nothing away from it.
     """
-    if baseline.surprise(features, best).max() <= UNEXPLAINED:
+    if baseline.error_excess(features, best).max() <= UNEXPLAINED:
         return 0.0
-    excess = fitter.nats(healthy) - fitter.healthy_logs()
-    taken = fitter.nats(healthy) - fitter.nats(best)
+    excess = fitter.cost(healthy) - fitter.healthy_cost()
+    taken = fitter.cost(healthy) - fitter.cost(best)
     return float(np.clip(1.0 - taken / max(excess, 1e-12), LEAST_UNKNOWN, 1.0))
 
 
-def _weighed(baseline: Baseline, fitter: WindowFitter, listed: Sequence[Tried]) -> list[Cause]:
-    """Probability by how often each is the cheapest over resampled blocks; whoever is near the
-    leading one, and no richer, is alike.
+def _weighed(baseline: Baseline, fitter: WindowFitter, listed: Sequence[Trial]) -> list[Cause]:
+    """Causes with their probabilities: how often each costs least over resampled blocks. Those whose
+    cost lies within doubt of the leading one's, and which have no more sizes, are told as alike.
     """
-    fits = [t.fit for t in listed]
-    logs = np.array([fitter.logs(fit) for fit in fits])
-    fixed = np.array([fitter.price(t.fit) + baseline.usual_gain(t.hypothesis) for t in listed])
-    sizes = np.array([len(fit.own) + (fit.onset > 0) for fit in fits])
-    total, wins = logs.sum(axis=1) + fixed, _wins(logs, fixed, sizes)
-    lead = int(np.lexsort((total, -wins.round(2)))[0])
-    group = _near(logs, total, lead) & (sizes <= sizes[lead])
+    block_costs = np.array([fitter.block_costs(t.fit) for t in listed])
+    fixed = np.array([fitter.penalty(t.fit) + baseline.usual_gain(t.hypothesis) for t in listed])
+    sizes = np.array([len(t.fit.own) + (t.fit.onset > 0) for t in listed])
+    total, frequencies = (
+        block_costs.sum(axis=1) + fixed,
+        _selection_frequencies(block_costs, fixed, sizes),
+    )
+    # Shares of draws are compared to a hundredth: beyond it the draws decide, not the window, and
+    # the lower cost does.
+    lead = int(np.lexsort((total, -frequencies.round(2)))[0])
+    group = _within_doubt(block_costs, total, lead) & (sizes <= sizes[lead])
     group[lead] = True
-    changed = [
-        0 if set(t.fit.variant.own) & set(baseline.free) else _RANK[t.hypothesis.kind]
-        for t in listed
-    ]
+    # The group first, in it those that cost the same to half a tie by what changed before what is
+    # new, then the lowest cost; outside of it the likeliest.
+    rank = np.array([_rank(baseline, t) for t in listed])
     same = total - total[group].min() < 0.5 * TIE
     order = np.lexsort(
-        (total, np.where(group & same, changed, 9), -np.where(group, 1.0, wins), ~group)
+        (
+            total,
+            np.where(group & same, rank, _LAST_RANK),
+            -np.where(group, 1.0, frequencies),
+            ~group,
+        )
     )
     names = [listed[k].hypothesis.label for k in order if group[k]]
     causes = []
-    for k in order[:TOLD].tolist():
-        look = listed[k]
-        alike = tuple(n for n in names if n != look.hypothesis.label) if group[k] else ()
-        causes.append(
-            Cause(
-                look.hypothesis,
-                float(wins[k]),
-                look.fit.own,
-                _doubt(baseline, fitter, look),
-                look.fit.onset,
-                alike,
-            )
-        )
+    for k in order[:CAUSES_LISTED].tolist():
+        h, fit = listed[k].hypothesis, listed[k].fit
+        alike = tuple(name for name in names if name != h.label) if group[k] else ()
+        doubt = _doubt(baseline, fitter, listed[k])
+        causes.append(Cause(h, float(frequencies[k]), fit.own, doubt, fit.onset, alike))
     return causes
 
 
-def _wins(logs: FloatArray, fixed: FloatArray, sizes: FloatArray | None = None) -> FloatArray:
-    """How often each is the cheapest over resampled blocks; those within a factor of twenty share a
-    draw, of them the ones of fewest sizes.
+def _rank(baseline: Baseline, trial: Trial) -> int:
+    """Place of a hypothesis among those that cannot be told apart; a value of the healthy model
+    stands first, whatever kind of hypothesis moves it.
     """
-    rng, wins = np.random.default_rng(0), np.zeros(len(logs))
+    moves_a_value = set(trial.fit.variant.own) & set(baseline.free)
+    return 0 if moves_a_value else _RANK[trial.hypothesis.kind]
+
+
+def _selection_frequencies(
+    block_costs: FloatArray, fixed: FloatArray, sizes: FloatArray | None = None
+) -> FloatArray:
+    """How often each trial costs least over resampled blocks (bootstrap), shape (trials,); those
+    within `TIE` (a likelihood ratio of twenty) share a draw, of them the ones of fewest sizes.
+    """
+    # one seed for all windows: the same window is always told the same
+    rng, frequencies = np.random.default_rng(0), np.zeros(len(block_costs))
     for _ in range(DRAWS):
-        cost = logs[:, rng.integers(0, BLOCKS, BLOCKS)].sum(axis=1) + fixed
+        cost = block_costs[:, rng.integers(0, BLOCKS, BLOCKS)].sum(axis=1) + fixed
         near = np.flatnonzero(cost < cost.min() + TIE)
         if sizes is not None:
             near = near[sizes[near] == sizes[near].min()]
-        wins[near] += 1.0 / len(near) / DRAWS
-    return wins
+        frequencies[near] += 1.0 / len(near) / DRAWS
+    return frequencies
 
 
-def _near(logs: FloatArray, total: FloatArray, lead: int) -> npt.NDArray[np.bool_]:
-    """Whether each lies within the doubt of its difference to the leading one."""
-    doubt = np.std(logs - logs[lead], axis=1, ddof=1) * np.sqrt(BLOCKS)
+def _within_doubt(block_costs: FloatArray, total: FloatArray, lead: int) -> npt.NDArray[np.bool_]:
+    """Whether each trial costs no more than the leading one but for the doubt of their difference,
+    shape (trials,).
+    """
+    # the difference is a sum over blocks: what it scatters by from block to block
+    doubt = np.std(block_costs - block_costs[lead], axis=1, ddof=1) * np.sqrt(BLOCKS)
     return np.asarray(total - total[lead] < np.maximum(TIE, doubt))
 
 
-def _doubt(baseline: Baseline, fitter: WindowFitter, tried: Tried) -> FloatArray:
+def _doubt(baseline: Baseline, fitter: WindowFitter, trial: Trial) -> FloatArray:
     """Standard deviation of the sizes: what the window leaves open, and how the same sizes scatter
     in healthy windows.
     """
-    fit, h = tried.fit, tried.hypothesis
+    fit, h = trial.fit, trial.hypothesis
     variance = _scatter(baseline, fitter, h, fit.variant.own, len(fit.own))
-    return np.sqrt(variance) if h.seen is not None else np.sqrt(_open(fitter, fit) ** 2 + variance)
+    return (
+        np.sqrt(variance)
+        if h.in_residual is not None
+        else np.sqrt(_open(fitter, fit) ** 2 + variance)
+    )
 
 
 def _scatter(
@@ -388,13 +478,15 @@ def _open(fitter: WindowFitter, fit: Fit) -> FloatArray:
     """Standard deviation of the sizes that the window leaves open; NaN where nothing can be said of
     it.
     """
-    k, own = len(fit.others), fit.variant.own
+    k, own = len(fit.values), fit.variant.own
     H = information(fit, k + len(fit.own))
     keep = [j for j, name in enumerate(fitter.free) if name not in own]
+    # the other values are known from healthy windows: their prior adds to what the window tells
     H[:k, :k] += np.linalg.inv(fitter.covariance[np.ix_(keep, keep)])
     if not np.all(np.abs(H) < _LARGEST) or np.any(np.diag(H)[k:] < 1.0 / _LARGEST):
         # at sizes where the slopes overflow or vanish nothing is known of them
         return np.full(len(fit.own), np.nan)
+    # scaled to unit diagonal, so that the floor on eigenvalues means the same in any unit
     scale = np.sqrt(np.maximum(np.diag(H), 1.0 / _LARGEST))
     values, vectors = np.linalg.eigh(H / np.outer(scale, scale))  # what nothing tells is wide open
     return np.asarray(
@@ -409,52 +501,62 @@ _SHORTEST = 10
 """[samples] Before and after a beginning."""
 
 
-def begun(baseline: Baseline, fitter: WindowFitter, features: FloatArray) -> dict[str, Tried]:
-    """The best beginning of each hypothesis, found on a coarse grid; those that promise most halved
-    in.
+def search_onsets(
+    baseline: Baseline, fitter: WindowFitter, features: FloatArray
+) -> dict[str, Trial]:
+    """The best onset of each hypothesis by its label: from a coarse grid over the window, then, for
+    the hypotheses that cost least, by halving the steps about their onsets.
     """
-    window, beginnings = fitter.window, dict[str, Tried]()
-    listed = [h for h in baseline.hypotheses if not (h.seen or h.begin or h.kind == "disturbance")]
+    # Noise and lost readings have no state to begin from, a stuck signal carries its beginning as a
+    # size, and a load's knots bend wherever it begins.
+    window, beginnings = fitter.window, dict[str, Trial]()
+    listed = [
+        h for h in baseline.hypotheses if not (h.in_residual or h.begin or h.kind == "disturbance")
+    ]
     for part in range(1, PARTS):
         _keep(
             beginnings,
-            _beginning_at(baseline, fitter, features, window.n * part // PARTS, listed, LOOK_STEPS),
+            _fits_from(
+                baseline, fitter, features, window.n * part // PARTS, listed, SCREENING_STEPS
+            ),
             fitter,
         )
     steps = window.n // PARTS
     while (steps := steps // 2) > window.n // WINDOW_PARTS:
         ranked = sorted(
             beginnings.values(),
-            key=lambda t: fitter.nats(t.fit) + baseline.usual_gain(t.hypothesis),
+            key=lambda t: fitter.cost(t.fit) + baseline.usual_gain(t.hypothesis),
         )
-        for t in ranked[:BEGINNINGS_FOLLOWED]:
+        for t in ranked[:ONSETS_FOLLOWED]:
             for at in (t.fit.onset - steps, t.fit.onset, t.fit.onset + steps):
                 _keep(
                     beginnings,
-                    _beginning_at(baseline, fitter, features, at, [t.hypothesis], FIT_STEPS),
+                    _fits_from(baseline, fitter, features, at, [t.hypothesis], FIT_STEPS),
                     fitter,
                 )
     return beginnings
 
 
-def _keep(cheapest: dict[str, Tried], new: Sequence[Tried], fitter: WindowFitter) -> None:
+def _keep(cheapest: dict[str, Trial], new: Sequence[Trial], fitter: WindowFitter) -> None:
     for t in new:
         old = cheapest.get(t.hypothesis.label)
-        if old is None or fitter.nats(t.fit) < fitter.nats(old.fit):
+        if old is None or fitter.cost(t.fit) < fitter.cost(old.fit):
             cheapest[t.hypothesis.label] = t
 
 
-def _beginning_at(
+def _fits_from(
     baseline: Baseline,
     fitter: WindowFitter,
     features: FloatArray,
     at: int,
     listed: Sequence[Hypothesis],
     steps: int,
-) -> list[Tried]:
+) -> list[Trial]:
     window = fitter.window
     if not _SHORTEST < at < window.n - _SHORTEST:
         return []
+    # The healthy model up to the beginning; its states there, which that fit estimates, start the
+    # hypothesis. The sample in common is counted once, in the later part.
     before = baseline.fitter(window.window(0, at + 1), features)
     head = before.fit(Variant(before.model))
     if head is None:
@@ -472,16 +574,16 @@ def _beginning_at(
                 continue
             white = np.concatenate([head.white[:-1], fit.white])
             error = np.concatenate([head.error[:-1], fit.error])
-            paid = fit.paid + head.paid
+            prior_cost = fit.prior_cost + head.prior_cost
             trials.append(
-                Tried(
+                Trial(
                     h,
                     replace(
                         fit,
                         white=white,
                         error=error,
                         power=fitter.blocks(white),
-                        paid=paid,
+                        prior_cost=prior_cost,
                         onset=at,
                     ),
                 )

@@ -16,8 +16,8 @@ from residuum.diagnosis.model_based.policy import (
     GRID,
     HYPOTHESES_FITTED,
     KNOTS,
-    LOOK_STEPS,
     LOST_READING,
+    SCREENING_STEPS,
     SHAPES_LOOKED_AT,
 )
 from residuum.diagnosis.model_based.variant import Variant, amplified, delayed, edited, held
@@ -51,8 +51,8 @@ class Hypothesis:
         Window and states along the healthy model → ways to begin with it.
     begin : function or None
         Window and sample → the way that begins there, where the beginning is a size of its own.
-    seen : function or None
-        Where it is seen in what the healthy fit leaves: fitter and healthy fit → its fit.
+    in_residual : function or None
+        Where it shows in the residual of the healthy fit alone: fitter and healthy fit → its fit.
     in_samples : bool
         Whether its size counts samples.
     key : Key or None
@@ -65,7 +65,7 @@ class Hypothesis:
     unit: str = ""
     variants: Callable[[Experiment, FloatArray], list[Variant]] = lambda e, X: []
     begin: Callable[[Experiment, int], Variant] | None = None
-    seen: Callable[[WindowFitter, Fit], Fit | None] | None = None
+    in_residual: Callable[[WindowFitter, Fit], Fit | None] | None = None
     in_samples: bool = False
     key: Key | None = None
 
@@ -119,12 +119,11 @@ def _new_effect(model: PhysicalModel, key: Key) -> Hypothesis:
 
 
 def _beginnings(model: PhysicalModel, key: Key, e: Experiment, X: FloatArray) -> list[Variant]:
-    """An effect at each of its first shapes, small: the fit finds its sizes."""
+    """Variants with the effect at each of its first shapes, its sizes small: the fit finds them."""
     effect, variants = find_effect(key.effect), []
     try:
-        for start in list(effect.starts(conditions_at(model, effect, key.target, e, X)))[
-            :SHAPES_LOOKED_AT
-        ]:
+        starts = list(effect.starts(conditions_at(model, effect, key.target, e, X)))
+        for start in starts[:SHAPES_LOOKED_AT]:
             small = {
                 name: value * FIRST_SIZE if name in effect.sizes else value
                 for name, value in start.items()
@@ -139,18 +138,19 @@ def _beginnings(model: PhysicalModel, key: Key, e: Experiment, X: FloatArray) ->
             if own:
                 variants.append(Variant(larger, tuple(f"{use.label}.{name}" for name in own)))
     except BadInput:
-        pass
+        pass  # an effect that this window gives no first values for, or only some, is not tried
     return variants
 
 
 def _sensor(model: PhysicalModel, o: int, name: str, unit: str) -> list[Hypothesis]:
     own = np.arange(len(model.outputs)) == o
+    # A gain is begun at none and stays above −0.95: at −1 the reading would be gone.
     gain = Variant(
         model,
         sizes=(0.0,),
         lower=(-0.95,),
         reading=edited(o, amplified),
-        louder=lambda s: np.asarray(1.0 + s[0] * own),
+        noise_gain=lambda s: np.asarray(1.0 + s[0] * own),
     )
     late = [Variant(model, sizes=(k,), lower=(0.0,), reading=edited(o, delayed)) for k in _LATE]
 
@@ -160,17 +160,16 @@ def _sensor(model: PhysicalModel, o: int, name: str, unit: str) -> list[Hypothes
         return Variant(model, sizes=(value,), lower=(-np.inf,), onset=t, reading=edited(o, held, t))
 
     def anywhere(e: Experiment, X: FloatArray) -> list[Variant]:
-        return [
-            stuck(e, t)
-            for t in sorted({_longest_run(e.Y[:, o]), *range(0, e.n - 2, max(e.n // GRID, 1))})
-        ]
+        # a sensor that sticks without noise repeats one reading: its run shows where it began
+        grid = range(0, e.n - 2, max(e.n // GRID, 1))
+        return [stuck(e, t) for t in sorted({_longest_run(e.Y[:, o]), *grid})]
 
     return [
         Hypothesis("sensor", "gain", name, "", lambda e, X: [gain]),
         Hypothesis("sensor", "delay", name, "s", lambda e, X: late, in_samples=True),
         Hypothesis("sensor", "stuck", name, unit, anywhere, begin=stuck),
-        Hypothesis("sensor", "noise", name, unit, seen=partial(_noisier, o)),
-        Hypothesis("sensor", "drop-out", name, "", seen=partial(_dropped, o)),
+        Hypothesis("sensor", "noise", name, unit, in_residual=partial(_noisier, o)),
+        Hypothesis("sensor", "drop-out", name, "", in_residual=partial(_dropped, o)),
     ]
 
 
@@ -198,7 +197,9 @@ def _longest_run(y: FloatArray) -> int:
 
 
 def _unknown_load(model: PhysicalModel, balance: str) -> Variant:
-    """A load that nobody recorded: a line between knots."""
+    """A load on a balance that nobody recorded, linear between knots at even times."""
+    # Each knot is an input that the model lacks, of which the fit finds the gain: an unknown course
+    # becomes KNOTS linear sizes.
     larger, inputs = model, len(model.inputs)
     for k in range(KNOTS):
         larger = larger.with_input(f"knot{k}", "").with_effect(
@@ -217,15 +218,13 @@ def _unknown_load(model: PhysicalModel, balance: str) -> Variant:
 
 
 def _noisier(o: int, fitter: WindowFitter, healthy: Fit) -> Fit | None:
-    """White error beyond the healthy one; its size is that of the noise that was added, in the
-    output's unit.
+    """The healthy fit with one output's error power less by the white noise that the window has
+    beyond healthy ones; its size is the standard deviation of that noise in the output's unit.
     """
-    louder = float(fitter.louder(healthy.white)[o])
+    growth = float(fitter.noise_growth(healthy.white)[o])
     power = healthy.power.copy()
-    power[:, o] /= (
-        # half of what the likelihood would give: what has a structure is told by what explains it
-        louder
-    )
+    # half of what the likelihood would give: what has a structure is told by what explains it
+    power[:, o] /= growth
     more = max(float(fitter.steps(healthy.white)[o] - fitter.whitening.steps[o]), 0.0)
     return replace(
         healthy, power=power, own=np.array([np.sqrt(more / fitter.whitening.amplified[o])])
@@ -233,13 +232,15 @@ def _noisier(o: int, fitter: WindowFitter, healthy: Fit) -> Fit | None:
 
 
 def _dropped(o: int, fitter: WindowFitter, healthy: Fit) -> Fit | None:
-    """Readings far away that all stand at one value were lost: the healthy fit without them; its
-    size is their share.
+    """The healthy fit without readings that were lost: far away, and all at one value. Its size is
+    their share; None where there are none.
     """
     r, Y = healthy.error[:, o], fitter.window.Y.copy()
     if not fitter.count[o]:
         return None
+    # 1.4826 median |r| is σ of Gaussian noise, which the lost readings themselves do not raise
     far = np.abs(np.nan_to_num(r)) > LOST_READING * 1.4826 * np.nanmedian(np.abs(r))
+    # lost readings stand at one value; readings that are far away at many values are noise
     values, counts = np.unique(Y[far, o], return_counts=True)
     if not counts.size or counts.max() < max(3.0, 0.5 * float(far.sum())):
         return None
@@ -249,20 +250,20 @@ def _dropped(o: int, fitter: WindowFitter, healthy: Fit) -> Fit | None:
     return None if refit is None else replace(refit, own=np.array([lost.mean()]))
 
 
-# Every hypothesis tried on one window: all are looked at, the best are fitted.
+# Every hypothesis tried on one window: all are screened, the best are fitted.
 
 
 @dataclass(frozen=True, eq=False)
-class Tried:
+class Trial:
     """A hypothesis and its best fit."""
 
     hypothesis: Hypothesis
     fit: Fit
 
 
-def tried(
+def try_hypotheses(
     fitter: WindowFitter, listed: Sequence[Hypothesis], usual_gain: Callable[[Hypothesis], float]
-) -> tuple[Fit, dict[str, Tried]]:
+) -> tuple[Fit, dict[str, Trial]]:
     """The healthy fit, and the best fit of each hypothesis by its label.
 
     Raises
@@ -276,31 +277,40 @@ def tried(
             f"record {fitter.window.source!r}: the model diverges along it; `residuum compare`"
             " shows how far off it is"
         )
-    X, looks = fitter.states(healthy), []
+    X, screened = fitter.states(healthy), []
     for h in listed:
-        if h.seen is not None:
-            fits = [h.seen(fitter, healthy)]
+        if h.in_residual is not None:
+            fits = [h.in_residual(fitter, healthy)]
         else:
-            fits = [fitter.fit(v, LOOK_STEPS, beside=healthy) for v in h.variants(fitter.window, X)]
+            fits = [
+                fitter.fit(v, SCREENING_STEPS, beside=healthy) for v in h.variants(fitter.window, X)
+            ]
         if known := [fit for fit in fits if fit is not None]:
-            looks.append(Tried(h, min(known, key=fitter.nats)))
-    looks.sort(key=lambda t: fitter.nats(t.fit) + usual_gain(t.hypothesis))
-    looks[:HYPOTHESES_FITTED] = [_fitted(fitter, healthy, t) for t in looks[:HYPOTHESES_FITTED]]
-    return healthy, {t.hypothesis.label: t for t in looks}
+            screened.append(Trial(h, min(known, key=fitter.cost)))
+    # Screened by a few steps from the healthy fit. What costs little after them, and gains little in
+    # healthy windows anyway, is fitted; the others stay as they were screened.
+    screened.sort(key=lambda t: fitter.cost(t.fit) + usual_gain(t.hypothesis))
+    screened[:HYPOTHESES_FITTED] = [
+        _fitted(fitter, healthy, t) for t in screened[:HYPOTHESES_FITTED]
+    ]
+    return healthy, {t.hypothesis.label: t for t in screened}
 
 
-def _fitted(fitter: WindowFitter, healthy: Fit, look: Tried) -> Tried:
-    """Fitted fully, and where its beginning is a size, that halved in."""
-    h, best = look.hypothesis, look.fit
-    if h.seen is not None:
-        return look
+def _fitted(fitter: WindowFitter, healthy: Fit, trial: Trial) -> Trial:
+    """The trial fitted to the end; where its onset is a size, that is found by halving steps."""
+    h, best = trial.hypothesis, trial.fit
+    if h.in_residual is not None:
+        return trial
     steps = fitter.window.n // GRID if h.begin is not None else 0
+    # the screened fit stays a candidate: the full one may end in a poorer minimum
     known = [fit for fit in (best, fitter.fit(best.variant, begin=best)) if fit is not None]
-    best = min(known, key=fitter.nats)
+    best = min(known, key=fitter.cost)
     while h.begin is not None and (steps := steps // 2):
         beside = [
             t for t in (best.onset - steps, best.onset + steps) if 0 <= t < fitter.window.n - 2
         ]
-        nearby = [fitter.fit(h.begin(fitter.window, t), LOOK_STEPS, beside=healthy) for t in beside]
-        best = min([best, *(fit for fit in nearby if fit is not None)], key=fitter.nats)
-    return Tried(h, best)
+        nearby = [
+            fitter.fit(h.begin(fitter.window, t), SCREENING_STEPS, beside=healthy) for t in beside
+        ]
+        best = min([best, *(fit for fit in nearby if fit is not None)], key=fitter.cost)
+    return Trial(h, best)

@@ -38,13 +38,13 @@ ALWAYS = 3.0
 physics. Chosen.
 """
 
-LOOK_STEPS, FIT_STEPS = 2, 8
-"""Gauss-Newton steps of a look and of a fit. Chosen."""
+SCREENING_STEPS, FIT_STEPS = 2, 8
+"""Gauss-Newton steps by which a hypothesis is screened, and of a fit. Chosen."""
 HYPOTHESES_FITTED = 14
-"""Hypotheses that are fitted after the look. Chosen."""
+"""Hypotheses that are fitted after screening. Chosen."""
 PAIRED, PAIR_STEPS, FITTED_PAIRS = 6, 5, 4
 """Likeliest hypotheses of which pairs are looked at where one alone leaves too much, Gauss-Newton
-steps of such a look, and pairs that are fitted. Chosen.
+steps by which a pair is screened, and pairs that are fitted. Chosen.
 """
 SHAPES_LOOKED_AT = 4
 """First shapes of an effect that are looked at. Chosen."""
@@ -57,7 +57,7 @@ SETTLED = 1e-4
 KNOTS = 6
 """Of an unknown load that changes slowly over a window. Chosen."""
 
-GRID, PARTS, BEGINNINGS_FOLLOWED, WINDOW_PARTS = 16, 4, 4, 100
+GRID, PARTS, ONSETS_FOLLOWED, WINDOW_PARTS = 16, 4, 4, 100
 """Beginnings of what sticks; coarse beginnings of all else, how many are followed further, and the
 parts of a window at the end. Chosen.
 """
@@ -78,7 +78,7 @@ COMPLETE = 0.5
 """[of a healthy window] Length beyond which the longest stretch without a hole stands for a window
 with holes. Chosen.
 """
-TOLD = 12
+CAUSES_LISTED = 12
 """Causes that an answer lists at most. Chosen."""
 VISIBLE_POWER = 0.9
 """Probability with which the smallest visible change of a baseline is found. Chosen."""

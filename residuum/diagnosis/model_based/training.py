@@ -9,15 +9,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import stats
 
 from residuum.array_types import FloatArray
-from residuum.diagnosis.model_based.assessment import NotAssessable, seen_window
-from residuum.diagnosis.model_based.baseline import Baseline, Usual, alone
-from residuum.diagnosis.model_based.hypotheses import UNKNOWN_LOAD, tried
-from residuum.diagnosis.model_based.kind_of_run import KindOfRun
+from residuum.diagnosis.model_based.assessment import NotAssessable, estimated_window
+from residuum.diagnosis.model_based.baseline import Baseline, KindOfRun, Usual, own_estimate
+from residuum.diagnosis.model_based.hypotheses import UNKNOWN_LOAD, Hypothesis, try_hypotheses
 from residuum.diagnosis.model_based.policy import (
     ALWAYS,
     APART,
@@ -36,6 +36,7 @@ from residuum.diagnosis.model_based.window_fit import (
     Fit,
     Scatter,
     Whitening,
+    WindowFitter,
     information,
     log_power,
 )
@@ -50,7 +51,6 @@ from residuum.identification.physics import (
     match,
 )
 from residuum.identification.physics.effects.base import Parameter
-from residuum.identification.physics.estimation import gauss_newton
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.feedback import turned_timing
 from residuum.identification.unseen_blocks.data import Data, data_of
@@ -64,6 +64,9 @@ from residuum.identification.unseen_blocks.tried import Search, Wanted
 from residuum.identification.unseen_blocks.verdict import is_timing
 from residuum.identification.work import at_most
 
+if TYPE_CHECKING:
+    from residuum.identification.physics.estimation import gauss_newton
+
 # Missing physics of a watched machine: what its model lacks in healthy windows, each at values of
 # its own.
 # Over all windows together the scatter of values hides it. So it is sought in single windows by
@@ -71,7 +74,7 @@ from residuum.identification.work import at_most
 
 
 @dataclass(frozen=True, eq=False)
-class _Mended:
+class _FittedToWindows:
     """A model, how its inputs move between samples, and its fit to each window at the window's own
     values.
     """
@@ -98,7 +101,7 @@ class _Mended:
         )
 
     @property
-    def told(self) -> FloatArray:
+    def information(self) -> FloatArray:
         """What each window tells of the values, shape (windows, values, values): 0 where the model
         diverges.
         """
@@ -108,7 +111,7 @@ class _Mended:
         )
 
 
-def mended(
+def with_missing_physics(
     model: PhysicalModel, windows: Sequence[Experiment], whitening: Whitening
 ) -> tuple[PhysicalModel, list[Experiment]]:
     """The model with what healthy windows lack beside it, and the windows at the input timing that
@@ -116,16 +119,18 @@ def mended(
 
     Values of new effects that the windows leave open are held.
     """
+    # Sought in the window that tells the most of the values, then held against a few of them all.
     few = [windows[k] for k in evenly(len(windows), CALIBRATED)]
     base = _fitted(model, few, whitening)
-    searched = np.argsort(-_telling(base), kind="stable")[:SEARCHED]
-    fits = [_fitted(*trial, whitening) for trial in _lacking(model, few, searched.tolist())]
+    searched = np.argsort(-_information_by_window(base), kind="stable")[:SEARCHED]
+    fits = [_fitted(*trial, whitening) for trial in _candidates(model, few, searched.tolist())]
     errors = [trial.log_errors for trial in fits]
-    better = [k for k, error in enumerate(errors) if _falls(base.log_errors - error)]
+    better = [k for k, error in enumerate(errors) if _is_reduced(base.log_errors - error)]
     if not better:
         return model, list(windows)
     best = min(better, key=lambda k: float(errors[k].mean()))
-    alike = [k for k in better if k == best or not _falls(errors[k] - errors[best], 1.0)]
+    # of what takes away as much, to one standard error, the model with the fewest values
+    alike = [k for k in better if k == best or not _is_reduced(errors[k] - errors[best], 1.0)]
     chosen = fits[min(alike, key=lambda k: (len(fits[k].model.free), float(errors[k].mean())))]
     return _settled(chosen, model), [replace(e, hold=chosen.windows[0].hold) for e in windows]
 
@@ -148,15 +153,15 @@ def _fixed(
 
 
 def evenly(windows: int, count: int) -> list[int]:
-    """So many windows, evenly over all of them."""
+    """So many windows, evenly over all of them, the first and the last left out."""
     return np.unique(np.linspace(0, windows - 1, count + 2)[1:-1].round().astype(int)).tolist()
 
 
-def _telling(base: _Mended) -> FloatArray:
+def _information_by_window(base: _FittedToWindows) -> FloatArray:
     """How much each window tells of the values, shape (windows,): the geometric mean of the
     information on each of them.
     """
-    precision = np.nan_to_num(np.diagonal(base.told, axis1=1, axis2=2))
+    precision = np.nan_to_num(np.diagonal(base.information, axis1=1, axis2=2))
     return np.asarray(
         np.log(np.maximum(precision, 1e-12 * precision.max(axis=0, initial=0.0)) + 1e-300).sum(
             axis=1
@@ -164,7 +169,7 @@ def _telling(base: _Mended) -> FloatArray:
     )
 
 
-def _lacking(
+def _candidates(
     model: PhysicalModel, windows: Sequence[Experiment], searched: Sequence[int]
 ) -> list[tuple[PhysicalModel, Sequence[Experiment]]]:
     """The model with what one of the windows that are searched lacks, at either input timing of all
@@ -195,21 +200,26 @@ def _physics(outcome: Search) -> PhysicalModel:
     return model
 
 
-def _fitted(model: PhysicalModel, windows: Sequence[Experiment], whitening: Whitening) -> _Mended:
+def _fitted(
+    model: PhysicalModel, windows: Sequence[Experiment], whitening: Whitening
+) -> _FittedToWindows:
     start = np.array([model.values[name] for name in model.free])
-    return _Mended(model, windows, [alone(model, window, start, whitening) for window in windows])
+    return _FittedToWindows(
+        model, windows, [own_estimate(model, window, start, whitening) for window in windows]
+    )
 
 
-def _settled(best: _Mended, before: PhysicalModel) -> PhysicalModel:
-    """At the middle of the windows' values, each weighing as much as it tells; of new effects held
-    are shapes, which no window changes, and what they leave open.
+def _settled(best: _FittedToWindows, before: PhysicalModel) -> PhysicalModel:
+    """The model at the median of the windows' values, weighed by each window's information. Of new
+    effects those values are held that are shapes, or that all windows together leave open.
     """
     names, known = list(best.model.free), [fit is not None for fit in best.fits]
-    window_info = best.told[known]
+    window_info = best.information[known]
     values = _middle(
-        np.array([fit.others for fit in best.fits if fit is not None]),
+        np.array([fit.values for fit in best.fits if fit is not None]),
         np.diagonal(window_info, axis1=1, axis2=2),
     )
+    # what all windows together leave open of a value: its standard deviation, relative to it
     total = window_info.sum(axis=0)
     std = np.sqrt(np.diag(np.linalg.pinv(total, hermitian=True)))
     fixed = (np.diag(total) > 0.0) & (std < OPEN * np.abs(values))
@@ -238,7 +248,7 @@ def _middle(values: FloatArray, weights: FloatArray) -> FloatArray:
     )
 
 
-def _falls(gain: FloatArray, times: float = ALWAYS) -> bool:
+def _is_reduced(gain: FloatArray, times: float = ALWAYS) -> bool:
     """Whether the error falls in windows by more than so many standard errors."""
     return bool(
         np.isfinite(gain).all() and gain.mean() > times * gain.std(ddof=1) / np.sqrt(len(gain))
@@ -269,48 +279,73 @@ def refuse_recalibration(
 
     An effect that the user has `accepted` is none of them.
     """
-    chosen = np.unique(np.linspace(0, len(records) - 1, min(CALIBRATED, len(records))).astype(int))
-    sizes: dict[str, list[FloatArray]] = {}
-    gains: dict[str, float] = {}
-    for k in chosen:
-        try:
-            observed = seen_window(baseline, records[k])
-        except NotAssessable:
-            continue
-        fitter = baseline.fitter(observed.window, observed.features)
-        healthy, trials = tried(fitter, baseline.hypotheses, baseline.usual_gain)
-        for label, trial in trials.items():
-            sizes.setdefault(label, []).append(trial.fit.own)
-            gains[label] = (
-                gains.get(label, 0.0)
-                + fitter.nats(healthy)
-                - fitter.nats(trial.fit)
-                - baseline.usual_gain(trial.hypothesis)
-            )
+    gains, sizes = _gains_and_sizes(baseline, records)
     if max(map(len, sizes.values()), default=0) < _FEWEST:
         return
-    p = {h.label: _chance(baseline, h.label, sizes.get(h.label, [])) for h in baseline.hypotheses}
+    p = _chances(baseline, sizes)
+    # Bonferroni: so many hypotheses have as many chances to look shifted
     shifted = [h for h in baseline.hypotheses if p[h.label] * len(p) < LEARNED_FALSELY]
     free = [h for h in shifted if h.label in baseline.free or h.key in accepted]
     blamed = [h for h in shifted if h not in free and h.name != UNKNOWN_LOAD]
     if not blamed:
         return
     likeliest = max(blamed, key=lambda h: (gains[h.label], -p[h.label]))
-    values = [gains[h.label] for h in free]
-    if values and max(values) > max(gains[likeliest.label] - TIE, 0.0):
+    as_a_value = max((gains[h.label] for h in free), default=-np.inf)
+    if as_a_value > max(gains[likeliest.label] - TIE, 0.0):
         return
-    place = f" of {likeliest.place}" if likeliest.place else ""
-    chance = min(1.0, p[likeliest.label] * len(p))
     raise NothingLearned(
-        f"the model is not learned anew: these {len(records)} windows together show"
+        _refusal_to_learn(likeliest, min(1.0, p[likeliest.label] * len(p)), len(records))
+    )
+
+
+def _gains_and_sizes(
+    baseline: Baseline, records: Sequence[Record]
+) -> tuple[dict[str, float], dict[str, list[FloatArray]]]:
+    """What each hypothesis gains over all windows beyond what is usual [nat], and its sizes in each
+    of them, by its label; of many records a few, evenly chosen, and none that cannot be judged.
+    """
+    count = min(CALIBRATED, len(records))
+    chosen = np.unique(np.linspace(0, len(records) - 1, count).astype(int))
+    gains: dict[str, float] = {}
+    sizes: dict[str, list[FloatArray]] = {}
+    for k in chosen:
+        try:
+            observed = estimated_window(baseline, records[k])
+        except NotAssessable:
+            continue
+        fitter = baseline.fitter(observed.window, observed.features)
+        healthy, trials = try_hypotheses(fitter, baseline.hypotheses, baseline.usual_gain)
+        for label, trial in trials.items():
+            sizes.setdefault(label, []).append(trial.fit.own)
+            gains[label] = (
+                gains.get(label, 0.0)
+                + fitter.cost(healthy)
+                - fitter.cost(trial.fit)
+                - baseline.usual_gain(trial.hypothesis)
+            )
+    return gains, sizes
+
+
+def _refusal_to_learn(likeliest: Hypothesis, chance: float, windows: int) -> str:
+    place = f" of {likeliest.place}" if likeliest.place else ""
+    return (
+        f"the model is not learned anew: these {windows} windows together show"
         f" {likeliest.kind} {likeliest.name}{place} (chance that they are healthy: {chance:.1g}),"
         " and it would become the new normal; mend it first, or, if it was always there, add it to"
         " the model with `residuum improve`"
     )
 
 
+def _chances(baseline: Baseline, sizes: Mapping[str, Sequence[FloatArray]]) -> dict[str, float]:
+    """Of each hypothesis by its label: `_chance` of its sizes."""
+    labels = [h.label for h in baseline.hypotheses]
+    return {label: _chance(baseline, label, sizes.get(label, [])) for label in labels}
+
+
 def _chance(baseline: Baseline, label: str, sizes: Sequence[FloatArray]) -> float:
-    """That healthy windows' first size lies so far from that of the training's."""
+    """Chance that a hypothesis' first size differs so much between these windows, if they are
+    healthy, and those of the training; 1 where too few windows tell it.
+    """
     usual = baseline.usual.get(label)
     if usual is None or len(usual.sizes) < _FEWEST or len(sizes) < _FEWEST:
         return 1.0
@@ -318,6 +353,7 @@ def _chance(baseline: Baseline, label: str, sizes: Sequence[FloatArray]) -> floa
     # sizes that are alike to rounding
     least = (1e-9 * float(np.max(np.abs([*new_sizes, *usual_sizes])))) ** 2 + 1e-300
     a, b = (max(float(x.var(ddof=1)), least) / len(x) for x in (new_sizes, usual_sizes))
+    # Welch's t with the degrees of freedom of Welch and Satterthwaite
     t = float(new_sizes.mean() - usual_sizes.mean()) / np.sqrt(a + b)
     share = a / (a + b)
     freedom = 1.0 / (share**2 / (len(new_sizes) - 1) + (1.0 - share) ** 2 / (len(usual_sizes) - 1))
@@ -340,7 +376,7 @@ def train(
     fix_undetermined: bool = False,
     known: Sequence[EffectUse] = (),
 ) -> Baseline:
-    """Learn what is healthy.
+    """Learn a baseline from healthy records and a model.
 
     Each record is a window; fewer than 6 are cut into windows of equal length. `known` are effects
     that healthy windows were found to show before beyond the model: they stay what the model lacks.
@@ -359,6 +395,7 @@ def train(
     for use in known:
         if use.key not in [own.key for own in asked.effects]:
             base = base.with_effect(*use.key, {name: p.value for name, p in use.parameters.items()})
+    # All windows at once first: they determine what no window determines by itself.
     start = first_fit_at_likelier_timing(data_of(base, experiments))
     data, fit = start.data, start.found
     while wide := [name for name in _open(fit) if name in asked.parameters]:
@@ -367,7 +404,9 @@ def train(
         # with the widest one held, others may be determined
         data = data_of(held(data.model, wide[:1]), data.experiments)
         fit = first_fit(data).found
-    better, experiments = mended(fit.model, data.experiments, _sized(fit.model, data.experiments))
+    better, experiments = with_missing_physics(
+        fit.model, data.experiments, _sized(fit.model, data.experiments)
+    )
     return _calibrated(
         _learned(asked, better, experiments, [record.source for record in records]), experiments
     )
@@ -408,6 +447,7 @@ def _alike(experiments: Sequence[Experiment]) -> list[Experiment]:
                 f"records {e.source!r} and {first.source!r}: have different outputs; healthy"
                 " windows must be alike"
             )
+    # one timing of the inputs for all windows, that of most of them
     hold = np.array(np.mean([e.hold for e in experiments], axis=0) >= 0.5, dtype=float)
     return [replace(e, hold=hold) for e in experiments]
 
@@ -426,27 +466,17 @@ def _open(fit: gauss_newton.Fit) -> list[str]:
 
 
 def _refusal(model: PhysicalModel, data: Data, wide: Sequence[str]) -> Undetermined:
+    pronoun = "them" if len(wide) > 1 else "it"
+    way_on = said("fix_undetermined", True)
     driving = ", ".join(model.inputs) or "the machine"
     lacking = [name for name, known in zip(model.outputs, data.measured, strict=True) if not known]
     more = f", or record {' or '.join(lacking)} too" if lacking else ""
     return Undetermined(
         f"model {model.name!r}: healthy windows do not determine {', '.join(wide)}: record windows"
         f" in which {driving} moves faster and over a wider range{more}, or keep"
-        f" {'them' if len(wide) > 1 else 'it'} at the file's value: {said('fix_undetermined', True)}",
+        f" {pronoun} at the file's value: {way_on}",
         wide,
     )
-
-
-@dataclass(frozen=True, eq=False)
-class _Windows:
-    """Each window's own fit, and its features."""
-
-    fits: list[Fit]
-    F: FloatArray
-
-    @property
-    def theta(self) -> FloatArray:
-        return np.array([fit.others for fit in self.fits])
 
 
 def _learned(
@@ -455,59 +485,83 @@ def _learned(
     experiments: Sequence[Experiment],
     sources: Sequence[str],
 ) -> Baseline:
-    """The baseline before its hypotheses are tried."""
+    """The baseline before hypotheses are tried on healthy windows.
+
+    Parameters
+    ----------
+    asked, model : PhysicalModel
+        The user's, and that with the physics which healthy windows show beyond it.
+    experiments, sources : sequences, one a window
+    """
     start = np.array([model.values[name] for name in model.free])
-    whitening = _sized(model, experiments)
-    for _ in range(2):
-        whitening = Whitening.of(
-            [fit.error for fit in _each_alone(model, experiments, start, whitening)]
-        )
+    whitening = _learned_whitening(model, experiments, start)
     kind = KindOfRun.of(experiments)
-    by_window = _Windows(
-        _each_alone(model, experiments, start, whitening),
-        np.array([kind.features(e) for e in experiments]),
-    )
-    window_info = [information(fit, len(start)) for fit in by_window.fits]
-    values = Scatter.of(by_window.F, by_window.theta, window_info, 1e-3 * np.abs(start) + 1e-12)
-    power = np.array([log_power(fit) for fit in by_window.fits])
-    errors = Scatter.of(by_window.F, power, None, np.full(power.shape[1], 0.01))
+    F = _features(kind, experiments)
+    fits = _each_alone(model, experiments, start, whitening)
+    theta = np.array([fit.values for fit in fits])
+    window_info = [information(fit, len(start)) for fit in fits]
+    values = Scatter.of(F, theta, window_info, 1e-3 * np.abs(start) + 1e-12)
+    power = np.array([log_power(fit) for fit in fits])
+    errors = Scatter.of(F, power, None, np.full(power.shape[1], 0.01))
+    # features are counted from the healthy mean, so the first row of B is what is usual there
     model = model.with_values(dict(zip(model.free, values.B[0].tolist(), strict=True)))
     diagonals = np.array([np.diag(h) for h in window_info]).reshape(len(window_info), len(start))
-    mended = tuple(
-        use.label for use in model.effects if use.label not in [own.label for own in asked.effects]
-    )
-    # offsets are, once the values' scatter is known
-    unasked = np.zeros((len(window_info), len(model.outputs)))
-    input_spans, spans = (
-        np.array([np.ptp(x(e), axis=0) for e in experiments]).min(axis=0)
-        for x in (_inputs, _readings)
-    )
+    # offsets are known once the values' scatter is: `_calibrated` replaces this scatter of zeros
+    unknown_offsets = np.zeros((len(experiments), len(model.outputs)))
+    first = experiments[0]
     return Baseline(
-        asked,
-        model,
-        mended,
-        kind,
-        whitening,
-        values,
-        errors,
-        Scatter.of(by_window.F, unasked, None, unasked[0] + 1.0),
-        {},
-        diagonals.min(axis=0),
-        np.median(diagonals, axis=0),
-        input_spans,
-        spans,
-        experiments[0].measured,
-        experiments[0].hold,
-        experiments[0].sample_time,
-        experiments[0].sample_time * float(np.median([e.n for e in experiments])),
-        len(experiments),
-        _apart(by_window.F, np.column_stack([by_window.theta, power])),
-        list(sources),
+        asked=asked,
+        model=model,
+        mended=_labels_beyond(asked, model),
+        kind=kind,
+        whitening=whitening,
+        values=values,
+        errors=errors,
+        offsets=Scatter.of(F, unknown_offsets, None, unknown_offsets[0] + 1.0),
+        usual={},
+        information=diagonals.min(axis=0),
+        typical=np.median(diagonals, axis=0),
+        input_spans=_least_span([e.U for e in experiments]),
+        spans=_least_span([_readings(e) for e in experiments]),
+        measured=first.measured,
+        hold=first.hold,
+        sample_time=first.sample_time,
+        seconds=first.sample_time * float(np.median([e.n for e in experiments])),
+        windows=len(experiments),
+        apart=_apart(F, np.column_stack([theta, power])),
+        sources=list(sources),
     )
+
+
+def _features(kind: KindOfRun, experiments: Sequence[Experiment]) -> FloatArray:
+    """Features of each window, shape (windows, features)."""
+    return np.array([kind.features(e) for e in experiments])
+
+
+def _labels_beyond(asked: PhysicalModel, model: PhysicalModel) -> tuple[str, ...]:
+    """Effects of a model that the user's does not have."""
+    known = [use.label for use in asked.effects]
+    return tuple(use.label for use in model.effects if use.label not in known)
+
+
+def _learned_whitening(
+    model: PhysicalModel, experiments: Sequence[Experiment], start: FloatArray
+) -> Whitening:
+    """The whitening of healthy errors: twice, because it decides the fits that leave them."""
+    whitening = _sized(model, experiments)
+    for _ in range(2):
+        fits = _each_alone(model, experiments, start, whitening)
+        whitening = Whitening.of([fit.error for fit in fits])
+    return whitening
+
+
+def _least_span(signals: Sequence[FloatArray]) -> FloatArray:
+    """The smallest span of each channel over the windows, shape (channels,)."""
+    return np.array([np.ptp(signal, axis=0) for signal in signals]).min(axis=0)
 
 
 def _sized(model: PhysicalModel, experiments: Sequence[Experiment]) -> Whitening:
-    """Nothing is known of errors yet but their size."""
+    """A whitening before errors are known but for their size: their RMS over all windows."""
     return Whitening.plain(
         np.maximum(np.nan_to_num(estimate(model, experiments, free=()).rmse), 1e-9)
     )
@@ -518,7 +572,7 @@ def _each_alone(
 ) -> list[Fit]:
     fits = []
     for e in experiments:
-        fit = alone(model, e, start, whitening)
+        fit = own_estimate(model, e, start, whitening)
         if fit is None:
             raise BadRecord(
                 f"record {e.source!r}: the model diverges along it; look at it with `residuum"
@@ -526,10 +580,6 @@ def _each_alone(
             )
         fits.append(fit)
     return fits
-
-
-def _inputs(e: Experiment) -> FloatArray:
-    return e.U
 
 
 def _readings(e: Experiment) -> FloatArray:
@@ -548,16 +598,17 @@ def _apart(F: FloatArray, x: FloatArray) -> tuple[int, ...]:
         scatter = Scatter.of(F[but_k], x[but_k], None, 1e-3 * np.abs(x).mean(axis=0) + 1e-12)
         mean, covariance = scatter.at(F[k])
         t = np.abs(x[k] - mean) / np.sqrt(np.diag(covariance))
+        # two-sided, Bonferroni over all values of all windows
         if 2.0 * x.size * stats.t.sf(t.max(), scatter.freedom) < APART:
             apart.append(k)
     return tuple(apart)
 
 
 def _calibrated(baseline: Baseline, experiments: Sequence[Experiment]) -> Baseline:
-    """With what each hypothesis gains in healthy windows, and how its sizes scatter there; offsets
-    in all of them.
+    """The baseline with the scatter of offsets over all windows, and with what each hypothesis gains,
+    and how its sizes scatter, in some of them.
     """
-    F = np.array([baseline.kind.features(e) for e in experiments])
+    F = _features(baseline.kind, experiments)
     fitters = [baseline.fitter(e, f) for e, f in zip(experiments, F, strict=True)]
     offsets, H = np.array(
         [baseline.offsets_in(fitter, fitter.fit(Variant(baseline.model))) for fitter in fitters]
@@ -566,18 +617,37 @@ def _calibrated(baseline: Baseline, experiments: Sequence[Experiment]) -> Baseli
         baseline,
         offsets=Scatter.of(F, offsets, [np.diag(h) for h in H], 1e-6 * baseline.spans + 1e-300),
     )
-    every = []
-    for k in evenly(len(experiments), CALIBRATED):
-        healthy, trials = tried(fitters[k], baseline.hypotheses, baseline.usual_gain)
-        every.append((fitters[k], fitters[k].nats(healthy), trials))
+    chosen = [fitters[k] for k in evenly(len(experiments), CALIBRATED)]
+    trials = [
+        (fitter, *try_hypotheses(fitter, baseline.hypotheses, baseline.usual_gain))
+        for fitter in chosen
+    ]
     usual = {}
     for h in baseline.hypotheses:
-        fitted = [(f, null, t.fit) for f, null, trials in every if (t := trials.get(h.label))]
-        gains = [max(null - f.nats(fit) + f.price(fit) - fit.paid, 0.0) for f, null, fit in fitted]
-        usual[h.label] = Usual(
-            float(np.mean(gains)) if gains else 0.0, _sizes([fit for *_, fit in fitted])
-        )
+        fits = [
+            (fitter, healthy, by_label[h.label].fit)
+            for fitter, healthy, by_label in trials
+            if h.label in by_label
+        ]
+        usual[h.label] = _usual(fits)
     return replace(baseline, usual=usual)
+
+
+def _usual(fits: Sequence[tuple[WindowFitter, Fit, Fit]]) -> Usual:
+    """What a hypothesis shows in healthy windows, each given as its fitter, the healthy fit and
+    that of the hypothesis.
+    """
+    gains = [_gain(fitter, healthy, fit) for fitter, healthy, fit in fits]
+    sizes = _sizes([fit for _, _, fit in fits])
+    return Usual(float(np.mean(gains)) if gains else 0.0, sizes)
+
+
+def _gain(fitter: WindowFitter, healthy: Fit, fit: Fit) -> float:
+    """[nat] By which a hypothesis explains a healthy window better. The price of its sizes is not
+    taken off, since `cost` does so where hypotheses are compared; what other values paid to the
+    prior is.
+    """
+    return max(fitter.cost(healthy) - fitter.cost(fit) + fitter.penalty(fit) - fit.prior_cost, 0.0)
 
 
 def _sizes(fits: Sequence[Fit]) -> FloatArray:

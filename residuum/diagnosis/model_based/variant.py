@@ -30,7 +30,7 @@ class Variant:
     lower : tuple of float
         Their lower bounds.
     inputs, reading : edit or None
-    louder : function or None
+    noise_gain : function or None
         By how much the sizes multiply the noise of each output, shape (outputs,).
     onset : int
         Sample from which on it acts.
@@ -42,7 +42,7 @@ class Variant:
     lower: tuple[float, ...] = ()
     inputs: Edit | None = None
     reading: Edit | None = None
-    louder: Callable[[FloatArray], FloatArray] | None = None
+    noise_gain: Callable[[FloatArray], FloatArray] | None = None
     onset: int = 0
 
 
@@ -58,22 +58,23 @@ def edited(column: int, how: Edit, first: int = 0) -> Edit:
 
 
 def amplified(y: FloatArray, sizes: FloatArray) -> FloatArray:
-    """A share more of the signal."""
+    """The signal times one and a share: (1 + s) y."""
     return np.asarray(y * (1.0 + sizes[0]))
 
 
 def shifted(y: FloatArray, sizes: FloatArray) -> FloatArray:
-    """The signal so much higher."""
+    """The signal and an offset: y + s."""
     return np.asarray(y + sizes[0])
 
 
 def held(y: FloatArray, sizes: FloatArray) -> FloatArray:
-    """The signal at one value."""
+    """One value in place of the signal: s."""
     return np.full_like(y, sizes[0])
 
 
 def delayed(y: FloatArray, sizes: FloatArray) -> FloatArray:
-    """The signal so many samples late, between samples a line."""
+    """The signal late by s samples, linear between samples."""
+    # before the window nothing is known: its first value stands for what came then
     at = np.clip(np.arange(len(y)) - sizes[0], 0, len(y) - 1)
     low = np.minimum(at.astype(np.int64), len(y) - 2)
     part = (at - low).reshape((-1,) + (1,) * (y.ndim - 1))

@@ -4,7 +4,7 @@ Least squares of whitened simulation errors by Gauss-Newton steps; values that t
 not name keep their healthy scatter as a prior, so that a change smaller than that is none. What a
 fit costs, in nats:
 
-    ½ Σ_b samples_b ln(whitened power_b + 0.05)  +  ½ (ν + k) ln(1 + t²/ν)  +  ½ sizes · ln(samples),
+    ½ Σ_b samples_b ln(whitened power_b + 0.05) + ½ (ν + k) ln(1 + t²/ν) + ½ sizes · ln(samples),
 
 the error power in blocks b, what k other values pay to the prior (Student: their scatter is known
 from ν windows), and the sizes.
@@ -24,9 +24,9 @@ from residuum.diagnosis.model_based.policy import (
     EM_STEPS,
     EVIDENT,
     FIT_STEPS,
-    LOOK_STEPS,
     NO_MERIT,
     RIDGES,
+    SCREENING_STEPS,
     SETTLED,
 )
 from residuum.diagnosis.model_based.variant import Variant
@@ -44,7 +44,7 @@ _CORRELATED = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Whitening:
-    """Of each output.
+    """What healthy simulation errors of each output look like.
 
     Attributes
     ----------
@@ -74,6 +74,7 @@ class Whitening:
             measured = known[:, o].reshape((-1,) + (1,) * (values.ndim - 2))
             x = np.where(measured, values[:, o], 0.0)
             y = x.copy()
+            # the first samples of a window lack a past and stay as large as they are
             for lag in np.flatnonzero(a[1:]) + 1:
                 y[lag:] += a[lag] * x[:-lag]
             out[:, o] = np.where(measured, y, 0.0) / self.sigma[o]
@@ -89,7 +90,7 @@ class Whitening:
 
     @classmethod
     def plain(cls, sigma: FloatArray) -> Whitening:
-        """None but the division by these sizes."""
+        """The one that only divides by these sizes: nothing is known of errors but how large."""
         filters = np.zeros((len(sigma), WHITENING + 1))
         filters[:, 0] = 1.0
         return cls(filters, sigma, *np.ones((3, len(sigma))))
@@ -103,38 +104,44 @@ class Whitening:
             x = [np.nan_to_num(r[:, o]) for r in errors]
             a = _autoregression(x)
             white = [np.convolve(y, a)[: len(y)] for y in x]
+            # The variance of a mean of correlated samples is 1 + 2 Σ ρ times that of independent
+            # ones. The sum ends where ρ is lost in its own noise.
             rho = _autocorrelation(white, min(map(len, white)))
             end = int(np.argmax(rho < _CORRELATED)) or len(rho)
             sigma = max(float(np.sqrt(np.mean(np.concatenate(white) ** 2))), 1e-300)
             steps = [float(np.mean(np.diff(y) ** 2)) / 2.0 / sigma**2 for y in white]
             whitening.filters[o, : len(a)], whitening.sigma[o] = a, sigma
             whitening.inflation[o] = 1.0 + 2.0 * float(rho[1:end].sum())
-            whitening.steps[o], whitening.most_steps[o] = (
-                np.mean(steps),
-                np.mean(steps) + 2.0 * np.std(steps),
-            )
+            whitening.steps[o] = np.mean(steps)
+            # two standard deviations over healthy windows: what is louder is louder than usual
+            whitening.most_steps[o] = np.mean(steps) + 2.0 * np.std(steps)
         return whitening
 
 
 def _autoregression(x: Sequence[FloatArray]) -> FloatArray:
+    """1, −φ₁, −φ₂, … of the order that Akaike's criterion chooses."""
     rho, n = _autocorrelation(x, WHITENING + 1), sum(map(len, x))
     best, a = np.inf, np.ones(1)
     for p in range(WHITENING + 1):
-        phi = (
-            np.linalg.solve(toeplitz(rho[:p]) + 1e-9 * np.eye(p), rho[1 : p + 1])
-            if p
-            else np.zeros(0)
-        )
-        aic = n * np.log(max(1.0 - float(phi @ rho[1 : p + 1]), 1e-12)) + 2.0 * p
+        phi = np.zeros(0)
+        if p:
+            # the ridge: a slow error has ρ near 1 at all lags, and the equations are all but
+            # singular
+            R = toeplitz(rho[:p]) + 1e-9 * np.eye(p)
+            phi = np.linalg.solve(R, rho[1 : p + 1])
+        innovation_variance = max(1.0 - float(phi @ rho[1 : p + 1]), 1e-12)
+        aic = n * np.log(innovation_variance) + 2.0 * p
         if aic < best:
             best, a = aic, np.concatenate([[1.0], -phi])
     return a
 
 
 def _autocorrelation(x: Sequence[FloatArray], lags: int) -> FloatArray:
-    total = np.sum(
-        [np.fft.irfft(np.abs(np.fft.rfft(y, 2 * len(y))) ** 2)[:lags] for y in x], axis=0
-    )
+    """ρ at lags 0 … lags − 1 over all windows; padded to twice the length, so that the end of a
+    window does not meet its beginning.
+    """
+    power = [np.abs(np.fft.rfft(y, 2 * len(y))) ** 2 for y in x]
+    total = np.sum([np.fft.irfft(spectrum)[:lags] for spectrum in power], axis=0)
     return np.asarray(total / max(float(total[0]), 1e-300))
 
 
@@ -143,8 +150,8 @@ def _autocorrelation(x: Sequence[FloatArray], lags: int) -> FloatArray:
 # a hierarchical normal model: φ are the features of the run, H_w is what the window by itself
 # says. B (ridge) and S by expectation and maximisation; how far each value may depend on φ by the
 # evidence of its ridge. Far from the runs seen the scatter widens.
-# References ---------- A. Gelman et al., *Bayesian Data Analysis*, 3rd ed. 2013, ch. 5 and 15; D.
-# MacKay, Neural Computation 4 (1992) 415 (evidence).
+# References: A. Gelman et al., Bayesian Data Analysis, 3rd ed. 2013, ch. 5 and 15; D. MacKay,
+# Neural Computation 4 (1992) 415 (evidence).
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,6 +192,8 @@ class Scatter:
         floor : array, shape (values,)
             Least standard deviation of each.
         """
+        # A ridge is chosen by the evidence of the windows' values, which depend on the ridges
+        # themselves: begun with the least dependence on the run, and gone through twice.
         ridges = np.full(x.shape[1], RIDGES[0])
         scatter, post = _fitted(F, x, information, floor, ridges)
         for _ in range(2):
@@ -209,13 +218,15 @@ def _fitted(
 ) -> tuple[Scatter, FloatArray]:
     """The scatter with these ridges, and each window's values as it and the others tell them."""
     n, p = x.shape
-    M = np.array(
-        [np.linalg.inv(F.T @ F + np.diag([1e-6] + [ridge] * (F.shape[1] - 1))) for ridge in ridges]
-    )
+    # the first feature is 1: its row of B is the mean, which is all but free
+    penalties = [np.diag([1e-6] + [ridge] * (F.shape[1] - 1)) for ridge in ridges]
+    M = np.array([np.linalg.inv(F.T @ F + penalty) for penalty in penalties])
     M = M.reshape(p, F.shape[1], F.shape[1])
     freedom = np.array([max(n - float(np.trace(F @ m @ F.T)), 2.0) for m in M])
     post, V = x, np.zeros((n, p, p))
     B, S = np.zeros((F.shape[1], p)), np.zeros((p, p))
+    # Expectation: each window's values, from what it says and what the others lead to expect (mean
+    # `post`, covariance V). Maximisation: B and S of these values.
     for _ in range(1 if information is None else EM_STEPS):
         B = np.einsum("pij,wj,wp->ip", M, F, post)
         d = post - F @ B
@@ -234,6 +245,7 @@ def _evident_ridge(F: FloatArray, y: FloatArray, floor: float) -> float:
     """The ridge under which the values of the windows are likeliest; less of it only where that is
     evident.
     """
+    # ln p(y) of y ~ N(mean, s² K) with s integrated out: −½ ln |K| − (n/2) ln(rᵀ K⁻¹ r)
     best, chosen = -np.inf, RIDGES[0]
     r = (y - y.mean()) / max(float(y.std()), float(floor), 1e-300)
     for ridge in RIDGES:
@@ -247,20 +259,20 @@ def _evident_ridge(F: FloatArray, y: FloatArray, floor: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A variant fitted.
+    """A variant fitted to a window.
 
     Attributes
     ----------
-    others, own : array
-        Values under the prior, and the sizes.
+    values, own : array
+        Values of the healthy model that the hypothesis does not name, and the sizes.
     power : array, shape (blocks, outputs)
         Mean square of whitened errors over the healthy one.
-    paid : float
-        [nat] What the other values paid to the prior.
+    prior_cost : float
+        [nat] What the values paid to the prior.
     white, error : array, shape (n, outputs)
         Errors whitened, and in the outputs' units (NaN where nothing was measured).
     information : array
-        Of (others, own, first states), the prior left out.
+        Of (values, own, first states), the prior left out.
     initial : array
         First states.
     substeps : list of int
@@ -268,10 +280,10 @@ class Fit:
     """
 
     variant: Variant
-    others: FloatArray
+    values: FloatArray
     own: FloatArray
     power: FloatArray
-    paid: float
+    prior_cost: float
     white: FloatArray
     error: FloatArray
     information: FloatArray
@@ -281,7 +293,19 @@ class Fit:
 
 
 class WindowFitter:
-    """One window, and what is usual for such a run."""
+    """Fits variants of the healthy model to one window, and says what a fit costs.
+
+    Parameters
+    ----------
+    model : PhysicalModel
+        Healthy.
+    window : Experiment
+    mean, covariance : array, shapes (values,), (values, values)
+        Of the model's free values in healthy windows of such a run.
+    whitening : Whitening
+    freedom : float
+        ν, windows that the covariance is known from.
+    """
 
     def __init__(
         self,
@@ -293,19 +317,16 @@ class WindowFitter:
         freedom: float,
     ) -> None:
         self.model, self.free, self.window = model, list(model.free), window
-        self.mean, self.covariance, self.whitening, self.freedom = (
-            mean,
-            covariance,
-            whitening,
-            freedom,
-        )
+        self.mean, self.covariance = mean, covariance
+        self.whitening, self.freedom = whitening, freedom
         self.known = np.isfinite(window.Y)
         self.count = self.known.sum(axis=0)
+        # independent samples of each output; 0 where it was not measured, so that it costs nothing
         self.samples = np.maximum(self.count / whitening.inflation, 2.0) * (self.count > 0)
         self.block = np.arange(window.n) * BLOCKS // window.n
 
     def of(self, window: Experiment) -> WindowFitter:
-        """The same of another window of such a run."""
+        """What fits another window of such a run."""
         return WindowFitter(
             self.model, window, self.mean, self.covariance, self.whitening, self.freedom
         )
@@ -328,29 +349,31 @@ class WindowFitter:
         )
         return np.asarray(np.median(self.blocks(steps), axis=0))
 
-    def louder(self, white: FloatArray) -> FloatArray:
+    def noise_growth(self, white: FloatArray) -> FloatArray:
         """By how much white noise has grown beyond the most that is usual, told by steps, shape
         (outputs,).
         """
         return np.sqrt(np.maximum(self.steps(white) / self.whitening.most_steps, 1.0))
 
-    def logs(self, fit: Fit) -> FloatArray:
+    def block_costs(self, fit: Fit) -> FloatArray:
         """[nat] What each block costs, shape (blocks,)."""
         return np.asarray(0.5 * np.log(fit.power + NO_MERIT) @ self.samples / BLOCKS)
 
-    def healthy_logs(self) -> float:
+    def healthy_cost(self) -> float:
         """[nat] What a window costs whose errors are healthy."""
         return float(0.5 * np.log(1.0 + NO_MERIT) * self.samples.sum())
 
-    def price(self, fit: Fit) -> float:
-        """[nat] What its other values and its sizes cost."""
-        return fit.paid + 0.5 * (len(fit.own) + (fit.onset > 0)) * float(
+    def penalty(self, fit: Fit) -> float:
+        """[nat] What the fit's values pay to the prior, and half a logarithm of the samples for each
+        of its sizes.
+        """
+        return fit.prior_cost + 0.5 * (len(fit.own) + (fit.onset > 0)) * float(
             np.log(max(self.samples.sum(), 4.0))
         )
 
-    def nats(self, fit: Fit) -> float:
-        """[nat] What it costs."""
-        return float(self.logs(fit).sum()) + self.price(fit)
+    def cost(self, fit: Fit) -> float:
+        """[nat] What the fit costs: its error in all blocks and its penalty."""
+        return float(self.block_costs(fit).sum()) + self.penalty(fit)
 
     def fit(
         self,
@@ -359,17 +382,21 @@ class WindowFitter:
         begin: Fit | None = None,
         beside: Fit | None = None,
     ) -> Fit | None:
-        """From a fit of the same variant, or from the variant's values and the first states of a
-        fit beside it.
+        """The variant fitted in at most so many steps; None where it cannot be simulated.
 
-        A look keeps the steps of that fit too, where it adds no state that may be faster. None
-        where it cannot be simulated.
+        Parameters
+        ----------
+        begin : Fit or None
+            Of the same variant: begun where it ended; None: at the variant's own values.
+        beside : Fit or None
+            Of another variant, whose first states are taken. Screening keeps its steps between
+            samples too, where the variant adds no state that may be faster.
         """
         try:
             problem = _Problem(self, variant, begin, None if beside is None else beside.initial)
             if (
                 beside is not None
-                and steps <= LOOK_STEPS
+                and steps <= SCREENING_STEPS
                 and len(problem.x0) == len(beside.initial)
             ):
                 problem.substeps = beside.substeps
@@ -380,7 +407,7 @@ class WindowFitter:
     def states(self, fit: Fit) -> FloatArray:
         """States along a fit of the healthy model, shape (n, states)."""
         simulator = Simulator(self.model)
-        p = simulator.p(dict(zip(self.free, fit.others.tolist(), strict=True)))
+        p = simulator.p(dict(zip(self.free, fit.values.tolist(), strict=True)))
         return np.asarray(
             simulator.run_each([self.window], [fit.initial], p, substeps=fit.substeps).X
         )
@@ -393,34 +420,36 @@ class _Problem:
         self, fitter: WindowFitter, variant: Variant, begin: Fit | None, first: FloatArray | None
     ) -> None:
         self.fitter, self.variant = fitter, variant
-        self.simulator, known = Simulator(variant.model), variant.model.all_parameters
-        keep = [j for j, name in enumerate(fitter.free) if name not in variant.own]
-        names = [*(fitter.free[j] for j in keep), *variant.own]
+        self.simulator, parameters = Simulator(variant.model), variant.model.all_parameters
+        shared = [j for j, name in enumerate(fitter.free) if name not in variant.own]
+        names = [*(fitter.free[j] for j in shared), *variant.own]
         states = [name for name in self.simulator.free_states if name not in fitter.window.known]
-        self.k, self.q, self.nx = len(keep), len(names), len(states)
-        self.mean = fitter.mean[keep]
-        self.prior = _root_of_inverse(fitter.covariance[np.ix_(keep, keep)])
+        self.k, self.q, self.nx = len(shared), len(names), len(states)
+        self.mean = fitter.mean[shared]
+        self.prior = _root_of_inverse(fitter.covariance[np.ix_(shared, shared)])
         self.at = [self.simulator.states.index(name) for name in states]
         self.columns = self.simulator.columns(names)
         self.slopes = [*names, *(f"initial:{name}" for name in states)]
-        free = [-np.inf] * self.nx
-        self.lower = np.array([*(known[n].lower for n in names), *free, *variant.lower])
-        self.upper = np.array(
-            [*(known[n].upper for n in names), *(-x for x in free), *[np.inf] * len(variant.sizes)]
-        )
+        # states have no bounds, sizes of what is done to signals no upper ones
+        unbounded, sizes = np.full(self.nx, np.inf), np.full(len(variant.sizes), np.inf)
+        lower, upper = [parameters[n].lower for n in names], [parameters[n].upper for n in names]
+        self.lower = np.concatenate([lower, -unbounded, variant.lower])
+        self.upper = np.concatenate([upper, unbounded, sizes])
         self.x0 = begin.initial if begin else self._first_states(first)
-        m = len(variant.own)
-        if begin:
-            z = [begin.others, begin.own[:m], self.x0[self.at], begin.own[m:]]
-        else:
-            z = [
-                self.mean,
-                np.array([known[n].value for n in variant.own]),
-                self.x0[self.at],
-                np.array(variant.sizes),
-            ]
-        self.z = np.clip(np.concatenate(z), self.lower, self.upper)
+        self.z = np.clip(np.concatenate(self._begun(begin)), self.lower, self.upper)
         self.substeps: list[int] = []
+
+    def _begun(self, begin: Fit | None) -> list[FloatArray]:
+        """First values of the unknowns: where a fit ended, else the healthy mean, the variant's own
+        values and its sizes.
+        """
+        variant, x0 = self.variant, self.x0[self.at]
+        if begin:
+            m = len(variant.own)
+            return [begin.values, begin.own[:m], x0, begin.own[m:]]
+        parameters = variant.model.all_parameters
+        own = np.array([parameters[name].value for name in variant.own])
+        return [self.mean, own, x0, np.array(variant.sizes)]
 
     def solved(self, steps: int) -> Fit | None:
         """The fit after so many steps; None where the first values cannot be simulated."""
@@ -429,9 +458,9 @@ class _Problem:
             return None
         z = self.z
         # twice: errors beyond the healthy size say less
-        for _ in range(1 if steps <= LOOK_STEPS else 2):
+        for _ in range(1 if steps <= SCREENING_STEPS else 2):
             z, at_z = self._descended(z, at_z, self._weights(at_z[0]), steps)
-        return self._told(z, at_z)
+        return self._fit_at(z, at_z)
 
     def _descended(
         self,
@@ -440,12 +469,14 @@ class _Problem:
         weights: FloatArray,
         steps: int,
     ) -> tuple[FloatArray, tuple[FloatArray, FloatArray, FloatArray]]:
+        # Levenberg and Marquardt: the damping rises until a step lowers the cost, and falls after
+        # one that did. Weights are held during a descent, or the cost would not be one function.
         damping, now = 1e-3, self._cost(z, at_z[0], weights)
         for _ in range(steps):
             J = (at_z[1] * weights[:, None]).reshape(-1, len(z))
             H, g = J.T @ J, J.T @ (at_z[0] * weights).ravel()
             H[: self.k, : self.k] += self.prior.T @ self.prior
-            g[: self.k] -= self.prior.T @ self._paid(z)
+            g[: self.k] -= self.prior.T @ self._scaled_deviation(z)
             for _ in range(6):
                 trial = np.clip(
                     z + _bounded_step(H, g, z, self.lower, self.upper, damping),
@@ -457,7 +488,7 @@ class _Problem:
                     break
                 damping = max(damping, 1e-4) * 8.0
             else:
-                return z, at_z
+                return z, at_z  # no step lowers the cost any more
             assert at_trial is not None
             before, now = now, self._cost(trial, at_trial[0], weights)
             z, at_z, damping = trial, at_trial, damping / 10.0
@@ -465,22 +496,25 @@ class _Problem:
                 break
         return z, at_z
 
-    def _told(self, z: FloatArray, at_z: tuple[FloatArray, FloatArray, FloatArray]) -> Fit | None:
+    def _fit_at(self, z: FloatArray, at_z: tuple[FloatArray, FloatArray, FloatArray]) -> Fit | None:
         k, q, nx, variant, fitter = self.k, self.q, self.nx, self.variant, self.fitter
         J = (at_z[1] * self._weights(at_z[0])[:, None]).reshape(-1, len(z))
+        # a fit tells its first states after its sizes: they are eliminated, never told
         order = [*range(q), *range(q + nx, len(z)), *range(q, q + nx)]
         x0 = self.x0.copy()
         x0[self.at] = z[q : q + nx]
         power = fitter.blocks(at_z[0])
-        if variant.louder is not None:
+        # a gain of the sensor multiplies its noise too: that much more of it is no error
+        if variant.noise_gain is not None:
             power = power / np.clip(
-                fitter.louder(at_z[0]), 1.0, np.maximum(variant.louder(z[q + nx :]), 1.0)
+                fitter.noise_growth(at_z[0]), 1.0, np.maximum(variant.noise_gain(z[q + nx :]), 1.0)
             )
         information = (J.T @ J)[np.ix_(order, order)]
         if not (np.all(np.isfinite(power)) and np.all(np.isfinite(information))):
             return None
-        paid, freedom = self._paid(z), fitter.freedom
-        worth = 0.5 * (freedom + k) * float(np.log1p(paid @ paid / freedom))
+        deviation, freedom = self._scaled_deviation(z), fitter.freedom
+        # Student's −ln p but for a constant: the prior's scatter is known from ν windows
+        prior_cost = 0.5 * (freedom + k) * float(np.log1p(deviation @ deviation / freedom))
         error = np.where(fitter.known, at_z[2], np.nan)
         own = np.concatenate([z[k:q], z[q + nx :]])
         return Fit(
@@ -488,7 +522,7 @@ class _Problem:
             z[:k],
             own,
             power,
-            worth,
+            prior_cost,
             at_z[0],
             error,
             information,
@@ -497,14 +531,20 @@ class _Problem:
             variant.onset,
         )
 
-    def _paid(self, z: FloatArray) -> FloatArray:
+    def _scaled_deviation(self, z: FloatArray) -> FloatArray:
+        """Values less their healthy mean, in standard deviations that are independent of each
+        other.
+        """
         return np.asarray(self.prior @ (z[: self.k] - self.mean))
 
     def _cost(self, z: FloatArray, white: FloatArray, weights: FloatArray) -> float:
-        paid = self._paid(z)
-        return float(np.sum((white * weights) ** 2) + paid @ paid)
+        deviation = self._scaled_deviation(z)
+        return float(np.sum((white * weights) ** 2) + deviation @ deviation)
 
     def _weights(self, white: FloatArray) -> FloatArray:
+        """Of each output: correlated samples count for fewer, and an output whose error is larger
+        than when healthy counts for as much less.
+        """
         rms = np.sqrt((white**2).sum(axis=0) / np.maximum(self.fitter.count, 1))
         return np.asarray(1.0 / np.sqrt(self.fitter.whitening.inflation) / np.maximum(rms, 1.0))
 
@@ -517,6 +557,7 @@ class _Problem:
         if self.variant.inputs is not None:
             U = self.variant.inputs(e.U, z[q + nx :])
             e = replace(e, U=U, hold=np.concatenate([e.hold, np.ones(U.shape[1] - e.U.shape[1])]))
+        # chosen once: a cost whose steps change with z is not smooth
         if not self.substeps:
             self.substeps = self.simulator.substeps_each([e], [x], p)
         run = self.simulator.run_each([e], [x], p, slopes=slopes, substeps=self.substeps)
@@ -532,6 +573,7 @@ class _Problem:
         if run is None or run[1] is None:
             return None
         Y, dY = run[0], run[1]
+        # what is done to readings is affine: its linear part acts on the slopes
         if variant.reading is not None:
             dY = (
                 variant.reading(dY, z[first:])
@@ -566,6 +608,7 @@ def _root_of_inverse(covariance: FloatArray) -> FloatArray:
     """R with RᵀR = covariance⁻¹, also where values of very unlike sizes are nearly tied to each
     other.
     """
+    # scaled to correlations, so that the floor on eigenvalues means the same in any unit
     size = np.sqrt(np.diag(covariance))
     values, vectors = np.linalg.eigh(covariance / np.outer(size, size))
     return np.asarray((vectors / np.sqrt(np.maximum(values, 1e-9))).T / size)
@@ -580,11 +623,13 @@ def _bounded_step(
     damping: float,
 ) -> FloatArray:
     """The damped step, unknowns at a bound that it would leave held."""
+    # scaled to unit diagonal: unknowns of unlike units are damped alike
     scale, held = np.sqrt(np.maximum(np.diag(H), 1e-300)), np.zeros(len(z), dtype=bool)
     A = H / scale / scale[:, None] + (damping + 1e-10) * np.eye(len(z))
     while True:
         step, free = np.zeros(len(z)), ~held
         step[free] = np.linalg.solve(A[np.ix_(free, free)], (g / scale)[free]) / scale[free]
+        # each round holds at least one more, so that it ends
         leaves = free & (((z <= lower) & (step < 0.0)) | ((z >= upper) & (step > 0.0)))
         if not leaves.any():
             return step
@@ -592,26 +637,27 @@ def _bounded_step(
 
 
 def information(fit: Fit, keep: int) -> FloatArray:
-    """Of the first `keep` unknowns, all others eliminated."""
-    return _beside(fit.information, keep)
+    """Information of a fit on its first `keep` unknowns, all others eliminated."""
+    return _schur_complement(fit.information, keep)
 
 
 def information_on_size(fit: Fit, covariance: FloatArray) -> float:
-    """Of the only size, beside other values of this prior covariance (others, others); of one that
-    they make up for wholly, 0.
+    """Information of a fit on its only size, beside values of this prior covariance, shape (values,
+    values); 0 where they make up for it wholly.
     """
-    k = len(fit.others)
+    k = len(fit.values)
     H = fit.information.copy()
     H[:k, :k] += np.linalg.inv(covariance)
     order = [k, *range(k), *range(k + 1, len(H))]
-    return max(float(_beside(H[np.ix_(order, order)], 1)[0, 0]), 0.0)
+    return max(float(_schur_complement(H[np.ix_(order, order)], 1)[0, 0]), 0.0)
 
 
-def _beside(H: FloatArray, keep: int) -> FloatArray:
+def _schur_complement(H: FloatArray, keep: int) -> FloatArray:
     """Schur's complement of all but the first `keep`."""
     A, B, C = H[:keep, :keep], H[:keep, keep:], H[keep:, keep:]
     if not len(C):
         return A
+    # scaled to unit diagonal; directions of which nothing is known are left out, not inverted
     d = np.sqrt(np.maximum(np.diag(C), 1e-300))
     left = A - (B / d) @ np.linalg.pinv(C / d / d[:, None], rcond=1e-10, hermitian=True) @ (B / d).T
     return np.asarray(0.5 * (left + left.T))

@@ -200,8 +200,11 @@ class FaultEstimator:
         large = eigenvalues > eigenvalues[-1] * 1e-9 if eigenvalues[-1] > 0 else eigenvalues > 0
         self.root: FloatArray = vectors[:, large] * np.sqrt(eigenvalues[large])
         self.units = {
-            "output": units[1], "input": units[0], "output/s": f"({units[1]})/s" if units[1] else "1/s", "": ""
-        }  # fmt: skip
+            "output": units[1],
+            "input": units[0],
+            "output/s": f"({units[1]})/s" if units[1] else "1/s",
+            "": "",
+        }
 
     def estimate(self, u: npt.ArrayLike, y: npt.ArrayLike, alarm: int) -> FaultEstimate | None:
         """The fault that best explains u, y (shape (n,), no gap), begun before sample `alarm`.

@@ -53,7 +53,9 @@ def _square_norm(root, w, total, enough):  # type: ignore[no-untyped-def]
 
 
 @njit()
-def model_error(template, white_input, now, count, delay, root, level, enough, shape):  # type: ignore[no-untyped-def]
+def model_error(  # type: ignore[no-untyped-def]
+    template, white_input, now, count, delay, root, level, enough, shape
+):
     """v (Σ p)² + ‖Bᵀ w‖², Σ_g = B Bᵀ, over the `count` samples that end at ring position `now`, or
     a part of it that is `enough`.
 
@@ -93,9 +95,9 @@ def mean_square(white_input, now, count, delay, root):  # type: ignore[no-untype
 
 # One compiled pass over the samples of a likelihood-ratio bank: its windows, and the statistics
 # of Shiryaev and Roberts.
-# What is scanned and why stands in `likelihood_ratio`. Every statistic is kept as z², the largest
-# of a sample together with what it says: a *finding* is (z², kind, window), the kind being 0
-# until z² passes b².
+# What is scanned and why stands at `LikelihoodRatioBank`. Every statistic is kept as z², the
+# largest of a sample together with what it says: a *finding* is (z², kind, window), the kind
+# being 0 until z² passes b².
 
 OFFSET, GAIN, POWER, RAMPED = 1, 2, 3, 4
 """What alarmed; 0 is nothing."""
@@ -103,14 +105,11 @@ SHORTEST_GAIN = 4  # over one sample the gain statistic is the offset statistic
 # below it the cube-root normal of a χ² is too coarse in the far tail, and a ramp is as good as an
 # offset
 SHORTEST_POWER = 8
-HEAD_START = (
-    2.2  # A, nats: the Shiryaev–Roberts statistic then gives nine tenths of the false alarms
-)
-SHORT, SHORT_START = (
-    2,
-    1.2,
-    # samples, nats: so that one or two samples find a large offset as soon as a test of single samples
-)
+# A, nats: the Shiryaev–Roberts statistic then gives nine tenths of the false alarms
+HEAD_START = 2.2
+# samples, nats: so that one or two samples find a large offset as soon as a test of single samples
+# does
+SHORT, SHORT_START = 2, 1.2
 _EPOCH = 65536  # samples after which time is counted anew
 _LARGEST_RATIO = 1e300
 _LARGEST_SCORE = 600.0  # either way; its exponential, and the inverse of that, still are numbers
@@ -300,7 +299,9 @@ def _over_windows(limits, model, memory, now, head, local):  # type: ignore[no-u
 
 
 @njit()
-def _matched(largest, product, energy, begins, kind, shape, length, square, model, memory, now):  # type: ignore[no-untyped-def]
+def _matched(  # type: ignore[no-untyped-def]
+    largest, product, energy, begins, kind, shape, length, square, model, memory, now
+):
     """(Σ s p)² / (Σ p² + model error) of a template, with a start.
 
     The model error only lowers it, so it is worked out for the rare windows that would alarm
@@ -405,7 +406,7 @@ _SHARE = 0.83
 
 
 class BankOutput(NamedTuple):
-    """Per sample: the largest standardised statistic, what alarmed (`window_scan`, 0 = nothing) and
+    """Per sample: the largest standardised statistic, what alarmed (0 = nothing) and
     its window [samples].
     """
 
@@ -487,16 +488,14 @@ class LikelihoodRatioBank:
 
     Parameters
     ----------
-    rate : float
-        False alarms per sample.
+    threshold : float
+        b, of `bank_threshold` for a rate of false alarms, or of a calibration.
     covariance : array, shape (m, m)
         Σ_g [(output unit / input unit)²].
     delay : int
         Lag of the first coefficient.
     longest : int
         Longest window [samples].
-    threshold : float or None
-        b, when it comes from elsewhere (calibration); then `rate` is not used.
     level_variance : float
         v: variance of the scores' mean that the operating point's own error makes.
     restart : bool
@@ -505,12 +504,11 @@ class LikelihoodRatioBank:
 
     def __init__(
         self,
-        rate: float,
+        threshold: float,
         covariance: FloatArray,
         delay: int,
         longest: int = LONGEST_WINDOW,
         *,
-        threshold: float | None = None,
         level_variance: float = 0.0,
         restart: bool = True,
     ) -> None:
@@ -519,7 +517,7 @@ class LikelihoodRatioBank:
                 f"likelihood-ratio bank, longest: is {longest}; must be at least one sample"
             )
         self.windows = window_lengths(longest)
-        self.b = bank_threshold(rate, longest) if threshold is None else float(threshold)
+        self.b = float(threshold)
         self.restart = restart
         self.covariance: FloatArray = np.ascontiguousarray(covariance, dtype=float)
         self._limits = scan_limits(
@@ -553,8 +551,11 @@ class LikelihoodRatioBank:
     def state(self) -> dict[str, Any]:
         """Everything the scan remembers."""
         return {
-            "sums": self._sums.copy(), "past": self._past.copy(), "steps": self._steps.copy(), "counts": self._counts.copy()
-        }  # fmt: skip
+            "sums": self._sums.copy(),
+            "past": self._past.copy(),
+            "steps": self._steps.copy(),
+            "counts": self._counts.copy(),
+        }
 
     def resume(self, state: Mapping[str, Any]) -> None:
         """Continue from a saved `state`; BadInput when it is of another bank."""

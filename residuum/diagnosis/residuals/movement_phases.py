@@ -5,6 +5,7 @@ with its worst moment.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import product
 from typing import Any
 
@@ -53,31 +54,22 @@ def phase_cells(
     if first is None:
         return None
     label = _movement if first.kind in _MOVING else _storage
-    scale = max(
-        (float(np.nanmax(np.abs(axis.values), initial=0.0)) for axis in chosen if axis is not None),
-        default=0.0,
-    )
+    # one scale for all records: what stands in one would else be a movement of its own size
+    sizes = [np.nanmax(np.abs(axis.values), initial=0.0) for axis in chosen if axis is not None]
+    scale = float(max(sizes))
     labels = [
         label(axis.values, dt, scale)
         for axis, dt in zip(chosen, sample_times, strict=True)
         if axis is not None
     ]
     phase, direction = np.concatenate(labels, axis=1)
-    number = np.repeat(np.arange(len(errors)), [len(error) for error in errors])
-    time = np.concatenate(
-        [dt * np.arange(len(error)) for dt, error in zip(sample_times, errors, strict=True)]
-    )
-    power = np.concatenate(errors) ** 2
-    known = np.isfinite(power)
+    samples = _Samples.of(sample_times, errors)
     phases, directions = _NAMES[label]
-    inside = {
-        (p, d): known & (phase == p) & (direction == d) for p, d in product(phases, directions)
-    }
-    cells = [
-        _cell(p, d, at, power, known, number, time)
-        for (p, d), at in inside.items()
-        if np.count_nonzero(at) >= _FEWEST
-    ]
+    cells = []
+    for p, d in product(phases, directions):
+        inside = samples.known & (phase == p) & (direction == d)
+        if np.count_nonzero(inside) >= _FEWEST:
+            cells.append({"phase": p, "direction": d, **samples.cell(inside)})
     return {
         "axis": first.name,
         "phases": list(phases),
@@ -91,26 +83,37 @@ def _axis_of_movement(axes: Sequence[Axis]) -> Axis | None:
     return next((axis for kinds in (_MOVING, _STORED) for axis in axes if axis.kind in kinds), None)
 
 
-def _cell(
-    phase: str,
-    direction: str,
-    inside: npt.NDArray[np.bool_],
-    power: FloatArray,
-    known: npt.NDArray[np.bool_],
-    number: npt.NDArray[np.int64],
-    time: FloatArray,
-) -> dict[str, Any]:
-    worst = int(np.argmax(np.where(inside, power, -1.0)))
-    total = float(power[known].sum())
-    return {
-        "phase": phase,
-        "direction": direction,
-        "rms": float(np.sqrt(power[inside].mean())),
-        "share": float(power[inside].sum()) / total if total > 0 else 0.0,
-        "time_share": float(np.count_nonzero(inside) / np.count_nonzero(known)),
-        "record": int(number[worst]),
-        "time": float(time[worst]),
-    }
+@dataclass(frozen=True, eq=False)
+class _Samples:
+    """The squared error of every sample of all records, one after the other, where it is known, and
+    the record (its index) and the time [s] that each sample is of; all of shape (samples,).
+    """
+
+    power: FloatArray
+    known: npt.NDArray[np.bool_]
+    record: npt.NDArray[np.int64]
+    time: FloatArray
+
+    @classmethod
+    def of(cls, sample_times: Sequence[float], errors: Sequence[FloatArray]) -> _Samples:
+        power = np.concatenate(errors) ** 2
+        record = np.repeat(np.arange(len(errors)), [len(error) for error in errors])
+        times = [dt * np.arange(len(error)) for dt, error in zip(sample_times, errors, strict=True)]
+        return cls(power, np.isfinite(power), record, np.concatenate(times))
+
+    def cell(self, inside: npt.NDArray[np.bool_]) -> dict[str, Any]:
+        """RMS of the error in these samples, their share of its power and of the time, and where
+        the largest of them is.
+        """
+        worst = int(np.argmax(np.where(inside, self.power, -1.0)))
+        total = float(self.power[self.known].sum())
+        return {
+            "rms": float(np.sqrt(self.power[inside].mean())),
+            "share": float(self.power[inside].sum()) / total if total > 0 else 0.0,
+            "time_share": float(np.count_nonzero(inside) / np.count_nonzero(self.known)),
+            "record": int(self.record[worst]),
+            "time": float(self.time[worst]),
+        }
 
 
 def _rate(x: FloatArray, sample_time: float) -> FloatArray:

@@ -31,7 +31,7 @@ from residuum.nearest_names import known_names
 # A vector residual made white: a vector autoregression, and the root of its innovations'
 # covariance.
 
-_HIGHEST = 10
+_HIGHEST = 10  # order of the autoregression
 _ROWS_A_VALUE = 5
 """Rows of the regression that each of its unknowns needs."""
 
@@ -90,6 +90,7 @@ def fit_whitener(residuals: Sequence[FloatArray]) -> VectorWhitener:
     size = now.shape[1]
     order = min(orders, key=lambda k: _schwarz(now, past[:, : k * size]))
     now, past = _all_rows(residuals, order)
+    # rows that the highest order had to leave out join again
     A, covariance = _regressed(now, past)
     return VectorWhitener(
         A.reshape(size, order, size).transpose(1, 0, 2),
@@ -319,6 +320,7 @@ def design_multivariable_residual(
     """
     _check(model, healthy, method, unknown)
     p, step = len(model.models), model.models[0][0].sample_time
+    # nothing unknown: every output's residual is its own
     Q = unknown_input_decoupling(model, unknown) if unknown else StateSpace.gain(np.eye(p), step)
     blank = MultivariableResidual(
         model=model, unknown=tuple(unknown), Q=Q, whitener=VectorWhitener.none(Q.D.shape[0])
@@ -326,28 +328,21 @@ def design_multivariable_residual(
     pairs = [blank.signals_of(record) for record in healthy]
     input_mean = np.nanmean(np.concatenate([u for u, _ in pairs]), axis=0)
     memory = max(path.delay + path.order for row in model.models for path in row)
-    errors = [y - _response(model, blank.known, np.nan_to_num(u - input_mean)) for u, y in pairs]
-    bad = [_any_missing(u) for u, _ in pairs]
-    usable = [
-        np.where((_dilated(missing, memory))[:, None], np.nan, error)
-        for error, missing in zip(errors, bad, strict=True)
-    ]
-    if not any(np.isfinite(error).all(axis=1).any() for error in usable):
+    errors = [_error_once_remembered(blank, u - input_mean, y, memory=memory) for u, y in pairs]
+    if not any(np.isfinite(error).all(axis=1).any() for error in errors):
         raise BadRecord(
             f"healthy records: none is longer than the model's memory, {memory} samples, without"
             " a gap"
         )
-    output_mean = np.nanmean(np.concatenate(usable), axis=0)
+    output_mean = np.nanmean(np.concatenate(errors), axis=0)
     settled = settled_length(Q)
     impulse = Q.impulse_response(settled)
     residuals = []
-    for error in usable:
+    for error in errors:
+        # the filter remembers a gap as long as it rings
         missing = _dilated(_any_missing(error), settled)
-        residuals.append(
-            np.where(
-                missing[:, None], np.nan, filtered(impulse, np.nan_to_num(error - output_mean))
-            )
-        )
+        residual = filtered(impulse, np.nan_to_num(error - output_mean))
+        residuals.append(np.where(missing[:, None], np.nan, residual))
     return MultivariableResidual(
         model=model,
         unknown=tuple(unknown),
@@ -356,6 +351,15 @@ def design_multivariable_residual(
         input_mean=input_mean,
         output_mean=output_mean,
     )
+
+
+def _error_once_remembered(
+    design: MultivariableResidual, du: FloatArray, y: FloatArray, *, memory: int
+) -> FloatArray:
+    """y − G_u u of a record, shape (n, p), NaN where one of the last `memory` inputs is missing."""
+    missing = _dilated(_any_missing(du), memory)
+    error = y - _response(design.model, design.known, np.nan_to_num(du))
+    return np.where(missing[:, None], np.nan, error)
 
 
 def _check(
@@ -480,6 +484,7 @@ def unknown_input_decoupling(model: MultivariableModel, unknown: Sequence[str]) 
         [[path.impulse_response[late[k] :] for k, path in enumerate(row)] for row in paths],
         paths[0][0].sample_time,
     )
+    # chains of delays have a state a tap; what the observer needs of them is far smaller
     small = balanced_truncation(system, _NEGLIGIBLE * h_infinity_norm(system)[0]).system
     observer = unknown_input_observer(
         StateSpace(
@@ -491,6 +496,7 @@ def unknown_input_decoupling(model: MultivariableModel, unknown: Sequence[str]) 
         ),
         small.B,
     )
+    # directions of y that d does not reach in one step: Fᵀ C E = 0
     free = linalg.null_space((small.C @ small.B).T).T
     uio = observer.filter
     return StateSpace(uio.A, uio.B, free @ uio.C, free @ uio.D, uio.sample_time)

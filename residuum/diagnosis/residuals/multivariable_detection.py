@@ -1,4 +1,6 @@
-"""Detection and isolation on the residual of a multivariable plant: which sensor or actuator, since when, how large."""
+"""Detection and isolation on the residual of a multivariable plant: which sensor or actuator, since
+when, how large.
+"""
 
 from __future__ import annotations
 
@@ -24,11 +26,12 @@ from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
 
 IntArray = npt.NDArray[np.int64]
-LONGEST_SCAN = 1024
+LONGEST_SCAN = 1024  # samples of the longest window
+# a window is looked at each time this part of its length has passed
 _EVERY = 8
-"""A window is looked at each time this part of its length has passed."""
-_AFTER, _COARSE = 1024, 64
-_ALIKE = 3.0
+_AFTER = 1024  # samples after the alarm that tell the fault
+_COARSE = 64  # onsets that are tried first
+_ALIKE = 3.0  # of log likelihood, to the likeliest: a factor of twenty
 
 
 @dataclass(frozen=True)
@@ -177,6 +180,7 @@ class _Scan:
         """
         largest = np.zeros(self.n)
         for _, f in self.hypotheses:
+            # all windows by differences of running sums, in the residual as in the inputs
             sums = np.concatenate([[0.0], np.cumsum(self.residual.scores @ f)])
             moved = self._moved(f)
             for length, last in self._windows():
@@ -245,6 +249,7 @@ class _Scan:
             fits.append((h, onset, *values[onset]))
         likelihood = np.array([fit[4] for fit in fits])
         chosen = int(np.argmax(likelihood))
+        # equally likely beforehand: likelihoods are probabilities but for their sum
         weights = np.exp(likelihood - likelihood.max())
         alike = tuple(
             fits[k][0]

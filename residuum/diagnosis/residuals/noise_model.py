@@ -20,13 +20,14 @@ from residuum.identification.errors import BadInput, NotIdentifiable
 from residuum.identification.kernel_based.gram import RegressionSums, regression_sums
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 
-_HIGHEST_ORDER = 20
-_FEWEST = 50
+_HIGHEST_ORDER = 20  # of the autoregression
+_FEWEST = 50  # samples in a row
 _LIGHTEST_TAILS = 200.0  # degrees of freedom from which a Student t is called Gaussian
 GAUSSIAN_SHAPE = 2.0
 STEEPEST = 30.0  # β from which lighter tails are not told apart: nearly uniform
 _NODES = 60  # of the Gauss–Hermite rule; its outermost lies 14 standard deviations out
 _RAREST = -1e4  # ln of the smallest probability that is told apart, a score of 141
+# Knots of the table of scores in |ε|: heavy tails reach far out, where light ones have long ended.
 _TABLE = np.arcsinh(np.logspace(-3, 9, 400))
 _LIGHT_TABLE = np.arcsinh(np.concatenate([np.linspace(0.01, 4.0, 400), np.logspace(0.61, 9, 200)]))
 # ln of the probabilities at which a law is stood for by single values
@@ -35,9 +36,8 @@ _SLIGHT = 1e-2  # σ, to take a slope over
 # of a hazard's growth times a change of variance, below which the tail is as good as exponential
 _STRAIGHT = 1e-6
 _FURTHEST = 1e100
-_LEVELS = (
-    25  # sizes of the model error at which a limit is worked out; between them it is interpolated
-)
+# sizes of the model error at which a limit is worked out; between them it is interpolated
+_LEVELS = 25
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,9 +97,9 @@ class NoiseModel:
         """Standard deviation of σ ε (of a Student t with dof ≤ 2, which has none, its scale)."""
         if np.isinf(self.dof):
             return self.sigma * float(self._law.std())
-        return (
-            self.sigma * float(np.sqrt(self.dof / (self.dof - 2))) if self.dof > 2 else self.sigma
-        )
+        if self.dof <= 2:
+            return self.sigma
+        return self.sigma * float(np.sqrt(self.dof / (self.dof - 2)))
 
     def limit(self, rate: float, error: npt.ArrayLike = 0.0) -> FloatArray:
         """|innovation plus model error| that is exceeded at `rate` per sample, both in standard
@@ -124,12 +124,10 @@ class NoiseModel:
         error = np.asarray(error, dtype=float)
         if self.tail is None and (np.isfinite(self.dof) or self.is_gaussian):
             return np.asarray(float(self._law.isf(rate / 2.0)) / unit * np.hypot(1.0, error))
+        # each limit is a root that is searched, far too much work for every sample
         errors = np.unique(np.linspace(error.min(), error.max(), _LEVELS))
-        return np.asarray(
-            np.interp(
-                error, errors, [self._limit_with(rate, unit * size) / unit for size in errors]
-            )
-        )
+        limits = [self._limit_with(rate, unit * size) / unit for size in errors]
+        return np.asarray(np.interp(error, errors, limits))
 
     def _limit_with(self, rate: float, error: float) -> float:
         """|ε| exceeded at `rate` where the model error has this standard deviation, both in σ."""
@@ -137,6 +135,7 @@ class NoiseModel:
         further = error**2 - self.blur**2
         if further <= 0.0:
             return own + self._moved(own, further)
+        # the law as single values, one for each twentieth of a nat of its tail
         sizes, spread = self._size_at(np.exp(-_NATS)), float(np.sqrt(further))
         shares = np.exp(-_NATS) * 2.0 * np.sinh(0.5 * _APART)
 
@@ -153,10 +152,10 @@ class NoiseModel:
         0.
         """
         before, at, after = self.log_tail(size + _SLIGHT * np.array([-1.0, 0.0, 1.0]))
-        hazard, growth = (
-            float(before - after) / (2.0 * _SLIGHT),
-            float(2.0 * at - before - after) / _SLIGHT**2,
-        )
+        # slope and curvature of −ln of the tail, by central differences
+        hazard = float(before - after) / (2.0 * _SLIGHT)
+        growth = float(2.0 * at - before - after) / _SLIGHT**2
+        # h/c (√(1 + c d²) − 1) as c → 0, where its quotient loses all digits
         if growth * abs(further) < _STRAIGHT:
             return 0.5 * hazard * further
         return hazard / growth * (float(np.sqrt(max(1.0 + growth * further, 0.0))) - 1.0)
@@ -262,6 +261,7 @@ class NoiseModel:
         """
         if self.tail is None:
             return self._blurred_log_tail(epsilon)
+        # below its start the tail's law is the form's, scaled to leave it its share
         start, share = np.array([self.tail.start]), self.tail.share
         inside = 1.0 - 2.0 * np.exp(self._blurred_log_tail(np.minimum(epsilon, start)))
         inside *= (1.0 - share) / (1.0 - 2.0 * np.exp(self._blurred_log_tail(start)))
@@ -275,6 +275,7 @@ class NoiseModel:
         """
         if self.blur == 0.0 or np.isfinite(self.dof):
             return self._log_tail(epsilon)
+        # the mean over ξ by Gauss and Hermite's rule, in logarithms: far tails underflow else
         nodes, weights = np.polynomial.hermite_e.hermegauss(_NODES)
         at = epsilon[:, None] - self.blur * nodes
         tails = self._log_tail(np.abs(at))
@@ -287,6 +288,8 @@ class NoiseModel:
         """ln P(ε' > ε) for ε ≥ 0."""
         if np.isfinite(self.dof):
             return np.asarray(np.maximum(stats.t.logsf(epsilon, self.dof), _RAREST))
+        # ½ Γ(1/β, |ε|^β/β) / Γ(1/β); beyond y = 500, before it underflows, the first
+        # term of its asymptotic series
         a, y = 1.0 / self.shape, np.minimum(epsilon, -_RAREST) ** self.shape / self.shape
         far = -y + (a - 1.0) * np.log(np.maximum(y, 1.0)) - special.gammaln(a)
         near = np.log(np.maximum(special.gammaincc(a, y), np.finfo(float).tiny))
@@ -335,11 +338,13 @@ def fit_noise_model(
         raise BadInput(
             "noise model: the healthy residual does not vary; a noise size cannot be taken from it"
         )
+    # twenty samples a coefficient at least
     ar = _autoregression(stretches, min(highest_order, n // 20))
     p = len(ar) - 1
     innovations = np.concatenate(
         [np.convolve(stretch, ar)[p : len(stretch)] for stretch in stretches]
     )
+    # noise has heavier tails than Gaussian, or lighter ones, never both
     sigma, dof = _heavy_tails(innovations)
     if np.isfinite(dof):
         return NoiseModel(ar, sigma, dof, n)
@@ -415,6 +420,7 @@ def _heavy_tails(innovations: FloatArray) -> tuple[float, float]:
         return -float(len(x) * constant - (dof + 1) / 2 * np.sum(np.log1p((x / scale) ** 2 / dof)))
 
     start = np.log([float(np.median(np.abs(x))) / 0.75 + 1e-3, 6.0])
+    # 20 000 samples tell a shape; the evidence of the others is counted by `weight`
     sparse = x if len(x) <= 20000 else x[:: len(x) // 20000]
     x, weight = sparse, len(x) / len(sparse)
     fitted = optimize.minimize(
@@ -469,15 +475,14 @@ def with_unbiased_size(
         return replace(noise, freedom=_scale_freedom(noise, float(noise.n)))
     centred = sums.centred()
     explained, k = _explained(centred, model, sums.rows // _MOST)
+    # σ̂² of the docstring, as a factor on the size that the residual itself has
     left = centred.degrees_of_freedom - k - (len(noise.ar) - 1)
     power = (centred.energy - explained) / left
     size = float(np.sqrt(power / (sums.energy / sums.rows)))
     error = float(np.sqrt(np.sum(centred.gram * model.covariance) / sums.rows / power))
-    sharp = (
-        replace(noise, shape=shape_without(error, noise, residuals))
-        if noise.shape > GAUSSIAN_SHAPE
-        else noise
-    )
+    sharp = noise
+    if noise.shape > GAUSSIAN_SHAPE:
+        sharp = replace(noise, shape=shape_without(error, noise, residuals))
     unit = sharp.innovation_std / sharp.sigma
     sigma = size * noise.innovation_std / unit
     return replace(
@@ -515,8 +520,10 @@ def _sums(
     """Sums of the regression of the whitened residual on the whitened input's lags, over all
     records.
     """
-    whitened = [(np.convolve(u, noise.ar)[: len(u)], np.convolve(e, noise.ar)[: len(e)])
-                for u, e in zip(inputs, residuals, strict=True)]  # fmt: skip
+    whitened = [
+        (np.convolve(u, noise.ar)[: len(u)], np.convolve(e, noise.ar)[: len(e)])
+        for u, e in zip(inputs, residuals, strict=True)
+    ]
     parts = []
     for u, e in whitened:
         try:
@@ -603,11 +610,8 @@ def single_sample_law(
     """
     law, error = fit_noise_model(residuals, highest_order=0), float(np.sqrt(np.mean(errors**2)))
     if np.isinf(law.dof):
-        shape = (
-            shape_without(error / spread, law, residuals)
-            if law.shape > GAUSSIAN_SHAPE
-            else law.shape
-        )
-        law = replace(law, shape=shape)
+        if law.shape > GAUSSIAN_SHAPE:
+            law = replace(law, shape=shape_without(error / spread, law, residuals))
+        # the form is the residual's own, the size the one that the innovations lead to
         law = replace(law, sigma=law.sigma * spread / law.innovation_std)
     return with_healthy_tail(replace(law, blur=error / law.sigma), residuals)

@@ -51,6 +51,7 @@ STRUCTURED_P = 1e-3
 KIND, VERSION = "residual-design", 1
 _SWAPPED = 0.3  # of explained variance by which the reverse direction must win
 _RATE_TOLERANCE = 1e-3  # of a record's sample time
+# the name of the post-filter by Algorithm 5, beside those of `classical_filters`
 ROBUST = "robust"
 _NOISE_NUMBERS = ("sigma", "dof", "n", "shape", "freedom", "blur")
 _SETTLED = 1000  # samples of the post-filter's impulse response
@@ -156,13 +157,11 @@ class ResidualDesign:
         """A likelihood-ratio bank that knows how uncertain this model and its operating point
         are.
         """
-        model, level_variance = self.model, self.noise.level_variance
         return LikelihoodRatioBank(
-            1e-3,
-            model.covariance,
-            model.delay,
-            threshold=threshold,
-            level_variance=level_variance,
+            threshold,
+            self.model.covariance,
+            self.model.delay,
+            level_variance=self.noise.level_variance,
             restart=restart,
         )
 
@@ -228,31 +227,20 @@ class ResidualDesign:
             for item in fields(IdentifiedModel)
             if item.name != "bands"
         }
-        arrays = {
-            f"model-{name}": value for name, value in model.items() if isinstance(value, np.ndarray)
-        }
-        arrays |= {f"Q-{name}": getattr(self.post_filter.Q, name) for name in "ABCD"} | {
-            "noise-ar": self.noise.ar
-        }
+        arrays, numbers = _arrays_and_numbers(model)
+        arrays = {f"model-{name}": value for name, value in arrays.items()}
+        arrays |= {f"Q-{name}": getattr(self.post_filter.Q, name) for name in "ABCD"}
+        arrays["noise-ar"] = self.noise.ar
         arrays |= {f"peaks-{name}": value for name, value in self.peaks.items()}
         if self.W_T is not None:
             arrays |= {"W_T-num": self.W_T.num, "W_T-den": self.W_T.den}
-        filter_numbers = {
-            item.name: getattr(self.post_filter, item.name)
-            for item in fields(PostFilter)
-            if item.name != "Q"
-        }
+        robust_noise = None if self.robust_noise is None else _noise_numbers(self.robust_noise)
+        post_filter = {name: getattr(self.post_filter, name) for name in _FILTER_NUMBERS}
         meta = {
-            "model": {
-                name: _jsonable(value)
-                for name, value in model.items()
-                if not isinstance(value, np.ndarray)
-            },
-            "post_filter": filter_numbers,
+            "model": numbers,
+            "post_filter": post_filter,
             "noise": _noise_numbers(self.noise),
-            "robust_noise": (
-                None if self.robust_noise is None else _noise_numbers(self.robust_noise)
-            ),
+            "robust_noise": robust_noise,
             "settings": settings or {},
             "design": {name: _jsonable(getattr(self, name)) for name in _NUMBERS},
         }
@@ -270,11 +258,7 @@ class ResidualDesign:
         """The design and the settings stored with it under `kind`."""
         stored = load_stored(path, kind)
         try:
-            model_arrays: dict[str, Any] = {
-                name[6:]: value
-                for name, value in stored.arrays.items()
-                if name.startswith("model-")
-            }
+            model_arrays: dict[str, Any] = _named(stored.arrays, "model-")
             model = IdentifiedModel(
                 **{name: _number(value) for name, value in stored.meta["model"].items()},
                 **model_arrays,
@@ -293,11 +277,7 @@ class ResidualDesign:
                     if weight is None
                     else TransferFunction(weight, stored.arrays["W_T-den"], model.sample_time)
                 ),
-                peaks={
-                    name[6:]: value
-                    for name, value in stored.arrays.items()
-                    if name.startswith("peaks-")
-                },
+                peaks=_named(stored.arrays, "peaks-"),
                 **{name: _number(value) for name, value in stored.meta["design"].items()},
             )
             return design, dict(stored.meta["settings"])
@@ -308,6 +288,7 @@ class ResidualDesign:
             ) from None
 
 
+_FILTER_NUMBERS = tuple(item.name for item in fields(PostFilter) if item.name != "Q")
 _NUMBERS = (
     "method",
     "gamma",
@@ -360,8 +341,16 @@ def design_residual(
         )
         gamma = post_filter.gamma
     noise = model_noise(model)
-    bare = ResidualDesign(model=model, post_filter=post_filter, noise=noise, W_T=W_T, gamma=gamma, fault=fault,
-                          output_mean=model.offset, method=method)  # fmt: skip
+    bare = ResidualDesign(
+        model=model,
+        post_filter=post_filter,
+        noise=noise,
+        W_T=W_T,
+        gamma=gamma,
+        fault=fault,
+        output_mean=model.offset,
+        method=method,
+    )
     return with_healthy_records(bare, healthy) if healthy else bare
 
 
@@ -370,6 +359,7 @@ def model_noise(model: IdentifiedModel) -> NoiseModel:
     freedom = float(model.provenance.get("n", np.inf))
     if model.noise_numerator is None or model.noise_denominator is None:
         return NoiseModel(np.ones(1), float(np.sqrt(model.noise_variance)), freedom=freedom)
+    # H⁻¹ as an impulse response, cut where it has died out: the whitening filter
     impulse = np.concatenate([[1.0], np.zeros(200)])
     inverse = signal.lfilter(model.noise_denominator, model.noise_numerator, impulse)
     length = int(np.flatnonzero(np.abs(inverse) > 1e-6)[-1]) + 1
@@ -381,6 +371,34 @@ def with_healthy_records(design: ResidualDesign, healthy: Sequence[Record]) -> R
     for record in healthy:
         design.refuse_swapped(record)
     pairs = [design.signals_of(record) for record in healthy]
+    # Each step runs what the one before has found: the operating point before the noise about it,
+    # the noise model before the scores that it whitens, those before their healthy peaks.
+    centred = _at_operating_point(design, healthy, pairs)
+    inputs = [u - centred.input_mean for u, _ in pairs]
+    primary = [_primary(centred.generator, u, y) for u, y in pairs]
+    noise = with_unbiased_size(fit_noise_model(primary), inputs, primary, design.model)
+    whitened = _replaced(centred, noise=with_healthy_tail(noise, primary))
+    signals = [whitened.generator.run(u, y) for u, y in pairs]
+    robust_noise = _robust_noise(whitened, [u for u, _ in pairs], signals)
+    complete = _replaced(whitened, robust_noise=robust_noise)
+    return _replaced(
+        complete,
+        peaks=_healthy_peaks(complete, signals),
+        input_bound=float(np.nanmax([np.nanmax(np.abs(u)) for u in inputs])),
+        noise_bound=float(max(np.nanmax(np.abs(part)) for part in primary)),
+        structured_p=_structured_p(complete, signals),
+    )
+
+
+def _at_operating_point(
+    design: ResidualDesign,
+    healthy: Sequence[Record],
+    pairs: Sequence[tuple[FloatArray, FloatArray]],
+) -> ResidualDesign:
+    """The design with the mean input, and the output mean at which the healthy residual has none.
+
+    The model's static gain gives the output's mean but for the level that the residual then shows.
+    """
     input_mean = float(np.nanmean(np.concatenate([u for u, _ in pairs])))
     gain = float(design.model.frequency_response([0.0])[0].real)
     first = _replaced(
@@ -393,31 +411,20 @@ def with_healthy_records(design: ResidualDesign, healthy: Sequence[Record]) -> R
             f" healthy record has more on end ({', '.join(str(r.n) for r in healthy)} samples,"
             " holes counted); give longer ones, or identify a shorter response"
         )
-    level = float(np.nanmean(before))
-    centred = _replaced(first, output_mean=first.output_mean + level)
-    primary = [_primary(centred.generator, u, y) for u, y in pairs]
-    noise = with_unbiased_size(
-        fit_noise_model(primary), [u - input_mean for u, _ in pairs], primary, design.model
-    )
-    whitened = _replaced(centred, noise=with_healthy_tail(noise, primary))
-    signals = [whitened.generator.run(u, y) for u, y in pairs]
-    second = _replaced(
-        whitened, robust_noise=_robust_noise(whitened, [u for u, _ in pairs], signals)
-    )
-    peaks = {
-        name: block_peaks(
-            [evaluate(name, second.bank, part) for part in signals],
-            [part.valid for part in signals],
-        )
+    return _replaced(first, output_mean=first.output_mean + float(np.nanmean(before)))
+
+
+def _healthy_peaks(
+    design: ResidualDesign, signals: Sequence[ResidualSignals]
+) -> dict[str, FloatArray]:
+    """Peaks of every evaluation over blocks of the healthy records, for the calibrated
+    threshold.
+    """
+    valid = [part.valid for part in signals]
+    return {
+        name: block_peaks([evaluate(name, design.bank, part) for part in signals], valid)
         for name in EVALUATIONS
     }
-    return _replaced(
-        second,
-        peaks=peaks,
-        input_bound=float(np.nanmax([np.nanmax(np.abs(u - input_mean)) for u, _ in pairs])),
-        noise_bound=float(max(np.nanmax(np.abs(part)) for part in primary)),
-        structured_p=_structured_p(second, signals),
-    )
 
 
 def _robust_noise(
@@ -447,6 +454,7 @@ def _structured_p(design: ResidualDesign, signals: Sequence[ResidualSignals]) ->
         return 1.0
     expected = 0.3
     alarms = 0
+    # a bank a record: alarms of a right model are rare and nearly independent, so Poisson
     for part in signals:
         bank = design.bank(bank_threshold(min(expected / n, 0.01)))
         alarms += int(bank.process(part).alarm.sum())
@@ -457,6 +465,19 @@ def _replaced(design: ResidualDesign, **changes: Any) -> ResidualDesign:
     return ResidualDesign(
         **{item.name: getattr(design, item.name) for item in fields(design)} | changes
     )
+
+
+def _arrays_and_numbers(
+    values: Mapping[str, Any],
+) -> tuple[dict[str, FloatArray], dict[str, Any]]:
+    """Values by name, parted in what is stored as an array and what as JSON."""
+    arrays, numbers = {}, {}
+    for name, value in values.items():
+        if isinstance(value, np.ndarray):
+            arrays[name] = value
+        else:
+            numbers[name] = _jsonable(value)
+    return arrays, numbers
 
 
 def _noise_numbers(noise: NoiseModel) -> dict[str, Any]:
@@ -471,6 +492,7 @@ def _noise_of(ar: FloatArray, numbers: Mapping[str, Any]) -> NoiseModel:
 
 
 def _jsonable(value: Any) -> Any:
+    # JSON has no infinity, which bounds that are not known are
     if isinstance(value, float) and not np.isfinite(value):
         return {"float": repr(value)}
     if isinstance(value, tuple):
@@ -478,6 +500,15 @@ def _jsonable(value: Any) -> Any:
     if hasattr(value, "items"):
         return {name: _jsonable(item) for name, item in value.items()}
     return value.item() if isinstance(value, np.generic) else value
+
+
+def _named(arrays: Mapping[str, FloatArray], prefix: str) -> dict[str, FloatArray]:
+    """The arrays whose name begins so, by the rest of their name."""
+    return {
+        name.removeprefix(prefix): value
+        for name, value in arrays.items()
+        if name.startswith(prefix)
+    }
 
 
 def _number(value: Any) -> Any:

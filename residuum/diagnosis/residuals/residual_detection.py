@@ -104,6 +104,8 @@ def detect(
             f"record {record.source!r}: no stretch without a gap is longer than the model's memory,"
             f" {memory} samples"
         )
+    # a classical post-filter shows only where it is looked at itself: the other evaluations scan
+    # the whitened residual, which it does not make
     own = DEFAULT_EVALUATION[threshold] if design.method == ROBUST else "point"
     chosen = evaluation or own
     limit = _threshold(
@@ -128,6 +130,7 @@ def _threshold(
     noise_bound: float | None,
 ) -> Threshold:
     if kind == "posterior":
+        # a missing input has no error to follow: the operating point stands for it
         return posterior_threshold(
             design, np.where(np.isnan(u), design.input_mean, u), rate, evaluation
         )
@@ -155,6 +158,7 @@ def _estimate(
     design: ResidualDesign, u: FloatArray, y: FloatArray, alarm: int
 ) -> FaultEstimate | None:
     """The fault around the alarm, on the stretch without gap that holds it."""
+    # the estimator simulates, which it cannot across a gap
     broken = np.flatnonzero(np.isnan(u) | np.isnan(y))
     before, after = broken[broken < alarm], broken[broken > alarm]
     start = max(int(before[-1]) + 1 if len(before) else 0, alarm - _AROUND)

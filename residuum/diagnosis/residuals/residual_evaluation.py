@@ -12,8 +12,8 @@ from residuum.diagnosis.residuals.generators.residual_generator import ResidualS
 from residuum.diagnosis.residuals.likelihood_ratio import LikelihoodRatioBank
 from residuum.diagnosis.thresholds.false_alarm_rate import cusum
 
-RMS_WINDOW = 50
-CUSUM_REFERENCE = 0.5
+RMS_WINDOW = 50  # samples
+CUSUM_REFERENCE = 0.5  # σ: half of the step of 1 σ that the sum finds soonest
 _LAZY = 2.5  # below it the likelihood ratio need not know the model error exactly
 
 

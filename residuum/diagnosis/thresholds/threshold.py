@@ -104,11 +104,16 @@ def source_threshold(design: ResidualDesign, input_bound: float, noise_bound: fl
     against a wrong gain it can be crossed.
     """
     level = design.gamma * max(input_bound, noise_bound)
+    # what a right model's Gaussian noise would cross, either way: told, not promised
     per_sample = 2.0 * float(stats.norm.sf(level / design.robust_spread))
     return Threshold(
-        "source", "point", level, design.model.output_unit, per_sample * 86400.0 / design.model.sample_time,
+        "source",
+        "point",
+        level,
+        design.model.output_unit,
+        per_sample * 86400.0 / design.model.sample_time,
         "none: it bounds energy, not peaks; the rate is that of Gaussian noise with an exact model",
-    )  # fmt: skip
+    )
 
 
 def peak_threshold(design: ResidualDesign, input_bound: float, noise_bound: float) -> Threshold:
@@ -120,11 +125,17 @@ def peak_threshold(design: ResidualDesign, input_bound: float, noise_bound: floa
     is that only large faults exceed it.
     """
     gains = design.peak_gains
+    # the last channel of the noise path is e, those before it u
     level = float(gains[-1] * noise_bound + gains[:-1].sum() * input_bound)
     return Threshold(
-        "peak", "point", level, design.model.output_unit, 0.0,
-        f"never exceeded while healthy with |u − mean| ≤ {input_bound:.4g} and |e| ≤ {noise_bound:.4g}",
-    )  # fmt: skip
+        "peak",
+        "point",
+        level,
+        design.model.output_unit,
+        0.0,
+        f"never exceeded while healthy with |u − mean| ≤ {input_bound:.4g} and"
+        f" |e| ≤ {noise_bound:.4g}",
+    )
 
 
 def posterior_threshold(
@@ -166,7 +177,7 @@ def posterior_threshold(
 
 def calibrated(design: ResidualDesign, rate: float, evaluation: EvaluationName) -> Threshold:
     """The threshold learnt from the healthy records of the design; see
-    `healthy_reference.calibrated_threshold`.
+    `false_alarm_rate.calibrated_threshold`.
 
     Raises
     ------
@@ -203,11 +214,9 @@ def bounds(
     applied = float(np.nanmax(np.abs(u - design.input_mean)))
     known = [bound for bound in (design.input_bound, applied) if np.isfinite(bound)]
     if noise_bound is None:
-        noise_bound = (
-            design.noise_bound
-            if np.isfinite(design.noise_bound)
-            else _TYPICAL_PEAK * design.noise.innovation_std
-        )
+        noise_bound = design.noise_bound
+        if not np.isfinite(noise_bound):
+            noise_bound = _TYPICAL_PEAK * design.noise.innovation_std
     return max(known), noise_bound
 
 

@@ -15,7 +15,7 @@ from scipy.ndimage import maximum_filter1d, median_filter
 
 from residuum.array_types import AnyArray
 from residuum.diagnosis.vibration.sensor_health import strongest_line
-from residuum.diagnosis.vibration.spectra import envelope_of_spectrum, padded_spectrum
+from residuum.diagnosis.vibration.spectra import PaddedSpectrum
 from residuum.identification.errors import BadInput
 from residuum.nearest_names import known_names
 
@@ -55,7 +55,8 @@ class BearingFrequencies:
         When it is not known but BPFI, BPFO and FTF are, it follows: BPFO = N FTF gives N, BPFI = N
         (f_shaft − FTF) the shaft.
 
-        >>> round(BearingFrequencies.from_hertz({"bpfi": 162.1, "bpfo": 107.3, "ftf": 11.92}).shaft, 1)
+        >>> hertz = {"bpfi": 162.1, "bpfo": 107.3, "ftf": 11.92}
+        >>> round(BearingFrequencies.from_hertz(hertz).shaft, 1)
         29.9
         """
         lines = {name: value for name, value in hertz.items() if name != "shaft"}
@@ -276,29 +277,15 @@ def _evidence(
     bands, flattened = _bands(rate, fastest)
     if tonal:
         bands, flattened = [], bands
-    spectra = averaged_spectra(
-        x, rate, bands, length, LINES_OF_A_FAMILY * float(grid[-1]), flattened
-    )
+    reach = LINES_OF_A_FAMILY * float(grid[-1])
+    spectra = averaged_spectra(x, rate, bands, length, reach, flattened)
     bands += flattened
     floored = [
         _Floored.of(spectrum, rate / length, high - low, frequencies.shaft)
         for spectrum, (low, high) in zip(spectra, bands, strict=True)
     ]
-    scores, depths = (
-        np.array(part) for part in zip(*(floor.families(grid) for floor in floored), strict=True)
-    )
-    prominence = _prominence(scores, scores, control)
-    by_line = {}
-    for name, variants in centres.items():
-        cleaned = prominence.copy()
-        if (
-            max(prominence[:, int(np.abs(grid - f).argmin())].max() for f in variants)
-            > _WORTH_CLEANING
-        ):
-            for f in variants:
-                _clean(cleaned, floored, scores, grid, control, f, frequencies)
-        by_line[name] = _best(variants, grid, bands, cleaned, scores, depths)
-    return by_line
+    searched = _Searched.of(grid, control, bands, floored, frequencies)
+    return {name: searched.evidence(variants) for name, variants in centres.items()}
 
 
 def _bands(
@@ -323,63 +310,105 @@ def _prominence(scores: AnyArray, of_controls: AnyArray, control: AnyArray) -> A
     T = maximum_filter1d(scores, window, axis=1)
     T_controls = T if of_controls is scores else maximum_filter1d(of_controls, window, axis=1)
     middle, decile = np.quantile(T_controls[:, control], [0.5, 0.9], axis=1)
+    # where the controls hardly scatter a decile would make any line prominent: half a nat at least
     return np.asarray((T - middle[:, None]) / np.maximum(decile - middle, 0.5)[:, None])
 
 
-def _clean(
-    prominence: AnyArray,
-    floored: list[_Floored],
-    scores: AnyArray,
-    grid: AnyArray,
-    control: AnyArray,
-    f: float,
-    frequencies: BearingFrequencies,
-) -> None:
-    """Judge a family in its best bands against controls that do not contain its own lines.
+@dataclass(frozen=True, eq=False)
+class _Searched:
+    """What every band shows at every frequency of a grid.
 
-    The harmonics of a strong fault and their sidebands are lines of many control frequencies too:
-    the stronger the fault, the less it would stand out from them.
+    Attributes
+    ----------
+    grid : array, shape (frequencies,)
+        Geometric [Hz].
+    control : array of bool, shape (frequencies,)
+        Which of them nothing known explains.
+    bands : list of (low, high) [Hz]
+    floored : list of _Floored, one a band
+    scores, depths, prominence : array, shape (bands, frequencies)
+        T(f), the modulation depth, and T(f) in deciles of the controls.
+    frequencies : BearingFrequencies
     """
-    j = int(np.abs(grid - f).argmin())
-    near = np.flatnonzero(np.abs(grid / f - 1) <= SLIP)
-    sides = [side for side in (frequencies.shaft, frequencies.lines.get("ftf")) if side]
-    for band in np.argsort(-prominence[:, j])[:_BANDS_CLEANED]:
-        own = float(grid[near[scores[band, near].argmax()]])
-        without, _ = floored[band].without(own, sides).families(grid)
-        again = _prominence(scores[band : band + 1], without[None, :], control)
-        prominence[band, j] = max(prominence[band, j], again[0, j])
 
+    grid: AnyArray
+    control: AnyArray
+    bands: list[tuple[float, float]]
+    floored: list[_Floored]
+    scores: AnyArray
+    depths: AnyArray
+    prominence: AnyArray
+    frequencies: BearingFrequencies
 
-def _best(
-    centres: list[float],
-    grid: AnyArray,
-    bands: list[tuple[float, float]],
-    prominence: AnyArray,
-    scores: AnyArray,
-    depths: AnyArray,
-) -> LineEvidence:
-    """The best band, and the best variant of the fundamental.
+    @classmethod
+    def of(
+        cls,
+        grid: AnyArray,
+        control: AnyArray,
+        bands: list[tuple[float, float]],
+        floored: list[_Floored],
+        frequencies: BearingFrequencies,
+    ) -> _Searched:
+        families = [floor.families(grid) for floor in floored]
+        scores = np.array([T for T, _ in families])
+        depths = np.array([depth for _, depth in families])
+        prominence = _prominence(scores, scores, control)
+        return cls(grid, control, bands, floored, scores, depths, prominence, frequencies)
 
-    Looking at two variants for one part finds chance lines twice as often. The scores of chance
-    fall from one half at the median (0 deciles) to a tenth at 1 decile, by a factor of five a
-    decile: that is what so many looks cost.
-    """
-    candidates, looks = [], float(np.log(len(centres)) / np.log(5.0))
-    for centre in centres:
-        j = int(np.abs(grid - centre).argmin())
-        band = int(prominence[:, j].argmax())
-        near = np.flatnonzero(np.abs(grid / centre - 1) <= SLIP)
-        at = int(near[scores[band, near].argmax()])
-        candidates.append(
-            LineEvidence(
-                float(prominence[band, j]) - looks,
-                float(depths[band, at]),
-                float(grid[at]),
-                centre,
-                *bands[band],
+    def evidence(self, centres: list[float]) -> LineEvidence:
+        """The best band of a family, and the best variant of its fundamental [Hz].
+
+        Looking at two variants for one part finds chance lines twice as often. The scores of chance
+        fall from one half at the median (0 deciles) to a tenth at 1 decile, by a factor of five a
+        decile: that is what so many looks cost.
+        """
+        prominence = self._cleaned(centres)
+        looks = float(np.log(len(centres)) / np.log(5.0))
+        candidates = []
+        for centre in centres:
+            j = self._index(centre)
+            band = int(prominence[:, j].argmax())
+            at = self._strongest(band, centre)
+            candidates.append(
+                LineEvidence(
+                    float(prominence[band, j]) - looks,
+                    float(self.depths[band, at]),
+                    float(self.grid[at]),
+                    centre,
+                    *self.bands[band],
+                )
             )
-        )
-    return max(candidates, key=lambda evidence: evidence.prominence)
+        return max(candidates, key=lambda evidence: evidence.prominence)
+
+    def _cleaned(self, centres: list[float]) -> AnyArray:
+        """The prominence of a family in its best bands against controls that do not contain its own
+        lines.
+
+        The harmonics of a strong fault and their sidebands are lines of many control frequencies
+        too: the stronger the fault, the less it would stand out from them.
+        """
+        prominence = self.prominence.copy()
+        largest = max(prominence[:, self._index(f)].max() for f in centres)
+        if largest <= _WORTH_CLEANING:
+            return prominence
+        sides = [self.frequencies.shaft, self.frequencies.lines.get("ftf")]
+        for f in centres:
+            j = self._index(f)
+            for band in np.argsort(-prominence[:, j])[:_BANDS_CLEANED]:
+                own = float(self.grid[self._strongest(band, f)])
+                floored = self.floored[band].without(own, [side for side in sides if side])
+                scores, _ = floored.families(self.grid)
+                again = _prominence(self.scores[band : band + 1], scores[None, :], self.control)
+                prominence[band, j] = max(prominence[band, j], again[0, j])
+        return prominence
+
+    def _index(self, f: float) -> int:
+        return int(np.abs(self.grid - f).argmin())
+
+    def _strongest(self, band: int, f: float) -> int:
+        """Where within the tolerance about f the family scores best in a band."""
+        near = np.flatnonzero(np.abs(self.grid / f - 1) <= SLIP)
+        return int(near[self.scores[band, near].argmax()])
 
 
 def division(rate: float) -> list[tuple[float, float]]:
@@ -409,17 +438,16 @@ def averaged_spectra(
     """
     step = max(1, length // 2, (x.shape[0] - length) // _MOST_SEGMENTS)
     starts = range(0, x.shape[0] - length + 1, step)
+    count = int(2 * length * reach / rate) + 2  # lines up to `reach`
     sums: list[AnyArray] = []
     for start in starts:
-        spectrum, padded = padded_spectrum(x[start : start + length])
-        powers = []
-        flat = _flat(spectrum) if flattened else spectrum
-        for part, divided in ((spectrum, bands), (flat, flattened)):
-            for low, high in divided:
-                envelope = envelope_of_spectrum(part, padded, length, rate, low, high)
-                powers.append(
-                    _normalised_power(envelope.values, int(2 * length * reach / rate) + 2)
-                )
+        spectrum = PaddedSpectrum.of(x[start : start + length], rate)
+        flat = replace(spectrum, lines=_flat(spectrum.lines)) if flattened else spectrum
+        looked_at = [(spectrum, *band) for band in bands] + [(flat, *band) for band in flattened]
+        powers = [
+            _normalised_power(part.envelope(low, high).values, count)
+            for part, low, high in looked_at
+        ]
         sums = (
             powers
             if not sums

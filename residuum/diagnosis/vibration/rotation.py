@@ -73,7 +73,7 @@ def align_clocks(
 
     Parameters
     ----------
-    reference, other : arrays of pulse times [s]
+    reference, aligned : arrays of pulse times [s]
     expected_offset : float
         First guess of the offset [s].
 
@@ -432,7 +432,7 @@ _WORDS = ("speed", "rpm", "drehzahl")
 _SAME = 0.005  # of the speed: two channels that differ by less tell of one shaft
 
 
-def turns_per_minute(values: npt.ArrayLike, unit: str, *, what: str = "speed") -> FloatArray:
+def turns_per_minute(values: npt.ArrayLike, unit: str, *, subject: str = "speed") -> FloatArray:
     """Values of a channel that is said to be a speed of rotation [rpm].
 
     A unit that names an angle (rad/s, °/s, rpm) is converted; one that only counts in time (Hz,
@@ -445,11 +445,11 @@ def turns_per_minute(values: npt.ArrayLike, unit: str, *, what: str = "speed") -
     """
     if not is_turning(unit):
         raise BadInput(
-            f"{what}: {unit!r} is no unit of a speed of rotation; known are rpm, 1/min, Hz, 1/s,"
+            f"{subject}: {unit!r} is no unit of a speed of rotation; known are rpm, 1/min, Hz, 1/s,"
             " rad/s, °/s"
         )
     if "radian" in parse_unit(unit).base:
-        return convert(values, unit, "rpm", what=what)
+        return convert(values, unit, "rpm", what=subject)
     return np.asarray(values, dtype=float) * (60.0 * parse_unit(unit).scale)
 
 
@@ -490,7 +490,7 @@ def speed_in_rpm(record: Record, name: str) -> FloatArray:
     """The magnitude of the shaft's speed at every sample [rpm], shape (n,); missing samples stay
     missing.
     """
-    return np.abs(turns_per_minute(record[name], record.units[name], what=f"channel {name!r}"))
+    return np.abs(turns_per_minute(record[name], record.units[name], subject=f"channel {name!r}"))
 
 
 def only_speed_channel(record: Record) -> str | None:

@@ -50,6 +50,20 @@ def unusable(x: npt.ArrayLike, shortest: int = 128) -> str | None:
     'the accelerometer is dead: all 1000 samples are equal to 0'
     """
     x = np.asarray(x)
+    # each question presumes that those before it found nothing, no missing sample above all
+    return (
+        _holds_no_signal(x, shortest)
+        or _frozen(x)
+        or _repeated(x)
+        or _coarse(x)
+        or _clipped(x)
+        or _stuck_value(x)
+        or _interfered(x)
+    )
+
+
+def _holds_no_signal(x: AnyArray, shortest: int) -> str | None:
+    """Too short, with a gap, dead, or of values that no accelerometer gives."""
     n = x.shape[0]
     if n < shortest:
         return f"the window is too short: {n} samples; at least {shortest} are needed"
@@ -60,20 +74,33 @@ def unusable(x: npt.ArrayLike, shortest: int = 128) -> str | None:
         return f"the accelerometer is dead: all {n} samples are equal to {low:g}"
     if not _LEAST_SPAN < high - low < 1 / _LEAST_SPAN:
         return f"no accelerometer reads this: all samples lie between {low:g} and {high:g}"
-    if (run := _longest_run(x)) > max(_FLAT_SHARE * n, 64):
+    return None
+
+
+def _frozen(x: AnyArray) -> str | None:
+    run = _longest_run(x)
+    if run > max(_FLAT_SHARE * x.shape[0], 64):
         return f"the accelerometer froze: {run} samples in a row are equal"
-    if reason := _repeated(x) or _coarse(x):
-        return reason
-    if (share := clipped_share(x)) > 0:
+    return None
+
+
+def _clipped(x: AnyArray) -> str | None:
+    share = clipped_share(x)
+    if share > 0:
+        low, high = float(x.min()), float(x.max())
         return (
             f"the signal is clipped: {100 * share:.2g} % of the samples stand at the range's end"
             f" {low:g} … {high:g}"
         )
-    if reason := _stuck_value(x):
-        return reason
-    if (spikes := spike_places(x)).size > _SPIKES * n:
+    return None
+
+
+def _interfered(x: AnyArray) -> str | None:
+    """More spikes of single samples than may be left out as an accident."""
+    spikes = spike_places(x).size
+    if spikes > _SPIKES * x.shape[0]:
         return (
-            f"{spikes.size} single samples stand far beside their neighbours: a loose contact or"
+            f"{spikes} single samples stand far beside their neighbours: a loose contact or"
             " interference, no vibration"
         )
     return None
@@ -93,13 +120,15 @@ def suspect(x: npt.ArrayLike, sampling_rate: float, shaft: float | None = None) 
       this is not judged).
 
     >>> t = np.arange(12000) / 12000
-    >>> suspect(np.random.default_rng(0).standard_normal(12000) + 3 * np.cos(2 * np.pi * 50 * t), 12000)
+    >>> noise = np.random.default_rng(0).standard_normal(12000)
+    >>> suspect(noise + 3 * np.cos(2 * np.pi * 50 * t), 12000)
     'mains hum: 82 % of the power lies at 50 Hz and its odd harmonics'
     """
     signal: AnyArray = np.asarray(x, dtype=float)
     return (
         _drift(signal)
         or _silent(signal, sampling_rate)
+        or _too_slow(sampling_rate)
         or _power_elsewhere(signal, sampling_rate, shaft)
     )
 
@@ -131,32 +160,43 @@ def _silent(signal: AnyArray, sampling_rate: float) -> str | None:
     return f"the sensor is silent for {seconds:.3g} s of {whole:.3g} s, {below}"
 
 
+def _too_slow(sampling_rate: float) -> str | None:
+    """A record of so few samples a second that all it can hold lies below 10 Hz."""
+    if sampling_rate * _SKI_SLOPE > 2 * _SLOW:
+        return None
+    return (
+        f"{sampling_rate:.6g} samples a second hold no vibration above {sampling_rate / 2:.6g} Hz;"
+        f" if the rate was meant in kHz, say {1000 * sampling_rate:.6g} Hz"
+    )
+
+
 def _power_elsewhere(signal: AnyArray, sampling_rate: float, shaft: float | None) -> str | None:
-    """Most of the power below 10 Hz, or in the lines of the mains; a record too slow to tell holds
-    no vibration.
-    """
-    if sampling_rate * _SKI_SLOPE <= 2 * _SLOW:
-        low, above = f"{sampling_rate:.6g} samples a second", f"{sampling_rate / 2:.6g} Hz"
-        return (
-            f"{low} hold no vibration above {above}; if the rate was meant in kHz, say"
-            f" {1000 * sampling_rate:.6g} Hz"
-        )
+    """Most of the power below 10 Hz, or in the lines of the mains."""
     n = signal.shape[0]
     power = np.abs(fft.rfft((signal - signal.mean()) * np.hanning(n))) ** 2
     total, df = float(power.sum()), sampling_rate / n
+    # of windows under 0.2 s the first lines reach 10 Hz by their own width
     if df < 5.0 and power[: int(_SLOW / df) + 1].sum() > _SKI_SLOPE * total:
         return "the sensor is loose or overloaded: over 80 % of the power lies below 10 Hz"
     for mains in _MAINS:
-        if df > mains / 10 or (shaft and abs(shaft / mains - 1) < 0.04):
+        turns_at_mains = shaft and abs(shaft / mains - 1) < 0.04
+        if df > mains / 10 or turns_at_mains:
             continue
-        lines = [round(k * mains / df) for k in (1, 3, 5, 7) if k * mains < sampling_rate / 2]
-        share = sum(float(power[max(0, line - 2) : line + 3].sum()) for line in lines) / total
+        share = _power_of_hum(power, df, mains, sampling_rate / 2) / total
         if share > _HUM:
             return (
                 f"mains hum: {100 * share:.0f} % of the power lies at {mains:.0f} Hz and its odd"
                 " harmonics"
             )
     return None
+
+
+def _power_of_hum(power: AnyArray, df: float, mains: float, nyquist: float) -> float:
+    """Power in the mains' odd harmonics, each two lines wide either side: a Hann window spreads a
+    line so far.
+    """
+    lines = [round(k * mains / df) for k in (1, 3, 5, 7) if k * mains < nyquist]
+    return sum(float(power[max(0, line - 2) : line + 3].sum()) for line in lines)
 
 
 def changed_gain(healthy: npt.ArrayLike, current: npt.ArrayLike) -> float | None:
@@ -215,8 +255,9 @@ def not_heard(
 
     Examples
     --------
-    >>> not_heard([1, 1, 1, 1], [1, 1, 0.01, 0.01], [10, 100, 500, 1000, 2000])
-    'above 500 Hz less than a tenth of the healthy level is heard: the mounting is loose, or a filter keeps it away'
+    >>> why = not_heard([1, 1, 1, 1], [1, 1, 0.01, 0.01], [10, 100, 500, 1000, 2000])
+    >>> why.partition(":")[0]
+    'above 500 Hz less than a tenth of the healthy level is heard'
     """
     ratio = np.asarray(current, dtype=float) / np.asarray(healthy, dtype=float)
     if (ratio < _QUIET).all():
@@ -248,7 +289,8 @@ def without_spikes(x: npt.ArrayLike) -> tuple[AnyArray, int]:
 
     Parameters
     ----------
-    x : array, shape (n,), no missing samples; float32 stays float32; not copied when there is no spike
+    x : array, shape (n,), no missing samples
+        float32 stays float32; not copied when there is no spike.
 
     Examples
     --------

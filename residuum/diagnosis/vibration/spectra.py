@@ -15,7 +15,7 @@ import numpy.typing as npt
 from scipy import fft
 
 from residuum.array_types import AnyArray, FloatArray
-from residuum.diagnosis.residuals.filter_bank import (
+from residuum.diagnosis.vibration.filter_bank import (
     TAPS_OF_THIRDS,
     halves,
     length_of_half,
@@ -230,55 +230,62 @@ def band_envelope(
     >>> round(float(amplitude[0]), 6), float(frequency[1:][np.argmax(amplitude[1:])])
     (3.0, 10.0)
     """
-    x = np.asarray(x)
-    spectrum, padded = padded_spectrum(x)
-    return envelope_of_spectrum(
-        spectrum, padded, x.shape[0], sampling_rate, low, high, decimate=decimate
-    )
+    return PaddedSpectrum.of(np.asarray(x), sampling_rate).envelope(low, high, decimate=decimate)
 
 
-def padded_spectrum(x: AnyArray) -> tuple[AnyArray, int]:
-    """rfft of a signal at a length without large prime factors (of a long one all but the last
-    line), and that length.
+@dataclass(frozen=True, eq=False)
+class PaddedSpectrum:
+    """Spectrum of a real signal at a length without large prime factors, for many bands of it.
+
+    Attributes
+    ----------
+    lines : array, shape (padded / 2 or one more,), complex
+        From 0 Hz on; of a long signal all but the last one.
+    padded, n : int
+        Length after padding with zeros, and the signal's own.
+    sampling_rate : float
+        [Hz]
     """
-    if x.shape[0] >= LONG:
-        padded = length_for_long(x.shape[0])
-        return (
-            long_rfft(x if x.dtype == np.float32 else np.asarray(x, dtype=np.float64), padded),
-            padded,
-        )
-    padded = fft.next_fast_len(x.shape[0], real=True)
-    return np.asarray(fft.rfft(x, padded)), padded
 
+    lines: AnyArray
+    padded: int
+    n: int
+    sampling_rate: float
 
-def envelope_of_spectrum(
-    spectrum: AnyArray,
-    padded: int,
-    n: int,
-    sampling_rate: float,
-    low: float,
-    high: float,
-    *,
-    decimate: bool = True,
-) -> Envelope:
-    """`band_envelope` of a signal of n samples from its `padded_spectrum` (for many bands of one
-    signal).
-    """
-    if not 0 <= low < high <= sampling_rate / 2 * (1 + 1e-9):
-        raise BadInput(f"band {low:g} … {high:g} Hz: must lie inside 0 … {sampling_rate / 2:g} Hz")
-    first = max(1, int(np.ceil(low * padded / sampling_rate)))
-    last = min(int(np.ceil(high * padded / sampling_rate)), spectrum.shape[0])
-    if last - first < 4:
-        raise BadInput(
-            f"band {low:g} … {high:g} Hz: is narrower than four lines of"
-            f" {sampling_rate / padded:g} Hz"
-        )
-    m = min(fft.next_fast_len(_OVERSAMPLING * (last - first)), padded) if decimate else padded
-    band = np.zeros(m, spectrum.dtype)
-    band[: last - first] = spectrum[first:last]
-    analytic = fft.ifft(band, overwrite_x=True)[: max(1, n * m // padded)]
-    scale = analytic.real.dtype.type(2 * m / padded)
-    return Envelope(np.abs(analytic) * scale, sampling_rate * m / padded, float(low), float(high))
+    @classmethod
+    def of(cls, x: AnyArray, sampling_rate: float) -> PaddedSpectrum:
+        """Of a signal, shape (n,); float32 stays in single precision."""
+        n = x.shape[0]
+        if n >= LONG:
+            padded = length_for_long(n)
+            x = x if x.dtype == np.float32 else np.asarray(x, dtype=np.float64)
+            return cls(long_rfft(x, padded), padded, n, sampling_rate)
+        padded = fft.next_fast_len(n, real=True)
+        return cls(np.asarray(fft.rfft(x, padded)), padded, n, sampling_rate)
+
+    def envelope(self, low: float, high: float, *, decimate: bool = True) -> Envelope:
+        """`band_envelope` of the signal.
+
+        The band's lines, moved down to 0 Hz, are the spectrum of the analytic signal but for its
+        centre frequency, which the modulus does not see.
+        """
+        rate, padded = self.sampling_rate, self.padded
+        if not 0 <= low < high <= rate / 2 * (1 + 1e-9):
+            raise BadInput(f"band {low:g} … {high:g} Hz: must lie inside 0 … {rate / 2:g} Hz")
+        first = max(1, int(np.ceil(low * padded / rate)))
+        last = min(int(np.ceil(high * padded / rate)), self.lines.shape[0])
+        if last - first < 4:
+            raise BadInput(
+                f"band {low:g} … {high:g} Hz: is narrower than four lines of {rate / padded:g} Hz"
+            )
+        m = min(fft.next_fast_len(_OVERSAMPLING * (last - first)), padded) if decimate else padded
+        band = np.zeros(m, self.lines.dtype)
+        band[: last - first] = self.lines[first:last]
+        # what lies beyond the signal's own length is the envelope of the padding
+        analytic = fft.ifft(band, overwrite_x=True)[: max(1, self.n * m // padded)]
+        # twice, since an analytic signal has the lines of positive frequency alone
+        scale = analytic.real.dtype.type(2 * m / padded)
+        return Envelope(np.abs(analytic) * scale, rate * m / padded, float(low), float(high))
 
 
 # The kurtogram: in which frequency band, and at which width, is a signal most impulsive?
@@ -422,7 +429,7 @@ def kurtogram(
     where the band just holds the resonance.
 
     When it fails: a few random impacts fool it (K grows with rarity), and at low signal-to-noise
-    ratio a narrow band wins by chance; see `band_selection` for remedies.
+    ratio a narrow band wins by chance; see `benchmarks/peers/band_selection.py` for remedies.
 
     Parameters
     ----------

@@ -277,7 +277,8 @@ class Indicators:
     Attributes
     ----------
     rms : √(E x²), in the signal's unit, mean included
-    kurtosis : E(x − μ)⁴ / (E(x − μ)²)²; 3 for a Gaussian signal, 3.245 for the envelope of Gaussian noise; NaN when x is constant
+    kurtosis : E(x − μ)⁴ / (E(x − μ)²)²
+        3 for a Gaussian signal, 3.245 for the envelope of Gaussian noise; NaN when x is constant.
     peak : max |x|
     crest : peak / rms; NaN for silence
     impulsiveness : peak / E|x| (impulse factor); NaN for silence

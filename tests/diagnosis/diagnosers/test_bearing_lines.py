@@ -17,7 +17,7 @@ from residuum.diagnosis.vibration.bearing_lines import (
     line_evidence,
     orders_from_geometry,
 )
-from residuum.diagnosis.vibration.bearings.moving_lines import faulty_bearing
+from residuum.diagnosis.vibration.moving_lines import faulty_bearing
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
 

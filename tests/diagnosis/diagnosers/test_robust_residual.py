@@ -129,7 +129,7 @@ def test_chosen_false_alarm_rate_is_met(noise, slack):
     n, rate = 600_000, 1e-4  # some sixty alarms
     scores = fitted.normal_scores(np.nan_to_num(fitted.whiten(white(n))))
     template = signal.lfilter([1.0], [1.0, -0.9], rng.standard_normal(n))
-    bank = LikelihoodRatioBank(rate, np.zeros((1, 1)), 1)
+    bank = LikelihoodRatioBank(bank_threshold(rate), np.zeros((1, 1)), 1)
     alarms = bank.process(
         ResidualSignals(scores, scores, scores, template, template, np.ones(n, dtype=bool))
     ).alarm.sum()
@@ -141,7 +141,7 @@ def test_a_residual_a_million_times_too_large_alarms_and_no_more(sign):
     scores, zero = np.random.default_rng(31).standard_normal(400), np.zeros(400)
     scores[200:] += sign * 1e6
     signals = ResidualSignals(scores, scores, scores, zero, zero, np.ones(400, dtype=bool))
-    bank = LikelihoodRatioBank(1e-6, np.zeros((1, 1)), 1)
+    bank = LikelihoodRatioBank(bank_threshold(1e-6), np.zeros((1, 1)), 1)
     assert int(np.argmax(bank.process(signals).alarm)) == 200
 
 
@@ -159,7 +159,7 @@ def test_the_bank_allows_for_model_error_but_not_for_faults():
         signals = ResidualSignals(e, e, np.where(valid, e, 0.0), np.zeros(n), u, valid)
         alarms.append(
             [
-                LikelihoodRatioBank(1e-6, c, 1).process(signals).alarm.any()
+                LikelihoodRatioBank(bank_threshold(1e-6), c, 1).process(signals).alarm.any()
                 for c in (covariance, 0 * covariance)
             ]
         )
@@ -349,7 +349,7 @@ def test_an_offset_of_one_sigma_is_found_as_fast_as_by_a_cusum_made_for_it():
     for seed in range(150):
         scores = np.random.default_rng([seed, 13]).standard_normal(n) + (np.arange(n) >= onset)
         nothing, valid = np.zeros(n), np.ones(n, dtype=bool)
-        bank = LikelihoodRatioBank(rate, np.zeros((1, 1)), 1)
+        bank = LikelihoodRatioBank(bank_threshold(rate), np.zeros((1, 1)), 1)
         ours = bank.process(ResidualSignals(scores, scores, scores, nothing, nothing, valid)).alarm
         theirs = cusum(scores, valid, 0.5, h).alarm != 0
         delays.append([np.argmax(ours[onset:]), np.argmax(theirs[onset:])])
@@ -447,7 +447,7 @@ def test_bounded_noise_gives_away_no_power():
                 np.nan_to_num(fitted.whiten(draw(600) + 0.7 * (np.arange(600) >= 200)))
             )
             zero, valid = np.zeros(600), np.ones(600, dtype=bool)
-            bank = LikelihoodRatioBank(1e-6, np.zeros((1, 1)), 1)
+            bank = LikelihoodRatioBank(bank_threshold(1e-6), np.zeros((1, 1)), 1)
             found.append(
                 int(
                     np.argmax(

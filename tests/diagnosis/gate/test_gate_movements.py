@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from residuum.diagnosis.diagnosers.gate_actuator import example_record
 from residuum.diagnosis.gate.actuator_model import (
     ActuatorConstants,
     adapt,
@@ -13,7 +14,6 @@ from residuum.diagnosis.gate.actuator_model import (
     from_data_sheet,
 )
 from residuum.diagnosis.gate.movements import Direction, Movement, cut_movements, flat_part
-from residuum.diagnosis.gate.scored_movement import example_record
 from residuum.identification.errors import BadInput, NotIdentifiable
 from residuum.identification.record import Record
 

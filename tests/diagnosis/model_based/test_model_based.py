@@ -10,7 +10,7 @@ from scipy import signal
 
 from residuum.diagnosis.diagnosers.model_based import ModelBased
 from residuum.diagnosis.finding import Verdict
-from residuum.diagnosis.model_based.assessment import detected, seen_window
+from residuum.diagnosis.model_based.assessment import detected, estimated_window
 from residuum.diagnosis.model_based.baseline import Baseline
 from residuum.diagnosis.model_based.training import Undetermined
 from residuum.diagnosis.model_based.variant import Variant, edited, shifted
@@ -241,8 +241,8 @@ def test_relearned_it_still_lacks_what_it_lacked_and_an_accepted_model_takes_its
 
 def test_an_offset_is_held_against_that_of_healthy_windows(watched):
     record, b = axis_windows(6)[0][22], watched.baseline
-    seen = seen_window(b, record)
-    moved = seen_window(b, changed(record, velocity=record["velocity"] + 0.01))
+    seen = estimated_window(b, record)
+    moved = estimated_window(b, changed(record, velocity=record["velocity"] + 0.01))
     assert moved.offsets[0][1] - seen.offsets[0][1] == pytest.approx(0.01, rel=0.05)
     untold = (moved.offsets[0], 1e-12 * moved.offsets[1])
     healthy, faulty, open_ = (

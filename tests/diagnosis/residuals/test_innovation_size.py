@@ -5,7 +5,7 @@ import pytest
 from scipy import signal, stats
 
 from residuum.diagnosis.residuals.generators.residual_generator import ResidualSignals
-from residuum.diagnosis.residuals.likelihood_ratio import LikelihoodRatioBank
+from residuum.diagnosis.residuals.likelihood_ratio import LikelihoodRatioBank, bank_threshold
 from residuum.diagnosis.residuals.noise_model import NoiseModel, with_unbiased_size
 from residuum.diagnosis.residuals.residual_design import design_residual
 from residuum.diagnosis.thresholds.false_alarm_rate import BLOCK, calibrated_threshold
@@ -61,14 +61,15 @@ def test_the_bank_allows_for_the_operating_points_error_but_not_for_faults():
             scores, scores, scores, np.zeros(n), np.zeros(n), np.ones(n, dtype=bool)
         )
         banks = [
-            LikelihoodRatioBank(1e-6, np.zeros((1, 1)), 1, level_variance=v) for v in (0.15**2, 0.0)
+            LikelihoodRatioBank(bank_threshold(1e-6), np.zeros((1, 1)), 1, level_variance=v)
+            for v in (0.15**2, 0.0)
         ]
         known.append([bank.process(signals).alarm.any() for bank in banks])
     allowed, ignored = np.sum(known, axis=0)
     assert allowed == 0 and ignored >= 5
     scores[n // 2 :] += 2.0
     assert (
-        LikelihoodRatioBank(1e-6, np.zeros((1, 1)), 1, level_variance=0.15**2)
+        LikelihoodRatioBank(bank_threshold(1e-6), np.zeros((1, 1)), 1, level_variance=0.15**2)
         .process(signals)
         .alarm[n // 2 : n // 2 + 30]
         .any()

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import fft, signal
 
-from residuum.diagnosis.residuals import filter_bank
+from residuum.diagnosis.vibration import filter_bank
 from residuum.diagnosis.vibration.spectra import band_envelope, kurtogram
 from residuum.diagnosis.vibration.vibration_indicators import indicators
 from residuum.identification.errors import BadInput

@@ -5,7 +5,7 @@ import pytest
 
 from residuum.diagnosis.diagnosers.bearing import Bearing
 from residuum.diagnosis.finding import Verdict
-from residuum.diagnosis.vibration.bearings.moving_lines import faulty_bearing
+from residuum.diagnosis.vibration.moving_lines import faulty_bearing
 from residuum.diagnosis.vibration.vibration_indicators import LONGEST, blocks_of, score_in_blocks
 from residuum.identification.record import Record
 

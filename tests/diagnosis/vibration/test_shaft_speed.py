@@ -7,7 +7,7 @@ import pytest
 
 from residuum.diagnosis.diagnosers.bearing import Bearing
 from residuum.diagnosis.finding import Verdict
-from residuum.diagnosis.vibration.bearings.moving_lines import faulty_bearing, moving_line
+from residuum.diagnosis.vibration.moving_lines import faulty_bearing, moving_line
 from residuum.diagnosis.vibration.rotation import (
     is_turning,
     speed_channel,

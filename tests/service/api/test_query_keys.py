@@ -8,7 +8,7 @@ import httpx
 import numpy as np
 import pytest
 
-from residuum.diagnosis.vibration.bearings.moving_lines import faulty_bearing
+from residuum.diagnosis.vibration.moving_lines import faulty_bearing
 from tests.identification.record_formats.left_open import LEFT_OPEN
 
 ORDERS = {"bpfi": 5.4152, "bpfo": 3.5848, "bsf": 2.357, "ftf": 0.398}

@@ -5,9 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from residuum.diagnosis.diagnosers.gate_actuator import GateActuator
+from residuum.diagnosis.diagnosers.gate_actuator import GateActuator, example_record
 from residuum.diagnosis.diagnosers.robust_residual import RobustResidual
-from residuum.diagnosis.gate.scored_movement import example_record
 from residuum.diagnosis.learning.labels_file import read_labels
 from residuum.identification.errors import BadInput
 from residuum.identification.record_formats.npz import write_npz

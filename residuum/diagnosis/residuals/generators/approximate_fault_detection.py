@@ -122,7 +122,8 @@ def approximate_fault_detection(
         * input_level
         * h_infinity_norm(StateSpace.from_transfer_function(W_T))[0]
     )
-    return _verified(reduced, noise, exact, left_out, small, fault, gamma)
+    fault_path = small.M if fault == "sensor" else small.N
+    return _verified(reduced, noise, exact, left_out, fault_path, gamma)
 
 
 def noise_path(
@@ -149,12 +150,15 @@ def _check(
         raise BadModel(f"approximate_fault_detection, gamma: is {gamma!r}; must be positive")
     if not all(np.isfinite(level) and level > 0 for level in levels):
         raise BadModel(f"approximate_fault_detection, levels: are {levels}; must be positive")
-    if W_T is None:
-        return
-    if W_T.sample_time is None or abs(W_T.sample_time / factors.M.sample_time - 1.0) > _SAME_RATE:
+    if W_T is not None:
+        _check_weight(W_T, factors.M.sample_time)
+
+
+def _check_weight(W_T: TransferFunction, sample_time: float) -> None:
+    if W_T.sample_time is None or abs(W_T.sample_time / sample_time - 1.0) > _SAME_RATE:
         raise BadModel(
             f"approximate_fault_detection, W_T: has sample time {W_T.sample_time} s, "
-            f"the model {factors.M.sample_time} s; must be equal"
+            f"the model {sample_time} s; must be equal"
         )
     if not W_T.is_proper or not W_T.is_stable:
         raise BadModel("approximate_fault_detection, W_T: must be stable and proper")
@@ -165,8 +169,7 @@ def _verified(
     noise: StateSpace,
     exact: StateSpace,
     left_out: float,
-    factors: LeftCoprimeFactors,
-    fault: FaultKind,
+    fault_path: StateSpace,
     gamma: float,
 ) -> PostFilter:
     """Rescale Q so that the budget holds exactly, and compute what is promised from the filter
@@ -184,7 +187,7 @@ def _verified(
     reached = h_infinity_norm(Q @ noise)[0] + left_out * h_infinity_norm(Q)[0]
     Q = Q * (gamma / reached)
     reached = h_infinity_norm(Q @ noise)[0] + left_out * h_infinity_norm(Q)[0]
-    beta, at = h_infinity_norm(Q @ (factors.M if fault == "sensor" else factors.N))
+    beta, at = h_infinity_norm(Q @ fault_path)
     return PostFilter(Q, reached, _grid_norm(Q, exact), beta, at, exact.order, reduced.error_bound)
 
 

@@ -135,6 +135,7 @@ def parity_space(
     )
     response = system.impulse_response(b + 1)[:, 0, 0]
     H_u = linalg.toeplitz(response, np.zeros(b + 1))
+    # rows v with v H_o = 0, and of their span the one of the largest (v 1)²/(v R v)
     null = linalg.null_space(observability.T).T
     covariance = null @ (process_noise * H_u @ H_u.T + measurement_noise * np.eye(b + 1)) @ null.T
     direction = np.linalg.solve(covariance, null @ np.ones(b + 1))
@@ -215,8 +216,8 @@ def unknown_input_observer(
     )
 
 
-_GRID = 1000
-_NEGLIGIBLE = 1e-4  # of the plant's gain
+_GRID = 1000  # frequencies from 0 to Nyquist
+_NEGLIGIBLE = 1e-4  # of the plant's gain, below which its states are dropped
 
 
 @dataclass(frozen=True, eq=False)

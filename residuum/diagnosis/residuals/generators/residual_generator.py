@@ -30,13 +30,16 @@ class ResidualSignals(NamedTuple):
     zero there.
     """
 
-    primary: FloatArray  # e = M y − N u [output unit]
-    robust: FloatArray  # r = Q e
-    scores: FloatArray  # whitened e as normal scores: independent standard normals while healthy
-    gain_template: (
-        FloatArray  # whitened N u: what a gain that is lost by 100 % takes away from the scores
-    )
-    white_input: FloatArray  # whitened u in units of the scores: the regressor of the model error
+    # e = M y − N u [output unit]
+    primary: FloatArray
+    # r = Q e
+    robust: FloatArray
+    # whitened e as normal scores: independent standard normals while healthy
+    scores: FloatArray
+    # whitened N u: what a gain that is lost by 100 % takes away from the scores
+    gain_template: FloatArray
+    # whitened u in units of the scores: the regressor of the model error
+    white_input: FloatArray
     valid: BoolArray
 
 
@@ -178,10 +181,9 @@ class ResidualStream:
         missing = np.isnan(u) | np.isnan(y)
         if not missing.any():
             return self._advance(u, y)
-        parts, edges = (
-            [],
-            np.flatnonzero(np.diff(np.concatenate([[False], missing, [False]]).astype(int))),
-        )
+        # stretches with and without missing samples in turn
+        parts = []
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], missing, [False]]).astype(int)))
         cuts = [0, *edges.tolist(), len(u)]
         for start, stop in pairwise(cuts):
             if start == stop:
@@ -200,6 +202,8 @@ class ResidualStream:
         primary, prediction = self._primary(du, dy)
         index = self.seen + np.arange(len(u))
         self.seen += len(u)
+        # until the memory is full the model's output lacks its past: zero, so that neither Q nor
+        # the whitening filters ring on from it
         started = index >= generator._memory
         primary = np.where(started, primary, 0.0)
         prediction = np.where(started, prediction, 0.0)
@@ -223,6 +227,7 @@ class ResidualStream:
         observer = self.generator.observer
         if observer is None:
             raise BadInput("residual stream: the generator has neither taps nor an observer")
+        # the observer is linear in [y; u]: once more with y = 0, it gives −N u
         primary, self._states["observer"] = observer.simulate(
             np.column_stack([y, u]), self._states["observer"]
         )

@@ -26,7 +26,7 @@ from residuum.kept_loops import njit
 # real and imaginary part, apart: the inner loops then run over contiguous numbers
 Node = tuple[AnyArray, AnyArray]
 
-TAPS = 17
+TAPS = 17  # p and p₃ of the paper
 TAPS_OF_THIRDS = 25
 # Of the Nyquist frequency: the paper's 1/8 + ε of the rate. ε is small, because the 0.4 often seen
 # in published code lets the bands at 0 and fs/2 pass both signs of frequency, which biases their

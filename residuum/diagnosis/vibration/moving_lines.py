@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import zip_longest
 from typing import Literal
 
 import numpy as np
@@ -20,7 +20,7 @@ from scipy import fft
 from scipy.ndimage import maximum_filter1d
 
 from residuum.array_types import AnyArray
-from residuum.diagnosis.vibration.spectra import Envelope, envelope_of_spectrum, padded_spectrum
+from residuum.diagnosis.vibration.spectra import Envelope, PaddedSpectrum
 
 # A few knocks are no bearing fault: find them in a stretch of vibration and take them down to the
 # level about them.
@@ -47,7 +47,8 @@ def without_knocks(
 
     Parameters
     ----------
-    x : array, shape (n,), no missing samples; float32 stays float32; not copied when there is no knock
+    x : array, shape (n,), no missing samples
+        float32 stays float32; not copied when there is no knock.
     sampling_rate : float [Hz]
     slowest : float or None
         The lowest rate of impacts [Hz] that must be kept.
@@ -152,7 +153,8 @@ def impact_train(
     frequency : f, mean rate of the impacts [Hz]
     resonance, damping : f_n [Hz] and ζ [-]
     slip : s, random part of each interval [-] (it accumulates, so high harmonics smear)
-    modulation, modulated_at : m [-] and f_m [Hz]; a load zone modulates an inner race with the shaft, a ball with the cage
+    modulation, modulated_at : m [-] and f_m [Hz]
+        A load zone modulates an inner race with the shaft, a ball with the cage.
     seed : of the random ε, η
 
     References
@@ -281,7 +283,7 @@ def moving_line(
     r"""The line that moves most clearly; None where none does.
 
     In half-overlapping stretches of 8 to 128 periods the squared envelope of each band is scored as
-    `fault_lines` does, \(S(f) = \sum_{k=1}^3 \ln(1 + P(kf)/N(kf))\). The line of the largest mean
+    `bearing_lines` does, \(S(f) = \sum_{k=1}^3 \ln(1 + P(kf)/N(kf))\). The line of the largest mean
     score that moves by at most a cell from stretch to stretch (dynamic programming) is held against
     the best steady line in stretches of the same and of twice the length.
 
@@ -297,26 +299,17 @@ def moving_line(
     signal: AnyArray = np.asarray(x, dtype=np.float32)
     signal = signal - signal.mean()
     slowest, fastest = min(lines.values()) / _AROUND, _AROUND * max(lines.values())
-    spectrum, padded = padded_spectrum(signal)
-    envelopes = [
-        _slow(
-            envelope_of_spectrum(spectrum, padded, signal.shape[0], sampling_rate, *band), fastest
-        )
-        for band in _bands(sampling_rate, fastest)
-    ]
-    looks = [
-        look
-        for periods in _PERIODS
-        if (look := _look(envelopes, periods / slowest, slowest, fastest)) is not None
-    ]
+    spectrum = PaddedSpectrum.of(signal, sampling_rate)
+    bands = _bands(sampling_rate, fastest)
+    envelopes = [_slow(spectrum.envelope(low, high), fastest) for low, high in bands]
+    looks = [_look(envelopes, periods / slowest, slowest, fastest) for periods in _PERIODS]
+    long_enough = [look for look in looks if look is not None]
     moving = [
-        look for look, longer in pairwise([*looks, None]) if look is not None and look.beats(longer)
+        look for look, longer in zip_longest(long_enough, long_enough[1:]) if look.beats(longer)
     ]
-    return (
-        _between_extremes(max(moving, key=lambda look: look.followed - look.steady))
-        if moving
-        else None
-    )
+    if not moving:
+        return None
+    return _between_extremes(max(moving, key=lambda look: look.followed - look.steady))
 
 
 def _bands(rate: float, fastest: float) -> list[tuple[float, float]]:

@@ -1,1 +1,0 @@
-"""Rolling bearings: their frequencies, and whether a fault's lines stand out."""
