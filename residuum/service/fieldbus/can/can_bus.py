@@ -20,8 +20,11 @@ from residuum.service.fieldbus.can.frame_batch import (
 )
 
 _MOST_IN_ONE_READ = 2048
+"""Frames: a bus that never falls silent must not keep a read from ending."""
 _SEND_TIMEOUT = 0.2
+"""[s] For room in the interface's queue."""
 _RECEIVE_BUFFER = 16 << 20
+"""Bytes: what a busy bus sends while the reader is held up for a while (`docs/explanation/buses.md`)."""
 _SO_RCVBUFFORCE = 33  # Linux's name, which Python does not have
 
 
@@ -52,6 +55,7 @@ class CanBus:
         try:
             message = self._bus.recv(timeout)
         except (OSError, can.CanError) as error:
+            # python-can wraps what its unpacking of a frame raises: then the bus itself is in order
             could_not_unpack = not isinstance(error.__cause__, NoneType | OSError | can.CanError)
             batch.undecodable += could_not_unpack
             self._ended = None if could_not_unpack else error
@@ -59,6 +63,7 @@ class CanBus:
         if message is None:
             return False
         batch.add(message)
+        # raised by the next read, so that what this one has is delivered first
         if message.is_error_frame and message.arbitration_id & BUS_OFF:
             self._ended = can.CanOperationError("bus-off")
         return self._ended is None

@@ -9,6 +9,7 @@ from urllib.parse import urlsplit
 from residuum.identification.errors import BadInput
 
 _MULTICAST_PORT = 43113
+"""python-can's own default."""
 
 
 def bus_arguments(channel: str) -> dict[str, Any]:
@@ -39,6 +40,7 @@ def multicast_address(text: str) -> tuple[str, int, int]:
     (('239.1.2.3', 5000, 1), ('ff15::1', 5000, 0))
     """
     address, _, hops = text.partition("/")
+    # several colons and no brackets: an IPv6 group alone, whose last part is no port
     if address.count(":") > 1 and not address.startswith("["):
         address = f"[{address}]"
     try:
