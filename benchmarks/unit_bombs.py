@@ -35,7 +35,7 @@ from benchmarks.http_cases import _wait
 from benchmarks.programs import find_program
 from residuum.identification.units import read_registry
 from residuum.service.broker import broker_address
-from residuum.service.machines.judging.scoring import PlainRecord
+from residuum.service.machines.scoring import PlainRecord
 from residuum.service.storage import DiskStore
 from residuum.service.window_queue.scorer import Scorer
 from residuum.service.window_queue.set_aside import SetAside

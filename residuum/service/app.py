@@ -26,8 +26,8 @@ from residuum.service.api import ROUTERS, health
 from residuum.service.api.results import downloads
 from residuum.service.known_queries import KnownQueries
 from residuum.service.logs import set_up_logs
-from residuum.service.machines.judging.scoring import Judges
 from residuum.service.machines.pipeline import Pipeline
+from residuum.service.machines.scoring import Judges
 from residuum.service.metrics import Metrics
 from residuum.service.security.access import ApiKeys
 from residuum.service.security.bearer_tokens import BearerTokens

@@ -14,7 +14,7 @@ from pathlib import Path
 from residuum.identification.errors import BadInput, BadModel
 from residuum.identification.linear_models.identified_model_file import load_identified
 from residuum.identification.physics.files.model_file import load_model
-from residuum.service.machines.judging.scoring import diagnoser_class
+from residuum.service.machines.scoring import diagnoser_class
 from residuum.service.work.limited_process import run_limited, within_limits
 
 MODEL_KINDS: dict[str, tuple[str, str]] = {

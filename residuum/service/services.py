@@ -17,7 +17,7 @@ from residuum.identification.errors import BadInput
 from residuum.service.alarms.alarm_states import AlarmRule
 from residuum.service.alarms.events import Events
 from residuum.service.fieldbus.settings import MachineSettings
-from residuum.service.machines.judging.scoring import Judges
+from residuum.service.machines.scoring import Judges
 from residuum.service.memory_budget import MIB, MemoryBudget
 from residuum.service.metrics import Metrics
 from residuum.service.security.access import ANYBODY, ApiKeys, Caller

@@ -40,6 +40,7 @@ class Priority(StrEnum):
 
 _PROMPT, _SOON = 300.0, 1800.0
 """Times to respond [s] up to which an alarm asks for an answer at once, or soon."""
+# by the sum of both ranks, 0 to 4
 _PRIORITIES = (Priority.LOW, Priority.LOW, Priority.MEDIUM, Priority.HIGH, Priority.HIGH)
 
 
@@ -370,6 +371,7 @@ def next_state(
     >>> next_state(AlarmState.ACKNOWLEDGED, AlarmEvent.CLEAR, latch=True)
     <AlarmState.ACKNOWLEDGED: 'acknowledged'>
     """
+    # before the table, which holds for alarms that are not latched (clause 10)
     if latch and event is AlarmEvent.CLEAR:
         return state
     if (state, event) in _TRANSITIONS:
@@ -378,13 +380,11 @@ def next_state(
         return state
     if _COMING_BACK.get(event) is state:
         return AlarmState.UNACKNOWLEDGED if condition else AlarmState.NORMAL
-    if event is AlarmEvent.RESET and state is AlarmState.ACKNOWLEDGED and not condition:
-        return AlarmState.NORMAL
-    standing = (
-        ", while its condition stands"
-        if event is AlarmEvent.RESET and state is AlarmState.ACKNOWLEDGED
-        else ""
-    )
+    standing = ""
+    if event is AlarmEvent.RESET and state is AlarmState.ACKNOWLEDGED:
+        if not condition:
+            return AlarmState.NORMAL
+        standing = ", while its condition stands"
     raise IllegalTransition(f"alarm: cannot {event.value} in state {state.value!r}{standing}")
 
 
@@ -402,23 +402,20 @@ def follow(
     Parameters
     ----------
     status : AlarmStatus
-    seen : bool
+    faulty : bool
         Whether the machine shows the fault.
     rule : AlarmRule
     now : datetime
         Of the window that shows it.
     """
     delay = rule.on_delay if faulty else rule.off_delay
+    # a clock that was set back gives no negative pause
     pause = None if status.judged_at is None else max((now - status.judged_at).total_seconds(), 0.0)
-    gap = pause is not None and pause > max(delay, _GAP * (status.judged_every or 0.0))
-    judged = replace(
-        status, judged_at=now, judged_every=status.judged_every if pause is None else pause
-    )
+    every = status.judged_every if pause is None else pause
+    judged = replace(status, judged_at=now, judged_every=every)
     if faulty == status.condition:
         return replace(judged, pending_since=None, pending_seconds=0.0), None
-    begins = status.pending_since is None or gap
-    since = now if begins or status.pending_since is None else status.pending_since
-    seconds = 0.0 if begins else status.pending_seconds + (pause or 0.0)
+    since, seconds = _pending(status, pause, delay, now)
     if seconds < delay:
         return replace(judged, pending_since=since, pending_seconds=seconds), None
     event = AlarmEvent.RAISE if faulty else AlarmEvent.CLEAR
@@ -427,6 +424,16 @@ def follow(
         replace(judged, state=state, condition=faulty, pending_since=None, pending_seconds=0.0),
         event,
     )
+
+
+def _pending(
+    status: AlarmStatus, pause: float | None, delay: float, now: datetime
+) -> tuple[datetime, float]:
+    """Since when the opposite of the condition is shown, and for how many seconds it was seen."""
+    gap = pause is not None and pause > max(delay, _GAP * (status.judged_every or 0.0))
+    if status.pending_since is None or gap:
+        return now, 0.0
+    return status.pending_since, status.pending_seconds + (pause or 0.0)
 
 
 def unjudged(status: AlarmStatus) -> AlarmStatus:

@@ -27,6 +27,7 @@ from residuum.service.broker import BrokerAddress
 from residuum.service.fieldbus.source import Backoff
 from residuum.service.settings import Settings
 from residuum.service.storage.outbox import Outbox
+from residuum.service.storage.rows.alarm_floods import FLOOD
 from residuum.service.store import StorageUnavailable
 
 log = structlog.get_logger()
@@ -164,7 +165,7 @@ class Receiver:
 
 def _kind_of(notice: Mapping[str, Any]) -> str:
     """`flood` of a notice of one, else `alarm`."""
-    return "flood" if notice["kind"] == "flood" else "alarm"
+    return FLOOD if notice["kind"] == FLOOD else "alarm"
 
 
 class Notifications:

@@ -25,7 +25,7 @@ from residuum.library.answers.plain import to_plain
 from residuum.nearest_names import did_you_mean
 from residuum.service.fieldbus.settings import MachineSettings
 from residuum.service.machines.adding import KIND, ModelText, document_name, kept_document, named
-from residuum.service.machines.judging.scoring import (
+from residuum.service.machines.scoring import (
     content_of,
     diagnoser_class,
     diagnoser_of_content,

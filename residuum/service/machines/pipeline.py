@@ -27,8 +27,8 @@ from residuum.service.machines.baselines import (
     second_name,
     with_second_opinion,
 )
-from residuum.service.machines.judging.scoring import PlainRecord, score_window
 from residuum.service.machines.machine_line import MachineLine, unreadable
+from residuum.service.machines.scoring import PlainRecord, score_window
 from residuum.service.settings import Settings
 from residuum.service.simulated.demo import Demo
 from residuum.service.storage.disk_store import DiskStore

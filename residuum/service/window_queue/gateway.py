@@ -19,7 +19,7 @@ from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
 from residuum.service.broker import BrokerAddress
 from residuum.service.fieldbus.settings import MachineSettings
-from residuum.service.machines.judging.scoring import PlainRecord
+from residuum.service.machines.scoring import PlainRecord
 from residuum.service.storage.durable_folder import make_folder, sync_folder
 from residuum.service.window_queue.window_message import (
     WindowMessage,

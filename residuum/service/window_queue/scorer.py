@@ -21,7 +21,7 @@ from residuum.identification.errors import BadInput
 from residuum.nearest_names import known_names
 from residuum.service.broker import BrokerAddress
 from residuum.service.machines.baselines import baseline_file, deciding_method
-from residuum.service.machines.judging.scoring import score_window
+from residuum.service.machines.scoring import score_window
 from residuum.service.storage.disk_store import DiskStore
 from residuum.service.store import NotFound, StorageUnavailable
 from residuum.service.window_queue.set_aside import ATTEMPTS, Attempts, SetAside

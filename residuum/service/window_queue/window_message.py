@@ -16,7 +16,7 @@ import structlog
 from residuum.identification.errors import BadInput
 from residuum.nearest_names import known_names
 from residuum.service.broker import BrokerAddress
-from residuum.service.machines.judging.scoring import PlainRecord
+from residuum.service.machines.scoring import PlainRecord
 
 # Where on the broker windows, receipts and the news of stored windows are.
 

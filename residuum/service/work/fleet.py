@@ -35,7 +35,7 @@ from residuum.identification.record_formats.read_apart import read_safely
 from residuum.library.answers.plain import to_plain
 from residuum.library.identification_methods import identified_by
 from residuum.library.questions.identify import Identify
-from residuum.service.machines.judging.scoring import diagnoser_of_file
+from residuum.service.machines.scoring import diagnoser_of_file
 from residuum.service.storage.blocks import Blocks, BrokenBlock
 from residuum.service.storage.database import Database, sqlite_file
 from residuum.service.storage.tables import windows

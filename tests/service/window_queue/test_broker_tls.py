@@ -21,7 +21,7 @@ from residuum.service.broker import BrokerTls, broker_address
 from residuum.service.cli import DONE, run
 from residuum.service.fieldbus import SOURCES
 from residuum.service.fieldbus.settings import SourceSettings
-from residuum.service.fieldbus.sparkplug.edge_node import EdgeNode
+from residuum.service.finding_metrics import EdgeNode
 from residuum.service.settings import BadSettings, load_settings
 from residuum.service.window_queue.window_message import broker_client
 

@@ -19,7 +19,7 @@ from residuum.service.broker import broker_address
 from residuum.service.cli import run
 from residuum.service.fieldbus.settings import MachineSettings, SourceSettings, WindowSettings
 from residuum.service.machines.baselines import choose_method
-from residuum.service.machines.judging.scoring import PlainRecord
+from residuum.service.machines.scoring import PlainRecord
 from residuum.service.storage import DiskStore
 from residuum.service.window_queue.gateway import Gateway, Spool
 from residuum.service.window_queue.set_aside import SetAside

@@ -98,6 +98,7 @@ def metric_map_text(
     node: str, every: float, devices: Mapping[str, Mapping[str, tuple[str, str]]]
 ) -> str:
     """The file of a node: device → channel → (metric, unit); a stream a device."""
+    # `reports` stands in the file although it is the default: whoever edits it sees what to change
     streams = {
         device or "node": {
             **({"device": device} if device else {}),
