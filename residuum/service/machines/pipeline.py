@@ -42,6 +42,7 @@ from residuum.service.work.worker_pool import WorkerPool
 log = structlog.get_logger()
 
 _STORAGE_RETRY = 2.0
+"""[s] Between two tries to store a window while the database is away."""
 
 
 class JudgeAndStore:
@@ -107,6 +108,7 @@ class JudgeAndStore:
     ) -> Callable[[], Finding]:
         if baseline is None:
             return lambda: Finding.recorded(machine.diagnoser)
+        # both opinions are under way at once, in worker processes
         plain = PlainRecord.of(window)
         first = self._pool.begin(
             score_window, machine.diagnoser, baseline, plain, self._method(machine)
@@ -119,6 +121,7 @@ class JudgeAndStore:
 
 
 _LOOK_FOR_BASELINE = 2.0
+"""[s] Between looks for a newer baseline, which a command or another process may have stored."""
 _LOOK_AT_STATES = 1.0
 """Seconds between looks at which machines have come to a stop or gone on, which no event of theirs
 tells.
@@ -256,6 +259,8 @@ class Pipeline:
         settings or the demo.
         """
         self.refuse_fixed(machine.asset)
+        # one change a time, and the new line is made before the old one ends: settings that are
+        # refused leave the machine watched as it was
         async with self._changing:
             line = await asyncio.to_thread(MachineLine, machine, self._handle, self._announce)
             await self._end(machine.asset)

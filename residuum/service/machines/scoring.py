@@ -25,6 +25,7 @@ from residuum.service.store import NotFound
 # Trained diagnosers at hand: read from what is stored once, and kept for the next window.
 
 _MOST_KEPT = 256
+"""Diagnosers: those of a plant's machines, and a bound on the memory of a process that serves many."""
 
 
 class KeptDiagnosers:
@@ -39,6 +40,7 @@ class KeptDiagnosers:
         with self._lock:
             if key in self._kept:
                 return self._kept[key]
+        # outside the lock: reading one takes a while, and others are waited for meanwhile
         judge = make()
         with self._lock:
             while len(self._kept) >= _MOST_KEPT:
@@ -159,9 +161,11 @@ def score_window(
     is not assessable.
     """
     judge = diagnoser_of_file(diagnoser, baseline)
+    # a baseline that cannot be read is a fault of ours and raises; a window that is refused is a finding
     try:
         record = window.record()
         finding = (judge if method is None else judge.with_settings(method=method)).score(record)
+        # only values that are followed over windows need what they may have moved with
         if "parameters" not in finding.evidence:
             return finding
         return replace(finding, evidence={**finding.evidence, "conditions": conditions(record)})

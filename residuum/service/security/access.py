@@ -127,6 +127,7 @@ class ApiKeys:
         if self._keys is None or key is None:
             return None
         self._read_again()
+        # the hash is looked up, so how long it takes depends on no character of a key
         return self._keys.get(hashlib.sha256(key.encode()).hexdigest())
 
     def _read_again(self) -> None:
@@ -137,6 +138,7 @@ class ApiKeys:
             or not self._lock.acquire(blocking=False)
         ):
             return
+        # whoever does not get the lock goes on with the keys there are; another reads them now
         try:
             self._looked = time.monotonic()
             if (version := _version(self._path)) == self._seen:
@@ -276,6 +278,7 @@ def make_first_keys(folder: Path, show: Callable[[str], None]) -> bool:
             _beside(metrics, scraper),
             _beside(keys, "\n".join([*lines, f"prometheus monitor {digest}"]) + "\n"),
         )
+        # shown before it counts: a key that nobody saw must not keep one from being made again
         if first:
             show(key)
         written[1].replace(keys)
@@ -296,6 +299,7 @@ def make_broker_user(folder: Path) -> None:
     users, password = folder / BROKER_USERS, folder / BROKER_PASSWORD
     if users.is_file() and password.is_file():
         return
+    # the form of Mosquitto's password files, `$7$ROUNDS$SALT$HASH` (PBKDF2 with SHA-512)
     chosen, salt = secrets.token_urlsafe(32), secrets.token_bytes(12)
     hashed = hashlib.pbkdf2_hmac("sha512", chosen.encode(), salt, _ROUNDS)
     line = f"{BROKER_USER}:$7${_ROUNDS}${base64.b64encode(salt).decode()}${base64.b64encode(hashed).decode()}\n"

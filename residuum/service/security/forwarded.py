@@ -41,6 +41,7 @@ class TrustedProxies:
         """
         if not self.trusts(peer):
             return Seen(peer, scheme)
+        # from the right: each proxy has written the address that came to it behind the others
         address = peer
         for hop in reversed(forwarded_for.decode("latin-1").split(",")):
             if not _is_address(hop := hop.strip()):
@@ -48,6 +49,7 @@ class TrustedProxies:
             address = hop
             if not self._is_one(hop):
                 break
+        # of several, what the proxy next to us says
         proto = forwarded_proto.decode("latin-1").rsplit(",", 1)[-1].strip().lower()
         return Seen(address, proto if proto in ("http", "https") else scheme)
 

@@ -88,6 +88,7 @@ class Places:
         self._strangers[connection] = where
         neighbours = self._of_address.setdefault(where, OrderedDict())
         neighbours[connection] = None
+        # before the bound of all: many connections from one address must not push others out
         if len(neighbours) > self._per_address and not self._proxies.trusts(address):
             next(iter(neighbours)).give_up()
         elif len(self._strangers) > self._strangers_most or self._count > self._most:
@@ -182,6 +183,7 @@ class BoundedConnection(H11Protocol):
         if self._tls is None or not self._here:
             self._begin(transport)
         else:
+            # what comes belongs to the handshake, and must not be read as HTTP
             transport.pause_reading()
             self._handshake = self.loop.create_task(self._by_tls(transport, self._tls))
 
@@ -219,6 +221,7 @@ class BoundedConnection(H11Protocol):
         self._received += len(data)
         before = self.cycle
         super().data_received(data)
+        # a head that is read to its end is progress; its single bytes are none
         if self.cycle is not before:
             self._watch()
 
@@ -281,6 +284,7 @@ class BoundedConnection(H11Protocol):
         received, unsent_before, wanted_body = self._seen
         unsent = self._unsent()
         takes = unsent_before - unsent >= least
+        # between requests: a client that still takes the last answer moves on
         if self.cycle is None or self.cycle.response_complete:
             return not (takes or (unsent_before and not unsent))
         if self.flow.write_paused:

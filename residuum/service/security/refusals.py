@@ -17,6 +17,7 @@ log = structlog.get_logger()
 _MOST = 20
 """Different refusals that are kept until they are taken."""
 _LONGEST = 100
+"""Characters of a path: whoever is refused chooses it."""
 
 
 @dataclass(frozen=True)
