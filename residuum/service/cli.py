@@ -41,16 +41,14 @@ def run(arguments: list[str]) -> int:
         return _refuse(
             f"command {name!r}: there is none of this name; {known_names(name, COMMANDS)}"
         )
+    return _exit_status(name, words)
+
+
+def _exit_status(name: str, words: list[str]) -> int:
+    """Run a command by its words; whatever ends it, one line says why."""
     words_before = SAID_IN.set(as_option)
     try:
-        if fmus := [word for word in words if names_fmu(word)]:
-            apart = import_module("residuum.service.commands.fmu_process")
-            if apart.is_wanted(name):
-                return int(apart.run_apart(arguments, fmus[0]))
-        with loading_modules():
-            command = import_module(f"residuum.service.commands.{COMMANDS[name][0]}").app
-        _take_interrupts()
-        status = command(args=words, prog_name=f"residuum {name}", standalone_mode=False)
+        return _run_command(name, words)
     except typer.Exit as done:
         return done.exit_code
     except _UsageError as error:
@@ -70,6 +68,19 @@ def run(arguments: list[str]) -> int:
         return OUR_FAULT
     finally:
         SAID_IN.reset(words_before)
+
+
+def _run_command(name: str, words: list[str]) -> int:
+    # an FMU is machine code of somebody else's: what it does to its process, it does to that alone
+    fmus = [word for word in words if names_fmu(word)]
+    if fmus:
+        apart = import_module("residuum.service.commands.fmu_process")
+        if apart.is_wanted(name):
+            return int(apart.run_apart([name, *words], fmus[0]))
+    with loading_modules():
+        command = import_module(f"residuum.service.commands.{COMMANDS[name][0]}").app
+    _take_interrupts()
+    status = command(args=words, prog_name=f"residuum {name}", standalone_mode=False)
     return status if isinstance(status, int) else DONE
 
 

@@ -18,7 +18,9 @@ from residuum.service.storage.disk_store import DiskStore
 from residuum.service.store import Alarm, AlarmEntry, Asset, Confirmation, StoredFinding
 
 _HOURS = 24 * 366 * 10
+"""Hours of a machine that are looked through: ten years of them."""
 _JOURNAL = 10_000
+"""Entries of an alarm's journal, the newest."""
 
 
 @dataclass
@@ -97,6 +99,7 @@ def month_report(
     parameters: dict[str, Followed] = {}
     faults: dict[str, Fault] = {}
     reasons: Counter[str] = Counter()
+    # an hour counts what was let go, a finding what is kept: no window is in both
     for hour in store.finding_hours(asset, _HOURS):
         if span.begin <= hour.hour < span.end:
             days[(hour.hour - span.begin).days].update(hour.verdicts)
@@ -131,6 +134,7 @@ def _add_hour(
     for name, entry in means.items():
         followed = indicators.setdefault(name, Followed(""))
         followed.unit = followed.unit or str(entry.get("unit") or "")
+        # a mean of an hour stands in its middle
         followed.append(
             hour + timedelta(minutes=30), entry.get("mean"), None, entry.get("threshold")
         )

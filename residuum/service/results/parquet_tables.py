@@ -25,6 +25,7 @@ from residuum.service.store import SignalLetGo, StoredFinding, StoredWindow
 # A span of time as people write it, and what was stored in it.
 
 _MANY = 500
+"""Rows that are read at once."""
 _MONTH = re.compile("[0-9]{4}-(0[1-9]|1[0-2])")
 
 
@@ -67,6 +68,7 @@ def month_of(text: str) -> Span:
         if not _MONTH.fullmatch(text):
             raise ValueError
         begin = datetime(int(text[:4]), int(text[5:]), 1, tzinfo=UTC)
+        # 32 days later it is the next month, whichever it is
         return Span(begin, (begin + timedelta(days=32)).replace(day=1))
     except (ValueError, OverflowError):
         # no such year, or its last month: the calendar ends with it
@@ -104,6 +106,7 @@ def _moment(name: str, text: str) -> datetime:
 
 MEDIA_TYPE = "application/vnd.apache.parquet"
 _ROWS = 500
+"""Rows of a group, at most."""
 _GROUP_BYTES = 64 * 2**20
 """Bytes of samples in a group of rows, at most: what is held in memory."""
 
@@ -233,6 +236,7 @@ def _write(path: Path, schema: Any, rows: Iterable[tuple[dict[str, Any], int]]) 
             if len(waiting) >= _ROWS or held >= _GROUP_BYTES:
                 writer.write_table(pa.Table.from_pylist(waiting, schema))
                 waiting, held = [], 0
+        # a file without rows has the columns all the same
         if waiting or not written:
             writer.write_table(pa.Table.from_pylist(waiting, schema))
     return written

@@ -13,6 +13,25 @@ from residuum.service.alarms.alarm_states import MACHINE, SIGNAL, AlarmRule
 from residuum.service.storage.disk_store import DiskStore
 from residuum.service.store import Asset
 
+_COLUMNS = (
+    "machine",
+    "title",
+    "alarm",
+    "diagnoser",
+    "limits",
+    "deadband",
+    "on_delay",
+    "off_delay",
+    "latch",
+    "consequence",
+    "time_to_respond",
+    "priority",
+    "action",
+    "suppressed_while",
+    "shelving_reason",
+    "longest_shelving_minutes",
+)
+"""In the table's order; a plant without machines has them, too."""
 _MACHINES_AT_ONCE = 100
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 """What a spreadsheet takes for the begin of a formula."""
@@ -34,7 +53,7 @@ def rationalisation_table(
         for kind in (MACHINE, SIGNAL)
     ]
     text = io.StringIO()
-    table = csv.DictWriter(text, list(_row(None, MACHINE, AlarmRule())), lineterminator="\r\n")
+    table = csv.DictWriter(text, _COLUMNS, lineterminator="\r\n")
     table.writeheader()
     table.writerows(rows)
     return text.getvalue()
@@ -50,13 +69,13 @@ def _all_assets(store: DiskStore, sites: Collection[str] | None) -> Iterator[Ass
             return
 
 
-def _row(asset: Asset | None, kind: str, rule: AlarmRule) -> dict[str, Any]:
+def _row(asset: Asset, kind: str, rule: AlarmRule) -> dict[str, Any]:
     priority = rule.priority(kind)
     row = {
-        "machine": asset.id if asset else "",
-        "title": asset.title if asset else "",
+        "machine": asset.id,
+        "title": asset.title,
         "alarm": kind,
-        "diagnoser": (asset.diagnoser if asset else None) or "",
+        "diagnoser": asset.diagnoser or "",
         "limits": _limits(asset) if kind == MACHINE else "windows that cannot be judged",
         "deadband": rule.deadband if kind == MACHINE else "",
         "on_delay": rule.on_delay,
@@ -73,8 +92,8 @@ def _row(asset: Asset | None, kind: str, rule: AlarmRule) -> dict[str, Any]:
     return {name: _no_formula(value) for name, value in row.items()}
 
 
-def _limits(asset: Asset | None) -> str:
-    if asset is None or asset.last_finding is None:
+def _limits(asset: Asset) -> str:
+    if asset.last_finding is None:
         return ""
     finding = asset.last_finding.finding
     limits = [

@@ -25,8 +25,13 @@ from residuum.service.simulated.wiring import Wiring
 from residuum.simulation.machine import BadSetting, Machine
 
 _TICK = 0.02
+"""[s] Between two looks at the clock."""
 _STATE_PERIOD = 0.5
+"""[s] Between two reports of which faults are on."""
 _FURTHEST_BEHIND = 0.2
+"""[s] After which the machine's life pauses. What it missed came in a burst once that went round its
+own ring of pages.
+"""
 
 
 class Device:
@@ -81,16 +86,17 @@ class Device:
         self._offered = (
             NodeStreams(opcua, machine.name, wiring.register_streams, speed) if opcua else None
         )
-        on_can = {
-            stream: message
+        self._senders = self._senders_of(wiring, layouts) if self._bus else {}
+
+    def _senders_of(
+        self, wiring: Wiring, layouts: Mapping[str, FrameLayout]
+    ) -> dict[str, FrameSender]:
+        """What sends each stream over CAN, but for those that registers carry."""
+        return {
+            stream: FrameSender(layouts[message])
             for stream, message in wiring.messages.items()
             if stream not in self._register_streams
         }
-        self._senders = (
-            {stream: FrameSender(layouts[message]) for stream, message in on_can.items()}
-            if self._bus
-            else {}
-        )
 
     async def run(self, stopped: asyncio.Event, ready: Callable[[int | None], None]) -> None:
         """Live until stopped; `ready` is told the Modbus port once the device is on its buses."""

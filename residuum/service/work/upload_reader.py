@@ -71,6 +71,7 @@ def _read(
         refusal = run_limited(__name__, arguments, file.parent, memory=memory, seconds=seconds)
         if refusal is not None:
             kind, parts = refusal
+            # files of ours are no business of the sender, whose name the file has in every message
             for part in ("what", "rule"):
                 parts[part] = parts.get(part, "").replace(str(file), name).replace(file.name, name)
             if not (kind and parts["what"].startswith(name)) and not parts["rule"]:

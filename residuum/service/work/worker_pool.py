@@ -84,7 +84,9 @@ def parts_of(record: Record, source: str | None = None) -> RecordParts:
 
 T = TypeVar("T")
 _ATTEMPTS = 3
+"""Times that work is done whose worker was killed; see `WorkerPool.call`."""
 _LOOK = 0.1
+"""[s] Between looks at whether the pool was closed while its server loads."""
 _SERVER = multiprocessing.get_context("forkserver")
 
 
@@ -161,6 +163,7 @@ class WorkerPool(Executor):
 
     def _replace(self, broken: ProcessPoolExecutor) -> None:
         with self._lock:
+            # all threads whose work was lost come here: the first makes a new pool
             if self._pool is broken and not self._closed:
                 broken.shutdown(wait=False, cancel_futures=True)
                 self._pool = self._new_pool()
