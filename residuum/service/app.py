@@ -48,12 +48,12 @@ from residuum.service.work.worker_pool import WorkerPool
 log = structlog.get_logger()
 
 API = "/api/v1"
+# Seconds between looks at shelved alarms that have run out.
 _TICK = 5.0
-"""Seconds between looks at shelved alarms that have run out."""
+# Seconds for which equal refusals are one entry of the audit trail.
 _AUDIT_EVERY = 10.0
-"""Seconds for which equal refusals are one entry of the audit trail."""
+# Seconds between looks at signals that need not be kept.
 _RETAIN_EVERY = 60.0
-"""Seconds between looks at signals that need not be kept."""
 
 MakePipeline = Callable[[Settings, DiskStore, Events, WorkerPool], LivePipeline]
 

@@ -20,8 +20,8 @@ from residuum.service.work.loaded_modules import loading_modules
 
 DONE, ANSWER_IS_NO, BAD_INPUT, OUR_FAULT, INTERRUPTED = 0, 1, 2, 3, 130
 
+# Bytes of a model file that are looked at for the FMU that it names.
 _HEAD = 10_000
-"""Bytes of a model file that are looked at for the FMU that it names."""
 # The base of typer's usage errors, which typer itself does not export by name.
 _UsageError: type[Exception] = typer.BadParameter.__mro__[2]
 

@@ -16,10 +16,9 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from residuum.nearest_names import known_names
 from residuum.service.problems import problem
 
+# Bytes of a query up to which it is remembered that it is good: clients ask with the same one again
+# and again.
 _REMEMBERED = 1000
-"""Bytes of a query up to which it is remembered that it is good: clients ask with the same one
-again and again.
-"""
 
 
 class KnownQueries:

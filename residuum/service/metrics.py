@@ -12,10 +12,9 @@ from prometheus_client.registry import Collector
 
 from residuum.service.machines.machine_state import counted
 
+# Methods that have a label of their own: a stranger may send any word as a method, and each would
+# be kept for ever.
 _METHODS = frozenset(("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"))
-"""Methods that have a label of their own: a stranger may send any word as a method, and each would
-be kept for ever.
-"""
 _STALLS = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1, 2.5)
 _SECONDS = (0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1, 2.5, 10)
 

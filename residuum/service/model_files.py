@@ -25,10 +25,9 @@ MODEL_KINDS: dict[str, tuple[str, str]] = {
 """Media type and file ending of each kind."""
 
 
+# Bytes up to which a model's text is read in the service itself: parsing YAML of 200 kB takes
+# seconds of the interpreter.
 _SHORT = 16 * 2**10
-"""Bytes up to which a model's text is read in the service itself: parsing YAML of 200 kB takes
-seconds of the interpreter.
-"""
 
 
 def is_read_apart(kind: str, content: bytes) -> bool:

@@ -22,8 +22,8 @@ _OF_FILES = (
     "duplicates",
     "reordered",
 )
+# How a file is read, in Python → key of the query, where these differ.
 _KEYS = {"units": "unit", "time": "time_form"}
-"""How a file is read, in Python → key of the query, where these differ."""
 
 
 class SaidToClients:

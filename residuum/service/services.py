@@ -27,20 +27,18 @@ from residuum.service.work.jobs import Jobs
 
 P = ParamSpec("P")
 T = TypeVar("T")
+# Long bodies that are read at once.
 _READERS = 2
-"""Long bodies that are read at once."""
+# Bytes that answers may take together while they are made.
 _MEMORY = 160 * MIB
-"""Bytes that answers may take together while they are made."""
+# Bytes that a page of a list takes while it is made: rows of 1 MiB as values of Python, and as
+# JSON.
 _LISTED = 16 * MIB
-"""Bytes that a page of a list takes while it is made: rows of 1 MiB as values of Python, and as
-JSON.
-"""
+# Times its samples that a question about a stored signal takes: the block, what is made of it, the
+# answer.
 _COPIES = 5
-"""Times its samples that a question about a stored signal takes: the block, what is made of it, the
-answer.
-"""
+# Bytes that a single answer may take.
 _ONE = 64 * MIB
-"""Bytes that a single answer may take."""
 
 
 class LivePipeline(Protocol):

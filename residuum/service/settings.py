@@ -29,12 +29,12 @@ from residuum.service.fieldbus.settings import MachineSettings
 SETTINGS_FILE = "RESIDUUM_SETTINGS"
 """Environment variable that names the YAML file."""
 
+# The YAML file that `load_settings` was given, while it builds the settings.
 _FILE_GIVEN: ContextVar[Path | None] = ContextVar("_FILE_GIVEN", default=None)
-"""The YAML file that `load_settings` was given, while it builds the settings."""
 
 
+# Requests a second a client may make of a service that other machines can reach.
 _RATE_LIMIT = 200.0
-"""Requests a second a client may make of a service that other machines can reach."""
 
 
 class BadSettings(BadInput):

@@ -38,8 +38,8 @@ class Priority(StrEnum):
     LOW = "low"
 
 
+# Times to respond [s] up to which an alarm asks for an answer at once, or soon.
 _PROMPT, _SOON = 300.0, 1800.0
-"""Times to respond [s] up to which an alarm asks for an answer at once, or soon."""
 # by the sum of both ranks, 0 to 4
 _PRIORITIES = (Priority.LOW, Priority.LOW, Priority.MEDIUM, Priority.HIGH, Priority.HIGH)
 
@@ -152,16 +152,16 @@ class AlarmRule(BaseModel):
         ge=0,
         le=10_000,
         description=(
-            "More alarms of the plant than this in ten minutes are a flood, which receivers are told"
-            " as one when it begins and when it is over; 0: each change is told."
+            "More alarms of the plant than this in ten minutes are a flood, which receivers are"
+            " told as one when it begins and when it is over; 0: each change is told."
         ),
     )
     suppress: tuple[MachineState, ...] = Field(
         default=(),
         max_length=10,
         description=(
-            "States of the machine in any of which its alarms are suppressed: signal, unit, below or"
-            " above."
+            "States of the machine in any of which its alarms are suppressed: signal, unit, below"
+            " or above."
         ),
     )
 
@@ -242,7 +242,8 @@ def in_deadband(
 
     >>> in_deadband(AlarmRule(deadband=0.1), {"rms": 0.95}, {"rms": 1.0}, {"rms"})
     True
-    >>> in_deadband(AlarmRule(deadband=0.1), {"rms": 0.5, "kurtosis": 0.95}, {"rms": 1.0, "kurtosis": 1.0}, {"rms"})
+    >>> limits = {"rms": 1.0, "kurtosis": 1.0}
+    >>> in_deadband(AlarmRule(deadband=0.1), {"rms": 0.5, "kurtosis": 0.95}, limits, {"rms"})
     False
     """
     for name, tau in thresholds.items():
@@ -314,8 +315,8 @@ _COMING_BACK = {
     AlarmEvent.RELEASE: AlarmState.SUPPRESSED,
     AlarmEvent.RETURN_TO_SERVICE: AlarmState.OUT_OF_SERVICE,
 }
+# Pauses before, from which on a longer one is a gap.
 _GAP = 2.0
-"""Pauses before, from which on a longer one is a gap."""
 _FROM_THE_MACHINE = (AlarmEvent.RAISE, AlarmEvent.CLEAR)
 
 

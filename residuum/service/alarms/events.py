@@ -17,13 +17,13 @@ import orjson
 EVENTS_KEPT = 4096
 """Events kept for listeners that come back."""
 
+# The part of an event's payload that names its machine, of the kinds that have one.
 _ASSET_OF = {
     "finding": "asset",
     "confirmation": "asset",
     "alarm": "asset",
     "pipeline": "machine",
 }
-"""The part of an event's payload that names its machine, of the kinds that have one."""
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,8 @@ def suppressing_state(rule: AlarmRule, record: Record) -> str | None:
     """The state of the rule that the machine is in during a window, in words; empty where it is in
     none, None where the window cannot tell.
 
-    A state is told by the median of its signal over the samples that are there. A signal that is not
-    in the window, has no sample, or another kind of unit than the limit tells nothing.
+    A state is told by the median of its signal over the samples that are there. A signal that is
+    not in the window, has no sample, or another kind of unit than the limit tells nothing.
 
     >>> rule = AlarmRule(suppress=[{"signal": "speed", "unit": "rpm", "below": 60}])
     >>> suppressing_state(rule, Record({"speed": [0.1, 0.2, 9.0]}, {"speed": "rev/s"}, 1.0))

@@ -2,8 +2,8 @@
 for them.
 
 Alarms and floods of them go to both, findings to the broker alone (QoS 1, topics
-`PREFIX/assets/ASSET/alarm`, `…/finding`, and `PREFIX/flood`). A receiver that is away is tried again
-with growing pauses. Both come from the store's outbox, in their order and at least once, also after
+`PREFIX/assets/ASSET/alarm`, `…/finding`, and `PREFIX/flood`). A receiver that is away is tried
+again with growing pauses. Both come from the store's outbox, in their order and at least once, also after
 a crash, and also those of other processes on the same database. What waits is bounded: the oldest
 go, and the log says how many.
 """
@@ -32,12 +32,11 @@ from residuum.service.store import StorageUnavailable
 
 log = structlog.get_logger()
 
+# Seconds between looks for what other processes on the same database changed.
 _LOOK = 1.0
-"""Seconds between looks for what other processes on the same database changed."""
+# Seconds for a receiver's answer, and after which the outbox is told which findings of a batch were
+# told.
 _PATIENCE = 5.0
-"""Seconds for a receiver's answer, and after which the outbox is told which findings of a batch
-were told.
-"""
 _REFUSED = range(400, 500)
 
 Send = Callable[[str, Mapping[str, Any]], None]

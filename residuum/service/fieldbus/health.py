@@ -51,8 +51,8 @@ LOSSES = frozenset(("lost", "undecodable", "unstamped", "late_values", "overflow
 """Counters of what was sent and is missing from the windows."""
 LOSSES_OVER = 60.0
 """Seconds for which a loss keeps a source from being called good."""
+# [s] Over which rates are means.
 _RATE_OVER = 5.0
-"""[s] Over which rates are means."""
 
 
 class SourceHealth:

@@ -26,14 +26,14 @@ from residuum.service.fieldbus.modbus.register_trace import TracedPage
 TRACE = ".trace"
 """Ending of a register trace."""
 
+# [s] Frames of so much time are sent together, and slept for once.
 _GROUP = 0.005
-"""[s] Frames of so much time are sent together, and slept for once."""
+# [s] What a replay may make up for in a burst; see `replay_to_can`.
 _FURTHEST_BEHIND = 0.2
-"""[s] What a replay may make up for in a burst; see `replay_to_can`."""
+# [s] Longest sleep at a stretch.
 _SLICE = 0.2
-"""[s] Longest sleep at a stretch."""
+# Part by which the rate of a record may differ from that of the message or stream that carries it.
 _SAME_RATE = 0.01
-"""Part by which the rate of a record may differ from that of the message or stream that carries it."""
 
 
 def record_frames(record: Record, layout: FrameLayout) -> Iterator[TimedFrame]:

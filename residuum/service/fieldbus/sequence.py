@@ -14,8 +14,8 @@ from residuum.service.fieldbus.source import Numbers
 BREAK = 1 << 32
 """How far the numbers advance where the distance is unknown; no window reaches across."""
 
+# Missing numbers that a late frame may still fill; a hole of 2³⁰ frames must not fill the memory.
 _REMEMBERED = 8192
-"""Missing numbers that a late frame may still fill; a hole of 2³⁰ frames must not fill the memory."""
 
 
 @dataclass(frozen=True)

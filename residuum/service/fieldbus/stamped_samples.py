@@ -21,22 +21,19 @@ from residuum.service.fieldbus.health import SourceHealth
 from residuum.service.fieldbus.sequence import BREAK
 from residuum.service.fieldbus.source import Block, StreamFormat
 
+# Seconds by which stamps may run ahead of the time that has passed here: a reader that was late
+# catches up.
 _AHEAD = 2.0
-"""Seconds by which stamps may run ahead of the time that has passed here: a reader that was late
-catches up.
-"""
+# Seconds a second by which the clocks may drift apart.
 _DRIFT = 1e-3
-"""Seconds a second by which the clocks may drift apart."""
+# [s] For which first reports are collected, and for which a held channel may still report.
 _FIRST = 0.3
-"""[s] For which first reports are collected, and for which a held channel may still report."""
+# Steps by which a first report is older than the newest to state what holds, and no more.
 _OLD = 1.5
-"""Steps by which a first report is older than the newest to state what holds, and no more."""
+# Samples that tell whether a channel reports by change, and that it takes to tell that it does not.
 _REPORTS, _FEWEST_REPORTS = 10, 4
-"""Samples that tell whether a channel reports by change, and that it takes to tell that it does
-not.
-"""
+# Samples that wait; of more, the oldest is lost: the memory that a source takes is bounded.
 _MOST_OPEN = 100_000
-"""Samples that wait; of more, the oldest is lost: the memory that a source takes is bounded."""
 
 
 class StampedSamples:
@@ -261,16 +258,15 @@ class StampedSamples:
 
 # ReportedChanges: samples of values that are reported when they change.
 #
-# A Sparkplug node reports by exception: what a message does not name has not changed. So each sample
-# before a change has the values that held until then. It can be given only when the next message
-# comes: before, nobody knows that nothing changed.
+# A Sparkplug node reports by exception: what a message does not name has not changed. So each
+# sample before a change has the values that held until then. It can be given only when the next
+# message comes: before, nobody knows that nothing changed.
 
+# [s] A longer silence is a hole: what it would fill, windows are not made of.
 _LONGEST = 3600.0
-"""[s] A longer silence is a hole: what it would fill, windows are not made of."""
+# A silence of more samples, or of more values in them, is a hole, too: they wait in memory until
+# they are handed on.
 _MOST_SAMPLES, _MOST_VALUES = 50_000, 1_000_000
-"""A silence of more samples, or of more values in them, is a hole, too: they wait in memory until
-they are handed on.
-"""
 
 Report = tuple[float, str, float]
 """Stamp [s], channel, value."""

@@ -200,10 +200,10 @@ log = structlog.get_logger()
 KIND = "machine"
 ENDINGS = (f".{KIND}", ".method", ".limits")
 """What the names of a machine's documents end in: no model is given such a name."""
+# Characters of an asset's name; with an ending it must still be a document's.
 _LONGEST = 55
-"""Characters of an asset's name; with an ending it must still be a document's."""
+# No path: whoever adds a machine names none of this computer's files.
 _PLAIN_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
-"""No path: whoever adds a machine names none of this computer's files."""
 
 
 def document_name(asset: str) -> str:

@@ -43,12 +43,11 @@ from residuum.service.work.worker_pool import RecordParts
 
 FALSE_ALARM = 1e-3
 """Share of healthy windows whose model error may exceed its limit."""
+# Healthy records, the newest, that both models are simulated beside: a movement at 5 kHz costs
+# seconds a model.
 _MODELLED = 8
-"""Healthy records, the newest, that both models are simulated beside: a movement at 5 kHz costs
-seconds a model.
-"""
+# Windows, of whose errors' logarithms a mean and a deviation, and so Student's limit, are taken.
 _FEWEST_MODELLED = 5
-"""Windows, of whose errors' logarithms a mean and a deviation, and so Student's limit, are taken."""
 
 
 def propose(
@@ -314,8 +313,8 @@ def choose_method(store: DiskStore, asset: str, method: str | None, by: str) -> 
 
 FEWEST_HEALTHY_WINDOWS = 8
 """Of which at least two are kept to check with."""
+# Windows that are looked at, the newest.
 _MOST = 120
-"""Windows that are looked at, the newest."""
 _CHECKED_SHARE = 0.3
 
 

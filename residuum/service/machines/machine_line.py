@@ -32,20 +32,18 @@ from residuum.service.machines.windows import make_cutter
 
 log = structlog.get_logger()
 
+# Blocks that wait to be cut; of more, new ones are dropped and counted by their source.
 _MOST_BLOCKS = 4096
-"""Blocks that wait to be cut; of more, new ones are dropped and counted by their source."""
+# So many windows wait at least, and more as long as their samples take no more than so many bytes:
+# a database that is away for ten minutes is waited for.
 _MOST_WINDOWS, _MOST_BYTES = 32, 16 * 2**20
-"""So many windows wait at least, and more as long as their samples take no more than so many bytes:
-a database that is away for ten minutes is waited for.
-"""
+# Windows under way: while one waits for the disk, the next is judged; at ten rounds a second they
+# waited for it in turn.
 _AT_ONCE = 2
-"""Windows under way: while one waits for the disk, the next is judged; at ten rounds a second they
-waited for it in turn.
-"""
+# [s] How long it takes at most to notice that the machine is watched no more.
 _WAIT = 0.2
-"""[s] How long it takes at most to notice that the machine is watched no more."""
+# [s] For a thread to finish what it is at when the service stops.
 _LAST_WINDOW = 3.0
-"""[s] For a thread to finish what it is at when the service stops."""
 
 Handle = Callable[
     [MachineSettings, Record, str | None, threading.Event], Callable[[], Finding | None]

@@ -17,10 +17,10 @@ from residuum.service.fieldbus.source import Block
 
 # LiveValues: what the signals of a machine read now, and over the last half minute.
 
+# Seconds between two points of the history.
 _EVERY = 0.2
-"""Seconds between two points of the history."""
+# Half a minute of them.
 _POINTS = 150
-"""Half a minute of them."""
 
 
 class LiveValues:

@@ -41,8 +41,8 @@ from residuum.service.work.worker_pool import WorkerPool
 
 log = structlog.get_logger()
 
+# [s] Between two tries to store a window while the database is away.
 _STORAGE_RETRY = 2.0
-"""[s] Between two tries to store a window while the database is away."""
 
 
 class JudgeAndStore:
@@ -120,12 +120,11 @@ class JudgeAndStore:
         return lambda: with_second_opinion(first(), opinion())
 
 
+# [s] Between looks for a newer baseline, which a command or another process may have stored.
 _LOOK_FOR_BASELINE = 2.0
-"""[s] Between looks for a newer baseline, which a command or another process may have stored."""
+# Seconds between looks at which machines have come to a stop or gone on, which no event of theirs
+# tells.
 _LOOK_AT_STATES = 1.0
-"""Seconds between looks at which machines have come to a stop or gone on, which no event of theirs
-tells.
-"""
 _TRAIN_AGAIN = "see the log; stop the service and start it again to train once more"
 
 

@@ -24,8 +24,8 @@ from residuum.service.store import NotFound
 
 # Trained diagnosers at hand: read from what is stored once, and kept for the next window.
 
+# Diagnosers: those of a plant's machines, and a bound on the memory of a process that serves many.
 _MOST_KEPT = 256
-"""Diagnosers: those of a plant's machines, and a bound on the memory of a process that serves many."""
 
 
 class KeptDiagnosers:
@@ -161,7 +161,8 @@ def score_window(
     is not assessable.
     """
     judge = diagnoser_of_file(diagnoser, baseline)
-    # a baseline that cannot be read is a fault of ours and raises; a window that is refused is a finding
+    # a baseline that cannot be read is a fault of ours and raises; a window that is refused is a
+    # finding
     try:
         record = window.record()
         finding = (judge if method is None else judge.with_settings(method=method)).score(record)

@@ -46,11 +46,11 @@ def keep_limits(store: DiskStore, asset: str, limits: Mapping[str, float], by: s
     store.add_model_version(_name(asset), KIND, orjson.dumps(dict(limits)), "limits", by)
 
 
+# Windows that tell parameters, the newest, that a track is made of.
 _MOST = 1000
-"""Windows that tell parameters, the newest, that a track is made of."""
 _PAGE = 500
+# Seconds by which two windows must differ in time.
 _SHORTEST = 1e-3
-"""Seconds by which two windows must differ in time."""
 
 
 def told_parameters(store: DiskStore, asset: str) -> list[dict[str, Any]]:
@@ -121,10 +121,21 @@ def _followed(
 ) -> dict[str, Any]:
     """One parameter over the windows that tell it, with its track or why it has none."""
     rows = [row for row in all_rows if row["parameters"].get(name, {}).get("value") is not None]
+    item = _item(name, rows, limit)
+    chosen = _moves_with(rows, moves_with)
+    try:
+        trend = _trend(item, rows, chosen)
+    except BadInput as error:
+        return {**item, "moves_with": chosen, "track": None, "reason": str(error)}
+    return {**item, "moves_with": chosen, "track": trend.to_json(), "reason": None}
+
+
+def _item(name: str, rows: Sequence[Mapping[str, Any]], limit: float | None) -> dict[str, Any]:
+    """A parameter's values by window, as they are answered."""
     estimates = [row["parameters"][name] for row in rows]
     # unit and healthy band as the newest window has them: a baseline may have been trained anew
     newest = estimates[-1]
-    item = {
+    return {
         "parameter": name,
         "unit": newest["unit"],
         "healthy": newest.get("healthy") or None,
@@ -135,12 +146,6 @@ def _followed(
         "value": [parameter["value"] for parameter in estimates],
         "std": [parameter.get("std") or 0.0 for parameter in estimates],
     }
-    chosen = _moves_with(rows, moves_with)
-    try:
-        trend = _trend(item, rows, chosen)
-    except BadInput as error:
-        return {**item, "moves_with": chosen, "track": None, "reason": str(error)}
-    return {**item, "moves_with": chosen, "track": trend.to_json(), "reason": None}
 
 
 def _trend(

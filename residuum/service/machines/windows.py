@@ -201,28 +201,27 @@ def filled_forward(values: npt.NDArray[np.floating], before: float) -> Samples:
 # RoundCutter: rounds of a rotating machine, out of a vibration stream and a machine stream with
 # clocks of their own.
 
+# Pulses of the indicator a round.
 _QUADRANTS = 4
-"""Pulses of the indicator a round."""
+# Times the median width, from which on a pulse is the marking one.
 _LONGER = 1.4
-"""Times the median width, from which on a pulse is the marking one."""
+# [s] Without a marking pulse, after which a window is cut all the same.
 _LONGEST_ROUND = 10.0
-"""[s] Without a marking pulse, after which a window is cut all the same."""
+# [s] That both streams have to be ahead of a round: `_align` looks for pulses up to 1 s behind it.
 _AFTER = 1.2
-"""[s] That both streams have to be ahead of a round: `_align` looks for pulses up to 1 s behind it."""
+# [s] Before the end of a round whose pulses align the clocks.
 _ALIGN_OVER = 30.0
-"""[s] Before the end of a round whose pulses align the clocks."""
+# [s] Kept of each stream: the longest round, what its alignment looks back at, and what comes late.
 _KEEP = 45.0
-"""[s] Kept of each stream: the longest round, what its alignment looks back at, and what comes late."""
+# [s] Of arrivals, before their offset is believed.
 _ROUGH_OVER = 2.0
-"""[s] Of arrivals, before their offset is believed."""
+# [s] Of arrivals that the offset is the median of.
 _ROUGH_KEPT = 10.0
-"""[s] Of arrivals that the offset is the median of."""
+# [s] Between the offset by pulses and the one by arrivals, from which on the pulses may be matched
+# one round off.
 _FAR_OFF = 0.6
-"""[s] Between the offset by pulses and the one by arrivals, from which on the pulses may be matched
-one round off.
-"""
+# Rounds in a row that lie so far off before the alignment is given up: arrivals jitter.
 _FAR_OFF_ROUNDS = 3
-"""Rounds in a row that lie so far off before the alignment is given up: arrivals jitter."""
 
 
 class EdgeFinder:
@@ -448,10 +447,10 @@ def _longer_pulses(pulses: Sequence[tuple[int, int]]) -> list[int]:
     return [at for at, width in pulses if width > _LONGER * median]
 
 
+# [s] That cutting runs behind what came: late frames find their place.
 _LATE = 0.05
-"""[s] That cutting runs behind what came: late frames find their place."""
+# [s] After which a movement is cut: a signal that stays off 0 must not fill the memory.
 _LONGEST_MOVEMENT = 60.0
-"""[s] After which a movement is cut: a signal that stays off 0 must not fill the memory."""
 
 
 class Cutter(ABC):

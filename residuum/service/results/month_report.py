@@ -17,10 +17,10 @@ from residuum.service.results.parquet_tables import Span, findings_in, month_of
 from residuum.service.storage.disk_store import DiskStore
 from residuum.service.store import Alarm, AlarmEntry, Asset, Confirmation, StoredFinding
 
+# Hours of a machine that are looked through: ten years of them.
 _HOURS = 24 * 366 * 10
-"""Hours of a machine that are looked through: ten years of them."""
+# Entries of an alarm's journal, the newest.
 _JOURNAL = 10_000
-"""Entries of an alarm's journal, the newest."""
 
 
 @dataclass

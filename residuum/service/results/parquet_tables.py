@@ -24,8 +24,8 @@ from residuum.service.store import SignalLetGo, StoredFinding, StoredWindow
 
 # A span of time as people write it, and what was stored in it.
 
+# Rows that are read at once.
 _MANY = 500
-"""Rows that are read at once."""
 _MONTH = re.compile("[0-9]{4}-(0[1-9]|1[0-2])")
 
 
@@ -105,10 +105,10 @@ def _moment(name: str, text: str) -> datetime:
 
 
 MEDIA_TYPE = "application/vnd.apache.parquet"
+# Rows of a group, at most.
 _ROWS = 500
-"""Rows of a group, at most."""
+# Bytes of samples in a group of rows, at most: what is held in memory.
 _GROUP_BYTES = 64 * 2**20
-"""Bytes of samples in a group of rows, at most: what is held in memory."""
 
 
 def write_findings(store: DiskStore, asset: str, span: Span, path: Path) -> int:

@@ -1,5 +1,5 @@
-"""The alarms of all machines with what their rules say of them, as a table (ANSI/ISA-18.2, clause 9:
-rationalisation).
+"""The alarms of all machines with what their rules say of them, as a table (ANSI/ISA-18.2, clause
+9: rationalisation).
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from residuum.service.alarms.alarm_states import MACHINE, SIGNAL, AlarmRule
 from residuum.service.storage.disk_store import DiskStore
 from residuum.service.store import Asset
 
+# In the table's order; a plant without machines has them, too.
 _COLUMNS = (
     "machine",
     "title",
@@ -31,10 +32,9 @@ _COLUMNS = (
     "shelving_reason",
     "longest_shelving_minutes",
 )
-"""In the table's order; a plant without machines has them, too."""
 _MACHINES_AT_ONCE = 100
+# What a spreadsheet takes for the begin of a formula.
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
-"""What a spreadsheet takes for the begin of a formula."""
 
 
 def rationalisation_table(
@@ -42,8 +42,8 @@ def rationalisation_table(
     rule_of: Callable[[str], AlarmRule],
     sites: Collection[str] | None = None,
 ) -> str:
-    """CSV with a row a machine and kind of alarm, times in seconds, limits as the latest finding was
-    judged by.
+    """CSV with a row a machine and kind of alarm, times in seconds, limits as the latest finding
+    was judged by.
 
     A text that a spreadsheet would take for a formula begins with an apostrophe.
     """

@@ -31,8 +31,8 @@ _OWN = (
 )
 POLICY = "default-src 'none'; style-src 'unsafe-inline'; frame-ancestors 'none'"
 """What a browser may do with the page: nothing but show it."""
+# Pictures one below the other; the names of others are told.
 _MOST_CURVES = 24
-"""Pictures one below the other; the names of others are told."""
 
 
 def report_page(report: MonthReport, written_at: datetime | None = None) -> str:
@@ -154,8 +154,8 @@ def _bins(counted: SaidAndFound) -> str:
     without = counted.without_probability
     more = f" {without} more were said without a probability." if without else ""
     return _table(head, rows, numbers=range(1, 6)) + (
-        '<p class="muted small">Intervals after Clopper and Pearson, for findings that were answered'
-        " independently of each other: several windows of one repair count too often. Only answered"
+        '<p class="muted small">Intervals after Clopper and Pearson, for findings that were'
+        " answered independently of each other: several windows of one repair count too often. Only answered"
         f" findings are counted.{more}</p>"
     )
 
@@ -317,7 +317,8 @@ def reliability_svg(
             f'<text x="{LEFT + 18}" y="{y}">{escape(single_name)} ({len(single)})</text>',
         ]
     width, height = LEFT + SIDE + 20, TOP + SIDE + BELOW + 20
-    head = f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" width="{width}" height="{height}"'
+    box = f'viewBox="0 0 {width} {height}" width="{width}" height="{height}"'
+    head = f'<svg xmlns="http://www.w3.org/2000/svg" {box}'
     style = 'font-family="sans-serif" font-size="12" fill="#333"'
     back = f'<rect width="{width}" height="{height}" fill="#fff"/>'
     return f"{head} {style}>\n{back}\n" + "\n".join(parts) + "\n</svg>\n"
@@ -344,7 +345,8 @@ def _axes() -> str:
         f'<text x="{_x(0.5):g}" y="{_y(0) + 34:g}" text-anchor="middle">probability said</text>'
     )
     text.append(
-        f'<text transform="translate(16 {_y(0.5):g}) rotate(-90)" text-anchor="middle">share that was true</text>'
+        f'<text transform="translate(16 {_y(0.5):g}) rotate(-90)" text-anchor="middle">'
+        "share that was true</text>"
     )
     return "\n".join(text)
 
@@ -352,8 +354,9 @@ def _axes() -> str:
 def _point(line: ReliabilityLine, colour: str, aside: float) -> str:
     x, (low, high) = _x(line.predicted) + aside, line.interval
     bar = f'<path d="M{x:.1f} {_y(low):.1f}V{_y(high):.1f}" stroke="{colour}" stroke-width="1.5"/>'
-    told = f"said {line.predicted:.2f}, true {line.observed:.2f} of {line.n}"
-    return f'{bar}<circle cx="{x:.1f}" cy="{_y(line.observed):.1f}" r="4" fill="{colour}"><title>{told}</title></circle>'
+    circle = f'<circle cx="{x:.1f}" cy="{_y(line.observed):.1f}" r="4" fill="{colour}">'
+    title = f"said {line.predicted:.2f}, true {line.observed:.2f} of {line.n}"
+    return f"{bar}{circle}<title>{title}</title></circle>"
 
 
 def _diamond(said: float, true: bool) -> str:
@@ -361,4 +364,5 @@ def _diamond(said: float, true: bool) -> str:
 
 
 def _diamond_at(x: float, y: float) -> str:
-    return f'<path d="M{x - 5:.1f} {y:.1f}l5 -5l5 5l-5 5z" fill="none" stroke="#333" stroke-width="1.5"/>'
+    path = f"M{x - 5:.1f} {y:.1f}l5 -5l5 5l-5 5z"
+    return f'<path d="{path}" fill="none" stroke="#333" stroke-width="1.5"/>'

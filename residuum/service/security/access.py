@@ -302,7 +302,8 @@ def make_broker_user(folder: Path) -> None:
     # the form of Mosquitto's password files, `$7$ROUNDS$SALT$HASH` (PBKDF2 with SHA-512)
     chosen, salt = secrets.token_urlsafe(32), secrets.token_bytes(12)
     hashed = hashlib.pbkdf2_hmac("sha512", chosen.encode(), salt, _ROUNDS)
-    line = f"{BROKER_USER}:$7${_ROUNDS}${base64.b64encode(salt).decode()}${base64.b64encode(hashed).decode()}\n"
+    shown = [base64.b64encode(part).decode() for part in (salt, hashed)]
+    line = f"{BROKER_USER}:$7${_ROUNDS}${shown[0]}${shown[1]}\n"
     try:
         written = _beside(password, chosen), _beside(users, line)
         written[0].replace(password)

@@ -35,18 +35,17 @@ _ALGORITHMS = [
     "ES512",
     "EdDSA",
 ]
+# Seconds by which the issuer's clock may differ from ours.
 _LEEWAY = 30.0
-"""Seconds by which the issuer's clock may differ from ours."""
+# Seconds for an answer of the issuer.
 _PATIENCE = 5.0
-"""Seconds for an answer of the issuer."""
+# Of such an answer.
 _MOST_BYTES = 2**20
-"""Of such an answer."""
+# Seconds for which keys are kept, and after which they are asked for again because of a key that is
+# not among them.
 _KEYS_KEPT, _KEYS_AGAIN = 3600.0, 10.0
-"""Seconds for which keys are kept, and after which they are asked for again because of a key that
-is not among them.
-"""
+# Verified tokens that are remembered: a signature is verified once, not with each request.
 _MOST_TOKENS = 1000
-"""Verified tokens that are remembered: a signature is verified once, not with each request."""
 _NEEDED = ["exp", "iss", "aud"]
 
 

@@ -31,10 +31,8 @@ from residuum.service.settings import Settings, is_loopback
 
 # Token buckets: how many requests a client may make, in the long run and at once.
 
+# Buckets kept; beyond, the client that was silent for longest is forgotten, which fills its bucket.
 _MOST_CLIENTS = 10_000
-"""Buckets kept; beyond, the client that was silent for longest is forgotten, which fills its
-bucket.
-"""
 
 
 @dataclass
@@ -96,31 +94,30 @@ log = structlog.get_logger()
 Measure = Callable[[str, str, int, float], None]
 """Told of every answer: (method, route, status, seconds)."""
 
+# Bytes of an answer that are handed on at once.
 _PART = 2**16
-"""Bytes of an answer that are handed on at once."""
+# Times the longest body that is taken: so much is read and thrown away before it is refused.
 _DRAINED = 4
-"""Times the longest body that is taken: so much is read and thrown away before it is refused."""
+# Seconds of silence after which no more of a body that is thrown away is waited for.
 _PATIENCE = 5.0
-"""Seconds of silence after which no more of a body that is thrown away is waited for."""
+# Of a declared length: what is longer is no number of bytes that a disk has.
 _MOST_DIGITS = 18
-"""Of a declared length: what is longer is no number of bytes that a disk has."""
 _CLOSE = {"Connection": "close"}  # the rest of the body is not waited for
+# Seconds for which a wrong key's refusal is held back at most.
 _SLOWEST = 2.0
-"""Seconds for which a wrong key's refusal is held back at most."""
+# Seconds of the allowed rate that a client may ask for at once.
 _BURST = 2.0
-"""Seconds of the allowed rate that a client may ask for at once."""
 _HEALTH = frozenset(
     f"{root}/health/{what}" for root in ("", "/api/v1") for what in ("live", "ready")
 )
 _SAFE = ("GET", "HEAD", "OPTIONS")
 _METRICS = ("/metrics", "/api/v1/metrics")
+# Paths of what an operator does with an alarm or tells of a finding: the whole path, for an asset
+# may be called `acknowledge`, too.
 _OPERATORS = re.compile(
     r"/api/v1/(alarms/[^/]+/(acknowledge|reset|shelve|unshelve)"
     r"|assets/[^/]+/findings/[^/]+/confirmations)/?"
 )
-"""Paths of what an operator does with an alarm or tells of a finding: the whole path, for an asset
-may be called `acknowledge`, too.
-"""
 # The hash is that of an empty style element, which Plotly fills rule by rule through the style
 # sheet interface.
 _POLICY = (
@@ -132,10 +129,9 @@ _EVERY_ANSWER = [
     (b"x-content-type-options", b"nosniff"),
     (b"cross-origin-resource-policy", b"same-origin"),
 ]
+# A browser that was here by HTTPS comes by nothing else for a year, whatever a link or somebody in
+# between says.
 _BY_TLS = [(b"strict-transport-security", b"max-age=31536000")]
-"""A browser that was here by HTTPS comes by nothing else for a year, whatever a link or somebody in
-between says.
-"""
 _DATA = [
     *_EVERY_ANSWER,
     (b"content-security-policy", b"default-src 'none'; frame-ancestors 'none'"),
@@ -551,6 +547,8 @@ def _role_for(method: str, path: str) -> Role:
     return Role.OPERATOR if method == "POST" and _OPERATORS.fullmatch(path) else Role.ENGINEER
 
 
+# First words of the paths that a caller of some sites may use; what they list is cut down to the
+# sites by the routes.
 _FOR_EVERY_SITE = (
     "score",
     "diagnosers",
@@ -562,9 +560,6 @@ _FOR_EVERY_SITE = (
     "status",
     "sources",
 )
-"""First words of the paths that a caller of some sites may use; what they list is cut down to the
-sites by the routes.
-"""
 
 
 def _of_sites(scope: Scope, caller: Caller) -> bool:

@@ -33,12 +33,11 @@ HANDSHAKE_WITHIN = 5.0
 """Seconds for a TLS handshake."""
 MOST_STRANGERS = 1000
 """Connections that have shown no key, each of which may hold some hundred kB of an answer."""
+# Addresses from which a key has been shown that are remembered.
 _MOST_ACQUAINTED = 10_000
-"""Addresses from which a key has been shown that are remembered."""
+# Bytes of an answer that wait in a connection, beside those that TLS and the system keep, before no
+# more is made.
 _UNSENT = 2**16
-"""Bytes of an answer that wait in a connection, beside those that TLS and the system keep, before
-no more is made.
-"""
 KNOWN = "residuum.known"
 """What the scope of a request holds under this name is called when its caller has shown a key."""
 

@@ -176,8 +176,8 @@ def _demo_machines() -> list[MachineSettings]:
     ]
 
 
+# Machines of which a second opinion can be trained, by the model that is built in for them.
 _MODEL_OF = {"gate-actuator": "gate-drive", "process-plant": "process"}
-"""Machines of which a second opinion can be trained, by the model that is built in for them."""
 
 
 def _machine(asset: str, window: WindowSettings, sources: list[SourceSettings]) -> MachineSettings:

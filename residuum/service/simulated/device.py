@@ -24,14 +24,13 @@ from residuum.service.fieldbus.settings import MAPS
 from residuum.service.simulated.wiring import Wiring
 from residuum.simulation.machine import BadSetting, Machine
 
+# [s] Between two looks at the clock.
 _TICK = 0.02
-"""[s] Between two looks at the clock."""
+# [s] Between two reports of which faults are on.
 _STATE_PERIOD = 0.5
-"""[s] Between two reports of which faults are on."""
+# [s] After which the machine's life pauses. What it missed came in a burst once that went round its
+# own ring of pages.
 _FURTHEST_BEHIND = 0.2
-"""[s] After which the machine's life pauses. What it missed came in a burst once that went round its
-own ring of pages.
-"""
 
 
 class Device:

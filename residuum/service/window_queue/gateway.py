@@ -130,14 +130,12 @@ class Spool:
 
 log = structlog.get_logger()
 
+# Windows of a machine that are under way at once; what those of one machine wait for holds up no
+# other.
 _AHEAD = 8
-"""Windows of a machine that are under way at once; what those of one machine wait for holds up no
-other.
-"""
+# Seconds without a receipt for a machine after which its windows are sent again; doubled each time,
+# up to the second.
 _RESEND_AFTER, _LONGEST_RESEND = 15.0, 240.0
-"""Seconds without a receipt for a machine after which its windows are sent again; doubled each
-time, up to the second.
-"""
 _LOOK = 0.5
 _RETRY = 2.0
 

@@ -147,10 +147,8 @@ class Scorer:
             log.exception("window not scored", gateway=gateway, attempt=attempt)
             self._stopped.wait(_STORAGE_RETRY)
             return
-        if (
-            stored is not None
-            # before the receipt: a scorer that is killed in between stores nothing new, but tells anew
-        ):
+        # before the receipt: a scorer that is killed in between stores nothing new, but tells anew
+        if stored is not None:
             client.publish(stored_topic(self._address.prefix), stored.pack(), qos=1)
         client.publish(
             receipt_topic(self._address.prefix, gateway),

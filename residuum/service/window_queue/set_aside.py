@@ -29,8 +29,8 @@ FOLDER = "set-aside"
 ATTEMPTS = 5
 """Times that a message is begun; then it is set aside."""
 _MOST = 200
+# Messages and bytes that are kept; beyond, the oldest go. What came is counted in any case.
 _MOST_BYTES = 256 * 2**20
-"""Messages and bytes that are kept; beyond, the oldest go. What came is counted in any case."""
 _SAFE = re.compile(r"[^A-Za-z0-9_-]")
 _LONGEST_REASON = 500
 
@@ -168,8 +168,8 @@ class Attempts:
 # Messages that were set aside, sent to the scorers once more: each stays in the folder until a
 # scorer says what became of it.
 
+# Seconds for which the broker's, and each scorer's, answer is waited for.
 _PATIENCE = 60.0
-"""Seconds for which the broker's, and each scorer's, answer is waited for."""
 
 
 def send_again(

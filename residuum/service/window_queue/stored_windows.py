@@ -68,10 +68,10 @@ class StoredNews:
 
 log = structlog.get_logger()
 
+# Machines of which news wait; of more, pages read the state anew.
 _MOST_WAITING = 10_000
-"""Machines of which news wait; of more, pages read the state anew."""
+# Findings of a machine that are told one by one; of more, pages read the state anew.
 _AT_ONCE = 100
-"""Findings of a machine that are told one by one; of more, pages read the state anew."""
 _PAUSE = 0.05
 _STORAGE_RETRY = 2.0
 _REMEMBERED = 20_000

@@ -43,7 +43,7 @@ def window_topic(prefix: str, asset: str, gateway: str, key: str) -> str:
 def windows_of_part(prefix: str, part: int, parts: int) -> list[str]:
     """What the scorer `part` (from 1) of so many subscribes to.
 
-    >>> len(windows_of_part("residuum", 1, 2)) + len(windows_of_part("residuum", 2, 2)) == PARTITIONS
+    >>> sum(len(windows_of_part("residuum", part, 2)) for part in (1, 2)) == PARTITIONS
     True
     """
     return [f"{prefix}/windows/{number}/+/+" for number in range(part - 1, PARTITIONS, parts)]

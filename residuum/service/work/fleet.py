@@ -342,12 +342,12 @@ Work = Callable[[str], dict[str, Any]]
 A work with a `mark` says it in every result, as `by`; results of another mark are not gone on with.
 """
 
+# Files that a worker is given at once, so that handing over costs little beside the work.
 _TOGETHER = 8
-"""Files that a worker is given at once, so that handing over costs little beside the work."""
+# Tasks a worker that are under way or waiting at the executor.
 _AHEAD = 3
-"""Tasks a worker that are under way or waiting at the executor."""
+# Times that a task may lose its worker before its files are done one by one, alone.
 _ATTEMPTS = 5
-"""Times that a task may lose its worker before its files are done one by one, alone."""
 
 
 @dataclass
@@ -411,7 +411,8 @@ def run_fleet(
             for future in wait(running, return_when=FIRST_COMPLETED).done:
                 task = running.pop(future)
                 answers = _found(future, task, mark)
-                # its worker was lost: behind the others, so that what kills workers holds up nothing
+                # its worker was lost: behind the others, so that what kills workers holds up
+                # nothing
                 if answers is None:
                     (waiting if task.attempts < _ATTEMPTS else alone).extend(_again(task))
                     continue

@@ -32,8 +32,8 @@ from residuum.service.store import NotFound
 log = structlog.get_logger()
 
 _LOWEST_PRIORITY = 19  # of nice(2)
+# [s] For a process to end by itself.
 _STOP_TIMEOUT = 3.0
-"""[s] For a process to end by itself."""
 
 
 class CompilingBehind:
@@ -94,8 +94,8 @@ Then = Callable[[Mapping[str, Any]], Mapping[str, Any]]
 Announce = Callable[[str, Mapping[str, Any]], None]
 
 _SPAWN = multiprocessing.get_context("spawn")  # a fork would take the threads' locks along
+# Jobs that are remembered: their results stay in memory.
 _MOST_KEPT = 500
-"""Jobs that are remembered: their results stay in memory."""
 
 
 class JobState(StrEnum):

@@ -19,15 +19,14 @@ from typing import Any
 
 from residuum.identification.errors import BadInput
 
+# Exit status of a refusal; the interpreter's own for an exception is 1.
 _REFUSED = 2
-"""Exit status of a refusal; the interpreter's own for an exception is 1."""
+# Files that such a process may have open: libraries and the one it reads.
 _FILES = 64
-"""Files that such a process may have open: libraries and the one it reads."""
+# Waiting time a second of processor time, after which a process that only waits is ended. Long,
+# because a busy machine gives a small part of a processor, and whether a file can be read must not
+# hang on that.
 _PATIENCE = 20
-"""Waiting time a second of processor time, after which a process that only waits is ended. Long,
-because a busy machine gives a small part of a processor, and whether a file can be read must not
-hang on that.
-"""
 
 
 def run_limited(

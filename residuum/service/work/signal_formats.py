@@ -27,6 +27,7 @@ from residuum.service.problems import BadBody, TooLarge
 from residuum.service.work.npy import read_header
 
 MOST_CHANNELS = 256
+# What reading an archive raises that is none, or is damaged.
 _DAMAGED = (
     zipfile.BadZipFile,
     zlib.error,
@@ -37,12 +38,11 @@ _DAMAGED = (
     RuntimeError,
     ValueError,
 )
-"""What reading an archive raises that is none, or is damaged."""
 _NO_NUMBER = re.compile(r"-?(NaN|nan|Infinity|inf)\b")
 _UNQUOTED = "; numbers stand without quotes, a missing sample is null"
 _NUMBERS = (int, float, type(None))
+# Characters of all notes: they are stored with a record, and shown with each answer.
 _LONGEST_NOTES = 64 * 2**10
-"""Characters of all notes: they are stored with a record, and shown with each answer."""
 _JSON_KEYS = {"sample_time", "t0", "channels", "units", "notes"}
 
 

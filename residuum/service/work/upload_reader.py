@@ -23,14 +23,13 @@ from residuum.service.problems import BadBody, TooLarge
 from residuum.service.work.limited_process import run_limited, within_limits
 
 _OF_READING = (*vars(errors).values(), BadBody, TooLarge)
+# What reading may raise, by the name under which the process tells it: a refusal is the same as
+# without a process.
 _REFUSALS = {
     each.__name__: each
     for each in _OF_READING
     if isinstance(each, type) and issubclass(each, BadInput)
 }
-"""What reading may raise, by the name under which the process tells it: a refusal is the same as
-without a process.
-"""
 
 
 def read_upload(

@@ -24,12 +24,11 @@ from residuum.identification.record import Record
 
 LARGE = 1 << 20
 """Bytes from which an array gets pages of its own in a service."""
+# Bytes up to which an array comes from kept memory, and which at most are kept at the end of the
+# heap.
 _KEPT = 64 << 20
-"""Bytes up to which an array comes from kept memory, and which at most are kept at the end of the
-heap.
-"""
+# Names of the settings in glibc's malloc.h.
 _TRIM_THRESHOLD, _MMAP_THRESHOLD, _ARENA_MAX = -1, -3, -8
-"""Names of the settings in glibc's malloc.h."""
 
 
 def give_back_large_arrays() -> bool:
@@ -83,10 +82,10 @@ def parts_of(record: Record, source: str | None = None) -> RecordParts:
 
 
 T = TypeVar("T")
+# Times that work is done whose worker was killed; see `WorkerPool.call`.
 _ATTEMPTS = 3
-"""Times that work is done whose worker was killed; see `WorkerPool.call`."""
+# [s] Between looks at whether the pool was closed while its server loads.
 _LOOK = 0.1
-"""[s] Between looks at whether the pool was closed while its server loads."""
 _SERVER = multiprocessing.get_context("forkserver")
 
 

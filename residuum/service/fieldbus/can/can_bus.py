@@ -22,12 +22,13 @@ from residuum.service.fieldbus.can.frame_batch import (
     FrameBatchBuilder,
 )
 
+# Frames: a bus that never falls silent must not keep a read from ending.
 _MOST_IN_ONE_READ = 2048
-"""Frames: a bus that never falls silent must not keep a read from ending."""
+# [s] For room in the interface's queue.
 _SEND_TIMEOUT = 0.2
-"""[s] For room in the interface's queue."""
+# Bytes: what a busy bus sends while the reader is held up for a while
+# (`docs/explanation/buses.md`).
 _RECEIVE_BUFFER = 16 << 20
-"""Bytes: what a busy bus sends while the reader is held up for a while (`docs/explanation/buses.md`)."""
 _SO_RCVBUFFORCE = 33  # Linux's name, which Python does not have
 
 
@@ -122,8 +123,8 @@ def _make_room(bus: can.BusABC) -> None:
 
 # How settings name a CAN bus: `interface:channel`, as python-can has them.
 
+# python-can's own default.
 _MULTICAST_PORT = 43113
-"""python-can's own default."""
 
 
 def bus_arguments(channel: str) -> dict[str, Any]:

@@ -19,19 +19,21 @@ from residuum.service.fieldbus.can.frame_batch import EXTENDED
 from residuum.service.fieldbus.can.frame_layout import BadBusDescription
 
 _BINARY = ".blf"
+# A line of candump: `(stamp) bus id#bytes`, `id##flagbytes` of CAN FD, or `(stamp) bus id [length]
+# bytes` as it prints them.
 _CANDUMP = re.compile(
-    r"\s*(?:\((?P<stamp>[^)]*)\)\s+)?(?P<bus>\S+)\s+(?:[RT]X\s+\S+\s+\S+\s+)?(?P<id>[0-9A-Fa-f]{3,8})"
-    r"(?:##(?P<flags>[0-9A-Fa-f])(?P<fd>(?:[0-9A-Fa-f]{2})*)|#(?P<classic>R[0-9A-Fa-f]*|(?:[0-9A-Fa-f]{2})*(?:_[0-9A-Fa-f])?)"
-    r"|\s+\[(?P<length>\d+)\]\s*(?P<bytes>(?:[0-9A-Fa-f]{2}(?=\s|$)\s*)*)(?P<mark>\S.*)?)(?:\s+(?:[RT]X?|B|E)+)?\s*$"
+    r"\s*(?:\((?P<stamp>[^)]*)\)\s+)?(?P<bus>\S+)\s+(?:[RT]X\s+\S+\s+\S+\s+)?"
+    r"(?P<id>[0-9A-Fa-f]{3,8})"
+    r"(?:##(?P<flags>[0-9A-Fa-f])(?P<fd>(?:[0-9A-Fa-f]{2})*)"
+    r"|#(?P<classic>R[0-9A-Fa-f]*|(?:[0-9A-Fa-f]{2})*(?:_[0-9A-Fa-f])?)"
+    r"|\s+\[(?P<length>\d+)\]\s*(?P<bytes>(?:[0-9A-Fa-f]{2}(?=\s|$)\s*)*)(?P<mark>\S.*)?)"
+    r"(?:\s+(?:[RT]X?|B|E)+)?\s*$"
 )
-"""A line of candump: `(stamp) bus id#bytes`, `id##flagbytes` of CAN FD, or `(stamp) bus id [length]
-bytes` as it prints them.
-"""
 # bits of an identifier as Linux has them (linux/can.h), which candump prints: CAN_ERR_FLAG, and the
 # 29 bits that are the identifier's own
 _ERROR_FRAME, _EXTENDED_MASK = 0x2000_0000, 0x1FFF_FFFF
+# Steps back from which on stamps are no times but the time since the frame before.
 _SHARE_BACK = 0.1
-"""Steps back from which on stamps are no times but the time since the frame before."""
 
 
 class TimedFrame(NamedTuple):
@@ -85,8 +87,8 @@ def _candump_message(line: str, number: int) -> can.Message:
             f"line {number} has no time stamp; record with `candump -l` or `-L`, or print with -ta"
         )
     identifier, classic = int(fields["id"], 16), fields["classic"] or ""
-    # candump writes a standard identifier in three digits and an extended one in eight, also a small
-    # one: the value alone does not tell them apart
+    # candump writes a standard identifier in three digits and an extended one in eight, also a
+    # small one: the value alone does not tell them apart
     is_extended = len(fields["id"]) > 3
     mark = fields["mark"] or ""
     data = _candump_bytes(fields, classic)

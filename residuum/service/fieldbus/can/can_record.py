@@ -18,12 +18,13 @@ from residuum.service.fieldbus.can.logged_messages import LoggedMessage, logged_
 from residuum.service.fieldbus.settings import map_file
 from residuum.service.fieldbus.source import Samples
 
+# Of all channels together: 800 MB as doubles. A log whose stamps are torn apart would ask for more.
 _MOST_SAMPLES = 100_000_000
-"""Of all channels together: 800 MB as doubles. A log whose stamps are torn apart would ask for more."""
+# Part of all instants that may be cut off at both ends: what is more is a gap, and stays to be
+# seen.
 _MOST_TRIMMED = 0.01
-"""Part of all instants that may be cut off at both ends: what is more is a gap, and stays to be seen."""
+# Of a frame's time, where no counter says which place a frame has.
 _MOST_JITTER = 0.25
-"""Of a frame's time, where no counter says which place a frame has."""
 
 
 def read_can_record(
@@ -100,8 +101,8 @@ def _on_own_clocks(
         _, channels = message.layout.decode(message.frames)
         for name, values in channels.items():
             own = names[message.layout.name, name]
-            # with stamps alone, jitter of more than a quarter of a frame's time may put a frame into
-            # the next one's place
+            # with stamps alone, jitter of more than a quarter of a frame's time may put a frame
+            # into the next one's place
             if message.placed or message.jitter <= _MOST_JITTER:
                 signals[own] = (message.begin, message.sample_time, _with_holes(message, values))
             elif options.resample:

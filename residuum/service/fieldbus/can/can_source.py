@@ -22,12 +22,11 @@ from residuum.service.fieldbus.source import (
     StreamFormat,
 )
 
+# Seconds that one read waits for a frame: how long it takes at most to notice that it was stopped.
 _POLL = 0.1
-"""Seconds that one read waits for a frame: how long it takes at most to notice that it was stopped."""
+# How long frames wait in the bus's own buffer, so that they are decoded together [s]; some buses
+# keep some hundred.
 _GATHER = 0.01
-"""How long frames wait in the bus's own buffer, so that they are decoded together [s]; some buses
-keep some hundred.
-"""
 COMMAND, STATE = "FAULT_COMMAND", "FAULT_STATE"
 
 
@@ -149,7 +148,8 @@ class CanSource(Source):
         while not self._stopped.is_set() and self._bus is not None:
             bus = self._bus
             batch = bus.read(_POLL)
-            # the bus was seen empty: only then is the time since the last frame a silence of the bus
+            # the bus was seen empty: only then is the time since the last frame a silence of the
+            # bus
             if batch.empty:
                 self._was_empty = True
                 continue
@@ -222,10 +222,10 @@ class CanSource(Source):
 
 # ArrivalOrder: places of frames that carry no counter, as they come; a pause breaks them off.
 
+# [s] A reader that was held up for less finds its frames waiting in the bus's buffer.
 _SHORTEST_PAUSE = 0.5
-"""[s] A reader that was held up for less finds its frames waiting in the bus's buffer."""
+# Of a slow message: some frames' time, in which one may come late without being lost.
 _FRAMES_OF_A_PAUSE = 4.0
-"""Of a slow message: some frames' time, in which one may come late without being lost."""
 
 
 class ArrivalOrder:

@@ -116,7 +116,8 @@ def usable_text(text: str) -> tuple[str, dict[str, str]]:
     without value tables of signals that no message has. Also why each message was left out, by its
     name.
 
-    >>> text, why = usable_text("BO_ 2048 late: 8 A\\n SG_ x : 0|8@1+ (1,0) [0|0] \\"\\" A\\nBO_ 7 kept: 8 A\\n")
+    >>> late = 'BO_ 2048 late: 8 A\\n SG_ x : 0|8@1+ (1,0) [0|0] "" A\\n'
+    >>> text, why = usable_text(late + "BO_ 7 kept: 8 A\\n")
     >>> text, why["late"][:45]
     ('\\n\\nBO_ 7 kept: 8 A\\n', 'identifier 2048 is longer than 11 bits and is')
     """
@@ -182,21 +183,21 @@ def _impossible(identifier: int, name: str) -> str:
 
 # Lines that cannot be read.
 
+# Lines and messages; a file with more is none. It bounds the time, too: each costs a whole reading
+# of the file.
 _MOST_LEFT_OUT = 40
-"""Lines and messages; a file with more is none. It bounds the time, too: each costs a whole reading of
-the file.
-"""
 _AT = re.compile(r"nvalid syntax at line (\d+), column (\d+)")
 _NO_ATTRIBUTE = re.compile(r"\"'(\w+)'\"")
 _FLOAT_OF_NONE = re.compile(r"(SIG_VALTYPE_ \d+ \w+)")
 _BEGIN = re.compile(r"^(?:[ \t]+SG_\b|VERSION\b|[A-Z]+_(?:[A-Z]+_)*(?=[\s:])).*", re.MULTILINE)
 _SIGNALS = re.compile(r"(?:[ \t]+SG_ .*(?:\n|$)|[ \t]*\n)+")
+# What ends in a semicolon.
 _ENDS = ("CM_", "BA_", "VAL_", "SIG_", "SG_MUL", "EV_", "BO_TX")
-"""What ends in a semicolon."""
+# Statements that say how a message is read, with its identifier.
 _CHANGES_VALUES = re.compile(
-    r'(?:SIG_VALTYPE_|SG_MUL_VAL_)\s+(\d+)|BA_\s+"(?:SampleTime|GenMsgCycleTime|SamplesPerFrame|VFrameFormat)"\s+BO_\s+(\d+)'
+    r"(?:SIG_VALTYPE_|SG_MUL_VAL_)\s+(\d+)"
+    r'|BA_\s+"(?:SampleTime|GenMsgCycleTime|SamplesPerFrame|VFrameFormat)"\s+BO_\s+(\d+)'
 )
-"""Statements that say how a message is read, with its identifier."""
 
 
 def read_text(text: str) -> tuple[Database, dict[str, str]]:
@@ -214,7 +215,8 @@ def read_text(text: str) -> tuple[Database, dict[str, str]]:
         try:
             database = _load(usable)
         except DatabaseError as error:
-            # the first complaint is about the file as it is; later ones may come of what was left out
+            # the first complaint is about the file as it is; later ones may come of what was left
+            # out
             first = first or error
             unread = _unread(usable, str(error)) if len(left_out) < _MOST_LEFT_OUT else []
             if not unread:
@@ -274,17 +276,16 @@ def _about(
     """The statement at fault for what cannot be read there: one that does not close its quotes, or
     does not end, before it.
     """
-    place = sum(len(part) for part in text.splitlines(keepends=True)[: line - 1])
+    place = sum(map(len, text.splitlines(keepends=True)[: line - 1]))
     before = [part for part in statements if part[0] <= place]
-    # an open quote makes everything behind it a text, up to where the parser stumbles
+    # an open quote makes everything behind it a text, up to where the next one closes it
     for part in before:
         if _leaves_a_quote_open(text[slice(*part)]):
             return [part]
     # without its semicolon a statement runs on into the next one, whose begin is then refused
     if column == 1 and len(before) > 1 and _does_not_end(text[slice(*before[-2])]):
         return before[-2:-1]
-    begins_there = bool(before) and before[-1][0] == place
-    if column != 1 or begins_there:
+    if column != 1 or place in (start for start, _ in before):
         return before[-1:]
     # a line that begins no statement we know: all up to the next one that does
     end = next((a for a, _ in statements if a > place), len(text))

@@ -31,12 +31,12 @@ from residuum.service.fieldbus.source import Samples, StreamFormat
 Bytes = npt.NDArray[np.uint8]
 Raw = npt.NDArray[np.uint64]
 MOST_BITS = 64
+# Bits of a floating-point signal → its type, and the whole number of the same bits.
 _FLOATS: dict[int, tuple[Any, Any]] = {
     16: (np.float16, np.uint16),
     32: (np.float32, np.uint32),
     64: (np.float64, np.uint64),
 }
-"""Bits of a floating-point signal → its type, and the whole number of the same bits."""
 _ALL_ONES = np.uint64(0xFFFFFFFFFFFFFFFF)
 
 
@@ -145,8 +145,8 @@ def _span(start: int, length: int, byte_order: str) -> tuple[list[int], int]:
     """Bytes that a signal touches, most significant first, and how far its lowest bit is from the
     end of the last one.
     """
-    # a DBC file's start is the lowest bit of a little-endian signal, and the highest of a big-endian
-    # one; in both, bit 0 of a byte is its lowest
+    # a DBC file's start is the lowest bit of a little-endian signal, and the highest of a
+    # big-endian one; in both, bit 0 of a byte is its lowest
     if byte_order == "little_endian":
         first, last = start // 8, (start + length - 1) // 8
         return list(range(last, first - 1, -1)), start - 8 * first
@@ -162,13 +162,13 @@ _FRAME_TIMES = (("SampleTime", 1.0), ("GenMsgCycleTime", 1e-3))
 _COUNTER_LIKE = re.compile(
     r"(.*_)?(alive|rolling|message|msg|sequence|seq|frame)_?(counter|count|cnt)", re.IGNORECASE
 )
+# Widths that `SequenceCounter` unwraps.
 _COUNTER_BITS = range(4, 33)
-"""Widths that `SequenceCounter` unwraps."""
 _INDEXED = re.compile(r"^(?P<channel>.+)_(?P<index>\d{2,})$")
+# Of DBC files, whatever computer wrote them.
 _ENCODING = "cp1252"
-"""Of DBC files, whatever computer wrote them."""
+# Bytes that a frame of CAN FD may have beyond 8 (ISO 11898-1); others are filled up to the next.
 _FD_LENGTHS = (12, 16, 20, 24, 32, 48, 64)
-"""Bytes that a frame of CAN FD may have beyond 8 (ISO 11898-1); others are filled up to the next."""
 
 
 class BadBusDescription(BadInput):

@@ -21,14 +21,13 @@ from residuum.service.fieldbus.can.frame_layout import (
 )
 from residuum.service.fieldbus.source import Numbers, Samples
 
+# Part by which the time between frames may differ from the DBC file's and still be taken for it.
 _SAME_TIME = 0.01
-"""Part by which the time between frames may differ from the DBC file's and still be taken for it."""
+# Of all steps that are zero, from which on stamps do not tell frames apart.
 _SHARED = 0.2
-"""Of all steps that are zero, from which on stamps do not tell frames apart."""
+# Frames by which time stamps may be off what the counter says, beside a quarter of the time between
+# two frames.
 _LATE = 2.0
-"""Frames by which time stamps may be off what the counter says, beside a quarter of the time
-between two frames.
-"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -299,14 +298,12 @@ def _settled(layout: FrameLayout, period: float) -> tuple[float, list[str]]:
 # lies on both sides is brought together by the counters, else by the period of the fastest message,
 # which takes for granted that nothing was lost in that moment.
 
+# Seconds by which frames of several buses may stand in another order than they came.
 _DISORDER = 1e-3
-"""Seconds by which frames of several buses may stand in another order than they came."""
+# Periods of the fastest message, and seconds, from which on a pause may be a clock that was set.
 _PAUSE, _LONG = 20.0, 0.3
-"""Periods of the fastest message, and seconds, from which on a pause may be a clock that was
-set.
-"""
+# Frames, and the part of a pause, by which a counter and the clock may differ.
 _OFF, _OFF_PART = 2.0, 0.005
-"""Frames, and the part of a pause, by which a counter and the clock may differ."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -388,7 +385,8 @@ def _streams(
 def _suspects(time: Samples, period: float) -> list[int]:
     """Places in the log before which the clock may have been set."""
     steps = np.diff(time)
-    # one frame that is late alone is disorder: a clock that was set back keeps the next one back, too
+    # one frame that is late alone is disorder: a clock that was set back keeps the next one back,
+    # too
     back = np.flatnonzero(steps < -_DISORDER) + 1
     stays = [int(k) for k in back if k + 1 >= len(time) or time[k + 1] < time[k - 1]]
     pauses = np.flatnonzero(steps > max(_PAUSE * period, _LONG)) + 1

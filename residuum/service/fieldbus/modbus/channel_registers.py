@@ -16,6 +16,12 @@ from residuum.service.fieldbus.strict_model import StrictModel
 Registers = npt.NDArray[np.uint16]
 Order = Literal["big", "little"]
 Function = Literal["holding", "input", "coils", "discrete"]
+MANUAL_NUMBERS: dict[str, tuple[tuple[int, int], ...]] = {
+    "holding": ((400_001, 465_536), (40_001, 49_999)),
+    "input": ((300_001, 365_536), (30_001, 39_999)),
+}
+"""Table → (first, last) of its numbers in manuals: with a digit for the table before, and from 1.
+"""
 OF_BITS = ("coils", "discrete")
 """Functions that give bits, not registers."""
 NUMBERS: dict[str, tuple[str, int]] = {
@@ -30,10 +36,10 @@ NUMBERS: dict[str, tuple[str, int]] = {
 }
 """Type → its form in memory, and how many registers it takes."""
 _ADDRESSES = 1 << 16
+# What SunSpec devices put into a scale register that is not used.
 _NO_POWER = 0x8000
-"""What SunSpec devices put into a scale register that is not used."""
+# Beyond it no unit is scaled: such a register holds something else.
 _LARGEST_POWER = 10
-"""Beyond it no unit is scaled: such a register holds something else."""
 
 
 def _several(value: Any) -> Any:
@@ -160,7 +166,8 @@ class ChannelRegisters(StrictModel):
             return
         kind = np.dtype(NUMBERS[self.type][0])
         if kind.kind in "iu":
-            # the largest double below 2⁶⁴ (2⁶³): the largest whole number itself would be rounded up
+            # the largest double below 2⁶⁴ (2⁶³): the largest whole number itself would be rounded
+            # up
             highest = min(
                 float(np.iinfo(kind).max),
                 np.nextafter(float(np.iinfo(kind).max), 0) if kind.itemsize == 8 else np.inf,

@@ -132,16 +132,16 @@ _ORDERS: tuple[tuple[Order, Order], ...] = (
 )
 MISSING = "missing"
 """Remark on a reading that means, as the map says, that there is no value."""
+# Power of ten that measured values are mostly nearest to.
 _USUAL = 2.0
-"""Power of ten that measured values are mostly nearest to."""
+# Powers of ten from the usual one; what is further off is no measured value in any order.
 _FURTHEST = 9.0
-"""Powers of ten from the usual one; what is further off is no measured value in any order."""
+# Powers of ten by which an order that turns the bytes of words has to look better: it is met far
+# less often.
 _RARE = 3.0
-"""Powers of ten by which an order that turns the bytes of words has to look better: it is met far
-less often.
-"""
+# Numbers from the top of an unsigned register down that are taken for negative ones.
 _SLIGHTLY_BELOW_ZERO = 2048
-"""Numbers from the top of an unsigned register down that are taken for negative ones."""
+# Type → what devices often put into registers that have no value.
 _NOT_THERE = {
     "int16": (0x8000, 0x7FFF),
     "uint16": (0xFFFF, 0x8000),
@@ -150,7 +150,6 @@ _NOT_THERE = {
     "int64": (0x8000000000000000,),
     "uint64": (0xFFFFFFFFFFFFFFFF, 0x8000000000000000),
 }
-"""Type → what devices often put into registers that have no value."""
 
 
 @dataclass(frozen=True)

@@ -21,10 +21,15 @@ from pymodbus.pdu.register_message import (
     WriteMultipleRegistersRequest,
 )
 
-from residuum.service.fieldbus.modbus.channel_registers import OF_BITS, Function, Registers
+from residuum.service.fieldbus.modbus.channel_registers import (
+    MANUAL_NUMBERS,
+    OF_BITS,
+    Function,
+    Registers,
+)
 
+# Well below 65 000, where pymodbus begins again at 1.
 _LAST_FIRST_TRANSACTION = 30_000
-"""Well below 65 000, where pymodbus begins again at 1."""
 _READS: dict[Function, type[ModbusPDU]] = {
     "holding": ReadHoldingRegistersRequest,
     "input": ReadInputRegistersRequest,
@@ -147,11 +152,6 @@ _TABLES = {
     "discrete": "discrete inputs",
 }
 _HOLES = "holes: name registers that are there, gap: 0"
-_MANUAL = {
-    "holding": ((400_001, 465_536), (40_001, 49_999)),
-    "input": ((300_001, 365_536), (30_001, 39_999)),
-}
-"""How manuals number a table: with a digit for the table before, and from 1."""
 
 
 def explained(code: int, function: str, address: int, count: int, address_base: int = 0) -> str:
@@ -172,7 +172,8 @@ def explained(code: int, function: str, address: int, count: int, address_base: 
         return says
     written = address + address_base
     manual = next(
-        (first for first, last in _MANUAL.get(function, ()) if first <= written <= last), None
+        (first for first, last in MANUAL_NUMBERS.get(function, ()) if first <= written <= last),
+        None,
     )
     if manual is not None:
         meant = written - manual + address_base

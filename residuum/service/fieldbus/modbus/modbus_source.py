@@ -41,16 +41,16 @@ from residuum.service.fieldbus.source import (
     StreamFormat,
 )
 
+# [s] Between two looks for new pages: those that come faster are read several at once.
 _LEAST_PERIOD = 0.1
-"""[s] Between two looks for new pages: those that come faster are read several at once."""
+# [s] Between two looks at which faults are on.
 _STATE_PERIOD = 1.0
-"""[s] Between two looks at which faults are on."""
+# Oldest pages of a ring that are not begun with: they would be written over while they are read.
 _SPARE_PAGES = 2
-"""Oldest pages of a ring that are not begun with: they would be written over while they are read."""
+# Times that a page number which goes back is asked for again before it is believed.
 _CONFIRMATIONS = 2
-"""Times that a page number which goes back is asked for again before it is believed."""
+# [s] For which a command is tried again, and for which one reply to it is waited for.
 _SWITCH_TIMEOUT = 3.0
-"""[s] For which a command is tried again, and for which one reply to it is waited for."""
 _SWITCH_AGAIN = 0.1
 
 
@@ -175,7 +175,8 @@ class ModbusSource(Source):
                     state_due = now + _STATE_PERIOD
             except DeviceRefused as error:
                 self.health.count("modbus_exceptions", 1, str(error))
-            # by the clock, not by the length of a read; of turns that were missed one is made up for
+            # by the clock, not by the length of a read; of turns that were missed one is made up
+            # for
             due = max(due + period, time.monotonic() - period)
             await self._pause(due - time.monotonic())
 
@@ -362,14 +363,13 @@ def _stream_reader(
 # Which channels of a polled device look wrong: another order of words is far likelier, or what
 # stands there means no value.
 
+# [samples] That are looked at before anything is said.
 _JUDGED = 10
-"""[samples] That are looked at before anything is said."""
+# Part of them that has to look wrong: now and then a register may well hold such a number.
 _OFTEN = 0.3
-"""Part of them that has to look wrong: now and then a register may well hold such a number."""
+# Judgements that a doubt outlasts: a sensor that is there now and then must not turn its channel
+# good in between.
 _OUTLASTS = 10
-"""Judgements that a doubt outlasts: a sensor that is there now and then must not turn its channel
-good in between.
-"""
 
 
 class DoubtfulChannels:

@@ -21,13 +21,15 @@ orders of words and bytes, bit fields, scales, and what stands there when there 
 streams:
   machine:
     sample_time: 0.001                # s
-    pages: {newest: 0, address: 1000, stride: 124, count: 256, samples: 30}      # or  poll: {address: 0}
+    # or  poll: {address: 0}
+    pages: {newest: 0, address: 1000, stride: 124, count: 256, samples: 30}
     channels:
       speed: {register: 1, type: uint16, scale: 0.001, unit: rpm}
       indicator: {register: 0, type: bit, bit: 0, unit: ""}
   meter:
     sample_time: 0.2
-    poll: {address: 0, function: input, gap: 4}          # function: holding (default), input, coils, discrete
+    # function: holding (default), input, coils, discrete
+    poll: {address: 0, function: input, gap: 4}
     channels:
       power: {register: 0, type: float32, word_order: little, unit: W}
       temperature: {register: 4, type: int16, scale: 0.1, missing: -32768, unit: °C}
@@ -66,7 +68,8 @@ from residuum.service.fieldbus.strict_model import StrictModel
 PAGE_HEAD = 3
 """Registers before the first sample of a page: number (2) and checksum."""
 MOST_REGISTERS = 125
-"""That one read may ask for (Modbus application protocol 1.1b3, 6.3): a reply has up to 253 bytes."""
+"""That one read may ask for (Modbus application protocol 1.1b3, 6.3): a reply has up to 253 bytes.
+"""
 
 
 class Pages(StrictModel):
@@ -117,8 +120,8 @@ class StreamRegisters(StrictModel):
         return self
 
     def _refuse_unfit_pages(self, pages: Pages) -> None:
-        """ValueError where the channels are none of pages, or the pages do not lie apart, each in one
-        read.
+        """ValueError where the channels are none of pages, or the pages do not lie apart, each in
+        one read.
         """
         for name, spec in self.channels.items():
             if spec.function not in (None, "holding") or spec.scale_register:
@@ -314,8 +317,8 @@ def _known(error: Any) -> str:
 
 # Blocks of registers that one read takes, and the values of a polled stream from what was read.
 
+# Coils that one read may ask for (Modbus application protocol 1.1b3, 6.1).
 _MOST_BITS = 2000
-"""Coils that one read may ask for (Modbus application protocol 1.1b3, 6.1)."""
 Place = tuple[Function, int]
 """A register or coil: the table that it is in, and its address on the wire, which counts from 0."""
 

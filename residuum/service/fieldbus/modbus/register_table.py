@@ -1,19 +1,19 @@
-"""A register map from a table, as device manuals and spreadsheets have it: a row a signal, with register, type and unit.
+"""A register map from a table, as device manuals and spreadsheets have it: a row a signal, with
+register, type and unit.
 
     name;register;type;unit;scale
     speed;40001;uint16;rpm;0.1
     temperature;40002;int16;°C;0.1
 
-Columns may be called as in the row of headings below; `,`, `;` and tab part them. Numbers of the kind 40001 … are holding
-registers, those of the kind 30001 … input registers, counted from 1 as many manuals do; others count from 0. A column `function`
-says the table of each row.
+Columns may be called as in the row of headings below; `,`, `;` and tab part them. Numbers of the
+kind 40001 … are holding registers, those of the kind 30001 … input registers, counted from 1 as
+many manuals do; others count from 0. A column `function` says the table of each row.
 """
 
 from __future__ import annotations
 
 import csv
 import io
-import logging
 import re
 from collections.abc import Callable
 from typing import Any
@@ -23,6 +23,7 @@ from pydantic import ValidationError
 
 from residuum.nearest_names import known_names
 from residuum.service.fieldbus.can.frame_layout import BadBusDescription
+from residuum.service.fieldbus.modbus.channel_registers import MANUAL_NUMBERS
 from residuum.service.fieldbus.modbus.register_map import RegisterMap, first_error
 
 HEADINGS: dict[str, tuple[str, ...]] = {
@@ -53,13 +54,8 @@ TYPES: dict[str, tuple[str, ...]] = {
     "bit": ("bit", "bool", "boolean"),
 }
 """Type → what it may be called."""
-_MODICON = {
-    "holding": ((400_001, 465_536), (40_001, 49_999)),
-    "input": ((300_001, 365_536), (30_001, 39_999)),
-}
-"""Table → how manuals number it: with a digit for the table before, and from 1."""
+# Rows: each makes a channel.
 _LONGEST = 1000
-"""Rows: each makes a channel."""
 
 
 def register_map_of(
@@ -184,7 +180,7 @@ def _numbering(registers: list[int]) -> tuple[dict[str, str], int]:
     """The table that a manual's numbers name, where they name one, and what it calls its first
     register.
     """
-    for function, spans in _MODICON.items():
+    for function, spans in MANUAL_NUMBERS.items():
         for first, last in spans:
             if all(first <= register <= last for register in registers):
                 return ({} if function == "holding" else {"function": function}), first
@@ -233,6 +229,7 @@ def _number(text: str, column: str, where: str) -> float:
         raise BadBusDescription(f"{where}: {column} {text!r} is not a number") from None
 
 
+# Column → how its cell is read, in the order in which the map has them.
 _VALUES: dict[str, Callable[[dict[str, str], str, str], Any]] = {
     "bits": _whole,
     "registers": _whole,
@@ -243,7 +240,3 @@ _VALUES: dict[str, Callable[[dict[str, str], str, str], Any]] = {
     "scale": _figure,
     "offset": _figure,
 }
-"""Column → how its cell is read, in the order in which the map has them."""
-
-
-logging.getLogger("pymodbus").setLevel(logging.CRITICAL)  # exceptions say it

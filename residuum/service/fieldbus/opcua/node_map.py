@@ -4,13 +4,18 @@ writes.
 ```yaml
 streams:
   process:
-    sample_time: 0.1                # s; a value belongs to the sample nearest to its source time stamp
+    sample_time: 0.1       # s; a value belongs to the sample nearest to its source time stamp
     channels:
       u: {node: "ns=2;s=process-plant.process.u", unit: V}
       y: {node: "ns=2;s=process-plant.process.y", unit: m, scale: 0.001}
-      setpoint: {node: "ns=2;s=process-plant.process.r", unit: m, held: true}      # reported when it changes
+      # held: reported when it changes
+      setpoint: {node: "ns=2;s=process-plant.process.r", unit: m, held: true}
 security:
-  {policy: Basic256Sha256, mode: SignAndEncrypt, certificate: own.der, key: own.pem, trusted: server.der}
+  policy: Basic256Sha256
+  mode: SignAndEncrypt
+  certificate: own.der
+  key: own.pem
+  trusted: server.der
 user: {name: residuum, password_file: password.txt}
 ```
 """

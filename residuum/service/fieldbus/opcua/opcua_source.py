@@ -32,16 +32,16 @@ from residuum.service.fieldbus.stamped_samples import StampedSamples
 
 logging.getLogger("asyncua").setLevel(logging.CRITICAL)  # the counters say it
 
+# [s] Between two looks at what came: how long a sample waits at most once it is whole.
 _TICK = 0.05
-"""[s] Between two looks at what came: how long a sample waits at most once it is whole."""
+# Milliseconds between two messages of a subscription.
 _PUBLISH = 100.0
-"""Milliseconds between two messages of a subscription."""
+# [s] Between two questions to the server whether the connection stands.
 _CHECK = 1.0
-"""[s] Between two questions to the server whether the connection stands."""
+# Seconds without a value after which the session is asked whether it lives.
 _SILENT = 3.0
-"""Seconds without a value after which the session is asked whether it lives."""
+# Values of a node that a server keeps between two messages.
 _QUEUE = 1000
-"""Values of a node that a server keeps between two messages."""
 _NUMERIC = {
     getattr(ua.VariantType, name)
     for name in (
@@ -58,13 +58,13 @@ _NUMERIC = {
         "Double",
     )
 }
+# A double tells whole numbers apart up to here.
 _WHOLE_UNTIL = 2**53
-"""A double tells whole numbers apart up to here."""
 _PLAIN = "number"
+# Messages that wait in the client: its own bound would drop them without a word.
 _WAITING = 100_000
-"""Messages that wait in the client: its own bound would drop them without a word."""
+# References looked at: some servers have hundreds of thousands, and browsing has to end.
 _MOST_BROWSED = 5000
-"""References looked at: some servers have hundreds of thousands, and browsing has to end."""
 
 
 class _Refused(Exception):
@@ -164,7 +164,8 @@ class OpcuaSource(Source):
             asyncio.gather(*(n.read_data_value(False) for n in values)), self._timeout
         )
         newest = max((v.SourceTimestamp for v in readings if v.SourceTimestamp), default=None)
-        # asked twice: a value that has not changed since is as silent as a subscription that is gone
+        # asked twice: a value that has not changed since is as silent as a subscription that is
+        # gone
         before, self._asked = self._asked, newest
         if before is not None and newest is not None and newest != before:
             raise _Refused("values change and the subscription is silent")

@@ -7,11 +7,13 @@ streams:
   signals:
     device: Drive                   # left out: metrics of the node itself
     sample_time: 0.1                # s; a value belongs to the sample nearest to its time stamp
-    reports: samples                # `changes`: what a message does not name has not changed since the one before
+    # or `changes`: what a message does not name has not changed since the one before
+    reports: samples
     channels:
       speed: {metric: Motor/Speed, unit: rpm}
       force: {metric: Motor/Force, unit: N, scale: 1000}
-tls: {ca: ca.pem, certificate: own.pem, key: own.key}     # for a broker at mqtts://, as far as it needs them
+# for a broker at mqtts://, as far as it needs them
+tls: {ca: ca.pem, certificate: own.pem, key: own.key}
 ```
 """
 

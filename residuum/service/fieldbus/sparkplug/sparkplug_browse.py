@@ -21,8 +21,8 @@ from residuum.service.fieldbus.sparkplug.sparkplug_payload import (
 )
 from residuum.service.fieldbus.sparkplug.sparkplug_source import NAMESPACE, REBIRTH, kind_and_device
 
+# [s] Without a further birth, all have been heard.
 _QUIET = 1.0
-"""[s] Without a further birth, all have been heard."""
 
 
 def numeric_metrics(
@@ -86,8 +86,8 @@ def _numbers(content: bytes) -> dict[str, tuple[str, str]]:
         metrics = unpack(content).metrics
     except BadPayload:
         return {}
-    # data types 1 to 11 are numbers and booleans; bdSeq and Node Control/… belong to Sparkplug, not to a
-    # machine
+    # data types 1 to 11 are numbers and booleans; bdSeq and Node Control/… belong to Sparkplug, not
+    # to a machine
     numeric = [
         m
         for m in metrics

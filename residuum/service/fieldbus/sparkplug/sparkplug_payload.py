@@ -37,11 +37,11 @@ _VALUES = {
     "string_value": _TEXT,
 }
 INT32, INT64, UINT64, DOUBLE, BOOLEAN, STRING = 3, 4, 8, 10, 11, 12
+# Data types whose value travels as two's complement → its bits.
 _SIGNED_BITS = {1: 8, 2: 16, 3: 32, 4: 64}
-"""Data types whose value travels as two's complement → its bits."""
 _QUALITY, _GOOD = "Quality", 192
+# Properties in which senders give a unit; the specification names none.
 _UNITS = ("engUnit", "EngUnit", "engineeringUnit", "Engineering Units", "unit", "Unit", "Units")
-"""Properties in which senders give a unit; the specification names none."""
 
 
 class BadPayload(Exception):
@@ -96,8 +96,10 @@ def number_of(metric: Metric, datatype: int = 0) -> float:
     """The metric's value as a number of its data type (the birth's where it has none of its own);
     nan for anything else.
 
-    >>> number_of(Metric("a", 65535, datatype=2)), number_of(Metric("a", 65535, datatype=6)), number_of(Metric("a", "on"))
-    (-1.0, 65535.0, nan)
+    >>> number_of(Metric("a", 65535, datatype=2)), number_of(Metric("a", 65535, datatype=6))
+    (-1.0, 65535.0)
+    >>> number_of(Metric("a", "on"))
+    nan
     """
     value = metric.value
     if not isinstance(value, int | float):

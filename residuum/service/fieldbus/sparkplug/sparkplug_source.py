@@ -57,10 +57,10 @@ from residuum.service.fieldbus.stamped_samples import ReportedChanges, StampedSa
 
 _TURN = 256
 _HALF = _TURN // 2
+# [ms] By which a birth may come late; an older one was stamped by a clock that was set back.
 _LATEST_BIRTH = 10_000
-"""[ms] By which a birth may come late; an older one was stamped by a clock that was set back."""
+# Births that are known again when a broker repeats them.
 _REMEMBERED = 1000
-"""Births that are known again when a broker repeats them."""
 
 
 @dataclass(frozen=True)
@@ -168,7 +168,8 @@ class NodeSession:
 
     def gap(self, now: float) -> bool:
         """Whether there is a gap by now that there was not before."""
-        # since when the first message ahead of its turn, and a late one, stand without those between
+        # since when the first message ahead of its turn, and a late one, stand without those
+        # between
         waiting = [since for since, _ in self._held[:1]]
         if self._doubt is not None:
             waiting.append(self._doubt)
@@ -260,13 +261,13 @@ class NodeSession:
 
 NAMESPACE = "spBv1.0"
 REBIRTH = "Node Control/Rebirth"
+# [s] For which a message is waited for before samples are handed on.
 _TICK = 0.05
-"""[s] For which a message is waited for before samples are handed on."""
+# [s] After which the client asks a silent broker whether it is there.
 _KEEP_ALIVE = 20
-"""[s] After which the client asks a silent broker whether it is there."""
 _CONNECTED, _LOST = "connected", "lost"
+# Messages that wait, and that are taken in one turn.
 _MOST_WAITING, _A_TURN = 10_000, 1000
-"""Messages that wait, and that are taken in one turn."""
 _OF_A_NODE = ("NBIRTH", "NDEATH", "NDATA", "DBIRTH", "DDEATH", "DDATA")
 
 
