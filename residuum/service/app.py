@@ -140,6 +140,7 @@ async def _running(
             out.tell(kind, payload)
 
     def announce(kind: str, payload: Mapping[str, Any]) -> None:
+        # a finding may come back as the news of a scorer, and is shown once
         if kind != "finding" or shown.first(payload["id"]):
             show(kind, payload)
         notifications.tell(kind, payload)
@@ -168,6 +169,7 @@ async def _running(
         started.callback(executor.shutdown, wait=False, cancel_futures=True)
         jobs = Jobs(events.publish)
         ends(jobs.close)
+        # what was started last is ended first: the pipeline before the store that it writes to
         pipeline = make_pipeline(settings, store, events, executor)
         started.push_async_callback(pipeline.stop)
         services = Services(

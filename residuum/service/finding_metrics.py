@@ -73,7 +73,9 @@ class FindingMetrics:
 
 # EdgeNode: births, data and death of a Sparkplug B edge node on an MQTT broker.
 
+# Sequence and birth numbers of Sparkplug count modulo this.
 _TURN = 256
+# [s] For the broker's receipt of the death when the service ends.
 _PATIENCE = 5.0
 
 
@@ -98,6 +100,7 @@ class EdgeNode:
         self._devices: dict[str, dict[str, Metric]] = {}
         self._aliases: dict[tuple[str, str], int] = {}
         self._born, self._seq = False, 0
+        # not from 0 on: a node that was restarted should not have the number of its earlier birth
         self._birth_number = int(time.time()) % _TURN
         self._client = address.client()
         self._client.reconnect_delay_set(1, 5)
@@ -169,6 +172,8 @@ class EdgeNode:
     def _on_disconnect(self, *_: Any) -> None:
         with self._lock:
             self._born = False
+            # the will is given to the broker with the next connection: it has to know its number
+            # now
             self._birth_number = (self._birth_number + 1) % _TURN
             self._write_will()
 
@@ -191,17 +196,14 @@ class EdgeNode:
 
 
 def _datatype(value: Any) -> int:
+    # bool before int, of which it is one in Python
     if isinstance(value, bool):
         return BOOLEAN
     if isinstance(value, str):
         return STRING
-    return (
-        UINT64
-        if isinstance(value, int) and value >= 0
-        else INT64
-        if isinstance(value, int)
-        else DOUBLE
-    )
+    if isinstance(value, int):
+        return UINT64 if value >= 0 else INT64
+    return DOUBLE
 
 
 def _now() -> int:

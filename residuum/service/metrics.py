@@ -75,6 +75,8 @@ class Metrics:
 
     def request(self, method: str, route: str, status: int, seconds: float) -> None:
         """Count one answered request."""
+        # `route` is a pattern of ours and `status` our answer: the method alone is a stranger's
+        # word
         method = method if method in _METHODS else "other"
         known = self._children.get((method, route, status))
         if known is None:  # kept, because looking labels up costs more than counting

@@ -249,6 +249,7 @@ def in_deadband(
     for name, tau in thresholds.items():
         x = indicators.get(name)
         counts = raised_by is None or name in raised_by
+        # d of |τ|: the band lies below the threshold of a negative indicator, too
         if (
             counts
             and x is not None

@@ -21,6 +21,7 @@ def suppressing_state(rule: AlarmRule, record: Record) -> str | None:
     >>> suppressing_state(rule, Record({"speed": [0.1, 0.2, 9.0]}, {"speed": "rev/s"}, 1.0))
     'speed below 60 rpm'
     """
+    # one that holds is enough, whatever the others cannot tell
     states = [(state, _holds(state, record)) for state in rule.suppress]
     standing = next((str(state) for state, holds in states if holds), None)
     if standing is not None:
@@ -43,5 +44,6 @@ def _holds(state: MachineState, record: Record) -> bool | None:
     values = values[np.isfinite(values)]
     if not values.size:
         return None
+    # of the window, not its last sample: spikes of a signal end no state
     median = float(np.median(convert(values, unit, state.unit)))
     return median < state.below if state.below is not None else median > (state.above or 0.0)

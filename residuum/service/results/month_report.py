@@ -159,6 +159,7 @@ def _add_fault(faults: dict[str, Fault], stored: StoredFinding) -> None:
     causes = stored.finding.evidence.get("causes") or []
     name = stored.finding.statement.says
     says = str(causes[0]["says"]) if causes else stored.finding.reason or ""
+    # findings come oldest first: what the last one says is kept
     before = faults.get(name)
     faults[name] = Fault(
         says,
@@ -176,5 +177,6 @@ def _alarms_in(
         entries = [
             e for e in store.alarm_journal(alarm.id, _JOURNAL) if span.begin <= e.at < span.end
         ]
+        # the journal has the newest first, a report is read from the begin
         if entries:
             yield alarm, entries[::-1]

@@ -138,6 +138,7 @@ def write_findings(store: DiskStore, asset: str, span: Span, path: Path) -> int:
         for stored in findings_in(store, asset, span):
             plain = stored.to_json()
             evidence = orjson.dumps(plain["evidence"], option=orjson.OPT_SERIALIZE_NUMPY).decode()
+            # evidence is whatever a diagnoser tells, of no fixed form: as JSON it is one column
             row = {
                 name: plain[name]
                 for name in (

@@ -77,6 +77,7 @@ def _row(asset: Asset, kind: str, rule: AlarmRule) -> dict[str, Any]:
         "alarm": kind,
         "diagnoser": asset.diagnoser or "",
         "limits": _limits(asset) if kind == MACHINE else "windows that cannot be judged",
+        # windows that cannot be judged have no limit to lie below
         "deadband": rule.deadband if kind == MACHINE else "",
         "on_delay": rule.on_delay,
         "off_delay": rule.off_delay,

@@ -55,6 +55,7 @@ def report_page(report: MonthReport, written_at: datetime | None = None) -> str:
 
 def whole_page(title: str, parts: Sequence[str]) -> str:
     """A page of these parts that opens offline: the pages' own style, no scripts."""
+    # in the page itself: it is sent by mail, and opens where nothing of ours is
     css = "\n".join(
         files("residuum.service.web").joinpath(f"assets/css/{name}.css").read_text("utf-8")
         for name in _STYLES
@@ -209,6 +210,7 @@ def _curves(followed: Mapping[str, Followed], report: MonthReport, limits: str) 
 
 
 def _panel(name: str, series: Followed, report: MonthReport, limits: str) -> Panel:
+    # hours come before findings, and may lie behind them
     order = np.argsort(np.array([at.timestamp() for at in series.at]), kind="stable")
     day = np.array([(at - report.span.begin).total_seconds() / 86400 + 1 for at in series.at])[
         order

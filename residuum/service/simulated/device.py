@@ -117,6 +117,7 @@ class Device:
         while not stopped.is_set():
             now = time.monotonic()
             due = (now - begun) * self._speed - lived
+            # the machine's clock is put off by what it does not live through
             if due > _FURTHEST_BEHIND * self._speed:
                 begun += due / self._speed - _FURTHEST_BEHIND
                 due = _FURTHEST_BEHIND * self._speed
@@ -143,6 +144,7 @@ class Device:
             }
             if self._offered:
                 self._offered.take(stream, channels, signals.sample_time)
+            # registers before CAN: a stream that both could carry goes one way
             if self._registers and stream in self._register_streams:
                 self._registers.pages[self._register_streams[stream]].append(channels)
             elif self._bus and stream in self._senders:
@@ -222,6 +224,7 @@ class NodeStreams:
                 "--opcua: needs the extra `opcua`: pip install 'residuum[opcua]'"
             ) from None
         self._machine, self._streams, self._speed = machine, streams, speed
+        # stamps are of the computer's clock, as those of a plant's server are
         self._begun = time.time()
         self._lived = dict.fromkeys(streams, 0)
         self._waiting: list[tuple[str, float, float]] = []

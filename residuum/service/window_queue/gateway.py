@@ -22,6 +22,7 @@ from residuum.service.fieldbus.settings import MachineSettings
 from residuum.service.machines.scoring import PlainRecord
 from residuum.service.storage.durable_folder import make_folder, sync_folder
 from residuum.service.window_queue.window_message import (
+    Listener,
     WindowMessage,
     broker_client,
     receipt_topic,
@@ -50,6 +51,7 @@ class Spool:
         make_folder(folder)
         self._folder, self._most = folder, most_bytes
         self._lock = threading.Lock()
+        # a message that was not whole at a crash was never acknowledged to who put it
         for unfinished in folder.glob("*.part"):
             unfinished.unlink()
         files = sorted(folder.glob(f"*{_ENDING}"))
@@ -81,6 +83,7 @@ class Spool:
         with self._lock:
             file = self._folder / f"{self._next:012d}-{key}-{machine}{_ENDING}"
             self._next += 1
+            # written beside, synced and moved: a file of this name is whole, also after a power cut
             part = self._folder / f"{key}.part"
             with part.open("wb") as opened:
                 opened.write(payload)
@@ -91,6 +94,7 @@ class Spool:
             self._list(key, machine, file)
             self._sizes[key] = len(payload)
             self._bytes += len(payload)
+            # never the last one: a single window larger than the spool is sent all the same
             while self._bytes > self._most and len(self._files) > 1:
                 self._forget(next(iter(self._files)))
                 self.dropped += 1
@@ -136,7 +140,9 @@ _AHEAD = 8
 # Seconds without a receipt for a machine after which its windows are sent again; doubled each time,
 # up to the second.
 _RESEND_AFTER, _LONGEST_RESEND = 15.0, 240.0
+# [s] Between looks at what is due, where nothing happens.
 _LOOK = 0.5
+# [s] Between two tries to write a window to the spool.
 _RETRY = 2.0
 
 
@@ -234,8 +240,8 @@ class Gateway:
             self._address,
             f"residuum-gateway-{self.name}",
             receipts,
-            self._take_receipt,
-            self._connected.set,
+            Listener(self._take_receipt, self._connected.set),
+            # what is not known to be stored is sent again: no receipt has to be kept
             kept=False,
         )
         machines: dict[str, _Machine] = {}
@@ -243,6 +249,7 @@ class Gateway:
             while not self._stopped.is_set():
                 self._moved.wait(_LOOK)
                 self._moved.clear()
+                # of a new connection nobody knows what came over the old one: all is sent again
                 if self._connected.is_set():
                     self._connected.clear()
                     machines.clear()
@@ -294,6 +301,7 @@ class Gateway:
             log.warning("not a receipt", topic=message.topic)
             key, refused = "", None
         with self._counting:
+            # noted before the spool lets it go: `_follow` asks which of the gone ones were answered
             self._answered.add(key)
             if not (known := self.spool.remove(key)):
                 self._answered.discard(key)

@@ -28,6 +28,7 @@ from residuum.service.window_queue.set_aside import ATTEMPTS, Attempts, SetAside
 from residuum.service.window_queue.stored_windows import StoredNews
 from residuum.service.window_queue.window_message import (
     PARTITIONS,
+    Listener,
     WindowMessage,
     broker_client,
     receipt_topic,
@@ -38,9 +39,13 @@ from residuum.service.work.worker_pool import WorkerPool
 
 log = structlog.get_logger()
 
+# [s] For which a baseline is used before a newer one is looked for.
 _LOOK_FOR_BASELINE = 2.0
+# [s] Between two tries to store a window.
 _STORAGE_RETRY = 2.0
+# [s] How long it takes at most to notice that the scorer is to end.
 _WAIT = 0.2
+# [s] For the window that is being judged when it ends.
 _LAST_WINDOW = 4.0
 
 
@@ -105,7 +110,7 @@ class Scorer:
         topics = windows_of_part(self._address.prefix, self._part, self._parts)
         name = f"residuum-scorer-{self._address.prefix}-{self._part}-of-{self._parts}"
         client = broker_client(
-            self._address, name, topics, self._queue, self._reconnected, kept=True
+            self._address, name, topics, Listener(self._queue, self._reconnected), kept=True
         )
         try:
             while not self._stopped.is_set():
@@ -128,6 +133,7 @@ class Scorer:
     def _take(self, client: Any, message: Any) -> None:
         *_, gateway, key = message.topic.split("/")
         refused, stored = None, None
+        # on disk before it is read: a message that ends this process is counted all the same
         attempt = self._attempts.begin(key)
         try:
             if attempt > ATTEMPTS:
@@ -170,6 +176,7 @@ class Scorer:
         finding: Finding | None = None
         while not self._stopped.is_set():
             try:
+                # judged only where it is not stored: a window that came again costs one question
                 if (known := self._store.window_with_key(message.asset, key, digest)) is not None:
                     self.seen_before += 1
                     return StoredNews(message.asset, known)

@@ -21,6 +21,7 @@ from residuum.service.store import StorageUnavailable
 from residuum.service.window_queue.window_message import (
     ASSET_NAME,
     PARTITIONS,
+    Listener,
     broker_client,
     stored_topic,
 )
@@ -28,7 +29,9 @@ from residuum.service.window_queue.window_message import (
 # StoredNews: which window has been stored, as bytes. It names what to read from the store and
 # says nothing of what is in it.
 
+# Bytes of a message: a name and a number, and room for newer versions.
 _LONGEST = 500
+# The database's whole numbers have 64 bits with a sign.
 _LARGEST = 2**63
 
 
@@ -72,8 +75,11 @@ log = structlog.get_logger()
 _MOST_WAITING = 10_000
 # Findings of a machine that are told one by one; of more, pages read the state anew.
 _AT_ONCE = 100
+# [s] In which news are gathered.
 _PAUSE = 0.05
+# [s] Between two tries to read the store.
 _STORAGE_RETRY = 2.0
+# Findings that are known to have been told.
 _REMEMBERED = 20_000
 
 Tell = Callable[[str, Mapping[str, Any]], None]
@@ -156,10 +162,9 @@ class StoredWindows:
             self._address,
             name,
             topics,
-            self._take,
-            lambda: None,
+            Listener(self._take, subscribed=self._begin_anew),
+            # what was missed is in the state that listeners read anew
             kept=False,
-            subscribed=self._begin_anew,
         )
         try:
             while not self._stopped.is_set():
