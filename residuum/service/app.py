@@ -66,6 +66,7 @@ def create_app(settings: Settings, make_pipeline: MakePipeline = Pipeline) -> Fa
     """
     keys = ApiKeys(settings.api_keys, tokens=settings.oidc_issuer is not None)
     tokens = None if settings.oidc_issuer is None else BearerTokens(settings)
+    # made here, not in the lifespan: the gate has them before the service is started
     events, refusals = Events(), Refusals()
 
     def pipeline_status() -> Mapping[str, Any]:

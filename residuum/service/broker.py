@@ -76,6 +76,7 @@ class BrokerAddress(NamedTuple):
             raise BadInput(
                 "setting mqtt: needs the extra `mqtt`: pip install 'residuum[mqtt]'"
             ) from None
+        # version 2 of paho's callbacks tells why a connection was refused
         client = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2, **options)
         if self.user:
             client.username_pw_set(self.user, self.password)

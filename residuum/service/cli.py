@@ -122,6 +122,7 @@ def _usage(error: Any) -> str:
         )
     if unknown := re.match(r"No such command '([^']*)'", says):
         return f"there is no command {unknown[1]!r}; {known_names(unknown[1], command.commands)}"
+    # typer knows choices only as part of its sentence
     if choice := re.match(r"Invalid value for '([^']*)': .*?'([^']*)' is not one of (.*)", says):
         known = known_names(choice[2], re.findall(r"'([^']*)'", choice[3]), "must be one of")
         return f"{choice[1]} {choice[2]!r}: {known}"

@@ -42,12 +42,14 @@ class KnownQueries:
         """Answer a request, or refuse it."""
         query = scope.get("query_string")
         if scope["type"] == "http" and query:
+            # long queries are seldom asked twice, and would fill the memory of those that are
             look = self._good if len(query) <= _REMEMBERED else self._refusal
             if (refusal := look(scope["method"], scope["path"], query)) is not None:
                 return await problem(400, refusal, "unknown-query")(scope, receive, send)
         await self.app(scope, receive, send)
 
     def _refusal(self, method: str, path: str, query: bytes) -> str | None:
+        # None: pages, and routes that the document does not have, which refuse by themselves
         known = self._known(method, path)
         if known is None:
             return None

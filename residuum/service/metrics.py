@@ -70,6 +70,7 @@ class Metrics:
             registry=self._registry,
         )
         aside.set_function(set_aside)
+        # label objects by request; bounded, for routes, methods and statuses are
         self._children: dict[tuple[str, str, int], tuple[Counter, Histogram]] = {}
         self._registry.register(_Status(status))
 

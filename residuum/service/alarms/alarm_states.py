@@ -54,7 +54,8 @@ def priority_of(consequence: Consequence, time_to_respond: float) -> Priority:
     >>> priority_of("severe", 1200.0).value, priority_of("minor", 60.0).value
     ('high', 'medium')
     """
-    urgency = 2 if time_to_respond <= _PROMPT else 1 if time_to_respond <= _SOON else 0
+    # one rank for each of the two times that it is within
+    urgency = (time_to_respond <= _PROMPT) + (time_to_respond <= _SOON)
     return _PRIORITIES[get_args(Consequence).index(consequence) + urgency]
 
 

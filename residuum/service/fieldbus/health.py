@@ -156,7 +156,9 @@ class SourceHealth:
             return "stale"
         if self._doubts():
             return "doubtful"
-        return "losing" if self._lost_lately() else "uncounted" if self.remarks else "good"
+        if self._lost_lately():
+            return "losing"
+        return "uncounted" if self.remarks else "good"
 
     def _lost_lately(self) -> int:
         self._forget_losses(int(self._clock()))

@@ -28,12 +28,12 @@ from residuum.service.machines.baselines import (
     with_second_opinion,
 )
 from residuum.service.machines.machine_line import MachineLine, unreadable
-from residuum.service.machines.scoring import PlainRecord, score_window
+from residuum.service.machines.scoring import score_window
 from residuum.service.settings import Settings
 from residuum.service.simulated.demo import Demo
 from residuum.service.storage.disk_store import DiskStore
 from residuum.service.store import Conflict, NotFound, StorageUnavailable
-from residuum.service.work.worker_pool import WorkerPool
+from residuum.service.work.worker_pool import PlainRecord, WorkerPool
 
 # JudgeAndStore: a window is judged in a worker process and kept with its finding.
 # Judging begins when the window is handed over, storing when its turn has come: while one window

@@ -9,10 +9,9 @@ import threading
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from residuum.diagnosis.diagnosers import DIAGNOSERS, untrained
 from residuum.diagnosis.diagnosers.base import Diagnoser
@@ -21,6 +20,7 @@ from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
 from residuum.nearest_names import known_names
 from residuum.service.store import NotFound
+from residuum.service.work.worker_pool import PlainRecord
 
 # Trained diagnosers at hand: read from what is stored once, and kept for the next window.
 
@@ -126,27 +126,6 @@ def diagnoser_class(name: str) -> type[Diagnoser]:
             f"diagnoser {name[:60]!r}: there is none of this name; {known_names(name, DIAGNOSERS)}"
         )
     return DIAGNOSERS[name]
-
-
-class PlainRecord(NamedTuple):
-    """A record as it travels between processes."""
-
-    channels: Mapping[str, npt.NDArray[np.floating[Any]]]
-    units: Mapping[str, str]
-    sample_time: float
-    t0: float
-    source: str
-
-    @classmethod
-    def of(cls, record: Record) -> PlainRecord:
-        """The record's content."""
-        return cls(
-            dict(record.channels), dict(record.units), record.sample_time, record.t0, record.source
-        )
-
-    def record(self) -> Record:
-        """The record again."""
-        return Record(self.channels, self.units, self.sample_time, t0=self.t0, source=self.source)
 
 
 def score_window(

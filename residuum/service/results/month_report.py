@@ -57,8 +57,8 @@ class MonthReport:
     """The facts of a report.
 
     `days` has a count of every verdict for each day of the month; `reasons` why windows could not
-    be judged, with their number. `found` is what was found at the machine of the month's findings,
-    `plant` the same of all machines until the month's end.
+    be judged, with their number. `answered` is what was found at the machine of the month's
+    findings, `plant` the same of all machines until the month's end.
     """
 
     asset: Asset
@@ -70,7 +70,7 @@ class MonthReport:
     alarms: Sequence[tuple[Alarm, Sequence[AlarmEntry]]]
     indicators: Mapping[str, Followed]
     parameters: Mapping[str, Followed]
-    found: Sequence[Confirmation] = ()
+    answered: Sequence[Confirmation] = ()
     plant: Sequence[Confirmation] = ()
 
     @property

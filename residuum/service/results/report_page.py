@@ -106,15 +106,15 @@ def _said_and_found(report: MonthReport) -> str:
     came true, at this machine in the month and at all machines until its end.
     """
     faulty = report.verdicts.get("faulty", 0)
-    answered = sum(answer.verdict == "faulty" for answer in report.found)
+    answered = sum(answer.verdict == "faulty" for answer in report.answered)
     parts = [
         f"<p>Of {faulty} faulty windows of this month {answered} were answered by who looked at the"
         " machine.</p>"
     ]
-    rows = [_answered(answer) for answer in report.found]
+    rows = [_answered(answer) for answer in report.answered]
     head = ("Finding", "Said", "With", "Found", "Cause", "Part", "Order", "By", "Note")
     parts += [_table(head, rows, numbers=(2,))] if rows else []
-    of_machine, of_plant = said_and_found(report.found), said_and_found(report.plant)
+    of_machine, of_plant = said_and_found(report.answered), said_and_found(report.plant)
     if not of_plant.lines:
         return "".join([*parts, "<p>No finding that said a probability was answered yet.</p>"])
     series = {"this machine, this month": of_machine.lines, "the plant until then": of_plant.lines}
@@ -156,8 +156,8 @@ def _bins(counted: SaidAndFound) -> str:
     more = f" {without} more were said without a probability." if without else ""
     return _table(head, rows, numbers=range(1, 6)) + (
         '<p class="muted small">Intervals after Clopper and Pearson, for findings that were'
-        " answered independently of each other: several windows of one repair count too often. Only answered"
-        f" findings are counted.{more}</p>"
+        " answered independently of each other: several windows of one repair count too often."
+        f" Only answered findings are counted.{more}</p>"
     )
 
 
@@ -304,7 +304,7 @@ def reliability_svg(
     """The picture of several series of bins, by name, and of `single` statements, (said, whether
     true).
     """
-    parts = [_axes(), *(_diamond(said, true) for said, true in single)]
+    parts = [_axes(), *(_diamond(probability, true) for probability, true in single)]
     for k, (name, lines) in enumerate(series.items()):
         colour, aside = COLOURS[k % len(COLOURS)], APART * (k - (len(series) - 1) / 2)
         parts += [_point(line, colour, aside) for line in lines]
@@ -361,8 +361,8 @@ def _point(line: ReliabilityLine, colour: str, aside: float) -> str:
     return f"{bar}{circle}<title>{title}</title></circle>"
 
 
-def _diamond(said: float, true: bool) -> str:
-    return _diamond_at(_x(said), _y(1.0 if true else 0.0))
+def _diamond(probability: float, true: bool) -> str:
+    return _diamond_at(_x(probability), _y(1.0 if true else 0.0))
 
 
 def _diamond_at(x: float, y: float) -> str:

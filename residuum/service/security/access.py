@@ -94,14 +94,12 @@ class ApiKeys:
     """
 
     def __init__(self, path: Path | None, *, tokens: bool = False) -> None:
-        self._path, self._seen, self._looked = (
-            path,
-            None if path is None else _version(path),
-            time.monotonic(),
-        )
-        self._keys: dict[str, _Key] | None = (
-            _read(path) if path is not None else {} if tokens else None
-        )
+        self._path, self._looked = path, time.monotonic()
+        # before the file is read: what changes in between is seen as a change
+        self._seen = None if path is None else _version(path)
+        # None: nobody needs a key; none at all: everybody needs a token
+        without_file: dict[str, _Key] | None = {} if tokens else None
+        self._keys = without_file if path is None else _read(path)
         self._lock = threading.Lock()
 
     @property
@@ -215,9 +213,8 @@ def _without_end(words: list[str], where: str) -> tuple[list[str], datetime | No
             " until=2027-01-31T18:00+01:00"
         )
         raise BadSettings(f"setting api_keys: {where}: {says}") from None
-    return [word for word in words if word not in endings], (
-        until if until.tzinfo else until.replace(tzinfo=UTC)
-    )
+    moment = until if until.tzinfo else until.replace(tzinfo=UTC)
+    return [word for word in words if word not in endings], moment
 
 
 def _sites(words: list[str], where: str) -> frozenset[str] | None:

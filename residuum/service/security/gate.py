@@ -108,7 +108,7 @@ _SLOWEST = 2.0
 # Seconds of the allowed rate that a client may ask for at once.
 _BURST = 2.0
 _HEALTH = frozenset(
-    f"{root}/health/{what}" for root in ("", "/api/v1") for what in ("live", "ready")
+    f"{root}/health/{state}" for root in ("", "/api/v1") for state in ("live", "ready")
 )
 _SAFE = ("GET", "HEAD", "OPTIONS")
 _METRICS = ("/metrics", "/api/v1/metrics")
@@ -317,7 +317,7 @@ class Gate:
         came.
         """
         peer, port = scope.get("client") or ("unknown", 0)
-        client = self.proxies.seen(
+        client = self.proxies.client(
             peer,
             scope["scheme"],
             headers.get(b"x-forwarded-for", b""),

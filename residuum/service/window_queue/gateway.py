@@ -19,7 +19,6 @@ from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
 from residuum.service.broker import BrokerAddress
 from residuum.service.fieldbus.settings import MachineSettings
-from residuum.service.machines.scoring import PlainRecord
 from residuum.service.storage.durable_folder import make_folder, sync_folder
 from residuum.service.window_queue.window_message import (
     Listener,
@@ -28,6 +27,7 @@ from residuum.service.window_queue.window_message import (
     receipt_topic,
     window_topic,
 )
+from residuum.service.work.worker_pool import PlainRecord
 
 # Spool: a gateway's windows on its disk, until each of them is known to be stored elsewhere.
 
@@ -242,7 +242,7 @@ class Gateway:
             receipts,
             Listener(self._take_receipt, self._connected.set),
             # what is not known to be stored is sent again: no receipt has to be kept
-            kept=False,
+            persistent=False,
         )
         machines: dict[str, _Machine] = {}
         try:

@@ -110,7 +110,7 @@ class Scorer:
         topics = windows_of_part(self._address.prefix, self._part, self._parts)
         name = f"residuum-scorer-{self._address.prefix}-{self._part}-of-{self._parts}"
         client = broker_client(
-            self._address, name, topics, Listener(self._queue, self._reconnected), kept=True
+            self._address, name, topics, Listener(self._queue, self._reconnected), persistent=True
         )
         try:
             while not self._stopped.is_set():

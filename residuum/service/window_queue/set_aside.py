@@ -205,7 +205,11 @@ def send_again(
 
     topics = [receipt_topic(address.prefix, gateway)]
     client = broker_client(
-        address, gateway, topics, Listener(take, subscribed=lambda: ready.put(None)), kept=False
+        address,
+        gateway,
+        topics,
+        Listener(take, subscribed=lambda: ready.put(None)),
+        persistent=False,
     )
     try:
         _waited(

@@ -119,7 +119,7 @@ class StoredWindows:
     ----------
     address : BrokerAddress
     store : DiskStore
-    told : Told
+    shown : Told
         Shared with what else tells of findings.
     tell : callable
         Told `finding`, `alarm` and `reset` with their payloads, in a thread of this object.
@@ -127,12 +127,12 @@ class StoredWindows:
     """
 
     def __init__(
-        self, address: BrokerAddress, store: DiskStore, told: Told, tell: Tell, count: Count
+        self, address: BrokerAddress, store: DiskStore, shown: Told, tell: Tell, count: Count
     ) -> None:
-        self._address, self._store, self._told, self._tell, self._count = (
+        self._address, self._store, self._shown, self._tell, self._count = (
             address,
             store,
-            told,
+            shown,
             tell,
             count,
         )
@@ -164,7 +164,7 @@ class StoredWindows:
             topics,
             Listener(self._take, subscribed=self._begin_anew),
             # what was missed is in the state that listeners read anew
-            kept=False,
+            persistent=False,
         )
         try:
             while not self._stopped.is_set():
@@ -243,7 +243,7 @@ class StoredWindows:
             return
         changed = self._store.alarms_changed(asset, [finding.at for finding in findings])
         self._seen[asset] = findings[-1].id
-        new = [finding for finding in findings if self._told.first(finding.id)]
+        new = [finding for finding in findings if self._shown.first(finding.id)]
         for finding in new:
             self._tell("finding", finding.to_json())
         for alarm in changed if new else []:

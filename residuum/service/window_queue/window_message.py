@@ -16,7 +16,7 @@ import structlog
 from residuum.identification.errors import BadInput
 from residuum.nearest_names import known_names
 from residuum.service.broker import BrokerAddress
-from residuum.service.machines.scoring import PlainRecord
+from residuum.service.work.worker_pool import PlainRecord
 
 # Where on the broker windows, receipts and the news of stored windows are.
 
@@ -101,7 +101,7 @@ def broker_client(
     topics: Sequence[str],
     listener: Listener,
     *,
-    kept: bool,
+    persistent: bool,
 ) -> Any:
     """A paho client whose network thread runs: subscribed (QoS 1) again after each break, messages
     acknowledged by hand.
@@ -113,10 +113,10 @@ def broker_client(
         One connection a name: a second one of the same name ends the first.
     topics : sequence of str
     listener : Listener
-    kept : bool
-        Whether the broker keeps messages for this client while it is away.
+    persistent : bool
+        Whether the session is: the broker then keeps messages for this client while it is away.
     """
-    client = address.client(client_id=client_id, clean_session=not kept, manual_ack=True)
+    client = address.client(client_id=client_id, clean_session=not persistent, manual_ack=True)
     client.reconnect_delay_set(1, _LONGEST_PAUSE)
 
     def on_connect(client: Any, _data: Any, _flags: Any, reason: Any, _properties: Any) -> None:

@@ -26,9 +26,9 @@ _OF_READING = (*vars(errors).values(), BadBody, TooLarge)
 # What reading may raise, by the name under which the process tells it: a refusal is the same as
 # without a process.
 _REFUSALS = {
-    each.__name__: each
-    for each in _OF_READING
-    if isinstance(each, type) and issubclass(each, BadInput)
+    kind.__name__: kind
+    for kind in _OF_READING
+    if isinstance(kind, type) and issubclass(kind, BadInput)
 }
 
 

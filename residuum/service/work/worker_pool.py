@@ -13,7 +13,10 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from functools import cache
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+import numpy.typing as npt
 
 from residuum.identification.record import Record
 
@@ -79,6 +82,27 @@ def parts_of(record: Record, source: str | None = None) -> RecordParts:
         record.notes,
         named,
     )
+
+
+class PlainRecord(NamedTuple):
+    """A window as it travels to who judges it; a record's notes are not needed for that."""
+
+    channels: Mapping[str, npt.NDArray[np.floating[Any]]]
+    units: Mapping[str, str]
+    sample_time: float
+    t0: float
+    source: str
+
+    @classmethod
+    def of(cls, record: Record) -> PlainRecord:
+        """The record's content."""
+        return cls(
+            dict(record.channels), dict(record.units), record.sample_time, record.t0, record.source
+        )
+
+    def record(self) -> Record:
+        """The record again."""
+        return Record(self.channels, self.units, self.sample_time, t0=self.t0, source=self.source)
 
 
 T = TypeVar("T")

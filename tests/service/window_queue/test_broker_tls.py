@@ -72,7 +72,7 @@ def test_findings_alarms_and_births_go_by_tls(broker, run_service):
 
     address = broker_address(url, BrokerTls(**named(files)))
     listener = broker_client(
-        address, "tests", ["#"], Listener(take, subscribed=subscribed.set), kept=False
+        address, "tests", ["#"], Listener(take, subscribed=subscribed.set), persistent=False
     )
     try:
         assert subscribed.wait(60)

@@ -46,7 +46,7 @@ class NoValueCodes:
             for first, last in [*_reserved(signal, j1939, extended), *_named(signal)]
         ]
 
-    def there(self, raw: npt.NDArray[np.uint64]) -> npt.NDArray[np.bool_]:
+    def marked(self, raw: npt.NDArray[np.uint64]) -> npt.NDArray[np.bool_]:
         """Where a raw number, shape (n, signals), is one of them."""
         is_code = np.zeros(raw.shape, bool)
         for k, first, last in self._spans:
@@ -71,7 +71,9 @@ def _reserved(signal: Any, j1939: bool, extended: bool) -> Sequence[tuple[int, i
     if signal.is_signed:
         ends = [(sign, -sign), (sign - 1, sign - 1)] if bits >= 8 else []
         return [(raw, raw) for raw, number in ends if _declared(signal, number) is False]
-    first = _first_reserved(bits) if extended else all_ones if bits >= 8 else None
+    # J1939 (extended frames) reserves the top of a range, other buses the last number alone
+    last_alone = all_ones if bits >= 8 else None
+    first = _first_reserved(bits) if extended else last_alone
     if first is None:
         return []
     within = _declared(signal, first)

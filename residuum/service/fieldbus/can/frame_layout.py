@@ -306,7 +306,7 @@ class FrameLayout:
         # pages first: which page a frame has is read from values, codes for no value among them
         if self._multiplexing.paged:
             values[~self._multiplexing.carried(values)] = np.nan
-        values[self._codes.there(raw)] = np.nan
+        values[self._codes.marked(raw)] = np.nan
         counter = (
             np.zeros(len(frames), np.int64)
             if self._counter is None
@@ -319,7 +319,7 @@ class FrameLayout:
     def codes(self, frames: Bytes) -> dict[str, int]:
         """How many samples of each channel are codes for no value, of those that have some."""
         raw = self._bits.raw(frames)
-        is_code = self._codes.there(raw) & self._multiplexing.carried(self._bits.values(raw))
+        is_code = self._codes.marked(raw) & self._multiplexing.carried(self._bits.values(raw))
         many = {name: int(is_code[:, members].sum()) for name, members in self._channels.items()}
         return {name: count for name, count in many.items() if count}
 

@@ -1,4 +1,5 @@
-"""FrameSender: puts the samples of one stream into CAN frames, counter and all, and onto the bus."""
+"""FrameSender: puts the samples of one stream into CAN frames, counter and all, and onto the bus.
+"""
 
 from __future__ import annotations
 

@@ -308,11 +308,11 @@ def _known(error: Any) -> str:
     """What could have been meant by a name that nothing has."""
     if error["type"] != "extra_forbidden":
         return ""
-    of = (
-        ChannelRegisters if "channels" in error["loc"] else Poll if "poll" in error["loc"] else None
-    )
-    names = [field.alias or name for name, field in of.model_fields.items()] if of else []
-    return f"; {known_names(error['loc'][-1], names)}" if names else ""
+    for part, kind in (("channels", ChannelRegisters), ("poll", Poll)):
+        if part in error["loc"]:
+            names = [field.alias or name for name, field in kind.model_fields.items()]
+            return f"; {known_names(error['loc'][-1], names)}"
+    return ""
 
 
 # Blocks of registers that one read takes, and the values of a polled stream from what was read.
