@@ -4,8 +4,8 @@ for them.
 Alarms and floods of them go to both, findings to the broker alone (QoS 1, topics
 `PREFIX/assets/ASSET/alarm`, `…/finding`, and `PREFIX/flood`). A receiver that is away is tried
 again with growing pauses. Both come from the store's outbox, in their order and at least once, also
-after a crash, and also those of other processes on the same database. What waits is bounded: the oldest
-go, and the log says how many.
+after a crash, and also those of other processes on the same database. What waits is bounded: the
+oldest go, and the log says how many.
 """
 
 from __future__ import annotations
