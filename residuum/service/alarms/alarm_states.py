@@ -205,6 +205,7 @@ def severity(
     >>> severity({"rms": 3.0, "kurtosis": 4.0}, {"rms": 1.0, "kurtosis": 8.0})
     3.0
     """
+    # a threshold of 0 or below has no multiple, and infinity would hide how far the others are
     pairs = [(indicators.get(name), tau) for name, tau in thresholds.items()]
     return max(
         (
@@ -295,6 +296,7 @@ class IllegalTransition(BadInput):
 ACTIVE = (AlarmState.UNACKNOWLEDGED, AlarmState.ACKNOWLEDGED, AlarmState.RETURNED_UNACKNOWLEDGED)
 """States that an operator sees on the list of alarms."""
 
+# What is not in it changes nothing where the machine did it, and is refused where an operator asks.
 _TRANSITIONS: dict[tuple[AlarmState, AlarmEvent], AlarmState] = {
     (AlarmState.NORMAL, AlarmEvent.RAISE): AlarmState.UNACKNOWLEDGED,
     (AlarmState.RETURNED_UNACKNOWLEDGED, AlarmEvent.RAISE): AlarmState.UNACKNOWLEDGED,
@@ -312,6 +314,7 @@ _TRANSITIONS: dict[tuple[AlarmState, AlarmEvent], AlarmState] = {
         for state in (AlarmState.NORMAL, *ACTIVE, AlarmState.SHELVED, AlarmState.SUPPRESSED)
     },
 }
+# From where an operator put it; where an alarm then goes depends on its condition.
 _COMING_BACK = {
     AlarmEvent.UNSHELVE: AlarmState.SHELVED,
     AlarmEvent.RELEASE: AlarmState.SUPPRESSED,
@@ -415,6 +418,7 @@ def follow(
     # a clock that was set back gives no negative pause
     pause = None if status.judged_at is None else max((now - status.judged_at).total_seconds(), 0.0)
     every = status.judged_every if pause is None else pause
+    # noted whatever is shown: a later gap is told by the pause before it
     judged = replace(status, judged_at=now, judged_every=every)
     if faulty == status.condition:
         return replace(judged, pending_since=None, pending_seconds=0.0), None

@@ -193,8 +193,7 @@ class StampedSamples:
         return ready
 
     def _missing_of(self, ready: list[int]) -> int:
-        """Samples that never came, up to the last of these and since the last that was handed on.
-        """
+        """Samples that never came, up to the last of these and since the last that was handed on."""
         # across a BREAK the distance is not known: what was lost there was counted when it began
         if self._delivered is not None and ready[0] - self._delivered < BREAK // 2:
             return ready[-1] - self._delivered - len(ready)

@@ -151,8 +151,7 @@ def _item(name: str, rows: Sequence[Mapping[str, Any]], limit: float | None) -> 
 def _trend(
     item: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], moves_with: Sequence[str]
 ) -> Track:
-    """The track of an item's values; BadInput where they are too few or none can be made of them.
-    """
+    """The track of an item's values; BadInput where they are too few or none can be made of them."""
     if len(rows) < FEWEST_WINDOWS_OF_A_TRACK:
         raise BadInput(
             f"{len(rows)} windows tell it; at least {FEWEST_WINDOWS_OF_A_TRACK} are needed"

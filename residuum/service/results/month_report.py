@@ -149,6 +149,7 @@ def _add_finding(
         followed = indicators.setdefault(name, Followed(unit))
         followed.unit = followed.unit or unit
         followed.append(stored.at, value, None, finding.thresholds.get(name))
+    # of diagnosers that watch by a model; others have no parameters in their evidence
     for name, estimate in dict(finding.evidence.get("parameters") or {}).items():
         band = estimate.get("healthy") or {}
         followed = parameters.setdefault(name, Followed(str(estimate.get("unit") or "")))

@@ -198,6 +198,7 @@ def write_windows(
                     f"from, to: the samples take more than {most_bytes / 2**20:.0f} MiB; ask for a"
                     " shorter span, or use `residuum results parquet`"
                 )
+            # a window whose signal was let go keeps its rows, with null for samples
             for channel, unit in window.units.items():
                 values = signals.get(channel)
                 row = {
@@ -234,6 +235,7 @@ def _write(path: Path, schema: Any, rows: Iterable[tuple[dict[str, Any], int]]) 
             waiting.append(row)
             held += size
             written += 1
+            # by rows or by bytes: findings are many and small, windows few and large
             if len(waiting) >= _ROWS or held >= _GROUP_BYTES:
                 writer.write_table(pa.Table.from_pylist(waiting, schema))
                 waiting, held = [], 0

@@ -52,6 +52,7 @@ def rationalisation_table(
         for asset in _all_assets(store, sites)
         for kind in (MACHINE, SIGNAL)
     ]
+    # CRLF, as RFC 4180 has it and spreadsheets write it
     text = io.StringIO()
     table = csv.DictWriter(text, _COLUMNS, lineterminator="\r\n")
     table.writeheader()

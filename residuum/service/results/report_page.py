@@ -86,6 +86,7 @@ def _summary(report: MonthReport) -> str:
     shares = ", ".join(
         f"{n} {escape(name)} ({100 * n / total:.1f} %)" for name, n in sorted(verdicts.items())
     )
+    # alarms that were raised, not those that stood: one may stand from the month before
     raised = sum(entry.event == "raise" for _, entries in report.alarms for entry in entries)
     return (
         f"<p>{total} windows were judged by {escape(report.asset.diagnoser or 'nobody')}: {shares}."
@@ -114,6 +115,7 @@ def _said_and_found(report: MonthReport) -> str:
     rows = [_answered(answer) for answer in report.answered]
     head = ("Finding", "Said", "With", "Found", "Cause", "Part", "Order", "By", "Note")
     parts += [_table(head, rows, numbers=(2,))] if rows else []
+    # a machine has few answers in a month: whether probabilities come true shows in the plant's
     of_machine, of_plant = said_and_found(report.answered), said_and_found(report.plant)
     if not of_plant.lines:
         return "".join([*parts, "<p>No finding that said a probability was answered yet.</p>"])

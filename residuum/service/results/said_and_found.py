@@ -72,6 +72,7 @@ def said_and_found(confirmations: Sequence[Confirmation]) -> SaidAndFound:
     return SaidAndFound(
         answered=len(confirmations),
         without_probability=len(confirmations) - len(pairs),
+        # every answer counts here, also without a probability
         outcomes=Counter(answer.outcome for answer in confirmations),
         lines=reliability_table(probabilities, true, TENTHS) if pairs else [],
         calibration_error=(

@@ -213,6 +213,7 @@ def _free_port() -> int:
 
 
 def _start(machine: MachineSettings, speed: float, opcua: str | None) -> subprocess.Popen[bytes]:
+    # by this interpreter: the console command may not be on the path of a service
     command = [
         sys.executable,
         "-c",
@@ -264,6 +265,7 @@ def coded_blocks(machine: Machine, wiring: Wiring, on_can: bool = False) -> Iter
     }
     sent = dict.fromkeys([*senders, *in_registers], 0)
     while True:
+        # through the coding of the bus: what is learned is rounded as what is judged will be
         for stream, signals in machine.advance(_STEP).items():
             channels = {
                 name: np.asarray(values, np.float64) for name, values in signals.channels.items()

@@ -1,5 +1,4 @@
-"""FrameSender: puts the samples of one stream into CAN frames, counter and all, and onto the bus.
-"""
+"""FrameSender: puts the samples of one stream into CAN frames, counter and all, and onto the bus."""
 
 from __future__ import annotations
 

@@ -293,8 +293,7 @@ def reading_of(
     words: tuple[int, ...],
     value: float,
 ) -> ChannelReading:
-    """One channel's words and value, judged: what other orders make of them, and what looks wrong.
-    """
+    """One channel's words and value, judged: what other orders make of them, and what looks wrong."""
     orders = _orders(where, words)
     mapped = order_name(where.word_order, where.byte_order, where.width)
     plausible = _plausible(orders, mapped) if orders and not math.isnan(value) else None

@@ -157,8 +157,7 @@ def _heading(cell: str) -> str | None:
 
 
 def _channel(row: dict[str, str], where: str) -> dict[str, Any]:
-    """A channel of the map, with what the row says of it; what it leaves out has the map's default.
-    """
+    """A channel of the map, with what the row says of it; what it leaves out has the map's default."""
     kind = _type(row["type"], where)
     channel: dict[str, Any] = {"type": kind, "unit": row["unit"]}
     if kind == "bit":
