@@ -44,7 +44,8 @@ class KnownQueries:
         if scope["type"] == "http" and query:
             # long queries are seldom asked twice, and would fill the memory of those that are
             look = self._good if len(query) <= _REMEMBERED else self._refusal
-            if (refusal := look(scope["method"], scope["path"], query)) is not None:
+            refusal = look(scope["method"], scope["path"], query)
+            if refusal is not None:
                 return await problem(400, refusal, "unknown-query")(scope, receive, send)
         await self.app(scope, receive, send)
 

@@ -49,7 +49,8 @@ def add_request_id(
     _logger: Any, _method: str, line: MutableMapping[str, Any]
 ) -> MutableMapping[str, Any]:
     """Put the id into a log line (a processor of structlog)."""
-    if (number := _of_request.get()) is not None:
+    number = _of_request.get()
+    if number is not None:
         line["request_id"] = number
     return line
 

@@ -422,7 +422,8 @@ def load_settings(file: Path | None = None, **arguments: Any) -> Settings:
 
     Raises BadSettings with one line: which setting, what it is, which rule.
     """
-    if (named := file or os.environ.get(SETTINGS_FILE)) and not Path(named).is_file():
+    named = file or os.environ.get(SETTINGS_FILE)
+    if named and not Path(named).is_file():
         raise BadSettings(f"{'--settings' if file else SETTINGS_FILE}: no such file: {named}")
     # options that were not given are None, and must not stand before the environment
     given = _FILE_GIVEN.set(file)

@@ -152,7 +152,8 @@ class Pipeline:
         self._demo = Demo(settings.demo_speed, settings.demo_opcua) if settings.demo else None
         machines = [*settings.machines, *(self._demo.machines if self._demo else [])]
         names = [machine.asset for machine in machines]
-        if twice := {name for name in names if names.count(name) > 1}:
+        twice = {name for name in names if names.count(name) > 1}
+        if twice:
             raise BadInput(
                 f"settings, machines: {', '.join(sorted(twice))}: there are two of this name"
             )
@@ -232,7 +233,8 @@ class Pipeline:
         troubled: set[str] = set()
         while True:
             for asset, line in list(self._lines.items()):
-                if (state := line.tell_of_time()) is None:
+                state = line.tell_of_time()
+                if state is None:
                     continue
                 if state.way_on:
                     troubled.add(asset)
@@ -279,9 +281,11 @@ class Pipeline:
             await self._end(asset)
 
     async def _end(self, asset: str) -> None:
-        if (task := self._watched.pop(asset, None)) is not None:
+        task = self._watched.pop(asset, None)
+        if task is not None:
             task.cancel()
-        if (line := self._lines.pop(asset, None)) is not None:
+        line = self._lines.pop(asset, None)
+        if line is not None:
             await asyncio.to_thread(line.stop)
 
     def refuse_fixed(self, asset: str) -> None:

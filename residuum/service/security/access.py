@@ -139,7 +139,8 @@ class ApiKeys:
         # whoever does not get the lock goes on with the keys there are; another reads them now
         try:
             self._looked = time.monotonic()
-            if (version := _version(self._path)) == self._seen:
+            version = _version(self._path)
+            if version == self._seen:
                 return
             self._seen = version
             self._keys = _read(self._path)
@@ -260,7 +261,8 @@ def make_first_keys(folder: Path, show: Callable[[str], None]) -> bool:
         The folder cannot be written, or holds a file of keys that cannot be read.
     """
     keys, metrics = folder / API_KEYS, folder / METRICS_KEY
-    if first := not keys.is_file():
+    first = not keys.is_file()
+    if first:
         key, digest = new_key()
         lines = [f"engineer engineer {digest}"]
     else:

@@ -46,7 +46,8 @@ class TrustedProxies:
         # from the right: each proxy has written the address that came to it behind the others
         address = peer
         for hop in reversed(forwarded_for.decode("latin-1").split(",")):
-            if not _is_address(hop := hop.strip()):
+            hop = hop.strip()
+            if not _is_address(hop):
                 break
             address = hop
             if not self._is_one(hop):

@@ -103,7 +103,8 @@ class Places:
 
     def know(self, connection: BoundedConnection) -> None:
         """It has shown a key, and is no stranger any more."""
-        if (where := self._strangers.get(connection)) is not None:
+        where = self._strangers.get(connection)
+        if where is not None:
             self._acquainted[where] = None
             self._acquainted.move_to_end(where)
             if len(self._acquainted) > _MOST_ACQUAINTED:
@@ -116,7 +117,8 @@ class Places:
         self._count -= 1
 
     def _forget(self, connection: BoundedConnection) -> None:
-        if (where := self._strangers.pop(connection, None)) is not None:
+        where = self._strangers.pop(connection, None)
+        if where is not None:
             neighbours = self._of_address[where]
             del neighbours[connection]
             if not neighbours:

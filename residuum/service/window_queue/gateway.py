@@ -276,7 +276,8 @@ class Gateway:
 
     def _follow(self, machine: _Machine, waiting: list[str]) -> None:
         """Note what has been stored since, or send all again when that takes too long."""
-        if settled := [key for key in machine.under_way if key not in waiting]:
+        settled = [key for key in machine.under_way if key not in waiting]
+        if settled:
             machine.heard |= not self._answered.isdisjoint(settled)  # else the spool let them go
             machine.patience, machine.progress = self._resend_after, time.monotonic()
             self._answered.difference_update(settled)
@@ -303,7 +304,8 @@ class Gateway:
         with self._counting:
             # noted before the spool lets it go: `_follow` asks which of the gone ones were answered
             self._answered.add(key)
-            if not (known := self.spool.remove(key)):
+            known = self.spool.remove(key)
+            if not known:
                 self._answered.discard(key)
             self.stored += known and refused is None
             self.refused += known and refused is not None

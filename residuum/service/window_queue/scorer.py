@@ -177,7 +177,8 @@ class Scorer:
         while not self._stopped.is_set():
             try:
                 # judged only where it is not stored: a window that came again costs one question
-                if (known := self._store.window_with_key(message.asset, key, digest)) is not None:
+                known = self._store.window_with_key(message.asset, key, digest)
+                if known is not None:
                     self.seen_before += 1
                     return StoredNews(message.asset, known)
                 finding = finding or self._judge(message)

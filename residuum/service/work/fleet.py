@@ -78,7 +78,8 @@ class Folder:
         files = sorted(
             str(file) for file in Path(self.folder).rglob("*") if file.suffix.lower() in _ENDINGS
         )
-        if nameless := next((file for file in files if _is_no_text(file)), None):
+        nameless = next((file for file in files if _is_no_text(file)), None)
+        if nameless:
             raise BadInput(
                 f"{os.fsencode(nameless)!r}: is a file name that is not UTF-8; rename the file"
             )
@@ -157,7 +158,9 @@ class StoredWindows:
 
     def items(self) -> list[str]:
         """Names of the windows, by asset, oldest first."""
-        if (file := sqlite_file(self.url)) is not None and not file.is_file():
+        file = sqlite_file(self.url)
+        # SQLite would make an empty one
+        if file is not None and not file.is_file():
             raise BadInput(f"{self.url}: there is no such database")
         database, _ = stored_in(self.url, self.data)
         database.refuse_other_revision()

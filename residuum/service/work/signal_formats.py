@@ -64,7 +64,8 @@ def from_json(body: bytes, _unpacked: int) -> Record:
         raise BadBody(f"body: is not JSON: {says}") from None
     if not isinstance(content, dict) or not isinstance(content.get("channels"), dict):
         raise BadBody("body: must be an object with 'sample_time', 'channels' and 'units'")
-    if unknown := set(content) - _JSON_KEYS:
+    unknown = set(content) - _JSON_KEYS
+    if unknown:
         key = sorted(unknown)[0][:60]
         rate = "; say sample_time, 1 / sampling_rate" if key == "sampling_rate" else ""
         raise BadBody(f"body: key {key!r} is not one of {', '.join(sorted(_JSON_KEYS))}{rate}")

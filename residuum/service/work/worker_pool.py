@@ -247,6 +247,7 @@ def _end_with_the_service() -> None:
     A worker waits for work at a pipe whose writing end it holds itself, so the pipe never says that
     nobody is left; and the server of workers stays as long as one of them does.
     """
-    if (service := multiprocessing.parent_process()) is not None:
+    service = multiprocessing.parent_process()
+    if service is not None:
         service.join()
         os._exit(1)

@@ -251,7 +251,8 @@ async def _newest_sample(
     refusals: list[str],
 ) -> list[ChannelReading]:
     high, low = (await client.read(pages.newest, 2)).tolist()
-    if not (number := high << 16 | low):
+    number = high << 16 | low
+    if not number:
         refusals.append(f"{name}: the device has published no page yet")
         return []
     begin = pages.address + pages.stride * ((number - 1) % pages.count)

@@ -170,7 +170,8 @@ class ModbusSource(Source):
             try:
                 for reader in self._readers:
                     await reader.read(client)
-                if (now := time.monotonic()) >= state_due:
+                now = time.monotonic()
+                if now >= state_due:
                     await self._read_state(client)
                     state_due = now + _STATE_PERIOD
             except DeviceRefused as error:

@@ -313,7 +313,8 @@ async def enter(client: Client, url: str, nodes: NodeMap | None, timeout: float)
     """Open a session; a server that shows another certificate than the trusted one is not entered:
     it would not even answer.
     """
-    if nodes is not None and (s := nodes.security) is not None:
+    s = None if nodes is None else nodes.security
+    if s is not None:
         shown, trusted = await server_certificate(url, timeout), s.trusted
         # compared as DER: the file may be PEM of the same certificate
         if _plain(shown) != _plain(trusted.read_bytes()):
