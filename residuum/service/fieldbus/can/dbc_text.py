@@ -287,7 +287,8 @@ def _about(
     # without its semicolon a statement runs on into the next one, whose begin is then refused
     if column == 1 and len(before) > 1 and _does_not_end(text[slice(*before[-2])]):
         return before[-2:-1]
-    if column != 1 or place in (start for start, _ in before):
+    begins_a_statement = place in dict(statements)
+    if column != 1 or begins_a_statement:
         return before[-1:]
     # a line that begins no statement we know: all up to the next one that does
     end = next((a for a, _ in statements if a > place), len(text))
