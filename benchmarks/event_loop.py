@@ -29,7 +29,7 @@ from benchmarks.free_port import free_port
 from benchmarks.http_cases import _wait
 from residuum.service.app import create_app, watch_loop
 from residuum.service.settings import load_settings
-from residuum.service.settled_memory import settle_memory
+from residuum.service.work.loaded_modules import settle_memory
 
 GATE = 0.1
 MEGA = 2**20

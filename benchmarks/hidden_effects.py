@@ -27,7 +27,7 @@ from residuum.identification.discrepancy.improve import improve
 from residuum.identification.discrepancy.improvement import Improvement
 from residuum.identification.physics import PhysicalModel, candidates, estimate, load_model, match
 from residuum.identification.record import Record
-from residuum.service.results.reliability_picture import reliability_svg
+from residuum.service.results.report_page import reliability_svg
 from residuum.simulation import MACHINES
 
 SEEDS = int(os.environ.get("HIDDEN_SEEDS", "1"))

@@ -28,8 +28,8 @@ from benchmarks.free_port import free_port
 from benchmarks.http_cases import _wait
 from residuum.diagnosis.finding import Finding
 from residuum.identification.record import Record
-from residuum.service.settled_memory import settle_memory
 from residuum.service.storage import DiskStore
+from residuum.service.work.loaded_modules import settle_memory
 from residuum.service.work.worker_pool import give_back_large_arrays
 
 ONE, HUNDRED = 64, 256

@@ -35,12 +35,11 @@ from benchmarks.http_cases import _wait
 from benchmarks.programs import find_program
 from residuum.identification.units import read_registry
 from residuum.service.broker import broker_address
-from residuum.service.machines.judging.scoring import PlainRecord
 from residuum.service.storage import DiskStore
 from residuum.service.window_queue.scorer import Scorer
 from residuum.service.window_queue.set_aside import SetAside
 from residuum.service.window_queue.window_message import WindowMessage, window_topic
-from residuum.service.work.worker_pool import WorkerPool
+from residuum.service.work.worker_pool import PlainRecord, WorkerPool
 
 WITHIN = 1.0
 KNOWN = (

@@ -11,7 +11,7 @@ from dataclasses import asdict
 from functools import partial
 from importlib import import_module
 from importlib.metadata import version
-from typing import Any, Protocol, TypeVar
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 import structlog
 from fastapi import FastAPI
@@ -26,8 +26,8 @@ from residuum.service.api import ROUTERS, health
 from residuum.service.api.results import downloads
 from residuum.service.known_queries import KnownQueries
 from residuum.service.logs import set_up_logs
-from residuum.service.machines.judging.scoring import Judges
 from residuum.service.machines.pipeline import Pipeline
+from residuum.service.machines.scoring import Judges
 from residuum.service.metrics import Metrics
 from residuum.service.security.access import ApiKeys
 from residuum.service.security.bearer_tokens import BearerTokens
@@ -48,12 +48,12 @@ from residuum.service.work.worker_pool import WorkerPool
 log = structlog.get_logger()
 
 API = "/api/v1"
+# Seconds between looks at shelved alarms that have run out.
 _TICK = 5.0
-"""Seconds between looks at shelved alarms that have run out."""
+# Seconds for which equal refusals are one entry of the audit trail.
 _AUDIT_EVERY = 10.0
-"""Seconds for which equal refusals are one entry of the audit trail."""
+# Seconds between looks at signals that need not be kept.
 _RETAIN_EVERY = 60.0
-"""Seconds between looks at signals that need not be kept."""
 
 MakePipeline = Callable[[Settings, DiskStore, Events, WorkerPool], LivePipeline]
 
@@ -66,18 +66,17 @@ def create_app(settings: Settings, make_pipeline: MakePipeline = Pipeline) -> Fa
     """
     keys = ApiKeys(settings.api_keys, tokens=settings.oidc_issuer is not None)
     tokens = None if settings.oidc_issuer is None else BearerTokens(settings)
-    events, refusals = Events(), Refusals()
+    refusals = Refusals()
 
     def pipeline_status() -> Mapping[str, Any]:
         return app.state.services.pipeline.status()
 
     metrics = Metrics(pipeline_status, lambda: SetAside(settings.data).count)
+    shared = _SharedWithGate(metrics, keys, refusals)
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
-        async with _running(
-            app, settings, events, metrics, keys, refusals, make_pipeline
-        ) as services:
+        async with _running(app, settings, shared, make_pipeline) as services:
             app.state.services = services
             yield
 
@@ -115,18 +114,23 @@ def _add_routes(app: FastAPI) -> None:
     app.router.routes.extend(web_routes())
 
 
+class _SharedWithGate(NamedTuple):
+    """What is there before the service is started: the gate, which has it too, is made with the
+    app.
+    """
+
+    metrics: Metrics
+    keys: ApiKeys
+    refusals: Refusals
+
+
 @asynccontextmanager
 async def _running(
-    app: FastAPI,
-    settings: Settings,
-    events: Events,
-    metrics: Metrics,
-    keys: ApiKeys,
-    refusals: Refusals,
-    make_pipeline: MakePipeline,
+    app: FastAPI, settings: Settings, shared: _SharedWithGate, make_pipeline: MakePipeline
 ) -> AsyncIterator[Services]:
     set_up_logs(settings)
-    notifications = Notifications(settings)
+    metrics, keys, refusals = shared
+    events, notifications = Events(), Notifications(settings)
 
     shown = Told()
     outs: list[Any] = []
@@ -140,6 +144,7 @@ async def _running(
             out.tell(kind, payload)
 
     def announce(kind: str, payload: Mapping[str, Any]) -> None:
+        # a finding may come back as the news of a scorer, and is shown once
         if kind != "finding" or shown.first(payload["id"]):
             show(kind, payload)
         notifications.tell(kind, payload)
@@ -168,22 +173,13 @@ async def _running(
         started.callback(executor.shutdown, wait=False, cancel_futures=True)
         jobs = Jobs(events.publish)
         ends(jobs.close)
+        # what was started last is ended first: the pipeline before the store that it writes to
         pipeline = make_pipeline(settings, store, events, executor)
         started.push_async_callback(pipeline.stop)
         services = Services(
             settings, store, events, jobs, Judges(_baselines(store)), metrics, pipeline, keys
         )
-        log.info(
-            "started",
-            database=make_url(settings.database_url).render_as_string(hide_password=True),
-            data=str(settings.data),
-        )
-        if orphans := len(await asyncio.to_thread(store.orphans, SETTLED)):
-            log.warning(
-                "signal blocks that no row names, left by a crash; `residuum doctor --sweep`"
-                " removes them",
-                blocks=orphans,
-            )
+        await _tell_start(settings, store)
         # left by a crash
         await asyncio.to_thread(shutil.rmtree, downloads(settings.data), ignore_errors=True)
         for watch in (
@@ -208,6 +204,22 @@ async def _running(
         started.callback(events.close)
         yield services
     log.info("stopped")
+
+
+async def _tell_start(settings: Settings, store: DiskStore) -> None:
+    """Log which data the service works on, and what a crash has left there."""
+    log.info(
+        "started",
+        database=make_url(settings.database_url).render_as_string(hide_password=True),
+        data=str(settings.data),
+    )
+    orphans = len(await asyncio.to_thread(store.orphans, SETTLED))
+    if orphans:
+        log.warning(
+            "signal blocks that no row names, left by a crash; `residuum doctor --sweep`"
+            " removes them",
+            blocks=orphans,
+        )
 
 
 def _finding_outs(settings: Settings, keys: ApiKeys) -> list[Any]:
@@ -271,7 +283,8 @@ def _audit_refusals(store: DiskStore, refusals: Refusals) -> None:
 def _look_for_damage(store: DiskStore) -> None:
     """Beside the running service, which ends without waiting for it: a large file takes minutes."""
     with suppress(StorageUnavailable):
-        if (damage := store.look_for_damage()) is not None:
+        damage = store.look_for_damage()
+        if damage is not None:
             log.error("the database is damaged; restore a backup", reason=damage)
 
 
@@ -282,9 +295,11 @@ async def _retain(store: DiskStore, settings: Settings) -> None:
     logged: str | None = None
     while True:
         try:
-            if freed := await asyncio.to_thread(store.retain, rule):
+            freed = await asyncio.to_thread(store.retain, rule)
+            if freed:
                 log.info("let signals go", windows=freed)
-            if (doubt := store.troubles().get("retention")) not in (None, logged):
+            doubt = store.troubles().get("retention")
+            if doubt not in (None, logged):
                 log.error("signals and rows are kept beyond their days", reason=doubt)
             logged = doubt
         except (StorageUnavailable, OSError) as error:

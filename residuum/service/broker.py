@@ -7,7 +7,7 @@ import re
 import ssl
 from pathlib import Path
 from typing import Any, NamedTuple
-from urllib.parse import urlsplit
+from urllib.parse import SplitResult, urlsplit
 
 from pydantic import BaseModel, ConfigDict, model_validator
 
@@ -76,6 +76,7 @@ class BrokerAddress(NamedTuple):
             raise BadInput(
                 "setting mqtt: needs the extra `mqtt`: pip install 'residuum[mqtt]'"
             ) from None
+        # version 2 of paho's callbacks tells why a connection was refused
         client = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2, **options)
         if self.user:
             client.username_pw_set(self.user, self.password)
@@ -96,23 +97,26 @@ def broker_address(
     8883
     """
     parts = urlsplit(url)
-    if (
-        parts.scheme not in _PORTS
-        or not parts.hostname
-        or set(url) & set("#?")
-        or "+" in parts.path
-    ):
-        raise ValueError("must be mqtt://[user:password@]host[:port][/prefix], or mqtts:// for TLS")
+    host = _host_of(url, parts)
     if parts.scheme == "mqtt" and tls is not None and tls != BrokerTls():
         raise ValueError("is not entered by TLS, so certificates say nothing; write mqtts://")
     return BrokerAddress(
-        parts.hostname,
+        host,
         parts.port or _PORTS[parts.scheme],
         parts.username,
         parts.password if password is None else password,
         parts.path.strip("/") or "residuum",
         (tls or BrokerTls()) if parts.scheme == "mqtts" else None,
     )
+
+
+def _host_of(url: str, parts: SplitResult) -> str:
+    """The host of a broker's address; ValueError for any other."""
+    # `#` and `+` are wildcards in topics, which begin with the path
+    no_topic = bool(set(url) & set("#?")) or "+" in parts.path
+    if parts.scheme not in _PORTS or not parts.hostname or no_topic:
+        raise ValueError("must be mqtt://[user:password@]host[:port][/prefix], or mqtts:// for TLS")
+    return parts.hostname
 
 
 # Addresses as they are shown: without the password of their user info.

@@ -20,8 +20,8 @@ from residuum.service.work.loaded_modules import loading_modules
 
 DONE, ANSWER_IS_NO, BAD_INPUT, OUR_FAULT, INTERRUPTED = 0, 1, 2, 3, 130
 
+# Bytes of a model file that are looked at for the FMU that it names.
 _HEAD = 10_000
-"""Bytes of a model file that are looked at for the FMU that it names."""
 # The base of typer's usage errors, which typer itself does not export by name.
 _UsageError: type[Exception] = typer.BadParameter.__mro__[2]
 
@@ -41,16 +41,14 @@ def run(arguments: list[str]) -> int:
         return _refuse(
             f"command {name!r}: there is none of this name; {known_names(name, COMMANDS)}"
         )
+    return _exit_status(name, words)
+
+
+def _exit_status(name: str, words: list[str]) -> int:
+    """Run a command by its words; whatever ends it, one line says why."""
     words_before = SAID_IN.set(as_option)
     try:
-        if fmus := [word for word in words if names_fmu(word)]:
-            apart = import_module("residuum.service.commands.fmu_process")
-            if apart.is_wanted(name):
-                return int(apart.run_apart(arguments, fmus[0]))
-        with loading_modules():
-            command = import_module(f"residuum.service.commands.{COMMANDS[name][0]}").app
-        _take_interrupts()
-        status = command(args=words, prog_name=f"residuum {name}", standalone_mode=False)
+        return _run_command(name, words)
     except typer.Exit as done:
         return done.exit_code
     except _UsageError as error:
@@ -70,6 +68,19 @@ def run(arguments: list[str]) -> int:
         return OUR_FAULT
     finally:
         SAID_IN.reset(words_before)
+
+
+def _run_command(name: str, words: list[str]) -> int:
+    # an FMU is machine code of somebody else's: what it does to its process, it does to that alone
+    fmus = [word for word in words if names_fmu(word)]
+    if fmus:
+        apart = import_module("residuum.service.commands.fmu_process")
+        if apart.is_wanted(name):
+            return int(apart.run_apart([name, *words], fmus[0]))
+    with loading_modules():
+        command = import_module(f"residuum.service.commands.{COMMANDS[name][0]}").app
+    _take_interrupts()
+    status = command(args=words, prog_name=f"residuum {name}", standalone_mode=False)
     return status if isinstance(status, int) else DONE
 
 
@@ -111,6 +122,7 @@ def _usage(error: Any) -> str:
         )
     if unknown := re.match(r"No such command '([^']*)'", says):
         return f"there is no command {unknown[1]!r}; {known_names(unknown[1], command.commands)}"
+    # typer knows choices only as part of its sentence
     if choice := re.match(r"Invalid value for '([^']*)': .*?'([^']*)' is not one of (.*)", says):
         known = known_names(choice[2], re.findall(r"'([^']*)'", choice[3]), "must be one of")
         return f"{choice[1]} {choice[2]!r}: {known}"

@@ -22,7 +22,9 @@ from residuum.service.security.access import LONGEST_NAME, ApiKeys, Role
 from residuum.service.settings import Settings
 
 log = structlog.get_logger()
+# [s] Between looks for news.
 _TICK = 0.05
+# [s] For the server to start, and for its sessions to end: a certificate may have to be made.
 _STARTING = 30.0
 
 
@@ -85,6 +87,8 @@ class FindingNodes:
         finally:
             self._begun.set()
         while not self._stopped.is_set():
+            # one a turn: a machine whose news come fast has its latest alone, and keeps nobody
+            # waiting
             with self._lock:
                 first = next(iter(self._news), None)
                 payload = self._news.pop(first) if first is not None else {}

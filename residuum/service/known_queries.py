@@ -16,10 +16,9 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from residuum.nearest_names import known_names
 from residuum.service.problems import problem
 
+# Bytes of a query up to which it is remembered that it is good: clients ask with the same one again
+# and again.
 _REMEMBERED = 1000
-"""Bytes of a query up to which it is remembered that it is good: clients ask with the same one
-again and again.
-"""
 
 
 class KnownQueries:
@@ -43,12 +42,15 @@ class KnownQueries:
         """Answer a request, or refuse it."""
         query = scope.get("query_string")
         if scope["type"] == "http" and query:
+            # long queries are seldom asked twice, and would fill the memory of those that are
             look = self._good if len(query) <= _REMEMBERED else self._refusal
-            if (refusal := look(scope["method"], scope["path"], query)) is not None:
+            refusal = look(scope["method"], scope["path"], query)
+            if refusal is not None:
                 return await problem(400, refusal, "unknown-query")(scope, receive, send)
         await self.app(scope, receive, send)
 
     def _refusal(self, method: str, path: str, query: bytes) -> str | None:
+        # None: pages, and routes that the document does not have, which refuse by themselves
         known = self._known(method, path)
         if known is None:
             return None

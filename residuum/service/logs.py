@@ -33,6 +33,7 @@ def begin_request(headers: Mapping[bytes, bytes]) -> tuple[bytes, bytes]:
     An id that the caller sends is taken when it is of up to 128 letters, digits and `._:@/+=-`:
     nothing that ends a log line.
     """
+    # a caller's id joins its log to ours; what could end a line, or fill the log, is not taken
     sent = headers.get(_LOWER, b"")
     number = sent.decode("ascii") if _FORM.fullmatch(sent) else secrets.token_hex(8)
     _of_request.set(number)
@@ -48,7 +49,8 @@ def add_request_id(
     _logger: Any, _method: str, line: MutableMapping[str, Any]
 ) -> MutableMapping[str, Any]:
     """Put the id into a log line (a processor of structlog)."""
-    if (number := _of_request.get()) is not None:
+    number = _of_request.get()
+    if number is not None:
         line["request_id"] = number
     return line
 
@@ -105,5 +107,6 @@ def set_up_logs(settings: Settings) -> None:
     handler = _StandardError()
     handler.setFormatter(lines)
     handler.setLevel(logging.WARNING)
+    # a service that is started twice in one process (tests) writes each line once
     foreign = [known for known in logging.root.handlers if not isinstance(known, _StandardError)]
     logging.root.handlers[:] = [*foreign, handler]

@@ -52,6 +52,7 @@ class MemoryBudget:
             self._hand_on()
 
     async def _take(self, size: int) -> None:
+        # who comes now stands behind those who wait: small answers must not starve a large one
         if not self._waiting and size <= self._free:
             self._free -= size
             return
@@ -60,6 +61,7 @@ class MemoryBudget:
         turn: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._waiting.append((size, turn))
         try:
+            # shielded: a client that leaves cancels its wait, and what it was given must come back
             await asyncio.wait_for(asyncio.shield(turn), self._patience)
         except BaseException as error:
             if turn.done() and not turn.cancelled():

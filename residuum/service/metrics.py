@@ -12,10 +12,9 @@ from prometheus_client.registry import Collector
 
 from residuum.service.machines.machine_state import counted
 
+# Methods that have a label of their own: a stranger may send any word as a method, and each would
+# be kept for ever.
 _METHODS = frozenset(("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"))
-"""Methods that have a label of their own: a stranger may send any word as a method, and each would
-be kept for ever.
-"""
 _STALLS = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1, 2.5)
 _SECONDS = (0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1, 2.5, 10)
 
@@ -71,11 +70,14 @@ class Metrics:
             registry=self._registry,
         )
         aside.set_function(set_aside)
+        # label objects by request; bounded, for routes, methods and statuses are
         self._children: dict[tuple[str, str, int], tuple[Counter, Histogram]] = {}
         self._registry.register(_Status(status))
 
     def request(self, method: str, route: str, status: int, seconds: float) -> None:
         """Count one answered request."""
+        # `route` is a pattern of ours and `status` our answer: the method alone is a stranger's
+        # word
         method = method if method in _METHODS else "other"
         known = self._children.get((method, route, status))
         if known is None:  # kept, because looking labels up costs more than counting

@@ -14,7 +14,7 @@ from pathlib import Path
 from residuum.identification.errors import BadInput, BadModel
 from residuum.identification.linear_models.identified_model_file import load_identified
 from residuum.identification.physics.files.model_file import load_model
-from residuum.service.machines.judging.scoring import diagnoser_class
+from residuum.service.machines.scoring import diagnoser_class
 from residuum.service.work.limited_process import run_limited, within_limits
 
 MODEL_KINDS: dict[str, tuple[str, str]] = {
@@ -25,10 +25,9 @@ MODEL_KINDS: dict[str, tuple[str, str]] = {
 """Media type and file ending of each kind."""
 
 
+# Bytes up to which a model's text is read in the service itself: parsing YAML of 200 kB takes
+# seconds of the interpreter.
 _SHORT = 16 * 2**10
-"""Bytes up to which a model's text is read in the service itself: parsing YAML of 200 kB takes
-seconds of the interpreter.
-"""
 
 
 def is_read_apart(kind: str, content: bytes) -> bool:

@@ -56,6 +56,7 @@ _STATUS: dict[type[Exception], int] = {
     TooBusy: 503,
     BadInput: 422,
 }
+# Characters of a refusal, which may repeat what a client sent.
 _MOST_SHOWN = 500
 
 
@@ -90,6 +91,7 @@ def install(app: FastAPI) -> None:
 
     @app.exception_handler(BadInput)
     async def _bad_input(_request: Request, error: BadInput) -> Response:
+        # the nearest class that has a status; BadInput, from which all come, is the last
         status = next(_STATUS[kind] for kind in type(error).__mro__ if kind in _STATUS)
         return problem(
             status,
@@ -120,6 +122,7 @@ def install(app: FastAPI) -> None:
 
     @app.exception_handler(Exception)
     async def _ours(_request: Request, error: Exception) -> Response:
+        # no more than its class: a message may repeat what is nobody's business
         return problem(
             500, f"internal error: {type(error).__name__}; the log has the details", "internal"
         )

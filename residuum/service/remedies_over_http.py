@@ -22,8 +22,8 @@ _OF_FILES = (
     "duplicates",
     "reordered",
 )
+# How a file is read, in Python → key of the query, where these differ.
 _KEYS = {"units": "unit", "time": "time_form"}
-"""How a file is read, in Python → key of the query, where these differ."""
 
 
 class SaidToClients:
@@ -59,8 +59,8 @@ def as_key(field: str, value: object = None) -> str:
         return in_upload(field, value)
     if value is None:
         return f'"{field}"'
-    said = f'"{field}": {json.dumps(value, ensure_ascii=False)}'
-    return f"{said} in the body" if field == "map" else said
+    member = f'"{field}": {json.dumps(value, ensure_ascii=False)}'
+    return f"{member} in the body" if field == "map" else member
 
 
 def in_upload(field: str, value: object = None) -> str:
@@ -71,8 +71,10 @@ def in_upload(field: str, value: object = None) -> str:
 def as_query(field: str, value: object = None) -> str:
     """How a file is read, as a key of the query with which it comes.
 
-    >>> as_query("time", "day first"), as_query("map", {"time": "COLUMN"}), as_query("units", {"duty": "%"})
-    ('?time_form=day%20first', '?time=COLUMN', '?unit=duty=%25')
+    >>> as_query("time", "day first"), as_query("map", {"time": "COLUMN"})
+    ('?time_form=day%20first', '?time=COLUMN')
+    >>> as_query("units", {"duty": "%"})
+    '?unit=duty=%25'
     >>> as_query("missing", ["85", "-127"])
     '?missing=85&missing=-127'
     """
@@ -83,8 +85,9 @@ def as_query(field: str, value: object = None) -> str:
     if value is None:
         return f"?{key}"
     texts = as_texts(field, "true" if value is True else value)
-    said = [quote(text, safe="=/*,:[]") for text in texts]
-    return f"?{said[0] if of_times else '&'.join(f'{key}={text}' for text in said)}"
+    # left as they are where a query takes them: what is shown is typed again by people
+    quoted = [quote(text, safe="=/*,:[]") for text in texts]
+    return f"?{quoted[0] if of_times else '&'.join(f'{key}={text}' for text in quoted)}"
 
 
 def in_json(field: str, value: object = None) -> str:

@@ -7,40 +7,41 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Annotated, Any, ParamSpec, Protocol, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, ParamSpec, Protocol, TypeVar
 
 from anyio import CapacityLimiter
 from anyio.to_thread import run_sync
 from fastapi import Depends, Request
 
 from residuum.identification.errors import BadInput
-from residuum.service.alarms.alarm_states import AlarmRule
-from residuum.service.alarms.events import Events
-from residuum.service.fieldbus.settings import MachineSettings
-from residuum.service.machines.judging.scoring import Judges
 from residuum.service.memory_budget import MIB, MemoryBudget
-from residuum.service.metrics import Metrics
 from residuum.service.security.access import ANYBODY, ApiKeys, Caller
-from residuum.service.settings import Settings
-from residuum.service.storage.disk_store import DiskStore
-from residuum.service.work.jobs import Jobs
+
+# The parts themselves are made by the app: a route that holds them needs none of their modules.
+if TYPE_CHECKING:
+    from residuum.service.alarms.alarm_states import AlarmRule
+    from residuum.service.alarms.events import Events
+    from residuum.service.fieldbus.settings import MachineSettings
+    from residuum.service.machines.scoring import Judges
+    from residuum.service.metrics import Metrics
+    from residuum.service.settings import Settings
+    from residuum.service.storage.disk_store import DiskStore
+    from residuum.service.work.jobs import Jobs
 
 P = ParamSpec("P")
 T = TypeVar("T")
+# Long bodies that are read at once.
 _READERS = 2
-"""Long bodies that are read at once."""
+# Bytes that answers may take together while they are made.
 _MEMORY = 160 * MIB
-"""Bytes that answers may take together while they are made."""
+# Bytes that a page of a list takes while it is made: rows of 1 MiB as values of Python, and as
+# JSON.
 _LISTED = 16 * MIB
-"""Bytes that a page of a list takes while it is made: rows of 1 MiB as values of Python, and as
-JSON.
-"""
+# Times its samples that a question about a stored signal takes: the block, what is made of it, the
+# answer.
 _COPIES = 5
-"""Times its samples that a question about a stored signal takes: the block, what is made of it, the
-answer.
-"""
+# Bytes that a single answer may take.
 _ONE = 64 * MIB
-"""Bytes that a single answer may take."""
 
 
 class LivePipeline(Protocol):

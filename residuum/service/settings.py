@@ -29,12 +29,12 @@ from residuum.service.fieldbus.settings import MachineSettings
 SETTINGS_FILE = "RESIDUUM_SETTINGS"
 """Environment variable that names the YAML file."""
 
+# The YAML file that `load_settings` was given, while it builds the settings.
 _FILE_GIVEN: ContextVar[Path | None] = ContextVar("_FILE_GIVEN", default=None)
-"""The YAML file that `load_settings` was given, while it builds the settings."""
 
 
+# Requests a second a client may make of a service that other machines can reach.
 _RATE_LIMIT = 200.0
-"""Requests a second a client may make of a service that other machines can reach."""
 
 
 class BadSettings(BadInput):
@@ -168,6 +168,7 @@ class Settings(BaseSettings):
         ),
     )
     workers: int = Field(
+        # one core is left for what answers requests
         default_factory=lambda: max(1, min(4, (os.cpu_count() or 2) - 1)),
         ge=1,
         description="Processes that run diagnosers.",
@@ -247,6 +248,7 @@ class Settings(BaseSettings):
         password = None
         if self.mqtt_password_file is not None:
             try:
+                # one line, as `echo` and secret stores write them
                 password = (
                     self.mqtt_password_file.read_text(encoding="utf-8").partition("\n")[0].strip()
                 )
@@ -273,6 +275,7 @@ class Settings(BaseSettings):
         """Whether other machines reach the service, themselves or through a proxy."""
         return not is_loopback(self.host) or self.public_url is not None
 
+    # Each rule of several settings stands alone, so that the first that is broken is the one told.
     @model_validator(mode="after")
     def _refuse_an_open_door(self) -> Settings:
         if not is_loopback(self.host) and self.api_keys is None and self.oidc_issuer is None:
@@ -392,6 +395,7 @@ class Settings(BaseSettings):
         file_secret_settings: PydanticBaseSettingsSource,
     ) -> tuple[PydanticBaseSettingsSource, ...]:
         """Arguments before environment before file (pydantic-settings asks for this)."""
+        # pydantic-settings makes its sources before it knows the arguments: the file comes this way
         named = _FILE_GIVEN.get() or os.environ.get(SETTINGS_FILE)
         file = InitSettingsSource(settings_cls, _content(Path(named)) if named else {})
         return init_settings, env_settings, file
@@ -418,8 +422,10 @@ def load_settings(file: Path | None = None, **arguments: Any) -> Settings:
 
     Raises BadSettings with one line: which setting, what it is, which rule.
     """
-    if (named := file or os.environ.get(SETTINGS_FILE)) and not Path(named).is_file():
+    named = file or os.environ.get(SETTINGS_FILE)
+    if named and not Path(named).is_file():
         raise BadSettings(f"{'--settings' if file else SETTINGS_FILE}: no such file: {named}")
+    # options that were not given are None, and must not stand before the environment
     given = _FILE_GIVEN.set(file)
     try:
         return Settings(**{name: value for name, value in arguments.items() if value is not None})

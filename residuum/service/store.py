@@ -202,20 +202,19 @@ class Asset:
         or `no-data`.
         """
         last = self.last_finding
-        verdict = (
-            None
-            if last is None
-            else "no-baseline"
-            if last.finding.only_recorded
-            else last.finding.verdict.value
-        )
+        if last is None:
+            state = "no-data"
+        elif last.finding.only_recorded:
+            state = "no-baseline"
+        else:
+            state = last.finding.verdict.value
         return {
             "id": self.id,
             "title": self.title,
             "diagnoser": self.diagnoser,
             "created_at": self.created_at,
             "windows": self.windows,
-            "state": verdict or "no-data",
+            "state": state,
             "last_finding": last.to_json() if last else None,
         }
 

@@ -1,7 +1,7 @@
 """Statements of a campaign are told from what was hidden, and drawn where they lie."""
 
 from benchmarks.said_probabilities import NAMED, NONE, UNKNOWN, lines_of, statements, told
-from residuum.service.results.reliability_picture import reliability_svg
+from residuum.service.results.report_page import reliability_svg
 
 OUTCOME = {
     "verdict": "missing-effect",

@@ -38,8 +38,9 @@ class Priority(StrEnum):
     LOW = "low"
 
 
+# Times to respond [s] up to which an alarm asks for an answer at once, or soon.
 _PROMPT, _SOON = 300.0, 1800.0
-"""Times to respond [s] up to which an alarm asks for an answer at once, or soon."""
+# by the sum of both ranks, 0 to 4
 _PRIORITIES = (Priority.LOW, Priority.LOW, Priority.MEDIUM, Priority.HIGH, Priority.HIGH)
 
 
@@ -53,7 +54,8 @@ def priority_of(consequence: Consequence, time_to_respond: float) -> Priority:
     >>> priority_of("severe", 1200.0).value, priority_of("minor", 60.0).value
     ('high', 'medium')
     """
-    urgency = 2 if time_to_respond <= _PROMPT else 1 if time_to_respond <= _SOON else 0
+    # one rank for each of the two times that it is within
+    urgency = (time_to_respond <= _PROMPT) + (time_to_respond <= _SOON)
     return _PRIORITIES[get_args(Consequence).index(consequence) + urgency]
 
 
@@ -151,16 +153,16 @@ class AlarmRule(BaseModel):
         ge=0,
         le=10_000,
         description=(
-            "More alarms of the plant than this in ten minutes are a flood, which receivers are told"
-            " as one when it begins and when it is over; 0: each change is told."
+            "More alarms of the plant than this in ten minutes are a flood, which receivers are"
+            " told as one when it begins and when it is over; 0: each change is told."
         ),
     )
     suppress: tuple[MachineState, ...] = Field(
         default=(),
         max_length=10,
         description=(
-            "States of the machine in any of which its alarms are suppressed: signal, unit, below or"
-            " above."
+            "States of the machine in any of which its alarms are suppressed: signal, unit, below"
+            " or above."
         ),
     )
 
@@ -203,6 +205,7 @@ def severity(
     >>> severity({"rms": 3.0, "kurtosis": 4.0}, {"rms": 1.0, "kurtosis": 8.0})
     3.0
     """
+    # a threshold of 0 or below has no multiple, and infinity would hide how far the others are
     pairs = [(indicators.get(name), tau) for name, tau in thresholds.items()]
     return max(
         (
@@ -241,12 +244,14 @@ def in_deadband(
 
     >>> in_deadband(AlarmRule(deadband=0.1), {"rms": 0.95}, {"rms": 1.0}, {"rms"})
     True
-    >>> in_deadband(AlarmRule(deadband=0.1), {"rms": 0.5, "kurtosis": 0.95}, {"rms": 1.0, "kurtosis": 1.0}, {"rms"})
+    >>> limits = {"rms": 1.0, "kurtosis": 1.0}
+    >>> in_deadband(AlarmRule(deadband=0.1), {"rms": 0.5, "kurtosis": 0.95}, limits, {"rms"})
     False
     """
     for name, tau in thresholds.items():
         x = indicators.get(name)
         counts = raised_by is None or name in raised_by
+        # d of |τ|: the band lies below the threshold of a negative indicator, too
         if (
             counts
             and x is not None
@@ -291,6 +296,7 @@ class IllegalTransition(BadInput):
 ACTIVE = (AlarmState.UNACKNOWLEDGED, AlarmState.ACKNOWLEDGED, AlarmState.RETURNED_UNACKNOWLEDGED)
 """States that an operator sees on the list of alarms."""
 
+# What is not in it changes nothing where the machine did it, and is refused where an operator asks.
 _TRANSITIONS: dict[tuple[AlarmState, AlarmEvent], AlarmState] = {
     (AlarmState.NORMAL, AlarmEvent.RAISE): AlarmState.UNACKNOWLEDGED,
     (AlarmState.RETURNED_UNACKNOWLEDGED, AlarmEvent.RAISE): AlarmState.UNACKNOWLEDGED,
@@ -308,13 +314,14 @@ _TRANSITIONS: dict[tuple[AlarmState, AlarmEvent], AlarmState] = {
         for state in (AlarmState.NORMAL, *ACTIVE, AlarmState.SHELVED, AlarmState.SUPPRESSED)
     },
 }
+# From where an operator put it; where an alarm then goes depends on its condition.
 _COMING_BACK = {
     AlarmEvent.UNSHELVE: AlarmState.SHELVED,
     AlarmEvent.RELEASE: AlarmState.SUPPRESSED,
     AlarmEvent.RETURN_TO_SERVICE: AlarmState.OUT_OF_SERVICE,
 }
+# Pauses before, from which on a longer one is a gap.
 _GAP = 2.0
-"""Pauses before, from which on a longer one is a gap."""
 _FROM_THE_MACHINE = (AlarmEvent.RAISE, AlarmEvent.CLEAR)
 
 
@@ -370,6 +377,7 @@ def next_state(
     >>> next_state(AlarmState.ACKNOWLEDGED, AlarmEvent.CLEAR, latch=True)
     <AlarmState.ACKNOWLEDGED: 'acknowledged'>
     """
+    # before the table, which holds for alarms that are not latched (clause 10)
     if latch and event is AlarmEvent.CLEAR:
         return state
     if (state, event) in _TRANSITIONS:
@@ -378,13 +386,11 @@ def next_state(
         return state
     if _COMING_BACK.get(event) is state:
         return AlarmState.UNACKNOWLEDGED if condition else AlarmState.NORMAL
-    if event is AlarmEvent.RESET and state is AlarmState.ACKNOWLEDGED and not condition:
-        return AlarmState.NORMAL
-    standing = (
-        ", while its condition stands"
-        if event is AlarmEvent.RESET and state is AlarmState.ACKNOWLEDGED
-        else ""
-    )
+    standing = ""
+    if event is AlarmEvent.RESET and state is AlarmState.ACKNOWLEDGED:
+        if not condition:
+            return AlarmState.NORMAL
+        standing = ", while its condition stands"
     raise IllegalTransition(f"alarm: cannot {event.value} in state {state.value!r}{standing}")
 
 
@@ -402,23 +408,21 @@ def follow(
     Parameters
     ----------
     status : AlarmStatus
-    seen : bool
+    faulty : bool
         Whether the machine shows the fault.
     rule : AlarmRule
     now : datetime
         Of the window that shows it.
     """
     delay = rule.on_delay if faulty else rule.off_delay
+    # a clock that was set back gives no negative pause
     pause = None if status.judged_at is None else max((now - status.judged_at).total_seconds(), 0.0)
-    gap = pause is not None and pause > max(delay, _GAP * (status.judged_every or 0.0))
-    judged = replace(
-        status, judged_at=now, judged_every=status.judged_every if pause is None else pause
-    )
+    every = status.judged_every if pause is None else pause
+    # noted whatever is shown: a later gap is told by the pause before it
+    judged = replace(status, judged_at=now, judged_every=every)
     if faulty == status.condition:
         return replace(judged, pending_since=None, pending_seconds=0.0), None
-    begins = status.pending_since is None or gap
-    since = now if begins or status.pending_since is None else status.pending_since
-    seconds = 0.0 if begins else status.pending_seconds + (pause or 0.0)
+    since, seconds = _pending(status, pause, delay, now)
     if seconds < delay:
         return replace(judged, pending_since=since, pending_seconds=seconds), None
     event = AlarmEvent.RAISE if faulty else AlarmEvent.CLEAR
@@ -427,6 +431,16 @@ def follow(
         replace(judged, state=state, condition=faulty, pending_since=None, pending_seconds=0.0),
         event,
     )
+
+
+def _pending(
+    status: AlarmStatus, pause: float | None, delay: float, now: datetime
+) -> tuple[datetime, float]:
+    """Since when the opposite of the condition is shown, and for how many seconds it was seen."""
+    gap = pause is not None and pause > max(delay, _GAP * (status.judged_every or 0.0))
+    if status.pending_since is None or gap:
+        return now, 0.0
+    return status.pending_since, status.pending_seconds + (pause or 0.0)
 
 
 def unjudged(status: AlarmStatus) -> AlarmStatus:

@@ -17,13 +17,13 @@ import orjson
 EVENTS_KEPT = 4096
 """Events kept for listeners that come back."""
 
+# The part of an event's payload that names its machine, of the kinds that have one.
 _ASSET_OF = {
     "finding": "asset",
     "confirmation": "asset",
     "alarm": "asset",
     "pipeline": "machine",
 }
-"""The part of an event's payload that names its machine, of the kinds that have one."""
 
 
 @dataclass(frozen=True)
@@ -47,14 +47,15 @@ class Events:
     `publish` may be called from any thread. A listener that was away names the last event it saw
     and gets what it missed; when that is no longer kept, or the service has restarted since, it
     first gets an event `reset`, which means: read the state anew. No listener can hold up the
-    others or the publisher, and memory is bounded by `kept`.
+    others or the publisher, and memory is bounded by `most_kept`.
 
     Event kinds: `finding`, `confirmation`, `alarm`, `pipeline`, `job`, `model`, `reset`.
     """
 
-    def __init__(self, kept: int = EVENTS_KEPT) -> None:
+    def __init__(self, most_kept: int = EVENTS_KEPT) -> None:
+        # in every token, so that one of an earlier run of the service is known for what it is
         self.run = secrets.token_hex(4)
-        self._log: deque[Event] = deque(maxlen=kept)
+        self._log: deque[Event] = deque(maxlen=most_kept)
         self._last = 0
         self._lock = threading.Lock()
         self._wake: dict[asyncio.Event, asyncio.AbstractEventLoop] = {}
@@ -99,6 +100,7 @@ class Events:
             self._wake[woken] = asyncio.get_running_loop()
         try:
             while not self._closed:
+                # before the look: what comes while it lasts wakes the next wait
                 woken.clear()
                 waiting, lost = self._after(position)
                 if lost:
@@ -118,6 +120,7 @@ class Events:
                 self._wake.pop(woken, None)
 
     def _wake_listeners(self) -> None:
+        # each on its own loop: `publish` is called from threads that have none
         with self._lock:
             listeners = list(self._wake.items())
         for woken, loop in listeners:
@@ -132,7 +135,7 @@ class Events:
         if (
             run != self.run
             or not number.isdecimal()
-            or len(number) > 18
+            or len(number) > 18  # no id has so many digits; a stranger's number may have thousands
             or int(number) > self._last
         ):
             return self._last, True

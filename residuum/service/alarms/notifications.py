@@ -2,10 +2,10 @@
 for them.
 
 Alarms and floods of them go to both, findings to the broker alone (QoS 1, topics
-`PREFIX/assets/ASSET/alarm`, `…/finding`, and `PREFIX/flood`). A receiver that is away is tried again
-with growing pauses. Both come from the store's outbox, in their order and at least once, also after
-a crash, and also those of other processes on the same database. What waits is bounded: the oldest
-go, and the log says how many.
+`PREFIX/assets/ASSET/alarm`, `…/finding`, and `PREFIX/flood`). A receiver that is away is tried
+again with growing pauses. Both come from the store's outbox, in their order and at least once, also
+after a crash, and also those of other processes on the same database. What waits is bounded: the
+oldest go, and the log says how many.
 """
 
 from __future__ import annotations
@@ -27,16 +27,17 @@ from residuum.service.broker import BrokerAddress
 from residuum.service.fieldbus.source import Backoff
 from residuum.service.settings import Settings
 from residuum.service.storage.outbox import Outbox
+from residuum.service.storage.rows.alarm_floods import FLOOD
 from residuum.service.store import StorageUnavailable
 
 log = structlog.get_logger()
 
+# Seconds between looks for what other processes on the same database changed.
 _LOOK = 1.0
-"""Seconds between looks for what other processes on the same database changed."""
+# Seconds for a receiver's answer, and after which the outbox is told which findings of a batch were
+# told.
 _PATIENCE = 5.0
-"""Seconds for a receiver's answer, and after which the outbox is told which findings of a batch
-were told.
-"""
+# HTTP statuses that say that the request itself is wrong: sent again it would be, too.
 _REFUSED = range(400, 500)
 
 Send = Callable[[str, Mapping[str, Any]], None]
@@ -86,6 +87,7 @@ class Receiver:
 
     def _deliver_all(self) -> None:
         while not self._stopped.is_set():
+            # before the look: news that come while it lasts are looked for in the next turn
             self._news.clear()
             try:
                 self._tell_of_alarms()
@@ -108,12 +110,14 @@ class Receiver:
             elif not self._attempt(_kind_of(notice.alarm), notice.alarm):
                 continue
             self._lost("alarm", notice.passed_over)
+            # noted after it was delivered: after a crash in between it is told twice, not never
             self._outbox.told(self._id, notice)
 
     def _tell_of_findings(self) -> bool:
         """Tell a batch of what waits; False when more may wait."""
         batch = self._outbox.findings(self._id)
         until, sent = time.monotonic() + _PATIENCE, []
+        # in order: behind one that is not delivered, the others wait
         for finding in batch.findings:
             if (
                 self._stopped.is_set()
@@ -164,7 +168,7 @@ class Receiver:
 
 def _kind_of(notice: Mapping[str, Any]) -> str:
     """`flood` of a notice of one, else `alarm`."""
-    return "flood" if notice["kind"] == "flood" else "alarm"
+    return FLOOD if notice["kind"] == FLOOD else "alarm"
 
 
 class Notifications:
@@ -237,8 +241,8 @@ class Broker:
 
     def __call__(self, kind: str, payload: Mapping[str, Any]) -> None:
         """Publish and wait for the broker's receipt; OSError without one."""
-        of = f"assets/{payload['asset']}/{kind}" if "asset" in payload else kind
-        topic = f"{self._address.prefix}/{of}"
+        place = f"assets/{payload['asset']}/{kind}" if "asset" in payload else kind
+        topic = f"{self._address.prefix}/{place}"
         try:
             if self._client is None or not self._client.is_connected():
                 self._connect()
@@ -267,6 +271,7 @@ class Broker:
     def _connect(self) -> None:
         if self._client is not None:
             self._client.loop_stop()
+        # a new client: what the broken one still holds was counted as not delivered
         self._client = self._address.client()
         answered: queue.Queue[Any] = queue.Queue()
         self._client.on_connect = lambda _client, _data, _flags, reason, _properties: answered.put(

@@ -43,7 +43,7 @@ from residuum.service.machines.baselines import (
     training_windows,
     what_is_trained,
 )
-from residuum.service.machines.judging.scoring import diagnoser_class
+from residuum.service.machines.scoring import diagnoser_class
 from residuum.service.machines.windows import complete_windows, used_by
 from residuum.service.services import Running, Services, caller_of
 from residuum.service.views.model_view import model_of

@@ -109,4 +109,4 @@ async def _answered(url: str, asked: Any) -> Any:
     try:
         return await asyncio.wait_for(asked, 12 * _TIMEOUT)
     except Exception as error:  # whatever a foreign server answers
-        raise BadInput(f"{url}: {_library().said(error)}") from None
+        raise BadInput(f"{url}: {_library().what_went_wrong(error)}") from None

@@ -22,12 +22,12 @@ from residuum.service.cli import INTERRUPTED
 from residuum.service.commands.settings_template import DatabaseUrl, DataFolder, SettingsFile
 from residuum.service.security.http_connections import bounded_connections
 from residuum.service.settings import Settings, is_loopback, load_settings
-from residuum.service.settled_memory import settle_memory
 from residuum.service.storage.database import Database
 from residuum.service.storage.identity import claim
 from residuum.service.storage.service_lock import database_lock, folder_lock
 from residuum.service.store import StorageUnavailable
 from residuum.service.work.jobs import CompilingBehind
+from residuum.service.work.loaded_modules import settle_memory
 from residuum.service.work.worker_pool import give_back_large_arrays
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)

@@ -51,7 +51,8 @@ LOSSES = frozenset(("lost", "undecodable", "unstamped", "late_values", "overflow
 """Counters of what was sent and is missing from the windows."""
 LOSSES_OVER = 60.0
 """Seconds for which a loss keeps a source from being called good."""
-_RATE_OVER = 5.0  # seconds
+# [s] Over which rates are means.
+_RATE_OVER = 5.0
 
 
 class SourceHealth:
@@ -130,6 +131,7 @@ class SourceHealth:
         now = self._clock()
         with self._lock:
             recent = [entry for entry in self._recent if entry[0] >= now - _RATE_OVER]
+            # a single batch that came this moment would have a rate without bound
             span = max(now - recent[0][0], 0.2) if recent else _RATE_OVER
             age = None if self._seen is None else now - self._seen
             return {
@@ -149,14 +151,18 @@ class SourceHealth:
     def _quality(self, age: float | None) -> str:
         if age is None:
             return "never-seen"
+        # worst first: only one word is shown
         if age > self._stale_after:
             return "stale"
         if self._doubts():
             return "doubtful"
-        return "losing" if self._lost_lately() else "uncounted" if self.remarks else "good"
+        if self._lost_lately():
+            return "losing"
+        return "uncounted" if self.remarks else "good"
 
     def _lost_lately(self) -> int:
         self._forget_losses(int(self._clock()))
+        # late frames take a loss back, perhaps one that is forgotten already: never below 0
         return max(0, sum(self._losses.values()))
 
     def _forget_losses(self, second: int) -> None:

@@ -36,6 +36,7 @@ class _EachNameOnce(PlainNumbers):
 def read_map_text(path: str | Path) -> Any:
     """The content of a YAML file; BadBusDescription names file, line and rule."""
     where = Path(path).name
+    # ConstructorError before YAMLError, of which it is one: it names a name that stands twice
     try:
         return yaml.load(short_text(Path(path)), Loader=_EachNameOnce)
     except yaml.constructor.ConstructorError as error:

@@ -26,9 +26,13 @@ from residuum.service.fieldbus.modbus.register_trace import TracedPage
 TRACE = ".trace"
 """Ending of a register trace."""
 
+# [s] Frames of so much time are sent together, and slept for once.
 _GROUP = 0.005
+# [s] What a replay may make up for in a burst; see `replay_to_can`.
 _FURTHEST_BEHIND = 0.2
+# [s] Longest sleep at a stretch.
 _SLICE = 0.2
+# Part by which the rate of a record may differ from that of the message or stream that carries it.
 _SAME_RATE = 0.01
 
 
@@ -39,6 +43,7 @@ def record_frames(record: Record, layout: FrameLayout) -> Iterator[TimedFrame]:
     Raises BadInput when a channel is absent, in an incompatible unit, or sampled at another rate.
     """
     _check_rate(record, layout.sample_time, layout.name)
+    # what does not fill a frame at the end is left out: a frame carries all its samples or none
     n = record.n // layout.samples
     channels = {
         name: record.in_unit(name, unit)[: n * layout.samples]
@@ -47,6 +52,7 @@ def record_frames(record: Record, layout: FrameLayout) -> Iterator[TimedFrame]:
     whole = layout.complete(channels, n)
     frames = layout.encode(np.arange(n) % (1 << layout.counter_bits), channels)
     for k in np.flatnonzero(whole).tolist():
+        # a frame is sent with its last sample, not with its first
         last = record.t0 + ((k + 1) * layout.samples - 1) * record.sample_time
         yield TimedFrame(last, layout.bus_id, frames[k].tobytes(), layout.is_fd)
 

@@ -14,6 +14,7 @@ from residuum.service.fieldbus.source import Numbers
 BREAK = 1 << 32
 """How far the numbers advance where the distance is unknown; no window reaches across."""
 
+# Missing numbers that a late frame may still fill; a hole of 2³⁰ frames must not fill the memory.
 _REMEMBERED = 8192
 
 
@@ -78,6 +79,7 @@ class SequenceCounter:
             self._next = int(values[0])
         wrapped = self._wraps(int(values[0]), silence, rate)
         expected = self._next + np.arange(n, dtype=np.int64)
+        # nearly every batch is whole and in order: placed at once, without a loop over its frames
         if not wrapped and not ((values - expected) % self._modulus).any():
             self._next += n
             return Placed(expected, np.ones(n, bool))
@@ -87,6 +89,7 @@ class SequenceCounter:
         """Whole turns of the counter that the silence hides."""
         if silence * rate < self._modulus / 4 or self._next is None:
             return 0
+        # a step of 0: the counter goes on where it stopped, the sender paused
         step = (first - self._next) % self._modulus
         return max(0, round((silence * rate - step) / self._modulus)) if step else 0
 
@@ -97,6 +100,7 @@ class SequenceCounter:
         half = self._modulus // 2
         for k, value in enumerate(values.tolist()):
             step = (value - following) % self._modulus
+            # only before the first frame there was a silence to hide turns of the counter
             if k == 0 and wrapped:
                 skipped = step + wrapped * self._modulus
                 lost += skipped
@@ -105,6 +109,7 @@ class SequenceCounter:
             if step >= half:
                 step -= self._modulus
             place = following + step
+            # a number that is missing before one that was there: a late frame is no repetition
             if step < 0 and place in self._missing:
                 del self._missing[place]
                 reordered += 1
@@ -118,6 +123,7 @@ class SequenceCounter:
                 following = place + 1
             else:
                 jumps += 1
+                # of the sender before its restart nothing can come late any more
                 self._missing.clear()
                 place = (following // self._modulus) * self._modulus + BREAK + value
                 following = place + 1

@@ -63,7 +63,7 @@ class SourceSettings(StrictModel):
                 "an OPC UA source needs a channel, for example opc.tcp://192.168.0.10:4840"
             )
         if self.kind == "sparkplug":
-            broker_address(self.channel)
+            broker_address(self.channel)  # raises where it is none
         return self
 
     @property

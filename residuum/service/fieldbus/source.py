@@ -38,6 +38,7 @@ class Backoff:
     def next(self) -> float:
         """Seconds to wait now."""
         wait = self._wait
+        # doubled without the spread: a short wait by chance must not keep the next ones short
         self._wait = min(2 * wait, self._longest)
         return wait * self._random.uniform(0.5, 1.5)
 

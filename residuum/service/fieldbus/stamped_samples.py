@@ -13,7 +13,7 @@ from __future__ import annotations
 import heapq
 import math
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -21,22 +21,19 @@ from residuum.service.fieldbus.health import SourceHealth
 from residuum.service.fieldbus.sequence import BREAK
 from residuum.service.fieldbus.source import Block, StreamFormat
 
+# Seconds by which stamps may run ahead of the time that has passed here: a reader that was late
+# catches up.
 _AHEAD = 2.0
-"""Seconds by which stamps may run ahead of the time that has passed here: a reader that was late
-catches up.
-"""
+# Seconds a second by which the clocks may drift apart.
 _DRIFT = 1e-3
-"""Seconds a second by which the clocks may drift apart."""
-_FIRST, _OLD = 0.3, 1.5
-"""Seconds for which first reports are collected; steps by which one is older than the newest to
-state what holds, no more.
-"""
+# [s] For which first reports are collected, and for which a held channel may still report.
+_FIRST = 0.3
+# Steps by which a first report is older than the newest to state what holds, and no more.
+_OLD = 1.5
+# Samples that tell whether a channel reports by change, and that it takes to tell that it does not.
 _REPORTS, _FEWEST_REPORTS = 10, 4
-"""Samples that tell whether a channel reports by change, and that it takes to tell that it does
-not.
-"""
+# Samples that wait; of more, the oldest is lost: the memory that a source takes is bounded.
 _MOST_OPEN = 100_000
-"""Samples that wait; of more, the oldest is lost."""
 
 
 class StampedSamples:
@@ -126,6 +123,7 @@ class StampedSamples:
         if now < self._closed_until:
             self._health.count("lost", 1)
             return
+        # before repetitions: a clock that is set back may give a stamp that was there before
         if self._was_set(channel, stamp, now):
             self._begin_anew(now)
             return
@@ -133,18 +131,27 @@ class StampedSamples:
             self._health.count("duplicated", 1)
             return
         self._last[channel] = stamp
+        # the server's clock less ours, by the value that was the least on its way; it may shrink no
+        # faster than clocks drift
         self._offset, self._seen = max(stamp - now, self._offset - _DRIFT * (now - self._seen)), now
         self._origin = stamp if self._origin is None else self._origin
         number = self._base + round((stamp - self._origin) / self.format.sample_time)
         if self._delivered is not None and number <= self._delivered:
-            if self._held is not None:
-                self._holds[channel] = value
-                if self._holding(channel):
-                    return  # it holds from the next sample on
-            self._health.count(
-                "late_values", 1, f"{self.format.name}: a value came after its sample was handed on"
-            )
-            return
+            self._take_late(channel, value)
+        else:
+            self._put(number, channel, value)
+
+    def _take_late(self, channel: str, value: float) -> None:
+        """A value of a sample that was handed on."""
+        if self._held is not None:
+            self._holds[channel] = value
+            if self._holding(channel):
+                return  # it holds from the next sample on
+        self._health.count(
+            "late_values", 1, f"{self.format.name}: a value came after its sample was handed on"
+        )
+
+    def _put(self, number: int, channel: str, value: float) -> None:
         if number not in self._open:
             heapq.heappush(self._order, number)
         row = self._open.setdefault(number, {})
@@ -161,17 +168,11 @@ class StampedSamples:
         """The samples that are ready, in order; None when none are."""
         if self._first and now >= self._first_until:
             self._open_stream(now)
-        overdue = self._newest - math.ceil(self._patience / self.format.sample_time)
-        ready = []
-        while self._order and (self._order[0] <= overdue or self._is_whole(self._order[0])):
-            ready.append(heapq.heappop(self._order))
+        ready = self._ready()
         if not ready:
             return None
         rows = [self._with_held(self._open.pop(number)) for number in ready]
-        if self._delivered is not None and ready[0] - self._delivered < BREAK // 2:
-            missing = ready[-1] - self._delivered - len(ready)
-        else:
-            missing = ready[-1] - ready[0] + 1 - len(ready)
+        missing = self._missing_of(ready)
         if missing:
             self._health.count("lost", missing, f"{self.format.name}: {missing} samples never came")
         self._delivered = ready[-1]
@@ -179,6 +180,24 @@ class StampedSamples:
             name: np.array([row.get(name, math.nan) for row in rows]) for name in self.format.units
         }
         return Block(self.format.name, np.array(ready, np.int64), channels)
+
+    def _ready(self) -> list[int]:
+        """Take from the queue the numbers of the samples that wait no longer, in order.
+
+        The first that has to wait keeps those behind it back, too: samples leave in order.
+        """
+        overdue = self._newest - math.ceil(self._patience / self.format.sample_time)
+        ready = []
+        while self._order and (self._order[0] <= overdue or self._is_whole(self._order[0])):
+            ready.append(heapq.heappop(self._order))
+        return ready
+
+    def _missing_of(self, ready: list[int]) -> int:
+        """Samples that never came, up to the last of these and since the last that was handed on."""
+        # across a BREAK the distance is not known: what was lost there was counted when it began
+        if self._delivered is not None and ready[0] - self._delivered < BREAK // 2:
+            return ready[-1] - self._delivered - len(ready)
+        return ready[-1] - ready[0] + 1 - len(ready)
 
     def _is_whole(self, number: int) -> bool:
         """Whether nothing is awaited of a sample: channels that are held are, for as long as a
@@ -196,6 +215,7 @@ class StampedSamples:
         if declared is not None or self._held is None:
             return bool(declared)
         reports = self._reports[channel]
+        # until it has shown otherwise, a channel is taken for one that reports by change
         return len(reports) < _FEWEST_REPORTS or 2 * sum(reports) < len(reports)
 
     def _with_held(self, row: dict[str, float]) -> dict[str, float]:
@@ -218,14 +238,15 @@ class StampedSamples:
             return False
         ahead = stamp - now - self._offset
         back = stamp < self._last.get(channel, -math.inf)
+        # stamps that lag are a slow server's or network's, unless the connection was lost meanwhile
         behind = self._reopened and ahead < -_AHEAD
         self._reopened = False
         return back or behind or ahead > _AHEAD
 
     def _begin_anew(self, now: float) -> None:
-        held: Mapping[int, object] = self._open
         self._health.count("counter_jumps", 1, f"{self.format.name}: the server's clock was set")
-        self._health.count("lost", len(held) + 1)
+        # the samples that wait are given up, and the value that showed it is not taken
+        self._health.count("lost", len(self._open) + 1)
         top = max(self._newest, self._delivered if self._delivered is not None else 0)
         self._base = (top // BREAK + 1) * BREAK
         self._open.clear()
@@ -233,3 +254,87 @@ class StampedSamples:
         self._last.clear()
         self._origin, self._offset, self._newest = None, -math.inf, self._base - 1
         self._closed_until = now + self._quarantine
+
+
+# ReportedChanges: samples of values that are reported when they change.
+#
+# A Sparkplug node reports by exception: what a message does not name has not changed. So each
+# sample before a change has the values that held until then. It can be given only when the next
+# message comes: before, nobody knows that nothing changed.
+
+# [s] A longer silence is a hole: what it would fill, windows are not made of.
+_LONGEST = 3600.0
+# A silence of more samples, or of more values in them, is a hole, too: they wait in memory until
+# they are handed on.
+_MOST_SAMPLES, _MOST_VALUES = 50_000, 1_000_000
+
+Report = tuple[float, str, float]
+"""Stamp [s], channel, value."""
+
+
+class ReportedChanges:
+    """The channels of one stream.
+
+    After a hole the stream goes on with the change that ends it: what is missing shows in the
+    stamps, and is counted where samples are put together.
+
+    Parameters
+    ----------
+    channels : sequence of str
+    sample_time : float
+        [s]
+
+    Examples
+    --------
+    >>> changes = ReportedChanges(["u", "y"], 1.0)
+    >>> changes.stated([(10.0, "u", 5.0), (10.0, "y", 7.0)])
+    >>> list(changes.samples([(11.0, "u", 6.0)]))
+    []
+    >>> list(changes.samples([(13.0, "y", 8.0)]))
+    [(11.0, 'u', 6.0), (11.0, 'y', 7.0), (12.0, 'u', 6.0), (12.0, 'y', 7.0)]
+    """
+
+    def __init__(self, channels: Sequence[str], sample_time: float) -> None:
+        self._channels, self._step = channels, sample_time
+        self._longest = min(
+            _LONGEST, sample_time * min(_MOST_SAMPLES, _MOST_VALUES // len(channels))
+        )
+        self._holds: dict[str, float] = {}
+        self._origin: float | None = None
+        self._next = 0
+
+    def forget(self) -> None:
+        """Nothing is known any more."""
+        self._holds, self._origin = {}, None
+
+    def stated(self, states: Iterable[Report]) -> None:
+        """A birth states what holds; it is no sample, since it says when it was sent, not when the
+        value began to hold.
+        """
+        self._holds |= {channel: value for _, channel, value in states}
+
+    def samples(self, changes: Iterable[Report]) -> Iterator[Report]:
+        """The samples before these changes that were not given yet; `changes` in the order of
+        stamps.
+
+        They come one by one, and the changes are noted as they do: take them all.
+        """
+        for stamp, channel, value in changes:
+            yield from self._until(stamp)
+            self._holds[channel] = value
+
+    def _until(self, stamp: float) -> Iterator[Report]:
+        silence = 0.0 if self._origin is None else stamp - self._time(self._next)
+        if self._origin is None or not -self._step <= silence <= self._longest:
+            self._origin, self._next = stamp, 0
+            return
+        end = round((stamp - self._origin) / self._step)
+        begin, self._next = self._next, max(self._next, end)
+        for number in range(begin, end):
+            at = self._time(number)
+            for name in self._channels:
+                if name in self._holds:
+                    yield at, name, self._holds[name]
+
+    def _time(self, number: int) -> float:
+        return (self._origin or 0.0) + number * self._step

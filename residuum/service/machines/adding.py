@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import re
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -94,6 +94,7 @@ def bus_description(
             register_map_text(register_map_of(text, sample_time, name, unit_id)),
             "registers",
         )
+    # readers read files: what was sent is one for as long as it is read
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / f"{stem}{'.dbc' if kind == 'dbc' else '.yaml'}"
         file.write_text(text, encoding="utf-8")
@@ -114,10 +115,10 @@ def _of_dbc(file: Path) -> tuple[list[StreamFormat], list[str]]:
 
 
 def _of_map(streams: Mapping[str, Any]) -> tuple[list[StreamFormat], list[str]]:
-    slow = [name for name, each in streams.items() if getattr(each, "poll", None)]
+    slow = [name for name, stream in streams.items() if getattr(stream, "poll", None)]
     polled = [f"stream {name} is polled: a read that comes late leaves a hole" for name in slow]
-    formats = [each.format(name) for name, each in streams.items()]
-    bare = [name for each in formats for name, unit in each.units.items() if not unit]
+    formats = [stream.format(name) for name, stream in streams.items()]
+    bare = [name for format in formats for name, unit in format.units.items() if not unit]
     says = (
         f"no unit is said for {', '.join(bare)}: a model takes a signal with a unit only where it"
         " is said"
@@ -148,14 +149,14 @@ def guessed_channels(model: PhysicalModel, bus: Mapping[str, str]) -> dict[str, 
     bus : mapping of name to unit
     """
     wanted = {name: unit for name, (unit, _, _) in model_signals(model).items()}
-    lower = {name.lower(): name for name in bus}
-    channels = {name: lower[name.lower()] for name in wanted if name.lower() in lower}
+    channels = _of_equal_names(wanted, bus)
     open_names = [name for name in wanted if name not in channels]
     for name in open_names:
-        left = _fitting(
-            {channel: unit for channel, unit in bus.items() if channel not in channels.values()},
-            wanted[name],
-        )
+        unused = {
+            channel: unit for channel, unit in bus.items() if channel not in channels.values()
+        }
+        left = _fitting(unused, wanted[name])
+        # a channel that two signals of the model could mean is obvious for neither
         rivals = [
             rival for rival in open_names if rival not in channels and _fitting(left, wanted[rival])
         ]
@@ -164,9 +165,15 @@ def guessed_channels(model: PhysicalModel, bus: Mapping[str, str]) -> dict[str, 
     return channels
 
 
+def _of_equal_names(wanted: Iterable[str], bus: Iterable[str]) -> dict[str, str]:
+    """Model's name → the bus's, where they are the same but for capitals."""
+    lower = {name.lower(): name for name in bus}
+    return {name: lower[name.lower()] for name in wanted if name.lower() in lower}
+
+
 def _fitting(bus: Mapping[str, str], unit: str) -> dict[str, str]:
     """The channels whose unit can be converted to this one."""
-    return {channel: its for channel, its in bus.items() if compatible(its, unit)}
+    return {channel: its_unit for channel, its_unit in bus.items() if compatible(its_unit, unit)}
 
 
 # The names of signals: those on the bus, and those that a diagnoser or its model uses.
@@ -193,8 +200,9 @@ log = structlog.get_logger()
 KIND = "machine"
 ENDINGS = (f".{KIND}", ".method", ".limits")
 """What the names of a machine's documents end in: no model is given such a name."""
+# Characters of an asset's name; with an ending it must still be a document's.
 _LONGEST = 55
-"""Characters of an asset's name; with an ending it must still be a document's."""
+# No path: whoever adds a machine names none of this computer's files.
 _PLAIN_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 
 
@@ -245,6 +253,7 @@ def kept_machines(store: DiskStore, data: Path) -> Sequence[MachineSettings]:
         for version in page.items:
             if not version.model.endswith(f".{KIND}"):
                 continue
+            # one that cannot be read, by an older version perhaps, must not keep the others out
             try:
                 document = orjson.loads(store.model_content(version.model))
                 if document["machine"] is not None:
@@ -295,6 +304,7 @@ def _file(name: str, maps: Mapping[str, Any], data: Path) -> str:
             )
         return name
     text = str(maps[name]).encode()
+    # by content: machines may have maps of one name, and a map that is changed is another file
     folder = data / "maps" / hashlib.sha256(text).hexdigest()[:24]
     folder.mkdir(parents=True, exist_ok=True)
     (folder / name).write_bytes(text)

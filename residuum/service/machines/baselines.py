@@ -25,7 +25,7 @@ from residuum.library.answers.plain import to_plain
 from residuum.nearest_names import did_you_mean
 from residuum.service.fieldbus.settings import MachineSettings
 from residuum.service.machines.adding import KIND, ModelText, document_name, kept_document, named
-from residuum.service.machines.judging.scoring import (
+from residuum.service.machines.scoring import (
     content_of,
     diagnoser_class,
     diagnoser_of_content,
@@ -43,10 +43,10 @@ from residuum.service.work.worker_pool import RecordParts
 
 FALSE_ALARM = 1e-3
 """Share of healthy windows whose model error may exceed its limit."""
+# Healthy records, the newest, that both models are simulated beside: a movement at 5 kHz costs
+# seconds a model.
 _MODELLED = 8
-"""Healthy records, the newest, that both models are simulated beside: a movement at 5 kHz costs
-seconds a model.
-"""
+# Windows, of whose errors' logarithms a mean and a deviation, and so Student's limit, are taken.
 _FEWEST_MODELLED = 5
 
 
@@ -91,6 +91,7 @@ def propose(
     old = None if baseline is None else diagnoser_of_content(kind, baseline)
     new = _relearned(old or kind(), records, models[1])
     progress(0.6, f"judging {len(windows)} healthy windows with both")
+    # on windows that neither learned from: on its own a diagnoser hardly ever raises an alarm
     before = [] if old is None else [old.score(window) for window in windows]
     after = [new.score(window) for window in windows]
     progress(0.8, "simulating healthy windows with both models")
@@ -168,6 +169,7 @@ def _limits(
         errors.append(estimate(matched, experiments, free=()).rmse)
     outputs = list(matched.outputs.values())
     rms = np.array(errors)
+    # an output that a window does not measure, or that is followed exactly, has no logarithm
     measured = [k for k in range(len(outputs)) if np.all(np.isfinite(rms[:, k]) & (rms[:, k] > 0))]
     limits = HealthyBand.of(rms[:, measured]).upper(FALSE_ALARM)
     return {
@@ -187,6 +189,7 @@ def baseline_file(data: Path, content: bytes) -> str:
     folder.mkdir(parents=True, exist_ok=True)
     file = folder / f"{hashlib.sha256(content).hexdigest()[:24]}.zip"
     if not file.exists():
+        # written beside and moved: a worker that finds the name finds the whole file
         handle, part = tempfile.mkstemp(dir=folder, suffix=".part")
         with os.fdopen(handle, "wb") as opened:
             opened.write(content)
@@ -227,6 +230,7 @@ def train_baseline(
     if present is not None:
         progress(0.1, "asking the present baseline whether these windows are healthy")
         diagnoser_of_content(DIAGNOSERS[diagnoser], present).refuse_learning(records)
+    # `method` is set on a diagnoser that is there, all others are given when it is made
     deciding = {name: value for name, value in settings.items() if name == "method"}
     own = {name: value for name, value in settings.items() if name != "method"}
     own |= {} if model is None else {"model": model_of(*model)}
@@ -308,6 +312,8 @@ def choose_method(store: DiskStore, asset: str, method: str | None, by: str) -> 
 # from.
 
 FEWEST_HEALTHY_WINDOWS = 8
+"""Of which at least two are kept to check with."""
+# Windows that are looked at, the newest.
 _MOST = 120
 _CHECKED_SHARE = 0.3
 
@@ -328,9 +334,11 @@ def healthy_windows(store: DiskStore, asset: str) -> list[Record]:
         if answer.verdict == Verdict.HEALTHY and answer.outcome != Outcome.CONFIRMED
     }
     judged = {finding.window for finding in findings} - faults_found
+    # what somebody said goes first: it is rare, and he looked at the machine
     refuted = sorted((answer.window for answer in answers if answer.healthy), reverse=True)[:_MOST]
     newest = sorted(judged, reverse=True)[: _MOST - len(refuted)]
     for _, record in kept_windows(store, asset, sorted([*newest, *refuted], reverse=True)):
+        # alike with the newest: a bus whose description was changed is another machine
         if not records or _alike(records[0], record):
             records.append(record)
     if len(records) < FEWEST_HEALTHY_WINDOWS:
@@ -347,6 +355,7 @@ def parted(windows: Sequence[Record]) -> tuple[list[Record], list[Record]]:
     """
     count = len(windows) - max(2, round(_CHECKED_SHARE * len(windows)))
     learned, last = joined(windows[:count]), windows[count - 1]
+    # where all of them overlap the last learned one, overlapping ones are better than none
     apart = [record for record in windows[count:] if not _overlap(last, record)]
     return learned, apart or list(windows[count:])
 
@@ -374,6 +383,7 @@ def _overlap(last: Record, window: Record) -> int:
     when it does not go on.
     """
     begin = round((window.t0 - last.t0) / last.sample_time)
+    # begins inside `last`, and ends behind it
     return last.n - begin if 0 <= begin < last.n < begin + window.n else 0
 
 
@@ -425,6 +435,7 @@ def has_baseline(store: DiskStore, asset: str, wanted: str | None = None) -> boo
 # later those judged healthy.
 
 FEWEST_NEW_WINDOWS = 5
+"""Below it no threshold is learned; 20 are what the refusal calls good."""
 MOST = 60
 """Recorded windows that are learned from at most: the newest."""
 

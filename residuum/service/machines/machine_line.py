@@ -32,13 +32,17 @@ from residuum.service.machines.windows import make_cutter
 
 log = structlog.get_logger()
 
+# Blocks that wait to be cut; of more, new ones are dropped and counted by their source.
 _MOST_BLOCKS = 4096
+# So many windows wait at least, and more as long as their samples take no more than so many bytes:
+# a database that is away for ten minutes is waited for.
 _MOST_WINDOWS, _MOST_BYTES = 32, 16 * 2**20
-"""So many windows wait at least, and more as long as their samples take no more than so many bytes:
-a database that is away for ten minutes is waited for.
-"""
+# Windows under way: while one waits for the disk, the next is judged; at ten rounds a second they
+# waited for it in turn.
 _AT_ONCE = 2
+# [s] How long it takes at most to notice that the machine is watched no more.
 _WAIT = 0.2
+# [s] For a thread to finish what it is at when the service stops.
 _LAST_WINDOW = 3.0
 
 Handle = Callable[
@@ -86,9 +90,10 @@ class MachineLine:
             for number, source in enumerate(settings.sources)
         ]
         streams = {stream.name: stream for source in self.sources for stream in source.streams}
-        wanted = (
-            list(streams.values()) if settings.window.cut == "round" else list(streams.values())[:1]
-        )
+        # a round is cut out of two streams with clocks of their own, any other window out of one
+        wanted = list(streams.values())
+        if settings.window.cut != "round":
+            wanted = wanted[:1]
         _refuse_unknown(settings, {name for stream in wanted for name in stream.units})
         self._cutter = make_cutter(settings.window, wanted, settings.asset)
         self._source_of = {
@@ -123,6 +128,7 @@ class MachineLine:
         """Stop reading, finish the window that is being judged, and keep what was stored."""
         self._stopped.set()
         self._window_came.set()
+        # all are asked first: they end side by side
         for source in self.sources:
             source.stop()
         for source in self.sources:
@@ -246,6 +252,7 @@ class MachineLine:
                 continue
             try:
                 windows = self._cutter.push(block)
+            # whatever a cutter raises
             except Exception:
                 # one block must never end the machine's thread; it is counted and logged
                 self._errors += 1
@@ -275,6 +282,7 @@ class MachineLine:
             else:
                 self._window_came.wait(_WAIT)
                 self._window_came.clear()
+        # what is being judged when the service stops is stored, too
         while self._begun:
             self._safely(self._end_first)
 

@@ -17,8 +17,9 @@ from residuum.service.fieldbus.source import Block
 
 # LiveValues: what the signals of a machine read now, and over the last half minute.
 
+# Seconds between two points of the history.
 _EVERY = 0.2
-"""Seconds between two points of the history."""
+# Half a minute of them.
 _POINTS = 150
 
 
@@ -49,6 +50,7 @@ class LiveValues:
         now = self._clock()
         with self._lock:
             self._seen = now
+            # the value of now is always the newest one; the history alone is thinned
             due = now - self._noted.get(block.stream, -np.inf) >= _EVERY
             if due:
                 self._noted[block.stream] = now
@@ -130,6 +132,7 @@ def state_of_judging(
     """
     if judged and not late:
         return MachineState("running", "judging windows")
+    # the first that explains the others: without data no window comes, without windows none waits
     if silent:
         return MachineState(
             "waiting", f"waiting for data: {'; '.join(silent)}", _BUS if late else ""

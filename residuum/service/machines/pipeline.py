@@ -27,13 +27,13 @@ from residuum.service.machines.baselines import (
     second_name,
     with_second_opinion,
 )
-from residuum.service.machines.judging.scoring import PlainRecord, score_window
 from residuum.service.machines.machine_line import MachineLine, unreadable
+from residuum.service.machines.scoring import score_window
 from residuum.service.settings import Settings
 from residuum.service.simulated.demo import Demo
 from residuum.service.storage.disk_store import DiskStore
 from residuum.service.store import Conflict, NotFound, StorageUnavailable
-from residuum.service.work.worker_pool import WorkerPool
+from residuum.service.work.worker_pool import PlainRecord, WorkerPool
 
 # JudgeAndStore: a window is judged in a worker process and kept with its finding.
 # Judging begins when the window is handed over, storing when its turn has come: while one window
@@ -41,6 +41,7 @@ from residuum.service.work.worker_pool import WorkerPool
 
 log = structlog.get_logger()
 
+# [s] Between two tries to store a window while the database is away.
 _STORAGE_RETRY = 2.0
 
 
@@ -107,6 +108,7 @@ class JudgeAndStore:
     ) -> Callable[[], Finding]:
         if baseline is None:
             return lambda: Finding.recorded(machine.diagnoser)
+        # both opinions are under way at once, in worker processes
         plain = PlainRecord.of(window)
         first = self._pool.begin(
             score_window, machine.diagnoser, baseline, plain, self._method(machine)
@@ -118,11 +120,11 @@ class JudgeAndStore:
         return lambda: with_second_opinion(first(), opinion())
 
 
+# [s] Between looks for a newer baseline, which a command or another process may have stored.
 _LOOK_FOR_BASELINE = 2.0
+# Seconds between looks at which machines have come to a stop or gone on, which no event of theirs
+# tells.
 _LOOK_AT_STATES = 1.0
-"""Seconds between looks at which machines have come to a stop or gone on, which no event of theirs
-tells.
-"""
 _TRAIN_AGAIN = "see the log; stop the service and start it again to train once more"
 
 
@@ -150,7 +152,8 @@ class Pipeline:
         self._demo = Demo(settings.demo_speed, settings.demo_opcua) if settings.demo else None
         machines = [*settings.machines, *(self._demo.machines if self._demo else [])]
         names = [machine.asset for machine in machines]
-        if twice := {name for name in names if names.count(name) > 1}:
+        twice = {name for name in names if names.count(name) > 1}
+        if twice:
             raise BadInput(
                 f"settings, machines: {', '.join(sorted(twice))}: there are two of this name"
             )
@@ -230,7 +233,8 @@ class Pipeline:
         troubled: set[str] = set()
         while True:
             for asset, line in list(self._lines.items()):
-                if (state := line.tell_of_time()) is None:
+                state = line.tell_of_time()
+                if state is None:
                     continue
                 if state.way_on:
                     troubled.add(asset)
@@ -256,6 +260,8 @@ class Pipeline:
         settings or the demo.
         """
         self.refuse_fixed(machine.asset)
+        # one change a time, and the new line is made before the old one ends: settings that are
+        # refused leave the machine watched as it was
         async with self._changing:
             line = await asyncio.to_thread(MachineLine, machine, self._handle, self._announce)
             await self._end(machine.asset)
@@ -275,9 +281,11 @@ class Pipeline:
             await self._end(asset)
 
     async def _end(self, asset: str) -> None:
-        if (task := self._watched.pop(asset, None)) is not None:
+        task = self._watched.pop(asset, None)
+        if task is not None:
             task.cancel()
-        if (line := self._lines.pop(asset, None)) is not None:
+        line = self._lines.pop(asset, None)
+        if line is not None:
             await asyncio.to_thread(line.stop)
 
     def refuse_fixed(self, asset: str) -> None:

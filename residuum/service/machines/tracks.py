@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import orjson
 
-from residuum.diagnosis.tracks import FEWEST_WINDOWS_OF_A_TRACK, track
+from residuum.diagnosis.tracks import FEWEST_WINDOWS_OF_A_TRACK, Track, track
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
 from residuum.identification.units import compatible
@@ -46,10 +46,11 @@ def keep_limits(store: DiskStore, asset: str, limits: Mapping[str, float], by: s
     store.add_model_version(_name(asset), KIND, orjson.dumps(dict(limits)), "limits", by)
 
 
+# Windows that tell parameters, the newest, that a track is made of.
 _MOST = 1000
 _PAGE = 500
+# Seconds by which two windows must differ in time.
 _SHORTEST = 1e-3
-"""Seconds by which two windows must differ in time."""
 
 
 def told_parameters(store: DiskStore, asset: str) -> list[dict[str, Any]]:
@@ -91,7 +92,7 @@ def follow(
 
     Parameters
     ----------
-    told : sequence
+    rows : sequence
         See `told_parameters`.
     limits : mapping
         Of some parameters.
@@ -118,43 +119,58 @@ def _followed(
     limit: float | None,
     moves_with: Sequence[str] | None,
 ) -> dict[str, Any]:
-    rows = [
-        entry
-        for entry in all_rows
-        if name in entry["parameters"] and entry["parameters"][name]["value"] is not None
-    ]
-    newest = rows[-1]["parameters"][name]
-    healthy = newest.get("healthy") or {}
-    values = [row["parameters"][name]["value"] for row in rows]
-    deviations = [row["parameters"][name].get("std") or 0.0 for row in rows]
-    item = {
+    """One parameter over the windows that tell it, with its track or why it has none."""
+    rows = [row for row in all_rows if row["parameters"].get(name, {}).get("value") is not None]
+    item = _item(name, rows, limit)
+    chosen = _moves_with(rows, moves_with)
+    try:
+        trend = _trend(item, rows, chosen)
+    except BadInput as error:
+        return {**item, "moves_with": chosen, "track": None, "reason": str(error)}
+    return {**item, "moves_with": chosen, "track": trend.to_json(), "reason": None}
+
+
+def _item(name: str, rows: Sequence[Mapping[str, Any]], limit: float | None) -> dict[str, Any]:
+    """A parameter's values by window, as they are answered."""
+    estimates = [row["parameters"][name] for row in rows]
+    # unit and healthy band as the newest window has them: a baseline may have been trained anew
+    newest = estimates[-1]
+    return {
         "parameter": name,
         "unit": newest["unit"],
-        "healthy": healthy or None,
+        "healthy": newest.get("healthy") or None,
         "limit": limit,
         "time": [row["at"] for row in rows],
         "window": [row["window"] for row in rows],
         "verdict": [row["verdict"] for row in rows],
-        "value": values,
-        "std": deviations,
+        "value": [parameter["value"] for parameter in estimates],
+        "std": [parameter.get("std") or 0.0 for parameter in estimates],
     }
-    chosen = _moves_with(rows, moves_with)
-    x = np.array(
-        [[row["conditions"].get(c, {}).get("mean", np.nan) for c in chosen] for row in rows]
-    ).reshape(len(rows), -1)
-    t = np.maximum.accumulate(np.array(item["time"])) + _SHORTEST * np.arange(len(rows))
-    band = (healthy["low"], healthy["high"]) if healthy else None
-    try:
-        if len(rows) < FEWEST_WINDOWS_OF_A_TRACK:
-            raise BadInput(
-                f"{len(rows)} windows tell it; at least {FEWEST_WINDOWS_OF_A_TRACK} are needed"
-            )
-        trend = track(
-            t, values, deviations, moves_with=x if chosen else None, healthy=band, limit=limit
+
+
+def _trend(
+    item: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], moves_with: Sequence[str]
+) -> Track:
+    """The track of an item's values; BadInput where they are too few or none can be made of them."""
+    if len(rows) < FEWEST_WINDOWS_OF_A_TRACK:
+        raise BadInput(
+            f"{len(rows)} windows tell it; at least {FEWEST_WINDOWS_OF_A_TRACK} are needed"
         )
-    except BadInput as error:
-        return {**item, "moves_with": chosen, "track": None, "reason": str(error)}
-    return {**item, "moves_with": chosen, "track": trend.to_json(), "reason": None}
+    means = [
+        [row["conditions"].get(signal, {}).get("mean", np.nan) for signal in moves_with]
+        for row in rows
+    ]
+    # a clock that was set back would let time run backwards: windows stand in their own order
+    t = np.maximum.accumulate(np.array(item["time"])) + _SHORTEST * np.arange(len(rows))
+    band = item["healthy"]
+    return track(
+        t,
+        item["value"],
+        item["std"],
+        moves_with=np.array(means).reshape(len(rows), -1) if moves_with else None,
+        healthy=(band["low"], band["high"]) if band else None,
+        limit=item["limit"],
+    )
 
 
 def _moves_with(rows: Sequence[Mapping[str, Any]], wanted: Sequence[str] | None) -> list[str]:

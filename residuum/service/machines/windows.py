@@ -124,13 +124,16 @@ class StreamBuffer:
         number = block.number[piece]
         lowest, highest = int(number.min()), int(number.max())
         began_anew = self.end == self.first or lowest > self.end + self._longest_gap
+        # the first samples of all begin a stream, and break none
         if began_anew:
             self.breaks += self.end > self.first
             self.first = self.end = lowest
         if highest >= self.end:
             self._make_room(highest + 1)
+            # missing until they come: the room may hold samples that were there before
             self._values[:, self.end - self.first : highest + 1 - self.first] = np.nan
             self.end = highest + 1
+        # a late frame's place may be forgotten already
         held = number >= self.first
         for row, name in enumerate(self._names):
             self._values[row, number[held] - self.first] = block.channels[name][piece][held]
@@ -139,6 +142,7 @@ class StreamBuffer:
     def _make_room(self, end: int) -> None:
         if end - self.first <= self._values.shape[1]:
             return
+        # moved once every `keep` seconds, since the room is for twice as many samples
         first = max(self.first, min(self.end, end - self._keep))
         held = self._values[:, first - self.first : self.end - self.first].copy()
         if end - first > self._values.shape[1]:
@@ -179,6 +183,7 @@ class StreamBuffer:
             channels,
             units,
             self.format.sample_time,
+            # on the stream's own clock: windows of one stream can be put side by side
             t0=start * self.format.sample_time,
             source=source,
         )
@@ -196,15 +201,26 @@ def filled_forward(values: npt.NDArray[np.floating], before: float) -> Samples:
 # RoundCutter: rounds of a rotating machine, out of a vibration stream and a machine stream with
 # clocks of their own.
 
+# Pulses of the indicator a round.
 _QUADRANTS = 4
+# Times the median width, from which on a pulse is the marking one.
 _LONGER = 1.4
+# [s] Without a marking pulse, after which a window is cut all the same.
 _LONGEST_ROUND = 10.0
+# [s] That both streams have to be ahead of a round: `_align` looks for pulses up to 1 s behind it.
 _AFTER = 1.2
+# [s] Before the end of a round whose pulses align the clocks.
 _ALIGN_OVER = 30.0
+# [s] Kept of each stream: the longest round, what its alignment looks back at, and what comes late.
 _KEEP = 45.0
+# [s] Of arrivals, before their offset is believed.
 _ROUGH_OVER = 2.0
+# [s] Of arrivals that the offset is the median of.
 _ROUGH_KEPT = 10.0
+# [s] Between the offset by pulses and the one by arrivals, from which on the pulses may be matched
+# one round off.
 _FAR_OFF = 0.6
+# Rounds in a row that lie so far off before the alignment is given up: arrivals jitter.
 _FAR_OFF_ROUNDS = 3
 
 
@@ -326,6 +342,7 @@ class RoundCutter:
         """
         if self._machine.end == self._machine.first or self._vibration.end == self._vibration.first:
             return
+        # the newest sample of each came at about this moment, so their clocks differ by about this
         reference = self._vibration.end * self._vibration.format.sample_time
         machine_time = self._machine.end * self._machine.format.sample_time
         self._rough.append((reference, reference - machine_time))
@@ -352,21 +369,23 @@ class RoundCutter:
         seconds.
         """
         pulses = list(self._indicator.pulses)
-        longer = _longer_pulses(pulses)
-        if not longer and start is None and len(pulses) <= _QUADRANTS:
+        marks = _longer_pulses(pulses)
+        fourth = not marks
+        # too few pulses to tell whether one of them is longer: the first round waits for more
+        if fourth and start is None and len(pulses) <= _QUADRANTS:
             return None
-        after = [at for at in longer or [at for at, _ in pulses] if start is None or at > start]
-        if not longer and start is not None:
-            after = after[_QUADRANTS - 1 :]
-        return after[0] if after else self._silent_until(start)
+        if fourth:
+            marks = [at for at, _ in pulses]
+        if start is not None:
+            marks = [at for at in marks if at > start]
+            marks = marks[_QUADRANTS - 1 :] if fourth else marks
+        return marks[0] if marks else self._silent_until(start)
 
     def _silent_until(self, start: int | None) -> int | None:
         longest = _LONGEST_ROUND / self._machine.format.sample_time
-        return (
-            start + round(longest)
-            if start is not None and self._machine.end - start > longest
-            else None
-        )
+        if start is None or self._machine.end - start <= longest:
+            return None
+        return start + round(longest)
 
     def _arrived(self, stop: int) -> bool:
         """Whether both streams have come far enough beyond the round to be aligned there."""
@@ -390,6 +409,7 @@ class RoundCutter:
         begin, end = (
             int(np.ceil(alignment.to_reference(at * Ts_machine) / Ts)) for at in (start, stop)
         )
+        # the machine's signals are held on the vibration's clock: some before and after are needed
         spare = round(1.0 / Ts_machine)
         machine = self._machine.record(
             start - spare, stop + spare, self._source, leave_out=("sync",)
@@ -422,11 +442,14 @@ def _longer_pulses(pulses: Sequence[tuple[int, int]]) -> list[int]:
     """First samples of the pulses longer than the others, once there are enough to tell."""
     if len(pulses) <= _QUADRANTS:
         return []
+    # over the last four rounds: the machine may turn faster or slower than before
     median = np.median([width for _, width in pulses[-_QUADRANTS * 4 :]])
     return [at for at, width in pulses if width > _LONGER * median]
 
 
+# [s] That cutting runs behind what came: late frames find their place.
 _LATE = 0.05
+# [s] After which a movement is cut: a signal that stays off 0 must not fill the memory.
 _LONGEST_MOVEMENT = 60.0
 
 
@@ -476,6 +499,7 @@ class MovementCutter(Cutter):
         phase = filled_forward(values, before)
         steps = np.flatnonzero(np.diff(np.concatenate([[before], phase])) != 0)
         windows = []
+        # a step from what is not known is none: the movement was under way, or the stream begins
         for step in steps.tolist():
             if not np.isnan(before if step == 0 else phase[step - 1]):
                 windows += self._change(begin + step, float(phase[step]))

@@ -17,7 +17,9 @@ from residuum.service.results.parquet_tables import Span, findings_in, month_of
 from residuum.service.storage.disk_store import DiskStore
 from residuum.service.store import Alarm, AlarmEntry, Asset, Confirmation, StoredFinding
 
+# Hours of a machine that are looked through: ten years of them.
 _HOURS = 24 * 366 * 10
+# Entries of an alarm's journal, the newest.
 _JOURNAL = 10_000
 
 
@@ -55,8 +57,8 @@ class MonthReport:
     """The facts of a report.
 
     `days` has a count of every verdict for each day of the month; `reasons` why windows could not
-    be judged, with their number. `found` is what was found at the machine of the month's findings,
-    `plant` the same of all machines until the month's end.
+    be judged, with their number. `answered` is what was found at the machine of the month's
+    findings, `plant` the same of all machines until the month's end.
     """
 
     asset: Asset
@@ -68,7 +70,7 @@ class MonthReport:
     alarms: Sequence[tuple[Alarm, Sequence[AlarmEntry]]]
     indicators: Mapping[str, Followed]
     parameters: Mapping[str, Followed]
-    found: Sequence[Confirmation] = ()
+    answered: Sequence[Confirmation] = ()
     plant: Sequence[Confirmation] = ()
 
     @property
@@ -97,6 +99,7 @@ def month_report(
     parameters: dict[str, Followed] = {}
     faults: dict[str, Fault] = {}
     reasons: Counter[str] = Counter()
+    # an hour counts what was let go, a finding what is kept: no window is in both
     for hour in store.finding_hours(asset, _HOURS):
         if span.begin <= hour.hour < span.end:
             days[(hour.hour - span.begin).days].update(hour.verdicts)
@@ -131,6 +134,7 @@ def _add_hour(
     for name, entry in means.items():
         followed = indicators.setdefault(name, Followed(""))
         followed.unit = followed.unit or str(entry.get("unit") or "")
+        # a mean of an hour stands in its middle
         followed.append(
             hour + timedelta(minutes=30), entry.get("mean"), None, entry.get("threshold")
         )
@@ -145,6 +149,7 @@ def _add_finding(
         followed = indicators.setdefault(name, Followed(unit))
         followed.unit = followed.unit or unit
         followed.append(stored.at, value, None, finding.thresholds.get(name))
+    # of diagnosers that watch by a model; others have no parameters in their evidence
     for name, estimate in dict(finding.evidence.get("parameters") or {}).items():
         band = estimate.get("healthy") or {}
         followed = parameters.setdefault(name, Followed(str(estimate.get("unit") or "")))
@@ -155,6 +160,7 @@ def _add_fault(faults: dict[str, Fault], stored: StoredFinding) -> None:
     causes = stored.finding.evidence.get("causes") or []
     name = stored.finding.statement.says
     says = str(causes[0]["says"]) if causes else stored.finding.reason or ""
+    # findings come oldest first: what the last one says is kept
     before = faults.get(name)
     faults[name] = Fault(
         says,
@@ -172,5 +178,6 @@ def _alarms_in(
         entries = [
             e for e in store.alarm_journal(alarm.id, _JOURNAL) if span.begin <= e.at < span.end
         ]
+        # the journal has the newest first, a report is read from the begin
         if entries:
             yield alarm, entries[::-1]

@@ -24,6 +24,7 @@ from residuum.service.store import SignalLetGo, StoredFinding, StoredWindow
 
 # A span of time as people write it, and what was stored in it.
 
+# Rows that are read at once.
 _MANY = 500
 _MONTH = re.compile("[0-9]{4}-(0[1-9]|1[0-2])")
 
@@ -67,6 +68,7 @@ def month_of(text: str) -> Span:
         if not _MONTH.fullmatch(text):
             raise ValueError
         begin = datetime(int(text[:4]), int(text[5:]), 1, tzinfo=UTC)
+        # 32 days later it is the next month, whichever it is
         return Span(begin, (begin + timedelta(days=32)).replace(day=1))
     except (ValueError, OverflowError):
         # no such year, or its last month: the calendar ends with it
@@ -103,9 +105,10 @@ def _moment(name: str, text: str) -> datetime:
 
 
 MEDIA_TYPE = "application/vnd.apache.parquet"
+# Rows of a group, at most.
 _ROWS = 500
+# Bytes of samples in a group of rows, at most: what is held in memory.
 _GROUP_BYTES = 64 * 2**20
-"""Bytes of samples in a group of rows, at most: what is held in memory."""
 
 
 def write_findings(store: DiskStore, asset: str, span: Span, path: Path) -> int:
@@ -135,6 +138,7 @@ def write_findings(store: DiskStore, asset: str, span: Span, path: Path) -> int:
         for stored in findings_in(store, asset, span):
             plain = stored.to_json()
             evidence = orjson.dumps(plain["evidence"], option=orjson.OPT_SERIALIZE_NUMPY).decode()
+            # evidence is whatever a diagnoser tells, of no fixed form: as JSON it is one column
             row = {
                 name: plain[name]
                 for name in (
@@ -194,6 +198,7 @@ def write_windows(
                     f"from, to: the samples take more than {most_bytes / 2**20:.0f} MiB; ask for a"
                     " shorter span, or use `residuum results parquet`"
                 )
+            # a window whose signal was let go keeps its rows, with null for samples
             for channel, unit in window.units.items():
                 values = signals.get(channel)
                 row = {
@@ -230,9 +235,11 @@ def _write(path: Path, schema: Any, rows: Iterable[tuple[dict[str, Any], int]]) 
             waiting.append(row)
             held += size
             written += 1
+            # by rows or by bytes: findings are many and small, windows few and large
             if len(waiting) >= _ROWS or held >= _GROUP_BYTES:
                 writer.write_table(pa.Table.from_pylist(waiting, schema))
                 waiting, held = [], 0
+        # a file without rows has the columns all the same
         if waiting or not written:
             writer.write_table(pa.Table.from_pylist(waiting, schema))
     return written

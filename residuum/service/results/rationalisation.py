@@ -1,5 +1,5 @@
-"""The alarms of all machines with what their rules say of them, as a table (ANSI/ISA-18.2, clause 9:
-rationalisation).
+"""The alarms of all machines with what their rules say of them, as a table (ANSI/ISA-18.2, clause
+9: rationalisation).
 """
 
 from __future__ import annotations
@@ -13,9 +13,28 @@ from residuum.service.alarms.alarm_states import MACHINE, SIGNAL, AlarmRule
 from residuum.service.storage.disk_store import DiskStore
 from residuum.service.store import Asset
 
+# In the table's order; a plant without machines has them, too.
+_COLUMNS = (
+    "machine",
+    "title",
+    "alarm",
+    "diagnoser",
+    "limits",
+    "deadband",
+    "on_delay",
+    "off_delay",
+    "latch",
+    "consequence",
+    "time_to_respond",
+    "priority",
+    "action",
+    "suppressed_while",
+    "shelving_reason",
+    "longest_shelving_minutes",
+)
 _MACHINES_AT_ONCE = 100
+# What a spreadsheet takes for the begin of a formula.
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
-"""What a spreadsheet takes for the begin of a formula."""
 
 
 def rationalisation_table(
@@ -23,8 +42,8 @@ def rationalisation_table(
     rule_of: Callable[[str], AlarmRule],
     sites: Collection[str] | None = None,
 ) -> str:
-    """CSV with a row a machine and kind of alarm, times in seconds, limits as the latest finding was
-    judged by.
+    """CSV with a row a machine and kind of alarm, times in seconds, limits as the latest finding
+    was judged by.
 
     A text that a spreadsheet would take for a formula begins with an apostrophe.
     """
@@ -33,8 +52,9 @@ def rationalisation_table(
         for asset in _all_assets(store, sites)
         for kind in (MACHINE, SIGNAL)
     ]
+    # CRLF, as RFC 4180 has it and spreadsheets write it
     text = io.StringIO()
-    table = csv.DictWriter(text, list(_row(None, MACHINE, AlarmRule())), lineterminator="\r\n")
+    table = csv.DictWriter(text, _COLUMNS, lineterminator="\r\n")
     table.writeheader()
     table.writerows(rows)
     return text.getvalue()
@@ -50,14 +70,15 @@ def _all_assets(store: DiskStore, sites: Collection[str] | None) -> Iterator[Ass
             return
 
 
-def _row(asset: Asset | None, kind: str, rule: AlarmRule) -> dict[str, Any]:
+def _row(asset: Asset, kind: str, rule: AlarmRule) -> dict[str, Any]:
     priority = rule.priority(kind)
     row = {
-        "machine": asset.id if asset else "",
-        "title": asset.title if asset else "",
+        "machine": asset.id,
+        "title": asset.title,
         "alarm": kind,
-        "diagnoser": (asset.diagnoser if asset else None) or "",
+        "diagnoser": asset.diagnoser or "",
         "limits": _limits(asset) if kind == MACHINE else "windows that cannot be judged",
+        # windows that cannot be judged have no limit to lie below
         "deadband": rule.deadband if kind == MACHINE else "",
         "on_delay": rule.on_delay,
         "off_delay": rule.off_delay,
@@ -73,8 +94,8 @@ def _row(asset: Asset | None, kind: str, rule: AlarmRule) -> dict[str, Any]:
     return {name: _no_formula(value) for name, value in row.items()}
 
 
-def _limits(asset: Asset | None) -> str:
-    if asset is None or asset.last_finding is None:
+def _limits(asset: Asset) -> str:
+    if asset.last_finding is None:
         return ""
     finding = asset.last_finding.finding
     limits = [

@@ -12,6 +12,7 @@ from importlib.resources import files
 
 import numpy as np
 
+from residuum.diagnosis.learning.reliability import ReliabilityLine
 from residuum.library.comparison import Comparison
 from residuum.library.explanation import Explanation
 from residuum.library.picture import Curve, Panel, Picture
@@ -19,8 +20,8 @@ from residuum.library.record import Record
 from residuum.library.result import Result
 from residuum.library.svg import svg
 from residuum.service.results.month_report import Followed, MonthReport
-from residuum.service.results.reliability_picture import reliability_svg
 from residuum.service.results.said_and_found import SaidAndFound, said_and_found
+from residuum.service.store import Confirmation
 
 _STYLES = ("tokens", "base", "parts")
 _OWN = (
@@ -30,6 +31,7 @@ _OWN = (
 )
 POLICY = "default-src 'none'; style-src 'unsafe-inline'; frame-ancestors 'none'"
 """What a browser may do with the page: nothing but show it."""
+# Pictures one below the other; the names of others are told.
 _MOST_CURVES = 24
 
 
@@ -53,6 +55,7 @@ def report_page(report: MonthReport, written_at: datetime | None = None) -> str:
 
 def whole_page(title: str, parts: Sequence[str]) -> str:
     """A page of these parts that opens offline: the pages' own style, no scripts."""
+    # in the page itself: it is sent by mail, and opens where nothing of ours is
     css = "\n".join(
         files("residuum.service.web").joinpath(f"assets/css/{name}.css").read_text("utf-8")
         for name in _STYLES
@@ -83,6 +86,7 @@ def _summary(report: MonthReport) -> str:
     shares = ", ".join(
         f"{n} {escape(name)} ({100 * n / total:.1f} %)" for name, n in sorted(verdicts.items())
     )
+    # alarms that were raised, not those that stood: one may stand from the month before
     raised = sum(entry.event == "raise" for _, entries in report.alarms for entry in entries)
     return (
         f"<p>{total} windows were judged by {escape(report.asset.diagnoser or 'nobody')}: {shares}."
@@ -103,34 +107,37 @@ def _said_and_found(report: MonthReport) -> str:
     came true, at this machine in the month and at all machines until its end.
     """
     faulty = report.verdicts.get("faulty", 0)
-    answered = sum(answer.verdict == "faulty" for answer in report.found)
+    answered = sum(answer.verdict == "faulty" for answer in report.answered)
     parts = [
         f"<p>Of {faulty} faulty windows of this month {answered} were answered by who looked at the"
         " machine.</p>"
     ]
-    rows = [
-        (
-            _moment(answer.finding_at),
-            answer.said,
-            "" if answer.probability is None else f"{100 * answer.probability:.0f} %",
-            answer.outcome,
-            answer.cause or "",
-            answer.part or "",
-            answer.order or "",
-            f"{answer.who}, {_moment(answer.found_at)}",
-            answer.note or "",
-        )
-        for answer in report.found
-    ]
+    rows = [_answered(answer) for answer in report.answered]
     head = ("Finding", "Said", "With", "Found", "Cause", "Part", "Order", "By", "Note")
     parts += [_table(head, rows, numbers=(2,))] if rows else []
-    of_machine, of_plant = said_and_found(report.found), said_and_found(report.plant)
+    # a machine has few answers in a month: whether probabilities come true shows in the plant's
+    of_machine, of_plant = said_and_found(report.answered), said_and_found(report.plant)
     if not of_plant.lines:
         return "".join([*parts, "<p>No finding that said a probability was answered yet.</p>"])
     series = {"this machine, this month": of_machine.lines, "the plant until then": of_plant.lines}
     drawn = {name: lines for name, lines in series.items() if lines}
     parts += [reliability_svg(drawn), _bins(of_plant)]
     return "".join(parts)
+
+
+def _answered(answer: Confirmation) -> tuple[str, ...]:
+    """A finding beside what somebody found at the machine, as a row."""
+    return (
+        _moment(answer.finding_at),
+        answer.said,
+        "" if answer.probability is None else f"{100 * answer.probability:.0f} %",
+        answer.outcome,
+        answer.cause or "",
+        answer.part or "",
+        answer.order or "",
+        f"{answer.who}, {_moment(answer.found_at)}",
+        answer.note or "",
+    )
 
 
 def _bins(counted: SaidAndFound) -> str:
@@ -150,9 +157,9 @@ def _bins(counted: SaidAndFound) -> str:
     without = counted.without_probability
     more = f" {without} more were said without a probability." if without else ""
     return _table(head, rows, numbers=range(1, 6)) + (
-        '<p class="muted small">Intervals after Clopper and Pearson, for findings that were answered'
-        " independently of each other: several windows of one repair count too often. Only answered"
-        f" findings are counted.{more}</p>"
+        '<p class="muted small">Intervals after Clopper and Pearson, for findings that were'
+        " answered independently of each other: several windows of one repair count too often."
+        f" Only answered findings are counted.{more}</p>"
     )
 
 
@@ -205,6 +212,7 @@ def _curves(followed: Mapping[str, Followed], report: MonthReport, limits: str) 
 
 
 def _panel(name: str, series: Followed, report: MonthReport, limits: str) -> Panel:
+    # hours come before findings, and may lie behind them
     order = np.argsort(np.array([at.timestamp() for at in series.at]), kind="stable")
     day = np.array([(at - report.span.begin).total_seconds() / 86400 + 1 for at in series.at])[
         order
@@ -214,6 +222,7 @@ def _panel(name: str, series: Followed, report: MonthReport, limits: str) -> Pan
     )
     curves = [Curve(name, day, value)]
     edges = [edge for edge in (low, high) if np.isfinite(edge).any()]
+    # named once, by the last: both edges are one band
     curves += [Curve(limits if edge is edges[-1] else "", day, edge) for edge in edges]
     return Panel(
         f"{name} [{series.unit}]" if series.unit else name, "day of the month", series.unit, curves
@@ -277,3 +286,87 @@ def _record(record: Record) -> str:
     picture = record.picture()
     notes = "".join(f"<p>{escape(note)}</p>" for note in record.notes)
     return f"<p>{escape(str(record))}</p>{notes}{svg(picture, len(picture.panels))}"
+
+
+# A reliability diagram as a small SVG: what came true over what was said, with 95 % intervals; both
+# agree on the diagonal.
+
+SIDE, LEFT, TOP, BELOW = 320, 56, 12, 96
+"""[px] Of the square, and what stands around it: numbers left, names of the series below."""
+COLOURS = ("#00695c", "#c05600", "#5b4b8a")
+APART = 5
+"""[px] Between the series, so that intervals of one bin do not hide each other."""
+
+
+def reliability_svg(
+    series: Mapping[str, Sequence[ReliabilityLine]],
+    single: Sequence[tuple[float, bool]] = (),
+    single_name: str = "single statements",
+) -> str:
+    """The picture of several series of bins, by name, and of `single` statements, (said, whether
+    true).
+    """
+    parts = [_axes(), *(_diamond(probability, true) for probability, true in single)]
+    for k, (name, lines) in enumerate(series.items()):
+        colour, aside = COLOURS[k % len(COLOURS)], APART * (k - (len(series) - 1) / 2)
+        parts += [_point(line, colour, aside) for line in lines]
+        y = TOP + SIDE + 58 + 16 * k
+        count = sum(line.n for line in lines)
+        parts.append(f'<circle cx="{LEFT + 6}" cy="{y - 4}" r="4" fill="{colour}"/>')
+        parts.append(f'<text x="{LEFT + 18}" y="{y}">{escape(name)} ({count})</text>')
+    if single:
+        y = TOP + SIDE + 58 + 16 * len(series)
+        parts += [
+            _diamond_at(LEFT + 6, y - 4),
+            f'<text x="{LEFT + 18}" y="{y}">{escape(single_name)} ({len(single)})</text>',
+        ]
+    width, height = LEFT + SIDE + 20, TOP + SIDE + BELOW + 20
+    box = f'viewBox="0 0 {width} {height}" width="{width}" height="{height}"'
+    head = f'<svg xmlns="http://www.w3.org/2000/svg" {box}'
+    style = 'font-family="sans-serif" font-size="12" fill="#333"'
+    back = f'<rect width="{width}" height="{height}" fill="#fff"/>'
+    return f"{head} {style}>\n{back}\n" + "\n".join(parts) + "\n</svg>\n"
+
+
+def _x(p: float) -> float:
+    return LEFT + SIDE * p
+
+
+def _y(p: float) -> float:
+    return TOP + SIDE * (1.0 - p)
+
+
+def _axes() -> str:
+    text = [f'<path d="M{_x(0):g} {_y(1):g}V{_y(0):g}H{_x(1):g}" fill="none" stroke="#333"/>']
+    text.append(
+        f'<path d="M{_x(0):g} {_y(0):g}L{_x(1):g} {_y(1):g}" stroke="#999" stroke-dasharray="4 4"/>'
+    )
+    for tenth in range(0, 11, 2):
+        p = tenth / 10
+        text.append(f'<text x="{_x(p):g}" y="{_y(0) + 16:g}" text-anchor="middle">{p:g}</text>')
+        text.append(f'<text x="{LEFT - 8}" y="{_y(p) + 4:g}" text-anchor="end">{p:g}</text>')
+    text.append(
+        f'<text x="{_x(0.5):g}" y="{_y(0) + 34:g}" text-anchor="middle">probability said</text>'
+    )
+    text.append(
+        f'<text transform="translate(16 {_y(0.5):g}) rotate(-90)" text-anchor="middle">'
+        "share that was true</text>"
+    )
+    return "\n".join(text)
+
+
+def _point(line: ReliabilityLine, colour: str, aside: float) -> str:
+    x, (low, high) = _x(line.predicted) + aside, line.interval
+    bar = f'<path d="M{x:.1f} {_y(low):.1f}V{_y(high):.1f}" stroke="{colour}" stroke-width="1.5"/>'
+    circle = f'<circle cx="{x:.1f}" cy="{_y(line.observed):.1f}" r="4" fill="{colour}">'
+    title = f"said {line.predicted:.2f}, true {line.observed:.2f} of {line.n}"
+    return f"{bar}{circle}<title>{title}</title></circle>"
+
+
+def _diamond(probability: float, true: bool) -> str:
+    return _diamond_at(_x(probability), _y(1.0 if true else 0.0))
+
+
+def _diamond_at(x: float, y: float) -> str:
+    path = f"M{x - 5:.1f} {y:.1f}l5 -5l5 5l-5 5z"
+    return f'<path d="{path}" fill="none" stroke="#333" stroke-width="1.5"/>'

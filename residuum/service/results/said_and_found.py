@@ -62,6 +62,7 @@ def said_and_found(confirmations: Sequence[Confirmation]) -> SaidAndFound:
     """Counts of confirmations, one a finding. Found so is what was confirmed: what was corrected
     was something else.
     """
+    # what no probability was said of is counted, and says nothing of how probabilities come true
     pairs = [
         (answer.probability, answer.outcome == Outcome.CONFIRMED)
         for answer in confirmations
@@ -71,6 +72,7 @@ def said_and_found(confirmations: Sequence[Confirmation]) -> SaidAndFound:
     return SaidAndFound(
         answered=len(confirmations),
         without_probability=len(confirmations) - len(pairs),
+        # every answer counts here, also without a probability
         outcomes=Counter(answer.outcome for answer in confirmations),
         lines=reliability_table(probabilities, true, TENTHS) if pairs else [],
         calibration_error=(

@@ -94,14 +94,12 @@ class ApiKeys:
     """
 
     def __init__(self, path: Path | None, *, tokens: bool = False) -> None:
-        self._path, self._seen, self._looked = (
-            path,
-            None if path is None else _version(path),
-            time.monotonic(),
-        )
-        self._keys: dict[str, _Key] | None = (
-            _read(path) if path is not None else {} if tokens else None
-        )
+        self._path, self._looked = path, time.monotonic()
+        # before the file is read: what changes in between is seen as a change
+        self._seen = None if path is None else _version(path)
+        # None: nobody needs a key; none at all: everybody needs a token
+        without_file: dict[str, _Key] | None = {} if tokens else None
+        self._keys = without_file if path is None else _read(path)
         self._lock = threading.Lock()
 
     @property
@@ -127,6 +125,7 @@ class ApiKeys:
         if self._keys is None or key is None:
             return None
         self._read_again()
+        # the hash is looked up, so how long it takes depends on no character of a key
         return self._keys.get(hashlib.sha256(key.encode()).hexdigest())
 
     def _read_again(self) -> None:
@@ -137,9 +136,11 @@ class ApiKeys:
             or not self._lock.acquire(blocking=False)
         ):
             return
+        # whoever does not get the lock goes on with the keys there are; another reads them now
         try:
             self._looked = time.monotonic()
-            if (version := _version(self._path)) == self._seen:
+            version = _version(self._path)
+            if version == self._seen:
                 return
             self._seen = version
             self._keys = _read(self._path)
@@ -213,9 +214,8 @@ def _without_end(words: list[str], where: str) -> tuple[list[str], datetime | No
             " until=2027-01-31T18:00+01:00"
         )
         raise BadSettings(f"setting api_keys: {where}: {says}") from None
-    return [word for word in words if word not in endings], (
-        until if until.tzinfo else until.replace(tzinfo=UTC)
-    )
+    moment = until if until.tzinfo else until.replace(tzinfo=UTC)
+    return [word for word in words if word not in endings], moment
 
 
 def _sites(words: list[str], where: str) -> frozenset[str] | None:
@@ -261,7 +261,8 @@ def make_first_keys(folder: Path, show: Callable[[str], None]) -> bool:
         The folder cannot be written, or holds a file of keys that cannot be read.
     """
     keys, metrics = folder / API_KEYS, folder / METRICS_KEY
-    if first := not keys.is_file():
+    first = not keys.is_file()
+    if first:
         key, digest = new_key()
         lines = [f"engineer engineer {digest}"]
     else:
@@ -276,6 +277,7 @@ def make_first_keys(folder: Path, show: Callable[[str], None]) -> bool:
             _beside(metrics, scraper),
             _beside(keys, "\n".join([*lines, f"prometheus monitor {digest}"]) + "\n"),
         )
+        # shown before it counts: a key that nobody saw must not keep one from being made again
         if first:
             show(key)
         written[1].replace(keys)
@@ -296,9 +298,11 @@ def make_broker_user(folder: Path) -> None:
     users, password = folder / BROKER_USERS, folder / BROKER_PASSWORD
     if users.is_file() and password.is_file():
         return
+    # the form of Mosquitto's password files, `$7$ROUNDS$SALT$HASH` (PBKDF2 with SHA-512)
     chosen, salt = secrets.token_urlsafe(32), secrets.token_bytes(12)
     hashed = hashlib.pbkdf2_hmac("sha512", chosen.encode(), salt, _ROUNDS)
-    line = f"{BROKER_USER}:$7${_ROUNDS}${base64.b64encode(salt).decode()}${base64.b64encode(hashed).decode()}\n"
+    shown = [base64.b64encode(part).decode() for part in (salt, hashed)]
+    line = f"{BROKER_USER}:$7${_ROUNDS}${shown[0]}${shown[1]}\n"
     try:
         written = _beside(password, chosen), _beside(users, line)
         written[0].replace(password)

@@ -35,14 +35,16 @@ _ALGORITHMS = [
     "ES512",
     "EdDSA",
 ]
+# Seconds by which the issuer's clock may differ from ours.
 _LEEWAY = 30.0
-"""Seconds by which the issuer's clock may differ from ours."""
+# Seconds for an answer of the issuer.
 _PATIENCE = 5.0
+# Of such an answer.
 _MOST_BYTES = 2**20
+# Seconds for which keys are kept, and after which they are asked for again because of a key that is
+# not among them.
 _KEYS_KEPT, _KEYS_AGAIN = 3600.0, 10.0
-"""Seconds for which keys are kept, and after which they are asked for again because of a key that
-is not among them.
-"""
+# Verified tokens that are remembered: a signature is verified once, not with each request.
 _MOST_TOKENS = 1000
 _NEEDED = ["exp", "iss", "aud"]
 
@@ -90,8 +92,10 @@ class BearerTokens:
             claims: Mapping[str, Any] = self._jwt.decode(
                 token,
                 key.key,
+                # of the key alone: a token must not choose how it is verified
                 algorithms=[name for name in _ALGORITHMS if name == key.algorithm_name],
                 audience=self._settings.oidc_audience,
+                # issuers write their own name with and without the slash
                 issuer=[self._issuer, f"{self._issuer}/"],
                 leeway=_LEEWAY,
                 options={"require": _NEEDED},
@@ -127,6 +131,7 @@ class BearerTokens:
         return Caller(name, max(roles), of_sites) if roles else None
 
     def _key(self, number: str) -> Any:
+        # under the lock: of many callers with a new key's tokens one asks the issuer
         with self._lock:
             age = time.monotonic() - self._fetched
             if age > _KEYS_KEPT or (number not in self._keys and age > _KEYS_AGAIN):

@@ -14,7 +14,7 @@ Network = ipaddress.IPv4Network | ipaddress.IPv6Network
 
 
 @dataclass(frozen=True)
-class Seen:
+class Client:
     """The address of the client, and the scheme by which it came."""
 
     address: str
@@ -25,31 +25,36 @@ class TrustedProxies:
     """Believes what proxies of these networks say of their clients, and nobody else.
 
     >>> proxies = TrustedProxies(["127.0.0.1", "10.0.0.0/8"])
-    >>> proxies.seen("127.0.0.1", "http", b"6.6.6.6, 192.0.2.7, 10.1.1.1", b"https")
-    Seen(address='192.0.2.7', scheme='https')
-    >>> proxies.seen("192.0.2.7", "http", b"127.0.0.1", b"https")
-    Seen(address='192.0.2.7', scheme='http')
+    >>> proxies.client("127.0.0.1", "http", b"6.6.6.6, 192.0.2.7, 10.1.1.1", b"https")
+    Client(address='192.0.2.7', scheme='https')
+    >>> proxies.client("192.0.2.7", "http", b"127.0.0.1", b"https")
+    Client(address='192.0.2.7', scheme='http')
     """
 
     def __init__(self, networks: Sequence[str]) -> None:
         self._networks = tuple(ipaddress.ip_network(network, strict=False) for network in networks)
         self._is_one = lru_cache(maxsize=1024)(self._looked_up)
 
-    def seen(self, peer: str, scheme: str, forwarded_for: bytes, forwarded_proto: bytes) -> Seen:
+    def client(
+        self, peer: str, scheme: str, forwarded_for: bytes, forwarded_proto: bytes
+    ) -> Client:
         """Who asks: the last address of `X-Forwarded-For` that is no trusted proxy's; what stands
         left of it anybody may say.
         """
         if not self.trusts(peer):
-            return Seen(peer, scheme)
+            return Client(peer, scheme)
+        # from the right: each proxy has written the address that came to it behind the others
         address = peer
         for hop in reversed(forwarded_for.decode("latin-1").split(",")):
-            if not _is_address(hop := hop.strip()):
+            hop = hop.strip()
+            if not _is_address(hop):
                 break
             address = hop
             if not self._is_one(hop):
                 break
+        # of several, what the proxy next to us says
         proto = forwarded_proto.decode("latin-1").rsplit(",", 1)[-1].strip().lower()
-        return Seen(address, proto if proto in ("http", "https") else scheme)
+        return Client(address, proto if proto in ("http", "https") else scheme)
 
     def trusts(self, peer: str) -> bool:
         """Whether this is the address of a trusted proxy."""

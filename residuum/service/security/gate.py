@@ -31,10 +31,8 @@ from residuum.service.settings import Settings, is_loopback
 
 # Token buckets: how many requests a client may make, in the long run and at once.
 
+# Buckets kept; beyond, the client that was silent for longest is forgotten, which fills its bucket.
 _MOST_CLIENTS = 10_000
-"""Buckets kept; beyond, the client that was silent for longest is forgotten, which fills its
-bucket.
-"""
 
 
 @dataclass
@@ -73,6 +71,7 @@ class RateLimit:
         is counted.
         """
         now = self._clock()
+        # put in anew: the buckets stand in the order in which clients were last heard
         bucket = self._buckets.pop(client, None) or _Bucket(self._burst, now)
         self._buckets[client] = bucket
         if len(self._buckets) > _MOST_CLIENTS:
@@ -95,29 +94,30 @@ log = structlog.get_logger()
 Measure = Callable[[str, str, int, float], None]
 """Told of every answer: (method, route, status, seconds)."""
 
+# Bytes of an answer that are handed on at once.
 _PART = 2**16
-"""Bytes of an answer that are handed on at once."""
+# Times the longest body that is taken: so much is read and thrown away before it is refused.
 _DRAINED = 4
-"""Times the longest body that is taken: so much is read and thrown away before it is refused."""
+# Seconds of silence after which no more of a body that is thrown away is waited for.
 _PATIENCE = 5.0
-"""Seconds of silence after which no more of a body that is thrown away is waited for."""
+# Of a declared length: what is longer is no number of bytes that a disk has.
+_MOST_DIGITS = 18
 _CLOSE = {"Connection": "close"}  # the rest of the body is not waited for
+# Seconds for which a wrong key's refusal is held back at most.
 _SLOWEST = 2.0
-"""Seconds for which a wrong key's refusal is held back at most."""
+# Seconds of the allowed rate that a client may ask for at once.
 _BURST = 2.0
-"""Seconds of the allowed rate that a client may ask for at once."""
 _HEALTH = frozenset(
-    f"{root}/health/{what}" for root in ("", "/api/v1") for what in ("live", "ready")
+    f"{root}/health/{state}" for root in ("", "/api/v1") for state in ("live", "ready")
 )
 _SAFE = ("GET", "HEAD", "OPTIONS")
 _METRICS = ("/metrics", "/api/v1/metrics")
+# Paths of what an operator does with an alarm or tells of a finding: the whole path, for an asset
+# may be called `acknowledge`, too.
 _OPERATORS = re.compile(
     r"/api/v1/(alarms/[^/]+/(acknowledge|reset|shelve|unshelve)"
     r"|assets/[^/]+/findings/[^/]+/confirmations)/?"
 )
-"""Paths of what an operator does with an alarm or tells of a finding: the whole path, for an asset
-may be called `acknowledge`, too.
-"""
 # The hash is that of an empty style element, which Plotly fills rule by rule through the style
 # sheet interface.
 _POLICY = (
@@ -129,10 +129,9 @@ _EVERY_ANSWER = [
     (b"x-content-type-options", b"nosniff"),
     (b"cross-origin-resource-policy", b"same-origin"),
 ]
+# A browser that was here by HTTPS comes by nothing else for a year, whatever a link or somebody in
+# between says.
 _BY_TLS = [(b"strict-transport-security", b"max-age=31536000")]
-"""A browser that was here by HTTPS comes by nothing else for a year, whatever a link or somebody in
-between says.
-"""
 _DATA = [
     *_EVERY_ANSWER,
     (b"content-security-policy", b"default-src 'none'; frame-ancestors 'none'"),
@@ -177,6 +176,7 @@ class Gate:
         self.name = None if self.origin is None else urlsplit(self.origin).hostname
         self.refusals = refusals or Refusals()
         rate = settings.requests_per_second
+        # far fewer wrong keys than requests: whoever has a key shows it right
         self.wrong_keys = (
             None if rate is None else RateLimit(rate / 200.0, max(1.0, rate / 10.0), time.monotonic)
         )
@@ -190,114 +190,119 @@ class Gate:
             await self.app(scope, receive, send)
             return
         begun = time.perf_counter()
-        status = 500
         headers = dict(scope["headers"])
+        # before anything that asks for the client's address or scheme
         self._look_behind_the_proxy(scope, headers)
-        more = [begin_request(headers), *(_DATA if scope["path"].startswith("/api/") else _PAGES)]
-        more += _BY_TLS if scope["scheme"] == "https" else []
-
-        async def send_with_headers(message: Message) -> None:
-            nonlocal status
-            if message["type"] == "http.response.start":
-                status = message["status"]
-                own = {name.lower() for name, _ in message["headers"]}
-                message["headers"] = [
-                    *message["headers"],
-                    *(header for header in more if header[0] not in own),
-                ]
-            for part in _in_parts(message):
-                await send(part)
-                if part.get("more_body"):
-                    # others have their turn, and a connection that was lost is noticed
-                    await asyncio.sleep(0)
-
+        answer = _Answer(send, [begin_request(headers), *_security_headers(scope)])
+        # what the request itself shows costs nothing; keys, tokens and rates come after it
         refusal, by = self._refusal(scope, headers), None
         if refusal is None:
-            key = headers.get(b"x-api-key", b"").decode("latin-1") or _bearer(headers)
-            caller = self.keys.caller(key)
-            if caller is None and self.tokens is not None:
-                caller = await self._owner_of_token(self.tokens, key)
-            if caller is not None:
-                scope.get(KNOWN, _nothing)()
-            by = self.keys.ended(key) if caller is None else caller.name
-            refusal = self._refusal_of_caller(scope, key, caller)
-            if key and caller is None and refusal is not None:
-                refusal = await self._slowed_down(scope, refusal)
-        if refusal is not None and (code := getattr(refusal, "status_code", 0)) in (401, 403):
-            self.refusals.note(
-                _address(scope),
-                by,
-                scope["method"],
-                scope["path"],
-                code,
-                "key" if code == 401 else "not allowed",
-            )
+            refusal, by = await self._refusal_of_key(scope, headers)
+        self._note_refusal(scope, refusal, by)
         try:
             if refusal is not None:
-                await refusal(scope, receive, send_with_headers)
+                await refusal(scope, receive, answer.send)
             else:
-                await self.app(scope, self._limited(receive, headers), send_with_headers)
+                await self.app(scope, self._limited(receive, headers), answer.send)
         finally:
-            seconds = time.perf_counter() - begun
-            route = getattr(scope.get("route"), "path", "other")
-            self.measure(scope["method"], route, status, seconds)
-            if status >= 500 or self.settings.log_level == "debug":
-                note = log.error if status >= 500 else log.debug
-                note(
-                    "request",
-                    method=scope["method"],
-                    path=scope["path"],
-                    status=status,
-                    seconds=round(seconds, 4),
-                )
+            self._tell(scope, answer.status, time.perf_counter() - begun)
+
+    def _note_refusal(self, scope: Scope, refusal: Any, by: str | None) -> None:
+        """Log and count what was refused to somebody; a malformed request is nobody's attempt."""
+        status = getattr(refusal, "status_code", 0)
+        if status in (401, 403):
+            reason = "key" if status == 401 else "not allowed"
+            self.refusals.note(_address(scope), by, scope["method"], scope["path"], status, reason)
+
+    def _tell(self, scope: Scope, status: int, seconds: float) -> None:
+        """Measure an answer, and log it where it is our fault or everything is logged."""
+        # set by the router: paths that no route has are one, so that no client makes new series
+        route = getattr(scope.get("route"), "path", "other")
+        self.measure(scope["method"], route, status, seconds)
+        if status >= 500 or self.settings.log_level == "debug":
+            note = log.error if status >= 500 else log.debug
+            note(
+                "request",
+                method=scope["method"],
+                path=scope["path"],
+                status=status,
+                seconds=round(seconds, 4),
+            )
 
     def _refusal(self, scope: Scope, headers: dict[bytes, bytes]) -> Any:
         """The answer to a request that may not pass, None for one that may."""
-        if (
-            sum(len(name) + len(value) for name, value in scope["headers"]) + len(scope["path"])
-            > self.settings.header_limit
-        ):
-            return problem(
-                431, f"request head: larger than {self.settings.header_limit} bytes", "too-large"
-            )
+        host = headers.get(b"host", b"").decode("latin-1")
+        return (
+            self._head_refusal(scope)
+            or self._body_refusal(headers)
+            or self._host_refusal(host)
+            or self._origin_refusal(scope, headers, host)
+        )
+
+    def _head_refusal(self, scope: Scope) -> Any:
+        size = sum(len(name) + len(value) for name, value in scope["headers"]) + len(scope["path"])
+        limit = self.settings.header_limit
+        if size <= limit:
+            return None
+        return problem(431, f"request head: larger than {limit} bytes", "too-large")
+
+    def _body_refusal(self, headers: dict[bytes, bytes]) -> Any:
+        """Refuses a body that is too long by its declared length, or not sent as it is."""
         length = headers.get(b"content-length", b"0")
         if not length.isdigit():
             return problem(400, "Content-Length: is not a number", "bad-request")
-        if len(length) > 18 or int(length) > self.settings.body_limit:
-            says = (
-                f"body: {length.decode()[:20]} bytes; at most {self.settings.body_limit} are taken"
-            )
-            refusal, most = (
-                problem(413, says, "too-large", _CLOSE),
-                _DRAINED * self.settings.body_limit,
-            )
-            asks_first = b"expect" in headers
-            return (
-                refusal
-                if asks_first or len(length) > 18 or int(length) > most
-                else _after_the_body(refusal, most)
-            )
-        if (wrapped := _wrapped(headers)) is not None:
-            return problem(415, wrapped, "unsupported-body", {"Accept-Encoding": "identity"})
-        host = headers.get(b"host", b"").decode("latin-1")
-        if self.local and not is_loopback(name := _host_name(host)) and name.lower() != self.name:
-            says = (
-                f"Host {host[:100]!r}: this service answers to its own machine's names only; a"
-                " proxy's is set by public_url"
-            )
-            return problem(421, says, "wrong-host")
+        # a number of thousands of digits is not even turned into one
+        if len(length) > _MOST_DIGITS or int(length) > self.settings.body_limit:
+            return self._too_large_a_body(length, asks_first=b"expect" in headers)
+        wrapped = _wrapped(headers)
+        if wrapped is None:
+            return None
+        return problem(415, wrapped, "unsupported-body", {"Accept-Encoding": "identity"})
+
+    def _too_large_a_body(self, length: bytes, *, asks_first: bool) -> Any:
+        says = f"body: {length.decode()[:20]} bytes; at most {self.settings.body_limit} are taken"
+        refusal = problem(413, says, "too-large", _CLOSE)
+        most = _DRAINED * self.settings.body_limit
+        if asks_first or len(length) > _MOST_DIGITS or int(length) > most:
+            return refusal
+        return _after_the_body(refusal, most)
+
+    def _host_refusal(self, host: str) -> Any:
+        """Refuses a foreign name that was pointed at this machine (DNS rebinding)."""
+        name = _host_name(host)
+        if not self.local or is_loopback(name) or name.lower() == self.name:
+            return None
+        says = (
+            f"Host {host[:100]!r}: this service answers to its own machine's names only; a"
+            " proxy's is set by public_url"
+        )
+        return problem(421, says, "wrong-host")
+
+    def _origin_refusal(self, scope: Scope, headers: dict[bytes, bytes], host: str) -> Any:
+        """Refuses what a page of another site would write; only browsers send an origin."""
         origin = headers.get(b"origin", b"").decode("latin-1")
-        if (
-            origin
-            and scope["method"] not in _SAFE
-            and not self._is_own(origin, scope["scheme"], host)
-        ):
-            return problem(
-                403,
-                f"Origin {origin[:100]!r}: another site's page may not write here",
-                "wrong-origin",
-            )
-        return None
+        if not origin or scope["method"] in _SAFE or self._is_own(origin, scope["scheme"], host):
+            return None
+        says = f"Origin {origin[:100]!r}: another site's page may not write here"
+        return problem(403, says, "wrong-origin")
+
+    async def _refusal_of_key(
+        self, scope: Scope, headers: dict[bytes, bytes]
+    ) -> tuple[Any, str | None]:
+        """The answer to a request whose key may not do this, None where it may; and whose key it
+        is, or was.
+        """
+        key = headers.get(b"x-api-key", b"").decode("latin-1") or _bearer(headers)
+        caller = self.keys.caller(key)
+        if caller is None and self.tokens is not None:
+            caller = await self._owner_of_token(self.tokens, key)
+        if caller is not None:
+            scope.get(KNOWN, _nothing)()
+        by = self.keys.ended(key) if caller is None else caller.name
+        refusal = self._refusal_of_caller(scope, key, caller)
+        if key and caller is None and refusal is not None:
+            refusal = await self._slowed_down(scope, refusal)
+        return refusal, by
 
     def _is_own(self, origin: str, scheme: str, host: str) -> bool:
         """Whether a page of this origin is ours; without a public name the scheme is a proxy's
@@ -312,7 +317,7 @@ class Gate:
         came.
         """
         peer, port = scope.get("client") or ("unknown", 0)
-        client = self.proxies.seen(
+        client = self.proxies.client(
             peer,
             scope["scheme"],
             headers.get(b"x-forwarded-for", b""),
@@ -372,16 +377,7 @@ class Gate:
 
     def _without_role(self, scope: Scope, key: str | None, caller: Caller | None) -> Any:
         if caller is None:
-            ended = self.keys.ended(key)
-            reason = (
-                f"of {ended!r} has ended"
-                if ended
-                else (
-                    "is not known"
-                    if key
-                    else "is needed: send it as 'Authorization: Bearer …' or 'X-API-Key: …'"
-                )
-            )
+            reason = self._why_nobody(key)
             return problem(401, f"API key: {reason}", "no-key", {"WWW-Authenticate": "Bearer"})
         needed = _role_for(scope["method"], scope["path"])
         if caller.role < needed:
@@ -400,10 +396,20 @@ class Gate:
         scope.setdefault("state", {})["caller"] = caller
         return None
 
+    def _why_nobody(self, key: str | None) -> str:
+        """What is wrong with a key that is nobody's."""
+        ended = self.keys.ended(key)
+        if ended:
+            return f"of {ended!r} has ended"
+        if key:
+            return "is not known"
+        return "is needed: send it as 'Authorization: Bearer …' or 'X-API-Key: …'"
+
     def _limited(self, receive: Receive, headers: dict[bytes, bytes]) -> Receive:
         """`receive` that ends the request when more comes than may (a declared length has been
         checked already).
         """
+        # without a declared length, bytes are counted as they come
         if b"transfer-encoding" not in headers:
             return receive
         taken = 0
@@ -423,6 +429,34 @@ class Gate:
             return message
 
         return limited
+
+
+class _Answer:
+    """What goes out to one request: with these headers, where it has none of its own of that name,
+    and in parts. Its `status` is 500 until it begins: an app that raises before has not answered.
+    """
+
+    def __init__(self, send: Send, headers: list[tuple[bytes, bytes]]) -> None:
+        self._send, self._headers = send, headers
+        self.status = 500
+
+    async def send(self, message: Message) -> None:
+        """Hand a message of the app on."""
+        if message["type"] == "http.response.start":
+            self.status = message["status"]
+            own = {name.lower() for name, _ in message["headers"]}
+            more = (header for header in self._headers if header[0] not in own)
+            message["headers"] = [*message["headers"], *more]
+        for part in _in_parts(message):
+            await self._send(part)
+            if part.get("more_body"):
+                # others have their turn, and a connection that was lost is noticed
+                await asyncio.sleep(0)
+
+
+def _security_headers(scope: Scope) -> list[tuple[bytes, bytes]]:
+    headers = _DATA if scope["path"].startswith("/api/") else _PAGES
+    return [*headers, *_BY_TLS] if scope["scheme"] == "https" else headers
 
 
 def _nothing() -> None:
@@ -513,6 +547,8 @@ def _role_for(method: str, path: str) -> Role:
     return Role.OPERATOR if method == "POST" and _OPERATORS.fullmatch(path) else Role.ENGINEER
 
 
+# First words of the paths that a caller of some sites may use; what they list is cut down to the
+# sites by the routes.
 _FOR_EVERY_SITE = (
     "score",
     "diagnosers",
@@ -524,9 +560,6 @@ _FOR_EVERY_SITE = (
     "status",
     "sources",
 )
-"""First words of the paths that a caller of some sites may use; what they list is cut down to the
-sites by the routes.
-"""
 
 
 def _of_sites(scope: Scope, caller: Caller) -> bool:

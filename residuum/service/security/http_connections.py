@@ -33,12 +33,11 @@ HANDSHAKE_WITHIN = 5.0
 """Seconds for a TLS handshake."""
 MOST_STRANGERS = 1000
 """Connections that have shown no key, each of which may hold some hundred kB of an answer."""
+# Addresses from which a key has been shown that are remembered.
 _MOST_ACQUAINTED = 10_000
-"""Addresses from which a key has been shown that are remembered."""
+# Bytes of an answer that wait in a connection, beside those that TLS and the system keep, before no
+# more is made.
 _UNSENT = 2**16
-"""Bytes of an answer that wait in a connection, beside those that TLS and the system keep, before
-no more is made.
-"""
 KNOWN = "residuum.known"
 """What the scope of a request holds under this name is called when its caller has shown a key."""
 
@@ -88,6 +87,7 @@ class Places:
         self._strangers[connection] = where
         neighbours = self._of_address.setdefault(where, OrderedDict())
         neighbours[connection] = None
+        # before the bound of all: many connections from one address must not push others out
         if len(neighbours) > self._per_address and not self._proxies.trusts(address):
             next(iter(neighbours)).give_up()
         elif len(self._strangers) > self._strangers_most or self._count > self._most:
@@ -103,7 +103,8 @@ class Places:
 
     def know(self, connection: BoundedConnection) -> None:
         """It has shown a key, and is no stranger any more."""
-        if (where := self._strangers.get(connection)) is not None:
+        where = self._strangers.get(connection)
+        if where is not None:
             self._acquainted[where] = None
             self._acquainted.move_to_end(where)
             if len(self._acquainted) > _MOST_ACQUAINTED:
@@ -116,7 +117,8 @@ class Places:
         self._count -= 1
 
     def _forget(self, connection: BoundedConnection) -> None:
-        if (where := self._strangers.pop(connection, None)) is not None:
+        where = self._strangers.pop(connection, None)
+        if where is not None:
             neighbours = self._of_address[where]
             del neighbours[connection]
             if not neighbours:
@@ -182,6 +184,7 @@ class BoundedConnection(H11Protocol):
         if self._tls is None or not self._here:
             self._begin(transport)
         else:
+            # what comes belongs to the handshake, and must not be read as HTTP
             transport.pause_reading()
             self._handshake = self.loop.create_task(self._by_tls(transport, self._tls))
 
@@ -219,6 +222,7 @@ class BoundedConnection(H11Protocol):
         self._received += len(data)
         before = self.cycle
         super().data_received(data)
+        # a head that is read to its end is progress; its single bytes are none
         if self.cycle is not before:
             self._watch()
 
@@ -281,6 +285,7 @@ class BoundedConnection(H11Protocol):
         received, unsent_before, wanted_body = self._seen
         unsent = self._unsent()
         takes = unsent_before - unsent >= least
+        # between requests: a client that still takes the last answer moves on
         if self.cycle is None or self.cycle.response_complete:
             return not (takes or (unsent_before and not unsent))
         if self.flow.write_paused:

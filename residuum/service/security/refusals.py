@@ -1,7 +1,8 @@
-"""Refusals: who was turned away, from where and what for, in the log at once, and counted together for the audit trail.
+"""Refusals: who was turned away, from where and what for, in the log at once, and counted together
+for the audit trail.
 
-Whoever can reach the port can be refused a thousand times a second. So the trail gets an entry for all equal refusals of some
-seconds, and of more different ones than are kept their number alone.
+Whoever can reach the port can be refused a thousand times a second. So the trail gets an entry for
+all equal refusals of some seconds, and of more different ones than are kept their number alone.
 """
 
 from __future__ import annotations
@@ -14,8 +15,9 @@ import structlog
 
 log = structlog.get_logger()
 
+# Different refusals that are kept until they are taken.
 _MOST = 20
-"""Different refusals that are kept until they are taken."""
+# Characters of a path: whoever is refused chooses it.
 _LONGEST = 100
 
 

@@ -45,7 +45,9 @@ from residuum.simulation import MACHINES, Machine
 
 log = structlog.get_logger()
 
+# [s] For all machines' processes together to end.
 _STOP_TIMEOUT = 3.0
+# [s] Between looks at whether they live.
 _LOOK = 0.5
 _ON_OPCUA = "process-plant"
 
@@ -98,6 +100,7 @@ class Demo:
         """End the machines' processes."""
         self._stopped.set()
         self.end_training()
+        # their input closed, all end side by side; then one end of waiting for all of them
         for process in self._processes.values():
             if process.stdin:
                 with contextlib.suppress(OSError):
@@ -119,6 +122,7 @@ class Demo:
         backoffs = {machine.asset: Backoff(first=0.5, longest=30.0) for machine in self.machines}
         while not self._stopped.wait(_LOOK):
             for machine in self.machines:
+                # asked again: the demo may have been stopped while this loop was at another machine
                 status = self._processes[machine.asset].poll()
                 if status is not None and not self._stopped.is_set():
                     log.warning(
@@ -176,8 +180,8 @@ def _demo_machines() -> list[MachineSettings]:
     ]
 
 
+# Machines of which a second opinion can be trained, by the model that is built in for them.
 _MODEL_OF = {"gate-actuator": "gate-drive", "process-plant": "process"}
-"""Machines of which a second opinion can be trained, by the model that is built in for them."""
 
 
 def _machine(asset: str, window: WindowSettings, sources: list[SourceSettings]) -> MachineSettings:
@@ -209,6 +213,7 @@ def _free_port() -> int:
 
 
 def _start(machine: MachineSettings, speed: float, opcua: str | None) -> subprocess.Popen[bytes]:
+    # by this interpreter: the console command may not be on the path of a service
     command = [
         sys.executable,
         "-c",
@@ -231,9 +236,13 @@ def _start(machine: MachineSettings, speed: float, opcua: str | None) -> subproc
 # Training of the demo's diagnosers on simulated records, taken through the same bus coding and
 # window cutting as live ones.
 
+# Of the machines that are trained on: those of the demo have the seed 0, so nothing is judged that
+# was learned.
 _SEED = 1000
+# [s] Of a machine's life that is simulated at once.
 _STEP = 1.0
 _GATE_EXEMPLARS = 6
+# Of each exemplar, with each of three faults: 6 · (5 + 3 · 2) = 66 movements in all.
 _HEALTHY_MOVEMENTS, _FAULTY_MOVEMENTS = 5, 2
 _ROUNDS = 40
 _PLANT_SECONDS = 600.0
@@ -256,6 +265,7 @@ def coded_blocks(machine: Machine, wiring: Wiring, on_can: bool = False) -> Iter
     }
     sent = dict.fromkeys([*senders, *in_registers], 0)
     while True:
+        # through the coding of the bus: what is learned is rounded as what is judged will be
         for stream, signals in machine.advance(_STEP).items():
             channels = {
                 name: np.asarray(values, np.float64) for name, values in signals.channels.items()
@@ -365,6 +375,7 @@ def train(machine: str, folder: str) -> bytes:
     progress = Path(folder) / f"{machine}.progress"
 
     def tell(done: float, doing: str) -> None:
+        # moved into place: the service reads it at any moment
         part = progress.with_suffix(".part")
         part.write_bytes(orjson.dumps([done, doing]))
         part.replace(progress)

@@ -24,8 +24,12 @@ from residuum.service.fieldbus.settings import MAPS
 from residuum.service.simulated.wiring import Wiring
 from residuum.simulation.machine import BadSetting, Machine
 
+# [s] Between two looks at the clock.
 _TICK = 0.02
+# [s] Between two reports of which faults are on.
 _STATE_PERIOD = 0.5
+# [s] After which the machine's life pauses. What it missed came in a burst once that went round its
+# own ring of pages.
 _FURTHEST_BEHIND = 0.2
 
 
@@ -81,16 +85,17 @@ class Device:
         self._offered = (
             NodeStreams(opcua, machine.name, wiring.register_streams, speed) if opcua else None
         )
-        on_can = {
-            stream: message
+        self._senders = self._senders_of(wiring, layouts) if self._bus else {}
+
+    def _senders_of(
+        self, wiring: Wiring, layouts: Mapping[str, FrameLayout]
+    ) -> dict[str, FrameSender]:
+        """What sends each stream over CAN, but for those that registers carry."""
+        return {
+            stream: FrameSender(layouts[message])
             for stream, message in wiring.messages.items()
             if stream not in self._register_streams
         }
-        self._senders = (
-            {stream: FrameSender(layouts[message]) for stream, message in on_can.items()}
-            if self._bus
-            else {}
-        )
 
     async def run(self, stopped: asyncio.Event, ready: Callable[[int | None], None]) -> None:
         """Live until stopped; `ready` is told the Modbus port once the device is on its buses."""
@@ -112,6 +117,7 @@ class Device:
         while not stopped.is_set():
             now = time.monotonic()
             due = (now - begun) * self._speed - lived
+            # the machine's clock is put off by what it does not live through
             if due > _FURTHEST_BEHIND * self._speed:
                 begun += due / self._speed - _FURTHEST_BEHIND
                 due = _FURTHEST_BEHIND * self._speed
@@ -138,6 +144,7 @@ class Device:
             }
             if self._offered:
                 self._offered.take(stream, channels, signals.sample_time)
+            # registers before CAN: a stream that both could carry goes one way
             if self._registers and stream in self._register_streams:
                 self._registers.pages[self._register_streams[stream]].append(channels)
             elif self._bus and stream in self._senders:
@@ -217,6 +224,7 @@ class NodeStreams:
                 "--opcua: needs the extra `opcua`: pip install 'residuum[opcua]'"
             ) from None
         self._machine, self._streams, self._speed = machine, streams, speed
+        # stamps are of the computer's clock, as those of a plant's server are
         self._begun = time.time()
         self._lived = dict.fromkeys(streams, 0)
         self._waiting: list[tuple[str, float, float]] = []

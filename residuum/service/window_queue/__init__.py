@@ -5,9 +5,9 @@ A gateway keeps a window on its disk until a scorer has said that it is stored, 
 broker nor a scorer has to keep anything: whatever is killed, the window is sent again, and its key
 lets it be stored once.
 
-    gateway → PREFIX/windows/PARTITION/GATEWAY/KEY → scorer → database        scorer → PREFIX/receipts/GATEWAY → gateway
-                                                                              scorer → PREFIX/stored
-                                                                              → service
+    gateway → PREFIX/windows/PARTITION/GATEWAY/KEY → scorer → database
+    scorer  → PREFIX/receipts/GATEWAY              → gateway
+    scorer  → PREFIX/stored                        → service
 
 A service is told no more than the name of a stored window and reads the finding from the store, so
 that its live stream shows what scorers found.

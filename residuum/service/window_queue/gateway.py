@@ -19,14 +19,15 @@ from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
 from residuum.service.broker import BrokerAddress
 from residuum.service.fieldbus.settings import MachineSettings
-from residuum.service.machines.judging.scoring import PlainRecord
 from residuum.service.storage.durable_folder import make_folder, sync_folder
 from residuum.service.window_queue.window_message import (
+    Listener,
     WindowMessage,
     broker_client,
     receipt_topic,
     window_topic,
 )
+from residuum.service.work.worker_pool import PlainRecord
 
 # Spool: a gateway's windows on its disk, until each of them is known to be stored elsewhere.
 
@@ -50,6 +51,7 @@ class Spool:
         make_folder(folder)
         self._folder, self._most = folder, most_bytes
         self._lock = threading.Lock()
+        # a message that was not whole at a crash was never acknowledged to who put it
         for unfinished in folder.glob("*.part"):
             unfinished.unlink()
         files = sorted(folder.glob(f"*{_ENDING}"))
@@ -81,6 +83,7 @@ class Spool:
         with self._lock:
             file = self._folder / f"{self._next:012d}-{key}-{machine}{_ENDING}"
             self._next += 1
+            # written beside, synced and moved: a file of this name is whole, also after a power cut
             part = self._folder / f"{key}.part"
             with part.open("wb") as opened:
                 opened.write(payload)
@@ -91,6 +94,7 @@ class Spool:
             self._list(key, machine, file)
             self._sizes[key] = len(payload)
             self._bytes += len(payload)
+            # never the last one: a single window larger than the spool is sent all the same
             while self._bytes > self._most and len(self._files) > 1:
                 self._forget(next(iter(self._files)))
                 self.dropped += 1
@@ -130,15 +134,15 @@ class Spool:
 
 log = structlog.get_logger()
 
+# Windows of a machine that are under way at once; what those of one machine wait for holds up no
+# other.
 _AHEAD = 8
-"""Windows of a machine that are under way at once; what those of one machine wait for holds up no
-other.
-"""
+# Seconds without a receipt for a machine after which its windows are sent again; doubled each time,
+# up to the second.
 _RESEND_AFTER, _LONGEST_RESEND = 15.0, 240.0
-"""Seconds without a receipt for a machine after which its windows are sent again; doubled each
-time, up to the second.
-"""
+# [s] Between looks at what is due, where nothing happens.
 _LOOK = 0.5
+# [s] Between two tries to write a window to the spool.
 _RETRY = 2.0
 
 
@@ -236,15 +240,16 @@ class Gateway:
             self._address,
             f"residuum-gateway-{self.name}",
             receipts,
-            self._take_receipt,
-            self._connected.set,
-            kept=False,
+            Listener(self._take_receipt, self._connected.set),
+            # what is not known to be stored is sent again: no receipt has to be kept
+            persistent=False,
         )
         machines: dict[str, _Machine] = {}
         try:
             while not self._stopped.is_set():
                 self._moved.wait(_LOOK)
                 self._moved.clear()
+                # of a new connection nobody knows what came over the old one: all is sent again
                 if self._connected.is_set():
                     self._connected.clear()
                     machines.clear()
@@ -271,7 +276,8 @@ class Gateway:
 
     def _follow(self, machine: _Machine, waiting: list[str]) -> None:
         """Note what has been stored since, or send all again when that takes too long."""
-        if settled := [key for key in machine.under_way if key not in waiting]:
+        settled = [key for key in machine.under_way if key not in waiting]
+        if settled:
             machine.heard |= not self._answered.isdisjoint(settled)  # else the spool let them go
             machine.patience, machine.progress = self._resend_after, time.monotonic()
             self._answered.difference_update(settled)
@@ -296,8 +302,10 @@ class Gateway:
             log.warning("not a receipt", topic=message.topic)
             key, refused = "", None
         with self._counting:
+            # noted before the spool lets it go: `_follow` asks which of the gone ones were answered
             self._answered.add(key)
-            if not (known := self.spool.remove(key)):
+            known = self.spool.remove(key)
+            if not known:
                 self._answered.discard(key)
             self.stored += known and refused is None
             self.refused += known and refused is not None

@@ -21,13 +21,14 @@ from residuum.identification.errors import BadInput
 from residuum.nearest_names import known_names
 from residuum.service.broker import BrokerAddress
 from residuum.service.machines.baselines import baseline_file, deciding_method
-from residuum.service.machines.judging.scoring import score_window
+from residuum.service.machines.scoring import score_window
 from residuum.service.storage.disk_store import DiskStore
 from residuum.service.store import NotFound, StorageUnavailable
 from residuum.service.window_queue.set_aside import ATTEMPTS, Attempts, SetAside
 from residuum.service.window_queue.stored_windows import StoredNews
 from residuum.service.window_queue.window_message import (
     PARTITIONS,
+    Listener,
     WindowMessage,
     broker_client,
     receipt_topic,
@@ -38,9 +39,13 @@ from residuum.service.work.worker_pool import WorkerPool
 
 log = structlog.get_logger()
 
+# [s] For which a baseline is used before a newer one is looked for.
 _LOOK_FOR_BASELINE = 2.0
+# [s] Between two tries to store a window.
 _STORAGE_RETRY = 2.0
+# [s] How long it takes at most to notice that the scorer is to end.
 _WAIT = 0.2
+# [s] For the window that is being judged when it ends.
 _LAST_WINDOW = 4.0
 
 
@@ -105,7 +110,7 @@ class Scorer:
         topics = windows_of_part(self._address.prefix, self._part, self._parts)
         name = f"residuum-scorer-{self._address.prefix}-{self._part}-of-{self._parts}"
         client = broker_client(
-            self._address, name, topics, self._queue, self._reconnected, kept=True
+            self._address, name, topics, Listener(self._queue, self._reconnected), persistent=True
         )
         try:
             while not self._stopped.is_set():
@@ -128,6 +133,7 @@ class Scorer:
     def _take(self, client: Any, message: Any) -> None:
         *_, gateway, key = message.topic.split("/")
         refused, stored = None, None
+        # on disk before it is read: a message that ends this process is counted all the same
         attempt = self._attempts.begin(key)
         try:
             if attempt > ATTEMPTS:
@@ -147,10 +153,8 @@ class Scorer:
             log.exception("window not scored", gateway=gateway, attempt=attempt)
             self._stopped.wait(_STORAGE_RETRY)
             return
-        if (
-            stored is not None
-            # before the receipt: a scorer that is killed in between stores nothing new, but tells anew
-        ):
+        # before the receipt: a scorer that is killed in between stores nothing new, but tells anew
+        if stored is not None:
             client.publish(stored_topic(self._address.prefix), stored.pack(), qos=1)
         client.publish(
             receipt_topic(self._address.prefix, gateway),
@@ -172,7 +176,9 @@ class Scorer:
         finding: Finding | None = None
         while not self._stopped.is_set():
             try:
-                if (known := self._store.window_with_key(message.asset, key, digest)) is not None:
+                # judged only where it is not stored: a window that came again costs one question
+                known = self._store.window_with_key(message.asset, key, digest)
+                if known is not None:
                     self.seen_before += 1
                     return StoredNews(message.asset, known)
                 finding = finding or self._judge(message)

@@ -23,14 +23,14 @@ from residuum.identification.errors import BadInput
 from residuum.nearest_names import known_names
 from residuum.service.broker import BrokerAddress
 from residuum.service.storage.durable_folder import make_folder
-from residuum.service.window_queue.window_message import broker_client, receipt_topic
+from residuum.service.window_queue.window_message import Listener, broker_client, receipt_topic
 
 FOLDER = "set-aside"
 ATTEMPTS = 5
 """Times that a message is begun; then it is set aside."""
 _MOST = 200
+# Messages and bytes that are kept; beyond, the oldest go. What came is counted in any case.
 _MOST_BYTES = 256 * 2**20
-"""Messages and bytes that are kept; beyond, the oldest go. What came is counted in any case."""
 _SAFE = re.compile(r"[^A-Za-z0-9_-]")
 _LONGEST_REASON = 500
 
@@ -77,9 +77,11 @@ class SetAside:
     def put(self, key: str, gateway: str, payload: bytes, reason: str, topic: str = "") -> None:
         """Keep a message and say why; OSError where it cannot be written."""
         make_folder(self._folder)
+        # by time, so that sorted names are in the order in which they came; the key is a stranger's
         name = f"{datetime.now(UTC):%Y%m%dT%H%M%S%f}-{_SAFE.sub('_', key)[:64]}"
         now, why = datetime.now(UTC).isoformat(), reason[:_LONGEST_REASON]
         poisoned = Poisoned(key[:200], gateway[:200], now, why, len(payload), topic, name)
+        # the message before its description: what is listed is there
         (self._folder / f"{name}.message").write_bytes(payload)
         (self._folder / f"{name}.json").write_bytes(orjson.dumps(asdict(poisoned)))
         (self._folder / "count").write_text(str(self.count + 1), encoding="ascii")
@@ -168,8 +170,8 @@ class Attempts:
 # Messages that were set aside, sent to the scorers once more: each stays in the folder until a
 # scorer says what became of it.
 
+# Seconds for which the broker's, and each scorer's, answer is waited for.
 _PATIENCE = 60.0
-"""Seconds for which the broker's, and each scorer's, answer is waited for."""
 
 
 def send_again(
@@ -203,7 +205,11 @@ def send_again(
 
     topics = [receipt_topic(address.prefix, gateway)]
     client = broker_client(
-        address, gateway, topics, take, lambda: None, kept=False, subscribed=lambda: ready.put(None)
+        address,
+        gateway,
+        topics,
+        Listener(take, subscribed=lambda: ready.put(None)),
+        persistent=False,
     )
     try:
         _waited(

@@ -21,6 +21,7 @@ from residuum.service.store import StorageUnavailable
 from residuum.service.window_queue.window_message import (
     ASSET_NAME,
     PARTITIONS,
+    Listener,
     broker_client,
     stored_topic,
 )
@@ -28,7 +29,9 @@ from residuum.service.window_queue.window_message import (
 # StoredNews: which window has been stored, as bytes. It names what to read from the store and
 # says nothing of what is in it.
 
+# Bytes of a message: a name and a number, and room for newer versions.
 _LONGEST = 500
+# The database's whole numbers have 64 bits with a sign.
 _LARGEST = 2**63
 
 
@@ -68,12 +71,15 @@ class StoredNews:
 
 log = structlog.get_logger()
 
+# Machines of which news wait; of more, pages read the state anew.
 _MOST_WAITING = 10_000
-"""Machines of which news wait; of more, pages read the state anew."""
+# Findings of a machine that are told one by one; of more, pages read the state anew.
 _AT_ONCE = 100
-"""Findings of a machine that are told one by one; of more, pages read the state anew."""
+# [s] In which news are gathered.
 _PAUSE = 0.05
+# [s] Between two tries to read the store.
 _STORAGE_RETRY = 2.0
+# Findings that are known to have been told.
 _REMEMBERED = 20_000
 
 Tell = Callable[[str, Mapping[str, Any]], None]
@@ -113,7 +119,7 @@ class StoredWindows:
     ----------
     address : BrokerAddress
     store : DiskStore
-    told : Told
+    shown : Told
         Shared with what else tells of findings.
     tell : callable
         Told `finding`, `alarm` and `reset` with their payloads, in a thread of this object.
@@ -121,12 +127,12 @@ class StoredWindows:
     """
 
     def __init__(
-        self, address: BrokerAddress, store: DiskStore, told: Told, tell: Tell, count: Count
+        self, address: BrokerAddress, store: DiskStore, shown: Told, tell: Tell, count: Count
     ) -> None:
-        self._address, self._store, self._told, self._tell, self._count = (
+        self._address, self._store, self._shown, self._tell, self._count = (
             address,
             store,
-            told,
+            shown,
             tell,
             count,
         )
@@ -156,10 +162,9 @@ class StoredWindows:
             self._address,
             name,
             topics,
-            self._take,
-            lambda: None,
-            kept=False,
-            subscribed=self._begin_anew,
+            Listener(self._take, subscribed=self._begin_anew),
+            # what was missed is in the state that listeners read anew
+            persistent=False,
         )
         try:
             while not self._stopped.is_set():
@@ -238,7 +243,7 @@ class StoredWindows:
             return
         changed = self._store.alarms_changed(asset, [finding.at for finding in findings])
         self._seen[asset] = findings[-1].id
-        new = [finding for finding in findings if self._told.first(finding.id)]
+        new = [finding for finding in findings if self._shown.first(finding.id)]
         for finding in new:
             self._tell("finding", finding.to_json())
         for alarm in changed if new else []:

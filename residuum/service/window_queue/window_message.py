@@ -6,7 +6,7 @@ import re
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 from zlib import crc32
 
 import msgpack
@@ -16,7 +16,7 @@ import structlog
 from residuum.identification.errors import BadInput
 from residuum.nearest_names import known_names
 from residuum.service.broker import BrokerAddress
-from residuum.service.machines.judging.scoring import PlainRecord
+from residuum.service.work.worker_pool import PlainRecord
 
 # Where on the broker windows, receipts and the news of stored windows are.
 
@@ -32,6 +32,7 @@ def partition_of(asset: str) -> int:
     >>> partition_of("press-1") == partition_of("press-1") < PARTITIONS
     True
     """
+    # not Python's hash, which is another one in each process
     return crc32(asset.encode()) % PARTITIONS
 
 
@@ -43,7 +44,7 @@ def window_topic(prefix: str, asset: str, gateway: str, key: str) -> str:
 def windows_of_part(prefix: str, part: int, parts: int) -> list[str]:
     """What the scorer `part` (from 1) of so many subscribes to.
 
-    >>> len(windows_of_part("residuum", 1, 2)) + len(windows_of_part("residuum", 2, 2)) == PARTITIONS
+    >>> sum(len(windows_of_part("residuum", part, 2)) for part in (1, 2)) == PARTITIONS
     True
     """
     return [f"{prefix}/windows/{number}/+/+" for number in range(part - 1, PARTITIONS, parts)]
@@ -63,7 +64,9 @@ def stored_topic(prefix: str) -> str:
 
 log = structlog.get_logger()
 
+# [s] Longest pause between two tries to reach the broker.
 _LONGEST_PAUSE = 10
+# [s] After which the client asks a silent broker whether it is there.
 _KEEP_ALIVE = 20
 
 Take = Callable[[Any, Any], None]
@@ -73,15 +76,32 @@ def _nobody() -> None:
     """Told of something that nobody waits for."""
 
 
+class Listener(NamedTuple):
+    """Who is told of what comes over a connection, in its network thread.
+
+    Parameters
+    ----------
+    take : callable
+        Told of every message as (client, message).
+    connected : callable
+        Told of every new connection, before any message of it.
+    subscribed : callable
+        Told when the broker has taken the subscription of a new connection: what is published from
+        then on comes.
+    """
+
+    take: Take
+    connected: Callable[[], None] = _nobody
+    subscribed: Callable[[], None] = _nobody
+
+
 def broker_client(
     address: BrokerAddress,
     client_id: str,
     topics: Sequence[str],
-    take: Take,
-    connected: Callable[[], None],
+    listener: Listener,
     *,
-    kept: bool,
-    subscribed: Callable[[], None] = _nobody,
+    persistent: bool,
 ) -> Any:
     """A paho client whose network thread runs: subscribed (QoS 1) again after each break, messages
     acknowledged by hand.
@@ -92,17 +112,11 @@ def broker_client(
     client_id : str
         One connection a name: a second one of the same name ends the first.
     topics : sequence of str
-    take : callable
-        Told of every message as (client, message), in the network thread.
-    connected : callable
-        Told of every new connection, before any message of it.
-    kept : bool
-        Whether the broker keeps messages for this client while it is away.
-    subscribed : callable
-        Told when the broker has taken the subscription of a new connection: what is published from
-        then on comes.
+    listener : Listener
+    persistent : bool
+        Whether the session is: the broker then keeps messages for this client while it is away.
     """
-    client = address.client(client_id=client_id, clean_session=not kept, manual_ack=True)
+    client = address.client(client_id=client_id, clean_session=not persistent, manual_ack=True)
     client.reconnect_delay_set(1, _LONGEST_PAUSE)
 
     def on_connect(client: Any, _data: Any, _flags: Any, reason: Any, _properties: Any) -> None:
@@ -111,7 +125,8 @@ def broker_client(
                 "the broker refuses us", broker=f"{address.host}:{address.port}", reason=str(reason)
             )
             return
-        connected()
+        # first: what is told of a connection must not come behind its messages
+        listener.connected()
         client.subscribe([(topic, 1) for topic in topics])
 
     def on_connect_fail(_client: Any, _data: Any) -> None:
@@ -122,8 +137,8 @@ def broker_client(
         )
 
     client.on_connect, client.on_connect_fail = on_connect, on_connect_fail
-    client.on_subscribe = lambda *_: subscribed()
-    client.on_message = lambda client, _data, message: take(client, message)
+    client.on_subscribe = lambda *_: listener.subscribed()
+    client.on_message = lambda client, _data, message: listener.take(client, message)
     client.connect_async(address.host, address.port, keepalive=_KEEP_ALIVE)
     client.loop_start()
     return client
@@ -178,6 +193,7 @@ class WindowMessage:
         """The message again; BadInput, in one line, when it is none. Nothing larger than the
         payload is allocated.
         """
+        # what comes may be anybody's: whatever does not fit raises one of these below
         try:
             plain = msgpack.unpackb(payload)
             if plain["version"] != _VERSION:
@@ -218,6 +234,7 @@ class WindowMessage:
 
 
 def _packed(signal: Any) -> tuple[str, bytes]:
+    # single precision stays so: half the bytes, and what buses deliver
     kind = "<f4" if np.asarray(signal).dtype == np.float32 else "<f8"
     return kind, np.ascontiguousarray(signal, kind).tobytes()
 

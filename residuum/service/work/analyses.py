@@ -63,6 +63,7 @@ class Asked:
         is none.
         """
         progress(0.0, work)
+        # a process of its own that computes for seconds: see `keep_large_arrays`
         keep_large_arrays()
         name = self.model if self.text is None else MODEL_FILE
         return Model(model_of(name, self.text), name), _records(self.records)
@@ -160,6 +161,7 @@ def design_controller(
     answer = controller.to_dict() | {"file": "controller.json"}
     if export is not None:
         answer["exported"] = LANGUAGES[export](controller.difference_equation())
+    # through JSON: an answer's own types do not travel between processes
     return {"result": json.loads(json.dumps(answer))}
 
 

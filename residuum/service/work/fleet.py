@@ -14,14 +14,14 @@ import os
 import shutil
 import tempfile
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import lru_cache
 from importlib import import_module
 from pathlib import Path, PurePosixPath
-from typing import Any, Protocol
+from typing import IO, Any, Protocol
 
 import orjson
 from sqlalchemy import select
@@ -35,7 +35,7 @@ from residuum.identification.record_formats.read_apart import read_safely
 from residuum.library.answers.plain import to_plain
 from residuum.library.identification_methods import identified_by
 from residuum.library.questions.identify import Identify
-from residuum.service.machines.judging.scoring import diagnoser_of_file
+from residuum.service.machines.scoring import diagnoser_of_file
 from residuum.service.storage.blocks import Blocks, BrokenBlock
 from residuum.service.storage.database import Database, sqlite_file
 from residuum.service.storage.tables import windows
@@ -78,7 +78,8 @@ class Folder:
         files = sorted(
             str(file) for file in Path(self.folder).rglob("*") if file.suffix.lower() in _ENDINGS
         )
-        if nameless := next((file for file in files if _is_no_text(file)), None):
+        nameless = next((file for file in files if _is_no_text(file)), None)
+        if nameless:
             raise BadInput(
                 f"{os.fsencode(nameless)!r}: is a file name that is not UTF-8; rename the file"
             )
@@ -157,7 +158,9 @@ class StoredWindows:
 
     def items(self) -> list[str]:
         """Names of the windows, by asset, oldest first."""
-        if (file := sqlite_file(self.url)) is not None and not file.is_file():
+        file = sqlite_file(self.url)
+        # SQLite would make an empty one
+        if file is not None and not file.is_file():
             raise BadInput(f"{self.url}: there is no such database")
         database, _ = stored_in(self.url, self.data)
         database.refuse_other_revision()
@@ -342,12 +345,12 @@ Work = Callable[[str], dict[str, Any]]
 A work with a `mark` says it in every result, as `by`; results of another mark are not gone on with.
 """
 
+# Files that a worker is given at once, so that handing over costs little beside the work.
 _TOGETHER = 8
-"""Files that a worker is given at once, so that handing over costs little beside the work."""
+# Tasks a worker that are under way or waiting at the executor.
 _AHEAD = 3
-"""Tasks a worker that are under way or waiting at the executor."""
+# Times that a task may lose its worker before its files are done one by one, alone.
 _ATTEMPTS = 5
-"""Times that a task may lose its worker before its files are done one by one, alone."""
 
 
 @dataclass
@@ -375,10 +378,11 @@ def open_executor(workers: int, scheduler: str | None) -> Iterator[Executor]:
             "--scheduler: needs the extra `fleet`: pip install 'residuum[fleet]'"
         ) from None
     try:
-        client = connect(scheduler, timeout=10)
+        client = connect(scheduler, timeout=10)  # [s]
     except (OSError, ValueError, TimeoutError) as error:
         raise BadInput(f"--scheduler {scheduler!r}: cannot be reached: {error}") from None
     with client:
+        # pure: Dask would give a task that is done again the result it remembers
         yield client.get_executor(pure=False)
 
 
@@ -400,7 +404,7 @@ def run_fleet(
     """
     mark = getattr(work, "mark", None)
     known = _read(results, set(files), mark)
-    waiting = deque(_tasks([file for file in files if file not in known]))
+    waiting = deque(_tasks(files, known))
     alone: deque[_Task] = deque()
     running: dict[Future[list[dict[str, Any]]], _Task] = {}
     with results.open("ab") as out:
@@ -410,24 +414,27 @@ def run_fleet(
             for future in wait(running, return_when=FIRST_COMPLETED).done:
                 task = running.pop(future)
                 answers = _found(future, task, mark)
+                # its worker was lost: behind the others, so that what kills workers holds up
+                # nothing
                 if answers is None:
                     (waiting if task.attempts < _ATTEMPTS else alone).extend(_again(task))
                     continue
                 known |= {answer["file"]: answer for answer in answers}
-                out.writelines(orjson.dumps(answer) + b"\n" for answer in answers)
-                out.flush()
+                _write_lines(out, answers)
                 tell(len(known), len(files))
     ordered = [known[file] for file in files]
     _write(results, ordered)
     return ordered
 
 
-def _tasks(files: list[str]) -> list[_Task]:
-    return [_Task(files[begin : begin + _TOGETHER]) for begin in range(0, len(files), _TOGETHER)]
+def _tasks(files: Sequence[str], done: Collection[str]) -> list[_Task]:
+    left = [file for file in files if file not in done]
+    return [_Task(left[begin : begin + _TOGETHER]) for begin in range(0, len(left), _TOGETHER)]
 
 
 def _next(waiting: deque[_Task], alone: deque[_Task], running: int, most: int) -> list[_Task]:
     """What to begin beside so many: tasks up to `most`, or one alone when nothing else is left."""
+    # alone, so that a worker that ends takes no other file's work along
     begun = [waiting.popleft() for _ in range(min(len(waiting), most - running))]
     return begun if begun or running or not alone else [alone.popleft()]
 
@@ -450,6 +457,7 @@ def _found(
         raise BadInput(
             f"{error}; what was done before is in the results file, give the same command to go on"
         )
+    # by name: those of Dask are not there where the extra is not installed
     if type(error).__name__ not in (
         "BrokenProcessPool",
         "KilledWorker",
@@ -480,6 +488,7 @@ def _read(results: Path, wanted: set[str], mark: str | None) -> dict[str, dict[s
     if not results.exists():
         return {}
     content = results.read_bytes()
+    # a run that was killed may have left half a line
     whole = content[: content.rfind(b"\n") + 1]
     try:
         lines = [orjson.loads(line) for line in whole.splitlines()]
@@ -499,10 +508,14 @@ def _read(results: Path, wanted: set[str], mark: str | None) -> dict[str, dict[s
     return known
 
 
+def _write_lines(file: IO[bytes], answers: Iterable[dict[str, Any]]) -> None:
+    file.writelines(orjson.dumps(answer) + b"\n" for answer in answers)
+    file.flush()
+
+
 def _write(results: Path, ordered: list[dict[str, Any]]) -> None:
     part = results.with_name(f"{results.name}.part")
     with part.open("wb") as file:
-        file.writelines(orjson.dumps(answer) + b"\n" for answer in ordered)
-        file.flush()
+        _write_lines(file, ordered)
         os.fsync(file.fileno())
     part.replace(results)

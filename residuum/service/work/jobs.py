@@ -31,7 +31,8 @@ from residuum.service.store import NotFound
 
 log = structlog.get_logger()
 
-_LOWEST_PRIORITY = 19
+_LOWEST_PRIORITY = 19  # of nice(2)
+# [s] For a process to end by itself.
 _STOP_TIMEOUT = 3.0
 
 
@@ -93,6 +94,7 @@ Then = Callable[[Mapping[str, Any]], Mapping[str, Any]]
 Announce = Callable[[str, Mapping[str, Any]], None]
 
 _SPAWN = multiprocessing.get_context("spawn")  # a fork would take the threads' locks along
+# Jobs that are remembered: their results stay in memory.
 _MOST_KEPT = 500
 
 
@@ -209,6 +211,7 @@ class Jobs:
     def _run(self, job: str, work: Work, arguments: tuple[Any, ...], then: Then) -> None:
         with self._slots:
             with self._lock:
+                # it may have been cancelled while it waited
                 if self._jobs[job].state in OVER or self._closed:
                     return
                 worker = self._idle.pop() if self._idle else _Worker()
@@ -266,6 +269,7 @@ class Jobs:
 
     def _update(self, job: str, **fields: Any) -> Job:
         with self._lock:
+            # what a cancelled job's process still tells changes nothing
             if self._jobs[job].state in OVER:
                 return self._jobs[job]
             changed = self._jobs[job] = replace(self._jobs[job], **fields)
@@ -286,6 +290,7 @@ class _Worker:
         self.channel, theirs = _SPAWN.Pipe()
         self._process = _SPAWN.Process(target=_work_on, args=(theirs,), daemon=True)
         self._process.start()
+        # else the channel has a second end here, and never says that the process is gone
         theirs.close()
         self.alive = True
 

@@ -19,13 +19,14 @@ from typing import Any
 
 from residuum.identification.errors import BadInput
 
+# Exit status of a refusal; the interpreter's own for an exception is 1.
 _REFUSED = 2
+# Files that such a process may have open: libraries and the one it reads.
 _FILES = 64
+# Waiting time a second of processor time, after which a process that only waits is ended. Long,
+# because a busy machine gives a small part of a processor, and whether a file can be read must not
+# hang on that.
 _PATIENCE = 20
-"""Waiting time a second of processor time, after which a process that only waits is ended. Long,
-because a busy machine gives a small part of a processor, and whether a file can be read must not
-hang on that.
-"""
 
 
 def run_limited(
@@ -37,6 +38,7 @@ def run_limited(
     Gives why it refused, as kind and parts, where the kind is empty when a limit was exceeded or
     the process ended; None when it did what it was asked.
     """
+    # a thread's stack counts as memory, and how many there are must not hang on the machine
     threads = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
     names = ("PATH", "PYTHONPATH", "LANG", "HOME", "NUMBA_CACHE_DIR", "RESIDUUM_CACHE")
     inherited = {name: os.environ[name] for name in names if name in os.environ}
@@ -87,6 +89,7 @@ def within_limits(work: Callable[[], None], memory: int, seconds: int) -> int:
 
 def _limit(memory: int, seconds: int) -> None:
     limits = {
+        # data, not address space: libraries map far more than they touch
         resource.RLIMIT_DATA: memory,
         resource.RLIMIT_CPU: seconds,
         resource.RLIMIT_NOFILE: _FILES,

@@ -46,6 +46,7 @@ def read_npy(body: bytes | memoryview, subject: str = "body") -> npt.NDArray[Any
         raise BadBody(
             f"{subject}: .npy shape {shape}: must have one or two dimensions and hold samples"
         )
+    # equal, not enough: what is left over says that shape or type is another than was meant
     if header.size != received:
         raise BadBody(
             f"{subject}: .npy shape {shape} of {dtype.str} needs {header.size} bytes; {received}"

@@ -15,7 +15,7 @@ from residuum.diagnosis.diagnosers.base import Diagnoser
 from residuum.identification.errors import BadInput
 from residuum.library.answers.plain import to_plain
 from residuum.service.machines.baselines import BASELINE, deciding_method, newest_baseline
-from residuum.service.machines.judging.scoring import IN_THIS_PROCESS, diagnoser_of_content
+from residuum.service.machines.scoring import IN_THIS_PROCESS, diagnoser_of_content
 from residuum.service.storage import DiskStore
 from residuum.service.storage.rows import models
 from residuum.service.store import ModelVersion, NotFound

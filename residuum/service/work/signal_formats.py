@@ -27,6 +27,7 @@ from residuum.service.problems import BadBody, TooLarge
 from residuum.service.work.npy import read_header
 
 MOST_CHANNELS = 256
+# What reading an archive raises that is none, or is damaged.
 _DAMAGED = (
     zipfile.BadZipFile,
     zlib.error,
@@ -37,10 +38,10 @@ _DAMAGED = (
     RuntimeError,
     ValueError,
 )
-"""What reading an archive raises that is none, or is damaged."""
 _NO_NUMBER = re.compile(r"-?(NaN|nan|Infinity|inf)\b")
 _UNQUOTED = "; numbers stand without quotes, a missing sample is null"
 _NUMBERS = (int, float, type(None))
+# Characters of all notes: they are stored with a record, and shown with each answer.
 _LONGEST_NOTES = 64 * 2**10
 _JSON_KEYS = {"sample_time", "t0", "channels", "units", "notes"}
 
@@ -52,6 +53,7 @@ def from_json(body: bytes, _unpacked: int) -> Record:
     try:
         content = orjson.loads(body.removeprefix(codecs.BOM_UTF8))
     except orjson.JSONDecodeError as error:
+        # orjson has one error for both: what was short was ours, not the sender's
         if "memory" in error.msg:
             raise MemoryError from None
         says = (
@@ -62,7 +64,8 @@ def from_json(body: bytes, _unpacked: int) -> Record:
         raise BadBody(f"body: is not JSON: {says}") from None
     if not isinstance(content, dict) or not isinstance(content.get("channels"), dict):
         raise BadBody("body: must be an object with 'sample_time', 'channels' and 'units'")
-    if unknown := set(content) - _JSON_KEYS:
+    unknown = set(content) - _JSON_KEYS
+    if unknown:
         key = sorted(unknown)[0][:60]
         rate = "; say sample_time, 1 / sampling_rate" if key == "sampling_rate" else ""
         raise BadBody(f"body: key {key!r} is not one of {', '.join(sorted(_JSON_KEYS))}{rate}")
@@ -157,6 +160,7 @@ def _check_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo, file: str) 
     where = f"{file}: NPZ member {member.filename[:60]!r}"
     with archive.open(member) as stream:
         header = read_header(stream.read(2 * LONGEST_HEADER), where)
+    # objects would be unpickled: floats, whole numbers, booleans and texts are plain
     if header.dtype.kind not in "fiubU":
         raise BadBody(f"{where}: is not a plain array")
     if header.start + header.size > member.file_size:
@@ -176,6 +180,7 @@ def _samples(name: str, values: Any) -> np.ndarray[Any, Any]:
     if not isinstance(values, list):
         raise BadBody(f"body, channel {name[:60]!r}: must be an array of numbers")
     for index, value in enumerate(values):
+        # not isinstance: true and false are whole numbers in Python
         if type(value) not in _NUMBERS:
             how = _UNQUOTED if isinstance(value, str) else ""
             raise BadBody(

@@ -23,14 +23,13 @@ from residuum.service.problems import BadBody, TooLarge
 from residuum.service.work.limited_process import run_limited, within_limits
 
 _OF_READING = (*vars(errors).values(), BadBody, TooLarge)
+# What reading may raise, by the name under which the process tells it: a refusal is the same as
+# without a process.
 _REFUSALS = {
-    each.__name__: each
-    for each in _OF_READING
-    if isinstance(each, type) and issubclass(each, BadInput)
+    kind.__name__: kind
+    for kind in _OF_READING
+    if isinstance(kind, type) and issubclass(kind, BadInput)
 }
-"""What reading may raise, by the name under which the process tells it: a refusal is the same as
-without a process.
-"""
 
 
 def read_upload(
@@ -71,6 +70,7 @@ def _read(
         refusal = run_limited(__name__, arguments, file.parent, memory=memory, seconds=seconds)
         if refusal is not None:
             kind, parts = refusal
+            # files of ours are no business of the sender, whose name the file has in every message
             for part in ("what", "rule"):
                 parts[part] = parts.get(part, "").replace(str(file), name).replace(file.name, name)
             if not (kind and parts["what"].startswith(name)) and not parts["rule"]:

@@ -13,7 +13,10 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from functools import cache
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+import numpy.typing as npt
 
 from residuum.identification.record import Record
 
@@ -24,12 +27,11 @@ from residuum.identification.record import Record
 
 LARGE = 1 << 20
 """Bytes from which an array gets pages of its own in a service."""
+# Bytes up to which an array comes from kept memory, and which at most are kept at the end of the
+# heap.
 _KEPT = 64 << 20
-"""Bytes up to which an array comes from kept memory, and which at most are kept at the end of the
-heap.
-"""
+# Names of the settings in glibc's malloc.h.
 _TRIM_THRESHOLD, _MMAP_THRESHOLD, _ARENA_MAX = -1, -3, -8
-"""Names of the settings in glibc's malloc.h."""
 
 
 def give_back_large_arrays() -> bool:
@@ -82,8 +84,31 @@ def parts_of(record: Record, source: str | None = None) -> RecordParts:
     )
 
 
+class PlainRecord(NamedTuple):
+    """A window as it travels to who judges it; a record's notes are not needed for that."""
+
+    channels: Mapping[str, npt.NDArray[np.floating[Any]]]
+    units: Mapping[str, str]
+    sample_time: float
+    t0: float
+    source: str
+
+    @classmethod
+    def of(cls, record: Record) -> PlainRecord:
+        """The record's content."""
+        return cls(
+            dict(record.channels), dict(record.units), record.sample_time, record.t0, record.source
+        )
+
+    def record(self) -> Record:
+        """The record again."""
+        return Record(self.channels, self.units, self.sample_time, t0=self.t0, source=self.source)
+
+
 T = TypeVar("T")
+# Times that work is done whose worker was killed; see `WorkerPool.call`.
 _ATTEMPTS = 3
+# [s] Between looks at whether the pool was closed while its server loads.
 _LOOK = 0.1
 _SERVER = multiprocessing.get_context("forkserver")
 
@@ -161,6 +186,7 @@ class WorkerPool(Executor):
 
     def _replace(self, broken: ProcessPoolExecutor) -> None:
         with self._lock:
+            # all threads whose work was lost come here: the first makes a new pool
             if self._pool is broken and not self._closed:
                 broken.shutdown(wait=False, cancel_futures=True)
                 self._pool = self._new_pool()
@@ -221,6 +247,7 @@ def _end_with_the_service() -> None:
     A worker waits for work at a pipe whose writing end it holds itself, so the pipe never says that
     nobody is left; and the server of workers stays as long as one of them does.
     """
-    if (service := multiprocessing.parent_process()) is not None:
+    service = multiprocessing.parent_process()
+    if service is not None:
         service.join()
         os._exit(1)

@@ -12,5 +12,5 @@ for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
 
 import skops.io  # noqa: E402, F401
 
-import residuum.service.machines.judging.scoring  # noqa: E402
+import residuum.service.machines.scoring  # noqa: E402
 import residuum.service.work.fleet  # noqa: E402, F401

@@ -58,7 +58,7 @@ def test_a_listener_that_was_away_gets_what_it_missed():
 
 
 def test_a_listener_is_told_when_it_missed_more_than_is_kept_or_the_service_restarted():
-    events = Events(kept=4)
+    events = Events(most_kept=4)
     for number in range(10):
         events.publish("alarm", {"number": number})
     for last_seen in (f"{events.run}-2", "other-3", "nonsense", f"{events.run}-99"):

@@ -15,7 +15,7 @@ import pytest
 from residuum.service import model_files
 from residuum.service.api import json_response, signal_body
 from residuum.service.app import watch_loop
-from residuum.service.settled_memory import settle_memory
+from residuum.service.work.loaded_modules import settle_memory
 
 WINDOWS = "/api/v1/assets/press/windows?diagnoser=bearing"
 MANY = 60_000

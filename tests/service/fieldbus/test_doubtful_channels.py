@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from residuum.service.fieldbus.modbus.channel_registers import ChannelRegisters
-from residuum.service.fieldbus.modbus.device_reading import ChannelReading, _reading
+from residuum.service.fieldbus.modbus.device_reading import ChannelReading, reading_of
 from residuum.service.fieldbus.modbus.modbus_source import DoubtfulChannels
 
 
@@ -15,7 +15,7 @@ def test_an_order_that_turns_bytes_is_named_only_where_no_exchange_of_words_expl
     value,
 ):
     high, low = struct.unpack(">HH", struct.pack(">f", value))
-    reading = _reading(
+    reading = reading_of(
         "meter",
         "power",
         ChannelRegisters(register=0, type="float32"),
@@ -30,7 +30,7 @@ def test_an_order_that_turns_bytes_is_named_only_where_no_exchange_of_words_expl
 
 def test_turned_bytes_are_named_where_nothing_else_fits():
     words = struct.unpack("<HH", struct.pack(">f", 1500.25))
-    reading = _reading(
+    reading = reading_of(
         "meter", "power", ChannelRegisters(register=0, type="float32"), ("holding", 0), words, 1e-27
     )
     assert reading.plausible == "BADC"
@@ -70,7 +70,7 @@ def test_what_is_said_most_often_is_said():
 def test_an_unsigned_register_that_is_a_negative_number_is_told(celsius):
     raw = round(celsius * 10) % 65536
     where = ChannelRegisters(register=0, type="uint16", scale=0.1, unit="°C")
-    reading = _reading("meter", "temperature", where, ("holding", 0), (raw,), raw * 0.1)
+    reading = reading_of("meter", "temperature", where, ("holding", 0), (raw,), raw * 0.1)
     if raw == 0xFFFF:
         assert "no value" in reading.remark
     else:
@@ -78,4 +78,4 @@ def test_an_unsigned_register_that_is_a_negative_number_is_told(celsius):
             f"looks more like {celsius:g} than" in reading.remark
             and "say type: int16" in reading.remark
         )
-    assert not _reading("meter", "temperature", where, ("holding", 0), (30_000,), 3000.0).remark
+    assert not reading_of("meter", "temperature", where, ("holding", 0), (30_000,), 3000.0).remark

@@ -11,7 +11,6 @@ from residuum.service.fieldbus.stamped_samples import StampedSamples
 pytest.importorskip(
     "google.protobuf", reason="the extra 'sparkplug' is not installed: Sparkplug was not tried"
 )
-from residuum.service.fieldbus.opcua.reported_changes import ReportedChanges
 from residuum.service.fieldbus.sparkplug.sparkplug_payload import (
     BadPayload,
     Metric,
@@ -21,6 +20,7 @@ from residuum.service.fieldbus.sparkplug.sparkplug_payload import (
     unpack,
 )
 from residuum.service.fieldbus.sparkplug.sparkplug_source import NodeMessage, NodeSession
+from residuum.service.fieldbus.stamped_samples import ReportedChanges
 
 TAHU = bytes.fromhex(
     "08fbd095ffbc3112210a0b4d6f746f722f5370656564100318e4d095ffbc31200a69000000000022974012081004200250ffff03120e0a084d6f746f"

@@ -27,8 +27,8 @@ from residuum.service.fieldbus.opcua.opcua_source import (
     OpcuaSource,
     enter,
     make_client,
-    said,
     server_certificate,
+    what_went_wrong,
 )
 
 STEP, BAD = 0.02, 37
@@ -197,7 +197,7 @@ def test_a_secured_server_is_entered_with_its_own_certificate_and_no_other(tmp_p
                     await enter(client, url, nodes, 5.0)
                     await client.disconnect()
                 except Exception as error:
-                    assert not enters and "residuum opcua trust" in said(error), error
+                    assert not enters and "residuum opcua trust" in what_went_wrong(error), error
                 else:
                     assert enters
 

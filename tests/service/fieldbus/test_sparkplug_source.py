@@ -24,7 +24,6 @@ from residuum.service.cli import BAD_INPUT, DONE, run
 from residuum.service.fieldbus import SOURCES
 from residuum.service.fieldbus.can.frame_layout import BadBusDescription
 from residuum.service.fieldbus.settings import SourceSettings
-from residuum.service.fieldbus.sparkplug.edge_node import EdgeNode
 from residuum.service.fieldbus.sparkplug.metric_map import MetricMap, read_metric_map
 from residuum.service.fieldbus.sparkplug.sparkplug_payload import (
     BOOLEAN,
@@ -34,7 +33,7 @@ from residuum.service.fieldbus.sparkplug.sparkplug_payload import (
     unpack,
 )
 from residuum.service.fieldbus.sparkplug.sparkplug_source import REBIRTH, SparkplugSource
-from residuum.service.finding_metrics import FindingMetrics
+from residuum.service.finding_metrics import EdgeNode, FindingMetrics
 from residuum.service.settings import BadSettings, load_settings
 from residuum.service.storage import DiskStore
 from residuum.service.window_queue.stored_windows import StoredNews

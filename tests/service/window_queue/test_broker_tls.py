@@ -21,9 +21,9 @@ from residuum.service.broker import BrokerTls, broker_address
 from residuum.service.cli import DONE, run
 from residuum.service.fieldbus import SOURCES
 from residuum.service.fieldbus.settings import SourceSettings
-from residuum.service.fieldbus.sparkplug.edge_node import EdgeNode
+from residuum.service.finding_metrics import EdgeNode
 from residuum.service.settings import BadSettings, load_settings
-from residuum.service.window_queue.window_message import broker_client
+from residuum.service.window_queue.window_message import Listener, broker_client
 
 # paho leaves the connection of a handshake that failed to the collector
 pytestmark = pytest.mark.filterwarnings("ignore:unclosed <ssl.SSLSocket:ResourceWarning")
@@ -72,7 +72,7 @@ def test_findings_alarms_and_births_go_by_tls(broker, run_service):
 
     address = broker_address(url, BrokerTls(**named(files)))
     listener = broker_client(
-        address, "tests", ["#"], take, lambda: None, kept=False, subscribed=subscribed.set
+        address, "tests", ["#"], Listener(take, subscribed=subscribed.set), persistent=False
     )
     try:
         assert subscribed.wait(60)

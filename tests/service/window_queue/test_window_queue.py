@@ -19,7 +19,6 @@ from residuum.service.broker import broker_address
 from residuum.service.cli import run
 from residuum.service.fieldbus.settings import MachineSettings, SourceSettings, WindowSettings
 from residuum.service.machines.baselines import choose_method
-from residuum.service.machines.judging.scoring import PlainRecord
 from residuum.service.storage import DiskStore
 from residuum.service.window_queue.gateway import Gateway, Spool
 from residuum.service.window_queue.set_aside import SetAside
@@ -31,6 +30,7 @@ from residuum.service.window_queue.window_message import (
     window_topic,
     windows_of_part,
 )
+from residuum.service.work.worker_pool import PlainRecord
 
 PATIENCE = 600
 ASSETS = ("press-1", "press-2", "press-3", "press-4")

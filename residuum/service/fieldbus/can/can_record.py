@@ -18,11 +18,13 @@ from residuum.service.fieldbus.can.logged_messages import LoggedMessage, logged_
 from residuum.service.fieldbus.settings import map_file
 from residuum.service.fieldbus.source import Samples
 
+# Of all channels together: 800 MB as doubles. A log whose stamps are torn apart would ask for more.
 _MOST_SAMPLES = 100_000_000
+# Part of all instants that may be cut off at both ends: what is more is a gap, and stays to be
+# seen.
 _MOST_TRIMMED = 0.01
-"""Of all instants."""
+# Of a frame's time, where no counter says which place a frame has.
 _MOST_JITTER = 0.25
-"""Of a frame's time, where no counter says which place a frame has."""
 
 
 def read_can_record(
@@ -51,6 +53,7 @@ def read_can_record(
     if not heard:
         raise BadRecord(f"{log.name}: {_none_known(messages, unused)}")
     signals, step = _on_own_clocks(log.name, heard, options)
+    # one clock for all: from the first sample of any channel on, in steps of the fastest one's
     begin = min(first for first, _, _ in signals.values())
     n = 1 + max(
         round((first - begin) / step + (len(values) - 1) * own / step)
@@ -68,6 +71,7 @@ def read_can_record(
         )
     channels = {name: _placed(*signal, begin, step, n) for name, signal in signals.items()}
     notes = _notes(log.remarks, messages, heard, unused, options.resample)
+    # trimmed last: at the ends, what filling has left; it draws lines between two values alone
     if options.resample:
         channels, filled = _interpolated(channels, step, log.name)
         begin, channels, cut = _trimmed(begin, channels, step)
@@ -97,6 +101,8 @@ def _on_own_clocks(
         _, channels = message.layout.decode(message.frames)
         for name, values in channels.items():
             own = names[message.layout.name, name]
+            # with stamps alone, jitter of more than a quarter of a frame's time may put a frame
+            # into the next one's place
             if message.placed or message.jitter <= _MOST_JITTER:
                 signals[own] = (message.begin, message.sample_time, _with_holes(message, values))
             elif options.resample:
@@ -125,9 +131,11 @@ def _placed(
 ) -> Samples:
     """Samples at the nearest instants of the common clock."""
     placed = np.full(n, np.nan)
+    # a sample time that is no multiple of the step may round beyond the last instant: clipped
     place = np.clip(
         np.rint((first - begin + own * np.arange(len(values))) / step).astype(np.int64), 0, n - 1
     )
+    # two samples may fall to one instant: a missing one must not take the place of a value
     held = ~np.isnan(values)
     placed[place[held]] = values[held]
     return placed

@@ -22,11 +22,11 @@ from residuum.service.fieldbus.source import (
     StreamFormat,
 )
 
+# Seconds that one read waits for a frame: how long it takes at most to notice that it was stopped.
 _POLL = 0.1
+# How long frames wait in the bus's own buffer, so that they are decoded together [s]; some buses
+# keep some hundred.
 _GATHER = 0.01
-"""How long frames wait in the bus's own buffer, so that they are decoded together [s]; some buses
-keep some hundred.
-"""
 COMMAND, STATE = "FAULT_COMMAND", "FAULT_STATE"
 
 
@@ -132,6 +132,7 @@ class CanSource(Source):
                     self.health.count("reconnects")
                 opened_before = True
                 self._read_while_it_works(backoff)
+            # ValueError: drivers of python-can raise it where a channel does not fit the interface
             except (OSError, can.CanError, ValueError) as error:
                 self.health.count("bus_errors", 1, f"{type(error).__name__}: {error}")
                 self._stopped.wait(backoff.next())
@@ -147,10 +148,13 @@ class CanSource(Source):
         while not self._stopped.is_set() and self._bus is not None:
             bus = self._bus
             batch = bus.read(_POLL)
+            # the bus was seen empty: only then is the time since the last frame a silence of the
+            # bus
             if batch.empty:
                 self._was_empty = True
                 continue
             self._take(batch)
+            # a bus that opens and gives nothing is not back: frames alone end the longer waits
             backoff.reset()
             self._was_empty = False
             self._stopped.wait(_GATHER)
@@ -218,7 +222,9 @@ class CanSource(Source):
 
 # ArrivalOrder: places of frames that carry no counter, as they come; a pause breaks them off.
 
+# [s] A reader that was held up for less finds its frames waiting in the bus's buffer.
 _SHORTEST_PAUSE = 0.5
+# Of a slow message: some frames' time, in which one may come late without being lost.
 _FRAMES_OF_A_PAUSE = 4.0
 
 
@@ -250,6 +256,7 @@ class ArrivalOrder:
         Of `counters`, shape (n,), only the length counts.
         """
         n = len(counters)
+        # a batch that comes late has its own frames' time in it, which was no pause
         waited = since - n / rate if rate else 0.0
         paused = bool(waited > max(_SHORTEST_PAUSE, _FRAMES_OF_A_PAUSE / (rate or np.inf)))
         begin = self._next + BREAK * paused

@@ -46,7 +46,7 @@ class NoValueCodes:
             for first, last in [*_reserved(signal, j1939, extended), *_named(signal)]
         ]
 
-    def there(self, raw: npt.NDArray[np.uint64]) -> npt.NDArray[np.bool_]:
+    def marked(self, raw: npt.NDArray[np.uint64]) -> npt.NDArray[np.bool_]:
         """Where a raw number, shape (n, signals), is one of them."""
         is_code = np.zeros(raw.shape, bool)
         for k, first, last in self._spans:
@@ -67,10 +67,13 @@ def _reserved(signal: Any, j1939: bool, extended: bool) -> Sequence[tuple[int, i
     """(first, last) raw numbers, as bits, at the ends of a signal's range."""
     bits = signal.length
     all_ones, sign = (1 << bits) - 1, 1 << (bits - 1)
+    # of a signed number both ends; below 8 bits an end is a value like any other
     if signal.is_signed:
         ends = [(sign, -sign), (sign - 1, sign - 1)] if bits >= 8 else []
         return [(raw, raw) for raw, number in ends if _declared(signal, number) is False]
-    first = _first_reserved(bits) if extended else all_ones if bits >= 8 else None
+    # J1939 (extended frames) reserves the top of a range, other buses the last number alone
+    last_alone = all_ones if bits >= 8 else None
+    first = _first_reserved(bits) if extended else last_alone
     if first is None:
         return []
     within = _declared(signal, first)
@@ -91,6 +94,7 @@ def _declared(signal: Any, number: int) -> bool | None:
     if low is None or high is None or not low < high:
         return None
     value = number * signal.conversion.scale + signal.conversion.offset
+    # files print the ends of a range with few digits: half a step of the raw number is not outside
     slack = 0.5 * abs(signal.conversion.scale)
     return bool(low - slack <= value <= high + slack)
 
@@ -105,6 +109,7 @@ _MULTIPLEXER = re.compile(r"^[ \t]+SG_ +\w+ +(?:m\d+)?M *:", re.MULTILINE)
 _SIGNAL = re.compile(r"^[ \t]+SG_ +(\w+)", re.MULTILINE)
 _CHOICES = re.compile(rf"^VAL_ +(?P<id>\d+) +(?P<signal>\w+) {_STATEMENT}", re.MULTILINE)
 _EXTENDED = 1 << 31
+# the message under which Vector's editor keeps signals of no message; its identifier is none
 _INDEPENDENT = "VECTOR__INDEPENDENT_SIG_MSG"
 
 
@@ -113,7 +118,8 @@ def usable_text(text: str) -> tuple[str, dict[str, str]]:
     without value tables of signals that no message has. Also why each message was left out, by its
     name.
 
-    >>> text, why = usable_text("BO_ 2048 late: 8 A\\n SG_ x : 0|8@1+ (1,0) [0|0] \\"\\" A\\nBO_ 7 kept: 8 A\\n")
+    >>> late = 'BO_ 2048 late: 8 A\\n SG_ x : 0|8@1+ (1,0) [0|0] "" A\\n'
+    >>> text, why = usable_text(late + "BO_ 7 kept: 8 A\\n")
     >>> text, why["late"][:45]
     ('\\n\\nBO_ 7 kept: 8 A\\n', 'identifier 2048 is longer than 11 bits and is')
     """
@@ -179,19 +185,21 @@ def _impossible(identifier: int, name: str) -> str:
 
 # Lines that cannot be read.
 
+# Lines and messages; a file with more is none. It bounds the time, too: each costs a whole reading
+# of the file.
 _MOST_LEFT_OUT = 40
-"""Lines and messages; a file with more is none."""
 _AT = re.compile(r"nvalid syntax at line (\d+), column (\d+)")
 _NO_ATTRIBUTE = re.compile(r"\"'(\w+)'\"")
 _FLOAT_OF_NONE = re.compile(r"(SIG_VALTYPE_ \d+ \w+)")
 _BEGIN = re.compile(r"^(?:[ \t]+SG_\b|VERSION\b|[A-Z]+_(?:[A-Z]+_)*(?=[\s:])).*", re.MULTILINE)
 _SIGNALS = re.compile(r"(?:[ \t]+SG_ .*(?:\n|$)|[ \t]*\n)+")
+# What ends in a semicolon.
 _ENDS = ("CM_", "BA_", "VAL_", "SIG_", "SG_MUL", "EV_", "BO_TX")
-"""What ends in a semicolon."""
+# Statements that say how a message is read, with its identifier.
 _CHANGES_VALUES = re.compile(
-    r'(?:SIG_VALTYPE_|SG_MUL_VAL_)\s+(\d+)|BA_\s+"(?:SampleTime|GenMsgCycleTime|SamplesPerFrame|VFrameFormat)"\s+BO_\s+(\d+)'
+    r"(?:SIG_VALTYPE_|SG_MUL_VAL_)\s+(\d+)"
+    r'|BA_\s+"(?:SampleTime|GenMsgCycleTime|SamplesPerFrame|VFrameFormat)"\s+BO_\s+(\d+)'
 )
-"""Statements that say how a message is read, with its identifier."""
 
 
 def read_text(text: str) -> tuple[Database, dict[str, str]]:
@@ -202,27 +210,44 @@ def read_text(text: str) -> tuple[Database, dict[str, str]]:
     """
     why: dict[str, str] = {}
     first: DatabaseError | None = None
+    # cantools names one place a time: each turn takes what is wrong there out of the text
     while True:
         usable, messages = usable_text(text)
         left_out = why | messages
         try:
-            content = usable if usable.strip() else 'VERSION ""'
-            database = cast(Database, load_string(content, database_format="dbc", strict=False))
+            database = _load(usable)
         except DatabaseError as error:
-            first, complaint = first or error, str(error)
-            unread = _unread(usable, complaint) if len(left_out) < _MOST_LEFT_OUT else ()
+            # the first complaint is about the file as it is; later ones may come of what was left
+            # out
+            first = first or error
+            unread = _unread(usable, str(error)) if len(left_out) < _MOST_LEFT_OUT else []
             if not unread:
                 raise first from None
-            for start, after in unread:
-                end = _with_signals(usable, start, after)
-                why |= _told(usable, start, end)
-                text = usable = usable[:start] + _lines_of(usable[start:end]) + usable[end:]
-            why |= messages
+            text, reasons = _without(usable, unread)
+            why |= reasons | messages
         else:
             # what is left is no DBC file
             if first is not None and not (database.messages or messages):
                 raise first
             return database, left_out
+
+
+def _load(text: str) -> Database:
+    # cantools refuses a text that is empty, which a file of nothing but unusable messages leaves
+    content = text if text.strip() else 'VERSION ""'
+    return cast(Database, load_string(content, database_format="dbc", strict=False))
+
+
+def _without(text: str, statements: list[tuple[int, int]]) -> tuple[str, dict[str, str]]:
+    """A text without these statements, and why each is left out."""
+    spans = [(start, _with_signals(text, start, end)) for start, end in statements]
+    why: dict[str, str] = {}
+    for start, end in spans:
+        why |= _reasons(text, start, end)
+    # from the last on: what is cut out moves the places behind it
+    for start, end in reversed(spans):
+        text = text[:start] + _lines_of(text[start:end]) + text[end:]
+    return text, why
 
 
 def _lines_of(text: str) -> str:
@@ -236,11 +261,12 @@ def _unread(text: str, complaint: str) -> list[tuple[int, int]]:
     statements = list(pairwise([*begins, len(text)]))
     if at := _AT.search(complaint):
         return _about(text, statements, int(at[1]), int(at[2]))
+    # cantools names no line for these two, but what it missed: a definition of the attribute, or
+    # the signal of which a number is said to be floating-point
     if attribute := _NO_ATTRIBUTE.search(complaint):
         named = f'"{attribute[1]}"'
-        return [(a, b) for a, b in statements if text.startswith("BA_", a) and named in text[a:b]][
-            :1
-        ]
+        uses = [(a, b) for a, b in statements if text.startswith("BA_", a) and named in text[a:b]]
+        return uses[:1]
     if number := _FLOAT_OF_NONE.search(complaint):
         return [(a, b) for a, b in statements if " ".join(text[a:b].split()).startswith(number[1])]
     return []
@@ -252,18 +278,25 @@ def _about(
     """The statement at fault for what cannot be read there: one that does not close its quotes, or
     does not end, before it.
     """
-    place = sum(len(part) for part in text.splitlines(keepends=True)[: line - 1])
+    place = sum(map(len, text.splitlines(keepends=True)[: line - 1]))
     before = [part for part in statements if part[0] <= place]
-    if unclosed := [
-        part for part in before if text[slice(*part)].replace('\\"', "").count('"') % 2
-    ]:
-        return unclosed[:1]
+    # an open quote makes everything behind it a text, up to where the next one closes it
+    for part in before:
+        if _leaves_a_quote_open(text[slice(*part)]):
+            return [part]
+    # without its semicolon a statement runs on into the next one, whose begin is then refused
     if column == 1 and len(before) > 1 and _does_not_end(text[slice(*before[-2])]):
         return before[-2:-1]
-    if before and before[-1][0] == place:
+    begins_a_statement = place in dict(statements)
+    if column != 1 or begins_a_statement:
         return before[-1:]
+    # a line that begins no statement we know: all up to the next one that does
     end = next((a for a, _ in statements if a > place), len(text))
-    return [(place, end)] if column == 1 else before[-1:]
+    return [(place, end)]
+
+
+def _leaves_a_quote_open(statement: str) -> bool:
+    return statement.replace('\\"', "").count('"') % 2 == 1
 
 
 def _with_signals(text: str, start: int, end: int) -> int:
@@ -278,7 +311,7 @@ def _does_not_end(statement: str) -> bool:
     return statement.startswith(_ENDS) and not statement.rstrip().endswith(";")
 
 
-def _told(text: str, start: int, end: int) -> dict[str, str]:
+def _reasons(text: str, start: int, end: int) -> dict[str, str]:
     """What is left out with a statement, and why: a message that it says how to read, too."""
     statement = text[start:end].strip().partition("\n SG_")[0]
     line = text.count("\n", 0, start) + 1
@@ -289,6 +322,7 @@ def _told(text: str, start: int, end: int) -> dict[str, str]:
         else ""
     )
     left_out = {f"line {line}": f"{reason}; it is left out{f', and {signals}' if signals else ''}"}
+    # a message that is read without what the line says of it would have wrong values: it goes, too
     if match := _CHANGES_VALUES.match(statement):
         identifier = match[1] or match[2]
         of = re.search(rf"^BO_ +{identifier} +(\w+)", text, re.MULTILINE)

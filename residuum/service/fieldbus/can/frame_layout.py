@@ -31,12 +31,12 @@ from residuum.service.fieldbus.source import Samples, StreamFormat
 Bytes = npt.NDArray[np.uint8]
 Raw = npt.NDArray[np.uint64]
 MOST_BITS = 64
+# Bits of a floating-point signal → its type, and the whole number of the same bits.
 _FLOATS: dict[int, tuple[Any, Any]] = {
     16: (np.float16, np.uint16),
     32: (np.float32, np.uint32),
     64: (np.float64, np.uint64),
 }
-"""Bits of a floating-point signal → its type, and the whole number of the same bits."""
 _ALL_ONES = np.uint64(0xFFFFFFFFFFFFFFFF)
 
 
@@ -70,6 +70,8 @@ class SignalBits:
         """The bits of each signal as a number, shape (n, signals), from frames of shape (n,
         length).
         """
+        # byte j of a signal, counted from its lowest, stands 8 j bits up, less the bits below the
+        # signal that share its lowest byte; bytes that a signal does not have are taken as 0
         parts = (
             (frames[:, self._index].astype(np.uint64) * self._there) << self._left >> self._right
         )
@@ -78,6 +80,7 @@ class SignalBits:
 
     def values(self, raw: Raw) -> Samples:
         """Physical values of raw numbers, shape (n, signals)."""
+        # two's complement of any width: x ^ s − s, with s the sign's bit
         sign = np.uint64(1) << (self._bits - np.uint64(1))
         signed = (raw ^ sign).astype(np.int64) - sign.astype(np.int64)
         values = (
@@ -142,6 +145,8 @@ def _span(start: int, length: int, byte_order: str) -> tuple[list[int], int]:
     """Bytes that a signal touches, most significant first, and how far its lowest bit is from the
     end of the last one.
     """
+    # a DBC file's start is the lowest bit of a little-endian signal, and the highest of a
+    # big-endian one; in both, bit 0 of a byte is its lowest
     if byte_order == "little_endian":
         first, last = start // 8, (start + length - 1) // 8
         return list(range(last, first - 1, -1)), start - 8 * first
@@ -157,10 +162,12 @@ _FRAME_TIMES = (("SampleTime", 1.0), ("GenMsgCycleTime", 1e-3))
 _COUNTER_LIKE = re.compile(
     r"(.*_)?(alive|rolling|message|msg|sequence|seq|frame)_?(counter|count|cnt)", re.IGNORECASE
 )
+# Widths that `SequenceCounter` unwraps.
 _COUNTER_BITS = range(4, 33)
 _INDEXED = re.compile(r"^(?P<channel>.+)_(?P<index>\d{2,})$")
+# Of DBC files, whatever computer wrote them.
 _ENCODING = "cp1252"
-"""Of DBC files, whatever computer wrote them."""
+# Bytes that a frame of CAN FD may have beyond 8 (ISO 11898-1); others are filled up to the next.
 _FD_LENGTHS = (12, 16, 20, 24, 32, 48, 64)
 
 
@@ -296,9 +303,10 @@ class FrameLayout:
         """
         raw = self._bits.raw(frames)
         values = self._bits.values(raw)
+        # pages first: which page a frame has is read from values, codes for no value among them
         if self._multiplexing.paged:
             values[~self._multiplexing.carried(values)] = np.nan
-        values[self._codes.there(raw)] = np.nan
+        values[self._codes.marked(raw)] = np.nan
         counter = (
             np.zeros(len(frames), np.int64)
             if self._counter is None
@@ -311,7 +319,7 @@ class FrameLayout:
     def codes(self, frames: Bytes) -> dict[str, int]:
         """How many samples of each channel are codes for no value, of those that have some."""
         raw = self._bits.raw(frames)
-        is_code = self._codes.there(raw) & self._multiplexing.carried(self._bits.values(raw))
+        is_code = self._codes.marked(raw) & self._multiplexing.carried(self._bits.values(raw))
         many = {name: int(is_code[:, members].sum()) for name, members in self._channels.items()}
         return {name: count for name, count in many.items() if count}
 
@@ -373,6 +381,7 @@ def _attribute(message: Any, name: str) -> float | None:
 
 def _frame_time(message: Any) -> float:
     """Seconds from one frame to the next; 0 where the file does not say it."""
+    # an attribute of 0 is the default of files that do not use it
     times = ((_attribute(message, name) or 0.0) * unit for name, unit in _FRAME_TIMES)
     return next((seconds for seconds in times if seconds > 0), 0.0)
 
@@ -464,6 +473,7 @@ class Multiplexing:
                 )
                 for signal in paged
             ),
+            # a multiplexer before what it pages: whether it is carried itself has to be known
             key=lambda page: _depth(page[0], parent),
         )
         self.paged = frozenset(parent)

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -20,13 +21,13 @@ from residuum.service.fieldbus.can.frame_layout import (
 )
 from residuum.service.fieldbus.source import Numbers, Samples
 
+# Part by which the time between frames may differ from the DBC file's and still be taken for it.
 _SAME_TIME = 0.01
+# Of all steps that are zero, from which on stamps do not tell frames apart.
 _SHARED = 0.2
-"""Of all steps that are zero, from which on stamps do not tell frames apart."""
+# Frames by which time stamps may be off what the counter says, beside a quarter of the time between
+# two frames.
 _LATE = 2.0
-"""Frames by which time stamps may be off what the counter says, beside a quarter of the time
-between two frames.
-"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,81 +100,113 @@ def logged_messages(
         by_identifier.setdefault(frame.frame_id, []).append(frame._replace(time=float(instant)))
     logged, unused = [], {}
     for identifier, frames in by_identifier.items():
-        fitting = [
-            frame
-            for frame in frames
-            if identifier in known and known[identifier].fits(len(frame.data))
-        ]
-        if len(fitting) > 1:
-            logged.append(_logged(log.name, known[identifier], fitting, len(frames) - len(fitting)))
+        layout = known.get(identifier)
+        fitting = [] if layout is None else _of_layout(layout, frames)
+        # one frame alone has no time to a next one, and so no clock
+        if layout is not None and len(fitting) > 1:
+            logged.append(_logged(log.name, layout, fitting, len(frames) - len(fitting)))
         else:
-            unused[f"0x{identifier & ~EXTENDED:X}{'x' if identifier & EXTENDED else ''}"] = len(
-                frames
-            )
+            unused[_shown(identifier)] = len(frames)
+    # the clock is the whole log's: what is said of it stands once, before all else
     if logged and set_clock:
         logged[0] = replace(logged[0], remarks=[*set_clock, *logged[0].remarks])
     return logged, unused
 
 
+def _of_layout(layout: FrameLayout, frames: Sequence[TimedFrame]) -> list[TimedFrame]:
+    return [frame for frame in frames if layout.fits(len(frame.data))]
+
+
+def _shown(identifier: int) -> str:
+    """An identifier as loggers write it: hexadecimal, with an x behind an extended one."""
+    return f"0x{identifier & ~EXTENDED:X}{'x' if identifier & EXTENDED else ''}"
+
+
+def _bytes_of(layout: FrameLayout, frames: Sequence[TimedFrame]) -> Bytes:
+    """The frames' bytes, shape (n, length), without those that CAN FD fills a frame up with."""
+    joined = b"".join(frame.data[: layout.length] for frame in frames)
+    return np.frombuffer(joined, np.uint8).reshape(len(frames), layout.length)
+
+
 def _logged(
     name: str, layout: FrameLayout, frames: Sequence[TimedFrame], misfits: int
 ) -> LoggedMessage:
+    """One message of a log; `misfits` frames of its identifier were of another length."""
     where = f"{name}, message {layout.name}"
-    if len(buses := {frame.bus for frame in frames}) > 1:
+    buses = {frame.bus for frame in frames}
+    if len(buses) > 1:
         raise BadBusDescription(
             f"{where}: is on the buses {', '.join(sorted(buses))} of the log; export one bus alone"
         )
-    time = np.array([frame.time for frame in frames])
-    data = np.frombuffer(
-        b"".join(frame.data[: layout.length] for frame in frames), np.uint8
-    ).reshape(len(frames), layout.length)
-    remarks = (
-        [f"{where}: {misfits} frames have another length than {layout.length} bytes, left out"]
-        if misfits
-        else []
-    )
-    if layout.counter_bits:
-        spread = None
-        number, frame_time, jumps = _by_counter(layout, time, layout.decode(data)[0])
-        remarks += (
-            [f"{where}: the counter jumped {jumps} times, placed by time stamps there"]
-            if jumps
-            else []
-        )
-    else:
-        spread = _spread(layout, time)
-        number, frame_time = _by_time(time, data) if spread is None else spread
-        remarks.append(f"{where}: {layout.remark}")
-        if spread is not None:
-            remarks.append(
-                f"{where}: several frames share a stamp; placed in their order, one every"
-                f" {frame_time:.6g} s"
-            )
-    order = np.unique(number, return_index=True)[1]  # in order, the first of those that came twice
+    notes = []
+    if misfits:
+        notes.append(f"{misfits} frames have another length than {layout.length} bytes, left out")
+
+    # places first: what came twice, what was lost, and how even the stamps are follows from them
+    time, data = np.array([frame.time for frame in frames]), _bytes_of(layout, frames)
+    placing = _placing(layout, time, data)
+    notes += placing.notes
+    number = placing.number
+
+    # in the order of places, and of frames that came twice the first
+    order = np.unique(number, return_index=True)[1]
     if len(order) < len(number):
-        remarks.append(f"{where}: {len(number) - len(order)} frames came twice, used once")
+        notes.append(f"{len(number) - len(order)} frames came twice, used once")
     number, time, data = number[order] - number[order[0]], time[order], data[order]
-    frame_time, notes = _settled(layout, frame_time)
+
+    frame_time, differs = _settled(layout, placing.frame_time)
+    notes += differs
     off = (time - frame_time * number) / frame_time
-    remarks += [where + note for note in notes]
-    if layout.counter_bits and (lost := int(number[-1]) + 1 - len(number)):
-        remarks.append(f"{where}: {lost} frames lost, their samples are missing")
     jitter = float(np.ptp(off) / 2)
-    if layout.counter_bits and jitter > 1.0:
-        remarks.append(
-            f"{where}: time stamps lie up to {jitter:.3g} frames off its even clock; the counter"
-            " gives the places"
-        )
+    if layout.counter_bits:
+        notes += _counted_notes(number, jitter)
+    remarks = [f"{where}: {note}" for note in notes]
     return LoggedMessage(
-        layout,
-        time,
-        data,
-        number,
-        frame_time,
-        jitter,
-        remarks,
-        layout.counter_bits > 0 or spread is not None,
+        layout, time, data, number, frame_time, jitter, remarks, not placing.by_stamps
     )
+
+
+class _Placing(NamedTuple):
+    """Places of frames on their message's clock, seconds between two of them, whether time stamps
+    alone gave the places, and what is to be said of it.
+    """
+
+    number: Numbers
+    frame_time: float
+    by_stamps: bool
+    notes: list[str]
+
+
+def _placing(layout: FrameLayout, time: Samples, data: Bytes) -> _Placing:
+    """Places by the best that there is: a counter, else the order of frames that share stamps, else
+    the stamps.
+    """
+    if layout.counter_bits:
+        number, frame_time, jumps = _by_counter(layout, time, layout.decode(data)[0])
+        jumped = f"the counter jumped {jumps} times, placed by time stamps there"
+        return _Placing(number, frame_time, False, [jumped] if jumps else [])
+    spread = _spread(layout, time)
+    if spread is None:
+        number, frame_time = _by_time(time, data)
+        return _Placing(number, frame_time, True, [layout.remark])
+    number, frame_time = spread
+    shared = f"several frames share a stamp; placed in their order, one every {frame_time:.6g} s"
+    return _Placing(number, frame_time, False, [layout.remark, shared])
+
+
+def _counted_notes(number: Numbers, jitter: float) -> list[str]:
+    """What a counter shows: frames lost, and stamps that disagree with it."""
+    notes = []
+    lost = int(number[-1]) + 1 - len(number)
+    if lost:
+        notes.append(f"{lost} frames lost, their samples are missing")
+    # by more than a frame the stamps would have given other places
+    if jitter > 1.0:
+        notes.append(
+            f"time stamps lie up to {jitter:.3g} frames off its even clock; the counter gives the"
+            " places"
+        )
+    return notes
 
 
 def _by_counter(
@@ -184,10 +217,14 @@ def _by_counter(
     """
     modulus = 1 << layout.counter_bits
     counted, elapsed = np.diff(counter) % modulus, np.diff(time)
+    # the time between frames from those that follow each other by the counter: losses do not count
     following = elapsed[(counted == 1) & (elapsed > 0)]
     frame_time = float(np.median(following)) if len(following) else _typical(time)
+    # step = counted + modulus · turns, with the turns that the stamps are nearest to
     expected = elapsed / frame_time
     step = counted + modulus * np.rint((expected - counted) / modulus).astype(np.int64)
+    # what rounding leaves is at most half a modulus; more than a quarter is no late stamp: the
+    # counter began anew
     jumped = np.abs(step - expected) > np.maximum(_LATE, 0.25 * modulus)
     step = np.where(jumped, np.maximum(1, np.rint(expected)), step).astype(np.int64)
     number = np.concatenate([[0], np.cumsum(step)]).astype(np.int64)
@@ -205,8 +242,11 @@ def _spread(layout: FrameLayout, time: Samples) -> tuple[Numbers, float] | None:
     due, steps = layout.sample_time * layout.samples, np.diff(time)
     if not due or np.count_nonzero(steps == 0) < _SHARED * len(steps) or not (steps > 0).any():
         return None
+    # a stamp may be late by the clock's grain, in whole frames; 0.01 keeps a grain of exactly k
+    # frames from becoming k + 1 by rounding
     slack = float(np.ceil(np.median(steps[steps > 0]) / due - 0.01))
     least = np.rint((time - time[0]) / due - slack).astype(np.int64)
+    # place k = k + the largest delay that any stamp up to k proves
     places = np.arange(len(time))
     return np.maximum.accumulate(least - places).clip(0) + places, due
 
@@ -217,6 +257,7 @@ def _by_time(time: Samples, data: Bytes) -> tuple[Numbers, float]:
     """
     frame_time = _typical(time)
     step = np.maximum(np.rint(np.diff(time) / frame_time), 0).astype(np.int64)
+    # frames of one place that differ cannot be one frame twice: the second has a place of its own
     differs = np.any(data[1:] != data[:-1], axis=1)
     for k in np.flatnonzero((step == 0) & differs):
         step[k] = 1
@@ -242,9 +283,11 @@ def _settled(layout: FrameLayout, period: float) -> tuple[float, list[str]]:
     log shows.
     """
     due = layout.sample_time * layout.samples
-    if due and abs(period - due) <= _SAME_TIME * due:
+    if not due:
+        return period, []
+    if abs(period - due) <= _SAME_TIME * due:
         return due, []
-    return period, [f": a frame every {period:.6g} s, the DBC file says {due:.6g} s"] if due else []
+    return period, [f"a frame every {period:.6g} s, the DBC file says {due:.6g} s"]
 
 
 # The clock of a CAN log: where it was set while frames went on coming, and by how much.
@@ -255,14 +298,12 @@ def _settled(layout: FrameLayout, period: float) -> tuple[float, list[str]]:
 # lies on both sides is brought together by the counters, else by the period of the fastest message,
 # which takes for granted that nothing was lost in that moment.
 
+# Seconds by which frames of several buses may stand in another order than they came.
 _DISORDER = 1e-3
-"""Seconds by which frames of several buses may stand in another order than they came."""
+# Periods of the fastest message, and seconds, from which on a pause may be a clock that was set.
 _PAUSE, _LONG = 20.0, 0.3
-"""Periods of the fastest message, and seconds, from which on a pause may be a clock that was
-set.
-"""
+# Frames, and the part of a pause, by which a counter and the clock may differ.
 _OFF, _OFF_PART = 2.0, 0.005
-"""Frames, and the part of a pause, by which a counter and the clock may differ."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -284,6 +325,11 @@ class _Stream:
         after = int(np.searchsorted(self.places, place))
         return (after - 1, after) if 0 < after < len(self.places) else None
 
+    def elapsed(self, time: Samples, place: int) -> float:
+        """Seconds from the one to the other by the log's clock."""
+        before, after = (self.places[k] for k in self.around(place) or (0, 0))
+        return float(time[after] - time[before])
+
     def went_on(self, place: int) -> int | None:
         """Frames from the one to the other by the counter, round once at most."""
         ends = self.around(place)
@@ -301,6 +347,7 @@ def on_one_clock(
     if not streams:
         return time, []
     remarks = []
+    # in order: each correction moves all that follows, and so what the next suspect is judged by
     for place in _suspects(time, min(stream.period for stream in streams)):
         step, by = _step(time, place, streams)
         if step:
@@ -322,13 +369,12 @@ def _streams(
     streams = []
     for identifier, where in places.items():
         steps = np.diff(time[where])
+        # two frames have one step, which the clock itself may have made
         if len(where) < 3 or not (steps > 0).any():
             continue
         layout, counter = known[identifier], None
         if layout.counter_bits:
-            rows = [frames[place].data[: layout.length] for place in where]
-            data = np.frombuffer(b"".join(rows), np.uint8).reshape(len(rows), layout.length)
-            counter = layout.decode(data)[0]
+            counter = layout.decode(_bytes_of(layout, [frames[place] for place in where]))[0]
         period = layout.sample_time * layout.samples or float(np.median(steps[steps > 0]))
         streams.append(
             _Stream(layout.name, np.array(where), period, counter, 1 << layout.counter_bits)
@@ -339,6 +385,8 @@ def _streams(
 def _suspects(time: Samples, period: float) -> list[int]:
     """Places in the log before which the clock may have been set."""
     steps = np.diff(time)
+    # one frame that is late alone is disorder: a clock that was set back keeps the next one back,
+    # too
     back = np.flatnonzero(steps < -_DISORDER) + 1
     stays = [int(k) for k in back if k + 1 >= len(time) or time[k + 1] < time[k - 1]]
     pauses = np.flatnonzero(steps > max(_PAUSE * period, _LONG)) + 1
@@ -347,30 +395,34 @@ def _suspects(time: Samples, period: float) -> list[int]:
 
 def _step(time: Samples, place: int, streams: Sequence[_Stream]) -> tuple[float, str]:
     """By how much the clock was set before a place, 0 where it was not, and how that is known."""
-    back = time[place] < time[place - 1]
-    counted = [(stream, went) for stream in streams if (went := stream.went_on(place)) is not None]
-    for stream, went in sorted(counted, key=lambda pair: pair[0].period):
-        before, after = (stream.places[k] for k in stream.around(place) or (0, 0))
-        elapsed = float(time[after] - time[before])
-        off = (
-            elapsed / stream.period - went + stream.modulus / 2
-        ) % stream.modulus - stream.modulus / 2
-        agrees = abs(off) <= _OFF + _OFF_PART * abs(elapsed) / stream.period
-        if back or (not agrees and went <= stream.modulus // 4):
-            return elapsed - went * stream.period, f"bridged by the counter of {stream.name}"
+    back = bool(time[place] < time[place - 1])
+    on_both_sides = [stream for stream in streams if stream.around(place)]
+    counted = [stream for stream in on_both_sides if stream.counter is not None]
+    # the fastest stream has its frames nearest to the place, and so the least to bridge
+    if counted:
+        return _step_by_counter(time, place, min(counted, key=_period), back)
+    # without a counter a step forward cannot be told from a pause
+    if not back or not on_both_sides:
         return 0.0, ""
-    if not back:
-        return 0.0, ""
-    fastest = min(
-        (stream for stream in streams if stream.around(place)),
-        key=lambda stream: stream.period,
-        default=None,
-    )
-    if fastest is None:
-        return 0.0, ""
-    before, after = (fastest.places[k] for k in fastest.around(place) or (0, 0))
-    elapsed = float(time[after] - time[before])
+    fastest = min(on_both_sides, key=_period)
     return (
-        elapsed - fastest.period,
+        fastest.elapsed(time, place) - fastest.period,
         f"bridged by the period of {fastest.name}: frames lost in that moment cannot be seen",
     )
+
+
+def _period(stream: _Stream) -> float:
+    return stream.period
+
+
+def _step_by_counter(time: Samples, place: int, stream: _Stream, back: bool) -> tuple[float, str]:
+    """The step that a message's counter proves: elapsed time less that of the frames it counted."""
+    elapsed, went = stream.elapsed(time, place), stream.went_on(place) or 0
+    # the counter knows frames only up to whole turns: the difference is taken within half a turn
+    half = stream.modulus / 2
+    off = (elapsed / stream.period - went + half) % stream.modulus - half
+    agrees = abs(off) <= _OFF + _OFF_PART * abs(elapsed) / stream.period
+    # forward only where the counter went on by little: after more it may have gone round unseen
+    if back or (not agrees and went <= stream.modulus // 4):
+        return elapsed - went * stream.period, f"bridged by the counter of {stream.name}"
+    return 0.0, ""

@@ -16,6 +16,12 @@ from residuum.service.fieldbus.strict_model import StrictModel
 Registers = npt.NDArray[np.uint16]
 Order = Literal["big", "little"]
 Function = Literal["holding", "input", "coils", "discrete"]
+MANUAL_NUMBERS: dict[str, tuple[tuple[int, int], ...]] = {
+    "holding": ((400_001, 465_536), (40_001, 49_999)),
+    "input": ((300_001, 365_536), (30_001, 39_999)),
+}
+"""Table → (first, last) of its numbers in manuals: with a digit for the table before, and from 1.
+"""
 OF_BITS = ("coils", "discrete")
 """Functions that give bits, not registers."""
 NUMBERS: dict[str, tuple[str, int]] = {
@@ -30,7 +36,9 @@ NUMBERS: dict[str, tuple[str, int]] = {
 }
 """Type → its form in memory, and how many registers it takes."""
 _ADDRESSES = 1 << 16
+# What SunSpec devices put into a scale register that is not used.
 _NO_POWER = 0x8000
+# Beyond it no unit is scaled: such a register holds something else.
 _LARGEST_POWER = 10
 
 
@@ -134,6 +142,7 @@ class ChannelRegisters(StrictModel):
             # words in another order than the map says may be a signalling NaN
             with np.errstate(invalid="ignore"):
                 values = raw.astype(float)
+        # by the raw number: a scale makes floats of it, which need not be equal
         for sentinel in self.missing:
             values[_equal(raw, sentinel)] = np.nan
         return values * self.scale + self.offset
@@ -150,11 +159,15 @@ class ChannelRegisters(StrictModel):
             field = np.clip(np.rint(np.nan_to_num(scaled)), 0, (1 << self.bits) - 1).astype(
                 np.uint16
             )
+            # a single bit says whether there is anything, however small: .3 is not off
             field = np.where(values != 0, np.uint16(1), np.uint16(0)) if self.bits == 1 else field
+            # other channels have their bits in this register, too
             registers[:, self.register_] |= field << np.uint16(self.bit)
             return
         kind = np.dtype(NUMBERS[self.type][0])
         if kind.kind in "iu":
+            # the largest double below 2⁶⁴ (2⁶³): the largest whole number itself would be rounded
+            # up
             highest = min(
                 float(np.iinfo(kind).max),
                 np.nextafter(float(np.iinfo(kind).max), 0) if kind.itemsize == 8 else np.inf,

@@ -132,15 +132,16 @@ _ORDERS: tuple[tuple[Order, Order], ...] = (
 )
 MISSING = "missing"
 """Remark on a reading that means, as the map says, that there is no value."""
+# Power of ten that measured values are mostly nearest to.
 _USUAL = 2.0
-"""Power of ten that measured values are mostly nearest to."""
+# Powers of ten from the usual one; what is further off is no measured value in any order.
 _FURTHEST = 9.0
+# Powers of ten by which an order that turns the bytes of words has to look better: it is met far
+# less often.
 _RARE = 3.0
-"""Powers of ten by which an order that turns the bytes of words has to look better: it is met far
-less often.
-"""
+# Numbers from the top of an unsigned register down that are taken for negative ones.
 _SLIGHTLY_BELOW_ZERO = 2048
-"""Numbers from the top of an unsigned register down that are taken for negative ones."""
+# Type → what devices often put into registers that have no value.
 _NOT_THERE = {
     "int16": (0x8000, 0x7FFF),
     "uint16": (0xFFFF, 0x8000),
@@ -149,7 +150,6 @@ _NOT_THERE = {
     "int64": (0x8000000000000000,),
     "uint64": (0xFFFFFFFFFFFFFFFF, 0x8000000000000000),
 }
-"""Type → what devices often put into registers that have no value."""
 
 
 @dataclass(frozen=True)
@@ -229,7 +229,7 @@ def readings_of(
 ) -> list[ChannelReading]:
     """Each channel of which every register was read."""
     return [
-        _reading(
+        reading_of(
             name,
             channel,
             where,
@@ -251,7 +251,8 @@ async def _newest_sample(
     refusals: list[str],
 ) -> list[ChannelReading]:
     high, low = (await client.read(pages.newest, 2)).tolist()
-    if not (number := high << 16 | low):
+    number = high << 16 | low
+    if not number:
         refusals.append(f"{name}: the device has published no page yet")
         return []
     begin = pages.address + pages.stride * ((number - 1) % pages.count)
@@ -265,7 +266,7 @@ async def _newest_sample(
     sample = page.registers[-stream.words :]
     place = begin + stream.page_registers - stream.words
     return [
-        _reading(
+        reading_of(
             name,
             channel,
             where,
@@ -285,7 +286,7 @@ def _value(sample: Registers, where: ChannelRegisters) -> float:
     return float(where.decode(sample[None, :])[0])
 
 
-def _reading(
+def reading_of(
     stream: str,
     channel: str,
     where: ChannelRegisters,
@@ -293,6 +294,7 @@ def _reading(
     words: tuple[int, ...],
     value: float,
 ) -> ChannelReading:
+    """One channel's words and value, judged: what other orders make of them, and what looks wrong."""
     orders = _orders(where, words)
     mapped = order_name(where.word_order, where.byte_order, where.width)
     plausible = _plausible(orders, mapped) if orders and not math.isnan(value) else None
@@ -339,15 +341,16 @@ def _plausible(orders: dict[str, float], mapped: str) -> str | None:
 
     def distance(name: str) -> float:
         value = abs(orders[name])
-        far = (
-            _USUAL
-            if value == 0
-            else abs(math.log10(value) - _USUAL)
-            if math.isfinite(value)
-            else math.inf
-        )
+        if not math.isfinite(value):
+            far = math.inf
+        elif value == 0:
+            far = _USUAL  # as far as a value of 1
+        else:
+            far = abs(math.log10(value) - _USUAL)
+        # `AB` stands in the name where bytes are not turned
         return far if name == mapped or "AB" in name else far + _RARE
 
+    # the map's order wins a tie: only what is better is worth a remark
     best = min(orders, key=lambda name: (distance(name), name != mapped))
     best = mapped if distance(mapped) <= distance(best) else best
     return best if distance(best) <= _FURTHEST else None
@@ -361,14 +364,11 @@ def _remark(where: ChannelRegisters, words: tuple[int, ...], value: float) -> st
         raw = raw << 16 | word
     if math.isnan(value):
         return MISSING
-    if raw in _NOT_THERE.get(where.type, ()):
-        signed = (
-            raw - (1 << 16 * where.width)
-            if where.type.startswith("int") and raw >> (16 * where.width - 1)
-            else raw
-        )
-        return f"0x{raw:X} mostly means that there is no value: say missing: {signed}"
     bits = 16 * where.width
+    if raw in _NOT_THERE.get(where.type, ()):
+        is_negative = where.type.startswith("int") and raw >> (bits - 1)
+        signed = raw - (1 << bits) if is_negative else raw
+        return f"0x{raw:X} mostly means that there is no value: say missing: {signed}"
     if where.type in ("uint16", "uint32") and raw >= (1 << bits) - _SLIGHTLY_BELOW_ZERO:
         negative = (raw - (1 << bits)) * where.scale + where.offset
         return (

@@ -41,10 +41,15 @@ from residuum.service.fieldbus.source import (
     StreamFormat,
 )
 
+# [s] Between two looks for new pages: those that come faster are read several at once.
 _LEAST_PERIOD = 0.1
+# [s] Between two looks at which faults are on.
 _STATE_PERIOD = 1.0
+# Oldest pages of a ring that are not begun with: they would be written over while they are read.
 _SPARE_PAGES = 2
+# Times that a page number which goes back is asked for again before it is believed.
 _CONFIRMATIONS = 2
+# [s] For which a command is tried again, and for which one reply to it is waited for.
 _SWITCH_TIMEOUT = 3.0
 _SWITCH_AGAIN = 0.1
 
@@ -165,11 +170,14 @@ class ModbusSource(Source):
             try:
                 for reader in self._readers:
                     await reader.read(client)
-                if (now := time.monotonic()) >= state_due:
+                now = time.monotonic()
+                if now >= state_due:
                     await self._read_state(client)
                     state_due = now + _STATE_PERIOD
             except DeviceRefused as error:
                 self.health.count("modbus_exceptions", 1, str(error))
+            # by the clock, not by the length of a read; of turns that were missed one is made up
+            # for
             due = max(due + period, time.monotonic() - period)
             await self._pause(due - time.monotonic())
 
@@ -202,6 +210,7 @@ class _PagedReader:
 
     async def read(self, client: CheckedModbusClient) -> None:
         """Deliver every page that is complete and not read yet."""
+        # newest: the number of the newest complete page + 1, so the end of what can be read
         newest = await self._newest(client)
         if self._next is not None and newest < self._next:
             newest = await self._confirm_restart(client, newest)
@@ -334,6 +343,7 @@ class _PolledReader:
             self._source.health.count(
                 "lost", number - self._last - 1, f"{self._name}: the device was polled too late"
             )
+        # also where some registers were refused: their channels are missing in this sample
         self._last = number
         values = self._polled.samples(read)
         self._doubtful.look(readings_of(self._name, self._stream, self._polled, read, values))
@@ -354,14 +364,13 @@ def _stream_reader(
 # Which channels of a polled device look wrong: another order of words is far likelier, or what
 # stands there means no value.
 
+# [samples] That are looked at before anything is said.
 _JUDGED = 10
-"""[samples] That are looked at before anything is said."""
+# Part of them that has to look wrong: now and then a register may well hold such a number.
 _OFTEN = 0.3
-"""Part of them that has to look wrong: now and then a register may well hold such a number."""
+# Judgements that a doubt outlasts: a sensor that is there now and then must not turn its channel
+# good in between.
 _OUTLASTS = 10
-"""Judgements that a doubt outlasts: a sensor that is there now and then must not turn its channel
-good in between.
-"""
 
 
 class DoubtfulChannels:

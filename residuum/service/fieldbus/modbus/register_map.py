@@ -21,13 +21,15 @@ orders of words and bytes, bit fields, scales, and what stands there when there 
 streams:
   machine:
     sample_time: 0.001                # s
-    pages: {newest: 0, address: 1000, stride: 124, count: 256, samples: 30}      # or  poll: {address: 0}
+    # or  poll: {address: 0}
+    pages: {newest: 0, address: 1000, stride: 124, count: 256, samples: 30}
     channels:
       speed: {register: 1, type: uint16, scale: 0.001, unit: rpm}
       indicator: {register: 0, type: bit, bit: 0, unit: ""}
   meter:
     sample_time: 0.2
-    poll: {address: 0, function: input, gap: 4}          # function: holding (default), input, coils, discrete
+    # function: holding (default), input, coils, discrete
+    poll: {address: 0, function: input, gap: 4}
     channels:
       power: {register: 0, type: float32, word_order: little, unit: W}
       temperature: {register: 4, type: int16, scale: 0.1, missing: -32768, unit: °C}
@@ -66,6 +68,8 @@ from residuum.service.fieldbus.strict_model import StrictModel
 PAGE_HEAD = 3
 """Registers before the first sample of a page: number (2) and checksum."""
 MOST_REGISTERS = 125
+"""That one read may ask for (Modbus application protocol 1.1b3, 6.3): a reply has up to 253 bytes.
+"""
 
 
 class Pages(StrictModel):
@@ -111,28 +115,31 @@ class StreamRegisters(StrictModel):
         if self.poll:
             for channel in self.channels.values():
                 channel.refuse_other_than_bits(channel.function or self.poll.function)
-            return self
-        if paged := [
-            name
-            for name, spec in self.channels.items()
-            if spec.function not in (None, "holding") or spec.scale_register
-        ]:
-            raise ValueError(
-                f"channels.{paged[0]}: pages lie in holding registers, without scale registers;"
-                " poll it instead"
-            )
+        if self.pages:
+            self._refuse_unfit_pages(self.pages)
+        return self
+
+    def _refuse_unfit_pages(self, pages: Pages) -> None:
+        """ValueError where the channels are none of pages, or the pages do not lie apart, each in
+        one read.
+        """
+        for name, spec in self.channels.items():
+            if spec.function not in (None, "holding") or spec.scale_register:
+                raise ValueError(
+                    f"channels.{name}: pages lie in holding registers, without scale registers;"
+                    " poll it instead"
+                )
+        # a page that took two reads could be written over between them
         if self.page_registers > MOST_REGISTERS:
             raise ValueError(
                 f"one read takes {self.page_registers} registers; Modbus allows {MOST_REGISTERS}"
             )
-        if self.pages and self.page_registers > self.pages.stride:
+        if self.page_registers > pages.stride:
             raise ValueError(
-                f"a page takes {self.page_registers} registers and the stride is"
-                f" {self.pages.stride}"
+                f"a page takes {self.page_registers} registers and the stride is {pages.stride}"
             )
-        if self.pages and self.pages.address + self.pages.stride * self.pages.count > 65536:
+        if pages.address + pages.stride * pages.count > 65536:
             raise ValueError("the pages go beyond register 65535")
-        return self
 
     @property
     def words(self) -> int:
@@ -301,15 +308,16 @@ def _known(error: Any) -> str:
     """What could have been meant by a name that nothing has."""
     if error["type"] != "extra_forbidden":
         return ""
-    of = (
-        ChannelRegisters if "channels" in error["loc"] else Poll if "poll" in error["loc"] else None
-    )
-    names = [field.alias or name for name, field in of.model_fields.items()] if of else []
-    return f"; {known_names(error['loc'][-1], names)}" if names else ""
+    for part, kind in (("channels", ChannelRegisters), ("poll", Poll)):
+        if part in error["loc"]:
+            names = [field.alias or name for name, field in kind.model_fields.items()]
+            return f"; {known_names(error['loc'][-1], names)}"
+    return ""
 
 
 # Blocks of registers that one read takes, and the values of a polled stream from what was read.
 
+# Coils that one read may ask for (Modbus application protocol 1.1b3, 6.1).
 _MOST_BITS = 2000
 Place = tuple[Function, int]
 """A register or coil: the table that it is in, and its address on the wire, which counts from 0."""
@@ -360,6 +368,7 @@ class PolledStream:
             for places in (self.places(spec), self._scale_place(spec))
             if places
         }
+        # in order, so that only the last block can be the neighbour of the next value
         blocks: list[RegisterBlock] = []
         for places in sorted(values):
             (function, first), end = places[0], places[-1][1] + 1
@@ -381,6 +390,7 @@ class PolledStream:
 
     def _sample(self, channel: ChannelRegisters, read: Mapping[Place, int]) -> Samples:
         places, scale = self.places(channel), self._scale_place(channel)
+        # a value without its power of ten would be a number that looks right
         if not all(place in read for place in (*places, *scale)):
             return np.full(1, np.nan)
         values = channel.values(np.array([[read[place] for place in places]], np.uint16))

@@ -1,20 +1,21 @@
-"""A register map from a table, as device manuals and spreadsheets have it: a row a signal, with register, type and unit.
+"""A register map from a table, as device manuals and spreadsheets have it: a row a signal, with
+register, type and unit.
 
     name;register;type;unit;scale
     speed;40001;uint16;rpm;0.1
     temperature;40002;int16;°C;0.1
 
-Columns may be called as in the row of headings below; `,`, `;` and tab part them. Numbers of the kind 40001 … are holding
-registers, those of the kind 30001 … input registers, counted from 1 as many manuals do; others count from 0. A column `function`
-says the table of each row.
+Columns may be called as in the row of headings below; `,`, `;` and tab part them. Numbers of the
+kind 40001 … are holding registers, those of the kind 30001 … input registers, counted from 1 as
+many manuals do; others count from 0. A column `function` says the table of each row.
 """
 
 from __future__ import annotations
 
 import csv
 import io
-import logging
 import re
+from collections.abc import Callable
 from typing import Any
 
 import yaml
@@ -22,6 +23,7 @@ from pydantic import ValidationError
 
 from residuum.nearest_names import known_names
 from residuum.service.fieldbus.can.frame_layout import BadBusDescription
+from residuum.service.fieldbus.modbus.channel_registers import MANUAL_NUMBERS
 from residuum.service.fieldbus.modbus.register_map import RegisterMap, first_error
 
 HEADINGS: dict[str, tuple[str, ...]] = {
@@ -52,11 +54,7 @@ TYPES: dict[str, tuple[str, ...]] = {
     "bit": ("bit", "bool", "boolean"),
 }
 """Type → what it may be called."""
-_MODICON = {
-    "holding": ((400_001, 465_536), (40_001, 49_999)),
-    "input": ((300_001, 365_536), (30_001, 39_999)),
-}
-"""Table → how manuals number it: with a digit for the table before, and from 1."""
+# Rows: each makes a channel.
 _LONGEST = 1000
 
 
@@ -83,6 +81,7 @@ def register_map_of(
         name.
     """
     rows = _rows(text, where)
+    # how the table numbers its registers shows in all of them together, not in one
     registers = [_whole(row, "register", f"{where}, row {number}") for number, row in rows]
     function, shift = _numbering(registers)
     lowest = min(registers)
@@ -123,26 +122,33 @@ def _rows(text: str, where: str) -> list[tuple[int, dict[str, str]]]:
         raise BadBusDescription(
             f"{where}: needs a row of headings and up to {_LONGEST} rows; it has {len(lines)} lines"
         )
+    # what parts the headings most often; of two as often `;`, since a `,` may stand in numbers
     delimiter = max(";\t,", key=lines[0].count)
     table = list(csv.reader(io.StringIO("\n".join(lines)), delimiter=delimiter))
-    heads = [_heading(cell) for cell in table[0]]
+    heads = _heads(table[0], where)
+    return [
+        (number, _cells(heads, row, f"{where}, row {number}"))
+        for number, row in enumerate(table[1:], start=2)
+    ]
+
+
+def _heads(row: list[str], where: str) -> list[str | None]:
+    """The column of each cell of the headings; None of one that we have no use for."""
+    heads = [_heading(cell) for cell in row]
     for needed in ("name", "register"):
         if needed not in heads:
             raise BadBusDescription(
-                f"{where}: has no column {needed!r};"
-                f" {known_names(needed, table[0], 'the columns are')}"
+                f"{where}: has no column {needed!r}; {known_names(needed, row, 'the columns are')}"
             )
-    rows = []
-    for number, row in enumerate(table[1:], start=2):
-        if len(row) > len(heads):
-            raise BadBusDescription(
-                f"{where}, row {number}: has {len(row)} cells, the headings are {len(heads)}"
-            )
-        cells = dict.fromkeys(HEADINGS, "") | {
-            head: cell.strip() for head, cell in zip(heads, row, strict=False) if head
-        }
-        rows.append((number, cells))
-    return rows
+    return heads
+
+
+def _cells(heads: list[str | None], row: list[str], where: str) -> dict[str, str]:
+    """A row's cells by column; empty where it has none: spreadsheets leave out those at the end."""
+    if len(row) > len(heads):
+        raise BadBusDescription(f"{where}: has {len(row)} cells, the headings are {len(heads)}")
+    cells = {head: cell.strip() for head, cell in zip(heads, row, strict=False) if head}
+    return dict.fromkeys(HEADINGS, "") | cells
 
 
 def _heading(cell: str) -> str | None:
@@ -151,45 +157,50 @@ def _heading(cell: str) -> str | None:
 
 
 def _channel(row: dict[str, str], where: str) -> dict[str, Any]:
-    kind = re.sub(r"[_\s-]+", "", row["type"].lower()) or "uint16"
+    """A channel of the map, with what the row says of it; what it leaves out has the map's default."""
+    kind = _type(row["type"], where)
+    channel: dict[str, Any] = {"type": kind, "unit": row["unit"]}
+    if kind == "bit":
+        channel["bit"] = _whole(row, "bit", where) if row["bit"] else 0
+    for column, value_of in _VALUES.items():
+        if row[column]:
+            channel[column] = value_of(row, column, where)
+    return channel
+
+
+def _type(text: str, where: str) -> str:
+    kind = re.sub(r"[_\s-]+", "", text.lower()) or "uint16"
     known = next((name for name, aliases in TYPES.items() if kind in aliases), None)
     if known is None:
-        raise BadBusDescription(
-            f"{where}: type {row['type']!r} is not known; {known_names(row['type'], TYPES)}"
-        )
-    channel: dict[str, Any] = {"type": known, "unit": row["unit"]}
-    if known == "bit":
-        channel["bit"] = _whole(row, "bit", where) if row["bit"] else 0
-    for column in ("bits", "registers"):
-        if row[column]:
-            channel[column] = _whole(row, column, where)
-    for column in ("word_order", "byte_order", "function"):
-        if row[column]:
-            channel[column] = row[column].lower()
-    if row["missing"]:
-        channel["missing"] = [_sentinel(sentinel, where) for sentinel in row["missing"].split()]
-    for column in ("scale", "offset"):
-        if row[column]:
-            channel[column] = _figure(row[column], column, where)
-    return channel
+        raise BadBusDescription(f"{where}: type {text!r} is not known; {known_names(text, TYPES)}")
+    return known
 
 
 def _numbering(registers: list[int]) -> tuple[dict[str, str], int]:
     """The table that a manual's numbers name, where they name one, and what it calls its first
     register.
     """
-    for function, spans in _MODICON.items():
+    for function, spans in MANUAL_NUMBERS.items():
         for first, last in spans:
             if all(first <= register <= last for register in registers):
                 return ({} if function == "holding" else {"function": function}), first
     return {}, 0
 
 
-def _sentinel(text: str, where: str) -> float:
+def _word(row: dict[str, str], column: str, _where: str) -> str:
+    return row[column].lower()
+
+
+def _sentinels(row: dict[str, str], column: str, where: str) -> list[float]:
+    """Numbers that mean that there is no value, parted by blanks; in hexadecimal, too."""
+    return [_sentinel(text, column, where) for text in row[column].split()]
+
+
+def _sentinel(text: str, column: str, where: str) -> float:
     try:
         return _integer(text)
     except ValueError:
-        return _figure(text, "missing", where)
+        return _number(text, column, where)
 
 
 def _whole(row: dict[str, str], column: str, where: str) -> int:
@@ -206,11 +217,26 @@ def _integer(text: str) -> int:
     return int(text, 10 if text.strip().lstrip("+-").isdigit() else 0)
 
 
-def _figure(text: str, column: str, where: str) -> float:
+def _figure(row: dict[str, str], column: str, where: str) -> float:
+    return _number(row[column], column, where)
+
+
+def _number(text: str, column: str, where: str) -> float:
+    """A number, with a decimal comma as well."""
     try:
         return float(text.replace(",", "."))
     except ValueError:
         raise BadBusDescription(f"{where}: {column} {text!r} is not a number") from None
 
 
-logging.getLogger("pymodbus").setLevel(logging.CRITICAL)  # exceptions say it
+# Column → how its cell is read, in the order in which the map has them.
+_VALUES: dict[str, Callable[[dict[str, str], str, str], Any]] = {
+    "bits": _whole,
+    "registers": _whole,
+    "word_order": _word,
+    "byte_order": _word,
+    "function": _word,
+    "missing": _sentinels,
+    "scale": _figure,
+    "offset": _figure,
+}

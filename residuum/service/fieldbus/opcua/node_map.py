@@ -4,13 +4,20 @@ writes.
 ```yaml
 streams:
   process:
-    sample_time: 0.1                # s; a value belongs to the sample nearest to its source time stamp
+    sample_time: 0.1       # s; a value belongs to the sample nearest to its source time stamp
     channels:
       u: {node: "ns=2;s=process-plant.process.u", unit: V}
       y: {node: "ns=2;s=process-plant.process.y", unit: m, scale: 0.001}
-      setpoint: {node: "ns=2;s=process-plant.process.r", unit: m, held: true}      # reported when it changes
-security: {policy: Basic256Sha256, mode: SignAndEncrypt, certificate: own.der, key: own.pem,
-trusted: server.der} user: {name: residuum, password_file: password.txt} ```
+      # held: reported when it changes
+      setpoint: {node: "ns=2;s=process-plant.process.r", unit: m, held: true}
+security:
+  policy: Basic256Sha256
+  mode: SignAndEncrypt
+  certificate: own.der
+  key: own.pem
+  trusted: server.der
+user: {name: residuum, password_file: password.txt}
+```
 """
 
 from __future__ import annotations
@@ -94,6 +101,7 @@ class NodeMap(StrictModel):
 def read_node_map(path: Path) -> NodeMap:
     """The node map of a file; BadBusDescription names file and field."""
     trust = "; `residuum opcua trust URL --out FILE` writes the server's certificate"
+    # a session is opened again and again: files that are not there are told now, not each time
     nodes = read_map(path, NodeMap, lambda field: trust if field.endswith("trusted") else "")
     for file in _files(nodes):
         if not file.is_file():

@@ -21,8 +21,8 @@ from cryptography.x509.oid import ExtendedKeyUsageOID
 logging.getLogger("asyncua").setLevel(logging.CRITICAL)
 NAMESPACE = "urn:residuum:machines"
 _APPLICATION = "urn:residuum:findings"
+# Priority → severity of an event, 1 … 1000; of an alarm without one that of `medium`.
 _SEVERITY = {"high": 800, "medium": 500, "low": 200}
-"""Priority → severity of an event, 1 … 1000; of an alarm without one that of `medium`."""
 _ASIDE = ("shelved", "suppressed", "out-of-service")
 _SECURED = (
     "Basic256Sha256_SignAndEncrypt",

@@ -32,12 +32,15 @@ from residuum.service.fieldbus.stamped_samples import StampedSamples
 
 logging.getLogger("asyncua").setLevel(logging.CRITICAL)  # the counters say it
 
+# [s] Between two looks at what came: how long a sample waits at most once it is whole.
 _TICK = 0.05
+# Milliseconds between two messages of a subscription.
 _PUBLISH = 100.0
-"""Milliseconds between two messages of a subscription."""
+# [s] Between two questions to the server whether the connection stands.
 _CHECK = 1.0
+# Seconds without a value after which the session is asked whether it lives.
 _SILENT = 3.0
-"""Seconds without a value after which the session is asked whether it lives."""
+# Values of a node that a server keeps between two messages.
 _QUEUE = 1000
 _NUMERIC = {
     getattr(ua.VariantType, name)
@@ -55,10 +58,12 @@ _NUMERIC = {
         "Double",
     )
 }
+# A double tells whole numbers apart up to here.
 _WHOLE_UNTIL = 2**53
-"""A double tells whole numbers apart up to here."""
 _PLAIN = "number"
+# Messages that wait in the client: its own bound would drop them without a word.
 _WAITING = 100_000
+# References looked at: some servers have hundreds of thousands, and browsing has to end.
 _MOST_BROWSED = 5000
 
 
@@ -109,6 +114,7 @@ class OpcuaSource(Source):
         while not self._stopped.is_set():
             client = make_client(self._url, self._map, self._timeout)
             try:
+                # several requests make a session: each has its own time, and all of them a bound
                 await asyncio.wait_for(
                     enter(client, self._url, self._map, self._timeout), 4 * self._timeout
                 )
@@ -119,8 +125,9 @@ class OpcuaSource(Source):
                 opened_before = True
                 await self._read_while_it_works(client)
             except Exception as error:  # whatever a server does must not end the source
-                self.health.count("bus_errors", 1, said(error))
+                self.health.count("bus_errors", 1, what_went_wrong(error))
             await self._close(client)
+            # what is whole leaves now: the clock of the next connection may have been set
             self._hand_on()
             await self._pause(self._backoff.next())
 
@@ -157,6 +164,8 @@ class OpcuaSource(Source):
             asyncio.gather(*(n.read_data_value(False) for n in values)), self._timeout
         )
         newest = max((v.SourceTimestamp for v in readings if v.SourceTimestamp), default=None)
+        # asked twice: a value that has not changed since is as silent as a subscription that is
+        # gone
         before, self._asked = self._asked, newest
         if before is not None and newest is not None and newest != before:
             raise _Refused("values change and the subscription is silent")
@@ -184,13 +193,9 @@ class OpcuaSource(Source):
         for (name, spec), datum in zip(channels, readings, strict=True):
             if datum.Value is None or datum.Value.Value is None:
                 continue  # there is no value yet, or no such node
-            kind, value = datum.Value.VariantType, datum.Value.Value
-            if kind not in _NUMERIC or isinstance(value, list):
-                unfit.append(
-                    f"channel {name!r}, node {spec.node!r}:"
-                    f" {kind.name}{'[]' * isinstance(value, list)}, no number"
-                )
-            elif isinstance(value, int) and abs(value) >= _WHOLE_UNTIL:
+            if kind := _unfit_kind(datum.Value):
+                unfit.append(f"channel {name!r}, node {spec.node!r}: {kind}, no number")
+            elif _is_rounded(datum.Value.Value):
                 large.append(
                     f"channel {name!r}: whole numbers beyond 2^53 are rounded; neighbours look"
                     " alike"
@@ -232,11 +237,10 @@ class OpcuaSource(Source):
                 "unstamped", 1, f"channel {name!r}: a value without a source time stamp"
             )
             return
-        number = (
-            _number(datum.Value.Value if datum.Value is not None else None)
-            if datum.StatusCode.is_good()
-            else math.nan
-        )
+        number = math.nan
+        if datum.StatusCode.is_good() and datum.Value is not None:
+            number = _number(datum.Value.Value)
+        # a missing value is taken all the same: it ends one that was held
         if math.isnan(number):
             self.health.count(
                 "bad_status",
@@ -262,6 +266,18 @@ class OpcuaSource(Source):
         end = time.monotonic() + seconds
         while not self._stopped.is_set() and (left := end - time.monotonic()) > 0:
             await asyncio.sleep(min(left, 0.1))
+
+
+def _unfit_kind(value: ua.Variant) -> str:
+    """The type of a value that is no number, with `[]` behind an array's; empty for a number."""
+    is_array = isinstance(value.Value, list)
+    if value.VariantType in _NUMERIC and not is_array:
+        return ""
+    return f"{value.VariantType.name}{'[]' * is_array}"
+
+
+def _is_rounded(value: Any) -> bool:
+    return isinstance(value, int) and abs(value) >= _WHOLE_UNTIL
 
 
 def _request(node: ua.NodeId, handle: int, every: float) -> ua.MonitoredItemCreateRequest:
@@ -297,8 +313,10 @@ async def enter(client: Client, url: str, nodes: NodeMap | None, timeout: float)
     """Open a session; a server that shows another certificate than the trusted one is not entered:
     it would not even answer.
     """
-    if nodes is not None and (s := nodes.security) is not None:
+    s = None if nodes is None else nodes.security
+    if s is not None:
         shown, trusted = await server_certificate(url, timeout), s.trusted
+        # compared as DER: the file may be PEM of the same certificate
         if _plain(shown) != _plain(trusted.read_bytes()):
             raise _Refused(
                 f"the certificate that the server shows is not the trusted one ({trusted}); if the"
@@ -341,7 +359,7 @@ def _after(first: Any, then: Any) -> Any:
     return both
 
 
-def said(error: Exception) -> str:
+def what_went_wrong(error: Exception) -> str:
     """What went wrong, with the remedy where a certificate is not trusted."""
     if isinstance(error, _Refused):
         return str(error)
@@ -360,6 +378,7 @@ async def variables(client: Client, most: int) -> AsyncIterator[tuple[str, Any]]
     """
     waiting, looked_at, known = [client.nodes.objects], 0, set()
     while waiting and looked_at < most:
+        # namespace 0 is the standard's own: the server's state and types, no machine's values
         for reference in await waiting.pop().get_references(
             ua.ObjectIds.HierarchicalReferences, ua.BrowseDirection.Forward
         ):

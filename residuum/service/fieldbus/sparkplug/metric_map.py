@@ -7,11 +7,13 @@ streams:
   signals:
     device: Drive                   # left out: metrics of the node itself
     sample_time: 0.1                # s; a value belongs to the sample nearest to its time stamp
-    reports: samples                # `changes`: what a message does not name has not changed since the one before
+    # or `changes`: what a message does not name has not changed since the one before
+    reports: samples
     channels:
       speed: {metric: Motor/Speed, unit: rpm}
       force: {metric: Motor/Force, unit: N, scale: 1000}
-tls: {ca: ca.pem, certificate: own.pem, key: own.key}     # for a broker at mqtts://, as far as it needs them
+# for a broker at mqtts://, as far as it needs them
+tls: {ca: ca.pem, certificate: own.pem, key: own.key}
 ```
 """
 
@@ -98,6 +100,7 @@ def metric_map_text(
     node: str, every: float, devices: Mapping[str, Mapping[str, tuple[str, str]]]
 ) -> str:
     """The file of a node: device → channel → (metric, unit); a stream a device."""
+    # `reports` stands in the file although it is the default: whoever edits it sees what to change
     streams = {
         device or "node": {
             **({"device": device} if device else {}),

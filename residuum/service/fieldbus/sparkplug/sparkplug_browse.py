@@ -21,8 +21,8 @@ from residuum.service.fieldbus.sparkplug.sparkplug_payload import (
 )
 from residuum.service.fieldbus.sparkplug.sparkplug_source import NAMESPACE, REBIRTH, kind_and_device
 
+# [s] Without a further birth, all have been heard.
 _QUIET = 1.0
-"""[s] Without a further birth, all have been heard."""
 
 
 def numeric_metrics(
@@ -75,6 +75,7 @@ def _heard(
         kind, device = kind_and_device(message.topic)
         if kind in ("NBIRTH", "DBIRTH"):
             metrics = _numbers(message.payload)
+            # births of devices follow the node's one after the other; how many, nobody says
             devices |= {device: metrics} if metrics else {}
             end = min(end, time.monotonic() + _QUIET)
     return devices
@@ -85,6 +86,8 @@ def _numbers(content: bytes) -> dict[str, tuple[str, str]]:
         metrics = unpack(content).metrics
     except BadPayload:
         return {}
+    # data types 1 to 11 are numbers and booleans; bdSeq and Node Control/… belong to Sparkplug, not
+    # to a machine
     numeric = [
         m
         for m in metrics

@@ -36,12 +36,12 @@ _VALUES = {
     "boolean_value": _BOOL,
     "string_value": _TEXT,
 }
-INT64, UINT64, DOUBLE, BOOLEAN, STRING = 4, 8, 10, 11, 12
+INT32, INT64, UINT64, DOUBLE, BOOLEAN, STRING = 3, 4, 8, 10, 11, 12
+# Data types whose value travels as two's complement → its bits.
 _SIGNED_BITS = {1: 8, 2: 16, 3: 32, 4: 64}
-"""Data types whose value travels as two's complement → its bits."""
 _QUALITY, _GOOD = "Quality", 192
+# Properties in which senders give a unit; the specification names none.
 _UNITS = ("engUnit", "EngUnit", "engineeringUnit", "Engineering Units", "unit", "Unit", "Units")
-"""Properties in which senders give a unit; the specification names none."""
 
 
 class BadPayload(Exception):
@@ -96,8 +96,10 @@ def number_of(metric: Metric, datatype: int = 0) -> float:
     """The metric's value as a number of its data type (the birth's where it has none of its own);
     nan for anything else.
 
-    >>> number_of(Metric("a", 65535, datatype=2)), number_of(Metric("a", 65535, datatype=6)), number_of(Metric("a", "on"))
-    (-1.0, 65535.0, nan)
+    >>> number_of(Metric("a", 65535, datatype=2)), number_of(Metric("a", 65535, datatype=6))
+    (-1.0, 65535.0)
+    >>> number_of(Metric("a", "on"))
+    nan
     """
     value = metric.value
     if not isinstance(value, int | float):
@@ -105,6 +107,7 @@ def number_of(metric: Metric, datatype: int = 0) -> float:
     bits = _SIGNED_BITS.get(metric.datatype or datatype)
     if bits is None or not isinstance(value, int):
         return float(value)
+    # some senders fill the bits above the type's own with the sign, others with zeros
     value &= (1 << bits) - 1
     return float(value - (1 << bits) if value >> (bits - 1) else value)
 
@@ -132,6 +135,7 @@ def pack(payload: Payload) -> bytes:
 
 
 def _put(encoded: Any, metric: Metric) -> None:
+    """Write a metric; a field at its default is left out, as readers take one that is not there."""
     if metric.name:
         encoded.name = metric.name
     if metric.alias is not None:
@@ -144,20 +148,25 @@ def _put(encoded: Any, metric: Metric) -> None:
         encoded.is_historical = True
     if not metric.good:
         encoded.properties.keys.append(_QUALITY)
-        encoded.properties.values.add(type=3, int_value=0)
+        encoded.properties.values.add(type=INT32, int_value=0)
     if metric.unit:
         encoded.properties.keys.append(_UNITS[0])
         encoded.properties.values.add(type=STRING, string_value=metric.unit)
-    if metric.value is None:
+    _put_value(encoded, metric.value)
+
+
+def _put_value(encoded: Any, value: Any) -> None:
+    # bool before int, of which it is one in Python
+    if value is None:
         encoded.is_null = True
-    elif isinstance(metric.value, bool):
-        encoded.boolean_value = metric.value
-    elif isinstance(metric.value, str):
-        encoded.string_value = metric.value
-    elif isinstance(metric.value, int):
-        encoded.long_value = metric.value % (1 << 64)
+    elif isinstance(value, bool):
+        encoded.boolean_value = value
+    elif isinstance(value, str):
+        encoded.string_value = value
+    elif isinstance(value, int):
+        encoded.long_value = value % (1 << 64)  # a negative one as two's complement
     else:
-        encoded.double_value = metric.value
+        encoded.double_value = value
 
 
 def _metric(encoded: Any) -> Metric:

@@ -14,7 +14,7 @@ import queue
 import sys
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
@@ -24,7 +24,6 @@ import paho.mqtt.client as mqtt
 from residuum.nearest_names import nearest_names
 from residuum.service.broker import BrokerAddress
 from residuum.service.fieldbus.health import SourceHealth
-from residuum.service.fieldbus.opcua.reported_changes import ReportedChanges
 from residuum.service.fieldbus.source import Backoff, Sink, Source, StreamFormat
 from residuum.service.fieldbus.sparkplug.metric_map import MetricMap
 from residuum.service.fieldbus.sparkplug.sparkplug_payload import (
@@ -36,7 +35,7 @@ from residuum.service.fieldbus.sparkplug.sparkplug_payload import (
     pack,
     unpack,
 )
-from residuum.service.fieldbus.stamped_samples import StampedSamples
+from residuum.service.fieldbus.stamped_samples import ReportedChanges, StampedSamples
 
 # NodeSession: messages of one Sparkplug edge node put in order; every gap is noticed, and nothing
 # after one is believed.
@@ -44,20 +43,23 @@ from residuum.service.fieldbus.stamped_samples import StampedSamples
 # metrics. After a gap the metrics' aliases may mean something else, so nothing is taken until the
 # node is born again.
 # * Messages wait for `settle` seconds and go on by their time of sending, so that a birth stands
-# before its data. * One ahead of its turn waits for those before it, `patience` seconds long;
-# then there is a gap. * One that was taken before is a repetition. One older than those that are
-# remembered is late; if nothing else comes for `patience` seconds, the node's clock was set back:
-# a gap, too. * A birth that came before is a repetition, and an older one late, unless it is so
-# much older that the clock must have been set. * A death (NDEATH) carries the number of its birth
-# (bdSeq): one of an earlier session says nothing of this one.
+#   before its data.
+# * One ahead of its turn waits for those before it, `patience` seconds long; then there is a gap.
+# * One that was taken before is a repetition. One older than those that are remembered is late; if
+#   nothing else comes for `patience` seconds, the node's clock was set back: a gap, too.
+# * A birth that came before is a repetition, and an older one late, unless it is so much older that
+#   the clock must have been set.
+# * A death (NDEATH) carries the number of its birth (bdSeq): one of an earlier session says nothing
+#   of this one.
 # The numbers alone do not show 256 messages lost in a row, nor a birth that is lost while they
 # happen to go on (1 in 256): the first show in the stamps of values, the second in an alias that
 # nobody gave.
 
 _TURN = 256
 _HALF = _TURN // 2
+# [ms] By which a birth may come late; an older one was stamped by a clock that was set back.
 _LATEST_BIRTH = 10_000
-"""[ms] By which a birth may come late; an older one was stamped by a clock that was set back."""
+# Births that are known again when a broker repeats them.
 _REMEMBERED = 1000
 
 
@@ -166,11 +168,14 @@ class NodeSession:
 
     def gap(self, now: float) -> bool:
         """Whether there is a gap by now that there was not before."""
-        waiting = [since for since, _ in self._held[:1]] + (
-            [self._doubt] if self._doubt is not None else []
-        )
+        # since when the first message ahead of its turn, and a late one, stand without those
+        # between
+        waiting = [since for since, _ in self._held[:1]]
+        if self._doubt is not None:
+            waiting.append(self._doubt)
         if self._session is None or not waiting:
             return False
+        # more than half a turn ahead, numbers no longer tell ahead from behind
         if now - min(waiting) < self._patience and len(self._held) < _HALF:
             return False
         self._health.count(
@@ -196,15 +201,10 @@ class NodeSession:
         return [message]
 
     def _birth(self, message: NodeMessage) -> Sequence[NodeMessage]:
-        stamp, seq, birth = (
-            message.payload.stamp,
-            message.payload.seq or 0,
-            (message.payload.stamp, message.birth_number),
-        )
-        if (
-            birth in self._births
-            or self._newest_birth - _LATEST_BIRTH < stamp <= self._newest_birth
-        ):
+        stamp, seq = message.payload.stamp, message.payload.seq or 0
+        birth = (stamp, message.birth_number)
+        is_late = self._newest_birth - _LATEST_BIRTH < stamp <= self._newest_birth
+        if birth in self._births or is_late:
             self._health.count("duplicated", 1)
             return []
         self._births[birth], self._newest_birth = None, stamp
@@ -261,11 +261,13 @@ class NodeSession:
 
 NAMESPACE = "spBv1.0"
 REBIRTH = "Node Control/Rebirth"
+# [s] For which a message is waited for before samples are handed on.
 _TICK = 0.05
+# [s] After which the client asks a silent broker whether it is there.
 _KEEP_ALIVE = 20
 _CONNECTED, _LOST = "connected", "lost"
+# Messages that wait, and that are taken in one turn.
 _MOST_WAITING, _A_TURN = 10_000, 1000
-"""Messages that wait, and that are taken in one turn."""
 _OF_A_NODE = ("NBIRTH", "NDEATH", "NDATA", "DBIRTH", "DDEATH", "DDATA")
 
 
@@ -407,6 +409,7 @@ class SparkplugSource(Source):
             self.health.count("undecodable", 1, f"{topic}: {error}")
 
     def _believe(self, message: NodeMessage, now: float) -> None:
+        # a birth may follow a restart with another clock, and gives aliases anew
         if message.kind == "NBIRTH":
             self._forget()
             for samples in self._samples.values():
@@ -441,7 +444,7 @@ class SparkplugSource(Source):
                     )
                     self.health.count("undecodable", 1, lacks)
             if stream in self._changes:
-                self._changes[stream].stated(self._told(stream, message))
+                self._changes[stream].stated(self._reports(stream, message))
 
     def _values(self, message: NodeMessage, now: float) -> None:
         known = self._known.get(message.device, {})
@@ -462,13 +465,13 @@ class SparkplugSource(Source):
         for stream, spec in self._map.streams.items():
             if spec.device != message.device:
                 continue
-            reports = self._told(stream, message)
-            for stamp, channel, value in (
-                self._changes[stream].samples(reports) if stream in self._changes else reports
-            ):
+            reports: Iterable[tuple[float, str, float]] = self._reports(stream, message)
+            if stream in self._changes:
+                reports = self._changes[stream].samples(reports)
+            for stamp, channel, value in reports:
                 self._samples[stream].add(channel, stamp, value, now)
 
-    def _told(self, stream: str, message: NodeMessage) -> list[tuple[float, str, float]]:
+    def _reports(self, stream: str, message: NodeMessage) -> list[tuple[float, str, float]]:
         """(stamp [s], channel, value) of what a message says of a stream, in the order of the
         stamps.
         """
@@ -479,26 +482,29 @@ class SparkplugSource(Source):
         }
         reports = []
         for metric in message.payload.metrics:
-            name, datatype = known.get(
-                metric.alias if not metric.name and metric.alias is not None else metric.name,
-                ("", 0),
-            )
+            name, datatype = known.get(_identifier(metric), ("", 0))
             if not name:
                 self.health.count(
                     "unborn", 1, f"device {message.device!r}: a metric that its birth does not name"
                 )
             if name not in channels:
                 continue
+            # kept while the node was not connected: its samples were handed on without it
             if metric.historical:
                 self.health.count("late_values", 1)
                 continue
             channel, wanted = channels[name]
-            number = number_of(metric, datatype) if metric.good else math.nan
-            if math.isnan(number):
-                self.health.count("bad_status", 1, f"channel {channel!r}: not good, or no number")
+            number = self._number(metric, datatype, channel)
             stamp = metric.stamp if metric.stamp is not None else message.payload.stamp
             reports.append((stamp / 1e3, channel, number * wanted.scale + wanted.offset))
         return sorted(reports, key=lambda report: report[0])
+
+    def _number(self, metric: Metric, datatype: int, channel: str) -> float:
+        """A metric's value, NaN and counted where it is none or not good."""
+        number = number_of(metric, datatype) if metric.good else math.nan
+        if math.isnan(number):
+            self.health.count("bad_status", 1, f"channel {channel!r}: not good, or no number")
+        return number
 
     def _forget(self, device: str | None = None) -> None:
         """What was said is not known any more: of a device, or of the node and all of them."""
@@ -509,6 +515,7 @@ class SparkplugSource(Source):
                 changes.forget()
 
     def _ask_for_birth(self, client: mqtt.Client, now: float) -> None:
+        # while all is well: the moment at which a gap would be found, so that it is asked at once
         if self._session.in_step:
             self._ask_at = now
         if self._session.in_step or now < self._ask_at:
@@ -524,6 +531,11 @@ class SparkplugSource(Source):
             if block is not None:
                 self._backoff.reset()
                 self._deliver(block, 1)
+
+
+def _identifier(metric: Metric) -> str | int:
+    """By what a metric is named: its name, else its alias."""
+    return metric.alias if not metric.name and metric.alias is not None else metric.name
 
 
 def kind_and_device(topic: str) -> tuple[str, str]:

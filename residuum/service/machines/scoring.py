@@ -9,10 +9,9 @@ import threading
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from residuum.diagnosis.diagnosers import DIAGNOSERS, untrained
 from residuum.diagnosis.diagnosers.base import Diagnoser
@@ -21,9 +20,11 @@ from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
 from residuum.nearest_names import known_names
 from residuum.service.store import NotFound
+from residuum.service.work.worker_pool import PlainRecord
 
 # Trained diagnosers at hand: read from what is stored once, and kept for the next window.
 
+# Diagnosers: those of a plant's machines, and a bound on the memory of a process that serves many.
 _MOST_KEPT = 256
 
 
@@ -39,6 +40,7 @@ class KeptDiagnosers:
         with self._lock:
             if key in self._kept:
                 return self._kept[key]
+        # outside the lock: reading one takes a while, and others are waited for meanwhile
         judge = make()
         with self._lock:
             while len(self._kept) >= _MOST_KEPT:
@@ -126,27 +128,6 @@ def diagnoser_class(name: str) -> type[Diagnoser]:
     return DIAGNOSERS[name]
 
 
-class PlainRecord(NamedTuple):
-    """A record as it travels between processes."""
-
-    channels: Mapping[str, npt.NDArray[np.floating[Any]]]
-    units: Mapping[str, str]
-    sample_time: float
-    t0: float
-    source: str
-
-    @classmethod
-    def of(cls, record: Record) -> PlainRecord:
-        """The record's content."""
-        return cls(
-            dict(record.channels), dict(record.units), record.sample_time, record.t0, record.source
-        )
-
-    def record(self) -> Record:
-        """The record again."""
-        return Record(self.channels, self.units, self.sample_time, t0=self.t0, source=self.source)
-
-
 def score_window(
     diagnoser: str, baseline: str, window: PlainRecord, method: str | None = None
 ) -> Finding:
@@ -159,9 +140,12 @@ def score_window(
     is not assessable.
     """
     judge = diagnoser_of_file(diagnoser, baseline)
+    # a baseline that cannot be read is a fault of ours and raises; a window that is refused is a
+    # finding
     try:
         record = window.record()
         finding = (judge if method is None else judge.with_settings(method=method)).score(record)
+        # only values that are followed over windows need what they may have moved with
         if "parameters" not in finding.evidence:
             return finding
         return replace(finding, evidence={**finding.evidence, "conditions": conditions(record)})
