@@ -55,8 +55,9 @@ _SPARE = 512 * _MIB
 to come.
 """
 _PATIENCE = 3.0
-_OPCUA_PORT = 4840
 """How long a device may take to accept a connection [s]."""
+_OPCUA_PORT = 4840
+"""Of an address that says none: the port registered for OPC UA."""
 
 
 class Wrong(Exception):
@@ -205,7 +206,7 @@ def _database(settings: Settings) -> str:
                 " service migrates it"
             )
         with database.write():
-            """It can be written."""
+            pass  # it can be written
         if (damage := database.damage()) is not None:
             raise Wrong(f"is damaged: {damage}; restore a backup")
         return f"{database.url.get_backend_name()}, can be written, schema at revision {revision}"
@@ -335,38 +336,42 @@ def _buses(settings: Settings) -> list[Check]:
 
 
 def _bus(source: SourceSettings) -> str | tuple[str, str]:
-    if source.kind == "can":
-        messages = read_dbc(source.map_file)
-        read = streamed(messages)
-        open_bus(source.channel).close()
-        remarks = [f"{layout.name}: {layout.remark}" for layout in read if layout.remark] + list(
-            messages.unusable.values()
-        )
-        says = (
-            f"{source.channel} can be opened; {source.map} streams"
-            f" {', '.join(layout.name for layout in read)}"
-        )
-        silent = [
-            f"{layout.name} {layout.why_no_stream}"
-            for layout in messages.values()
-            if layout.why_no_stream
-        ]
-        left = f"; of {len(silent)} not streamed the first: {silent[0]}" if silent else ""
-        return says + left, "; ".join(remarks)
-    if source.kind == "sparkplug":
-        metrics = read_metric_map(source.map_file)
-        broker = metrics.entered(source.channel)
-        _let_in(broker)
-        return (
-            f"{broker.host}:{broker.port} lets us in; {source.map} has {len(metrics.streams)}"
-            f" streams of {metrics.node}"
-        )
-    if source.kind == "opcua":
-        streams = len(read_node_map(source.map_file).streams)
-        url = urllib.parse.urlsplit(source.channel)
-        host, port = url.hostname or "", url.port or _OPCUA_PORT
-    else:
-        return _modbus(source)
+    return _BUSES[source.kind](source)
+
+
+def _can(source: SourceSettings) -> tuple[str, str]:
+    messages = read_dbc(source.map_file)
+    layouts = streamed(messages)
+    open_bus(source.channel).close()
+    remarks = [f"{layout.name}: {layout.remark}" for layout in layouts if layout.remark]
+    remarks += messages.unusable.values()
+    names = ", ".join(layout.name for layout in layouts)
+    says = f"{source.channel} can be opened; {source.map} streams {names}"
+    silent = [
+        f"{layout.name} {layout.why_no_stream}"
+        for layout in messages.values()
+        if layout.why_no_stream
+    ]
+    if silent:
+        says += f"; of {len(silent)} not streamed the first: {silent[0]}"
+    return says, "; ".join(remarks)
+
+
+def _sparkplug(source: SourceSettings) -> str:
+    metrics = read_metric_map(source.map_file)
+    broker = metrics.entered(source.channel)
+    _let_in(broker)
+    return (
+        f"{broker.host}:{broker.port} lets us in; {source.map} has {len(metrics.streams)}"
+        f" streams of {metrics.node}"
+    )
+
+
+def _opcua(source: SourceSettings) -> str:
+    """A connection alone: whether the nodes are there shows when the service reads them."""
+    streams = len(read_node_map(source.map_file).streams)
+    url = urllib.parse.urlsplit(source.channel)
+    host, port = url.hostname or "", url.port or _OPCUA_PORT
     address = f"{host}:{port}"
     try:
         socket.create_connection((host, port), timeout=_PATIENCE).close()
@@ -394,6 +399,14 @@ def _modbus(source: SourceSettings) -> str | tuple[str, str]:
         if entry.remark not in ("", "missing")
     ]
     return f"{address} answers; {source.map}: {len(readings)} channels read", "; ".join(remarks)
+
+
+_BUSES: dict[str, Callable[[SourceSettings], str | tuple[str, str]]] = {
+    "can": _can,
+    "modbus": _modbus,
+    "opcua": _opcua,
+    "sparkplug": _sparkplug,
+}
 
 
 def _broker(settings: Settings) -> tuple[str, str]:
