@@ -104,6 +104,41 @@ def estimated(
     NotIdentifiable
         The model diverges on a record.
     """
+    _refuse_unknown(model, method, free)
+    _check_of_records(model, method)
+    start, experiments = match(model, records, mapping, hold)
+    parts = [
+        _estimation_part(experiment, record)
+        for experiment, record in zip(experiments, records, strict=True)
+    ]
+
+    def fitted(parts: Sequence[Experiment]) -> Estimate:
+        return METHODS[method](start, _pieces(parts, method, steps), free)
+
+    try:
+        if hold == "auto":
+            parts, result = at_likelier_timing(parts, fitted)
+            # what is kept aside is simulated with the timing that was found
+            experiments = [
+                replace(experiment, hold=part.hold)
+                for experiment, part in zip(experiments, parts, strict=True)
+            ]
+        else:
+            result = fitted(parts)
+        held_out = _held_out_error(result.model, experiments, records)
+    except NotIdentifiable as diverges:
+        if method == "prediction":
+            raise diverges from None
+        raise NotIdentifiable(f"{diverges}; {_IN_PIECES}") from None
+    # An error before and after can be compared where both are of simulations: not by innovations.
+    before = None if method == "kalman" else estimate(start, _pieces(parts, method, steps), free=())
+    says = unsettled(result, before)
+    if says and method != "prediction":
+        says = (*says, _IN_PIECES)
+    return Estimated(result, parts, held_out, says)
+
+
+def _refuse_unknown(model: PhysicalModel, method: str, free: Sequence[str] | None) -> None:
     if method not in METHODS:
         raise BadInput(
             f"method {method!r}: there is none of this name; {known_names(method, METHODS)}"
@@ -116,48 +151,19 @@ def estimated(
                 f"is no parameter of model {model.name!r};"
                 f" {known_names(name, model.all_parameters, 'there are')}",
             )
-    _check_of_records(model, method)
-    start, experiments = match(model, records, mapping, hold)
-    parts = [_estimation_part(e, record) for e, record in zip(experiments, records, strict=True)]
-
-    def tried(parts: Sequence[Experiment]) -> Estimate:
-        return METHODS[method](start, _pieces(parts, method, steps), free)
-
-    try:
-        if hold == "auto":
-            parts, result = at_likelier_timing(parts, tried)
-            experiments = [
-                replace(e, hold=part.hold) for e, part in zip(experiments, parts, strict=True)
-            ]
-        else:
-            result = tried(parts)
-        held_out = _held_out_error(result.model, experiments, records)
-    except NotIdentifiable as diverges:
-        raise (
-            diverges if method == "prediction" else NotIdentifiable(f"{diverges}; {_IN_PIECES}")
-        ) from None
-    before = None if method == "kalman" else estimate(start, _pieces(parts, method, steps), free=())
-    says = unsettled(result, before)
-    if says and method != "prediction":
-        says = (*says, _IN_PIECES)
-    return Estimated(result, parts, held_out, says)
 
 
 def _pieces(experiments: Sequence[Experiment], method: str, steps: int) -> Sequence[Experiment]:
     """What the method simulates at once."""
-    return (
-        [piece for e in experiments for piece in windows(e, steps)]
-        if method == "prediction"
-        else experiments
-    )
+    if method != "prediction":
+        return experiments
+    return [piece for experiment in experiments for piece in windows(experiment, steps)]
 
 
 def _estimation_part(experiment: Experiment, record: Record) -> Experiment:
-    return (
-        experiment
-        if record.split is None
-        else experiment.window(0, max(2, round(record.split * experiment.n)))
-    )
+    if record.split is None:
+        return experiment
+    return experiment.window(0, max(2, round(record.split * experiment.n)))
 
 
 def _held_out_error(
@@ -166,13 +172,14 @@ def _held_out_error(
     """RMS error of each output on the parts after the split, simulated with initial states of their
     own.
     """
-    parted = [
-        (e, r.split) for e, r in zip(experiments, records, strict=True) if r.split is not None
-    ]
-    rests = [
-        e.window(round(split * e.n), e.n) for e, split in parted if e.n - round(split * e.n) >= 2
-    ]
-    if not rests:
+    held_out = []
+    for experiment, record in zip(experiments, records, strict=True):
+        if record.split is None:
+            continue
+        cut = round(record.split * experiment.n)
+        if experiment.n - cut >= 2:  # one sample has no error beside its own initial state
+            held_out.append(experiment.window(cut, experiment.n))
+    if not held_out:
         return None
-    rmse = estimate(model, rests, free=()).rmse
+    rmse = estimate(model, held_out, free=()).rmse
     return {name: float(rmse[k]) for k, name in enumerate(model.outputs) if np.isfinite(rmse[k])}

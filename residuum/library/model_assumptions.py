@@ -36,11 +36,16 @@ from residuum.library.identification_methods import NOISE_MODELLED, identified_b
 from residuum.library.questions.identify import LAGS, Identify
 
 _POOR_FIT = 50.0
+"""Fit on data kept aside [%] below which a model that nothing is said against gets a remark."""
 _MAY_BE_UNSTABLE = ("arx", "armax", "ar")
 """Methods whose poles may lie outside the unit circle, and whose predictor is stable there."""
 _EXCITES = "the input is persistently exciting"
 _NOT_OVER = 0.05
+"""Share of the static gain that the model may put later than the records go on."""
 _MOST_REFITTED, _MOST_JUDGED, _BEFORE = 20_000, 8_000, 1000
+"""Samples that the fit of the first part sees, that are judged after it, and of the past at least
+that the judged ones are simulated from.
+"""
 _FEW = 6
 """Directions that a record has to tell for a response without an order to be more than its
 prior.
@@ -169,8 +174,14 @@ def told(
     for it.
     """
     untold = _untold(model, tests, estimation)
-    unfit = [*_unstable(model, tests), *untold, *_unfit(model, method, tests)]
+    unfit = [
+        *_unstable(model, tests),
+        *untold,
+        *_integrating(model, tests),
+        *_biased(method, tests),
+    ]
     remarks = _remarks(method, tests, trusted=not unfit)
+    # Where the excitation is told here, with its order, the model's own warning of it goes.
     own = [
         text
         for text in model.warnings
@@ -247,22 +258,27 @@ def _needed(model: IdentifiedModel, method: str) -> int:
     return _FEW
 
 
-def _unfit(model: IdentifiedModel, method: str, tests: Assumptions) -> list[str]:
-    says = []
-    unstable = tests.unstable is not None and tests.unstable.unstable
-    if unstable:
-        pass  # A(1) says nothing where a root lies outside
-    elif model.integrates:
-        says.append(
+def _integrating(model: IdentifiedModel, tests: Assumptions) -> list[str]:
+    """That model or plant integrates."""
+    if tests.unstable is not None and tests.unstable.unstable:
+        return []  # A(1) says nothing where a root lies outside
+    if model.integrates:
+        return [
             "the model integrates, and controllers are designed for stable plants;"
             f" {_ANOTHER_RECORD}"
-        )
-    elif tests.integrator is not None and tests.integrator.integrates:
-        says.append(
+        ]
+    if tests.integrator is not None and tests.integrator.integrates:
+        return [
             "the plant integrates, or settles slower than the record shows, so that its static"
             " gain has no bound; identify it with `integrator`, method bj and no `delay`, and"
             f" {_ANOTHER_RECORD}"
-        )
+        ]
+    return []
+
+
+def _biased(method: str, tests: Assumptions) -> list[str]:
+    """What makes the response another one than the plant's: feedback, a late input, a poor fit."""
+    says = []
     if tests.feedback is not None and tests.feedback.present and method not in NOISE_MODELLED:
         says.append(
             f"the input answers the output's noise (feedback, {100 * tests.feedback.share:.2g} % of"
@@ -275,6 +291,7 @@ def _unfit(model: IdentifiedModel, method: str, tests: Assumptions) -> list[str]
             f" lag; identify with method bj and no `delay` (or {tests.dead_time})"
         )
     worst = tests.worst
+    # An input that acts late makes the fit poor by itself, and is said already.
     if worst is not None and any(part.fails for part in tests.aside) and not tests.late:
         says.append(
             f"on data kept aside the fit is {worst.fit_percent:.0f} %, and the input explains what"

@@ -54,6 +54,19 @@ _BAND = 1.96
 """Standard deviations of a 95 % band."""
 
 
+def _gain_std(path: IdentifiedModel) -> float:
+    """Standard deviation of the static gain; a variance may be rounded below 0."""
+    return float(np.sqrt(max(path.frequency_covariance(0.0)[0, 0, 0], 0.0)))
+
+
+def _relative_gains(gains: npt.NDArray[np.float64]) -> npt.NDArray[np.float64] | None:
+    """The relative gain array Λ = G ∘ (G⁻¹)ᵀ of a square plant (Bristol, 1966); None where there is
+    no inverse.
+    """
+    invertible = gains.shape[0] == gains.shape[1] and abs(np.linalg.det(gains)) > 0
+    return gains * np.linalg.inv(gains).T if invertible else None
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class MultivariablePlant(Result):
     """Linear models from every input to every output, which know how far to trust them.
@@ -98,27 +111,20 @@ class MultivariablePlant(Result):
         array of a square plant.
         """
         model = self.identified
+        rows = model.models
+        first_path = rows[0][0]
         gains = model.frequency_response([0.0])[0].real
-        std = [
-            [float(np.sqrt(max(path.frequency_covariance(0.0)[0, 0, 0], 0.0))) for path in row]
-            for row in model.models
-        ]
-        square = gains.shape[0] == gains.shape[1] and abs(np.linalg.det(gains)) > 0
         return {
             "method": "kernel",
-            "inputs": [
-                {"name": path.input_name, "unit": path.input_unit} for path in model.models[0]
-            ],
-            "outputs": [
-                {"name": row[0].output_name, "unit": row[0].output_unit} for row in model.models
-            ],
-            "sample_time": model.models[0][0].sample_time,
-            "order": model.models[0][0].order,
+            "inputs": [{"name": path.input_name, "unit": path.input_unit} for path in rows[0]],
+            "outputs": [{"name": row[0].output_name, "unit": row[0].output_unit} for row in rows],
+            "sample_time": first_path.sample_time,
+            "order": first_path.order,
             "static_gain": gains,
-            "static_gain_std": std,
-            "relative_gains": gains * np.linalg.inv(gains).T if square else None,
-            "noise_variance": [row[0].noise_variance for row in model.models],
-            "impulse_responses": [[path.impulse_response for path in row] for row in model.models],
+            "static_gain_std": [[_gain_std(path) for path in row] for row in rows],
+            "relative_gains": _relative_gains(gains),
+            "noise_variance": [row[0].noise_variance for row in rows],
+            "impulse_responses": [[path.impulse_response for path in row] for row in rows],
             "fit_percent": [_fits(model, record) for record in self.estimation],
             "held_out_fit_percent": [_fits(model, record) for record in self.held_out],
             "file": None,

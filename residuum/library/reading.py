@@ -74,17 +74,19 @@ def heads(
 
 def _of_levels(columns: list[Any]) -> dict[Any, tuple[str, str]]:
     rows = {column: [str(part).strip() for part in column] for column in columns}
-    last = [parts[-1].strip("[]()") for parts in rows.values()]
-    filled = [unit for unit in last if unit and not unit.startswith("Unnamed")]
-    if filled and all(is_unit(unit_word(unit)) for unit in filled):
+    last_row = [parts[-1].strip("[]()") for parts in rows.values()]
+    units = _named(last_row)
+    # The last row is one of units where all of it are: one word that is none makes it names.
+    if units and all(is_unit(unit_word(unit)) for unit in units):
         return {
-            column: (".".join(_named(parts[:-1])), unit_word(unit) if unit in filled else "")
-            for (column, parts), unit in zip(rows.items(), last, strict=True)
+            column: (".".join(_named(parts[:-1])), unit_word(unit) if unit in units else "")
+            for (column, parts), unit in zip(rows.items(), last_row, strict=True)
         }
     return {column: unit_of_head(".".join(_named(parts))) for column, parts in rows.items()}
 
 
 def _named(parts: list[str]) -> list[str]:
+    """The heads that there are: pandas calls an empty one `Unnamed: …`."""
     return [part for part in parts if part and not part.startswith("Unnamed")]
 
 
@@ -151,6 +153,13 @@ def seconds(
 
     Raises BadRecord with what to do for anything that is no time.
     """
+    array = _array_of_times(values, where)
+    if array.dtype.kind in "mM":
+        return np.asarray((array - array[0]) / np.timedelta64(1, "ns") * 1e-9, dtype=float)
+    return _seconds_of_numbers(array, where, unit, told=told, near=near)
+
+
+def _array_of_times(values: Any, where: str) -> npt.NDArray[Any]:
     if getattr(values, "nlevels", 1) > 1:
         raise BadRecord(
             f"{where}: the index has {values.nlevels} levels; take one series, frame.xs(…) or"
@@ -158,9 +167,12 @@ def seconds(
         )
     if str(getattr(values, "dtype", "")).startswith("period"):
         values = getattr(values, "dt", values).to_timestamp()
-    array = _without_zone(values)
-    if array.dtype.kind in "mM":
-        return np.asarray((array - array[0]) / np.timedelta64(1, "ns") * 1e-9, dtype=float)
+    return _without_zone(values)
+
+
+def _seconds_of_numbers(
+    array: npt.NDArray[Any], where: str, unit: str, *, told: bool, near: str
+) -> npt.NDArray[np.float64]:
     if array.dtype.kind not in "iuf":
         raise BadRecord(
             f"{where}: the time does not hold numbers or instants ({str(array[0])[:30]!r}); make"
@@ -399,29 +411,29 @@ def from_arrays(
         )
     signals: Any = dict(channels)
     all_units = {name: given.get(name, "") for name in signals}
+    where = source or "arrays"
     if time is not None:
-        return _at_times(time, signals, all_units, resample, source or "arrays", sample_time, t0)
+        instants = seconds(np.asarray(time), where, told=True)
+        if t0 is not None:
+            raise BadRecord(f"{where}, t0: the times begin at {instants[0]:g} s; leave it out")
+        return _at_times(instants, signals, all_units, resample, where, sample_time)
     if sample_time is None:
         raise BadRecord(
-            f"{source or 'arrays'}: has no time; say sample_time=0.01 (seconds between samples), or"
+            f"{where}: has no time; say sample_time=0.01 (seconds between samples), or"
             " time=t (an array)"
         )
     return Record(signals, all_units, sample_time, t0=t0 or 0.0, source=source)
 
 
 def _at_times(
-    time: npt.ArrayLike,
+    instants: npt.NDArray[np.float64],
     signals: dict[str, Any],
     units: dict[str, str],
     resample: bool,
     where: str,
     sample_time: float | None,
-    t0: float | None,
 ) -> Record:
     """A record of arrays that were sampled at these times."""
-    instants = seconds(np.asarray(time), where, told=True)
-    if t0 is not None:
-        raise BadRecord(f"{where}, t0: the times begin at {instants[0]:g} s; leave it out")
     arrays = {name: np.asarray(values, dtype=float) for name, values in signals.items()}
     if unlike := [name for name, values in arrays.items() if values.shape != instants.shape]:
         shapes = f"has shape {arrays[unlike[0]].shape}, time has {instants.shape}"

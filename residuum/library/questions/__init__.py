@@ -14,6 +14,8 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import suppress
 from contextvars import ContextVar
 from dataclasses import dataclass
+from functools import reduce
+from operator import or_
 from textwrap import TextWrapper
 from types import NoneType, UnionType
 from typing import (
@@ -65,9 +67,6 @@ _RULES = {
 _SHOWN = {
     NoneType: "None",
     tuple[str, ...]: "str | tuple[str, ...]",
-    dict[str, Literal["small", "medium", "large"] | dict[str, float]]: (
-        "dict[str, str | dict[str, float]]"
-    ),
 }
 """How a type is shown; of several names one may stand alone."""
 _BOUNDS = {"ge": "≥", "gt": ">", "le": "≤", "lt": "<"}
@@ -318,4 +317,20 @@ def kinds(hint: Any) -> tuple[Any, ...]:
 
 
 def _kind(hint: Any) -> str:
-    return " | ".join(_SHOWN.get(kind) or inspect.formatannotation(kind) for kind in kinds(hint))
+    shown = (_SHOWN.get(kind) or _formatted(kind) for kind in kinds(hint))
+    return " | ".join(shown)
+
+
+def _formatted(hint: Any) -> str:
+    return inspect.formatannotation(_without_choices(hint))
+
+
+def _without_choices(hint: Any) -> Any:
+    """The type with `str` for each choice of texts: the field's help lists them."""
+    origin, parts = get_origin(hint), get_args(hint)
+    if origin is Literal and all(isinstance(choice, str) for choice in parts):
+        return str
+    if origin is Literal or not parts:
+        return hint
+    plain = [_without_choices(part) for part in parts]
+    return reduce(or_, plain) if origin in (Union, UnionType) else origin[tuple(plain)]
