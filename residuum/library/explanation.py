@@ -55,7 +55,8 @@ class Explanation(Result):
     Examples
     --------
     >>> import residuum as rs
-    >>> record = rs.simulate("gate-drive", effects={"coulomb-friction": "large"}, duration=20.0, seed=1)
+    >>> hidden = {"coulomb-friction": "large"}
+    >>> record = rs.simulate("gate-drive", effects=hidden, duration=20.0, seed=1)
     >>> why = rs.model("gate-drive").explain(record, effects=["coulomb-friction", "quadratic-drag"])
     >>> why.verdict, why.best.effect, why.best.balance
     ('missing-effect', 'coulomb-friction', 'shaft')

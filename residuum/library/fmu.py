@@ -260,7 +260,7 @@ class FmuModel(Model):
         return replace(
             estimation,
             fitted=self._copy(self._values | values, fitted),
-            slopes=_told(parameters, free, foreign.steps),
+            slopes=_slope_methods(parameters, free, foreign.steps),
         )
 
     def _free(self, asked: Estimate) -> tuple[str, ...]:
@@ -316,7 +316,7 @@ def _matched(
     return match(model.physical, records, map, hold)
 
 
-def _told(
+def _slope_methods(
     parameters: Mapping[str, Parameter], free: Sequence[str], steps: Mapping[str, Any]
 ) -> dict[str, dict[str, Any]]:
     """By what the slopes of each parameter were had."""

@@ -47,7 +47,8 @@ def linear_model(
     --------
     >>> import residuum as rs, scipy.signal
     >>> lag = scipy.signal.TransferFunction([2.0], [0.5, 1.0])
-    >>> rs.linear_model(lag, inputs=["voltage"], outputs=["speed"], units={"voltage": "V", "speed": "rad/s"}).outputs
+    >>> units = {"voltage": "V", "speed": "rad/s"}
+    >>> rs.linear_model(lag, inputs=["voltage"], outputs=["speed"], units=units).outputs
     {'speed': 'rad/s'}
     """
     from residuum.identification.physics.files.linear_model import (  # noqa: PLC0415  SciPy, for these alone

@@ -40,9 +40,11 @@ class Improvement(Result, Generic[M]):
     Examples
     --------
     >>> import residuum as rs
-    >>> record = rs.simulate("gate-drive", effects={"coulomb-friction": "large"}, duration=20.0, seed=1)
+    >>> hidden = {"coulomb-friction": "large"}
+    >>> record = rs.simulate("gate-drive", effects=hidden, duration=20.0, seed=1)
     >>> better = rs.model("gate-drive").improve(record, add=["coulomb-friction"])
-    >>> [step["added"] for step in better.history], better.history[1]["error"] < 0.5 * better.history[0]["error"]
+    >>> before, after = better.history
+    >>> [before["added"], after["added"]], after["error"] < 0.5 * before["error"]
     ([None, 'coulomb-friction'], True)
     """
 

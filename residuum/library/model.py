@@ -31,7 +31,7 @@ from residuum.identification.record import Record as MeasuredRecord
 from residuum.identification.residual_analysis.compare import compare
 from residuum.identification.residual_analysis.odd_readings import records_without_odd
 from residuum.library.comparison import Comparison
-from residuum.library.progress import Progress, told
+from residuum.library.progress import Progress, progress_shown
 from residuum.library.questions import asks
 from residuum.library.questions.compare import Compare
 from residuum.library.questions.estimate import Estimate
@@ -324,7 +324,8 @@ class Model(DescribedModel):
         Examples
         --------
         >>> import residuum as rs
-        >>> record = rs.simulate("gate-drive", effects={"coulomb-friction": "large"}, duration=10.0, seed=1)
+        >>> hidden = {"coulomb-friction": "large"}
+        >>> record = rs.simulate("gate-drive", effects=hidden, duration=10.0, seed=1)
         >>> rs.model("gate-drive").compare(record).structured
         True
         """
@@ -363,7 +364,8 @@ class Model(DescribedModel):
         Examples
         --------
         >>> import residuum as rs
-        >>> record = rs.simulate("gate-drive", effects={"coulomb-friction": "large"}, duration=6.0, seed=1)
+        >>> hidden = {"coulomb-friction": "large"}
+        >>> record = rs.simulate("gate-drive", effects=hidden, duration=6.0, seed=1)
         >>> drive = rs.model("gate-drive")
         >>> drive.explain(record, effects=["coulomb-friction"]).best.effect
         'coulomb-friction'
@@ -378,7 +380,7 @@ class Model(DescribedModel):
         asked = Explain.of(given)
         asked.use_own()
         measured = self._measured(records, map)
-        with told(progress) as tell:
+        with progress_shown(progress) as tell:
             ensure_compiled(tell)
             searching = partial(
                 explain,
@@ -420,7 +422,8 @@ class Model(DescribedModel):
         Examples
         --------
         >>> import residuum as rs
-        >>> record = rs.simulate("gate-drive", effects={"coulomb-friction": "large"}, duration=6.0, seed=1)
+        >>> hidden = {"coulomb-friction": "large"}
+        >>> record = rs.simulate("gate-drive", effects=hidden, duration=6.0, seed=1)
         >>> drive = rs.model("gate-drive")
         >>> drive.improve(record, add="coulomb-friction").model.effects
         ('coulomb-friction@shaft',)
@@ -434,7 +437,7 @@ class Model(DescribedModel):
         asked = Improve.of(given)
         asked.use_own()
         measured, left_out = self._sensed(self._measured(records, map), map)
-        with told(progress) as tell:
+        with progress_shown(progress) as tell:
             ensure_compiled(tell)
             improved = asked.handed_to(partial(improve, self.physical, measured, map, tell=tell))
         matched = match(self.physical, measured, map)
@@ -469,7 +472,8 @@ class Model(DescribedModel):
         Examples
         --------
         >>> import residuum as rs
-        >>> record = rs.simulate("gate-drive", effects={"coulomb-friction": "large"}, duration=6.0, seed=1)
+        >>> hidden = {"coulomb-friction": "large"}
+        >>> record = rs.simulate("gate-drive", effects=hidden, duration=6.0, seed=1)
         >>> drive = rs.model("gate-drive")
         >>> fitted = drive.estimate(record).model
         >>> fitted.parameters["R"].value != drive.parameters["R"].value
@@ -533,7 +537,8 @@ class Model(DescribedModel):
         Examples
         --------
         >>> import numpy as np, residuum as rs
-        >>> push = rs.from_arrays({"force": np.full(11, 95.0)}, units={"force": "N"}, sample_time=0.1)
+        >>> force = np.full(11, 95.0)
+        >>> push = rs.from_arrays({"force": force}, units={"force": "N"}, sample_time=0.1)
         >>> axis = rs.model("linear-axis").with_values(M=95.0)
         >>> float(axis.simulate(push)["velocity"][-1].round(9))   # 1 m/s² for 1 s
         1.0

@@ -33,7 +33,8 @@ class Curve:
 
         A curve with a band keeps every k-th point.
 
-        >>> curve = Curve("y", np.arange(1000.0), np.where(np.arange(1000) == 777, 9.0, 0.0)).reduced(100)
+        >>> x = np.arange(1000.0)
+        >>> curve = Curve("y", x, np.where(x == 777, 9.0, 0.0)).reduced(100)
         >>> len(curve.x) <= 100, float(curve.y.max())
         (True, 9.0)
         """

@@ -31,17 +31,18 @@ from residuum.library.answers.identification import (
 from residuum.library.identification_methods import identified_by, with_uncertainty
 from residuum.library.model_assumptions import (
     Assumptions,
+    ModelCheck,
     assumptions,
     check_stable,
+    model_check,
     parts_kept_aside,
     plant_tests,
+    with_remarks,
 )
-from residuum.library.model_assumptions import told as told_assumptions
-from residuum.library.model_check import ModelCheck, model_check
 from residuum.library.optional_package import need
 from residuum.library.picture import Curve, Panel, Picture, axis
 from residuum.library.plotly_figure import figure
-from residuum.library.progress import Progress, Tell, told
+from residuum.library.progress import Progress, Tell, progress_shown
 from residuum.library.questions import asks
 from residuum.library.questions.identify import LAGS, Identify
 from residuum.library.reading import as_records
@@ -83,7 +84,8 @@ class MultivariablePlant(Result):
     >>> import numpy as np, residuum as rs
     >>> u, w = np.random.default_rng(0).normal(size=(2, 300))
     >>> y = np.r_[0.0, 0.5 * u[:-1] + 0.2 * w[:-1]]
-    >>> record = rs.from_arrays({"u": u, "w": w, "y": y}, units={"u": "V", "w": "V", "y": "K"}, sample_time=1.0)
+    >>> units = {"u": "V", "w": "V", "y": "K"}
+    >>> record = rs.from_arrays({"u": u, "w": w, "y": y}, units=units, sample_time=1.0)
     >>> plant = rs.identify(record, input=["u", "w"], output="y", order=5)
     >>> [[round(gain, 2) for gain in row] for row in plant.to_dict()["static_gain"]]
     [[0.5, 0.2]]
@@ -209,9 +211,15 @@ def multivariable_plant(
 ) -> MultivariablePlant:
     """One kernel model of every path."""
     model = identify_multivariable(
-        estimation, asked.inputs, asked.outputs, kernel=asked.kernel, order=LAGS if asked.order is None else asked.order,
-        delay=1 if asked.delay is None else asked.delay, noise_variance=asked.noise_variance, offset=asked.offset,
-    )  # fmt: skip
+        estimation,
+        asked.inputs,
+        asked.outputs,
+        kernel=asked.kernel,
+        order=LAGS if asked.order is None else asked.order,
+        delay=1 if asked.delay is None else asked.delay,
+        noise_variance=asked.noise_variance,
+        offset=asked.offset,
+    )
     return MultivariablePlant(model, tuple(estimation), tuple(held_out))
 
 
@@ -298,7 +306,8 @@ class Plant(Result):
         Examples
         --------
         >>> import residuum as rs
-        >>> plant = rs.identify(rs.simulate("process-plant", seed=1), input="u", output="y", order=40)
+        >>> record = rs.simulate("process-plant", seed=1)
+        >>> plant = rs.identify(record, input="u", output="y", order=40)
         >>> plant.frequency_response([0.1, 1.0]).shape
         (2,)
         """
@@ -321,7 +330,8 @@ class Plant(Result):
         Examples
         --------
         >>> import residuum as rs
-        >>> plant = rs.identify(rs.simulate("process-plant", seed=1), input="u", output="y", order=40)
+        >>> record = rs.simulate("process-plant", seed=1)
+        >>> plant = rs.identify(record, input="u", output="y", order=40)
         >>> plant.sample(5).shape
         (5, 40)
         """
@@ -338,7 +348,8 @@ class Plant(Result):
         Examples
         --------
         >>> import residuum as rs
-        >>> plant = rs.identify(rs.simulate("process-plant", seed=1), input="u", output="y", order=40)
+        >>> record = rs.simulate("process-plant", seed=1)
+        >>> plant = rs.identify(record, input="u", output="y", order=40)
         >>> type(plant.to_control()).__name__
         'TransferFunction'
         """
@@ -362,7 +373,8 @@ class Plant(Result):
         See `load_plant`.
 
         >>> import residuum as rs
-        >>> plant = rs.identify(rs.simulate("process-plant", seed=1), input="u", output="y", order=40)
+        >>> record = rs.simulate("process-plant", seed=1)
+        >>> plant = rs.identify(record, input="u", output="y", order=40)
         >>> plant.save("/no/such/folder/plant.json")  # doctest: +ELLIPSIS
         Traceback (most recent call last):
             ...
@@ -380,7 +392,8 @@ class Plant(Result):
         Examples
         --------
         >>> import residuum as rs
-        >>> plant = rs.identify(rs.simulate("process-plant", seed=1), input="u", output="y", order=40)
+        >>> record = rs.simulate("process-plant", seed=1)
+        >>> plant = rs.identify(record, input="u", output="y", order=40)
         >>> plant.text().startswith('{"format"')
         True
         """
@@ -406,7 +419,8 @@ class Plant(Result):
         Examples
         --------
         >>> import residuum as rs
-        >>> plant = rs.identify(rs.simulate("process-plant", seed=1), input="u", output="y", order=40)
+        >>> record = rs.simulate("process-plant", seed=1)
+        >>> plant = rs.identify(record, input="u", output="y", order=40)
         >>> [axis.title.text for axis in plant.bode([0.1, 1.0]).select_yaxes()]
         ['magnitude [dB]', 'phase [°]']
         """
@@ -470,7 +484,8 @@ class Plant(Result):
         Examples
         --------
         >>> import residuum as rs
-        >>> plant = rs.identify(rs.simulate("process-plant", seed=1), input="u", output="y", order=40)
+        >>> record = rs.simulate("process-plant", seed=1)
+        >>> plant = rs.identify(record, input="u", output="y", order=40)
         >>> len(plant.step(10.0).data) > 0
         True
         """
@@ -516,7 +531,8 @@ class Plant(Result):
         Examples
         --------
         >>> import residuum as rs
-        >>> plant = rs.identify(rs.simulate("process-plant", seed=1), input="u", output="y", order=40)
+        >>> record = rs.simulate("process-plant", seed=1)
+        >>> plant = rs.identify(record, input="u", output="y", order=40)
         >>> plant.report(plant.to_dict()) == str(plant)
         True
         """
@@ -571,12 +587,13 @@ def identify(
     Examples
     --------
     >>> import residuum as rs
-    >>> plant = rs.identify(rs.simulate("process-plant", seed=1), input="u", output="y", method="arx", order=2)
+    >>> record = rs.simulate("process-plant", seed=1)
+    >>> plant = rs.identify(record, input="u", output="y", method="arx", order=2)
     >>> plant.identified.is_parametric
     True
     """
     asked = Identify.of(given)
-    with told(progress) as tell:
+    with progress_shown(progress) as tell:
         return identified(as_records(records), asked, tell)
 
 
@@ -640,7 +657,7 @@ def identified(
         check = model_check(model, asked, parts, estimation)
     tell(0.9, "simulating beside the records")
     return Plant(
-        told_assumptions(model, asked.method, assumed, estimation),
+        with_remarks(model, asked.method, assumed, estimation),
         asked.method,
         estimation,
         held_out,

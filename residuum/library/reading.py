@@ -143,20 +143,20 @@ _EPOCH = 1e11
 
 
 def seconds(
-    values: Any, where: str, *, unit: str = "", told: bool = False, near: str = "COLUMN"
+    values: Any, where: str, *, unit: str = "", is_time: bool = False, near: str = "COLUMN"
 ) -> npt.NDArray[np.float64]:
     """Instants or durations as seconds, shape (n,); instants count from the first one.
 
     `unit` is the unit of plain numbers (seconds where nothing is said). Whole numbers without one
-    count the rows as likely as they count seconds; they are taken where the caller has `told` that
-    they are the time. `near` is a column that may be it.
+    count the rows as likely as they count seconds; they are taken where the caller has said that
+    they are the time (`is_time`). `near` is a column that may be it.
 
     Raises BadRecord with what to do for anything that is no time.
     """
     array = _array_of_times(values, where)
     if array.dtype.kind in "mM":
         return np.asarray((array - array[0]) / np.timedelta64(1, "ns") * 1e-9, dtype=float)
-    return _seconds_of_numbers(array, where, unit, told=told, near=near)
+    return _seconds_of_numbers(array, where, unit, is_time=is_time, near=near)
 
 
 def _array_of_times(values: Any, where: str) -> npt.NDArray[Any]:
@@ -171,7 +171,7 @@ def _array_of_times(values: Any, where: str) -> npt.NDArray[Any]:
 
 
 def _seconds_of_numbers(
-    array: npt.NDArray[Any], where: str, unit: str, *, told: bool, near: str
+    array: npt.NDArray[Any], where: str, unit: str, *, is_time: bool, near: str
 ) -> npt.NDArray[np.float64]:
     if array.dtype.kind not in "iuf":
         raise BadRecord(
@@ -181,7 +181,7 @@ def _seconds_of_numbers(
     factor = seconds_of(unit) if unit else 1.0
     if factor is None:
         raise BadRecord(f"{where}: the time is in {unit!r}, which is no unit of time")
-    if array.dtype.kind in "iu" and not unit and not told:
+    if array.dtype.kind in "iu" and not unit and not is_time:
         raise BadRecord(
             f"{where}: the index counts ({array[0]}, {array[min(1, len(array) - 1)]}, …), which may"
             f" be rows and is not taken for seconds; say time={near!r}, sample_time=…, or make"
@@ -397,7 +397,8 @@ def from_arrays(
     Examples
     --------
     >>> import numpy as np, residuum as rs
-    >>> rs.from_arrays({"speed": np.zeros(100)}, units={"speed": "rad/s"}, sample_time=0.01).duration
+    >>> units = {"speed": "rad/s"}
+    >>> rs.from_arrays({"speed": np.zeros(100)}, units=units, sample_time=0.01).duration
     1.0
     >>> t = np.linspace(2.0, 3.0, 101)
     >>> rs.from_arrays({"speed": np.sin(t)}, units={"speed": "rad/s"}, time=t).t0
@@ -413,7 +414,7 @@ def from_arrays(
     all_units = {name: given.get(name, "") for name in signals}
     where = source or "arrays"
     if time is not None:
-        instants = seconds(np.asarray(time), where, told=True)
+        instants = seconds(np.asarray(time), where, is_time=True)
         if t0 is not None:
             raise BadRecord(f"{where}, t0: the times begin at {instants[0]:g} s; leave it out")
         return _at_times(instants, signals, all_units, resample, where, sample_time)
@@ -488,7 +489,8 @@ def from_pandas(
     Examples
     --------
     >>> import pandas, residuum as rs
-    >>> frame = pandas.DataFrame({"u [V]": [0.0, 1.0, 1.0], "speed": [0.0, 2.0, 3.0]}, index=[0.0, 0.1, 0.2])
+    >>> columns = {"u [V]": [0.0, 1.0, 1.0], "speed": [0.0, 2.0, 3.0]}
+    >>> frame = pandas.DataFrame(columns, index=[0.0, 0.1, 0.2])
     >>> print(rs.from_pandas(frame, units={"speed": "rad/s"}))
     DataFrame: 3 samples of 0.1 s, 0.3 s; u [V], speed [rad/s]
     """
@@ -509,7 +511,7 @@ def from_pandas(
         return from_arrays(signals, units=all_units, sample_time=sample_time, source=where)
     taken, head = (frame.index, frame.index.name) if time is None else (frame[time], time)
     instants = seconds(
-        taken, where, unit=unit_of_time(head), told=time is not None, near=_near_time(by_column)
+        taken, where, unit=unit_of_time(head), is_time=time is not None, near=_near_time(by_column)
     )
     refuse_disorder(instants, where)
     return _timed(instants, signals, all_units, resample, where, sample_time)
@@ -543,7 +545,8 @@ def from_xarray(
     Examples
     --------
     >>> import xarray, residuum as rs
-    >>> speed = xarray.DataArray([0.0, 2.0, 3.0], coords={"time": [0.0, 0.1, 0.2]}, name="speed", attrs={"units": "rad/s"})
+    >>> speed = xarray.DataArray([0.0, 2.0, 3.0], coords={"time": [0.0, 0.1, 0.2]}, name="speed")
+    >>> speed.attrs["units"] = "rad/s"
     >>> rs.from_xarray(speed).units["speed"]
     'rad/s'
     """

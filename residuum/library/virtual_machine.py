@@ -42,7 +42,8 @@ def simulate(machine: str, **given: Any) -> Record:
     Examples
     --------
     >>> import residuum as rs
-    >>> record = rs.simulate("gate-drive", effects={"coulomb-friction": "large"}, duration=2.0, seed=1)
+    >>> hidden = {"coulomb-friction": "large"}
+    >>> record = rs.simulate("gate-drive", effects=hidden, duration=2.0, seed=1)
     >>> record.names, record.units["speed"]
     (('voltage', 'speed', 'current'), 'rad/s')
     """

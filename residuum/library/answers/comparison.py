@@ -121,8 +121,8 @@ def _lacking(comparison: Comparison, name: str) -> str:
     """Which output is not compared, in which records."""
     records = comparison.not_recorded[name]
     where = f" in {', '.join(records)}" if len(records) < len(comparison.records) else ""
-    one = said("map", {name: "COLUMN"})
-    return f"{name}: not compared{where}, for no column holds it (map one: {one})"
+    way_to_map = said("map", {name: "COLUMN"})
+    return f"{name}: not compared{where}, for no column holds it (map one: {way_to_map})"
 
 
 def _structured(comparison: Comparison) -> str:

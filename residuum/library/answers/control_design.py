@@ -60,8 +60,11 @@ def promise_and_measurement(
         "settling_time_s": solution.chosen.second,
         "in_time": wishes.in_time,
     }
-    kept, share = responses.kept(solution.chosen.first, solution.chosen.second)
-    return {"promised": promised, "measured": measured | {"kept": kept, "share_kept": share}}
+    promise_kept, share = responses.kept(solution.chosen.first, solution.chosen.second)
+    return {
+        "promised": promised,
+        "measured": measured | {"kept": promise_kept, "share_kept": share},
+    }
 
 
 def says(result: Mapping[str, Any]) -> list[str]:

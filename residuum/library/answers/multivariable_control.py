@@ -76,11 +76,14 @@ def design_text(result: dict[str, Any]) -> str:
     """The short human report."""
     rows = "; ".join(", ".join(f"{value:.4g}" for value in row) for row in result["decoupler"])
     plants = result["random_plants"]
+    inputs = ", ".join(result["inputs"])
+    certificate = "NOT certified"
+    if result["certified"]:
+        certificate = "all loops together are certified stable for every drawn model"
     lines = [
-        f"{result['structure']} behind the decoupler D (rows: {', '.join(result['inputs'])}) {rows}",
-        "  " + ("all loops together are certified stable for every drawn model" if result["certified"] else "NOT certified")
-        + f"; {plants['unstable']} of {plants['count']} further plants unstable",
-    ]  # fmt: skip
+        f"{result['structure']} behind the decoupler D (rows: {inputs}) {rows}",
+        f"  {certificate}; {plants['unstable']} of {plants['count']} further plants unstable",
+    ]
     for loop in result["loops"]:
         measured, promised = loop["measured"], loop["promised"]
         nominal, most = measured["nominal"], measured["reached_by_95_percent"]

@@ -97,7 +97,7 @@ class Question(BaseModel):
     renamed: ClassVar[Mapping[str, str]] = {}
     """How a field was called before → how it is called now."""
     singular: ClassVar[Mapping[str, str]] = {}
-    """Field of several → how a command calls one of them, which it takes beside the field's name."""
+    """Field of several → how a command calls one of them, beside the field's name."""
 
     @classmethod
     def of(cls, given: Mapping[str, Any]) -> Self:
@@ -278,23 +278,23 @@ def asks(question: type[Question]) -> Callable[[Function], Function]:
     and to its docstring after the parameters of its own, but for `progress`, which is the last.
     """
 
-    def told(function: Function) -> Function:
+    def with_fields(function: Function) -> Function:
         signature = inspect.signature(function)
         own = [arg for arg in signature.parameters.values() if arg.kind is not arg.VAR_KEYWORD]
         parameters = sorted(
             [*own, *_keywords(question)], key=lambda arg: (arg.kind, arg.name == "progress")
         )
-        function.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
-        fields = "\n".join(
-            f"{arg.name} :"
-            f" {arg.annotation.replace(' | ', ' or ')}\n{_LINES.fill(help_of(question.model_fields[arg.name]))}"
-            for arg in _keywords(question)
-        )
+        with_fields_too = signature.replace(parameters=parameters)
+        function.__signature__ = with_fields_too  # type: ignore[attr-defined]
+        fields = []
+        for arg in _keywords(question):
+            meaning = _LINES.fill(help_of(question.model_fields[arg.name]))
+            fields.append(f"{arg.name} : {arg.annotation.replace(' | ', ' or ')}\n{meaning}")
         before, ending, after = _LAST.split(inspect.cleandoc(function.__doc__ or ""), maxsplit=1)
-        function.__doc__ = f"{before}\n{fields}{ending}{after}"
+        function.__doc__ = "\n".join([before, *fields]) + ending + after
         return function
 
-    return told
+    return with_fields
 
 
 def _shown(question: type[Question], name: str) -> str:

@@ -16,8 +16,8 @@ from residuum.service.api.answers import (
     AlarmRatesAnswer,
     PageOf,
 )
-from residuum.service.api.json_response import Json, StrictRoute, page_answer
 from residuum.service.api.parameters import NAME, TEXT, AlarmId, Begin, Cursor, End, Limit
+from residuum.service.api.responses import Json, StrictRoute, page_answer
 from residuum.service.results.parquet_tables import open_span
 from residuum.service.results.rationalisation import rationalisation_table
 from residuum.service.services import Running, Services, caller_of
@@ -94,12 +94,12 @@ async def rationalisation(request: Request, running: Running) -> Response:
     """
     sites = caller_of(request).sites
 
-    def made() -> Response:
+    def table_file() -> Response:
         table = rationalisation_table(running.store, running.pipeline.alarm_rule, sites)
         headers = {"Content-Disposition": 'attachment; filename="alarms.csv"'}
         return Response(table, media_type="text/csv; charset=utf-8", headers=headers)
 
-    return await running.listing(made)
+    return await running.listing(table_file)
 
 
 @router.get("/{alarm}", response_model=AlarmAnswer)

@@ -24,9 +24,8 @@ from residuum.library.questions.missing_effect import Explain, Improve
 from residuum.library.questions.residual import DesignResidual, RunResidual
 from residuum.robust_control.controller_export import LANGUAGES
 from residuum.service.api.answers import PROBLEMS, JobAnswer
-from residuum.service.api.jobs import accepted
-from residuum.service.api.json_response import Json, StrictRoute
 from residuum.service.api.parameters import NAME, ModelName, NewModelName
+from residuum.service.api.responses import Json, StrictRoute, accepted
 from residuum.service.services import Running, Services, caller_of
 from residuum.service.store import Conflict, NotFound
 from residuum.service.views.model_view import model_of
@@ -292,6 +291,7 @@ def _keep(request: Request, running: Services, name: str | None, kind: str) -> K
             for key, value in outcome["result"].items()
             if key not in ("file", "model_file")
         }
+        # Some answers have no file to keep, such as that of a search that did not come to rest.
         if name is None or outcome["file"] is None:
             return result
         version = running.store.add_model_version(name, kind, outcome["file"], "made by a job", by)
@@ -321,6 +321,7 @@ def _check_known(question: Explain, names: Sequence[str] | None, given: Asked) -
 
 def _asked(running: Services, model: str, asked: OnRecords) -> Asked:
     """The model, the built-in one where no version is named, and what it is held against."""
+    # A version names a stored model, even one of a built-in model's name.
     built_in = asked.version is None and model in BUILT_IN
     text = None if built_in else _content(running, model, "physical", asked.version)
     return Asked(model, text, _records(running, asked.records), asked.map)

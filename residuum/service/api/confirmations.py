@@ -14,7 +14,6 @@ from residuum.service.api.answers import (
     PageOf,
     ReliabilityAnswer,
 )
-from residuum.service.api.json_response import Json, StrictRoute, page_answer
 from residuum.service.api.parameters import (
     NAME,
     TEXT,
@@ -25,6 +24,7 @@ from residuum.service.api.parameters import (
     FindingId,
     Limit,
 )
+from residuum.service.api.responses import Json, StrictRoute, page_answer
 from residuum.service.results.parquet_tables import open_span
 from residuum.service.results.said_and_found import said_and_found
 from residuum.service.services import Running, caller_of

@@ -11,8 +11,8 @@ from pydantic import BaseModel, Field
 from residuum.array_types import FloatArray
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.service.api.answers import PROBLEMS
-from residuum.service.api.json_response import Json, StrictRoute
 from residuum.service.api.parameters import ModelName
+from residuum.service.api.responses import Json, StrictRoute
 from residuum.service.services import Running, Services
 from residuum.service.store import Conflict
 from residuum.service.views.signal_view import read_identified
@@ -101,6 +101,8 @@ def frequency_response(model: IdentifiedModel, points: int) -> dict[str, list[fl
     G = model.frequency_response(2 * np.pi * frequency)
     covariance = model.frequency_covariance(2 * np.pi * frequency)
     magnitude = np.abs(G)
+    # The unit vector of G in the plane of (Re G, Im G), and the one across it: to first order the
+    # magnitude moves along the one, the phase along the other by σ/|G|.
     along = np.stack([G.real, G.imag], axis=1) / np.maximum(magnitude, 1e-300)[:, None]
     across = np.stack([-along[:, 1], along[:, 0]], axis=1)
     radial, tangential = (

@@ -6,7 +6,7 @@ from importlib.metadata import version
 
 from fastapi import APIRouter, Request, Response
 
-from residuum.service.api.json_response import Json
+from residuum.service.api.responses import Json
 from residuum.service.machines.machine_state import counted, troubled
 from residuum.service.services import Running, caller_of
 

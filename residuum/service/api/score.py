@@ -15,9 +15,9 @@ from residuum.identification.errors import BadInput
 from residuum.library.questions import help_of, kinds, written
 from residuum.library.questions.score import Score
 from residuum.service.api.answers import PROBLEMS, ScoreAnswer
-from residuum.service.api.json_response import BareRoute, finding_json
 from residuum.service.api.parameters import NAME
 from residuum.service.api.reading_options import remedies_in_query, remedies_in_upload
+from residuum.service.api.responses import BareRoute, finding_json
 from residuum.service.api.signal_body import (
     SIGNAL_BODY,
     SIGNAL_QUERY,

@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from fastapi import Request
 from starlette.concurrency import run_in_threadpool
@@ -25,10 +25,12 @@ from residuum.identification.units import registry_is_read
 from residuum.service.api.reading_options import READING_OPTIONS, Reading, only_of_files, reading_of
 from residuum.service.machines.adding import known_dbc
 from residuum.service.problems import BadBody, UnsupportedBody
-from residuum.service.services import Services
 from residuum.service.work.npy import read_npy
 from residuum.service.work.signal_formats import FORMATS, few, unpacked_size
 from residuum.service.work.upload_reader import read_body, read_upload
+
+if TYPE_CHECKING:
+    from residuum.service.services import Services
 
 READ_ON_THE_LOOP = 64 * 2**10
 """Bytes up to which a body is read on the event loop: a few milliseconds."""
@@ -250,6 +252,7 @@ async def body_of(request: Request) -> bytes:
 
 
 async def _off_the_loop(body: bytes, read: Callable[..., Record], *arguments: Any) -> Record:
+    # The registry of units is read with the first unit, which takes long: not on the loop.
     short = len(body) <= READ_ON_THE_LOOP and registry_is_read()
     return read(*arguments) if short else await run_in_threadpool(read, *arguments)
 
@@ -258,6 +261,7 @@ def _from_npy(body: bytes, query: bytes, expected: Sequence[Channel]) -> Record:
     array = read_npy(body)
     rows = array.reshape(1, -1) if array.ndim == 1 else array
     header = _description(query)
+    # An array without names has the channels that the diagnoser needs, in its order.
     names = header.names or tuple(
         (channel.name, channel.unit) for channel in expected if channel.required
     )

@@ -11,8 +11,8 @@ from pydantic import BaseModel, Field
 
 from residuum.identification.discrepancy.compile_ahead import is_compiled
 from residuum.service.api.answers import PROBLEMS
-from residuum.service.api.json_response import Json, StrictRoute
 from residuum.service.api.parameters import NAME
+from residuum.service.api.responses import Json, StrictRoute
 from residuum.service.security.access import Caller
 from residuum.service.services import Running, Services, caller_of
 from residuum.service.window_queue.set_aside import SetAside

@@ -16,9 +16,8 @@ from residuum.library.questions.residual import DesignResidual, RunResidual
 from residuum.library.questions.uncertainty import Uncertainty, weight_for
 from residuum.service.api.analyses import RecordNumbers
 from residuum.service.api.answers import PROBLEMS, JobAnswer
-from residuum.service.api.jobs import accepted
-from residuum.service.api.json_response import Json, StrictRoute
 from residuum.service.api.parameters import ModelName
+from residuum.service.api.responses import Json, StrictRoute, accepted
 from residuum.service.services import Running, Services
 from residuum.service.store import Conflict
 from residuum.service.views.signal_view import read_identified, view_residual
@@ -95,9 +94,11 @@ def get_uncertainty(
     identified = read_identified(_content(running, model, asked.version))
     uncertainty = weight_for(identified, asked, asked.form, asked.seed)
     omega = 2 * np.pi * np.geomspace(_LOWEST, 1.0, _POINTS) * 0.5 / identified.sample_time
+    # G(e^{iω Ts}) = Σ g_k e^{−iω Ts k}; the drawn responses reach further than the model's own.
     turn = np.exp(-1j * np.outer(omega * identified.sample_time, np.arange(identified.reach)))
     drawn = identified.sample_longer(asked.samples, 0) @ turn.T
     centre = turn[:, : identified.order] @ identified.impulse_response
+    # What the error is relative to, by its form.
     below = {"multiplicative": centre, "additive": np.ones(1), "inverse-multiplicative": drawn}[
         asked.form
     ]

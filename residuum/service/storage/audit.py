@@ -86,6 +86,7 @@ def _followed(connection: Connection) -> tuple[int, str]:
     ):
         number += 1
         if row.number != number:
+            # numbers run without gaps: the head's lock gives them
             raise BrokenAudit(f"audit: entry {number} is missing")
         digest = _content(row).digest(digest)
         if row.digest != digest:

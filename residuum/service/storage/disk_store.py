@@ -185,6 +185,7 @@ class DiskStore:
                 f"database: has not answered for {_CHECK_WITHIN:g} s whether it can be written"
             )
         try:
+            # Whoever waited for the lock meanwhile gets the answer of the look that it waited for.
             if time.monotonic() - self._checked_at >= _CHECK_EVERY:
                 self._refusal = self._looked()
                 self._checked_at = time.monotonic()
@@ -205,6 +206,7 @@ class DiskStore:
     def unshelve_expired(self) -> None:
         """Put alarms back whose shelving has run out, and tell of a flood that is over."""
         with self._database.write() as connection:
+            # First, so that the notice of a flood's end has them as they are then.
             expired = alarm_rows.unshelve_expired(connection, _now())
             alarm_floods.end(connection, _now())
         for alarm in expired:
@@ -381,15 +383,17 @@ class DiskStore:
         return changed
 
     def confirm(
-        self, asset: str, finding: int, found: FoundAtMachine, by: str | None = None
+        self, asset: str, finding: int, observed: FoundAtMachine, by: str | None = None
     ) -> Confirmation:
         """Keep what was found at the machine of what a finding said; BadInput where it contradicts
         itself.
         """
         with self._database.write() as connection:
-            told = confirmation_rows.add(connection, asset, finding, found, by=by, now=_now())
-        self._announce("confirmation", told.to_json())
-        return told
+            confirmation = confirmation_rows.add(
+                connection, asset, finding, observed, by=by, now=_now()
+            )
+        self._announce("confirmation", confirmation.to_json())
+        return confirmation
 
     def alarm_rates(self) -> AlarmRates:
         """How many alarms were raised of late."""

@@ -57,11 +57,11 @@ def add(connection: Connection, alarm: Alarm) -> None:
     add_notice(connection, alarm.to_json())
 
 
-def add_notice(connection: Connection, told: Mapping[str, Any]) -> None:
+def add_notice(connection: Connection, notice: Mapping[str, Any]) -> None:
     """Write a notice of anything, after an entry of the audit trail in the same transaction."""
     # No other process is here: the lock of the audit trail's head is held until the commit.
     number = (connection.scalar(select(func.max(alarm_notices.c.number))) or 0) + 1
-    row = {"number": number, "alarm": orjson.loads(orjson.dumps(told))}
+    row = {"number": number, "alarm": orjson.loads(orjson.dumps(notice))}
     connection.execute(insert(alarm_notices).values(row_checks.sealed(alarm_notices, row)))
     connection.execute(delete(alarm_notices).where(alarm_notices.c.number <= number - MOST_NOTICES))
 
@@ -171,7 +171,7 @@ class Outbox:
             # its row first, as where notices are let go
             less = {"findings_lost": receivers.c.findings_lost - lost}
             connection.execute(update(receivers).where(receivers.c.id == receiver).values(less))
-            finding_notices.told(connection, receiver, finding_ids)
+            finding_notices.remove_told(connection, receiver, finding_ids)
 
     def release(self) -> None:
         """Let others tell the receivers of this process at once."""

@@ -227,6 +227,7 @@ def let_go(connection: Connection, retention: Retention, now: datetime, clock: C
     days = min(retention.days, retention.row_days)
     aged = may_go = clock.signals(connection, days, now)
     freed: list[Row[Any]] = []
+    # The sums go down with each row that is let go, so that no more go than must.
     for row in connection.execute(_may_go(_HELD)):
         # Oldest first. Beyond the amount they go whatever the clock says; for their age alone only
         # so many a day.

@@ -18,12 +18,21 @@ import numpy.typing as npt
 from residuum.array_types import FloatArray
 from residuum.diagnosis.residuals.residual_design import ResidualDesign
 from residuum.diagnosis.residuals.residual_detection import Detection, detect
+from residuum.identification.errors import BadInput
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.linear_models.identified_model_file import load_identified
 from residuum.identification.record import Record
 from residuum.library.questions.residual import DesignResidual, RunResidual, residual_for
+from residuum.service.store import ReadInPieces
 from residuum.service.work.jobs import Progress
 from residuum.service.work.worker_pool import RecordParts
+
+_MOST_SHOWN, _FEWEST = 100_000, 10
+"""Intervals of all channels together, and of each: written as JSON in some 20 ms, in which nothing
+else is done.
+"""
+_NEXT = 1e-6
+"""Of a sample: a time that is printed as a sample's own means that sample."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +69,8 @@ def extremes(signal: npt.NDArray[Any], most: int) -> Extremes:
 def extremes_of_pieces(pieces: Iterator[npt.NDArray[Any]], n: int, most: int) -> Extremes:
     """`extremes` of a signal of n samples that comes piece by piece.
 
-    >>> extremes_of_pieces(iter([np.array([0.0, 5.0, -1.0]), np.array([2.0, np.nan])]), 5, 3).maximum.tolist()
+    >>> pieces = iter([np.array([0.0, 5.0, -1.0]), np.array([2.0, np.nan])])
+    >>> extremes_of_pieces(pieces, 5, 3).maximum.tolist()
     [5.0, 2.0, nan]
     """
     samples = max(1, -(-n // most))
@@ -92,6 +102,46 @@ def stretch(
         if len(inside := piece[max(0, first - begin) : max(0, last - begin)]):
             yield inside
         begin += len(piece)
+
+
+def signal_view(
+    record: ReadInPieces, points: int, begin: float, end: float | None
+) -> dict[str, Any]:
+    """The `SignalAnswer` of a stretch of a record, without the window's number; BadInput when the
+    stretch is empty.
+    """
+    first = min(int(begin / record.sample_time + _NEXT), record.n)
+    last = record.n if end is None else min(record.n, int(end / record.sample_time + _NEXT) + 1)
+    if last <= first:
+        raise BadInput(
+            f"query, from and to: no sample in {begin} … {end} s; the window lasts"
+            f" {record.n * record.sample_time:.6g} s"
+        )
+    points = min(points, max(_FEWEST, _MOST_SHOWN // len(record.units)))
+    samples = max(1, -(-(last - first) // points))
+    reduced = samples > 2
+    channels = {
+        name: {
+            "unit": unit,
+            **_values(stretch(record.pieces(name), first, last), last - first, points, reduced),
+        }
+        for name, unit in record.units.items()
+    }
+    interval = record.sample_time * (samples if reduced else 1)
+    return {
+        "start": first * record.sample_time,
+        "interval": interval,
+        "reduced": reduced,
+        "n": last - first,
+        "channels": channels,
+    }
+
+
+def _values(pieces: Iterator[Any], n: int, points: int, reduced: bool) -> dict[str, Any]:
+    if not reduced:
+        return {"values": np.concatenate(list(pieces))}
+    envelope = extremes_of_pieces(pieces, n, points)
+    return {"minimum": envelope.minimum, "maximum": envelope.maximum}
 
 
 # What a page draws of a residual generator: residual and statistic over time, and what a fault of

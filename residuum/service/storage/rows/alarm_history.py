@@ -71,6 +71,7 @@ def _what_followed(connection: Connection, raised: Sequence[Row[Any]]) -> dict[i
     if not raised:
         return followed
     alarm_ids = {row.alarm_id for row in raised}
+    # the oldest of the page: what came before it belongs to an earlier occurrence
     since = alarm_journal.c.id >= raised[-1].id
     entries = (
         select(alarm_journal)
@@ -81,6 +82,7 @@ def _what_followed(connection: Connection, raised: Sequence[Row[Any]]) -> dict[i
     for entry in connection.execute(entries):
         if entry.event == AlarmEvent.RAISE.value:
             last[entry.alarm_id] = entry.id
+        # an entry before the first raise of the page ends an occurrence that is not on it
         elif entry.alarm_id in last:
             followed[last[entry.alarm_id]].append(entry)
     return followed

@@ -144,6 +144,7 @@ def recorded_windows(connection: Connection, asset: str, limit: int = 500) -> Se
         findings.c.evidence[RECORDED].as_boolean(), windows.c.signal_let_go_at.is_(None)
     )
     return (
+        # the newest of them, told oldest first
         connection.execute(query.order_by(findings.c.id.desc()).limit(limit)).scalars().all()[::-1]
     )
 
@@ -250,6 +251,7 @@ def _spread(
     if end is not None:
         query = query.where(c.at < end)
     rows = connection.execute(query).all()
+    # rounded up, so that there are at most so many stretches
     stride = max(1, -(-len(rows) // most))
     stretches = (rows[first : first + stride] for first in range(0, len(rows), stride))
     rank = {verdict: place for place, verdict in enumerate(_WORST_FIRST)}
@@ -283,6 +285,7 @@ def _asset(row: Row[Any]) -> Asset:
             last,
         )
     damaged = _damaged(f"asset {known['id']}", str(known["diagnoser"]))
+    # A damaged asset is shown with a finding that says so: a list without it would hide a machine.
     stand_in = StoredFinding(
         known["last_finding_id"] or 0, known["id"], 0, known["created_at"], damaged
     )

@@ -40,7 +40,7 @@ def add(
     connection: Connection,
     asset: str,
     finding: int,
-    found: FoundAtMachine,
+    observed: FoundAtMachine,
     *,
     by: str | None,
     now: datetime,
@@ -55,8 +55,10 @@ def add(
         What was found contradicts itself or what was said.
     """
     stored = _finding(connection, asset, finding)
-    _refuse_contradictions(stored, found, now)
+    _refuse_contradictions(stored, observed, now)
     statement = stored.finding.statement
+    # What the finding said is copied: its row may be let go, and the answer must go on to be
+    # counted by what was said.
     row = {
         "asset_id": asset,
         "finding_id": finding,
@@ -66,14 +68,14 @@ def add(
         "verdict": stored.finding.verdict.value,
         "said": statement.says,
         "probability": statement.probability,
-        "outcome": found.outcome.value,
-        "cause": found.cause,
-        "part": found.part,
-        "order_number": found.order,
-        "who": found.who or by or "",
-        "found_at": found.found_at or now,
-        "note": found.note,
-        "healthy": found.healthy,
+        "outcome": observed.outcome.value,
+        "cause": observed.cause,
+        "part": observed.part,
+        "order_number": observed.order,
+        "who": observed.who or by or "",
+        "found_at": observed.found_at or now,
+        "note": observed.note,
+        "healthy": observed.healthy,
         "at": now,
         "by": by,
     }
@@ -82,7 +84,7 @@ def add(
     detail = {"asset": asset, "confirmation": confirmation.id}
     detail |= {name: row[name] for name in ("said", "outcome", "cause", "part", "order_number")}
     detail |= {name: row[name] for name in ("who", "found_at", "note", "healthy")}
-    action = f"finding {found.outcome.value}"
+    action = f"finding {observed.outcome.value}"
     audit.append(connection, action, f"finding {finding}", by=by, now=now, detail=detail)
     return confirmation
 
@@ -121,6 +123,7 @@ def standing(
     them is damaged: a count would be wrong.
     """
     c = confirmations.c
+    # By number, not by time: the newest answer on a finding is the one that was given last.
     newest = select(func.max(c.id)).where(_of(span, asset, sites)).group_by(c.finding_id)
     query = select(confirmations).where(c.id.in_(newest)).order_by(c.id)
     counted = [_confirmation(row) for row in connection.execute(query)]
@@ -197,36 +200,37 @@ def _finding(connection: Connection, asset: str, finding: int) -> StoredFinding:
     return assets.stored_finding(row)
 
 
-def _refuse_contradictions(stored: StoredFinding, found: FoundAtMachine, now: datetime) -> None:
+def _refuse_contradictions(stored: StoredFinding, observed: FoundAtMachine, now: datetime) -> None:
     verdict = stored.finding.verdict
     if verdict is Verdict.NOT_ASSESSABLE:
         raise BadInput(
             f"finding {stored.id}: its window could not be judged, so it says nothing that can be"
             " confirmed; take a finding that is healthy or faulty"
         )
-    _refuse_cause(found, stored.finding.statement.says)
-    refuted_fault = verdict is Verdict.FAULTY and found.outcome is Outcome.REFUTED
-    if found.healthy and not refuted_fault:
+    _refuse_cause(observed, stored.finding.statement.says)
+    refuted_fault = verdict is Verdict.FAULTY and observed.outcome is Outcome.REFUTED
+    if observed.healthy and not refuted_fault:
         raise BadInput(
             "body, healthy: only the window of a refuted fault joins the healthy ones; leave it out"
         )
-    if found.found_at is not None and found.found_at > now + _CLOCKS_APART:
+    if observed.found_at is not None and observed.found_at > now + _CLOCKS_APART:
         raise BadInput(
-            f"body, found_at: {found.found_at.isoformat()} lies in the future; leave it out for now"
+            f"body, found_at: {observed.found_at.isoformat()} lies in the future; leave it out for"
+            " now"
         )
 
 
-def _refuse_cause(found: FoundAtMachine, said: str) -> None:
-    named_another = found.cause not in (None, said)
-    if found.outcome is Outcome.CORRECTED and not named_another:
+def _refuse_cause(observed: FoundAtMachine, diagnosis: str) -> None:
+    named_another = observed.cause not in (None, diagnosis)
+    if observed.outcome is Outcome.CORRECTED and not named_another:
         raise BadInput(
-            f"body, cause: 'corrected' needs what it was instead of {said!r}; where it was that,"
-            " say 'confirmed'"
+            f"body, cause: 'corrected' needs what it was instead of {diagnosis!r}; where it was"
+            " that, say 'confirmed'"
         )
-    if found.outcome is not Outcome.CORRECTED and named_another:
+    if observed.outcome is not Outcome.CORRECTED and named_another:
         raise BadInput(
-            f"body, cause {found.cause!r}: {found.outcome.value!r} has no other cause than"
-            f" {said!r}; say 'corrected'"
+            f"body, cause {observed.cause!r}: {observed.outcome.value!r} has no other cause than"
+            f" {diagnosis!r}; say 'corrected'"
         )
 
 

@@ -68,6 +68,7 @@ def of_sites(asset: ColumnElement[str], sites: Collection[str] | None) -> Column
     """Whether an asset's name is that of a site, or begins with it and a dot (compared by
     characters, not by LIKE).
     """
+    # None is a caller of the whole plant; no site at all sees nothing.
     if sites is None:
         return true()
     return or_(

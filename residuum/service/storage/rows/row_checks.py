@@ -114,6 +114,7 @@ def differs(table: Table, values: Mapping[Any, Any]) -> bool:
     One without any does: the end of a row is lost by a flip in its head.
     """
     checksum = values[_own(table)] or ""
+    # A history reads no reason and no evidence: their parts are not judged then.
     read = ((k, part) for k, part in enumerate(_parts(table)) if part[0] in values)
     return any(_crc(_counted(values, part)) != checksum[8 * k : 8 * k + 8] for k, part in read)
 
@@ -138,6 +139,7 @@ def change(
     of_key = table.c.id == key
     before = connection.execute(select(table).where(of_key).with_for_update()).one()._mapping
     new = changes(before)
+    # A row that was damaged must not become whole by a change of another column.
     if not differs(table, before):
         new[_own(table)] = of_row(table, {**before, **new})
     return connection.execute(update(table).where(of_key).values(new).returning(table)).one()
@@ -189,6 +191,7 @@ def _counts(table: Table, column: Column[Any]) -> bool:
 
 def seal_rows_of_old(connection: Connection, revision: str) -> None:
     """Give each row its checksum that a schema of this revision kept without, as it is now."""
+    # By the row's key, one at a time: rows of versions hold whole files.
     for table in (table for table, (since, _) in SEALED.items() if revision < since):
         own, numbers = table.c[_own(table)], list(table.primary_key)
         for key in connection.execute(select(*numbers).where(own.is_(None))).all():
@@ -206,6 +209,7 @@ def plain(value: Any) -> Any:
     if isinstance(value, datetime):
         return value.astimezone(UTC).isoformat()
     if isinstance(value, int | float) and not isinstance(value, bool):
+        # Adding 0.0 makes 0.0 of −0.0. Beyond double range a whole number is told as it is written.
         return repr(float(value) + 0.0) if abs(value) < 1e300 else str(value)
     if isinstance(value, Mapping):
         return {str(name): plain(entry) for name, entry in value.items()}
