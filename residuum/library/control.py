@@ -244,6 +244,7 @@ class Controller(Result):
         return [{"parameter": name, "value": value} for name, value in self.parameters.items()]
 
     def _picture(self) -> Picture:
+        # Three median settling times, or the horizon that the figures were taken over.
         duration = min(
             self.problem.horizon,
             3.0 * float(np.median([figure.settling_time for figure in self.figures])),

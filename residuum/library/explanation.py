@@ -168,6 +168,7 @@ class Explanation(Result):
             if several
             else np.array([(begin + end) / 2 for begin, end in blocks.times])
         )
+        # The verdict's candidates come first.
         leading = [c.key for c in self.found.candidates if c.key in blocks.candidates][:_COMPARED]
         panels = []
         for o, (output, unit) in enumerate(zip(blocks.outputs, blocks.units, strict=True)):
@@ -197,6 +198,7 @@ class Explanation(Result):
         # the records one after the other, as the axes are joined
         term = np.concatenate([smoothed.value for smoothed in terms])
         std = np.concatenate([smoothed.std for smoothed in terms])
+        # The axis over which the term is most of a function; inputs go along with most of them.
         over = telling(_physical(joined(compared.axes)), term, _BINS)
         shown, band = binned(over.values, term, _BINS), 2.0 * binned(over.values, std, _BINS).mean
         curves = [

@@ -178,6 +178,7 @@ class Estimation(Result, Generic[M]):
 
     def _answer(self) -> dict[str, Any]:
         answer = estimate_json(self.given, self.records, self.found, self.unsettled)
+        # Values of a search that did not come to rest contradict nothing yet.
         against = disagreement(self.found) if self.converged else ()
         given = self.found.model, self.experiments
         answer["warnings"] = (

@@ -152,6 +152,7 @@ def assumptions(
     `plant` is what `plant_tests` found before; where the model's delay differs from the one that
     was assumed they are done again.
     """
+    # A plant that answers within the sample is tested from lag 0 on, any other from lag 1.
     if plant.first_lag != min(model.delay, 1):
         plant = plant_tests(estimation, asked, model.delay)
     integrator, feedback, dead, unstable = (
@@ -255,6 +256,7 @@ def _beyond_the_record(model: IdentifiedModel, records: Sequence[Record]) -> flo
             max(longest, record.n - 1 - int(moved[0]) - model.delay) if moved.size else longest
         )
     total = float(model.impulse_response.sum())
+    # Without a finite static gain there is no share of it.
     if model.diverges or model.integrates or total == 0:
         return 0.0
     return abs(float(model.impulse_response[max(longest, 0) :].sum()) / total)
@@ -262,6 +264,7 @@ def _beyond_the_record(model: IdentifiedModel, records: Sequence[Record]) -> flo
 
 def _needed(model: IdentifiedModel, method: str) -> int:
     """To which order an input has to excite for the model's parameters to be told."""
+    # As `orders` are written in the model's provenance: na = 2, nb = 3 …
     orders = dict(re.findall(r"(n[a-f]) = (\d+)", str(model.provenance.get("orders", ""))))
     if method in STRUCTURES and orders:
         return int(orders.get("nb", 0)) + max(int(orders.get("na", 0)), int(orders.get("nf", 0)))
@@ -352,6 +355,7 @@ def plant_tests(records: Sequence[Record], asked: Identify, delay: int | None) -
         regression = long_autoregression(
             records, asked.input_name, asked.output_name, first_lag=first_lag
         )
+        # A dead time beyond the usual reach is looked for once more with a longer one.
         dead = dead_time(regression)
         if dead is None:
             longer = long_autoregression(
@@ -390,6 +394,7 @@ def parts_kept_aside(
     cuts = [record.n for record in estimation]
     judged = model
     if cuts == [record.n for record in whole]:
+        # No record has a split note: a fit of the first part stands for the model, which has seen all.
         cuts = [round((1 - KEPT_ASIDE) * n) for n in cuts]
         first = [
             record.window(max(0, cut - _MOST_REFITTED), cut)

@@ -417,6 +417,7 @@ def load_monitor(diagnoser: str, path: str | PathLike[str]) -> Monitor:
 def _largest(finding: Judged) -> float:
     if finding.verdict is Verdict.NOT_ASSESSABLE:
         return math.nan
+    # A threshold of 0 has no multiple.
     over = [
         v / finding.thresholds[n]
         for n, v in finding.indicators.items()
@@ -470,6 +471,7 @@ class PhysicalResidual:
         findings = {
             name: watch.score(self._beside(record, name)) for name, watch in self._watches.items()
         }
+        # Of equal verdicts the one whose residual is largest.
         name, worst = min(findings.items(), key=lambda item: _order(item[1]))
         return replace(
             worst,

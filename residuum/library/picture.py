@@ -42,8 +42,10 @@ class Curve:
         if n <= points:
             return self
         if self.low is not None and self.high is not None:
+            # Line and band have one x, so that the extremes of one are not those of the other.
             step = slice(None, None, -(-n // points))
             return Curve(self.name, self.x[step], self.y[step], self.low[step], self.high[step])
+        # Two points a stretch: a peak of one sample stays, which picking every k-th point may lose.
         extremes = _extremes(np.asarray(self.y, dtype=float), max(1, points // 2))
         return Curve(self.name, self.x[extremes], self.y[extremes])
 

@@ -496,6 +496,7 @@ class Plant(Result):
             else max(2, round(duration / model.sample_time))
         )
         u = np.ones(n)
+        # The response of the input alone: a level of the output is no part of it.
         y, spread = model.simulate(u) - model.offset, _BAND * model.simulation_std(u)
         time = model.sample_time * np.arange(n)
         title = f"step response, {model.input_name} → {model.output_name}"
@@ -642,6 +643,7 @@ def identified(
     if asked.is_multivariable:
         return multivariable_plant(estimation, held_out, asked)
     plant = None
+    # Before the fit: a method whose models are stable only must not be tried on an unstable plant.
     if asked.input is not None:
         plant = plant_tests(estimation, asked, asked.delay)
         check_stable(asked.method, plant, estimation[0].sample_time)
@@ -649,6 +651,7 @@ def identified(
     if plant is None:
         return Plant(model, asked.method, estimation, held_out)
     tell(0.6, "testing what the model assumes")
+    # With a split note the model is judged on what it kept; without, a fit of the first part is.
     parts = parts_kept_aside(model, asked, estimation, records)
     assumed = assumptions(model, asked, estimation, parts, plant)
     check = None

@@ -36,6 +36,7 @@ def as_frame(table: Any, where: str) -> pandas.DataFrame:
     """The DataFrame of a DataFrame, or of a Series with a name; BadRecord for anything else and for
     columns of one name.
     """
+    # By what it can do, not by its type: pandas is not imported to tell.
     if hasattr(table, "to_frame") and not hasattr(table, "columns"):
         if table.name is None:
             raise BadRecord(
@@ -155,6 +156,8 @@ def seconds(
     """
     array = _array_of_times(values, where)
     if array.dtype.kind in "mM":
+        # From the first one on, as whole nanoseconds: seconds since 1970 as a double would be rounded to
+        # some 0.2 µs.
         return np.asarray((array - array[0]) / np.timedelta64(1, "ns") * 1e-9, dtype=float)
     return _seconds_of_numbers(array, where, unit, is_time=is_time, near=near)
 
@@ -187,6 +190,7 @@ def _seconds_of_numbers(
             f" be rows and is not taken for seconds; say time={near!r}, sample_time=…, or make"
             " instants of it: pandas.to_datetime(frame.index, unit=…)"
         )
+    # Milliseconds since 1970 read as seconds would lie in the year 50 000, and pass for a time.
     if not unit and np.nanmax(np.abs(array), initial=0.0) > _EPOCH:
         how = "make instants of it with pandas.to_datetime(…, unit='ms')"
         raise BadRecord(f"{where}: the time {array[0]:.0f} is too large for seconds; {how}")
@@ -231,6 +235,7 @@ def _without_zone(values: Any) -> npt.NDArray[Any]:
         and all(hasattr(t, "isoformat") and hasattr(t, "hour") for t in array)
     ):
         return _of_datetimes(array)
+    # Objects may be numbers (Decimal, None), which a column of mixed types holds.
     return _plain(array) if array.dtype.kind == "O" else array
 
 
@@ -632,6 +637,7 @@ def _timed(
     if not signals:
         raise BadRecord(f"{where}: has no channel; at least one is needed")
     notes: list[str] = []
+    # Time and signals go through it together: a row that is moved or left out is so in all of them.
     step, columns = even_columns(
         np.stack([instants, *signals.values()]),
         where,

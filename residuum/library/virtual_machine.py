@@ -67,6 +67,7 @@ def simulated(machine: str, asked: Simulate) -> tuple[Record, dict[str, Any]]:
         built = MACHINES[machine](
             asked.seed, asked.effects, asked.faults, asked.exemplar, **settings
         )
+        # Before the simulation: an event comes at the next occasion of the machine.
         for id, size in asked.events.items():
             built.trigger(id, size)
         signals = built.simulate(_length(built, asked.duration))

@@ -80,6 +80,7 @@ def _curve(parameters: Mapping[str, Quantity]) -> dict[str, Any]:
 
 def _formula(signal: str, parameters: Mapping[str, Quantity]) -> str | None:
     curve = _curve(parameters)
+    # A curve of values says little to a reader; a formula that comes near says what it is like.
     nearest = nearest_formula(np.array(curve["at"]), np.array(curve["value"]))
     return (
         None
@@ -204,6 +205,7 @@ def work_text(work: Work) -> list[str]:
         if work.timed_out
         else "the work that a search may take was done"
     )
+    # The object names all; a line of text some.
     shown, more = work.not_tried[:_TOLD], len(work.not_tried) - _TOLD
     return [
         f"  not tried, for {why}: {', '.join(shown)}"
@@ -366,6 +368,7 @@ def explanation_text(explanation: Explanation) -> str:
     """The short human report."""
     lines = [f"verdict: {explanation.verdict}"]
     lines += map(held_text, explanation.held)
+    # What was accepted in a later step is told whatever its probability there was.
     likely = [c for c in explanation.candidates if c.step > 0 or c.probability >= _RULED_OUT]
     ruled_out = [c for c in explanation.candidates if c not in likely]
     lines += map(_candidate_text, likely[:6])

@@ -198,6 +198,7 @@ def _fault_text(estimate: FaultEstimate) -> str:
 def _since(design: ResidualDesign, record: Record, onset: int) -> str:
     """When the fault began, or that it was there before the first sample that could be judged."""
     judged_from = design.generator.warm_up
+    # Before the filters' memory is full nothing is judged: an onset there may lie anywhere before.
     if onset <= judged_from:
         return (
             f"since before {record.t0 + judged_from * record.sample_time:.6g} s, the first that is"

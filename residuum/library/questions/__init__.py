@@ -146,6 +146,7 @@ class Question(BaseModel):
     @classmethod
     def _is_known(cls, value: Any, info: ValidationInfo) -> Any:
         name = str(info.field_name)
+        # Names are held to those that there are here, so that every door suggests the nearest one.
         if value is not None and (names := choices(cls.model_fields[name])) and value not in names:
             raise BadInput(
                 repr(value), name, f"there is none of this name; {known_names(value, names)}"
@@ -241,6 +242,7 @@ def refusal(error: Mapping[str, Any], known: Iterable[str] = ()) -> BadInput:
     there are.
     """
     context = error.get("ctx", {})
+    # A refusal of ours, raised in a validator, is in words already.
     if isinstance(own := context.get("error"), BadInput):
         return own
     where = ".".join(str(part) for part in error["loc"] if part not in ("body", "query", "[key]"))
@@ -280,6 +282,7 @@ def asks(question: type[Question]) -> Callable[[Function], Function]:
 
     def with_fields(function: Function) -> Function:
         signature = inspect.signature(function)
+        # `**given` goes: each of its keywords stands in the signature by itself.
         own = [arg for arg in signature.parameters.values() if arg.kind is not arg.VAR_KEYWORD]
         parameters = sorted(
             [*own, *_keywords(question)], key=lambda arg: (arg.kind, arg.name == "progress")
