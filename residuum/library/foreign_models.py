@@ -120,4 +120,5 @@ def equations_model(
         (dict(states), dict(inputs or {}), dict(parameters or {})),
         dict(kinds or {}),
     )
+    # By the text of a model file: what the file's rules refuse is refused here in the same words.
     return model(yaml.safe_dump(plain, sort_keys=False, allow_unicode=True, width=10_000))

@@ -259,6 +259,7 @@ def model(source: str | PathLike[str]) -> Model:
     >>> rs.model("gate-drive").outputs
     {'speed': 'rad/s', 'current': 'A'}
     """
+    # A name or a path has one line.
     if isinstance(source, str) and "\n" in source:
         return Model(read_model(source))
     return Model(load_model(Path(source) if isinstance(source, PathLike) else source), str(source))

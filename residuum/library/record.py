@@ -103,6 +103,7 @@ class Record(MeasuredRecord):
         """
         pandas = need("pandas", "a DataFrame")
         frame = pandas.DataFrame(dict(self.channels), index=pandas.Index(self.time, name="time"))
+        # Where `rs.from_pandas` looks for them.
         frame.attrs["units"] = dict(self.units)
         return frame
 

@@ -24,7 +24,9 @@ router = APIRouter(
 )
 
 _MOST_MODELS = 200
+"""Stored models whose effects are listed."""
 _DIGITS = 5
+"""Of a number of a curve that is drawn."""
 
 
 class EffectParameter(BaseModel):

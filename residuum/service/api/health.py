@@ -38,6 +38,7 @@ def ready(running: Running, request: Request) -> Response:
         "version": version("residuum"),
         "states": counted(visible),
     }
+    # The gate lets anybody ask here.
     stranger = running.keys.needed and not hasattr(request.state, "caller")
     return Json(answer if stranger else {**answer, "machines": named, "storage": dict(storing)})
 

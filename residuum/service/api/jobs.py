@@ -49,6 +49,7 @@ async def stream_job(running: Running, job: JobId, last_event_id: LastEventId = 
     # before the look at the job: its end comes after one or the other
     begin = last_event_id or running.events.now()
     state = running.jobs.get(job)
+    # An ended job has no event to come: its stream would never end.
     if state.state in OVER:
         data = orjson.dumps(state.to_json(with_result=False))
         return Response(b"event: job\ndata: " + data + b"\n\n", media_type="text/event-stream")

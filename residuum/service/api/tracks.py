@@ -30,6 +30,7 @@ router = APIRouter(
 
 Name = Annotated[str, Field(min_length=1, max_length=200)]
 _HEALTHY = 3
+"""Healthy windows that a picture is held beside."""
 
 
 class Limits(BaseModel, extra="forbid"):

@@ -28,7 +28,9 @@ router = APIRouter(
 )
 
 _POINTS = 200
-_LOWEST = 1e-3  # of the Nyquist frequency
+"""Frequencies that are drawn."""
+_LOWEST = 1e-3
+"""The lowest of them, as a share of the Nyquist frequency."""
 
 
 class UncertaintyAnswer(BaseModel):

@@ -131,6 +131,7 @@ def _sweep(settings: Settings) -> None:
         raise BadInput("--sweep: there is no database yet; nothing was deleted")
     try:
         database.refuse_other_revision()
+        # Beside another database no row would name any block, and all would go.
         claim(settings.data, database)
     except StorageUnavailable as error:
         raise BadInput(f"--sweep: {error}; nothing was deleted") from None
@@ -274,6 +275,7 @@ def _signal_blocks(settings: Settings, sample: int) -> str | tuple[str, str]:
     missing = [block.path for block in references if not (folder / block.path).is_file()]
     if missing:
         raise Wrong(f"{len(missing)} of {len(references)} are missing, the first: {missing[0]}")
+    # Spread evenly over all of them, rounded so that at least one is looked at.
     looked_at = references[:: max(1, -(-len(references) // sample))]
     for block in looked_at:
         Blocks(folder).verify(block)
@@ -294,8 +296,10 @@ def _disk(settings: Settings) -> str:
         for parent in (settings.data.resolve(), *settings.data.resolve().parents)
         if parent.is_dir()
     )
+    # The mode of a folder does not tell: a file system may be read-only.
     with tempfile.TemporaryFile(dir=folder) as probe:
         probe.write(b"probe")
+    # What is kept already needs no more room.
     held = sum(file.stat().st_size for file in settings.data.glob("blocks/*/*.block"))
     needed = max(0, settings.keep_bytes - held) + _SPARE
     free = shutil.disk_usage(folder).free

@@ -61,6 +61,7 @@ def _of_record(file: Path, record: Record) -> dict[str, Any]:
         "even": True,
     }
     samples |= {"gaps": [], "gap_count": 0, "reordered": 0, "duplicates": 0}
+    # Time and every channel, as a file has its columns.
     rows = first_rows(record.time, np.stack([record[name] for name in record.names]))
     signals = {name: np.asarray(record[name]) for name in record.names}
     shown = _shown(file, columns, samples, rows) | {
@@ -178,6 +179,7 @@ def _error_codes(
     """What sensors write where they have no value, among rows far beside their neighbours."""
     says = []
     for name, signal in signals.items():
+        # Among few samples everything is far beside its neighbours.
         if np.isfinite(signal).sum() < _FEWEST:
             continue
         values = np.asarray(signal, dtype=float)

@@ -45,6 +45,7 @@ def machine_check(
         not run yet.
     """
     try:
+        # Made for its checks alone: it refuses settings that do not fit together.
         MachineLine(machine, lambda *_: lambda: None, lambda _: None)
         bus = bus_signals(machine)
     except BadInput as error:

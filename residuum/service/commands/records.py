@@ -175,6 +175,7 @@ def reads(without: Container[str] = ()) -> Callable[[Callable[..., Any]], Callab
 
 def is_can_log(file: Path) -> bool:
     """Whether a file is one of a bus, by its ending."""
+    # by its name: the libraries that could look into it take a second to load
     return file.suffix.lower() in CAN_LOGS
 
 

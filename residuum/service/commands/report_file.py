@@ -53,6 +53,7 @@ def report_command(
     if model is not None:
         given, channels = read_model(model), reading.signals
         if explain:
+            # It holds the comparison, too: the page shows both.
             answers.append(given.explain(loaded, map=channels, progress=tell_progress))
         else:
             answers.append(given.compare(loaded, map=channels))

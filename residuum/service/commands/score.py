@@ -67,5 +67,6 @@ def _judge(name: str, baseline: Path | None, asked: Score) -> Diagnoser:
         return untrained(diagnoser_class(name), **asked.settings)
     if not baseline.is_file():
         raise BadInput(f"{baseline}: no such baseline file")
+    # Settings that were given go over those that the baseline was trained with.
     judge = diagnoser_class(name).load(baseline)
     return judge.with_settings(**asked.settings) if asked.settings else judge

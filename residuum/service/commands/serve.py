@@ -55,6 +55,7 @@ def serve(
     settings = load_settings(
         settings_file, demo=demo or None, host=host, port=port, database=database, data=data
     )
+    # Before anything is held or opened: it costs nothing, and is told in a line.
     _check_certificate(settings)
     give_back_large_arrays()
     try:
@@ -205,6 +206,7 @@ def _owned(settings: Settings) -> Iterator[None]:
     """
     with ExitStack() as held:
         try:
+            # The folder first: the database may lie in it.
             held.enter_context(folder_lock(settings.data))
         except OSError as error:
             raise BadInput(
@@ -213,6 +215,7 @@ def _owned(settings: Settings) -> Iterator[None]:
         try:
             database = Database(settings.database_url)
             held.callback(database.close)
+            # Refused before its schema is migrated.
             _refuse_damage(database)
             database.migrate()
             held.enter_context(database_lock(database, claim(settings.data, database), _end))
@@ -230,6 +233,7 @@ def _listening(host: str, port: int) -> Iterator[list[socket.socket]]:
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     listening = socket.socket(family, socket.SOCK_STREAM)
     try:
+        # A service that starts again need not wait for connections of the last one to be forgotten.
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listening.bind((host, port))
         listening.listen(512)

@@ -131,6 +131,7 @@ class _Site(StaticFiles):
 @lru_cache(maxsize=256)
 def _policy(page: str, _changed: int) -> str:
     """What the page may load: its site's files, and the inline scripts that it holds."""
+    # By the hash of what they hold: `unsafe-inline` would allow whatever else came into a page.
     inline = {
         hashlib.sha256(script).digest()
         for script in _INLINE_SCRIPT.findall(Path(page).read_bytes())
