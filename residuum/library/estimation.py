@@ -21,11 +21,13 @@ from residuum.identification.physics import (
 from residuum.identification.physics.estimation.unsettled import unsettled
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.feedback import at_likelier_timing
+from residuum.library.questions.estimate import Estimate as Asked
 from residuum.nearest_names import known_names
 
 Method = Callable[[PhysicalModel, Sequence[Experiment], Sequence[str] | None], Estimate]
 
 
+# The three errors that a model may be estimated by; bands of the first two know the noise's colour.
 def _with_honest_band(
     model: PhysicalModel, experiments: Sequence[Experiment], free: Sequence[str] | None
 ) -> Estimate:
@@ -78,45 +80,32 @@ def _check_of_records(model: PhysicalModel, method: str) -> None:
 def estimated(
     model: PhysicalModel,
     records: Sequence[Record],
-    mapping: Mapping[str, str] | None = None,
-    *,
-    free: Sequence[str] | None = None,
-    method: str = "simulation",
-    steps: int = 50,
-    hold: str = "auto",
+    mapping: Mapping[str, str] | None,
+    asked: Asked,
 ) -> Estimated:
     """Estimate the free parameters; a note `split: 0.7` in a record keeps its rest for validation.
-
-    Parameters
-    ----------
-    free : sequence of str
-        Full names of what is estimated; default: what the model does not hold fixed.
-    method : str
-        The error that is minimised: `simulation`, `prediction` (`steps` samples ahead) or `kalman`
-        (innovations).
-    hold : str
-        Inputs between samples: `auto`, `linear` or `zero-order`.
 
     Raises
     ------
     BadInput
-        An unknown method or parameter; records that do not fit the model.
+        An unknown parameter; records that do not fit the model.
     NotIdentifiable
         The model diverges on a record.
     """
-    _refuse_unknown(model, method, free)
+    method, free = asked.method, asked.free
+    _refuse_unknown(model, free)
     _check_of_records(model, method)
-    start, experiments = match(model, records, mapping, hold)
+    start, experiments = match(model, records, mapping, asked.hold)
     parts = [
         _estimation_part(experiment, record)
         for experiment, record in zip(experiments, records, strict=True)
     ]
 
     def fitted(parts: Sequence[Experiment]) -> Estimate:
-        return METHODS[method](start, _pieces(parts, method, steps), free)
+        return METHODS[method](start, _pieces(parts, asked), free)
 
     try:
-        if hold == "auto":
+        if asked.hold == "auto":
             parts, result = at_likelier_timing(parts, fitted)
             # what is kept aside is simulated with the timing that was found
             experiments = [
@@ -131,18 +120,14 @@ def estimated(
             raise diverges from None
         raise NotIdentifiable(f"{diverges}; {_IN_PIECES}") from None
     # An error before and after can be compared where both are of simulations: not by innovations.
-    before = None if method == "kalman" else estimate(start, _pieces(parts, method, steps), free=())
+    before = None if method == "kalman" else estimate(start, _pieces(parts, asked), free=())
     says = unsettled(result, before)
     if says and method != "prediction":
         says = (*says, _IN_PIECES)
     return Estimated(result, parts, held_out, says)
 
 
-def _refuse_unknown(model: PhysicalModel, method: str, free: Sequence[str] | None) -> None:
-    if method not in METHODS:
-        raise BadInput(
-            f"method {method!r}: there is none of this name; {known_names(method, METHODS)}"
-        )
+def _refuse_unknown(model: PhysicalModel, free: Sequence[str] | None) -> None:
     for name in free or ():
         if name not in model.all_parameters:
             raise BadInput(
@@ -153,11 +138,11 @@ def _refuse_unknown(model: PhysicalModel, method: str, free: Sequence[str] | Non
             )
 
 
-def _pieces(experiments: Sequence[Experiment], method: str, steps: int) -> Sequence[Experiment]:
+def _pieces(experiments: Sequence[Experiment], asked: Asked) -> Sequence[Experiment]:
     """What the method simulates at once."""
-    if method != "prediction":
+    if asked.method != "prediction":
         return experiments
-    return [piece for experiment in experiments for piece in windows(experiment, steps)]
+    return [piece for experiment in experiments for piece in windows(experiment, asked.steps)]
 
 
 def _estimation_part(experiment: Experiment, record: Record) -> Experiment:

@@ -485,15 +485,7 @@ class Model(DescribedModel):
 
         asked = Estimate.of(given)
         measured, left_out = self._sensed(self._measured(records, map), map)
-        estimation = estimated(
-            self.physical,
-            measured,
-            map,
-            free=asked.free,
-            method=asked.method,
-            steps=asked.steps,
-            hold=asked.hold,
-        )
+        estimation = estimated(self.physical, measured, map, asked)
         result, fitted = estimation.estimate, Model(estimation.estimate.model)
         answer = (
             self._given,

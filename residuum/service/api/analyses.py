@@ -231,7 +231,7 @@ def residuals(running: Running, asked: Residuals) -> Response:
     `run` a record.
     """
     healthy, records = _records(running, asked.healthy), _records(running, asked.records)
-    content = _content(running, asked.model, "identified", None)
+    content = content_of(running, asked.model, "identified", None)
     questions = part_of(asked, DesignResidual), part_of(asked, RunResidual)
 
     def named(outcome: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -259,10 +259,10 @@ def design_controller(running: Running, asked: ControlDesign) -> Response:
 
 def models_of(running: Services, asked: ControlDesign) -> tuple[list[bytes], bytes | None]:
     """The files of the models that a controller is designed for, and that of the nominal plant."""
-    contents = [_content(running, ref.model, "identified", ref.version) for ref in asked.models]
+    contents = [content_of(running, ref.model, "identified", ref.version) for ref in asked.models]
     joined = asked.joined
     return contents, (
-        None if joined is None else _content(running, joined.model, "identified", joined.version)
+        None if joined is None else content_of(running, joined.model, "identified", joined.version)
     )
 
 
@@ -323,7 +323,7 @@ def _asked(running: Services, model: str, asked: OnRecords) -> Asked:
     """The model, the built-in one where no version is named, and what it is held against."""
     # A version names a stored model, even one of a built-in model's name.
     built_in = asked.version is None and model in BUILT_IN
-    text = None if built_in else _content(running, model, "physical", asked.version)
+    text = None if built_in else content_of(running, model, "physical", asked.version)
     return Asked(model, text, _records(running, asked.records), asked.map)
 
 
@@ -333,7 +333,8 @@ def _records(running: Services, numbers: Sequence[int]) -> list[RecordParts]:
     ]
 
 
-def _content(running: Services, model: str, kind: str, version: int | None) -> bytes:
+def content_of(running: Services, model: str, kind: str, version: int | None) -> bytes:
+    """The file of a stored model's version (None: the newest); Conflict for one of another kind."""
     actual = running.store.model_versions(model)[0].kind
     if actual != kind:
         raise Conflict(

@@ -10,11 +10,11 @@ from pydantic import BaseModel, Field
 
 from residuum.array_types import FloatArray
 from residuum.identification.linear_models.identified_model import IdentifiedModel
+from residuum.service.api.analyses import content_of
 from residuum.service.api.answers import PROBLEMS
 from residuum.service.api.parameters import ModelName
 from residuum.service.api.responses import Json, StrictRoute
 from residuum.service.services import Running, Services
-from residuum.service.store import Conflict
 from residuum.service.views.signal_view import read_identified
 
 router = APIRouter(prefix="/models", tags=["models"], route_class=StrictRoute, responses=PROBLEMS)
@@ -87,10 +87,7 @@ def _roots(polynomial: FloatArray | None) -> list[dict[str, float]] | None:
 
 def _identified(running: Services, model: str, version: int | None) -> IdentifiedModel:
     """The stored model of this name; Conflict for one of another kind."""
-    actual = running.store.model_versions(model)[0].kind
-    if actual != "identified":
-        raise Conflict(f"model {model!r}: is a {actual} model; this needs an identified one")
-    return read_identified(running.store.model_content(model, version))
+    return read_identified(content_of(running, model, "identified", version))
 
 
 def frequency_response(model: IdentifiedModel, points: int) -> dict[str, list[float]]:

@@ -15,12 +15,12 @@ from residuum.identification.physics import BUILT_IN, load_model, write_model
 from residuum.identification.record import Record
 from residuum.library.questions import part_of
 from residuum.library.questions.compare import Compare
-from residuum.service.api.analyses import Comparison, OnRecords, Text
+from residuum.service.api.analyses import Comparison, OnRecords, Text, content_of
 from residuum.service.api.answers import PROBLEMS, JobAnswer, ModelVersionAnswer
 from residuum.service.api.parameters import ModelName, NewModelName
 from residuum.service.api.responses import Json, StrictRoute, accepted
 from residuum.service.services import Running, Services, caller_of
-from residuum.service.store import Conflict, NotFound
+from residuum.service.store import NotFound
 from residuum.service.views.model_view import (
     EffectUse,
     add_effect,
@@ -196,10 +196,7 @@ def _text(running: Services, model: str, version: int | None) -> bytes | None:
     """The stored model's text; None for a built-in model."""
     if version is None and model in BUILT_IN:
         return None
-    actual = running.store.model_versions(model)[0].kind
-    if actual != "physical":
-        raise Conflict(f"model {model!r}: is a {actual} model; this needs a physical one")
-    return running.store.model_content(model, version)
+    return content_of(running, model, "physical", version)
 
 
 def _records(running: Services, numbers: Sequence[int]) -> list[RecordParts]:
