@@ -111,7 +111,8 @@ def equations_model(
     from residuum.identification.physics.files.sympy_model import model_table  # noqa: PLC0415
 
     by_name = {str(state): rate for state, rate in rates.items()}
-    if unlike := set(by_name) ^ set(states):
+    unlike = set(by_name) ^ set(states)
+    if unlike:
         raise BadModel(f"equations: state {sorted(unlike)[0]!r} needs both a rate and a unit")
     plain = model_table(
         name,

@@ -237,7 +237,8 @@ def _untold(model: IdentifiedModel, tests: Assumptions, estimation: Sequence[Rec
             f" {excitation.order} number{'s' * (excitation.order != 1)} of the response{gain}, and"
             " the rest is the model's structure; record steps or random moves, fast and slow ones"
         )
-    if (left := _beyond_the_record(model, estimation)) > _NOT_OVER:
+    left = _beyond_the_record(model, estimation)
+    if left > _NOT_OVER:
         says.append(
             f"the records end before the response to their first move does: {100 * left:.0f} % of"
             " the static gain is extrapolated by the model; record on until the output rests"

@@ -143,9 +143,8 @@ class MultivariablePlant(Result):
         result : dict
             As `to_dict` gives it.
         """
-        inputs, outputs = (
-            [channel["name"] for channel in result[name]] for name in ("inputs", "outputs")
-        )
+        inputs = [channel["name"] for channel in result["inputs"]]
+        outputs = [channel["name"] for channel in result["outputs"]]
         lines = [
             f"kernel: {', '.join(inputs)} → {', '.join(outputs)}, {result['order']} coefficients a"
             " path"

@@ -48,7 +48,8 @@ def as_frame(table: Any, where: str) -> pandas.DataFrame:
             f"{where}: is {type(table).__name__}; must be a DataFrame, or make a record with"
             " rs.from_arrays({…})"
         )
-    if len(twice := table.columns[table.columns.duplicated()]):
+    twice = table.columns[table.columns.duplicated()]
+    if len(twice):
         raise BadRecord(
             f"{where}: column {twice[0]!r} stands twice; rename one, or keep the first:"
             " frame.loc[:, ~frame.columns.duplicated()]"
@@ -68,7 +69,8 @@ def heads(
     else:
         by_column = {column: unit_of_head(str(column)) for column in columns}
     names = [name for name, _ in by_column.values()]
-    if twice := [name for name in names if names.count(name) > 1]:
+    twice = [name for name in names if names.count(name) > 1]
+    if twice:
         raise BadRecord(f"{where}: columns share the name {twice[0]!r}; rename one")
     return by_column
 
@@ -208,7 +210,8 @@ def unit_of_time(head: Any) -> str:
 def refuse_disorder(instants: npt.NDArray[np.float64], where: str) -> None:
     """BadRecord for instants that stand twice or go back, with what a table has for it."""
     steps = np.diff(instants)
-    if not (wrong := steps <= 0).any():
+    wrong = steps <= 0
+    if not wrong.any():
         return
     row = int(np.argmax(wrong)) + 1
     if steps[row - 1] == 0:
@@ -410,7 +413,8 @@ def from_arrays(
     2.0
     """
     given = dict(units or {})
-    if unknown := [name for name in given if name not in channels]:
+    unknown = [name for name in given if name not in channels]
+    if unknown:
         raise BadRecord(
             f"units: there is no channel {unknown[0]!r};"
             f" {known_names(unknown[0], channels, 'there are')}"
@@ -441,7 +445,8 @@ def _at_times(
 ) -> Record:
     """A record of arrays that were sampled at these times."""
     arrays = {name: np.asarray(values, dtype=float) for name, values in signals.items()}
-    if unlike := [name for name, values in arrays.items() if values.shape != instants.shape]:
+    unlike = [name for name, values in arrays.items() if values.shape != instants.shape]
+    if unlike:
         shapes = f"has shape {arrays[unlike[0]].shape}, time has {instants.shape}"
         raise BadRecord(f"{where}, channel {unlike[0]!r}: {shapes}; they must be alike")
     return _timed(instants, arrays, units, resample, where, sample_time)
@@ -561,7 +566,8 @@ def from_xarray(
         raise BadRecord(
             f"{where}: has no coordinate {dim!r}; {known_names(dim, dataset.coords, 'there are')}"
         )
-    if off_dim := [name for name, values in dataset.data_vars.items() if values.dims != (dim,)]:
+    off_dim = [name for name, values in dataset.data_vars.items() if values.dims != (dim,)]
+    if off_dim:
         raise BadRecord(
             f"{where}: variable {off_dim[0]!r} lies along {dataset[off_dim[0]].dims}; must be along"
             f" ({dim!r},) alone"

@@ -68,7 +68,8 @@ def tied_text(effect: str, target: str, parameters: Mapping[str, Quantity]) -> s
 
 def _curve(parameters: Mapping[str, Quantity]) -> dict[str, Any]:
     count = sum(name.startswith("a") for name in parameters)
-    at, values = ([parameters[f"{letter}{k}"] for k in range(1, count + 1)] for letter in "av")
+    at = [parameters[f"a{k}"] for k in range(1, count + 1)]
+    values = [parameters[f"v{k}"] for k in range(1, count + 1)]
     return {
         "at": [q.value for q in at],
         "value": [q.value for q in values],
@@ -337,7 +338,8 @@ def _free_term_text(explanation: Explanation) -> list[str]:
         f"  a term outside the catalogue in balance {free.balance}, a function of {free.axis},"
         f" explains {100 * explanation.unexplained_share:.0f} % of what can be explained"
     ]
-    if (formula := nearest_formula(free.at, free.value)) is not None:
+    formula = nearest_formula(free.at, free.value)
+    if formula is not None:
         lines.append(
             f"    it looks like {formula.formula} {free.unit}, z = {free.axis} /"
             f" {formula.largest:.3g}"

@@ -23,13 +23,12 @@ def design_json(problem: MultivariableProblem, design: MultivariableDesign) -> d
     together are certified.
     """
     measured = problem.measured(design)
-    unstable = np.any(
-        [
-            [not math.isfinite(s.integral_absolute_error) for s in loop.own.drawn]
-            for loop in measured
-        ],
-        axis=0,
-    )
+    # A drawn plant is unstable where the error of any of its loops has no end.
+    endless = [
+        [not math.isfinite(step.integral_absolute_error) for step in loop.own.drawn]
+        for loop in measured
+    ]
+    unstable = np.any(endless, axis=0)
     return {
         "feasible": True,
         "inputs": list(problem.model.inputs),

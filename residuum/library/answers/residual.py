@@ -168,7 +168,8 @@ def run_text(design: ResidualDesign, record: Record, detection: Detection) -> st
     lines.insert(
         0, f"alarm at {float(record.time[first]):.6g} s, {int(detection.alarm.sum())} exceedances"
     )
-    if (estimate := detection.estimate) is not None:
+    estimate = detection.estimate
+    if estimate is not None:
         lines.insert(
             1,
             f"{_fault_text(estimate)}, {_since(design, record, estimate.onset)}{_alike(estimate)}",

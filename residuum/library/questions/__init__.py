@@ -147,7 +147,8 @@ class Question(BaseModel):
     def _is_known(cls, value: Any, info: ValidationInfo) -> Any:
         name = str(info.field_name)
         # Names are held to those that there are here, so that every door suggests the nearest one.
-        if value is not None and (names := choices(cls.model_fields[name])) and value not in names:
+        names = choices(cls.model_fields[name])
+        if value is not None and names and value not in names:
             raise BadInput(
                 repr(value), name, f"there is none of this name; {known_names(value, names)}"
             )
@@ -191,7 +192,8 @@ def field(
     extra: dict[str, Any] = {"enum": list(choices)} if choices else {}
     if choices_with:
         extra["x-choices-only-with"] = {name: [_listed(way)] for name, way in choices_with.items()}
-    if ways := [_listed(way) for way in only_with]:
+    ways = [_listed(way) for way in only_with]
+    if ways:
         extra["x-only-with"] = ways
     if written:
         extra["x-written"] = written
@@ -227,14 +229,12 @@ def help_of(field: FieldInfo) -> str:
         for rule in field.metadata
         if hasattr(rule, key)
     ]
-    more = (
-        [f"One of {', '.join(names)}."]
-        if names
-        else [f"Must be {' and '.join(limits)}."]
-        if limits
-        else []
-    )
-    return " ".join([str(field.description), *more])
+    sentences = [str(field.description)]
+    if names:
+        sentences.append(f"One of {', '.join(names)}.")
+    elif limits:
+        sentences.append(f"Must be {' and '.join(limits)}.")
+    return " ".join(sentences)
 
 
 def refusal(error: Mapping[str, Any], known: Iterable[str] = ()) -> BadInput:
@@ -243,7 +243,8 @@ def refusal(error: Mapping[str, Any], known: Iterable[str] = ()) -> BadInput:
     """
     context = error.get("ctx", {})
     # A refusal of ours, raised in a validator, is in words already.
-    if isinstance(own := context.get("error"), BadInput):
+    own = context.get("error")
+    if isinstance(own, BadInput):
         return own
     where = ".".join(str(part) for part in error["loc"] if part not in ("body", "query", "[key]"))
     if error["type"] == "extra_forbidden":

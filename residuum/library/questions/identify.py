@@ -214,4 +214,6 @@ class Identify(Question):
 
 
 def _names(channels: str | list[str] | None) -> tuple[str, ...]:
-    return () if channels is None else (channels,) if isinstance(channels, str) else tuple(channels)
+    if channels is None:
+        return ()
+    return (channels,) if isinstance(channels, str) else tuple(channels)

@@ -308,11 +308,9 @@ def _check_known(question: Explain, names: Sequence[str] | None, given: Asked) -
     if given.text is not None:
         # its own effects are in the catalogue of this request from now on
         model_of(given.model, given.text)
-    if unknown := [
-        id
-        for id in (re.split("[@:]", name)[0] for name in names)
-        if id not in EFFECTS and id not in STRUCTURAL
-    ]:
+    ids = [re.split("[@:]", name)[0] for name in names]
+    unknown = [id for id in ids if id not in EFFECTS and id not in STRUCTURAL]
+    if unknown:
         raise NotFound(
             f"effect {unknown[0][:60]!r}: neither in the catalogue (GET /effects lists it) nor in"
             " the model file's own_effects"

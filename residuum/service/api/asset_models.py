@@ -93,10 +93,9 @@ def propose_model(
     diagnoser = running.store.asset(asset).diagnoser
     if diagnoser is None:
         raise Conflict(f"asset {asset!r}: has no diagnoser whose thresholds could be derived")
-    learned, checked = (
-        [parts_of(record) for record in part]
-        for part in parted(healthy_windows(running.store, asset))
-    )
+    to_learn, kept_aside = parted(healthy_windows(running.store, asset))
+    learned = [parts_of(record) for record in to_learn]
+    checked = [parts_of(record) for record in kept_aside]
     models = (
         _stored(running, _active(asset), None),
         stored_model(running.store, asked.model, asked.version),

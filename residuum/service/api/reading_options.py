@@ -102,9 +102,10 @@ def remedies_in_upload() -> AbstractContextManager[None]:
 
 def only_of_files(query: QueryParams, kind: str) -> None:
     """Refuse options of a file for a body that says these things itself."""
-    if given := next((key for key in _OF_THE_FILE if key in query), None):
+    given = [key for key in _OF_THE_FILE if key in query]
+    if given:
         raise BadInput(
-            f"query, {given}: is an option for files (text/csv, application/zip); {kind} says it"
+            f"query, {given[0]}: is an option for files (text/csv, application/zip); {kind} says it"
             " itself"
         )
 

@@ -230,8 +230,9 @@ def _reading(query_string: bytes, kind: str) -> Reading:
     query = QueryParams(query_string)
     if kind not in _ENDINGS:
         only_of_files(query, kind)
-    if kind != _ARRAY and (given := next((key for key in _OF_ARRAYS if key in query), None)):
-        raise BadBody(f"query, {given}: is an option for .npy arrays; {kind} says it itself")
+    given = [key for key in _OF_ARRAYS if key in query]
+    if kind != _ARRAY and given:
+        raise BadBody(f"query, {given[0]}: is an option for .npy arrays; {kind} says it itself")
     reading = reading_of(query)
     if kind in _ENDINGS and "sample_time" in query:
         return reading._replace(
@@ -298,7 +299,8 @@ def _description(query_string: bytes) -> _Description:
 
 
 def _head(text: str) -> tuple[str, str]:
-    if (match := _HEAD.match(text.strip())) is None:
+    match = _HEAD.match(text.strip())
+    if match is None:
         raise BadBody(f"query, channel {text[:60]!r}: must be 'name [unit]'")
     return match["name"], match["unit"]
 

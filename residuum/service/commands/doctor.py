@@ -76,8 +76,11 @@ class Check:
     @property
     def line(self) -> str:
         """As it is printed: what is right with a remark is neither `ok` nor wrong."""
-        word = "WRONG" if not self.ok else "NOTE" if self.remark else "ok"
-        return f"{word:<5} {self.name:<15} {self.says}{f'; {self.remark}' if self.remark else ''}"
+        word = "NOTE" if self.remark else "ok"
+        if not self.ok:
+            word = "WRONG"
+        remark = f"; {self.remark}" if self.remark else ""
+        return f"{word:<5} {self.name:<15} {self.says}{remark}"
 
 
 @app.command()
@@ -127,7 +130,8 @@ def _sweep(settings: Settings) -> None:
     """Delete what no row names; BadInput where folder and database do not belong together, or this
     program has not started.
     """
-    if (database := _existing(settings)) is None:
+    database = _existing(settings)
+    if database is None:
         raise BadInput("--sweep: there is no database yet; nothing was deleted")
     try:
         database.refuse_other_revision()
@@ -208,7 +212,8 @@ def _database(settings: Settings) -> str:
             )
         with database.write():
             pass  # it can be written
-        if (damage := database.damage()) is not None:
+        damage = database.damage()
+        if damage is not None:
             raise Wrong(f"is damaged: {damage}; restore a backup")
         return f"{database.url.get_backend_name()}, can be written, schema at revision {revision}"
     finally:
@@ -440,7 +445,8 @@ def _let_in(address: BrokerAddress) -> None:
 def _compiled_code() -> str:
     places = {"loops": "NUMBA_CACHE_DIR", "kernels": "RESIDUUM_CACHE"}
     for name, variable in places.items():
-        if (why := why_not_kept(name, variable)) is not None:
+        why = why_not_kept(name, variable)
+        if why is not None:
             raise Wrong(
                 f"{name} are not kept: {why}; set {variable} to a folder of this user alone"
             )

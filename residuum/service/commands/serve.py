@@ -183,7 +183,8 @@ def _refuse_damage(database: Database) -> None:
     """BadInput for a small file of which SQLite says that it is damaged; the rest is looked through
     while the service runs.
     """
-    if database.looked_through_first() and (damage := database.damage()) is not None:
+    damage = database.damage() if database.looked_through_first() else None
+    if damage is not None:
         raise BadInput(
             f"setting database: {database.url.database}: is damaged: {damage}; restore a backup"
             " into a new folder"

@@ -231,7 +231,8 @@ class _Tally:
                     f"{file}: signal block {path}"
                     f" {'differs from its checksum' if path in self.blocks else 'is missing'}"
                 )
-        if surplus := self.blocks.keys() - self.referred.keys():
+        surplus = self.blocks.keys() - self.referred.keys()
+        if surplus:
             raise BadBackup(f"{file}: no row points to signal block {min(surplus)}")
         counts = {table: int(summary["count"]) for table, summary in self.tables.items()}
         return Contents(

@@ -42,7 +42,8 @@ def claim(folder: Path, database: Database) -> str:
         return theirs
     if theirs is not None and ours is not None:
         raise OtherDatabase(_refusal(folder, database, "belongs to another data folder"))
-    if (strange := _strangers(folder, database)) is not None:
+    strange = _strangers(folder, database)
+    if strange is not None:
         raise OtherDatabase(_refusal(folder, database, strange))
     # Where one side holds it, the other gets the same: a first start that was cut off between the
     # two writes goes on.

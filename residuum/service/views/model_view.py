@@ -135,9 +135,8 @@ def _terms(comparison: Comparison) -> list[dict[str, Any]]:
     terms: list[dict[str, Any]] = []
     for name in comparison.smoothed[0].missing:
         missing = [smoothed.missing[name] for smoothed in comparison.smoothed]
-        value, std = (
-            np.concatenate([getattr(term, part) for term in missing]) for part in ("value", "std")
-        )
+        value = np.concatenate([term.value for term in missing])
+        std = np.concatenate([term.std for term in missing])
         terms.append(
             {"of": name, "kind": "balance", "unit": missing[0].unit, "value": value, "std": std}
         )
@@ -442,7 +441,8 @@ def with_parameters(model: PhysicalModel, changes: Mapping[str, Mapping[str, Any
     `lower`, `upper` (None: no bound) or `fixed`. BadModel for an unknown name, or for what no model
     file may hold (a value outside its bounds).
     """
-    if unknown := [name for name in changes if name not in model.all_parameters]:
+    unknown = [name for name in changes if name not in model.all_parameters]
+    if unknown:
         known = known_names(unknown[0], model.all_parameters, "there are")
         raise BadModel(f"model {model.name!r}: no parameter {unknown[0][:60]!r}; {known}")
     changed = {

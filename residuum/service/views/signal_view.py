@@ -60,7 +60,8 @@ def extremes(signal: npt.NDArray[Any], most: int) -> Extremes:
     whole = n // samples
     body = signal[: whole * samples].reshape(whole, samples)
     lowest, highest = np.fmin.reduce(body, axis=1), np.fmax.reduce(body, axis=1)
-    if remainder := n - whole * samples:
+    remainder = n - whole * samples
+    if remainder:
         lowest = np.append(lowest, np.fmin.reduce(signal[-remainder:]))
         highest = np.append(highest, np.fmax.reduce(signal[-remainder:]))
     return Extremes(samples, lowest.astype(np.float64), highest.astype(np.float64))
@@ -77,17 +78,16 @@ def extremes_of_pieces(pieces: Iterator[npt.NDArray[Any]], n: int, most: int) ->
     reduced, held = list[Extremes](), np.empty(0)
     for piece in pieces:
         held = np.concatenate([held, piece]) if len(held) else piece
-        if whole := len(held) // samples:
+        whole = len(held) // samples
+        if whole:
             reduced.append(extremes(held[: whole * samples], whole))
             held = held[whole * samples :]
     if len(held):
         reduced.append(extremes(held, 1))
     return Extremes(
         samples,
-        *(
-            np.concatenate([getattr(part, end) for part in reduced])
-            for end in ("minimum", "maximum")
-        ),
+        np.concatenate([part.minimum for part in reduced]),
+        np.concatenate([part.maximum for part in reduced]),
     )
 
 
@@ -99,7 +99,8 @@ def stretch(
     """
     begin = 0
     for piece in pieces:
-        if len(inside := piece[max(0, first - begin) : max(0, last - begin)]):
+        inside = piece[max(0, first - begin) : max(0, last - begin)]
+        if len(inside):
             yield inside
         begin += len(piece)
 

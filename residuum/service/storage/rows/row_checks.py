@@ -278,10 +278,9 @@ def _finding(row: Row[Any]) -> Says:
         yield f"its window {row.window_id} is of {row.of!r}"
     if row.verdict not in list(Verdict):
         yield f"its verdict is {row.verdict!r}"
-    if broken := next(
-        (name for name in _DOCUMENTS if not isinstance(getattr(row, name), dict)), None
-    ):
-        yield f"its {broken} are no object of names to values"
+    broken = [name for name in _DOCUMENTS if not isinstance(getattr(row, name), dict)]
+    if broken:
+        yield f"its {broken[0]} are no object of names to values"
 
 
 def _asset(row: Row[Any]) -> Says:
