@@ -129,6 +129,7 @@ def _structured(comparison: Comparison) -> str:
     """Whether the error is structured, in a line."""
     if not comparison.structured:
         return "structured error: not told; the records are too short to tell an error from noise"
+    # Readings that are odd were left out, so that nothing is said of them either way.
     if not comparison.present and comparison.odd_samples:
         return "structured error: not told; the sensor's readings are odd where the warning says so"
     if not comparison.present:
@@ -136,6 +137,7 @@ def _structured(comparison: Comparison) -> str:
             f"structured error: no ({chance(comparison.p_value)}; noise alone explains the error)"
         )
     percent = 100 * comparison.share
+    # A share below 1 % rounded to a whole number would be told as none.
     share = f"{percent:.0f}" if percent >= 1.0 else f"{percent:.1g}"
     says = f"structured error: yes ({chance(comparison.p_value)}, {share} % of the error's power)"
     present = [name for name, test in comparison.structured.items() if test.present]

@@ -23,6 +23,7 @@ from residuum.robust_control.loop import weighted_loop
 # What a control design promises in time beside what is measured, for the console and the page.
 
 _SHARE = 0.95
+"""Share of the drawn plants that stay below what is told as reached."""
 
 
 def promise_and_measurement(
@@ -53,6 +54,7 @@ def promise_and_measurement(
             },
         },
     }
+    # The robust aim shapes weights alone: it promises nothing in time.
     if wishes.aim != "nominal":
         return {"promised": None, "measured": measured}
     promised = {
@@ -95,6 +97,7 @@ def says(result: Mapping[str, Any]) -> list[str]:
 
 
 _NAMES = ("overshoot", "settling_time", "integral_absolute_error")
+"""Figures of a step response, in the order in which `StepResponse` takes them."""
 
 
 def _figures(step: StepResponse) -> dict[str, float | None]:

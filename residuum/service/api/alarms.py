@@ -128,6 +128,7 @@ def shelve(
     """
     shelving = shelving or Shelving(minutes=60.0, comment=None)
     rule = running.pipeline.alarm_rule(_visible(request, running, alarm).asset)
+    # Refused by the rule of the alarm's own machine, before anything is written.
     rule.refuse_shelving(shelving.minutes, shelving.comment)
     until = datetime.now(UTC) + timedelta(minutes=shelving.minutes)
     return _operate(request, running, alarm, AlarmEvent.SHELVE, shelving, until)

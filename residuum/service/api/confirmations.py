@@ -84,6 +84,7 @@ def confirm(
     else. What is told later on the same finding counts instead; both stay.
     """
     fields = found.model_dump()
+    # As the spans of time: a moment without a zone is one of UTC.
     if found.found_at is not None and found.found_at.tzinfo is None:
         fields["found_at"] = found.found_at.replace(tzinfo=UTC)
     caller = caller_of(request).name

@@ -56,6 +56,7 @@ async def add_model(
     stored.
     """
     content = await body_of(request)
+    # A long or packed file is read in a process with limits.
     if is_read_apart(kind, content):
         limits = {
             "memory": running.settings.upload_memory,

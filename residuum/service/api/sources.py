@@ -45,6 +45,7 @@ def get_status(running: Running, request: Request) -> Response:
     reasons; not told to a key of some sites.
     """
     answer = {**_status(running, caller_of(request)), "compiled": is_compiled()}
+    # Messages that were set aside are of the whole plant.
     if caller_of(request).sites is None:
         answer["set_aside"] = SetAside(running.settings.data).to_json()
     return Json(answer)
